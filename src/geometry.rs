@@ -1,0 +1,77 @@
+//! Angles, poses and the frames they connect.
+//!
+//! | frame | origin | axes |
+//! | --- | --- | --- |
+//! | `pixel` | centre of the top-left pixel | u right, v down |
+//! | `camera` | centre of projection | OpenCV's: x right, y down, z forward |
+//! | `base` {b} | centre of the base disk's top face | z along the straight snake, x parallel to the grid plane and towards the image's right when z points up, y = z × x, from the camera towards the grid |
+//! | `grid` | a crossing of two grid lines | x, y along the lines, z away from the camera |
+//!
+//! A pose is named so that it chains by eye: `camera_from_base * point_in_base` is a point in the camera's frame.
+
+use nalgebra::{Isometry3, Vector2};
+use std::f64::consts::{PI, TAU};
+
+/// A rigid transform between two frames, named `a_from_b`.
+pub type Pose = Isometry3<f64>;
+
+/// An angle in radians, brought into (−π, π].
+pub fn wrap_angle(angle: f64) -> f64 {
+    let wrapped = angle.rem_euclid(TAU);
+    if wrapped > PI { wrapped - TAU } else { wrapped }
+}
+
+/// An angle in degrees, brought into (−180, 180].
+pub fn wrap_degrees(angle_deg: f64) -> f64 {
+    let wrapped = angle_deg.rem_euclid(360.0);
+    if wrapped > 180.0 { wrapped - 360.0 } else { wrapped }
+}
+
+/// The snake's configuration ψ = (θ, δ), radians.
+///
+/// θ is the bend from straight, θ_0 − θ_L in the paper's terms, never negative. δ is the azimuth in the base frame that
+/// the tip leans towards. At θ = 0 δ has no meaning; computations that must be smooth there use
+/// [`bend_vector`](Self::bend_vector).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Configuration {
+    /// Bend from straight, rad, ≥ 0.
+    pub theta: f64,
+    /// Azimuth of the bend plane in {b}, rad, in (−π, π].
+    pub delta: f64,
+}
+
+impl Configuration {
+    /// From θ and δ in radians; δ is wrapped, a negative θ becomes the same bend the other way.
+    pub fn new(theta: f64, delta: f64) -> Self {
+        if theta < 0.0 {
+            Self { theta: -theta, delta: wrap_angle(delta + PI) }
+        } else {
+            Self { theta, delta: wrap_angle(delta) }
+        }
+    }
+
+    /// From θ and δ in degrees.
+    pub fn from_degrees(theta_deg: f64, delta_deg: f64) -> Self {
+        Self::new(theta_deg.to_radians(), delta_deg.to_radians())
+    }
+
+    /// The configuration whose bend vector this is; a zero vector is straight with δ = 0.
+    pub fn from_bend_vector(bend: Vector2<f64>) -> Self {
+        Self { theta: bend.norm(), delta: if bend == Vector2::zeros() { 0.0 } else { bend.y.atan2(bend.x) } }
+    }
+
+    /// θ (cos δ, sin δ), rad: the same configuration without the polar singularity at θ = 0.
+    pub fn bend_vector(&self) -> Vector2<f64> {
+        self.theta * Vector2::new(self.delta.cos(), self.delta.sin())
+    }
+
+    /// θ in degrees.
+    pub fn theta_deg(&self) -> f64 {
+        self.theta.to_degrees()
+    }
+
+    /// δ in degrees, in (−180, 180].
+    pub fn delta_deg(&self) -> f64 {
+        wrap_degrees(self.delta.to_degrees())
+    }
+}

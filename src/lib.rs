@@ -1,0 +1,40 @@
+//! Closes the loop between a camera and a snake-like surgical robot.
+//!
+//! The robot is the Ø4.2 mm multi-backbone snake of Xu & Simaan, "Actuation Compensation for Flexible Surgical
+//! Snake-like Robots with Redundant Remote Actuation" (ICRA 2006), called *the paper* throughout; "Eq. n" is an
+//! equation of it. The library measures the snake's bend in pictures ([`measure`]), learns from the bend and the
+//! encoders how much motion the actuation line swallows ([`estimate`]) and tells what to command instead ([`robot`]).
+//!
+//! # Conventions
+//!
+//! Lengths are mm, forces N, stresses MPa, times s, angles radians (degrees in files, names end in `_deg`).
+//! Frames, signs and the meaning of every symbol are fixed in [`geometry`] and [`robot`].
+//!
+//! # Modules
+//!
+//! Each module uses only those above it:
+//!
+//! | module | what it is |
+//! | --- | --- |
+//! | [`error`], [`geometry`] | the error type; angles and poses |
+//! | [`robot`], [`camera`] | the snake: kinematics, statics, friction, ε; lenses and sources of frames |
+//! | [`record`] | the files of an experiment: read, check, write |
+//! | [`measure`], [`estimate`], [`simulate`] | frames → θ, δ; measurements → η, λ; the other way round, for tests |
+//! | [`report`] | overlays, plots, the HTML page |
+#![deny(unsafe_code)]
+#![warn(missing_docs)]
+
+pub mod camera;
+pub mod error;
+pub mod estimate;
+pub mod geometry;
+pub mod measure;
+pub mod record;
+pub mod report;
+pub mod robot;
+pub mod simulate;
+
+#[doc(hidden)]
+pub mod cli;
+
+pub use error::{Error, Result};

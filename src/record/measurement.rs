@@ -1,0 +1,89 @@
+//! One row of measurements.csv and of encoders.csv.
+
+use crate::geometry::Configuration;
+use nalgebra::{Matrix2, Vector3};
+
+/// Whether a frame could be measured, and why not.
+///
+/// Written in snake_case; an unknown word in a file is kept as [`Other`](Self::Other).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Status {
+    /// Measured; the angles and their sigmas can be trusted.
+    Ok,
+    /// Nothing in the picture looks like the snake.
+    NoSnake,
+    /// Too much of the snake's outline is hidden or disturbed.
+    Occluded,
+    /// Two bends explain the picture equally well.
+    Ambiguous,
+    /// The outline is too soft for the edges to be placed.
+    Blurred,
+    /// The picture is almost entirely black or white.
+    Saturated,
+    /// Too much of the snake lies outside the picture.
+    OutOfFrame,
+    /// The picture could not be read.
+    Unreadable,
+    /// The picture has another size than the camera file says.
+    WrongSize,
+    /// A reason that this version does not know.
+    Other(String),
+}
+
+/// What a frame's pixels say about ψ.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measured {
+    /// θ and δ.
+    pub configuration: Configuration,
+    /// Standard deviation of θ, rad.
+    pub sigma_theta: f64,
+    /// Standard deviation of δ, rad; large near straight, where δ means little.
+    pub sigma_delta: f64,
+    /// Correlation of the errors of θ and δ, in (−1, 1).
+    pub correlation: f64,
+}
+
+impl Measured {
+    /// Covariance of (θ, δ), rad².
+    pub fn covariance(&self) -> Matrix2<f64> {
+        let cross = self.correlation * self.sigma_theta * self.sigma_delta;
+        Matrix2::new(self.sigma_theta.powi(2), cross, cross, self.sigma_delta.powi(2))
+    }
+}
+
+/// How good the fit behind a measurement was.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Quality {
+    /// Places on the snake's outline where an edge was found and agreed with the model.
+    pub edges: usize,
+    /// The share of the outline's places in view that they are, 0 to 1.
+    pub inlier_fraction: f64,
+    /// Root mean square distance of these edges from the model, px.
+    pub rms_px: f64,
+}
+
+/// One frame's row: measured, or the reason why not.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measurement {
+    /// Number in the frame's file name, or its position in a video.
+    pub index: u64,
+    /// Time of the frame, s, where it is known (from the encoder log or the video).
+    pub time_s: Option<f64>,
+    /// The verdict.
+    pub status: Status,
+    /// The angles, where there are any.
+    pub measured: Option<Measured>,
+    /// The fit's quality, where there was a fit.
+    pub quality: Option<Quality>,
+}
+
+/// One row of encoders.csv: what the actuators' encoders read when a frame was taken.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EncoderReading {
+    /// The frame's index.
+    pub index: u64,
+    /// Time, s.
+    pub time_s: f64,
+    /// q̃, mm.
+    pub q_mm: Vector3<f64>,
+}

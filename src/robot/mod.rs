@@ -1,0 +1,7 @@
+//! The snake and its actuation line: parameters, kinematics, statics, friction and the compensation ε.
+//!
+//! Symbols are the paper's. i = 1, 2, 3 counts the secondary backbones; vectors over them are `Vector3<f64>`, element 0
+//! being backbone 1.
+
+pub mod parameters;
+pub use parameters::{Body, Robot};

@@ -1,0 +1,120 @@
+//! The numbers that describe one robot: Table I, Section III-B and the body as a camera sees it.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::PI;
+
+/// A super-elastic NiTi tube.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tube {
+    /// Outer diameter d_o, mm.
+    pub outer_diameter_mm: f64,
+    /// Inner diameter d_i, mm.
+    pub inner_diameter_mm: f64,
+    /// Young's modulus E, GPa.
+    pub youngs_modulus_gpa: f64,
+}
+
+impl Tube {
+    /// Young's modulus E, MPa (N/mm²).
+    pub fn youngs_modulus_mpa(&self) -> f64 {
+        self.youngs_modulus_gpa * 1000.0
+    }
+
+    /// Second moment of area I = π (d_o⁴ − d_i⁴) / 64, mm⁴.
+    pub fn second_moment_mm4(&self) -> f64 {
+        PI / 64.0 * (self.outer_diameter_mm.powi(4) - self.inner_diameter_mm.powi(4))
+    }
+
+    /// Cross-sectional area A = π (d_o² − d_i²) / 4, mm².
+    pub fn area_mm2(&self) -> f64 {
+        PI / 4.0 * (self.outer_diameter_mm.powi(2) - self.inner_diameter_mm.powi(2))
+    }
+}
+
+/// The line between the actuation unit and the snake: holder and cone (Fig. 3, Section III-B).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ActuationLine {
+    /// Length L_d of the backbones in the DDU holder, mm.
+    pub holder_length_mm: f64,
+    /// Radius of each of the cone channel's two circular sections, mm.
+    pub cone_bend_radius_mm: f64,
+    /// Angle φ of each of the two sections, degrees.
+    pub cone_bend_angle_deg: f64,
+    /// Length of the cone channel's tangential straight portion, mm. The paper does not print it.
+    pub cone_straight_mm: f64,
+}
+
+impl ActuationLine {
+    /// φ in radians.
+    pub fn cone_bend_angle(&self) -> f64 {
+        self.cone_bend_angle_deg.to_radians()
+    }
+
+    /// Length L_c of the backbones in the cone, mm: two circular sections and the straight portion.
+    pub fn cone_length_mm(&self) -> f64 {
+        2.0 * self.cone_bend_radius_mm * self.cone_bend_angle() + self.cone_straight_mm
+    }
+}
+
+/// The body as a camera sees it: disks on four tubes, on a holder of the disks' diameter.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Body {
+    /// Outer diameter of the disks and of the holder below the base disk, mm.
+    pub disk_diameter_mm: f64,
+    /// Thickness of a disk, mm.
+    pub disk_thickness_mm: f64,
+    /// Number of disks above the base disk, the end disk among them.
+    pub disk_count: usize,
+}
+
+/// One robot: everything that does not change from experiment to experiment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Robot {
+    /// Length L of the primary backbone from the base disk's top face to the end disk's far face, mm.
+    pub length_mm: f64,
+    /// Radius r of the circle of secondary backbones, mm.
+    pub backbone_circle_radius_mm: f64,
+    /// The central backbone.
+    pub primary: Tube,
+    /// Each of the three secondary backbones.
+    pub secondary: Tube,
+    /// Holder and cone.
+    pub line: ActuationLine,
+    /// Disks and holder.
+    pub body: Body,
+}
+
+impl Default for Robot {
+    /// Table I and Section III-B of the paper.
+    fn default() -> Self {
+        let tube = Tube { outer_diameter_mm: 0.66, inner_diameter_mm: 0.50, youngs_modulus_gpa: 54.0 };
+        Self {
+            length_mm: 26.0,
+            backbone_circle_radius_mm: 1.5,
+            primary: tube,
+            secondary: tube,
+            line: ActuationLine {
+                holder_length_mm: 480.0,
+                cone_bend_radius_mm: 20.0,
+                cone_bend_angle_deg: 41.0,
+                cone_straight_mm: 0.0,
+            },
+            body: Body { disk_diameter_mm: 4.2, disk_thickness_mm: 0.6, disk_count: 7 },
+        }
+    }
+}
+
+impl Robot {
+    /// β = 2π/3, the angle between neighbouring secondary backbones.
+    pub const BETA: f64 = 2.0 * PI / 3.0;
+
+    /// Azimuths of the secondary backbones in {b}, rad: −(i−1)·β.
+    pub fn backbone_azimuths(&self) -> Vector3<f64> {
+        Vector3::new(0.0, -Self::BETA, -2.0 * Self::BETA)
+    }
+}
