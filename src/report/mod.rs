@@ -1,1 +1,1 @@
-//!
+//! What a person looks at: overlays on frames, plots, the HTML page.

@@ -1,0 +1,128 @@
+//! Files that appear whole or not at all.
+//!
+//! A file is written under a temporary name in the folder where it will stand, flushed to the disk and renamed. A run
+//! that is killed half-way leaves the former file, or none, never a part of one.
+
+use crate::error::{Error, Result};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use tempfile::NamedTempFile;
+
+/// A file being written. It appears under its name with [`commit`](Self::commit); dropped before that, it leaves no trace.
+#[derive(Debug)]
+pub struct PendingFile {
+    path: PathBuf,
+    temporary: NamedTempFile,
+}
+
+impl PendingFile {
+    /// Starts the file that will stand at `path`; its folder is created where it is missing.
+    ///
+    /// # Errors
+    /// [`Error::Io`] where the folder or the temporary file cannot be created.
+    pub fn create(path: &Path) -> Result<Self> {
+        let folder = match path.parent() {
+            Some(parent) if parent != Path::new("") => parent,
+            _ => Path::new("."),
+        };
+        std::fs::create_dir_all(folder).map_err(Error::io(folder, "create the folder"))?;
+        let temporary = temporary_in(folder).map_err(Error::io(path, "write"))?;
+        Ok(Self { path: path.to_owned(), temporary })
+    }
+
+    /// Flushes the content to the disk and gives the file its name, replacing what stood there.
+    ///
+    /// # Errors
+    /// [`Error::Io`] where the disk is full or the name cannot be taken (a folder stands there, say).
+    pub fn commit(self) -> Result<()> {
+        let Self { path, temporary } = self;
+        temporary.as_file().sync_all().map_err(Error::io(&path, "write"))?;
+        temporary.persist(&path).map_err(|refused| Error::io(&path, "write")(refused.error))?;
+        Ok(())
+    }
+}
+
+impl Write for PendingFile {
+    fn write(&mut self, buffer: &[u8]) -> std::io::Result<usize> {
+        self.temporary.write(buffer)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.temporary.flush()
+    }
+}
+
+/// Writes a whole file at once: it holds `contents` afterwards, or what it held before.
+///
+/// # Errors
+/// [`Error::Io`] where the folder cannot be created or the file not be written.
+pub fn write_atomically(path: &Path, contents: &[u8]) -> Result<()> {
+    let mut file = PendingFile::create(path)?;
+    file.write_all(contents).map_err(Error::io(path, "write"))?;
+    file.commit()
+}
+
+/// A temporary file with the permissions that any new file gets; `tempfile`'s own default would hide it from others.
+fn temporary_in(folder: &Path) -> std::io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".snakeloop-").suffix(".tmp");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    builder.tempfile_in(folder)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    fn names_in(folder: &Path) -> Vec<String> {
+        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect()
+    }
+
+    #[test]
+    fn replaces_a_file_and_creates_its_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/deep/a.csv");
+        write_atomically(&path, b"first, and longer").unwrap();
+        write_atomically(&path, b"second").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"second");
+        assert_eq!(names_in(path.parent().unwrap()), ["a.csv"], "no temporary file stays behind");
+    }
+
+    #[test]
+    fn leaves_the_former_file_until_committed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.csv");
+        write_atomically(&path, b"former").unwrap();
+        let mut pending = PendingFile::create(&path).unwrap();
+        pending.write_all(b"half of the ne").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"former");
+        drop(pending);
+        assert_eq!(fs::read(&path).unwrap(), b"former");
+        assert_eq!(names_in(folder.path()), ["a.csv"]);
+    }
+
+    #[test]
+    fn a_folder_in_the_way_is_an_error_that_names_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("taken");
+        fs::create_dir_all(path.join("inside")).unwrap();
+        let message = write_atomically(&path, b"x").unwrap_err().to_string();
+        assert!(message.contains("taken") && message.contains("cannot write"), "{message}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn has_the_permissions_of_an_ordinary_file() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        write_atomically(&folder.path().join("ours"), b"").unwrap();
+        fs::write(folder.path().join("plain"), b"").unwrap();
+        let mode = |name| fs::metadata(folder.path().join(name)).unwrap().permissions().mode();
+        assert_eq!(mode("ours"), mode("plain"));
+    }
+}
