@@ -1,4 +1,9 @@
 //! Cameras: the lens model, camera files, and where frames come from.
 
+mod file;
+pub mod frame;
 pub mod lens;
+pub mod source;
+pub use frame::{Frame, read_frame};
 pub use lens::Lens;
+pub use source::{FrameSource, SourceFrame};

@@ -1,1 +1,1 @@
-//!
+//! The other way round, for tests: pictures of a snake whose bend is known.

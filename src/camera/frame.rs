@@ -1,0 +1,188 @@
+//! One picture in memory, and how it is read from a file.
+
+use crate::error::{Error, Result};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+use std::io::Cursor;
+use std::path::Path;
+
+/// The largest picture that is read, in pixels; larger ones are taken for a mistake or an attack.
+const MAX_PIXELS: u64 = 100_000_000;
+
+/// A picture: grey or RGB, as the file's numbers (gamma-encoded) on the scale 0 to 255 whatever the file's depth.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// Width, px.
+    pub width: u32,
+    /// Height, px.
+    pub height: u32,
+    /// 1 (grey) or 3 (red, green, blue).
+    pub channels: usize,
+    /// Row by row, the channels of a pixel side by side: `height × width × channels` numbers from 0 to 255.
+    pub data: Vec<f32>,
+}
+
+impl Frame {
+    /// Channel `c` of the pixel in column `x`, row `y`.
+    ///
+    /// # Panics
+    /// Outside the picture, as indexing a slice does.
+    pub fn get(&self, x: u32, y: u32, c: usize) -> f32 {
+        self.data[(y as usize * self.width as usize + x as usize) * self.channels + c]
+    }
+
+    /// From a decoded picture of 8 or 16 bits; alpha is dropped. `None` for any other depth.
+    pub fn from_image(image: &DynamicImage) -> Option<Self> {
+        let (channels, data) = match image {
+            DynamicImage::ImageLuma8(p) => (1, keep(p, 1, 1, from_8_bits)),
+            DynamicImage::ImageLumaA8(p) => (1, keep(p, 2, 1, from_8_bits)),
+            DynamicImage::ImageRgb8(p) => (3, keep(p, 3, 3, from_8_bits)),
+            DynamicImage::ImageRgba8(p) => (3, keep(p, 4, 3, from_8_bits)),
+            DynamicImage::ImageLuma16(p) => (1, keep(p, 1, 1, from_16_bits)),
+            DynamicImage::ImageLumaA16(p) => (1, keep(p, 2, 1, from_16_bits)),
+            DynamicImage::ImageRgb16(p) => (3, keep(p, 3, 3, from_16_bits)),
+            DynamicImage::ImageRgba16(p) => (3, keep(p, 4, 3, from_16_bits)),
+            _ => return None,
+        };
+        Some(Self { width: image.width(), height: image.height(), channels, data })
+    }
+}
+
+fn from_8_bits(value: u8) -> f32 {
+    f32::from(value)
+}
+
+fn from_16_bits(value: u16) -> f32 {
+    f32::from(value) / 257.0
+}
+
+/// The first `kept` of every `stride` samples, on the scale 0 to 255.
+fn keep<T: Copy>(samples: &[T], stride: usize, kept: usize, scale: fn(T) -> f32) -> Vec<f32> {
+    samples.chunks_exact(stride).flat_map(|pixel| &pixel[..kept]).map(|&v| scale(v)).collect()
+}
+
+/// Reads a picture: PNG, JPEG or TIFF (told by content, not by name), 8 or 16 bits, grey or colour.
+///
+/// The pixels are taken as they are stored; an orientation mark (EXIF) is not obeyed, because the camera file knows the
+/// sensor's own rows and columns.
+///
+/// # Errors
+/// A file that cannot be read, is none of these formats, is damaged or cut short, or has more than 100 megapixels.
+pub fn read_frame(path: &Path) -> Result<Frame> {
+    let bytes = std::fs::read(path).map_err(Error::io(path, "read"))?;
+    decode(&bytes).map_err(|message| Error::content(path, message))
+}
+
+fn decode(bytes: &[u8]) -> std::result::Result<Frame, String> {
+    if bytes.is_empty() {
+        return Err("empty file, expected a picture".to_owned());
+    }
+    let unreadable = |e: image::ImageError| format!("unreadable picture (expected PNG, JPEG or TIFF): {e}");
+    let mut reader =
+        ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| format!("unreadable picture: {e}"))?;
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(8 * MAX_PIXELS);
+    reader.limits(limits);
+    if reader.format() == Some(ImageFormat::Jpeg) && !jpeg_ends(bytes) {
+        return Err("the JPEG file is cut short".to_owned());
+    }
+
+    let decoder = reader.into_decoder().map_err(unreadable)?;
+    let (width, height) = decoder.dimensions();
+    if u64::from(width) * u64::from(height) > MAX_PIXELS {
+        return Err(format!("{width}×{height} px is more than {} megapixels", MAX_PIXELS / 1_000_000));
+    }
+    let colour: ColorType = decoder.color_type();
+    let image = DynamicImage::from_decoder(decoder).map_err(unreadable)?;
+    Frame::from_image(&image).ok_or_else(|| format!("{colour:?} pixels; expected 8 or 16 bits, grey or colour"))
+}
+
+/// Whether an end-of-image marker follows the last scan. The decoder itself fills what is missing with grey.
+///
+/// Within a scan 0xff is followed by 0 or a restart marker, so neither marker can occur there by chance.
+fn jpeg_ends(bytes: &[u8]) -> bool {
+    let last = |marker: u8| bytes.windows(2).rposition(|pair| pair == [0xff, marker]);
+    let (start_of_scan, end_of_image) = (last(0xda), last(0xd9));
+    end_of_image.is_some() && end_of_image > start_of_scan
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{GrayAlphaImage, GrayImage, ImageBuffer, Luma, Rgb, RgbImage, RgbaImage};
+
+    fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        image.write_to(&mut bytes, format).unwrap();
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn every_depth_and_layout_gives_the_same_grey_levels() {
+        let level = |x: u32, y: u32, c: u32| (40 * x + 10 * y + c) as u8;
+        let grey = GrayImage::from_fn(5, 4, |x, y| Luma([level(x, y, 0)]));
+        let rgb = RgbImage::from_fn(5, 4, |x, y| Rgb([0, 1, 2].map(|c| level(x, y, c))));
+        let rgb16 = ImageBuffer::from_fn(5, 4, |x, y| Rgb([0, 1, 2].map(|c| u16::from(level(x, y, c)) * 257)));
+        let grey16 = ImageBuffer::from_fn(5, 4, |x, y| Luma([u16::from(level(x, y, 0)) * 257]));
+        let pictures = [
+            (1, DynamicImage::from(grey.clone())),
+            (3, rgb.clone().into()),
+            (1, DynamicImage::ImageLuma16(grey16)),
+            (3, DynamicImage::ImageRgb16(rgb16)),
+            (1, DynamicImage::ImageLumaA8(GrayAlphaImage::from(DynamicImage::from(grey).to_luma_alpha8()))),
+            (3, DynamicImage::ImageRgba8(RgbaImage::from(DynamicImage::from(rgb).to_rgba8()))),
+        ];
+        for (channels, picture) in &pictures {
+            for format in [ImageFormat::Png, ImageFormat::Tiff] {
+                if format == ImageFormat::Tiff && picture.color() == ColorType::La8 {
+                    continue; // the encoder does not write it
+                }
+                let frame = decode(&encoded(picture, format)).unwrap();
+                assert_eq!((frame.width, frame.height, frame.channels), (5, 4, *channels));
+                for (x, y) in [(0, 0), (4, 0), (3, 2), (4, 3)] {
+                    for c in 0..*channels {
+                        assert_eq!(frame.get(x, y, c), f32::from(level(x, y, c as u32)), "{:?}", picture.color());
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn jpeg_is_read() {
+        let picture = DynamicImage::from(RgbImage::from_pixel(16, 8, Rgb([200, 100, 50])));
+        let frame = decode(&encoded(&picture, ImageFormat::Jpeg)).unwrap();
+        assert_eq!((frame.width, frame.height, frame.channels), (16, 8, 3));
+        for (c, level) in [200.0, 100.0, 50.0].into_iter().enumerate() {
+            assert!((frame.get(7, 7, c) - level).abs() < 4.0);
+        }
+    }
+
+    #[test]
+    fn damaged_files_are_errors() {
+        let picture = DynamicImage::from(RgbImage::from_fn(64, 64, |x, y| Rgb([(x * y) as u8, x as u8, y as u8])));
+        for format in [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::Tiff] {
+            let whole = encoded(&picture, format);
+            decode(&whole).unwrap();
+            for kept in [0, 1, 10, whole.len() / 4, whole.len() / 2, whole.len() * 9 / 10] {
+                assert!(decode(&whole[..kept]).is_err(), "{format:?} cut to {kept} of {} bytes", whole.len());
+            }
+        }
+        assert!(decode(b"this is no picture").unwrap_err().contains("expected PNG, JPEG or TIFF"));
+    }
+
+    #[test]
+    fn a_picture_bomb_is_refused_before_it_is_decoded() {
+        // A PNG header that claims 60000 × 60000 pixels, its checksum computed as PNG wants it.
+        let mut bytes = encoded(&DynamicImage::from(GrayImage::new(1, 1)), ImageFormat::Png);
+        bytes[16..24].copy_from_slice(&[0, 0, 0xea, 0x60, 0, 0, 0xea, 0x60]);
+        let crc = crc32(&bytes[12..29]);
+        bytes[29..33].copy_from_slice(&crc.to_be_bytes());
+        let message = decode(&bytes).unwrap_err();
+        assert!(message.contains("megapixels"), "{message}");
+    }
+
+    fn crc32(bytes: &[u8]) -> u32 {
+        let step = |crc: u32| if crc & 1 == 1 { (crc >> 1) ^ 0xedb8_8320 } else { crc >> 1 };
+        !bytes.iter().fold(!0, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), |crc, _| step(crc)))
+    }
+}

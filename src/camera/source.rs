@@ -1,0 +1,196 @@
+//! Where frames come from: picture files told by a glob or a numbered pattern.
+
+use super::frame::{Frame, read_frame};
+use crate::error::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// The frames of one view, in order of their index.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameSource {
+    files: Vec<(u64, PathBuf)>,
+}
+
+/// One frame of a source, not read yet.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SourceFrame {
+    /// The number in the file's name.
+    pub index: u64,
+    /// When the frame was taken, s; picture files do not say.
+    pub time_s: Option<f64>,
+    /// The file.
+    pub path: PathBuf,
+}
+
+impl SourceFrame {
+    /// Reads and decodes the picture; see [`read_frame`] for the errors.
+    pub fn read(&self) -> Result<Frame> {
+        read_frame(&self.path)
+    }
+}
+
+impl FrameSource {
+    /// Finds the frames that a view names: `frames/*.png` (a glob) or `frames/%05d.png` (a numbered pattern), relative
+    /// to the experiment's folder.
+    ///
+    /// A frame's index is the number that stands for `%d`, or with a glob the last number in the file's name.
+    ///
+    /// # Errors
+    /// A pattern that is none of these or matches no file, a file name without a number, two files with the same
+    /// number, a folder that cannot be read.
+    pub fn open(folder: &Path, pattern: &str) -> Result<Self> {
+        let mut files = match numbered(pattern) {
+            Some(numbered) => numbered.files(folder)?,
+            None => globbed(folder, pattern)?,
+        };
+        if files.is_empty() {
+            return Err(Error::content(folder, format!("no frames: no file here matches `{pattern}`")));
+        }
+        files.sort();
+        if let Some([(index, a), (_, b)]) = files.array_windows().find(|[a, b]| a.0 == b.0) {
+            let message = format!("frame {index} is there twice: {} and {}", file_name(a), file_name(b));
+            return Err(Error::content(folder, message));
+        }
+        Ok(Self { files })
+    }
+
+    /// How many frames there are.
+    #[expect(clippy::len_without_is_empty, reason = "a source is never empty")]
+    pub fn len(&self) -> usize {
+        self.files.len()
+    }
+
+    /// The frames in order of their index, to be read one by one or in parallel.
+    pub fn frames(&self) -> impl Iterator<Item = SourceFrame> + Send + '_ {
+        self.files.iter().map(|(index, path)| SourceFrame { index: *index, time_s: None, path: path.clone() })
+    }
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// All files that match a glob below the folder, each with the last number in its name.
+fn globbed(folder: &Path, pattern: &str) -> Result<Vec<(u64, PathBuf)>> {
+    let full = if Path::new(pattern).is_absolute() {
+        pattern.to_owned()
+    } else {
+        format!("{}/{pattern}", glob::Pattern::escape(&folder.to_string_lossy()))
+    };
+    let wrong = |e: glob::PatternError| Error::content(folder, format!("frames = \"{pattern}\": {}", e.msg));
+    let mut files = Vec::new();
+    for entry in glob::glob(&full).map_err(wrong)? {
+        let path = entry.map_err(|e| Error::io(&e.path().to_owned(), "read")(e.into()))?;
+        if path.is_file() {
+            files.push((last_number(&path)?, path));
+        }
+    }
+    Ok(files)
+}
+
+/// The last run of digits in a file's name without its extension.
+fn last_number(path: &Path) -> Result<u64> {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let digits = stem.split(|c: char| !c.is_ascii_digit()).rfind(|run| !run.is_empty());
+    digits.and_then(|digits| digits.parse().ok()).ok_or_else(|| {
+        Error::content(path, "no number in the file's name, expected one like 00012.png to tell the frame's index")
+    })
+}
+
+/// `before%05dafter`, the pattern that C's printf would fill in.
+struct Numbered<'a> {
+    before: &'a str,
+    width: usize,
+    after: &'a str,
+}
+
+/// Takes a numbered pattern apart; `None` if it is not one.
+fn numbered(pattern: &str) -> Option<Numbered<'_>> {
+    let (before, rest) = pattern.split_once('%')?;
+    let (width, after) = rest.split_once('d')?;
+    let padded = width.strip_prefix('0').unwrap_or_default();
+    let width = if width.is_empty() { 1 } else { padded.parse().ok()? };
+    (!after.contains(['/', '%'])).then_some(Numbered { before, width, after })
+}
+
+impl Numbered<'_> {
+    fn files(&self, folder: &Path) -> Result<Vec<(u64, PathBuf)>> {
+        let (subfolder, before) = self.before.rsplit_once('/').unwrap_or(("", self.before));
+        let parent = folder.join(subfolder);
+        let mut files = Vec::new();
+        for entry in std::fs::read_dir(&parent).map_err(Error::io(&parent, "read"))? {
+            let path = entry.map_err(Error::io(&parent, "read"))?.path();
+            let name = file_name(&path);
+            let Some(digits) = name.strip_prefix(before).and_then(|rest| rest.strip_suffix(self.after)) else {
+                continue;
+            };
+            if let Some(index) = self.number(digits)
+                && path.is_file()
+            {
+                files.push((index, path));
+            }
+        }
+        Ok(files)
+    }
+
+    /// The number that printf would have written as these digits.
+    fn number(&self, digits: &str) -> Option<u64> {
+        let exact = digits.len() == self.width || (digits.len() > self.width && !digits.starts_with('0'));
+        (exact && digits.bytes().all(|b| b.is_ascii_digit())).then(|| digits.parse().ok()).flatten()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A folder whose name holds glob's special characters, with empty files of these names in `frames/`.
+    fn folder(names: &[&str]) -> (tempfile::TempDir, PathBuf) {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path().join("run [3]*");
+        std::fs::create_dir_all(folder.join("frames")).unwrap();
+        for name in names {
+            std::fs::write(folder.join("frames").join(name), "").unwrap();
+        }
+        (root, folder)
+    }
+
+    fn indices(folder: &Path, pattern: &str) -> Vec<(u64, String)> {
+        let source = FrameSource::open(folder, pattern).unwrap();
+        assert_eq!(source.len(), source.frames().count());
+        source.frames().map(|f| (f.index, file_name(&f.path))).collect()
+    }
+
+    #[test]
+    fn a_glob_sorts_by_number_not_by_name() {
+        let (_root, folder) = folder(&["cam2_10.png", "cam2_9.png", "cam2_007.png", "cam2_8.jpg"]);
+        let expected = [(7, "cam2_007.png"), (9, "cam2_9.png"), (10, "cam2_10.png")];
+        assert_eq!(indices(&folder, "frames/*.png"), expected.map(|(i, n)| (i, n.to_owned())));
+    }
+
+    #[test]
+    fn a_numbered_pattern_takes_what_printf_writes() {
+        let names = ["f00003_2.png", "f00001_2.png", "f0004_2.png", "f123456_2.png", "f000005_2.png", "fx_2.png"];
+        let (_root, folder) = folder(&names);
+        let found = indices(&folder, "frames/f%05d_2.png");
+        assert_eq!(found.iter().map(|f| f.0).collect::<Vec<_>>(), [1, 3, 123_456]);
+        assert_eq!(indices(&folder, "frames/f%d_2.png").iter().map(|f| f.0).collect::<Vec<_>>(), [123_456]);
+    }
+
+    #[test]
+    fn complaints_name_what_was_looked_for() {
+        let (_root, folder) = folder(&["1.png", "01.png", "side.jpg", "99999999999999999999999.tif"]);
+        let cases = [
+            ("frames/*.bmp", "no file here matches `frames/*.bmp`"),
+            ("frames/%04d.png", "no file here matches `frames/%04d.png`"),
+            ("frames/*.png", "frame 1 is there twice: "),
+            ("frames/*.jpg", "side.jpg: no number in the file's name"),
+            ("frames/*.tif", "no number in the file's name"),
+            ("frames/[.png", "frames = \"frames/[.png\""),
+            ("elsewhere/%d.png", "elsewhere: cannot read"),
+        ];
+        for (pattern, expected) in cases {
+            let message = FrameSource::open(&folder, pattern).unwrap_err().to_string();
+            assert!(message.contains(expected), "{pattern}: expected {expected:?}, got {message:?}");
+        }
+    }
+}
