@@ -2,7 +2,7 @@
 //!
 //! Source: OpenCV documentation, calib3d, "Detailed description" (rational, tangential and thin-prism terms).
 
-use nalgebra::{Point2, Point3, Vector2, Vector3};
+use nalgebra::{Matrix2, Point2, Point3, Vector2, Vector3};
 
 /// Intrinsics and distortion of one camera. Pixel centres are at integers.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,9 +22,9 @@ pub struct Lens {
 impl Lens {
     /// The pixel at which a point of the camera frame (mm, z > 0) is seen.
     ///
-    /// Points at or behind the camera project to NaN, which no image contains.
+    /// Points at or behind the camera, and those with a NaN in them, project to NaN, which no image contains.
     pub fn project(&self, point: &Point3<f64>) -> Point2<f64> {
-        if point.z <= 0.0 {
+        if point.z <= 0.0 || point.iter().any(|v| v.is_nan()) {
             return Point2::new(f64::NAN, f64::NAN);
         }
         let distorted = self.distort(Point2::new(point.x / point.z, point.y / point.z));
@@ -32,6 +32,8 @@ impl Lens {
     }
 
     /// The direction (unit length, camera frame) from which light falls on a pixel.
+    ///
+    /// NaN for a pixel that the distortion model reaches from no direction.
     pub fn ray(&self, pixel: &Point2<f64>) -> Vector3<f64> {
         let ideal = self.undistort(Point2::new(
             (pixel.x - self.centre_px.x) / self.focal_px.x,
@@ -60,16 +62,165 @@ impl Lens {
         )
     }
 
-    /// The inverse of [`distort`](Self::distort), by fixed-point iteration; converges for the distortions of real lenses.
+    /// The derivative of [`distort`](Self::distort): how the distorted coordinates (rows) follow the ideal ones.
+    fn distort_jacobian(&self, ideal: Point2<f64>) -> Matrix2<f64> {
+        let [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] = self.distortion;
+        let (x, y) = (ideal.x, ideal.y);
+        let r2 = x * x + y * y;
+        let (numerator, denominator) = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
+        let radial = numerator / denominator;
+        // By r², as are the thin prism's slopes.
+        let radial_slope =
+            (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3) - radial * (k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6))) / denominator;
+        let (prism_x, prism_y) = (s1 + 2.0 * s2 * r2, s3 + 2.0 * s4 * r2);
+        let cross = 2.0 * radial_slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y;
+        Matrix2::new(
+            radial + 2.0 * radial_slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x + 2.0 * prism_x * x,
+            cross + 2.0 * prism_x * y,
+            cross + 2.0 * prism_y * x,
+            radial + 2.0 * radial_slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x + 2.0 * prism_y * y,
+        )
+    }
+
+    /// The inverse of [`distort`](Self::distort), by Newton's method with halved steps where a full one does not help.
+    /// NaN where there is none: outside what the distortion model can image.
     fn undistort(&self, distorted: Point2<f64>) -> Point2<f64> {
         let mut ideal = distorted;
-        for _ in 0..50 {
-            let error = self.distort(ideal) - distorted;
-            ideal -= error;
+        let mut error = self.distort(ideal) - distorted;
+        for _ in 0..30 {
             if error.norm() < 1e-14 {
-                break;
+                return ideal;
+            }
+            let Some(step) = self.distort_jacobian(ideal).lu().solve(&error) else { break };
+            let nearer = [1.0, 0.5, 0.25, 0.125].into_iter().find_map(|share| {
+                let next = ideal - share * step;
+                let next_error = self.distort(next) - distorted;
+                (next_error.norm() < error.norm()).then_some((next, next_error))
+            });
+            let Some((next, next_error)) = nearer else { break };
+            (ideal, error) = (next, next_error);
+        }
+        // Rounding may keep the last digits from settling.
+        if error.norm() < 1e-11 { ideal } else { Point2::new(f64::NAN, f64::NAN) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use approx::assert_abs_diff_eq;
+    use proptest::prelude::*;
+
+    fn lens(coefficients: &[f64]) -> Lens {
+        let mut distortion = [0.0; 12];
+        distortion[..coefficients.len()].copy_from_slice(coefficients);
+        Lens {
+            width: 1280,
+            height: 720,
+            focal_px: Vector2::new(800.0, 820.0),
+            centre_px: Point2::new(639.5, 359.5),
+            distortion,
+        }
+    }
+
+    const COEFFICIENTS: [f64; 12] =
+        [-0.28, 0.07, 0.0012, -0.0009, 0.013, 0.021, -0.015, 0.004, 0.0011, -0.0007, 0.0015, 0.0003];
+
+    /// The pixels are those of OpenCV 4.6's `cv::projectPoints` for the same camera.
+    #[test]
+    fn projects_as_opencv_does() {
+        let points = [[0.3, -0.2, 1.7], [-40.0, 25.0, 90.0], [12.0, -3.5, 30.0], [1e-3, 2e-3, 5.0]];
+        let expected = [
+            (
+                5,
+                [
+                    [778.801400961347, 264.332840830969],
+                    [308.598431833867, 571.627412013836],
+                    [944.196367133916, 268.541945450590],
+                    [639.659999943040, 359.828000375232],
+                ],
+            ),
+            (
+                8,
+                [
+                    [778.673998488117, 264.419899187676],
+                    [310.149438847108, 570.633798145979],
+                    [943.218586993370, 268.834260971774],
+                    [639.659999942368, 359.828000373854],
+                ],
+            ),
+            (
+                12,
+                [
+                    [778.712450135008, 264.475725674428],
+                    [310.348912250553, 570.990230530524],
+                    [943.354485913123, 269.055217279644],
+                    [639.660000118368, 359.828000619854],
+                ],
+            ),
+        ];
+        for (count, pixels) in expected {
+            let lens = lens(&COEFFICIENTS[..count]);
+            for (point, pixel) in points.iter().zip(pixels) {
+                assert_abs_diff_eq!(lens.project(&Point3::from(*point)), Point2::from(pixel), epsilon = 1e-9);
             }
         }
-        ideal
+    }
+
+    #[test]
+    fn without_distortion_a_pixel_is_a_ratio() {
+        let pixel = lens(&[]).project(&Point3::new(20.0, -10.0, 200.0));
+        assert_abs_diff_eq!(pixel, Point2::new(639.5 + 80.0, 359.5 - 41.0), epsilon = 1e-12);
+        assert_abs_diff_eq!(lens(&[]).ray(&Point2::new(639.5, 359.5)), Vector3::z(), epsilon = 1e-15);
+    }
+
+    #[test]
+    fn what_cannot_be_imaged_is_nan_and_in_no_picture() {
+        let lens = lens(&COEFFICIENTS);
+        for point in
+            [[0.0, 0.0, 0.0], [1.0, 2.0, -5.0], [f64::NAN, 0.0, 1.0], [0.0, f64::NAN, 1.0], [0.0, 0.0, f64::NAN]]
+        {
+            let pixel = lens.project(&Point3::from(point));
+            assert!(pixel.x.is_nan() && pixel.y.is_nan() && !lens.contains(&pixel, 0.0), "{point:?} gives {pixel}");
+        }
+        // A strong barrel sees nothing beyond the radius where r (1 + k1 r²) turns back: r = 1 / √(−3 k1), image 2/3 of it.
+        let barrel = Lens { distortion: [-0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], ..lens };
+        let limit = 800.0 * 2.0 / 3.0 / 1.5f64.sqrt();
+        assert!(barrel.ray(&Point2::new(639.5 + 0.99 * limit, 359.5)).iter().all(|v| v.is_finite()));
+        assert!(barrel.ray(&Point2::new(639.5 + 1.01 * limit, 359.5)).iter().all(|v| v.is_nan()));
+    }
+
+    proptest! {
+        /// Over whole pictures of lenses as laboratories have them, normal to wide-angle.
+        #[test]
+        fn projecting_a_ray_gives_its_pixel_back(
+            u in 0.0..1279.0, v in 0.0..719.0, depth_mm in 1.0..1000.0,
+            k1 in -0.35..0.1, k2 in 0.0..0.1, k3 in -0.02..0.02, p in proptest::array::uniform2(-0.002..0.002f64),
+            rational in proptest::array::uniform3(-0.02..0.02f64), prism in proptest::array::uniform4(-0.002..0.002f64),
+        ) {
+            let lens = Lens {
+                distortion: [
+                    k1, k2, p[0], p[1], k3, rational[0], rational[1], rational[2], prism[0], prism[1], prism[2], prism[3],
+                ],
+                focal_px: Vector2::new(1000.0, 1010.0),
+                ..lens(&[])
+            };
+            let pixel = Point2::new(u, v);
+            let ray = lens.ray(&pixel);
+            prop_assert!((ray.norm() - 1.0).abs() < 1e-12);
+            let back = lens.project(&Point3::from(depth_mm * ray));
+            prop_assert!((back - pixel).norm() < 1e-9, "{pixel} comes back as {back}");
+        }
+
+        #[test]
+        fn the_jacobian_is_the_slope(x in -0.8..0.8, y in -0.8..0.8) {
+            let lens = lens(&COEFFICIENTS);
+            let step = 1e-6;
+            let slope = |dx, dy| {
+                (lens.distort(Point2::new(x + dx, y + dy)) - lens.distort(Point2::new(x - dx, y - dy))) / (2.0 * step)
+            };
+            let numeric = Matrix2::from_columns(&[slope(step, 0.0), slope(0.0, step)]);
+            prop_assert!((lens.distort_jacobian(Point2::new(x, y)) - numeric).norm() < 1e-8);
+        }
     }
 }
