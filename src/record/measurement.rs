@@ -2,6 +2,9 @@
 
 use crate::geometry::Configuration;
 use nalgebra::{Matrix2, Vector3};
+use std::convert::Infallible;
+use std::fmt;
+use std::str::FromStr;
 
 /// Whether a frame could be measured, and why not.
 ///
@@ -28,6 +31,42 @@ pub enum Status {
     WrongSize,
     /// A reason that this version does not know.
     Other(String),
+}
+
+impl fmt::Display for Status {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Ok => "ok",
+            Self::NoSnake => "no_snake",
+            Self::Occluded => "occluded",
+            Self::Ambiguous => "ambiguous",
+            Self::Blurred => "blurred",
+            Self::Saturated => "saturated",
+            Self::OutOfFrame => "out_of_frame",
+            Self::Unreadable => "unreadable",
+            Self::WrongSize => "wrong_size",
+            Self::Other(reason) => reason,
+        })
+    }
+}
+
+impl FromStr for Status {
+    type Err = Infallible;
+
+    fn from_str(word: &str) -> Result<Self, Infallible> {
+        Ok(match word {
+            "ok" => Self::Ok,
+            "no_snake" => Self::NoSnake,
+            "occluded" => Self::Occluded,
+            "ambiguous" => Self::Ambiguous,
+            "blurred" => Self::Blurred,
+            "saturated" => Self::Saturated,
+            "out_of_frame" => Self::OutOfFrame,
+            "unreadable" => Self::Unreadable,
+            "wrong_size" => Self::WrongSize,
+            other => Self::Other(other.to_owned()),
+        })
+    }
 }
 
 /// What a frame's pixels say about ψ.
@@ -75,6 +114,8 @@ pub struct Measurement {
     pub measured: Option<Measured>,
     /// The fit's quality, where there was a fit.
     pub quality: Option<Quality>,
+    /// Name of the view that the frame comes from, where the experiment names one.
+    pub view: Option<String>,
 }
 
 /// One row of encoders.csv: what the actuators' encoders read when a frame was taken.
@@ -86,4 +127,37 @@ pub struct EncoderReading {
     pub time_s: f64,
     /// q̃, mm.
     pub q_mm: Vector3<f64>,
+}
+
+/// One row of truth.csv: what a synthetic frame shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Truth {
+    /// The frame's index.
+    pub index: u64,
+    /// The true θ and δ.
+    pub configuration: Configuration,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_status_survives_its_own_word() {
+        let all = [
+            Status::Ok,
+            Status::NoSnake,
+            Status::Occluded,
+            Status::Ambiguous,
+            Status::Blurred,
+            Status::Saturated,
+            Status::OutOfFrame,
+            Status::Unreadable,
+            Status::WrongSize,
+            Status::Other("grid_lost".into()),
+        ];
+        for status in all {
+            assert_eq!(status.to_string().parse(), Ok(status));
+        }
+    }
 }

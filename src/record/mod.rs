@@ -1,7 +1,17 @@
 //! The files of an experiment: what they hold, how they are read, checked and written.
 
+pub mod encoders;
+pub mod experiment;
 pub mod measurement;
+pub mod measurements;
+pub mod table;
+pub mod truth;
 pub mod write;
 
-pub use measurement::{EncoderReading, Measured, Measurement, Quality, Status};
+pub use encoders::{encoders_csv, read_encoders};
+pub use experiment::{Experiment, RigSource, View};
+pub use measurement::{EncoderReading, Measured, Measurement, Quality, Status, Truth};
+pub use measurements::{measurements_csv, read_measurements};
+pub use table::{Checked, Warning};
+pub use truth::{read_truth, truth_csv};
 pub use write::{PendingFile, write_atomically};

@@ -1,0 +1,246 @@
+//! experiment.toml: what belongs to one experiment and where it lies.
+
+use crate::error::{Error, Result};
+use serde::Deserialize;
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+
+/// One experiment, its paths resolved against its folder.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Experiment {
+    /// The file it was read from.
+    pub path: PathBuf,
+    /// The robot's constants (a model.toml); Table I where absent.
+    pub robot: Option<PathBuf>,
+    /// The model to start from (a model.toml); the paper's where absent.
+    pub model: Option<PathBuf>,
+    /// The encoder log; measuring alone needs none.
+    pub encoders: Option<PathBuf>,
+    /// The cameras, at least one.
+    pub views: Vec<View>,
+}
+
+/// One camera's part of an experiment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct View {
+    /// Its name, unique in the experiment: letters, digits, `-` and `_`.
+    pub name: String,
+    /// The camera file.
+    pub camera: PathBuf,
+    /// The frames: a glob, a numbered pattern or a video, relative to the experiment's folder.
+    pub frames: String,
+    /// Where grid and base are, or the picture that tells.
+    pub rig: RigSource,
+    /// Azimuth in {b} of the direction that points to this view's image right, degrees.
+    pub delta_offset_deg: f64,
+}
+
+/// Where a view's rig comes from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum RigSource {
+    /// A rig.toml that `calibrate rig` wrote.
+    File(PathBuf),
+    /// A picture of the unbent snake, from which the rig is calibrated first.
+    Straight {
+        /// The picture.
+        picture: PathBuf,
+        /// Distance between neighbouring thin lines of the grid, mm.
+        grid_pitch_mm: f64,
+        /// Distance from the snake's axis back to the grid plane, mm.
+        standoff_mm: f64,
+    },
+}
+
+/// The file as it is written.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ExperimentFile {
+    robot: Option<PathBuf>,
+    model: Option<PathBuf>,
+    encoders: Option<PathBuf>,
+    view: Vec<toml::Spanned<ViewTable>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ViewTable {
+    name: String,
+    camera: PathBuf,
+    frames: String,
+    rig: Option<PathBuf>,
+    straight: Option<PathBuf>,
+    grid_pitch_mm: Option<f64>,
+    standoff_mm: Option<f64>,
+    #[serde(default)]
+    delta_offset_deg: f64,
+}
+
+impl Experiment {
+    /// Reads an experiment from its folder, or from the experiment.toml itself.
+    ///
+    /// # Errors
+    /// A file that cannot be read or is not TOML, an unknown, missing or contradictory key, an implausible number;
+    /// each with its line.
+    pub fn read(path: &Path) -> Result<Self> {
+        let path = if path.is_dir() { path.join("experiment.toml") } else { path.to_owned() };
+        let text = std::fs::read_to_string(&path).map_err(Error::io(&path, "read"))?;
+        Self::parse(&path, &text)
+    }
+
+    /// The folder that the experiment's paths are relative to.
+    pub fn folder(&self) -> &Path {
+        self.path.parent().unwrap_or(Path::new(""))
+    }
+
+    fn parse(path: &Path, text: &str) -> Result<Self> {
+        let file: ExperimentFile = toml::from_str(text).map_err(|e| match e.span() {
+            Some(span) => Error::at_line(path, line_at(text, span.start), e.message()),
+            None => Error::content(path, e.message()),
+        })?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let here = |relative: PathBuf| folder.join(relative);
+        let mut views = Vec::new();
+        let mut names = HashSet::new();
+        for table in file.view {
+            let line = line_at(text, table.span().start);
+            let view = View::from_table(table.into_inner(), &here).map_err(|why| Error::at_line(path, line, why))?;
+            if !names.insert(view.name.clone()) {
+                return Err(Error::at_line(path, line, format!("two views are called {:?}; rename one", view.name)));
+            }
+            views.push(view);
+        }
+        if views.is_empty() {
+            return Err(Error::content(path, "no [[view]]; an experiment needs one at least"));
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            robot: file.robot.map(here),
+            model: file.model.map(here),
+            encoders: file.encoders.map(here),
+            views,
+        })
+    }
+}
+
+impl View {
+    fn from_table(table: ViewTable, here: &impl Fn(PathBuf) -> PathBuf) -> std::result::Result<Self, String> {
+        let ViewTable { name, camera, frames, rig, straight, grid_pitch_mm, standoff_mm, delta_offset_deg } = table;
+        if name.is_empty() || !name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_') {
+            return Err(format!("name = {name:?}, expected letters, digits, - and _"));
+        }
+        if frames.is_empty() {
+            return Err(format!("view {name:?}: frames is empty, expected a pattern such as \"frames/*.png\""));
+        }
+        let rig = match (rig, straight) {
+            (Some(file), None) => RigSource::File(here(file)),
+            (None, Some(picture)) => RigSource::Straight {
+                picture: here(picture),
+                grid_pitch_mm: length(&name, "grid_pitch_mm", grid_pitch_mm, 0.05, 100.0)?,
+                standoff_mm: length(&name, "standoff_mm", standoff_mm, 0.0, 1000.0)?,
+            },
+            (Some(_), Some(_)) => return Err(format!("view {name:?} has both rig and straight; remove one")),
+            (None, None) => {
+                return Err(format!(
+                    "view {name:?} has neither rig nor straight; give a rig.toml, or a picture of the unbent snake \
+                     with grid_pitch_mm and standoff_mm"
+                ));
+            }
+        };
+        if delta_offset_deg.is_nan() || delta_offset_deg.abs() > 360.0 {
+            return Err(format!("view {name:?}: delta_offset_deg = {delta_offset_deg}, expected −360 to 360"));
+        }
+        Ok(Self { name, camera: here(camera), frames, rig, delta_offset_deg })
+    }
+}
+
+/// A length that `straight` needs, within what a laboratory can have.
+fn length(
+    view: &str,
+    key: &str,
+    value_mm: Option<f64>,
+    least_mm: f64,
+    most_mm: f64,
+) -> std::result::Result<f64, String> {
+    match value_mm {
+        Some(value_mm) if (least_mm..=most_mm).contains(&value_mm) => Ok(value_mm),
+        Some(value_mm) => Err(format!("view {view:?}: {key} = {value_mm}, expected {least_mm} to {most_mm}")),
+        None => Err(format!("view {view:?}: {key} is missing; straight needs it")),
+    }
+}
+
+/// The line, counted from 1, that a byte of the text stands in.
+pub(super) fn line_at(text: &str, byte: usize) -> u64 {
+    1 + text.bytes().take(byte).filter(|&b| b == b'\n').count() as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const GOOD: &str = r#"encoders = "encoders.csv"
+
+[[view]]
+name = "side"
+camera = "camera.yaml"
+frames = "frames/*.jpg"
+straight = "straight.jpg"
+grid_pitch_mm = 1.0
+standoff_mm = 25
+"#;
+
+    fn parse(text: &str) -> Result<Experiment> {
+        Experiment::parse(Path::new("lab/experiment.toml"), text)
+    }
+
+    #[test]
+    fn paths_are_relative_to_the_file() {
+        let experiment = parse(GOOD).unwrap();
+        assert_eq!(experiment.encoders, Some(PathBuf::from("lab/encoders.csv")));
+        assert_eq!(experiment.folder(), Path::new("lab"));
+        let [view] = &experiment.views[..] else { panic!("one view") };
+        assert_eq!((view.name.as_str(), view.frames.as_str()), ("side", "frames/*.jpg"));
+        assert_eq!(view.delta_offset_deg, 0.0);
+        let picture = PathBuf::from("lab/straight.jpg");
+        assert_eq!(view.rig, RigSource::Straight { picture, grid_pitch_mm: 1.0, standoff_mm: 25.0 });
+    }
+
+    #[test]
+    fn a_folder_stands_for_its_experiment_toml() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("experiment.toml"), GOOD).unwrap();
+        assert_eq!(Experiment::read(folder.path()).unwrap().views.len(), 1);
+        let missing = Experiment::read(&folder.path().join("nowhere")).unwrap_err().to_string();
+        assert!(missing.contains("nowhere: cannot read"), "{missing}");
+    }
+
+    #[test]
+    fn faults_are_named_with_their_line() {
+        for (from, to, message) in [
+            ("standoff_mm = 25", "stand_off_mm = 25", "lab/experiment.toml:9: unknown field `stand_off_mm`"),
+            ("encoders =", "encoder =", "lab/experiment.toml:1: unknown field `encoder`"),
+            ("camera = \"camera.yaml\"\n", "", "lab/experiment.toml:3: missing field `camera`"),
+            ("grid_pitch_mm = 1.0", "grid_pitch_mm = \"1\"", "lab/experiment.toml:8: invalid type"),
+            ("grid_pitch_mm = 1.0", "grid_pitch_mm = nan", "grid_pitch_mm = NaN, expected 0.05 to 100"),
+            ("standoff_mm = 25", "", "lab/experiment.toml:3: view \"side\": standoff_mm is missing"),
+            ("standoff_mm = 25", "rig = \"rig.toml\"", "both rig and straight"),
+            ("straight = \"straight.jpg\"", "", "neither rig nor straight"),
+            ("name = \"side\"", "name = \"a/b\"", "expected letters, digits"),
+            ("frames/*.jpg", "", "frames is empty"),
+            ("[[view]]", "[[view]", "lab/experiment.toml:3: "),
+        ] {
+            let error = parse(&GOOD.replace(from, to)).unwrap_err().to_string();
+            assert!(error.contains(message), "{to:?} gave {error:?}, expected {message:?}");
+        }
+        let twice = format!("{GOOD}{}", &GOOD[GOOD.find("[[").unwrap()..]);
+        assert!(parse(&twice).unwrap_err().to_string().contains(":10: two views are called \"side\""));
+        assert!(parse("encoders = \"e.csv\"").unwrap_err().to_string().contains("missing field `view`"));
+    }
+
+    proptest! {
+        #[test]
+        fn any_text_is_read_or_refused(text in "\\PC{0,120}") {
+            let _ = parse(&text);
+        }
+    }
+}

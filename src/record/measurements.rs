@@ -1,0 +1,252 @@
+//! measurements.csv: one row a frame, whether it could be measured or not.
+//!
+//! | column | meaning |
+//! | --- | --- |
+//! | `index`, `time_s` | the frame; the time is empty where nobody knows it |
+//! | `theta_deg`, `delta_deg` | bend from straight θ = θ_0 − θ_L and azimuth δ in (−180, 180]; empty where not measured |
+//! | `sigma_theta_deg`, `sigma_delta_deg` | their standard deviations (1σ) |
+//! | `status` | `ok`, or the reason why not |
+//! | `rho_theta_delta` | correlation of the errors of θ and δ |
+//! | `edges`, `inlier_fraction`, `rms_px` | the fit's quality: edge points used, their share, their rms distance |
+//! | `view` | the view's name in experiment.toml |
+
+use super::measurement::{Measured, Measurement, Quality, Status};
+use super::table::{self, Checked, Indexed, Row, RowResult, azimuth, decimals, decimals_or_empty};
+use crate::error::Result;
+use crate::geometry::Configuration;
+use std::path::Path;
+
+/// The columns that the design fixes; a file from elsewhere must have these.
+const REQUIRED: [&str; 7] =
+    ["index", "time_s", "theta_deg", "delta_deg", "sigma_theta_deg", "sigma_delta_deg", "status"];
+
+/// The further columns that this program writes.
+const FURTHER: [&str; 5] = ["rho_theta_delta", "edges", "inlier_fraction", "rms_px", "view"];
+
+impl Indexed for Measurement {
+    fn index(&self) -> u64 {
+        self.index
+    }
+
+    fn view(&self) -> Option<&str> {
+        self.view.as_deref()
+    }
+}
+
+/// Reads measurements.csv. The rows come in order of their index, each index (of each view) once.
+///
+/// # Errors
+/// A file that cannot be read, lacks a column or has no usable row. A bad row is a warning.
+pub fn read_measurements(path: &Path) -> Result<Checked<Measurement>> {
+    table::read(path, &REQUIRED, measurement_of)
+}
+
+fn measurement_of(row: &Row) -> RowResult<Measurement> {
+    let status = match row.text("status") {
+        "" => return Err("status is empty, expected `ok` or a reason".to_owned()),
+        word => word.parse().unwrap_or_else(|never| match never {}),
+    };
+    let measured = measured_of(row)?;
+    if status == Status::Ok && measured.is_none() {
+        return Err("status is `ok`, but the angles are empty".to_owned());
+    }
+    Ok(Measurement {
+        index: row.index("index")?,
+        time_s: row.optional_number("time_s")?,
+        status,
+        measured,
+        quality: quality_of(row)?,
+        view: Some(row.text("view")).filter(|name| !name.is_empty()).map(str::to_owned),
+    })
+}
+
+fn measured_of(row: &Row) -> RowResult<Option<Measured>> {
+    let (Some(theta_deg), Some(delta_deg)) = (row.optional_number("theta_deg")?, row.optional_number("delta_deg")?)
+    else {
+        return Ok(None);
+    };
+    if !(0.0..=360.0).contains(&theta_deg) {
+        return Err(format!("theta_deg is {theta_deg}, expected 0 to 360"));
+    }
+    if delta_deg.abs() > 360.0 {
+        return Err(format!("delta_deg is {delta_deg}, expected −180 to 180"));
+    }
+    let sigma = |column| match row.number(column)? {
+        sigma_deg if sigma_deg > 0.0 => Ok(f64::to_radians(sigma_deg)),
+        sigma_deg => Err(format!("{column} is {sigma_deg}, expected more than 0")),
+    };
+    let correlation = row.optional_number("rho_theta_delta")?.unwrap_or(0.0);
+    if correlation.abs() >= 1.0 {
+        return Err(format!("rho_theta_delta is {correlation}, expected between −1 and 1"));
+    }
+    Ok(Some(Measured {
+        configuration: Configuration::from_degrees(theta_deg, delta_deg),
+        sigma_theta: sigma("sigma_theta_deg")?,
+        sigma_delta: sigma("sigma_delta_deg")?,
+        correlation,
+    }))
+}
+
+fn quality_of(row: &Row) -> RowResult<Option<Quality>> {
+    let (Some(inlier_fraction), Some(rms_px)) =
+        (row.optional_number("inlier_fraction")?, row.optional_number("rms_px")?)
+    else {
+        return Ok(None);
+    };
+    Ok(Some(Quality { edges: row.index("edges")? as usize, inlier_fraction, rms_px }))
+}
+
+/// measurements.csv as text; angles and sigmas to 1e-6 degrees.
+pub fn measurements_csv(measurements: &[Measurement]) -> String {
+    let mut text = [&REQUIRED[..], &FURTHER[..]].concat().join(",") + "\n";
+    for measurement in measurements {
+        text += &csv_row(measurement);
+        text.push('\n');
+    }
+    text
+}
+
+fn csv_row(row: &Measurement) -> String {
+    let angles = match &row.measured {
+        Some(m) => [
+            decimals(m.configuration.theta_deg(), 6),
+            azimuth(m.configuration.delta_deg()),
+            sigma_deg(m.sigma_theta),
+            sigma_deg(m.sigma_delta),
+        ],
+        None => Default::default(),
+    };
+    let quality = match &row.quality {
+        Some(q) => [q.edges.to_string(), decimals(q.inlier_fraction, 4), decimals(q.rms_px, 4)],
+        None => Default::default(),
+    };
+    [
+        &[row.index.to_string(), decimals_or_empty(row.time_s, 4)],
+        &angles[..],
+        &[row.status.to_string(), decimals_or_empty(row.measured.map(|m| m.correlation), 4)],
+        &quality[..],
+        &[row.view.clone().unwrap_or_default()],
+    ]
+    .concat()
+    .join(",")
+}
+
+/// A sigma in degrees that stays above zero when rounded, or it could not be read back.
+fn sigma_deg(sigma: f64) -> String {
+    decimals(sigma.to_degrees().max(1e-6), 6)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::write_atomically;
+    use approx::assert_abs_diff_eq;
+    use proptest::prelude::*;
+
+    fn read_text(text: &str) -> Result<Checked<Measurement>> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("measurements.csv");
+        write_atomically(&path, text.as_bytes()).unwrap();
+        read_measurements(&path)
+    }
+
+    #[test]
+    fn a_frame_that_was_not_measured_has_its_row_with_empty_angles() {
+        let unmeasured = Measurement {
+            index: 7,
+            time_s: Some(1.5),
+            status: Status::NoSnake,
+            measured: None,
+            quality: None,
+            view: Some("side".into()),
+        };
+        let text = measurements_csv(std::slice::from_ref(&unmeasured));
+        assert_eq!(
+            text,
+            "index,time_s,theta_deg,delta_deg,sigma_theta_deg,sigma_delta_deg,status,\
+             rho_theta_delta,edges,inlier_fraction,rms_px,view\n\
+             7,1.5000,,,,,no_snake,,,,,side\n"
+        );
+        assert_eq!(read_text(&text).unwrap().rows, [unmeasured]);
+    }
+
+    #[test]
+    fn the_fixed_columns_suffice() {
+        let text = "index,time_s,theta_deg,delta_deg,sigma_theta_deg,sigma_delta_deg,status\n0,,30,200,0.1,0.2,ok\n";
+        let row = read_text(text).unwrap().rows.remove(0);
+        let measured = row.measured.unwrap();
+        assert_eq!((row.time_s, row.status, measured.correlation), (None, Status::Ok, 0.0));
+        assert_abs_diff_eq!(measured.configuration.delta_deg(), -160.0, epsilon = 1e-9);
+    }
+
+    #[test]
+    fn rows_that_cannot_be_right_are_skipped() {
+        let header = REQUIRED.join(",");
+        let good = "9,,1,2,0.1,0.2,ok";
+        for (row, fault) in [
+            ("0,,,,,,ok", "the angles are empty"),
+            ("0,,-1,0,0.1,0.1,ok", "theta_deg is -1"),
+            ("0,,1,1000,0.1,0.1,ok", "delta_deg is 1000"),
+            ("0,,1,1,0,0.1,ok", "sigma_theta_deg is 0, expected more than 0"),
+            ("0,,1,1,0.1,,ok", "sigma_delta_deg is empty"),
+            ("0,,1,1,0.1,0.1,", "status is empty"),
+        ] {
+            let checked = read_text(&format!("{header}\n{row}\n{good}\n")).unwrap();
+            assert_eq!(checked.rows.len(), 1, "{row}");
+            assert!(checked.warnings[0].message.contains(fault), "{row}: {}", checked.warnings[0]);
+        }
+    }
+
+    #[test]
+    fn two_views_of_one_frame_are_not_duplicates() {
+        let text = format!("{},view\n0,,1,2,0.1,0.2,ok,side\n0,,1,3,0.1,0.2,ok,top\n", REQUIRED.join(","));
+        let checked = read_text(&text).unwrap();
+        assert_eq!((checked.rows.len(), checked.warnings.len()), (2, 0));
+    }
+
+    fn any_measurement() -> impl Strategy<Value = Measurement> {
+        let status = prop_oneof![Just("ok"), Just("occluded"), Just("grid_lost")];
+        let angles = (0.0..180.0, -180.0..180.0, 0.001..5.0, 0.001..200.0, -0.99..0.99);
+        let quality = proptest::option::of((0usize..100_000, 0.0..1.0, 0.0..50.0));
+        (proptest::option::of(0.0..1e4), status, angles, any::<bool>(), quality).prop_map(
+            |(time_s, status, (theta, delta, sigma_theta, sigma_delta, correlation), seen, quality)| Measurement {
+                index: 0,
+                time_s,
+                status: status.parse().unwrap(),
+                measured: (seen || status == "ok").then(|| Measured {
+                    configuration: Configuration::from_degrees(theta, delta),
+                    sigma_theta: f64::to_radians(sigma_theta),
+                    sigma_delta: f64::to_radians(sigma_delta),
+                    correlation,
+                }),
+                quality: quality.map(|(edges, inlier_fraction, rms_px)| Quality { edges, inlier_fraction, rms_px }),
+                view: seen.then(|| "side".to_owned()),
+            },
+        )
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn what_was_written_is_read(mut rows in proptest::collection::vec(any_measurement(), 1..20)) {
+            for (index, row) in rows.iter_mut().enumerate() {
+                row.index = index as u64;
+            }
+            let checked = read_text(&measurements_csv(&rows)).unwrap();
+            prop_assert!(checked.warnings.is_empty(), "{:?}", checked.warnings);
+            prop_assert_eq!(checked.rows.len(), rows.len());
+            for (read, written) in checked.rows.iter().zip(&rows) {
+                prop_assert_eq!((read.index, &read.status, &read.view), (written.index, &written.status, &written.view));
+                prop_assert_eq!(read.measured.is_some(), written.measured.is_some());
+                if let (Some(a), Some(b)) = (read.measured, written.measured) {
+                    let turn = (a.configuration.delta_deg() - b.configuration.delta_deg()).rem_euclid(360.0);
+                    prop_assert!((a.configuration.theta_deg() - b.configuration.theta_deg()).abs() < 1e-6);
+                    prop_assert!(turn.min(360.0 - turn) < 1e-6);
+                    prop_assert!((a.sigma_theta - b.sigma_theta).abs() < 1e-6);
+                    prop_assert!((a.correlation - b.correlation).abs() < 1e-4);
+                }
+                prop_assert_eq!(read.quality.map(|q| q.edges), written.quality.map(|q| q.edges));
+            }
+        }
+    }
+}

@@ -1,0 +1,346 @@
+//! What all CSV files share: a header that names the columns, rows that are checked one by one.
+//!
+//! A file without the needed columns, or without a single good row, is an error. A bad row is passed over with a
+//! [`Warning`] that says where and why, and the other rows are used.
+
+use crate::error::{Error, Result};
+use std::collections::HashMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Something in a file that was passed over, and why. The rest of the file was used.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Warning {
+    /// The file.
+    pub path: PathBuf,
+    /// The line, counted from 1.
+    pub line: u64,
+    /// What was found, and what was done about it.
+    pub message: String,
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}: {}", self.path.display(), self.line, self.message)
+    }
+}
+
+/// What a file held, and what of it had to be passed over.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Checked<T> {
+    /// The good rows, in order of their index.
+    pub rows: Vec<T>,
+    /// One entry for everything passed over or put right.
+    pub warnings: Vec<Warning>,
+}
+
+/// One row of a CSV file whose fields are asked for by the names of their columns.
+pub(super) struct Row<'a> {
+    columns: &'a HashMap<String, usize>,
+    fields: csv::StringRecord,
+}
+
+/// Why a row cannot be used; the line is known to the caller.
+pub(super) type RowResult<T> = std::result::Result<T, String>;
+
+impl Row<'_> {
+    /// The text of a field, empty where the file has no such column.
+    pub fn text(&self, column: &str) -> &str {
+        self.columns.get(column).and_then(|&at| self.fields.get(at)).unwrap_or("")
+    }
+
+    /// A finite number, or `None` where the field is empty.
+    pub fn optional_number(&self, column: &str) -> RowResult<Option<f64>> {
+        let text = self.text(column);
+        if text.is_empty() {
+            return Ok(None);
+        }
+        match text.parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(Some(number)),
+            _ => Err(format!("{column} is {}, expected a number", quoted(text))),
+        }
+    }
+
+    /// A finite number.
+    pub fn number(&self, column: &str) -> RowResult<f64> {
+        self.optional_number(column)?.ok_or_else(|| format!("{column} is empty, expected a number"))
+    }
+
+    /// A whole number, not negative; `12.0` is one too, since spreadsheets write it so.
+    pub fn index(&self, column: &str) -> RowResult<u64> {
+        /// Above this not every whole number has an `f64`.
+        const LARGEST: f64 = 9_007_199_254_740_992.0;
+        let text = self.text(column);
+        if let Ok(index) = text.parse() {
+            return Ok(index);
+        }
+        match text.parse::<f64>() {
+            Ok(number) if number.fract() == 0.0 && (0.0..=LARGEST).contains(&number) => Ok(number as u64),
+            _ => Err(format!("{column} is {}, expected a whole number from 0 up", quoted(text))),
+        }
+    }
+}
+
+/// A field as it is shown in a message: quoted, and cut where it is long.
+fn quoted(text: &str) -> String {
+    const LONGEST: usize = 40;
+    if text.chars().count() > LONGEST {
+        format!("{:?}…", text.chars().take(LONGEST).collect::<String>())
+    } else {
+        format!("{text:?}")
+    }
+}
+
+/// A row that came from a file and says which frame it is about.
+pub(super) trait Indexed: PartialEq {
+    /// The frame's index.
+    fn index(&self) -> u64;
+    /// What else tells rows of one index apart; rows that differ here are not duplicates.
+    fn view(&self) -> Option<&str> {
+        None
+    }
+}
+
+/// Reads a CSV file: `required` columns must be there, `parse` turns a row into a value or says why it cannot.
+///
+/// The rows come back in order of (index, view), each of them once. Two rows of the same index that agree are one;
+/// where they differ, nobody can know which is right, and neither is used.
+pub(super) fn read<T: Indexed>(
+    path: &Path,
+    required: &[&str],
+    parse: impl Fn(&Row) -> RowResult<T>,
+) -> Result<Checked<T>> {
+    let bytes = std::fs::read(path).map_err(Error::io(path, "read"))?;
+    parse_table(path, &bytes, required, parse)
+}
+
+/// [`read`] on bytes; `path` is for the messages.
+pub(super) fn parse_table<T: Indexed>(
+    path: &Path,
+    bytes: &[u8],
+    required: &[&str],
+    parse: impl Fn(&Row) -> RowResult<T>,
+) -> Result<Checked<T>> {
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(bytes);
+    let header = reader.byte_headers().map_err(|e| Error::content(path, e.to_string()))?.clone();
+    let columns = columns_of(path, &header, required)?;
+
+    let mut numbered = Vec::new();
+    let mut warnings = Vec::new();
+    let mut record = csv::ByteRecord::new();
+    loop {
+        match reader.read_byte_record(&mut record) {
+            Ok(true) => {}
+            Ok(false) => break,
+            Err(e) => return Err(Error::content(path, e.to_string())),
+        }
+        let line = record.position().map_or(0, csv::Position::line);
+        match usable_row(&columns, header.len(), &record).and_then(|row| parse(&row)) {
+            Ok(value) => numbered.push((line, value)),
+            Err(why) => warnings.push(Warning { path: path.to_owned(), line, message: format!("{why}; row skipped") }),
+        }
+    }
+    let rows = in_order_once(path, numbered, &mut warnings);
+    if rows.is_empty() {
+        let message = match warnings.first() {
+            Some(first) => format!("no usable row; the first fault, in line {}: {}", first.line, first.message),
+            None => "no rows below the header; expected one a frame".to_owned(),
+        };
+        return Err(Error::content(path, message));
+    }
+    warnings.sort_by_key(|warning| warning.line);
+    Ok(Checked { rows, warnings })
+}
+
+fn columns_of(path: &Path, header: &csv::ByteRecord, required: &[&str]) -> Result<HashMap<String, usize>> {
+    let expected = required.join(",");
+    if header.iter().all(|name| name.is_empty()) {
+        return Err(Error::content(path, format!("the file is empty, expected a header line {expected}")));
+    }
+    let mut columns = HashMap::new();
+    for (at, name) in header.iter().enumerate() {
+        let name = String::from_utf8_lossy(name).into_owned();
+        if columns.insert(name.clone(), at).is_some() && required.contains(&name.as_str()) {
+            return Err(Error::at_line(path, 1, format!("column {name} is there twice; remove one")));
+        }
+    }
+    let missing: Vec<&str> = required.iter().copied().filter(|name| !columns.contains_key(*name)).collect();
+    if missing.is_empty() {
+        return Ok(columns);
+    }
+    let hint = if columns.keys().any(|name| name.contains(';')) {
+        "; the columns seem to be separated by semicolons, use commas"
+    } else {
+        ""
+    };
+    Err(Error::at_line(path, 1, format!("column {} is missing, expected {expected}{hint}", missing.join(", "))))
+}
+
+fn usable_row<'a>(columns: &'a HashMap<String, usize>, width: usize, record: &csv::ByteRecord) -> RowResult<Row<'a>> {
+    if record.len() != width {
+        return Err(format!("{} fields, expected {width}", record.len()));
+    }
+    let fields = csv::StringRecord::from_byte_record(record.clone()).map_err(|_| "not UTF-8 text".to_owned())?;
+    Ok(Row { columns, fields })
+}
+
+fn in_order_once<T: Indexed>(path: &Path, mut numbered: Vec<(u64, T)>, warnings: &mut Vec<Warning>) -> Vec<T> {
+    let mut warn = |line, message| warnings.push(Warning { path: path.to_owned(), line, message });
+    if let Some(pair) = numbered.windows(2).find(|pair| pair[1].1.index() < pair[0].1.index()) {
+        let (line, before, after) = (pair[1].0, pair[0].1.index(), pair[1].1.index());
+        warn(line, format!("index {after} follows {before}; the rows were put in order of their index"));
+    }
+    numbered.sort_by(|(_, a), (_, b)| (a.index(), a.view()).cmp(&(b.index(), b.view())));
+
+    let mut rows: Vec<T> = Vec::new();
+    let mut rest = numbered.into_iter().peekable();
+    while let Some((line, row)) = rest.next() {
+        let mut contradicted = false;
+        while let Some((again, twin)) = rest.next_if(|(_, b)| (b.index(), b.view()) == (row.index(), row.view())) {
+            let index = row.index();
+            if twin == row {
+                warn(again, format!("index {index} repeats line {line}; row skipped"));
+            } else {
+                contradicted = true;
+                warn(again, format!("index {index} is in line {line} with other values; neither row was used"));
+            }
+        }
+        if !contradicted {
+            rows.push(row);
+        }
+    }
+    rows
+}
+
+/// A number with a fixed count of decimals, never "-0.000".
+pub(super) fn decimals(value: f64, places: usize) -> String {
+    let text = format!("{value:.places$}");
+    if text.starts_with('-') && text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.')) {
+        text[1..].to_owned()
+    } else {
+        text
+    }
+}
+
+/// [`decimals`], or nothing.
+pub(super) fn decimals_or_empty(value: Option<f64>, places: usize) -> String {
+    value.map(|value| decimals(value, places)).unwrap_or_default()
+}
+
+/// An azimuth as files hold it: degrees in (−180, 180], six decimals.
+pub(super) fn azimuth(angle_deg: f64) -> String {
+    let text = decimals(angle_deg, 6);
+    if text == "-180.000000" { "180.000000".to_owned() } else { text }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[derive(Debug, PartialEq)]
+    struct Reading(u64, f64);
+
+    impl Indexed for Reading {
+        fn index(&self) -> u64 {
+            self.0
+        }
+    }
+
+    fn parse(text: &[u8]) -> Result<Checked<Reading>> {
+        parse_table(Path::new("a.csv"), text, &["index", "x_mm"], |row| {
+            Ok(Reading(row.index("index")?, row.number("x_mm")?))
+        })
+    }
+
+    fn rows_and_warnings(text: &str) -> (Vec<(u64, f64)>, Vec<String>) {
+        let checked = parse(text.as_bytes()).unwrap();
+        (checked.rows.iter().map(|r| (r.0, r.1)).collect(), checked.warnings.iter().map(ToString::to_string).collect())
+    }
+
+    #[test]
+    fn columns_are_found_by_name_in_any_order_and_others_are_ignored() {
+        let (rows, warnings) = rows_and_warnings("\u{feff}x_mm, note ,index\r\n1.5,hello, 3\r\n2.5,,4.0\r\n");
+        assert_eq!(rows, [(3, 1.5), (4, 2.5)]);
+        assert!(warnings.is_empty(), "{warnings:?}");
+    }
+
+    #[test]
+    fn a_bad_row_is_named_and_the_others_survive() {
+        let (rows, warnings) = rows_and_warnings("index,x_mm\n0,1\n1,abc\n2,NaN\n3\n-4,1\n5,inf\n6,\n7,2\n");
+        assert_eq!(rows, [(0, 1.0), (7, 2.0)]);
+        assert_eq!(
+            warnings,
+            [
+                "a.csv:3: x_mm is \"abc\", expected a number; row skipped",
+                "a.csv:4: x_mm is \"NaN\", expected a number; row skipped",
+                "a.csv:5: 1 fields, expected 2; row skipped",
+                "a.csv:6: index is \"-4\", expected a whole number from 0 up; row skipped",
+                "a.csv:7: x_mm is \"inf\", expected a number; row skipped",
+                "a.csv:8: x_mm is empty, expected a number; row skipped",
+            ]
+        );
+    }
+
+    #[test]
+    fn text_that_is_not_utf8_costs_one_row() {
+        let checked = parse(b"index,x_mm\n0,1\n1,\xff\xfe\n2,3\n").unwrap();
+        assert_eq!(checked.rows, [Reading(0, 1.0), Reading(2, 3.0)]);
+        assert_eq!(checked.warnings[0].line, 3);
+    }
+
+    #[test]
+    fn unsorted_rows_are_sorted() {
+        let (rows, warnings) = rows_and_warnings("index,x_mm\n2,1\n0,2\n1,3\n");
+        assert_eq!(rows, [(0, 2.0), (1, 3.0), (2, 1.0)]);
+        assert_eq!(warnings, ["a.csv:3: index 0 follows 2; the rows were put in order of their index"]);
+    }
+
+    #[test]
+    fn a_repeated_row_counts_once_and_contradicting_rows_not_at_all() {
+        let (rows, warnings) = rows_and_warnings("index,x_mm\n0,1\n0,1\n1,5\n2,7\n1,6\n");
+        assert_eq!(rows, [(0, 1.0), (2, 7.0)]);
+        assert_eq!(
+            warnings,
+            [
+                "a.csv:3: index 0 repeats line 2; row skipped",
+                "a.csv:6: index 1 follows 2; the rows were put in order of their index",
+                "a.csv:6: index 1 is in line 4 with other values; neither row was used",
+            ]
+        );
+    }
+
+    #[test]
+    fn files_of_no_use_say_why() {
+        let message = |text: &str| parse(text.as_bytes()).unwrap_err().to_string();
+        assert_eq!(message(""), "a.csv: the file is empty, expected a header line index,x_mm");
+        assert_eq!(message("index,y\n0,1\n"), "a.csv:1: column x_mm is missing, expected index,x_mm");
+        assert!(message("index;x_mm\n0;1\n").contains("use commas"));
+        assert_eq!(message("index,x_mm,x_mm\n0,1,1\n"), "a.csv:1: column x_mm is there twice; remove one");
+        assert_eq!(message("index,x_mm\n"), "a.csv: no rows below the header; expected one a frame");
+        assert!(message("index,x_mm\n0,a\n").contains("no usable row; the first fault, in line 2"));
+    }
+
+    #[test]
+    fn written_numbers_have_no_negative_zero() {
+        assert_eq!(decimals(-1e-9, 3), "0.000");
+        assert_eq!(decimals(-0.001, 3), "-0.001");
+        assert_eq!(azimuth(-179.99999999), "180.000000");
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_read_or_refused(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+            let _ = parse(&bytes);
+        }
+
+        #[test]
+        fn any_text_below_a_good_header_is_read_or_refused(text in "([0-9a-z,;\"\\-.\n\r ]|NaN|inf){0,80}") {
+            if let Ok(checked) = parse(format!("index,x_mm\n{text}").as_bytes()) {
+                prop_assert!(checked.rows.windows(2).all(|pair| pair[0].0 < pair[1].0));
+                prop_assert!(checked.rows.iter().all(|row| row.1.is_finite()));
+            }
+        }
+    }
+}
