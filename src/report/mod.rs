@@ -1,1 +1,3 @@
 //! What a person looks at: overlays on frames, plots, the HTML page.
+
+pub mod overlay;

@@ -1,0 +1,235 @@
+//! A frame with what was measured drawn on it.
+
+use crate::camera::Frame;
+use crate::record::{Measured, Measurement, Status};
+use ab_glyph::{FontRef, PxScale};
+use image::{Rgb, RgbImage};
+use imageproc::drawing::{draw_text_mut, text_size};
+use nalgebra::Point2;
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+const ARC: Rgb<u8> = Rgb([255, 120, 0]);
+const OUTLINE: Rgb<u8> = Rgb([0, 235, 255]);
+const BASE: Rgb<u8> = Rgb([60, 230, 60]);
+const TIP: Rgb<u8> = Rgb([255, 60, 220]);
+const GOOD_TEXT: Rgb<u8> = Rgb([255, 255, 255]);
+const BAD_TEXT: Rgb<u8> = Rgb([255, 190, 90]);
+const BOX: Rgb<u8> = Rgb([16, 20, 26]);
+
+/// The model's shape in one picture, px.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Shape {
+    /// The central backbone from base to tip, as a chain of points.
+    pub arc: Vec<Point2<f64>>,
+    /// Points of the outline.
+    pub outline: Vec<Point2<f64>>,
+}
+
+/// Draws outline, arc, base (green), tip (magenta) and the figures on a copy of the frame.
+///
+/// A frame without angles gets its status instead.
+pub fn overlay(frame: &Frame, measurement: &Measurement, shape: Option<&Shape>) -> RgbImage {
+    let mut picture = rgb(frame);
+    let unit = f64::from(frame.height.min(frame.width)) / 360.0;
+    if let Some(shape) = shape {
+        for point in &shape.outline {
+            stroke(&mut picture, &[*point], 0.8 * unit, OUTLINE);
+        }
+        stroke(&mut picture, &shape.arc, 1.2 * unit, ARC);
+        if let (Some(base), Some(tip)) = (shape.arc.first(), shape.arc.last()) {
+            stroke(&mut picture, &[*base], 5.0 * unit, BASE);
+            stroke(&mut picture, &[*tip], 5.0 * unit, TIP);
+        }
+    }
+    let colour = if measurement.status == Status::Ok { GOOD_TEXT } else { BAD_TEXT };
+    label(&mut picture, &caption(measurement), 13.0 * unit, colour);
+    picture
+}
+
+/// What stands in the corner of the picture: the frame, then θ ± σ and δ ± σ, or why there are none.
+fn caption(measurement: &Measurement) -> Vec<String> {
+    let mut lines = vec![format!("frame {}", measurement.index)];
+    if let Some(view) = &measurement.view {
+        lines[0] += &format!(", {view}");
+    }
+    if measurement.status != Status::Ok {
+        lines.push(measurement.status.to_string());
+    }
+    if let Some(measured) = &measurement.measured {
+        let (theta, delta) = angles(measured);
+        lines.extend([format!("θ {theta}"), format!("δ {delta}")]);
+    }
+    lines
+}
+
+/// θ ± σ and δ ± σ in degrees, for people.
+pub fn angles(measured: &Measured) -> (String, String) {
+    let psi = measured.configuration;
+    (plus_minus(psi.theta_deg(), measured.sigma_theta), plus_minus(psi.delta_deg(), measured.sigma_delta))
+}
+
+fn plus_minus(angle_deg: f64, sigma: f64) -> String {
+    let sigma_deg = sigma.to_degrees();
+    if sigma_deg > 90.0 {
+        return "unknown".to_owned();
+    }
+    let places = if sigma_deg < 0.095 {
+        3
+    } else if sigma_deg < 9.5 {
+        2
+    } else {
+        0
+    };
+    format!("{angle_deg:.places$} ± {sigma_deg:.places$}°").replace('-', "−")
+}
+
+fn rgb(frame: &Frame) -> RgbImage {
+    let level = |value: f32| value.round().clamp(0.0, 255.0) as u8;
+    RgbImage::from_fn(frame.width, frame.height, |x, y| match frame.channels {
+        1 => Rgb([level(frame.get(x, y, 0)); 3]),
+        _ => Rgb([0, 1, 2].map(|c| level(frame.get(x, y, c)))),
+    })
+}
+
+/// Draws a chain of points as one line with round ends, `width` px wide, its border smoothed over a pixel. One point
+/// alone is a dot. Points that are not in a picture (NaN, far away) are left out.
+fn stroke(picture: &mut RgbImage, chain: &[Point2<f64>], width: f64, colour: Rgb<u8>) {
+    let (columns, rows) = (f64::from(picture.width()), f64::from(picture.height()));
+    let near = |p: &&Point2<f64>| p.x > -columns && p.x < 2.0 * columns && p.y > -rows && p.y < 2.0 * rows;
+    let chain: Vec<Point2<f64>> = chain.iter().filter(near).copied().collect();
+    let segments: Vec<[Point2<f64>; 2]> = match chain[..] {
+        [dot] => vec![[dot, dot]],
+        _ => chain.windows(2).map(|pair| [pair[0], pair[1]]).collect(),
+    };
+    // Where segments overlap the line must not be blended twice, so each pixel's share is settled first.
+    let mut shares = BTreeMap::new();
+    let reach = width / 2.0 + 0.5;
+    for segment in &segments {
+        let [from, to] = segment;
+        for y in pixels_between(from.y, to.y, reach, picture.height()) {
+            for x in pixels_between(from.x, to.x, reach, picture.width()) {
+                let share = reach - distance_to(segment, &Point2::new(f64::from(x), f64::from(y)));
+                if share > 0.0 {
+                    let most: &mut f64 = shares.entry((y, x)).or_default();
+                    *most = most.max(share.min(1.0));
+                }
+            }
+        }
+    }
+    for ((y, x), share) in shares {
+        blend(picture.get_pixel_mut(x, y), colour, share);
+    }
+}
+
+/// The pixel rows (or columns) within `reach` of two positions, as far as the picture goes.
+fn pixels_between(a: f64, b: f64, reach: f64, size: u32) -> Range<u32> {
+    let within = |position: f64| position.clamp(0.0, f64::from(size)) as u32;
+    within((a.min(b) - reach).floor())..within((a.max(b) + reach).ceil() + 1.0)
+}
+
+fn distance_to([from, to]: &[Point2<f64>; 2], point: &Point2<f64>) -> f64 {
+    let along = to - from;
+    let share = if along.norm_squared() > 0.0 { (point - from).dot(&along) / along.norm_squared() } else { 0.0 };
+    (from + along * share.clamp(0.0, 1.0) - point).norm()
+}
+
+fn blend(pixel: &mut Rgb<u8>, colour: Rgb<u8>, share: f64) {
+    for (below, above) in pixel.0.iter_mut().zip(colour.0) {
+        *below = (f64::from(*below) * (1.0 - share) + f64::from(above) * share).round() as u8;
+    }
+}
+
+/// Writes lines of text on a dark box in the top left corner, `size` px high each.
+fn label(picture: &mut RgbImage, lines: &[String], size: f64, colour: Rgb<u8>) {
+    let Ok(font) = FontRef::try_from_slice(epaint_default_fonts::HACK_REGULAR) else { return };
+    let size = size.max(9.0);
+    let scale = PxScale::from(size as f32);
+    let (step, pad) = ((1.25 * size) as u32, (0.5 * size) as u32);
+    let width = lines.iter().map(|line| text_size(scale, &font, line).0).max().unwrap_or(0);
+    let (right, bottom) = (width + 2 * pad, step * lines.len() as u32 + pad);
+    for y in 0..bottom.min(picture.height()) {
+        for x in 0..right.min(picture.width()) {
+            blend(picture.get_pixel_mut(x, y), BOX, 0.7);
+        }
+    }
+    for (row, line) in lines.iter().enumerate() {
+        let top = (pad / 2 + step * row as u32) as i32;
+        draw_text_mut(picture, colour, pad as i32, top, scale, &font, line);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Configuration;
+    use ab_glyph::Font;
+
+    fn grey_frame() -> Frame {
+        Frame { width: 200, height: 120, channels: 1, data: vec![100.0; 200 * 120] }
+    }
+
+    fn measurement(theta_deg: f64, delta_deg: f64, sigma_deg: f64) -> Measurement {
+        let sigma = sigma_deg.to_radians();
+        Measurement {
+            index: 12,
+            time_s: None,
+            status: Status::Ok,
+            measured: Some(Measured {
+                configuration: Configuration::from_degrees(theta_deg, delta_deg),
+                sigma_theta: sigma,
+                sigma_delta: sigma,
+                correlation: 0.0,
+            }),
+            quality: None,
+            view: Some("side".into()),
+        }
+    }
+
+    #[test]
+    fn the_font_has_the_letters_the_captions_use() {
+        let font = FontRef::try_from_slice(epaint_default_fonts::HACK_REGULAR).unwrap();
+        for letter in "θδ±°−_0123456789".chars() {
+            assert_ne!(font.glyph_id(letter).0, 0, "{letter}");
+        }
+    }
+
+    #[test]
+    fn captions_carry_as_many_digits_as_the_sigma_deserves() {
+        assert_eq!(
+            caption(&measurement(30.0, -12.0, 0.05)),
+            ["frame 12, side", "θ 30.000 ± 0.050°", "δ −12.000 ± 0.050°"]
+        );
+        assert_eq!(caption(&measurement(3.0, 12.0, 20.0))[2], "δ 12 ± 20°");
+        assert_eq!(caption(&measurement(0.0, 0.0, 170.0))[2], "δ unknown");
+        let failed = Measurement { status: Status::NoSnake, measured: None, ..measurement(0.0, 0.0, 1.0) };
+        assert_eq!(caption(&failed), ["frame 12, side", "no_snake"]);
+    }
+
+    #[test]
+    fn a_line_is_drawn_where_it_is_and_as_wide_as_it_is() {
+        let mut picture = RgbImage::new(40, 40);
+        stroke(&mut picture, &[Point2::new(5.0, 20.0), Point2::new(35.0, 20.0)], 5.0, Rgb([255; 3]));
+        let column: Vec<u8> = (15..26).map(|y| picture.get_pixel(20, y).0[0]).collect();
+        assert_eq!(column, [0, 0, 0, 255, 255, 255, 255, 255, 0, 0, 0]);
+        let ink: u32 = picture.pixels().map(|p| u32::from(p.0[0])).sum();
+        let area = 30.0 * 5.0 + std::f64::consts::PI * 2.5 * 2.5;
+        assert!((f64::from(ink) / 255.0 - area).abs() < 0.03 * area);
+    }
+
+    #[test]
+    fn points_outside_the_picture_do_no_harm() {
+        let far = [Point2::new(f64::NAN, 3.0), Point2::new(1e12, -1e12), Point2::new(-30.0, -30.0)];
+        let shape = Shape { arc: far.to_vec(), outline: far.to_vec() };
+        let picture = overlay(&grey_frame(), &measurement(10.0, 10.0, 0.1), Some(&shape));
+        assert_eq!(picture.get_pixel(150, 100), &Rgb([100; 3]));
+    }
+
+    #[test]
+    fn base_and_tip_are_marked_at_the_ends_of_the_arc() {
+        let arc = vec![Point2::new(100.0, 100.0), Point2::new(120.0, 80.0), Point2::new(170.0, 70.0)];
+        let picture = overlay(&grey_frame(), &measurement(10.0, 10.0, 0.1), Some(&Shape { arc, outline: vec![] }));
+        assert_eq!(picture.get_pixel(100, 100), &BASE);
+        assert_eq!(picture.get_pixel(170, 70), &TIP);
+    }
+}
