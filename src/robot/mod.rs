@@ -3,5 +3,6 @@
 //! Symbols are the paper's. i = 1, 2, 3 counts the secondary backbones; vectors over them are `Vector3<f64>`, element 0
 //! being backbone 1.
 
+pub mod kinematics;
 pub mod parameters;
 pub use parameters::{Body, Robot};
