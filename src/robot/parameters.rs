@@ -67,8 +67,8 @@ pub struct Body {
     pub disk_diameter_mm: f64,
     /// Thickness of a disk, mm.
     pub disk_thickness_mm: f64,
-    /// Number of disks above the base disk, the end disk among them.
-    pub disk_count: usize,
+    /// Distance between the middles of neighbouring spacer disks, mm; the first is this far above the base disk's top face.
+    pub disk_pitch_mm: f64,
 }
 
 /// One robot: everything that does not change from experiment to experiment.
@@ -104,7 +104,7 @@ impl Default for Robot {
                 cone_bend_angle_deg: 41.0,
                 cone_straight_mm: 0.0,
             },
-            body: Body { disk_diameter_mm: 4.2, disk_thickness_mm: 0.6, disk_count: 7 },
+            body: Body { disk_diameter_mm: 4.2, disk_thickness_mm: 0.6, disk_pitch_mm: 3.7 },
         }
     }
 }
@@ -112,6 +112,14 @@ impl Default for Robot {
 impl Robot {
     /// β = 2π/3, the angle between neighbouring secondary backbones.
     pub const BETA: f64 = 2.0 * PI / 3.0;
+
+    /// Arc lengths of the disks' middles, mm, from the first spacer disk to the end disk, whose far face is at L.
+    pub fn disk_middles_mm(&self) -> Vec<f64> {
+        let Body { disk_thickness_mm, disk_pitch_mm, .. } = self.body;
+        let end = self.length_mm - disk_thickness_mm / 2.0;
+        let spacers = (1..).map(|k| f64::from(k) * disk_pitch_mm).take_while(|s| s + disk_thickness_mm < end);
+        spacers.chain([end]).collect()
+    }
 
     /// Azimuths of the secondary backbones in {b}, rad: −(i−1)·β.
     pub fn backbone_azimuths(&self) -> Vector3<f64> {
