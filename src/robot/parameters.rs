@@ -67,8 +67,8 @@ pub struct Body {
     pub disk_diameter_mm: f64,
     /// Thickness of a disk, mm.
     pub disk_thickness_mm: f64,
-    /// Distance between the middles of neighbouring spacer disks, mm; the first is this far above the base disk's top face.
-    pub disk_pitch_mm: f64,
+    /// Number of spacer disks between base disk and end disk.
+    pub spacer_disk_count: u8,
 }
 
 /// One robot: everything that does not change from experiment to experiment.
@@ -104,7 +104,7 @@ impl Default for Robot {
                 cone_bend_angle_deg: 41.0,
                 cone_straight_mm: 0.0,
             },
-            body: Body { disk_diameter_mm: 4.2, disk_thickness_mm: 0.6, disk_pitch_mm: 3.7 },
+            body: Body { disk_diameter_mm: 4.2, disk_thickness_mm: 0.6, spacer_disk_count: 6 },
         }
     }
 }
@@ -113,12 +113,15 @@ impl Robot {
     /// β = 2π/3, the angle between neighbouring secondary backbones.
     pub const BETA: f64 = 2.0 * PI / 3.0;
 
+    /// Distance between the middles of neighbouring spacer disks, mm: they divide L evenly.
+    pub fn disk_pitch_mm(&self) -> f64 {
+        self.length_mm / (f64::from(self.body.spacer_disk_count) + 1.0)
+    }
+
     /// Arc lengths of the disks' middles, mm, from the first spacer disk to the end disk, whose far face is at L.
     pub fn disk_middles_mm(&self) -> Vec<f64> {
-        let Body { disk_thickness_mm, disk_pitch_mm, .. } = self.body;
-        let end = self.length_mm - disk_thickness_mm / 2.0;
-        let spacers = (1..).map(|k| f64::from(k) * disk_pitch_mm).take_while(|s| s + disk_thickness_mm < end);
-        spacers.chain([end]).collect()
+        let end = self.length_mm - self.body.disk_thickness_mm / 2.0;
+        (1..=self.body.spacer_disk_count).map(|k| f64::from(k) * self.disk_pitch_mm()).chain([end]).collect()
     }
 
     /// Azimuths of the secondary backbones in {b}, rad: −(i−1)·β.
