@@ -1,6 +1,7 @@
 //! The files of an experiment: what they hold, how they are read, checked and written.
 
 pub mod encoders;
+pub mod estimates;
 pub mod experiment;
 pub mod measurement;
 pub mod measurements;
@@ -9,6 +10,7 @@ pub mod truth;
 pub mod write;
 
 pub use encoders::{encoders_csv, read_encoders};
+pub use estimates::{EstimateRow, EtaLambda, Verdict, estimates_csv};
 pub use experiment::{Experiment, RigSource, View};
 pub use measurement::{EncoderReading, Measured, Measurement, Quality, Status, Truth};
 pub use measurements::{measurements_csv, read_measurements};

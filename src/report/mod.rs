@@ -1,3 +1,5 @@
 //! What a person looks at: overlays on frames, plots, the HTML page.
 
+pub mod html;
 pub mod overlay;
+pub mod plot;

@@ -1,0 +1,124 @@
+//! estimate.csv: how η and λ moved with each measurement.
+//!
+//! | column | meaning |
+//! | --- | --- |
+//! | `index`, `time_s` | the frame |
+//! | `eta`, `lambda_mm`, `sd_eta`, `sd_lambda_mm` | the estimate after this measurement; empty before the first |
+//! | `status` | `used`, `rejected` (by the outlier gate) or `skipped` (there was nothing to use) |
+//! | `reason` | why it was not used |
+//! | `residual1_mm` … `residual3_mm` | measured ε less the ε that the estimate before it predicted, per backbone |
+//! | `view` | the view's name in experiment.toml |
+
+use super::table::{decimals, decimals_or_empty};
+use nalgebra::Vector3;
+use std::fmt;
+
+/// What became of a measurement in the estimator.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    /// It moved the estimate.
+    Used,
+    /// The gate took it for an outlier.
+    Rejected,
+    /// There was nothing to use: no angles, or no encoder reading.
+    Skipped,
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Used => "used",
+            Self::Rejected => "rejected",
+            Self::Skipped => "skipped",
+        })
+    }
+}
+
+/// η and λ with their standard deviations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EtaLambda {
+    /// η, the scale of the actuation forces.
+    pub eta: f64,
+    /// λ, the backlash, mm.
+    pub lambda_mm: f64,
+    /// Standard deviation of η.
+    pub sd_eta: f64,
+    /// Standard deviation of λ, mm.
+    pub sd_lambda_mm: f64,
+}
+
+/// One row of estimate.csv: one measurement and the estimate after it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EstimateRow {
+    /// The frame's index.
+    pub index: u64,
+    /// Time, s.
+    pub time_s: Option<f64>,
+    /// The estimate after this measurement; `None` while there were too few.
+    pub estimate: Option<EtaLambda>,
+    /// What became of the measurement.
+    pub verdict: Verdict,
+    /// Why it was not used, in snake_case; empty where it was.
+    pub reason: String,
+    /// Measured ε less predicted ε per backbone, mm.
+    pub residual_mm: Option<Vector3<f64>>,
+    /// The view's name.
+    pub view: Option<String>,
+}
+
+/// estimate.csv as text; lengths to 1 nm.
+pub fn estimates_csv(rows: &[EstimateRow]) -> String {
+    let mut text = "index,time_s,eta,lambda_mm,sd_eta,sd_lambda_mm,status,reason,\
+                    residual1_mm,residual2_mm,residual3_mm,view\n"
+        .to_owned();
+    for row in rows {
+        let estimate = row.estimate.map_or_else(Default::default, |e| {
+            [e.eta, e.lambda_mm, e.sd_eta, e.sd_lambda_mm].map(|value| decimals(value, 6))
+        });
+        let residual = row.residual_mm.map_or_else(Default::default, |r| [r.x, r.y, r.z].map(|mm| decimals(mm, 6)));
+        let fields = [
+            &[row.index.to_string(), decimals_or_empty(row.time_s, 4)],
+            &estimate[..],
+            &[row.verdict.to_string(), row.reason.clone()],
+            &residual[..],
+            &[row.view.clone().unwrap_or_default()],
+        ];
+        text += &(fields.concat().join(",") + "\n");
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_row_a_measurement_whatever_became_of_it() {
+        let rows = [
+            EstimateRow {
+                index: 0,
+                time_s: Some(0.25),
+                estimate: None,
+                verdict: Verdict::Skipped,
+                reason: "no_snake".into(),
+                residual_mm: None,
+                view: None,
+            },
+            EstimateRow {
+                index: 4,
+                time_s: None,
+                estimate: Some(EtaLambda { eta: 1.221, lambda_mm: 0.1765, sd_eta: 0.01, sd_lambda_mm: 0.002 }),
+                verdict: Verdict::Used,
+                reason: String::new(),
+                residual_mm: Some(Vector3::new(0.001, -0.002, 0.0)),
+                view: Some("side".into()),
+            },
+        ];
+        assert_eq!(
+            estimates_csv(&rows),
+            "index,time_s,eta,lambda_mm,sd_eta,sd_lambda_mm,status,reason,residual1_mm,residual2_mm,residual3_mm,view\n\
+             0,0.2500,,,,,skipped,no_snake,,,,\n\
+             4,,1.221000,0.176500,0.010000,0.002000,used,,0.001000,-0.002000,0.000000,side\n"
+        );
+    }
+}
