@@ -3,6 +3,14 @@
 //! Symbols are the paper's. i = 1, 2, 3 counts the secondary backbones; vectors over them are `Vector3<f64>`, element 0
 //! being backbone 1.
 
+pub mod compensation;
+pub mod friction;
 pub mod kinematics;
+pub mod model;
 pub mod parameters;
+pub mod statics;
+
+pub use compensation::{MAX_THETA, Response};
+pub use friction::{Friction, FrictionFit, FrictionSample};
+pub use model::{Estimate, Model};
 pub use parameters::{Body, Robot};

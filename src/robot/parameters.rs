@@ -27,6 +27,16 @@ impl Tube {
         PI / 64.0 * (self.outer_diameter_mm.powi(4) - self.inner_diameter_mm.powi(4))
     }
 
+    /// Bending stiffness E I, N·mm².
+    pub fn bending_stiffness_n_mm2(&self) -> f64 {
+        self.youngs_modulus_mpa() * self.second_moment_mm4()
+    }
+
+    /// Axial stiffness E A, N.
+    pub fn axial_stiffness_n(&self) -> f64 {
+        self.youngs_modulus_mpa() * self.area_mm2()
+    }
+
     /// Cross-sectional area A = π (d_o² − d_i²) / 4, mm².
     pub fn area_mm2(&self) -> f64 {
         PI / 4.0 * (self.outer_diameter_mm.powi(2) - self.inner_diameter_mm.powi(2))
@@ -122,6 +132,16 @@ impl Robot {
     pub fn disk_middles_mm(&self) -> Vec<f64> {
         let end = self.length_mm - self.body.disk_thickness_mm / 2.0;
         (1..=self.body.spacer_disk_count).map(|k| f64::from(k) * self.disk_pitch_mm()).chain([end]).collect()
+    }
+
+    /// K_d⁻¹ = L_d / (E_s A), mm/N: compliance of a backbone in the DDU holder, Eq. 17.
+    pub fn holder_compliance_mm_per_n(&self) -> f64 {
+        self.line.holder_length_mm / self.secondary.axial_stiffness_n()
+    }
+
+    /// K_c⁻¹ = L_c / (E_s A), mm/N: compliance of a backbone in the snake cone, Eq. 17.
+    pub fn cone_compliance_mm_per_n(&self) -> f64 {
+        self.line.cone_length_mm() / self.secondary.axial_stiffness_n()
     }
 
     /// Azimuths of the secondary backbones in {b}, rad: −(i−1)·β.

@@ -1,0 +1,330 @@
+//! model.toml: one robot's constants, its friction, and η and λ once they were estimated.
+//!
+//! ```toml
+//! [robot]              # and [robot.primary], [robot.secondary], [robot.line], [robot.body]: units in the key names
+//! [friction]           # mu, static_force_n and how well they are known
+//! [estimate]           # absent until something was estimated
+//! eta = 1.221
+//! eta_sd = 0.004
+//! lambda_mm = 0.1765
+//! lambda_sd_mm = 0.0006
+//! correlation = 0.1    # of the errors of eta and lambda
+//! samples = 36
+//! ```
+//!
+//! `robot` and `friction` may be left out: Table I and the fit of Table II stand in. An `[[effect]]` that this version
+//! does not know is an error, since a prediction without it would be wrong.
+
+use super::experiment::line_at;
+use super::write::write_atomically;
+use crate::error::{Error, Result};
+use crate::robot::{Estimate, Friction, Model, Robot};
+use nalgebra::Matrix2;
+use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
+use std::path::Path;
+use toml::de::{DeTable, DeValue};
+
+/// The file as it is written.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ModelFile {
+    #[serde(default)]
+    robot: Robot,
+    #[serde(default)]
+    friction: Friction,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    estimate: Option<EstimateTable>,
+}
+
+/// An estimate as files show it: sds and correlation rather than covariances.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct EstimateTable {
+    eta: f64,
+    eta_sd: f64,
+    lambda_mm: f64,
+    lambda_sd_mm: f64,
+    correlation: f64,
+    samples: usize,
+}
+
+impl From<Estimate> for EstimateTable {
+    fn from(estimate: Estimate) -> Self {
+        Self {
+            eta: estimate.eta,
+            eta_sd: estimate.eta_sd(),
+            lambda_mm: estimate.lambda_mm,
+            lambda_sd_mm: estimate.lambda_sd_mm(),
+            correlation: estimate.correlation(),
+            samples: estimate.samples,
+        }
+    }
+}
+
+impl From<EstimateTable> for Estimate {
+    fn from(table: EstimateTable) -> Self {
+        let cross = table.correlation * table.eta_sd * table.lambda_sd_mm;
+        Self {
+            eta: table.eta,
+            lambda_mm: table.lambda_mm,
+            covariance: Matrix2::new(table.eta_sd.powi(2), cross, cross, table.lambda_sd_mm.powi(2)),
+            samples: table.samples,
+        }
+    }
+}
+
+/// Reads a model.toml.
+///
+/// # Errors
+/// A file that cannot be read or is not TOML, an unknown or missing key, an effect that this version does not know, a
+/// number out of its physical range; each with its line and key.
+pub fn read_model(path: &Path) -> Result<Model> {
+    let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
+    parse(path, &text)
+}
+
+/// Writes a model.toml, whole or not at all.
+///
+/// # Errors
+/// A file that cannot be written, or a model whose numbers could not be read back.
+pub fn write_model(path: &Path, model: &Model) -> Result<()> {
+    write_atomically(path, model_toml(model)?.as_bytes())
+}
+
+/// A model as the text of a model.toml.
+///
+/// # Errors
+/// A number that is not finite or out of its physical range, by its key.
+pub fn model_toml(model: &Model) -> Result<String> {
+    if let Some(fault) = first_fault(model) {
+        return Err(Error::Domain(format!("cannot write the model: {fault}")));
+    }
+    let file = ModelFile {
+        robot: model.robot.clone(),
+        friction: model.friction,
+        estimate: model.estimate.map(EstimateTable::from),
+    };
+    toml::to_string(&file).map_err(|e| Error::Domain(format!("cannot write the model: {e}")))
+}
+
+fn parse(path: &Path, text: &str) -> Result<Model> {
+    let at_span = |e: toml::de::Error| match e.span() {
+        Some(span) => Error::at_line(path, line_at(text, span.start), e.message()),
+        None => Error::content(path, e.message()),
+    };
+    let document = DeTable::parse(text).map_err(at_span)?;
+    if let Some((key, effects)) = document.get_ref().get_key_value("effect") {
+        return Err(unknown_effect(path, text, effects.get_ref(), key.span().start));
+    }
+    let file: ModelFile = toml::from_str(text).map_err(at_span)?;
+    let model = Model { robot: file.robot, friction: file.friction, estimate: file.estimate.map(Estimate::from) };
+    match first_fault(&model) {
+        None => Ok(model),
+        Some(fault) => {
+            let line = line_of_key(document.get_ref(), &fault.key).map(|byte| line_at(text, byte));
+            Err(Error::Content { path: path.to_owned(), line, message: fault.to_string() })
+        }
+    }
+}
+
+/// The error for `[[effect]]` entries, of which this version knows none.
+fn unknown_effect(path: &Path, text: &str, effects: &DeValue, key_at: usize) -> Error {
+    let first = effects.as_array().and_then(|list| list.iter().next());
+    let line = line_at(text, first.map_or(key_at, |entry| entry.span().start));
+    let name = first
+        .and_then(|entry| entry.get_ref().as_table())
+        .and_then(|table| table.get("name"))
+        .and_then(|name| name.get_ref().as_str())
+        .unwrap_or("without a name");
+    Error::at_line(
+        path,
+        line,
+        format!(
+            "effect {name:?} is not known to this version, and predictions without it would be wrong; use the version that wrote the file, or remove the [[effect]]"
+        ),
+    )
+}
+
+/// A number outside what the physics allows.
+struct Fault {
+    /// The key's path, joined by dots.
+    key: String,
+    value: f64,
+    range: RangeInclusive<f64>,
+    /// What else is wrong with it, where the range alone does not say it.
+    why: &'static str,
+}
+
+impl std::fmt::Display for Fault {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} = {}, expected {} to {}{}", self.key, self.value, self.range.start(), self.range.end(), self.why)
+    }
+}
+
+/// The first number of the model that is not finite or not within what such a robot can have.
+fn first_fault(model: &Model) -> Option<Fault> {
+    let Robot { length_mm, backbone_circle_radius_mm, primary, secondary, line, body } = &model.robot;
+    let friction = &model.friction;
+    let mut checks: Vec<(String, f64, RangeInclusive<f64>, &'static str)> = Vec::new();
+    let mut check = |key: &str, value: f64, range: RangeInclusive<f64>, why| {
+        checks.push((key.to_owned(), value, range, why));
+    };
+    check("robot.length_mm", *length_mm, 1.0..=1000.0, "");
+    // A quarter of the length keeps every L_i positive up to the largest bend.
+    check(
+        "robot.backbone_circle_radius_mm",
+        *backbone_circle_radius_mm,
+        0.05..=(length_mm / 4.0),
+        " (a quarter of the length at most)",
+    );
+    for (name, tube) in [("primary", primary), ("secondary", secondary)] {
+        let key = |field: &str| format!("robot.{name}.{field}");
+        check(&key("outer_diameter_mm"), tube.outer_diameter_mm, 0.01..=20.0, "");
+        check(
+            &key("inner_diameter_mm"),
+            tube.inner_diameter_mm,
+            0.0..=(0.999 * tube.outer_diameter_mm),
+            " (less than the outer diameter)",
+        );
+        check(&key("youngs_modulus_gpa"), tube.youngs_modulus_gpa, 0.01..=1000.0, "");
+    }
+    check("robot.line.holder_length_mm", line.holder_length_mm, 0.0..=10_000.0, "");
+    check("robot.line.cone_bend_radius_mm", line.cone_bend_radius_mm, 0.1..=1000.0, "");
+    check("robot.line.cone_bend_angle_deg", line.cone_bend_angle_deg, 0.1..=720.0, "");
+    check("robot.line.cone_straight_mm", line.cone_straight_mm, 0.0..=10_000.0, "");
+    check("robot.body.disk_diameter_mm", body.disk_diameter_mm, 0.1..=100.0, "");
+    check("robot.body.disk_thickness_mm", body.disk_thickness_mm, 0.001..=*length_mm, "");
+    check("robot.body.spacer_disk_count", f64::from(body.spacer_disk_count), 0.0..=255.0, "");
+    check("friction.mu", friction.mu, 0.0..=2.0, "");
+    check("friction.static_force_n", friction.static_force_n, 0.0..=1000.0, "");
+    check("friction.mu_sd", friction.mu_sd, 0.0..=2.0, "");
+    check("friction.static_force_sd_n", friction.static_force_sd_n, 0.0..=1000.0, "");
+    check("friction.correlation", friction.correlation, -1.0..=1.0, "");
+    if let Some(estimate) = &model.estimate {
+        check("estimate.eta", estimate.eta, 0.01..=100.0, "");
+        check("estimate.eta_sd", estimate.eta_sd(), 0.0..=100.0, "");
+        check("estimate.lambda_mm", estimate.lambda_mm, -10.0..=10.0, "");
+        check("estimate.lambda_sd_mm", estimate.lambda_sd_mm(), 0.0..=10.0, "");
+        // A rounding above 1 is no fault of the file's.
+        check("estimate.correlation", estimate.correlation(), -1.000001..=1.000001, "");
+    }
+    let (key, value, range, why) = checks.into_iter().find(|(_, value, range, _)| !range.contains(value))?;
+    Some(Fault { key, value, range, why })
+}
+
+/// Where in the text the key of a dotted path stands; `None` where a default stands in for it.
+fn line_of_key(table: &DeTable, path: &str) -> Option<usize> {
+    let (first, rest) = path.split_once('.').map_or((path, None), |(first, rest)| (first, Some(rest)));
+    let (key, value) = table.get_key_value(first)?;
+    match rest {
+        None => Some(key.span().start),
+        Some(rest) => line_of_key(value.get_ref().as_table()?, rest),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn estimated() -> Model {
+        let covariance = Matrix2::new(1.6e-5, 2e-7, 2e-7, 3.6e-7);
+        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance, samples: 36 };
+        Model { estimate: Some(estimate), ..Model::default() }
+    }
+
+    fn read_text(text: &str) -> Result<Model> {
+        parse(Path::new("lab/model.toml"), text)
+    }
+
+    fn message(text: &str) -> String {
+        read_text(text).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn the_calibration_file_is_the_papers_robot() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("calib/robot.toml");
+        assert_eq!(read_model(&path).unwrap(), Model::default());
+    }
+
+    #[test]
+    fn what_is_left_out_is_the_papers() {
+        assert_eq!(read_text("").unwrap(), Model::default());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn what_was_written_is_read(eta in 0.1..5.0f64, lambda_mm in -1.0..1.0f64, sd in 1e-9..1.0f64, rho in -1.0..1.0f64, length_mm in 10.0..99.0f64) {
+            let mut model = estimated();
+            model.robot.length_mm = length_mm;
+            let covariance = Matrix2::new(sd * sd, rho * sd * 1e-3, rho * sd * 1e-3, 1e-6);
+            model.estimate = Some(Estimate { eta, lambda_mm, covariance, samples: 7 });
+            let back = read_text(&model_toml(&model).unwrap()).unwrap();
+            prop_assert_eq!(&back.robot, &model.robot);
+            prop_assert_eq!(back.friction, model.friction);
+            let read = back.estimate.unwrap();
+            prop_assert_eq!((read.eta, read.lambda_mm, read.samples), (eta, lambda_mm, 7));
+            prop_assert!((read.covariance - covariance).amax() <= 1e-12 * covariance.amax());
+        }
+
+        #[test]
+        fn no_text_panics(text in "\\PC{0,200}") {
+            let _ = read_text(&text);
+        }
+    }
+
+    #[test]
+    fn a_file_is_written_and_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.toml");
+        write_model(&path, &estimated()).unwrap();
+        assert_eq!(read_model(&path).unwrap().estimate.unwrap().samples, 36);
+    }
+
+    #[test]
+    fn an_unknown_key_is_named_with_its_line() {
+        let text =
+            "[friction]\nmu = 0.2\nstatic_force_n = 1.9\nmu_sd = 0\nstatic_force_sd_n = 0\ncorrelation = 0\nmuu = 1\n";
+        let message = message(text);
+        assert!(message.contains("lab/model.toml:7") && message.contains("muu"), "{message}");
+    }
+
+    #[test]
+    fn an_implausible_number_is_named_with_its_line() {
+        let good = model_toml(&estimated()).unwrap();
+        for (from, to, key) in [
+            ("length_mm = 26.0", "length_mm = -26.0", "robot.length_mm"),
+            ("cone_bend_angle_deg = 41.0", "cone_bend_angle_deg = nan", "robot.line.cone_bend_angle_deg"),
+            ("inner_diameter_mm = 0.5", "inner_diameter_mm = 0.66", "robot.primary.inner_diameter_mm"),
+            ("eta = 1.221", "eta = inf", "estimate.eta"),
+            ("mu = 0.1727", "mu = 17.27", "friction.mu"),
+        ] {
+            assert!(good.contains(from), "{good}");
+            let bad = good.replacen(from, to, 1);
+            let line = 1 + bad.lines().position(|line| line == to).unwrap();
+            let message = message(&bad);
+            assert!(message.contains(&format!("model.toml:{line}: {key} =")), "{message}");
+        }
+    }
+
+    #[test]
+    fn text_in_place_of_a_number_is_an_error_with_its_line() {
+        let text = model_toml(&estimated()).unwrap().replacen("eta = 1.221", "eta = \"much\"", 1);
+        assert!(message(&text).contains("expected f64"), "{}", message(&text));
+    }
+
+    #[test]
+    fn an_effect_that_is_not_known_is_named() {
+        let message = message("\n\n[[effect]]\nname = \"moon_phase\"\n");
+        assert!(message.contains("model.toml:3") && message.contains("moon_phase"), "{message}");
+    }
+
+    #[test]
+    fn a_model_that_could_not_be_read_back_is_not_written() {
+        let mut model = estimated();
+        model.estimate.as_mut().unwrap().eta = f64::NAN;
+        assert!(model_toml(&model).unwrap_err().to_string().contains("estimate.eta"));
+    }
+}

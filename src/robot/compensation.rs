@@ -1,0 +1,368 @@
+//! Compensation: ε of Eq. 16–18, what to command (Eq. 23), the updated Jacobian (Eq. 24–26) and the forward problem.
+//!
+//! # ε and its derivatives
+//!
+//! ε is linear in x = (η, λ), and a sum of terms:
+//!
+//! ```text
+//! ε(ψ) = ε_0 + H(ψ) x,     H = [ κ τ(ψ)   1 ],     ε_0 = K_c⁻¹ e^{2μφ} f_s 1,     κ = K_d⁻¹ + e^{2μφ} K_c⁻¹
+//! ```
+//!
+//! (The paper's Eq. 20 prints K_d τ and K_c τ where Eq. 18 needs the inverses.) Every further term of the actuation
+//! line's model is one more summand of [`Model::epsilon_fixed`] and of its derivative in [`Model::epsilon_by_bend`]; all
+//! else here follows from these.
+//!
+//! The α(ψ) that the paper leaves open follows from [statics](super::statics): with τ = Q (QᵗQ)⁻¹ ∇_b E,
+//!
+//! ```text
+//! ∂ε/∂b = η κ Q (QᵗQ)⁻¹ H_E(b),      α = ∂ε/∂ψ = ∂ε/∂b · ∂b/∂ψ
+//! ```
+//!
+//! with H_E the Hessian of the elastic energy. Eq. 26 in b is (I + Q⁺ ∂ε/∂b)⁻¹ Q⁺, and for ψ it is that, turned by
+//! (∂b/∂ψ)⁻¹: the two inverses of Eq. 26 combine into one 2×2 that is regular at θ = 0.
+//!
+//! # The forward problem
+//!
+//! Three encoders command two angles. The snake settles where the lines' three extensions agree with one set of forces;
+//! forces may differ from the least-norm τ(ψ) by a common force, which does no work on the snake (the columns of Q sum
+//! to zero), so q̃ is met by
+//!
+//! ```text
+//! q̃ = q(ψ) + ε(ψ) + c 1
+//! ```
+//!
+//! in three unknowns: b and c. Q⁺ removes c and leaves b + Q⁺ε(b) = Q⁺q̃, solved by Newton's method; c is then the mean of what
+//! is left. With η > 0 the left side is the gradient of the convex ½|b|² + ηκ·2/(3r²)·E(b), so there is one solution and
+//! damped Newton finds it. c is the common stretch that the redundancy takes up as internal force c/κ in each backbone.
+//!
+//! The model answers up to θ = 120° ([`MAX_THETA`]). The paper's experiments end below 90°; the margin lets a command or a
+//! noisy reading near that end have an answer, and beyond it nothing was ever checked.
+
+use super::kinematics::{bend_by_configuration, configuration_by_bend};
+use super::model::Model;
+use crate::error::{Error, Result};
+use crate::geometry::Configuration;
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Matrix3x2, Vector2, Vector3};
+use std::f64::consts::PI;
+
+/// The largest bend that the model answers for, rad (120°).
+pub const MAX_THETA: f64 = 2.0 * PI / 3.0;
+
+/// What a bent snake does for a given q̃.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Response {
+    /// θ and δ.
+    pub configuration: Configuration,
+    /// c: the part of q̃ common to all backbones that the model does not explain, mm.
+    pub common_mm: f64,
+    /// The internal force c/κ that the redundancy takes up in each backbone, N; positive compresses.
+    pub internal_force_n: f64,
+}
+
+impl Model {
+    /// κ = K_d⁻¹ + e^{2μφ} K_c⁻¹, mm/N: how much of q̃ the line swallows per newton of τ (Eq. 16, 17).
+    pub fn line_compliance_mm_per_n(&self) -> f64 {
+        self.robot.holder_compliance_mm_per_n() + self.capstan_factor() * self.robot.cone_compliance_mm_per_n()
+    }
+
+    /// K_c⁻¹ e^{2μφ} f_s, mm: what static friction adds to every backbone.
+    pub fn static_friction_mm(&self) -> f64 {
+        self.capstan_factor() * self.robot.cone_compliance_mm_per_n() * self.friction.static_force_n
+    }
+
+    fn capstan_factor(&self) -> f64 {
+        self.friction.capstan_factor(self.robot.line.cone_bend_angle())
+    }
+
+    /// ε_0, mm: the terms of ε that x = (η, λ) does not multiply.
+    pub fn epsilon_fixed(&self) -> Vector3<f64> {
+        Vector3::repeat(self.static_friction_mm())
+    }
+
+    /// H = ∂ε/∂(η, λ) at a bend vector, mm: a row block of Eq. 20.
+    pub fn epsilon_by_parameters(&self, bend: Vector2<f64>) -> Matrix3x2<f64> {
+        let elastic = self.robot.actuation_forces(bend, None) * self.line_compliance_mm_per_n();
+        Matrix3x2::from_columns(&[elastic, Vector3::repeat(1.0)])
+    }
+
+    /// ∂ε/∂b at a bend vector, mm per rad.
+    pub fn epsilon_by_bend(&self, bend: Vector2<f64>) -> Matrix3x2<f64> {
+        self.robot.actuation_forces_by_bend(bend) * (self.parameters().x * self.line_compliance_mm_per_n())
+    }
+
+    /// Eq. 18: ε at a bend vector, mm.
+    pub fn epsilon_at(&self, bend: Vector2<f64>) -> Vector3<f64> {
+        self.epsilon_fixed() + self.epsilon_by_parameters(bend) * self.parameters()
+    }
+
+    /// Eq. 18: ε(ψ), mm.
+    pub fn epsilon(&self, psi: Configuration) -> Vector3<f64> {
+        self.epsilon_at(psi.bend_vector())
+    }
+
+    /// Eq. 25: α(ψ) = ∂ε/∂(θ, δ), mm per rad.
+    pub fn alpha(&self, psi: Configuration) -> Matrix3x2<f64> {
+        self.epsilon_by_bend(psi.bend_vector()) * bend_by_configuration(psi)
+    }
+
+    /// Eq. 23: q̃ = q + ε, mm, what to command so that the snake takes a configuration.
+    pub fn command(&self, psi: Configuration) -> Vector3<f64> {
+        self.robot.joint_displacements(psi) + self.epsilon(psi)
+    }
+
+    /// Covariance of [`command`](Self::command), mm², from that of (η, λ).
+    pub fn command_covariance(&self, psi: Configuration) -> Matrix3<f64> {
+        let by_parameters = self.epsilon_by_parameters(psi.bend_vector());
+        by_parameters * self.parameter_covariance() * by_parameters.transpose()
+    }
+
+    /// Eq. 26 for the bend vector: ∂b/∂q̃, rad per mm. Smooth at θ = 0.
+    ///
+    /// # Errors
+    /// [`Error::Domain`] where the model's derivative is singular, which no η > 0 makes it.
+    pub fn updated_jacobian_bend(&self, bend: Vector2<f64>) -> Result<Matrix2x3<f64>> {
+        let inverse = self.robot.bend_by_displacement();
+        let stretched = Matrix2::identity() + inverse * self.epsilon_by_bend(bend);
+        let relaxed = stretched.try_inverse().ok_or_else(|| {
+            Error::Domain(format!(
+                "the model has no unique bend at θ = {:.2}°: η = {} makes its derivative singular; check the estimate",
+                bend.norm().to_degrees(),
+                self.parameters().x
+            ))
+        })?;
+        Ok(relaxed * inverse)
+    }
+
+    /// Eq. 26: J̃_ψq = (I + J_ψq α)⁻¹ J_ψq = ∂(θ, δ)/∂q̃, rad per mm.
+    ///
+    /// # Errors
+    /// [`Error::Domain`] at θ = 0, where δ is not defined; use [`updated_jacobian_bend`](Self::updated_jacobian_bend) there.
+    pub fn updated_jacobian(&self, psi: Configuration) -> Result<Matrix2x3<f64>> {
+        Ok(polar(psi)? * self.updated_jacobian_bend(psi.bend_vector())?)
+    }
+
+    /// The configuration that a q̃ (mm) leads to, and what the redundancy takes up.
+    ///
+    /// # Errors
+    /// [`Error::Domain`] for a q̃ that is not finite, or that would bend the snake beyond [`MAX_THETA`].
+    pub fn forward(&self, q_tilde_mm: &Vector3<f64>) -> Result<Response> {
+        let bend = self.forward_bend(q_tilde_mm)?;
+        let left = q_tilde_mm - self.robot.displacement_by_bend() * bend - self.epsilon_at(bend);
+        Ok(Response {
+            configuration: Configuration::from_bend_vector(bend),
+            common_mm: left.mean(),
+            internal_force_n: left.mean() / self.line_compliance_mm_per_n(),
+        })
+    }
+
+    /// The bend vector (rad) that a q̃ (mm) leads to.
+    ///
+    /// # Errors
+    /// As [`forward`](Self::forward).
+    pub fn forward_bend(&self, q_tilde_mm: &Vector3<f64>) -> Result<Vector2<f64>> {
+        let inverse = self.robot.bend_by_displacement();
+        let target = inverse * q_tilde_mm;
+        let outside = || {
+            Error::Domain(format!(
+                "q̃ = ({:.3}, {:.3}, {:.3}) mm bends the snake beyond {:.0}°, where the model does not hold; command \
+                 less, or check the encoders' units and zero",
+                q_tilde_mm.x,
+                q_tilde_mm.y,
+                q_tilde_mm.z,
+                MAX_THETA.to_degrees()
+            ))
+        };
+        let misfit = |bend: Vector2<f64>| bend + inverse * self.epsilon_at(bend) - target;
+        let mut bend = Vector2::zeros();
+        let mut gap = misfit(bend);
+        let tolerance = 1e-13 * (1.0 + target.norm());
+        for _ in 0..50 {
+            if gap.norm() <= tolerance {
+                return if bend.norm() <= MAX_THETA { Ok(bend) } else { Err(outside()) };
+            }
+            let slope = Matrix2::identity() + inverse * self.epsilon_by_bend(bend);
+            let Some(step) = slope.try_inverse().map(|inverted| -(inverted * gap)) else { break };
+            // Full steps nearly always; a shorter one where the misfit would grow or the bend leave all reason.
+            let mut share = 1.0;
+            let (next, next_gap) = loop {
+                let next = bend + step * share;
+                let next_gap = misfit(next);
+                if next.norm() <= 2.0 * MAX_THETA && next_gap.norm() < gap.norm() {
+                    break (next, next_gap);
+                }
+                share /= 2.0;
+                if share < 1e-6 {
+                    // No step improves: at the limit of what doubles resolve, or against the workspace's end.
+                    let solved = gap.norm() <= 1e3 * tolerance && bend.norm() <= MAX_THETA;
+                    return if solved { Ok(bend) } else { Err(outside()) };
+                }
+            };
+            (bend, gap) = (next, next_gap);
+        }
+        Err(outside())
+    }
+
+    /// Covariance of the bend vector (rad²) that a given q̃ leads to, from that of (η, λ).
+    ///
+    /// # Errors
+    /// As [`updated_jacobian_bend`](Self::updated_jacobian_bend).
+    pub fn response_covariance_bend(&self, bend: Vector2<f64>) -> Result<Matrix2<f64>> {
+        let by_parameters = self.updated_jacobian_bend(bend)? * self.epsilon_by_parameters(bend);
+        Ok(by_parameters * self.parameter_covariance() * by_parameters.transpose())
+    }
+
+    /// Covariance of (θ, δ), rad², that a given q̃ leads to, from that of (η, λ).
+    ///
+    /// # Errors
+    /// As [`updated_jacobian`](Self::updated_jacobian).
+    pub fn response_covariance(&self, psi: Configuration) -> Result<Matrix2<f64>> {
+        let turn = polar(psi)?;
+        Ok(turn * self.response_covariance_bend(psi.bend_vector())? * turn.transpose())
+    }
+}
+
+/// (∂b/∂ψ)⁻¹, an error at θ = 0.
+fn polar(psi: Configuration) -> Result<Matrix2<f64>> {
+    configuration_by_bend(psi)
+        .ok_or_else(|| Error::Domain("δ is not defined at θ = 0; use the bend vector there".into()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::{Estimate, Friction};
+    use approx::assert_relative_eq;
+    use proptest::prelude::*;
+
+    fn paper() -> Model {
+        let estimate =
+            Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::new(1e-4, 2e-6, 2e-6, 1e-6), samples: 10 };
+        Model { friction: Friction::paper_printed(), estimate: Some(estimate), ..Model::default() }
+    }
+
+    fn any_configuration() -> impl Strategy<Value = Configuration> {
+        (prop_oneof![Just(0.0), 0.0..1e-6f64, 0.0..1e-2f64, 0.0..MAX_THETA], -PI..PI)
+            .prop_map(|(theta, delta)| Configuration { theta, delta })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(512))]
+
+        #[test]
+        fn alpha_is_the_derivative_of_epsilon(psi in any_configuration(), eta in 0.5..2.0f64) {
+            let mut model = paper();
+            model.estimate.as_mut().unwrap().eta = eta;
+            let h = 1e-5;
+            // θ − h may be negative: ε(b) with b = θ (cos δ, sin δ) continues smoothly through the straight snake.
+            let epsilon = |theta: f64, delta: f64| model.epsilon_at(theta * Vector2::new(delta.cos(), delta.sin()));
+            let numeric = Matrix3x2::from_columns(&[
+                (epsilon(psi.theta + h, psi.delta) - epsilon(psi.theta - h, psi.delta)) / (2.0 * h),
+                (epsilon(psi.theta, psi.delta + h) - epsilon(psi.theta, psi.delta - h)) / (2.0 * h),
+            ]);
+            let alpha = model.alpha(psi);
+            prop_assert!((numeric - alpha).norm() < 1e-8, "{numeric} {alpha}");
+        }
+
+        #[test]
+        fn the_updated_jacobian_is_equation_26_and_inverts_the_command(psi in any_configuration()) {
+            let model = paper();
+            let h = 1e-5;
+            let bend = psi.bend_vector();
+            let q_tilde = |b: Vector2<f64>| model.robot.displacement_by_bend() * b + model.epsilon_at(b);
+            let by_bend = Matrix3x2::from_columns(&[0, 1].map(|axis| {
+                let step = Vector2::ith(axis, h);
+                (q_tilde(bend + step) - q_tilde(bend - step)) / (2.0 * h)
+            }));
+            let product = model.updated_jacobian_bend(bend).unwrap() * by_bend;
+            prop_assert!((product - Matrix2::identity()).norm() < 1e-7);
+            prop_assume!(psi.theta > 1e-4);
+            let j = model.robot.jacobian_psi_q(psi).unwrap();
+            let printed = (Matrix2::identity() + j * model.alpha(psi)).try_inverse().unwrap() * j;
+            let ours = model.updated_jacobian(psi).unwrap();
+            prop_assert!((printed - ours).norm() < 1e-9 * ours.norm());
+        }
+
+        #[test]
+        fn forward_undoes_the_command_and_finds_the_common_part(psi in any_configuration(), common in -0.5..0.5f64) {
+            prop_assume!(psi.theta < MAX_THETA - 1e-9);
+            let model = paper();
+            let response = model.forward(&model.command(psi).add_scalar(common)).unwrap();
+            prop_assert!((response.configuration.bend_vector() - psi.bend_vector()).norm() < 1e-11);
+            prop_assert!((response.common_mm - common).abs() < 1e-11);
+        }
+
+        #[test]
+        fn forward_answers_any_encoders_without_panic(q in proptest::array::uniform3(-1e3..1e3f64), eta in -3.0..5.0f64) {
+            let mut model = paper();
+            model.estimate.as_mut().unwrap().eta = eta;
+            if let Ok(response) = model.forward(&Vector3::from(q)) {
+                prop_assert!(response.configuration.theta <= MAX_THETA);
+                let met = model.command(response.configuration).add_scalar(response.common_mm);
+                let along = model.robot.bend_by_displacement() * (met - Vector3::from(q));
+                prop_assert!(along.norm() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn the_naive_model_is_section_iv() {
+        // ε = K_d⁻¹ τ + K_c⁻¹ τ̃ with τ̃ = (τ + f_s) e^{2μφ}, backbone by backbone.
+        let model = Model::default();
+        let psi = Configuration::from_degrees(60.0, 25.0);
+        let area = PI / 4.0 * (0.66f64.powi(2) - 0.5f64.powi(2));
+        let phi = 41f64.to_radians();
+        let tau = model.robot.actuation_forces(psi.bend_vector(), None);
+        let expected = tau.map(|tau| {
+            tau * 480.0 / (54_000.0 * area)
+                + model.friction.actuation_force_n(tau, phi) * 40.0 * phi / (54_000.0 * area)
+        });
+        assert_relative_eq!(model.epsilon(psi), expected, epsilon = 1e-12);
+    }
+
+    #[test]
+    fn epsilon_of_the_elastic_part_has_the_sign_of_q() {
+        let model = Model::default();
+        let psi = Configuration::from_degrees(60.0, 25.0);
+        let q = model.robot.joint_displacements(psi);
+        let elastic = model.epsilon(psi) - model.epsilon_fixed();
+        assert!(q.component_mul(&elastic).iter().all(|&product| product > 0.0));
+    }
+
+    #[test]
+    fn beyond_the_workspace_and_not_finite_are_errors() {
+        let model = paper();
+        let far = model.command(Configuration::from_degrees(125.0, 40.0));
+        assert!(model.forward(&far).unwrap_err().to_string().contains("120°"));
+        assert!(model.forward(&Vector3::new(f64::NAN, 0.0, 0.0)).is_err());
+        assert!(model.forward(&Vector3::new(f64::INFINITY, 0.0, 0.0)).is_err());
+        assert!(model.updated_jacobian(Configuration::new(0.0, 0.0)).is_err());
+    }
+
+    #[test]
+    fn covariances_are_those_of_redrawn_parameters() {
+        let model = paper();
+        let psi = Configuration::from_degrees(70.0, -140.0);
+        let q_tilde = model.command(psi);
+        let lower = model.parameter_covariance().cholesky().unwrap().l();
+        // Points at ±√2 along both axes of the parameters' ellipse carry its covariance exactly.
+        let mut command = Matrix3::zeros();
+        let mut response = Matrix2::zeros();
+        for axis in 0..2 {
+            for sign in [-1.0, 1.0] {
+                let shift = lower.column(axis) * sign * 2f64.sqrt();
+                let mut moved = model.clone();
+                let estimate = moved.estimate.as_mut().unwrap();
+                estimate.eta += shift.x;
+                estimate.lambda_mm += shift.y;
+                let by_command = moved.command(psi) - q_tilde;
+                let by_response = moved.forward(&q_tilde).unwrap().configuration;
+                let by_response = Vector2::new(by_response.theta - psi.theta, by_response.delta - psi.delta);
+                command += by_command * by_command.transpose() / 4.0;
+                response += by_response * by_response.transpose() / 4.0;
+            }
+        }
+        assert_relative_eq!(command, model.command_covariance(psi), epsilon = 1e-12);
+        let predicted = model.response_covariance(psi).unwrap();
+        assert!((response - predicted).norm() < 0.02 * predicted.norm(), "{response} {predicted}");
+    }
+}

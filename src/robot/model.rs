@@ -1,0 +1,60 @@
+//! The model: what a prediction needs to know about one robot.
+
+use super::{Friction, Robot};
+use nalgebra::{Matrix2, Vector2};
+
+/// The estimated parameters x = (η, λ) of Eq. 18.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// η, which scales the snake's actuation forces.
+    pub eta: f64,
+    /// λ, the backlash that all three actuators share, mm.
+    pub lambda_mm: f64,
+    /// Covariance of (η, λ in mm).
+    pub covariance: Matrix2<f64>,
+    /// Measurements behind the estimate.
+    pub samples: usize,
+}
+
+impl Estimate {
+    /// Standard deviation of η.
+    pub fn eta_sd(&self) -> f64 {
+        self.covariance[(0, 0)].sqrt()
+    }
+
+    /// Standard deviation of λ, mm.
+    pub fn lambda_sd_mm(&self) -> f64 {
+        self.covariance[(1, 1)].sqrt()
+    }
+
+    /// Correlation of the errors of η and λ; 0 where one of them has none.
+    pub fn correlation(&self) -> f64 {
+        let scale = self.eta_sd() * self.lambda_sd_mm();
+        if scale > 0.0 { self.covariance[(0, 1)] / scale } else { 0.0 }
+    }
+}
+
+/// The robot, its friction, and what has been learned about its actuation line.
+///
+/// The default is the paper's robot with the calibrated friction and no estimate: naive compensation.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Model {
+    /// Constants of the robot.
+    pub robot: Robot,
+    /// Constants of the snake cone.
+    pub friction: Friction,
+    /// η and λ; where absent, the naive η = 1, λ = 0 of Section IV.
+    pub estimate: Option<Estimate>,
+}
+
+impl Model {
+    /// x = (η, λ in mm), (1, 0) where nothing was estimated.
+    pub fn parameters(&self) -> Vector2<f64> {
+        self.estimate.map_or(Vector2::new(1.0, 0.0), |estimate| Vector2::new(estimate.eta, estimate.lambda_mm))
+    }
+
+    /// Covariance of x; zero where nothing was estimated.
+    pub fn parameter_covariance(&self) -> Matrix2<f64> {
+        self.estimate.map_or(Matrix2::zeros(), |estimate| estimate.covariance)
+    }
+}
