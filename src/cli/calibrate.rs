@@ -1,0 +1,27 @@
+//! `calibrate`: what must be known once, before anything is measured.
+
+mod friction;
+
+use super::console::Console;
+use crate::Result;
+
+/// Find what does not change from run to run: friction
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  snakeloop calibrate friction calib/friction.csv")]
+pub struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    Friction(friction::Args),
+}
+
+impl Args {
+    pub fn run(&self, console: &Console) -> Result<()> {
+        match &self.what {
+            What::Friction(args) => args.run(console),
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! `evaluate`: the gap that a model leaves on data, and how far measurements are from a known truth.
+
+use super::console::Console;
+use super::inputs::{model_or_paper, rows};
+use crate::record::{read_encoders, read_measurements, read_truth};
+use crate::simulate::score::{self, Accuracy, AngleScore, Gap};
+use crate::{Error, Result};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Tell how well a model explains measurements, or how close measurements are to a known truth
+///
+/// The model's gap is the rms of what it leaves of ε over all backbones (mm), beside what the measurements' own noise
+/// would leave, and the rms of measured θ and δ less those that it predicts from the encoders (degrees). δ counts where
+/// the bend is 15° or more.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  snakeloop evaluate --model out/model.toml --measurements out/measurements.csv \
+                  --encoders fixtures/bending/encoders.csv --json")]
+pub struct Args {
+    /// The model (model.toml); without it the paper's, with Table I
+    #[arg(long, value_name = "MODEL")]
+    model: Option<PathBuf>,
+    /// What the eye measured (measurements.csv)
+    #[arg(long, value_name = "CSV")]
+    measurements: PathBuf,
+    /// The encoder log (encoders.csv)
+    #[arg(long, value_name = "CSV", required_unless_present = "truth")]
+    encoders: Option<PathBuf>,
+    /// The true angles of synthetic frames (truth.csv): scores the measurements themselves
+    #[arg(long, value_name = "CSV")]
+    truth: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct Evaluation {
+    #[serde(flatten)]
+    gap: Option<Gap>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    accuracy: Option<Accuracy>,
+}
+
+impl Args {
+    pub fn run(&self, console: &Console) -> Result<()> {
+        let measurements = rows(console, read_measurements(&self.measurements)?);
+        let gap = match &self.encoders {
+            None => None,
+            Some(path) => {
+                let model = model_or_paper(self.model.as_deref())?;
+                let gap = score::gap(&model, &measurements, &rows(console, read_encoders(path)?));
+                if gap.samples == 0 {
+                    let message = "no measurement with angles has an encoder reading of the same index in this file";
+                    return Err(Error::content(path, message));
+                }
+                Some(gap)
+            }
+        };
+        let accuracy = match &self.truth {
+            None => None,
+            Some(path) => {
+                let accuracy = score::accuracy(&measurements, &rows(console, read_truth(path)?));
+                if accuracy.frames == 0 {
+                    return Err(Error::content(path, "no measurement has the index of a frame in this file"));
+                }
+                Some(accuracy)
+            }
+        };
+        let evaluation = Evaluation { gap, accuracy };
+        console.result(&evaluation, || evaluation.text());
+        Ok(())
+    }
+}
+
+impl Evaluation {
+    fn text(&self) -> String {
+        let mut text = String::new();
+        if let Some(gap) = &self.gap {
+            text += &format!(
+                "samples      {}\nrms of ε     {:.5} mm (noise alone: {:.5} mm)\nrms of θ     {:.3}°\n\
+                 rms of δ     {:.3}° ({} samples bent by 15° or more)\n",
+                gap.samples,
+                gap.rms_eps_mm,
+                gap.noise_floor_mm,
+                gap.rms_theta_deg,
+                gap.rms_delta_deg,
+                gap.delta_samples
+            );
+            if gap.unpredicted > 0 {
+                text +=
+                    &format!("no prediction for {} samples: their encoders lie outside the model\n", gap.unpredicted);
+            }
+        }
+        if let Some(accuracy) = &self.accuracy {
+            text += &format!(
+                "against the truth: {} of {} frames measured\n{}{}",
+                accuracy.measured,
+                accuracy.frames,
+                against_truth("θ", &accuracy.theta),
+                against_truth("δ", &accuracy.delta)
+            );
+        }
+        text
+    }
+}
+
+fn against_truth(angle: &str, score: &AngleScore) -> String {
+    if score.samples == 0 {
+        return format!("error of {angle}   no frame to score\n");
+    }
+    format!(
+        "error of {angle}   rms {:.4}°, mean {:+.4}°, worst {:.4}° (frame {}), {:.1} % within 3σ, reduced χ² {:.2}, {} frames\n",
+        score.rms_deg,
+        score.mean_deg,
+        score.worst_deg,
+        score.worst_index.unwrap_or_default(),
+        100.0 * score.within_3_sigma,
+        score.reduced_chi2,
+        score.samples
+    )
+}
