@@ -230,7 +230,7 @@ rectification_matrix:
         for text in [OPENCV.to_owned(), OPENCV.replace("%YAML:1.0", "%YAML 1.2"), OPENCV.replace("%YAML:1.0\n", "")] {
             let lens = parse(&text).unwrap();
             assert_eq!((lens.width, lens.height), (1280, 720));
-            assert_eq!(lens.focal_px, Vector2::new(4861.2826321440971, 4861.2826321440971));
+            assert_eq!(lens.focal_px, Vector2::new(4861.282632144097, 4861.282632144097));
             assert_eq!(lens.centre_px, Point2::new(639.5, 359.5));
             assert_eq!(lens.distortion[..6], [-0.1, 0.03, 0.0004, 0.0006, 0.0, 0.0]);
         }

@@ -79,7 +79,10 @@ fn globbed(folder: &Path, pattern: &str) -> Result<Vec<(u64, PathBuf)>> {
     let wrong = |e: glob::PatternError| Error::content(folder, format!("frames = \"{pattern}\": {}", e.msg));
     let mut files = Vec::new();
     for entry in glob::glob(&full).map_err(wrong)? {
-        let path = entry.map_err(|e| Error::io(&e.path().to_owned(), "read")(e.into()))?;
+        let path = entry.map_err(|e| {
+            let path = e.path().to_owned();
+            Error::io(&path, "read")(e.into())
+        })?;
         if path.is_file() {
             files.push((last_number(&path)?, path));
         }
