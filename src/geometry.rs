@@ -27,6 +27,12 @@ pub fn wrap_degrees(angle_deg: f64) -> f64 {
     if wrapped > 180.0 { wrapped - 360.0 } else { wrapped }
 }
 
+/// sin x / x, 1 at 0.
+pub fn sinc(x: f64) -> f64 {
+    // Where the series is cut, the term left out is below the last digit.
+    if x.abs() < 1e-4 { 1.0 - x * x / 6.0 } else { x.sin() / x }
+}
+
 /// The snake's configuration ψ = (θ, δ), radians.
 ///
 /// θ is the bend from straight, θ_0 − θ_L in the paper's terms, never negative. δ is the azimuth in the base frame that

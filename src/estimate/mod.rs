@@ -1,1 +1,15 @@
+//! From measurements to η and λ: the recursive estimator of Eq. 19–22, with a gate and fading memory.
 //!
+//! One measurement is one [`Row`]: what it says about x = (η, λ), and how well. A [`Filter`] holds what all rows so far
+//! say, in square-root form. [`Consistency`] compares what the rows scatter with what they promise, and makes the
+//! reported standard deviations honest. The [`Estimator`] brings them together.
+
+mod consistency;
+mod estimator;
+mod filter;
+mod row;
+
+pub use consistency::Consistency;
+pub use estimator::{Estimator, Options, Reason, Revision, Step, estimate};
+pub use filter::Filter;
+pub use row::{Row, Weighting};

@@ -5,9 +5,9 @@
 //! [friction]           # mu, static_force_n and how well they are known
 //! [estimate]           # absent until something was estimated
 //! eta = 1.221
-//! eta_sd = 0.004
+//! sd_eta = 0.004
 //! lambda_mm = 0.1765
-//! lambda_sd_mm = 0.0006
+//! sd_lambda_mm = 0.0006
 //! correlation = 0.1    # of the errors of eta and lambda
 //! samples = 36
 //! ```
@@ -42,9 +42,9 @@ struct ModelFile {
 #[serde(deny_unknown_fields)]
 pub(super) struct EstimateTable {
     eta: f64,
-    eta_sd: f64,
+    sd_eta: f64,
     lambda_mm: f64,
-    lambda_sd_mm: f64,
+    sd_lambda_mm: f64,
     correlation: f64,
     samples: usize,
 }
@@ -53,9 +53,9 @@ impl From<Estimate> for EstimateTable {
     fn from(estimate: Estimate) -> Self {
         Self {
             eta: estimate.eta,
-            eta_sd: estimate.eta_sd(),
+            sd_eta: estimate.sd_eta(),
             lambda_mm: estimate.lambda_mm,
-            lambda_sd_mm: estimate.lambda_sd_mm(),
+            sd_lambda_mm: estimate.sd_lambda_mm(),
             correlation: estimate.correlation(),
             samples: estimate.samples,
         }
@@ -64,11 +64,11 @@ impl From<Estimate> for EstimateTable {
 
 impl From<EstimateTable> for Estimate {
     fn from(table: EstimateTable) -> Self {
-        let cross = table.correlation * table.eta_sd * table.lambda_sd_mm;
+        let cross = table.correlation * table.sd_eta * table.sd_lambda_mm;
         Self {
             eta: table.eta,
             lambda_mm: table.lambda_mm,
-            covariance: Matrix2::new(table.eta_sd.powi(2), cross, cross, table.lambda_sd_mm.powi(2)),
+            covariance: Matrix2::new(table.sd_eta.powi(2), cross, cross, table.sd_lambda_mm.powi(2)),
             samples: table.samples,
         }
     }
@@ -198,14 +198,14 @@ fn first_fault(model: &Model) -> Option<Fault> {
     check("robot.body.spacer_disk_count", f64::from(body.spacer_disk_count), 0.0..=255.0, "");
     check("friction.mu", friction.mu, 0.0..=2.0, "");
     check("friction.static_force_n", friction.static_force_n, 0.0..=1000.0, "");
-    check("friction.mu_sd", friction.mu_sd, 0.0..=2.0, "");
-    check("friction.static_force_sd_n", friction.static_force_sd_n, 0.0..=1000.0, "");
+    check("friction.sd_mu", friction.sd_mu, 0.0..=2.0, "");
+    check("friction.sd_static_force_n", friction.sd_static_force_n, 0.0..=1000.0, "");
     check("friction.correlation", friction.correlation, -1.0..=1.0, "");
     if let Some(estimate) = &model.estimate {
         check("estimate.eta", estimate.eta, 0.01..=100.0, "");
-        check("estimate.eta_sd", estimate.eta_sd(), 0.0..=100.0, "");
+        check("estimate.sd_eta", estimate.sd_eta(), 0.0..=100.0, "");
         check("estimate.lambda_mm", estimate.lambda_mm, -10.0..=10.0, "");
-        check("estimate.lambda_sd_mm", estimate.lambda_sd_mm(), 0.0..=10.0, "");
+        check("estimate.sd_lambda_mm", estimate.sd_lambda_mm(), 0.0..=10.0, "");
         // A rounding above 1 is no fault of the file's.
         check("estimate.correlation", estimate.correlation(), -1.000001..=1.000001, "");
     }
@@ -286,7 +286,7 @@ mod tests {
     #[test]
     fn an_unknown_key_is_named_with_its_line() {
         let text =
-            "[friction]\nmu = 0.2\nstatic_force_n = 1.9\nmu_sd = 0\nstatic_force_sd_n = 0\ncorrelation = 0\nmuu = 1\n";
+            "[friction]\nmu = 0.2\nstatic_force_n = 1.9\nsd_mu = 0\nsd_static_force_n = 0\ncorrelation = 0\nmuu = 1\n";
         let message = message(text);
         assert!(message.contains("lab/model.toml:7") && message.contains("muu"), "{message}");
     }

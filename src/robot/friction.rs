@@ -26,9 +26,9 @@ pub struct Friction {
     /// Equivalent static friction f_s, N.
     pub static_force_n: f64,
     /// Standard deviation of μ.
-    pub mu_sd: f64,
+    pub sd_mu: f64,
     /// Standard deviation of f_s, N.
-    pub static_force_sd_n: f64,
+    pub sd_static_force_n: f64,
     /// Correlation of their errors, in [−1, 1].
     pub correlation: f64,
 }
@@ -36,14 +36,14 @@ pub struct Friction {
 impl Default for Friction {
     /// The least-squares fit of Table II at standard gravity.
     fn default() -> Self {
-        Self { mu: 0.1727, static_force_n: 1.9209, mu_sd: 0.0091, static_force_sd_n: 0.1304, correlation: -0.827 }
+        Self { mu: 0.1727, static_force_n: 1.9209, sd_mu: 0.0091, sd_static_force_n: 0.1304, correlation: -0.827 }
     }
 }
 
 impl Friction {
     /// The constants as the paper prints them, with f_s at g = 10 m/s². The standard deviations are the fit's.
     pub fn paper_printed() -> Self {
-        Self { static_force_n: 1.959, static_force_sd_n: 0.1330, ..Self::default() }
+        Self { static_force_n: 1.959, sd_static_force_n: 0.1330, ..Self::default() }
     }
 
     /// e^{2μφ}, the capstan factor of the cone's two sections of angle φ (rad), Eq. 12.
@@ -58,8 +58,8 @@ impl Friction {
 
     /// Covariance of (μ, f_s in N).
     pub fn covariance(&self) -> Matrix2<f64> {
-        let cross = self.correlation * self.mu_sd * self.static_force_sd_n;
-        Matrix2::new(self.mu_sd.powi(2), cross, cross, self.static_force_sd_n.powi(2))
+        let cross = self.correlation * self.sd_mu * self.sd_static_force_n;
+        Matrix2::new(self.sd_mu.powi(2), cross, cross, self.sd_static_force_n.powi(2))
     }
 }
 
@@ -171,7 +171,7 @@ impl FrictionFit {
     }
 
     /// Standard error of μ.
-    pub fn mu_sd(&self) -> f64 {
+    pub fn sd_mu(&self) -> f64 {
         self.covariance[(0, 0)].sqrt()
     }
 
@@ -183,13 +183,13 @@ impl FrictionFit {
 
     /// The constants for a model, at standard gravity.
     pub fn friction(&self) -> Friction {
-        let (static_force_n, static_force_sd_n) = self.static_force_n(STANDARD_GRAVITY);
+        let (static_force_n, sd_static_force_n) = self.static_force_n(STANDARD_GRAVITY);
         let correlation = self.covariance[(0, 1)] / (self.covariance[(0, 0)] * self.covariance[(1, 1)]).sqrt();
         Friction {
             mu: self.mu,
             static_force_n,
-            mu_sd: self.mu_sd(),
-            static_force_sd_n,
+            sd_mu: self.sd_mu(),
+            sd_static_force_n,
             // Points exactly on a line have no errors to correlate.
             correlation: if correlation.is_finite() { correlation.clamp(-1.0, 1.0) } else { 0.0 },
         }
@@ -235,11 +235,11 @@ mod tests {
         let (fitted, built_in) = (fit.friction(), Friction::default());
         assert!((fitted.mu - built_in.mu).abs() < 5e-5);
         assert!((fitted.static_force_n - built_in.static_force_n).abs() < 5e-5);
-        assert!((fitted.mu_sd - built_in.mu_sd).abs() < 5e-5, "{}", fitted.mu_sd);
-        assert!((fitted.static_force_sd_n - built_in.static_force_sd_n).abs() < 5e-5, "{}", fitted.static_force_sd_n);
+        assert!((fitted.sd_mu - built_in.sd_mu).abs() < 5e-5, "{}", fitted.sd_mu);
+        assert!((fitted.sd_static_force_n - built_in.sd_static_force_n).abs() < 5e-5, "{}", fitted.sd_static_force_n);
         assert!((fitted.correlation - built_in.correlation).abs() < 5e-4, "{}", fitted.correlation);
         let printed = Friction::paper_printed();
-        assert!((fit.static_force_n(10.0).1 - printed.static_force_sd_n).abs() < 5e-5);
+        assert!((fit.static_force_n(10.0).1 - printed.sd_static_force_n).abs() < 5e-5);
     }
 
     #[test]

@@ -26,7 +26,7 @@
 //! δ-rows of the inverse Jacobians grow as 1/θ there, because δ itself loses its meaning.
 
 use super::Robot;
-use crate::geometry::{Configuration, Pose};
+use crate::geometry::{Configuration, Pose, sinc};
 use nalgebra::{
     Matrix2, Matrix2x3, Matrix3, Matrix3x2, Matrix6x2, Translation3, UnitQuaternion, Vector2, Vector3, Vector6,
 };
@@ -145,11 +145,6 @@ fn arc_point(bend: Vector2<f64>) -> Vector3<f64> {
     let half = sinc(theta / 2.0);
     let side = bend * (0.5 * half * half);
     Vector3::new(side.x, side.y, sinc(theta))
-}
-
-/// sin x / x.
-fn sinc(x: f64) -> f64 {
-    if x.abs() < 1e-4 { 1.0 - x * x / 6.0 } else { x.sin() / x }
 }
 
 /// With g = (1 − cos θ)/θ² and h = sin θ/θ: [g, g′/θ, h′/θ, (θ − sin θ)/θ³], by series where the closed forms cancel.

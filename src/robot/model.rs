@@ -18,18 +18,18 @@ pub struct Estimate {
 
 impl Estimate {
     /// Standard deviation of η.
-    pub fn eta_sd(&self) -> f64 {
+    pub fn sd_eta(&self) -> f64 {
         self.covariance[(0, 0)].sqrt()
     }
 
     /// Standard deviation of λ, mm.
-    pub fn lambda_sd_mm(&self) -> f64 {
+    pub fn sd_lambda_mm(&self) -> f64 {
         self.covariance[(1, 1)].sqrt()
     }
 
     /// Correlation of the errors of η and λ; 0 where one of them has none.
     pub fn correlation(&self) -> f64 {
-        let scale = self.eta_sd() * self.lambda_sd_mm();
+        let scale = self.sd_eta() * self.sd_lambda_mm();
         if scale > 0.0 { self.covariance[(0, 1)] / scale } else { 0.0 }
     }
 }

@@ -1,8 +1,14 @@
-//! The other way round, for tests: pictures of a snake whose bend is known.
+//! The other way round, for tests and for whoever has no robot: encoders and pictures of a snake whose bend is known, and
+//! the score of a model or an eye against them.
 
 mod body;
+pub mod plant;
 pub mod render;
 pub mod scene;
 pub mod score;
+pub mod trajectory;
+
+pub use plant::{Plant, Sample, SimulatedEye};
 pub use render::{coverage, hidden_fraction, render};
 pub use scene::Scene;
+pub use trajectory::{BendingExperiment, Waypoint};

@@ -75,7 +75,7 @@ impl From<&FrictionFit> for Fitted {
         Self {
             samples: fit.samples,
             mu: fit.mu,
-            sd_mu: fit.mu_sd(),
+            sd_mu: fit.sd_mu(),
             static_force_n,
             sd_static_force_n,
             static_force_n_at_g10,

@@ -1,0 +1,202 @@
+//! One measurement as linear equations for x = (η, λ): a row block of Eq. 20, and its covariance.
+//!
+//! Eq. 20 (with the inverses of K_d and K_c that Eq. 18 needs) says z = H x with z = q̃ − q(ψ) − ε_0 and H of
+//! [`Model::epsilon_by_parameters`]. Both sides are computed from the measured ψ, which is noisy; the encoders hardly
+//! are. With the bend vector measured as b_m = b + e,
+//!
+//! ```text
+//! q̃ = Q b + ε(b) + n    ⇒    q̃ − Q b* − A (b_m − b*) − ε_0 = H(b*) x − A e + n,     A = Q + ∂ε/∂b
+//! ```
+//!
+//! to first order about any b* near b. Two things follow.
+//!
+//! **Weights.** The covariance of a row is A Σ_b Aᵗ + σ_q² I: the camera's through the kinematics *and* through ε, and the
+//! encoders'. A has rank 2. Along its missing direction, the part common to all backbones, only the encoders' noise is
+//! left, and rightly so: a common part of q̃ moves neither θ nor δ, so the camera's noise cannot reach it. Where the model
+//! is wrong there by more than the encoders' noise, the [`Consistency`](super::Consistency) of that part shows it.
+//!
+//! **Where to evaluate H.** At b* = b_m the noise stands in H as well as in z and pulls η towards smaller values by
+//! (1 + η) σ²/θ², in the mean over the measurements; at small bends that is much. Once there is an estimate, the encoders
+//! tell b too, by the forward problem, and far better than the camera along what η does not change. b* is the weighted
+//! mean of both, so H soon depends on the quiet encoders alone, and the bias dies away with the number of measurements.
+
+use crate::geometry::Configuration;
+use crate::record::Measured;
+use crate::robot::Model;
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Rotation2, Vector2, Vector3};
+use std::f64::consts::PI;
+
+/// How measurements are weighted against each other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Weighting {
+    /// By each measurement's own sigmas.
+    Measured,
+    /// The paper's: one flat standard deviation (degrees; the paper takes 1) for every backbone of every measurement, as
+    /// r·σ in mm, with H at the measured configuration. The paper calls 1° 0.0294 mm; r·1° is 0.0262 mm.
+    Flat {
+        /// The standard deviation, degrees.
+        sigma_deg: f64,
+    },
+}
+
+/// One measurement's equations z = H x + noise, over the three backbones.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Row {
+    /// z, mm.
+    pub z: Vector3<f64>,
+    /// H: columns for η (mm) and λ (1).
+    pub h: Matrix3x2<f64>,
+    /// Covariance of the noise, mm².
+    pub covariance: Matrix3<f64>,
+}
+
+impl Row {
+    /// z − H x, mm.
+    pub fn residual(&self, x: &Vector2<f64>) -> Vector3<f64> {
+        self.z - self.h * x
+    }
+
+    /// The row of one measurement; `model` carries the estimate so far, if there is one.
+    pub(super) fn new(
+        model: &Model,
+        weighting: Weighting,
+        sd_encoder_mm: f64,
+        measured: &Measured,
+        q_tilde: &Vector3<f64>,
+    ) -> Self {
+        let bend = measured.configuration.bend_vector();
+        let q = model.robot.displacement_by_bend();
+        if let Weighting::Flat { sigma_deg } = weighting {
+            let sigma = model.robot.backbone_circle_radius_mm * sigma_deg.to_radians();
+            return Self {
+                z: q_tilde - q * bend - model.epsilon_fixed(),
+                h: model.epsilon_by_parameters(bend),
+                covariance: Matrix3::identity() * sigma.powi(2),
+            };
+        }
+        let (at, bend_covariance) = smoothed(model, sd_encoder_mm, measured, q_tilde)
+            .unwrap_or_else(|| (bend, bend_covariance(measured, measured.configuration)));
+        let slope = q + model.epsilon_by_bend(at);
+        Self {
+            z: q_tilde - q * at - slope * (bend - at) - model.epsilon_fixed(),
+            h: model.epsilon_by_parameters(at),
+            covariance: slope * bend_covariance * slope.transpose() + Matrix3::identity() * sd_encoder_mm.powi(2),
+        }
+    }
+}
+
+/// The mean of the measured bend vector and the one the encoders imply, weighted by their covariances, and the covariance
+/// of the measured one; `None` where the encoders imply none, and before the first estimate.
+fn smoothed(
+    model: &Model,
+    sd_encoder_mm: f64,
+    measured: &Measured,
+    q_tilde: &Vector3<f64>,
+) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+    model.estimate?;
+    let implied = model.forward_bend(q_tilde).ok()?;
+    let by_encoders = model.updated_jacobian_bend(implied).ok()?;
+    let implied_covariance =
+        model.response_covariance_bend(implied).ok()? + by_encoders * by_encoders.transpose() * sd_encoder_mm.powi(2);
+    // Taken at the implied bend, too: weights that followed the noise would favour one sign of it.
+    let bend_covariance = bend_covariance(measured, Configuration::from_bend_vector(implied));
+    let gain = implied_covariance * (implied_covariance + bend_covariance).try_inverse()?;
+    Some((implied + gain * (measured.configuration.bend_vector() - implied), bend_covariance))
+}
+
+/// Covariance of the measured bend vector, rad², from that of (θ, δ) by moments to second order at a bend `at`.
+///
+/// Along the bend σ_θ² + θ²σ_δ⁴/2, across it (θ² + σ_θ²) σ_δ²: what first order leaves out matters where δ is hardly
+/// known, near straight and where the camera looks along the bend. δ is never worse than wholly unknown, π/√3.
+fn bend_covariance(measured: &Measured, at: Configuration) -> Matrix2<f64> {
+    let sigma_delta = measured.sigma_delta.min(PI / 3f64.sqrt());
+    let along = measured.sigma_theta.powi(2) + at.theta.powi(2) * sigma_delta.powi(4) / 2.0;
+    let across = (at.theta.powi(2) + measured.sigma_theta.powi(2)) * sigma_delta.powi(2);
+    let cross = measured.correlation * measured.sigma_theta * at.theta * sigma_delta;
+    let turn = Rotation2::new(at.delta);
+    turn * Matrix2::new(along, cross, cross, across) * turn.inverse()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::Estimate;
+    use proptest::prelude::*;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn measured(
+        theta_deg: f64,
+        delta_deg: f64,
+        sigma_theta_deg: f64,
+        sigma_delta_deg: f64,
+        correlation: f64,
+    ) -> Measured {
+        Measured {
+            configuration: Configuration::from_degrees(theta_deg, delta_deg),
+            sigma_theta: sigma_theta_deg.to_radians(),
+            sigma_delta: sigma_delta_deg.to_radians(),
+            correlation,
+        }
+    }
+
+    #[test]
+    fn the_bend_vectors_covariance_is_that_of_drawn_measurements() {
+        let mut random = rand::rngs::StdRng::seed_from_u64(3);
+        for (theta_deg, sigma_delta_deg, rho) in [(40.0, 0.4, 0.5), (2.0, 8.0, -0.3), (30.0, 12.0, 0.0)] {
+            let mean = measured(theta_deg, 50.0, 0.3, sigma_delta_deg, rho);
+            let draws: Vec<Vector2<f64>> = (0..20_000)
+                .map(|_| {
+                    let (a, b): (f64, f64) = (StandardNormal.sample(&mut random), StandardNormal.sample(&mut random));
+                    let theta = mean.configuration.theta + mean.sigma_theta * a;
+                    let delta = mean.configuration.delta + mean.sigma_delta * (rho * a + (1.0 - rho * rho).sqrt() * b);
+                    theta * Vector2::new(delta.cos(), delta.sin()) - mean.configuration.bend_vector()
+                })
+                .collect();
+            let count = draws.len() as f64;
+            let centre = draws.iter().sum::<Vector2<f64>>() / count;
+            let scatter = draws.iter().map(|d| (d - centre) * (d - centre).transpose()).sum::<Matrix2<f64>>() / count;
+            let predicted = bend_covariance(&mean, mean.configuration);
+            assert!((scatter - predicted).norm() < 0.06 * predicted.norm(), "{scatter} {predicted}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_rows_covariance_can_always_be_factored(
+            theta_deg in 0.0..120.0f64, delta_deg in -180.0..180.0f64, sigma in 0.0..10.0f64, sigma_delta in 0.0..1e4f64,
+            rho in -1.0..1.0f64
+        ) {
+            let measured = measured(theta_deg, delta_deg, sigma, sigma_delta, rho);
+            let q_tilde = Model::default().command(measured.configuration);
+            let estimate = Estimate { eta: 1.1, lambda_mm: 0.1, covariance: Matrix2::identity() * 1e-4, samples: 3 };
+            for estimate in [None, Some(estimate)] {
+                let model = Model { estimate, ..Model::default() };
+                let row = Row::new(&model, Weighting::Measured, 1.5e-3, &measured, &q_tilde);
+                prop_assert!(row.covariance.cholesky().is_some());
+                prop_assert!(row.h.iter().chain(row.z.iter()).all(|v| v.is_finite()));
+            }
+        }
+
+        #[test]
+        fn without_noise_a_row_is_equation_20_wherever_it_is_linearised(theta_deg in 0.0..110.0f64, delta_deg in -180.0..180.0f64) {
+            let estimate = Estimate { eta: 1.1, lambda_mm: 0.1, covariance: Matrix2::identity() * 1e-4, samples: 3 };
+            let model = Model { estimate: Some(estimate), ..Model::default() };
+            let measured = measured(theta_deg, delta_deg, 0.1, 0.2, 0.0);
+            let q_tilde = model.command(measured.configuration);
+            for weighting in [Weighting::Measured, Weighting::Flat { sigma_deg: 1.0 }] {
+                let row = Row::new(&model, weighting, 1.5e-3, &measured, &q_tilde);
+                prop_assert!(row.residual(&model.parameters()).norm() < 1e-10);
+            }
+        }
+    }
+
+    #[test]
+    fn the_cameras_noise_does_not_reach_the_common_part() {
+        let measured = measured(50.0, 20.0, 2.0, 3.0, 0.2);
+        let q_tilde = Model::default().command(measured.configuration);
+        let row = Row::new(&Model::default(), Weighting::Measured, 1.5e-3, &measured, &q_tilde);
+        let common = row.covariance.sum() / 9.0;
+        assert!((common - 1.5e-3f64.powi(2) / 3.0).abs() < 1e-15);
+    }
+}
