@@ -5,7 +5,7 @@ mod friction;
 use super::console::Console;
 use crate::Result;
 
-/// Find what does not change from run to run: friction
+/// Find what does not change from run to run: the rig, the friction
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop calibrate friction calib/friction.csv")]
 pub struct Args {

@@ -1,8 +1,9 @@
 //! What the program says: results on standard output, everything else on standard error.
 
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use std::fmt::Display;
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 
 /// The two switches that every command has.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -32,6 +33,17 @@ impl Console {
             for warning in warnings {
                 eprintln!("warning: {warning}");
             }
+        }
+    }
+
+    /// A progress bar over `steps` steps; it shows only on a terminal, and not when quiet.
+    pub fn progress(&self, steps: usize, doing: &'static str) -> ProgressBar {
+        let visible = !self.quiet && std::io::stderr().is_terminal();
+        let target = if visible { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        let bar = ProgressBar::with_draw_target(Some(steps as u64), target).with_message(doing);
+        match ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len}, {eta} left") {
+            Ok(style) => bar.with_style(style),
+            Err(_) => bar,
         }
     }
 }

@@ -4,9 +4,13 @@
 
 mod calibrate;
 mod console;
+mod estimate;
+mod estimator;
 mod evaluate;
 mod inputs;
 mod invert;
+mod render;
+mod simulate;
 
 use crate::Result;
 use clap::{Parser, Subcommand};
@@ -31,16 +35,22 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Estimate(estimate::Args),
     Invert(invert::Args),
     Evaluate(evaluate::Args),
+    Simulate(simulate::Args),
+    Render(render::Args),
     Calibrate(calibrate::Args),
 }
 
 impl Command {
     fn run(&self, console: &Console) -> Result<()> {
         match self {
+            Self::Estimate(args) => args.run(console),
             Self::Invert(args) => args.run(console),
             Self::Evaluate(args) => args.run(console),
+            Self::Simulate(args) => args.run(console),
+            Self::Render(args) => args.run(console),
             Self::Calibrate(args) => args.run(console),
         }
     }

@@ -62,7 +62,7 @@ impl Report<'_> {
         for (title, note, plot) in self.all_plots() {
             if let Some(svg) = plot.svg() {
                 let svg = svg.replace(" xmlns=\"http://www.w3.org/2000/svg\"", "");
-                let _ = write!(section, "<figure><h3>{title}</h3>{svg}<figcaption>{note}</figcaption></figure>\n");
+                let _ = writeln!(section, "<figure><h3>{title}</h3>{svg}<figcaption>{note}</figcaption></figure>");
             }
         }
         if section.is_empty() {
@@ -185,10 +185,10 @@ impl Report<'_> {
                            (magenta), outline (cyan).</p>\n<div class=\"pictures\">\n"
                 .to_owned();
         for picture in &self.pictures {
-            let _ = write!(
+            let _ = writeln!(
                 section,
                 "<figure><img loading=\"lazy\" alt=\"{caption}\" src=\"data:image/jpeg;base64,{data}\">\
-                 <figcaption>{caption}</figcaption></figure>\n",
+                 <figcaption>{caption}</figcaption></figure>",
                 caption = escaped(&picture.caption),
                 data = BASE64_STANDARD.encode(&picture.jpeg)
             );

@@ -1,0 +1,114 @@
+//! `estimate`: measurements to model.toml and estimate.csv.
+
+use super::console::Console;
+use super::estimator::EstimatorArgs;
+use super::inputs::{model_or_paper, rows};
+use crate::estimate::estimate;
+use crate::record::{
+    EstimateRow, Verdict, estimates_csv, read_encoders, read_measurements, write_atomically, write_model,
+};
+use crate::robot::Estimate;
+use crate::{Error, Result};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Update η and λ from measurements and encoder readings: writes OUT/model.toml and OUT/estimate.csv
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  snakeloop estimate --measurements out/measurements.csv \
+                  --encoders fixtures/bending/encoders.csv -o out")]
+pub struct Args {
+    /// What the eye measured (measurements.csv)
+    #[arg(long, value_name = "CSV")]
+    measurements: PathBuf,
+    /// The encoder log (encoders.csv)
+    #[arg(long, value_name = "CSV")]
+    encoders: PathBuf,
+    /// The model whose robot and friction are taken (model.toml); without it the paper's, with Table I
+    #[arg(long, value_name = "MODEL")]
+    model: Option<PathBuf>,
+    /// The folder to write to; created where it is missing
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+    #[command(flatten)]
+    estimator: EstimatorArgs,
+}
+
+/// η and λ as results are printed, and what became of the measurements.
+#[derive(Debug, Serialize)]
+pub struct Estimated {
+    pub eta: f64,
+    pub sd_eta: f64,
+    pub lambda_mm: f64,
+    pub sd_lambda_mm: f64,
+    pub used: usize,
+    pub rejected: usize,
+    pub skipped: usize,
+    /// How often each reason for not using a measurement came up.
+    pub reasons: BTreeMap<String, usize>,
+}
+
+impl Args {
+    pub fn run(&self, console: &Console) -> Result<()> {
+        let model = model_or_paper(self.model.as_deref())?;
+        let measurements = rows(console, read_measurements(&self.measurements)?);
+        let encoders = rows(console, read_encoders(&self.encoders)?);
+        let (steps, model) = estimate(&model, self.estimator.into(), &measurements, &encoders)?;
+        write_atomically(&self.output.join("estimate.csv"), estimates_csv(&steps).as_bytes())?;
+        let estimated = Estimated::of(&steps, model.estimate, &self.measurements)?;
+        write_model(&self.output.join("model.toml"), &model)?;
+        console.result(&estimated, || estimated.text());
+        Ok(())
+    }
+}
+
+impl Estimated {
+    /// Counts verdicts; an error where the measurements pinned no estimate, since a model without one would pass for an
+    /// estimated one. `source` is named in it.
+    pub fn of(steps: &[EstimateRow], estimate: Option<Estimate>, source: &Path) -> Result<Self> {
+        let count = |verdict| steps.iter().filter(|step| step.verdict == verdict).count();
+        let mut reasons = BTreeMap::new();
+        for step in steps.iter().filter(|step| step.verdict != Verdict::Used) {
+            *reasons.entry(step.reason.clone()).or_default() += 1;
+        }
+        let Some(estimate) = estimate else {
+            let why: Vec<_> = reasons.iter().map(|(reason, count)| format!("{reason} {count}")).collect();
+            let message = format!(
+                "{} measurements give no estimate of η and λ; at least two that differ in bend and have encoder \
+                 readings are needed (not used: {})",
+                steps.len(),
+                if why.is_empty() { "none".to_owned() } else { why.join(", ") }
+            );
+            return Err(Error::content(source, message));
+        };
+        Ok(Self {
+            eta: estimate.eta,
+            sd_eta: estimate.sd_eta(),
+            lambda_mm: estimate.lambda_mm,
+            sd_lambda_mm: estimate.sd_lambda_mm(),
+            used: count(Verdict::Used),
+            rejected: count(Verdict::Rejected),
+            skipped: count(Verdict::Skipped),
+            reasons,
+        })
+    }
+
+    /// Lines for people.
+    pub fn text(&self) -> String {
+        format!(
+            "η             {:.4} ± {:.4}\nλ             {:.4} ± {:.4} mm\nmeasurements  {}\n",
+            self.eta,
+            self.sd_eta,
+            self.lambda_mm,
+            self.sd_lambda_mm,
+            self.counts()
+        )
+    }
+
+    /// "34 used, 1 rejected, 1 skipped (bend_outlier 1, no_snake 1)".
+    pub fn counts(&self) -> String {
+        let reasons: Vec<_> = self.reasons.iter().map(|(reason, count)| format!("{reason} {count}")).collect();
+        let why = if reasons.is_empty() { String::new() } else { format!(" ({})", reasons.join(", ")) };
+        format!("{} used, {} rejected, {} skipped{why}", self.used, self.rejected, self.skipped)
+    }
+}

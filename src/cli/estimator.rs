@@ -1,0 +1,31 @@
+//! The estimator's settings, as `run` and `estimate` take them.
+
+use crate::estimate::{Options, Weighting};
+
+/// The estimator's settings.
+#[derive(Debug, Clone, Copy, clap::Args)]
+#[command(next_help_heading = "Estimator")]
+pub struct EstimatorArgs {
+    /// Weight all measurements alike, as the paper does (it takes 1°), instead of by their own sigmas
+    #[arg(long, value_name = "DEGREES")]
+    flat_sigma: Option<f64>,
+    /// Fading memory: share of all earlier information kept at each measurement; 1 forgets nothing
+    #[arg(long, value_name = "SHARE", default_value_t = Options::default().keep)]
+    keep: f64,
+    /// Standard deviations beyond which a measurement is rejected as an outlier
+    #[arg(long, value_name = "SDS", default_value_t = Options::default().gate)]
+    gate: f64,
+    /// Standard deviation of an encoder reading, mm
+    #[arg(long, value_name = "MM", default_value_t = Options::default().sd_encoder_mm)]
+    encoder_sd: f64,
+}
+
+impl From<EstimatorArgs> for Options {
+    fn from(args: EstimatorArgs) -> Self {
+        let weighting = match args.flat_sigma {
+            Some(sigma_deg) => Weighting::Flat { sigma_deg },
+            None => Weighting::Measured,
+        };
+        Self { weighting, sd_encoder_mm: args.encoder_sd, keep: args.keep, gate: args.gate }
+    }
+}
