@@ -1,5 +1,6 @@
 //! The files of an experiment: what they hold, how they are read, checked and written.
 
+pub mod compensation;
 pub mod encoders;
 pub mod estimates;
 pub mod experiment;
@@ -11,6 +12,7 @@ pub mod table;
 pub mod truth;
 pub mod write;
 
+pub use compensation::{compensation_csv, compensation_json};
 pub use encoders::{encoders_csv, read_encoders};
 pub use estimates::{EstimateRow, EtaLambda, Verdict, estimates_csv};
 pub use experiment::{Experiment, RigSource, View};

@@ -28,7 +28,7 @@ use toml::de::{DeTable, DeValue};
 /// The file as it is written.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct ModelFile {
+pub(super) struct ModelFile {
     #[serde(default)]
     robot: Robot,
     #[serde(default)]
@@ -40,13 +40,19 @@ struct ModelFile {
 /// An estimate as files show it: sds and correlation rather than covariances.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct EstimateTable {
+struct EstimateTable {
     eta: f64,
     sd_eta: f64,
     lambda_mm: f64,
     sd_lambda_mm: f64,
     correlation: f64,
     samples: usize,
+}
+
+impl From<&Model> for ModelFile {
+    fn from(model: &Model) -> Self {
+        Self { robot: model.robot.clone(), friction: model.friction, estimate: model.estimate.map(EstimateTable::from) }
+    }
 }
 
 impl From<Estimate> for EstimateTable {
@@ -100,12 +106,7 @@ pub fn model_toml(model: &Model) -> Result<String> {
     if let Some(fault) = first_fault(model) {
         return Err(Error::Domain(format!("cannot write the model: {fault}")));
     }
-    let file = ModelFile {
-        robot: model.robot.clone(),
-        friction: model.friction,
-        estimate: model.estimate.map(EstimateTable::from),
-    };
-    toml::to_string(&file).map_err(|e| Error::Domain(format!("cannot write the model: {e}")))
+    toml::to_string(&ModelFile::from(model)).map_err(|e| Error::Domain(format!("cannot write the model: {e}")))
 }
 
 fn parse(path: &Path, text: &str) -> Result<Model> {

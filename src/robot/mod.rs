@@ -9,8 +9,10 @@ pub mod kinematics;
 pub mod model;
 pub mod parameters;
 pub mod statics;
+pub mod table;
 
 pub use compensation::{MAX_THETA, Response};
 pub use friction::{Friction, FrictionFit, FrictionSample};
 pub use model::{Estimate, Model};
 pub use parameters::{Body, Robot};
+pub use table::{Grid, GridAxis, TableRow, compensation_table};

@@ -1,0 +1,200 @@
+//! The compensation table: what to command for every pose of a grid.
+
+use super::compensation::MAX_THETA;
+use super::model::Model;
+use crate::error::{Error, Result};
+use crate::geometry::Configuration;
+use nalgebra::Vector3;
+use std::fmt;
+use std::str::FromStr;
+
+/// More poses than this are a slip of the pen.
+const MOST_POSES: usize = 10_000_000;
+
+/// Evenly spaced angles, degrees, written `start:stop:step`. The stop belongs to them where a step falls on it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GridAxis {
+    start_deg: f64,
+    stop_deg: f64,
+    step_deg: f64,
+}
+
+impl GridAxis {
+    /// # Errors
+    /// [`Error::Usage`] where a number is not finite, the step is not above 0 or the stop lies below the start.
+    pub fn new(start_deg: f64, stop_deg: f64, step_deg: f64) -> Result<Self> {
+        let axis = Self { start_deg, stop_deg, step_deg };
+        if ![start_deg, stop_deg, step_deg].iter().all(|value| value.is_finite()) || step_deg <= 0.0 {
+            return Err(Error::Usage(format!("grid {axis}: expected finite degrees and a step above 0")));
+        }
+        if stop_deg < start_deg {
+            return Err(Error::Usage(format!("grid {axis}: the stop lies below the start; swap them")));
+        }
+        Ok(axis)
+    }
+
+    /// The angles, degrees.
+    pub fn values_deg(&self) -> impl Iterator<Item = f64> + Clone {
+        let Self { start_deg, stop_deg, step_deg } = *self;
+        (0..self.len()).map(move |k| (start_deg + k as f64 * step_deg).min(stop_deg))
+    }
+
+    /// How many angles there are; saturates for steps too small to count.
+    fn len(&self) -> usize {
+        // A step that misses the stop only by rounding falls on it.
+        let steps = (self.stop_deg - self.start_deg) / self.step_deg * (1.0 + 1e-12) + 1e-9;
+        (steps.floor() as usize).saturating_add(1)
+    }
+}
+
+impl FromStr for GridAxis {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let numbers: std::result::Result<Vec<f64>, _> = text.split(':').map(|part| part.trim().parse()).collect();
+        match numbers.as_deref() {
+            Ok(&[start, stop, step]) => Self::new(start, stop, step),
+            Ok(&[value]) => Self::new(value, value, 1.0),
+            _ => Err(Error::Usage(format!(
+                "grid {text:?}: expected start:stop:step in degrees, such as 0:90:5, or one angle"
+            ))),
+        }
+    }
+}
+
+impl fmt::Display for GridAxis {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}:{}", self.start_deg, self.stop_deg, self.step_deg)
+    }
+}
+
+/// A grid of poses.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grid {
+    /// The values of θ.
+    pub theta: GridAxis,
+    /// The values of δ.
+    pub delta: GridAxis,
+}
+
+impl Default for Grid {
+    /// θ 0 to 90° by 5°, δ once round by 15°.
+    fn default() -> Self {
+        Self {
+            theta: GridAxis { start_deg: 0.0, stop_deg: 90.0, step_deg: 5.0 },
+            delta: GridAxis { start_deg: -165.0, stop_deg: 180.0, step_deg: 15.0 },
+        }
+    }
+}
+
+/// One pose of a compensation table.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TableRow {
+    /// The desired pose.
+    pub configuration: Configuration,
+    /// q, what the snake's backbones are to move, mm.
+    pub q_mm: Vector3<f64>,
+    /// q̃, what to command, mm.
+    pub command_mm: Vector3<f64>,
+    /// Standard deviation of q̃ from the covariance of η and λ, mm.
+    pub sd_command_mm: Vector3<f64>,
+}
+
+impl TableRow {
+    /// The row of one pose.
+    pub fn new(model: &Model, configuration: Configuration) -> Self {
+        Self {
+            configuration,
+            q_mm: model.robot.joint_displacements(configuration),
+            command_mm: model.command(configuration),
+            // A variance may come out as a rounding below zero.
+            sd_command_mm: model.command_covariance(configuration).diagonal().map(|variance| variance.max(0.0).sqrt()),
+        }
+    }
+}
+
+/// The compensation table over a grid, δ running fastest.
+///
+/// # Errors
+/// [`Error::Usage`] for a grid with a θ outside 0 to 120°, a δ outside ±360°, or more poses than anyone needs.
+pub fn compensation_table(model: &Model, grid: &Grid) -> Result<Vec<TableRow>> {
+    let Grid { theta, delta } = grid;
+    let most_deg = MAX_THETA.to_degrees();
+    if theta.start_deg < 0.0 || theta.stop_deg > most_deg + 1e-9 {
+        return Err(Error::Usage(format!(
+            "grid of θ {theta}: the model answers for 0 to {most_deg:.0}°; keep start and stop within"
+        )));
+    }
+    if delta.start_deg < -360.0 || delta.stop_deg > 360.0 {
+        return Err(Error::Usage(format!("grid of δ {delta}: expected −360 to 360°; keep start and stop within")));
+    }
+    let poses = theta.len().saturating_mul(delta.len());
+    if poses > MOST_POSES {
+        return Err(Error::Usage(format!(
+            "grids {theta} and {delta} make {poses} poses, expected {MOST_POSES} at most"
+        )));
+    }
+    let row = |(theta_deg, delta_deg)| TableRow::new(model, Configuration::from_degrees(theta_deg, delta_deg));
+    Ok(theta.values_deg().flat_map(|theta| delta.values_deg().map(move |delta| (theta, delta))).map(row).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::Estimate;
+    use nalgebra::Matrix2;
+    use proptest::prelude::*;
+
+    fn grid(theta: &str, delta: &str) -> Grid {
+        Grid { theta: theta.parse().unwrap(), delta: delta.parse().unwrap() }
+    }
+
+    #[test]
+    fn a_grid_holds_its_ends_whatever_the_rounding() {
+        let values = |text: &str| text.parse::<GridAxis>().unwrap().values_deg().collect::<Vec<_>>();
+        assert_eq!(values("0:90:30"), [0.0, 30.0, 60.0, 90.0]);
+        assert_eq!(values("0:1:0.1").len(), 11);
+        assert!((values("0:120:0.7").last().unwrap() - 119.7).abs() < 1e-9);
+        assert_eq!(values("-180:180:360"), [-180.0, 180.0]);
+        assert_eq!(values("45"), [45.0]);
+        assert!(values("0:90:0.01").len() == 9001 && *values("0:90:0.01").last().unwrap() == 90.0);
+    }
+
+    #[test]
+    fn a_grid_that_makes_no_sense_is_a_usage_error() {
+        for bad in ["", "a:b:c", "0:90", "0:90:0", "0:90:-5", "90:0:5", "0:nan:1", "0:inf:1", "0:1:2:3"] {
+            assert_eq!(bad.parse::<GridAxis>().unwrap_err().exit_code(), 2, "{bad}");
+        }
+        for (theta, delta) in [("0:121:1", "0"), ("-5:90:5", "0"), ("0:90:5", "0:3600:15"), ("0:90:1e-300", "0")] {
+            let error = compensation_table(&Model::default(), &grid(theta, delta)).unwrap_err();
+            assert_eq!(error.exit_code(), 2, "{error}");
+        }
+    }
+
+    #[test]
+    fn rows_are_the_models_commands_and_the_forward_problem_undoes_them() {
+        let covariance = Matrix2::new(1e-4, 0.0, 0.0, 4e-6);
+        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance, samples: 10 };
+        let model = Model { estimate: Some(estimate), ..Model::default() };
+        let rows = compensation_table(&model, &Grid::default()).unwrap();
+        assert_eq!(rows.len(), 19 * 24);
+        for row in &rows {
+            let back = model.forward(&row.command_mm).unwrap();
+            assert!((back.configuration.bend_vector() - row.configuration.bend_vector()).norm() < 1e-11);
+            assert!(back.common_mm.abs() < 1e-11);
+            // λ alone makes 2 µm; the share of η grows with the bend.
+            assert!(row.sd_command_mm.iter().all(|sd| *sd >= 0.002 - 1e-12));
+        }
+        let straight = &rows[0];
+        assert!(straight.sd_command_mm.iter().all(|sd| (sd - 0.002).abs() < 1e-12));
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_panics(text in "[-0-9.:e ]{0,20}") {
+            if let Ok(axis) = text.parse::<GridAxis>() {
+                let _ = compensation_table(&Model::default(), &Grid { theta: axis, delta: "0:0:1".parse().unwrap() });
+            }
+        }
+    }
+}
