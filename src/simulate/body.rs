@@ -78,12 +78,15 @@ struct Tube {
 /// All parts of a bent snake.
 pub fn body(robot: &Robot, psi: Configuration) -> Vec<Shape> {
     let disk_radius = robot.body.disk_diameter_mm / 2.0;
-    let holder = Cylinder {
-        top: Point3::origin(),
+    // In short pieces, so that the renderer has few rays to try against each.
+    let count = (robot.line.holder_length_mm / (4.0 * disk_radius)).ceil().clamp(1.0, 1000.0);
+    let length = robot.line.holder_length_mm / count;
+    let holder = (0..count as usize).map(|k| Cylinder {
+        top: Point3::new(0.0, 0.0, -length * k as f64),
         axis: Vector3::z_axis(),
-        length: robot.line.holder_length_mm,
+        length,
         radius: disk_radius,
-    };
+    });
     let disk = |middle: Pose| {
         let top = middle * Translation3::new(0.0, 0.0, robot.body.disk_thickness_mm / 2.0);
         Cylinder {
@@ -98,7 +101,7 @@ pub fn body(robot: &Robot, psi: Configuration) -> Vec<Shape> {
     let spacers = middles[..middles.len().saturating_sub(1)].iter().map(|&middle| disk(robot.frame_at(psi, middle)));
     let tip = robot.frame_at(psi, robot.length_mm);
     let end_disk = disk(tip * Translation3::new(0.0, 0.0, -robot.body.disk_thickness_mm / 2.0));
-    let cylinders = [holder, end_disk].into_iter().chain(spacers).map(Shape::Cylinder);
+    let cylinders = holder.chain(spacers).chain([end_disk]).map(Shape::Cylinder);
 
     let centre = [(0.0, 0.0, robot.primary.outer_diameter_mm)];
     let circle = robot.backbone_azimuths();
@@ -194,23 +197,29 @@ impl Tube {
             + (up - self.bend_offset * sin) * Vector3::z()
     }
 
-    /// Distance from the surface (negative inside), its gradient, and the arc length s that the point belongs to.
+    /// Distance from the surface (negative inside) and its gradient.
     ///
     /// With a along the bend, c along z_b and κ the curvature, a circle of curvature κ through the origin has the
     /// distance (κ (a² + c²) − 2 a) / (1 + w), w = √((1 − κ a)² + κ² c²): the usual √(…) − 1/κ without the cancellation
     /// that would make a straight tube singular.
-    fn distance(&self, point: &Point3<f64>) -> (f64, Vector3<f64>, f64) {
+    fn distance(&self, point: &Point3<f64>) -> (f64, Vector3<f64>) {
         let (a, c) = (point.coords.dot(&self.bend), point.z);
         let across = point.coords.dot(&self.side) - self.side_offset;
         let kappa = self.curvature;
         let inward = 1.0 - kappa * a;
-        let w = inward.hypot(kappa * c);
+        let w = (inward * inward + kappa * kappa * c * c).sqrt();
         let outward = (kappa * (a * a + c * c) - 2.0 * a) / (1.0 + w) + self.bend_offset;
-        let from_axis = outward.hypot(across);
+        let from_axis = (outward * outward + across * across).sqrt();
         let outward_slope = -inward / w * self.bend + kappa * c / w * Vector3::z();
         let gradient = (outward * outward_slope + across * self.side) / from_axis;
-        let s = if kappa < 1e-9 { c } else { (kappa * c).atan2(inward) / kappa };
-        (from_axis - self.radius, gradient, s)
+        (from_axis - self.radius, gradient)
+    }
+
+    /// The arc length of the cross-section that a point lies in, mm.
+    fn arc_length(&self, point: &Point3<f64>) -> f64 {
+        let kappa = self.curvature;
+        let angle = (kappa * point.z).atan2(1.0 - kappa * point.coords.dot(&self.bend));
+        if kappa < 1e-9 { point.z } else { angle / kappa }
     }
 }
 
@@ -227,8 +236,10 @@ impl TubePiece {
         // The distance from a straight tube is convex along a ray, and Newton's method does not step over its first
         // root; a piece is straight enough for that.
         for _ in 0..40 {
-            let (gap, gradient, s) = self.tube.distance(&(ray.origin + distance * ray.direction));
+            let point = ray.origin + distance * ray.direction;
+            let (gap, gradient) = self.tube.distance(&point);
             if gap.abs() < 1e-7 {
+                let s = self.tube.arc_length(&point);
                 let on_tube = distance > 0.0 && (-self.tube.radius..=self.tube.end).contains(&s);
                 return on_tube.then_some(Hit { distance, normal: gradient });
             }
@@ -319,8 +330,8 @@ mod tests {
                 if t > end - 1e-3 { break }
                 let point = ray.origin + t * direction;
                 for tube in &tubes {
-                    let (gap, _, s) = tube.distance(&point);
-                    prop_assert!(gap > -1e-3 || !(0.0..=tube.end).contains(&s), "passed a tube at {t}, hit at {end}");
+                    let inside = tube.distance(&point).0 < -1e-3 && (0.0..=tube.end).contains(&tube.arc_length(&point));
+                    prop_assert!(!inside, "passed a tube at {t}, hit at {end}");
                 }
             }
         }
@@ -337,7 +348,7 @@ mod tests {
                 // A point in the cross-section at s, offset from the tube's axis.
                 let axis = piece.tube.axis_at(s);
                 let point = axis + frame * Vector3::new(offset[0], offset[1], 0.0);
-                let (gap, _, found) = piece.tube.distance(&point);
+                let (gap, found) = (piece.tube.distance(&point).0, piece.tube.arc_length(&point));
                 prop_assert!((gap + piece.tube.radius - offset[0].hypot(offset[1])).abs() < 1e-9);
                 prop_assert!((found - s).abs() < 1e-6);
             }

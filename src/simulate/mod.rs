@@ -2,12 +2,14 @@
 //! the score of a model or an eye against them.
 
 mod body;
+pub mod experiment;
 pub mod plant;
 pub mod render;
 pub mod scene;
 pub mod score;
 pub mod trajectory;
 
+pub use experiment::{FrameFormat, write_experiment};
 pub use plant::{Plant, Sample, SimulatedEye};
 pub use render::{coverage, hidden_fraction, render};
 pub use scene::Scene;

@@ -73,8 +73,8 @@ fn trace(scene: &Scene, psi: Configuration) -> Vec<Pixel> {
     let origin = base_from_camera * Point3::origin();
     let mut pixels = vec![Pixel { light: Radiance::zeros(), snake: 0.0 }; width * height];
     pixels.par_chunks_mut(width).enumerate().for_each(|(row, pixels)| {
-        // Directions through the corners between this row's pixels; within a pixel they are interpolated, which is
-        // exact without distortion and better than 1e-5 px with any that a camera has.
+        // Directions through the corners between this row's pixels. Within a pixel the direction is taken as linear, which
+        // is exact without distortion and better than 1e-5 px with any that a camera has.
         let corners = |v: f64| -> Vec<Vector3<f64>> {
             let corner = |column| {
                 let ray = scene.lens.ray(&Point2::new(column as f64 - 0.5, v));
@@ -84,15 +84,15 @@ fn trace(scene: &Scene, psi: Configuration) -> Vec<Pixel> {
         };
         let (above, below) = (corners(row as f64 - 0.5), corners(row as f64 + 0.5));
         for (column, pixel) in pixels.iter_mut().enumerate() {
+            let (a, b, c, d) = (above[column], above[column + 1], below[column], below[column + 1]);
+            let (middle, across, down) = ((a + b + c + d) / 4.0, (b + d - a - c) / 2.0, (c + d - a - b) / 2.0);
             let near = stage.tiles.near(column, row);
             let shift = shift(column, row);
             for sample in &samples {
-                let sample = (sample + shift).map(f64::fract);
-                let top = above[column].lerp(&above[column + 1], sample.x);
-                let bottom = below[column].lerp(&below[column + 1], sample.x);
-                let ray = Ray { origin, direction: top.lerp(&bottom, sample.y).normalize() };
-                let place = Point2::new(column as f64 - 0.5 + sample.x, row as f64 - 0.5 + sample.y);
-                let found = stage.look(&ray, &place, near);
+                let offset = (sample + shift).map(|v| if v < 1.0 { v - 0.5 } else { v - 1.5 });
+                let direction = middle + offset.x * across + offset.y * down;
+                let place = Point2::new(column as f64 + offset.x, row as f64 + offset.y);
+                let found = stage.look(&origin, &direction, &place, near);
                 pixel.light += found.light;
                 pixel.snake += found.snake;
             }
@@ -162,16 +162,20 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// The light along one ray, which meets the picture at `place`; `near` are the shapes that it may meet.
-    fn look(&self, ray: &Ray, place: &Point2<f64>, near: &[u16]) -> Pixel {
+    /// The light from one direction (of any length), which meets the picture at `place`; `near` are the shapes that may
+    /// show there.
+    fn look(&self, origin: &Point3<f64>, direction: &Vector3<f64>, place: &Point2<f64>, near: &[u16]) -> Pixel {
         if let Some((_, colour)) = self.wires.iter().find(|(wire, _)| wire.covers(place)) {
             return Pixel { light: *colour, snake: 0.0 };
         }
-        let hits = near.iter().filter_map(|&k| self.shapes[usize::from(k)].meet(ray));
-        match hits.min_by(|a, b| a.distance.total_cmp(&b.distance)) {
-            Some(hit) => Pixel { light: self.shade(ray, &hit), snake: 1.0 },
-            None => Pixel { light: self.paper_seen_along(ray), snake: 0.0 },
+        if !near.is_empty() {
+            let ray = Ray { origin: *origin, direction: direction.normalize() };
+            let hits = near.iter().filter_map(|&k| self.shapes[usize::from(k)].meet(&ray));
+            if let Some(hit) = hits.min_by(|a, b| a.distance.total_cmp(&b.distance)) {
+                return Pixel { light: self.shade(&ray, &hit), snake: 1.0 };
+            }
         }
+        Pixel { light: self.paper_seen(origin, direction), snake: 0.0 }
     }
 
     fn shade(&self, ray: &Ray, hit: &Hit) -> Radiance {
@@ -182,13 +186,12 @@ impl<'a> Stage<'a> {
         lit * self.skin + Radiance::repeat(highlight)
     }
 
-    fn paper_seen_along(&self, ray: &Ray) -> Radiance {
-        let distance = (self.scene.paper.standoff_mm - ray.origin.y) / ray.direction.y;
+    fn paper_seen(&self, origin: &Point3<f64>, direction: &Vector3<f64>) -> Radiance {
+        let distance = (self.scene.paper.standoff_mm - origin.y) / direction.y;
         if distance.is_nan() || distance <= 0.0 {
             return Radiance::zeros();
         }
-        let point = ray.origin + distance * ray.direction;
-        let point = Point2::new(point.x, point.z);
+        let point = Point2::new(origin.x + distance * direction.x, origin.z + distance * direction.z);
         let shade = self.shadow.as_ref().map_or(0.0, |shadow| shadow.at(&point));
         (1.0 - self.scene.light.shadow * shade) * self.paper.colour_at(&point)
     }
@@ -241,7 +244,12 @@ impl<'a> Sheet<'a> {
         match &self.paper.pattern {
             Pattern::Blank => self.bare,
             Pattern::GraphPaper { lines } => {
-                let off_line = |value: f64, pitch: f64| (value - pitch * (value / pitch).round()).abs();
+                // Truncation by a cast is several times as fast as rounding, and this is the renderer's innermost loop.
+                let off_line = |value: f64, pitch: f64| {
+                    let lines = (value / pitch).abs();
+                    let beyond = lines - lines as i64 as f64;
+                    pitch * beyond.min(1.0 - beyond)
+                };
                 let ink = lines.iter().zip(&self.inks).rev().find(|(lines, _)| {
                     off_line(x, lines.pitch_mm).min(off_line(z, lines.pitch_mm)) <= lines.width_mm / 2.0
                 });
@@ -262,26 +270,18 @@ struct Tiles {
 }
 
 impl Tiles {
-    const SIDE: usize = 16;
+    const SIDE: usize = 8;
 
     fn new(scene: &Scene, shapes: &[Shape]) -> Self {
         let count = |pixels: u32| (pixels as usize).div_ceil(Self::SIDE);
         let (columns, rows) = (count(scene.lens.width), count(scene.lens.height));
         let camera_from_base = scene.view.camera_from_base();
-        let mut tiles = vec![Vec::new(); columns * rows];
-        for (k, shape) in (0..).zip(shapes) {
-            let [left, top, right, bottom] = window(scene, &camera_from_base, shape);
-            let range = |low: f64, high: f64, count: usize| {
-                let tile = |pixel: f64| (pixel / Self::SIDE as f64).floor().clamp(0.0, count as f64) as usize;
-                tile(low)..(tile(high) + 1).min(count)
-            };
-            for row in range(top, bottom, rows) {
-                for column in range(left, right, columns) {
-                    tiles[row * columns + column].push(k);
-                }
-            }
-        }
-        Self { columns, shapes: tiles }
+        let windows: Vec<Window> = shapes.iter().map(|shape| Window::of_shape(shape, &camera_from_base)).collect();
+        let tile = |k: usize| {
+            let tile = Window::of_tile(scene, Self::SIDE * (k % columns), Self::SIDE * (k / columns), Self::SIDE);
+            (0..).zip(&windows).filter(|(_, window)| window.overlaps(&tile)).map(|(k, _)| k).collect()
+        };
+        Self { columns, shapes: (0..columns * rows).into_par_iter().map(tile).collect() }
     }
 
     fn near(&self, column: usize, row: usize) -> &[u16] {
@@ -289,26 +289,45 @@ impl Tiles {
     }
 }
 
-/// A rectangle of pixels (left, top, right, bottom) outside which a shape cannot show.
-fn window(scene: &Scene, camera_from_base: &Pose, shape: &Shape) -> [f64; 4] {
-    let everywhere = [0.0, 0.0, f64::from(scene.lens.width), f64::from(scene.lens.height)];
-    let mut window = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
-    for (centre, radius) in shape.bounds() {
-        let centre = camera_from_base * centre;
-        for corner in 0..8 {
-            let side = |bit: i32| if corner & bit == 0 { -radius } else { radius };
-            let pixel = scene.lens.project(&(centre + Vector3::new(side(1), side(2), side(4))));
-            // Behind the camera, or so far out that the distortion folds back.
-            if pixel.x.is_nan() || !scene.lens.contains(&pixel, -4.0 * everywhere[2].max(everywhere[3])) {
-                return everywhere;
+/// A rectangle of directions, as x/z and y/z in the camera's frame, before any distortion.
+struct Window {
+    low: Vector2<f64>,
+    high: Vector2<f64>,
+}
+
+impl Window {
+    /// Holds all of these; everything if one of them is no direction to the camera's front.
+    fn around(directions: impl Iterator<Item = Vector3<f64>>) -> Self {
+        let everything = Vector2::repeat(f64::INFINITY);
+        let mut window = Self { low: everything, high: -everything };
+        for direction in directions {
+            if direction.z.is_nan() || direction.z <= 0.0 {
+                return Self { low: -everything, high: everything };
             }
-            window = [window[0].min(pixel.x), window[1].min(pixel.y), window[2].max(pixel.x), window[3].max(pixel.y)];
+            let place = direction.xy() / direction.z;
+            window = Self { low: window.low.inf(&place), high: window.high.sup(&place) };
         }
+        window
     }
-    let [left, top, right, bottom] = window;
-    // The curvature of distorted outlines stays within this.
-    let margin = 3.0;
-    [left - margin, top - margin, right + margin, bottom + margin]
+
+    fn of_shape(shape: &Shape, camera_from_base: &Pose) -> Self {
+        Self::around(shape.bounds().into_iter().flat_map(|(centre, radius)| {
+            let centre = (camera_from_base * centre).coords;
+            let side = move |corner: i32, bit: i32| if corner & bit == 0 { -radius } else { radius };
+            (0..8).map(move |corner| centre + Vector3::new(side(corner, 1), side(corner, 2), side(corner, 4)))
+        }))
+    }
+
+    /// A pixel wider all round than the tile, for what distortion bends its sides.
+    fn of_tile(scene: &Scene, column: usize, row: usize, side: usize) -> Self {
+        let place = |start: usize, end: bool| if end { (start + side) as f64 + 0.5 } else { start as f64 - 1.5 };
+        let corners = [(false, false), (true, false), (false, true), (true, true)];
+        Self::around(corners.into_iter().map(|(x, y)| scene.lens.ray(&Point2::new(place(column, x), place(row, y)))))
+    }
+
+    fn overlaps(&self, other: &Self) -> bool {
+        (0..2).all(|axis| self.low[axis] <= other.high[axis] && other.low[axis] <= self.high[axis])
+    }
 }
 
 /// How dark the snake's shadow is on the paper, as a picture of it in (x_b, z_b).
