@@ -3,10 +3,10 @@
 use super::console::Console;
 use super::inputs::model_or_paper;
 use crate::geometry::Configuration;
-use crate::robot::{MAX_THETA, Model};
+use crate::robot::{MAX_THETA, Model, TableRow};
 use crate::{Error, Result};
-use nalgebra::Vector3;
-use serde::Serialize;
+use nalgebra::{Vector2, Vector3};
+use serde_json::{Map, Value};
 use std::path::PathBuf;
 
 /// Answer one pose: what to command for θ and δ, or what θ and δ a command leads to
@@ -34,21 +34,21 @@ pub struct Args {
     qc_mm: Option<Vec<f64>>,
 }
 
-/// One row of the compensation table, or its inverse; names as in compensation.csv.
-#[derive(Serialize)]
+/// One row of the compensation table, or its inverse.
 struct Pose {
     theta_deg: f64,
     delta_deg: f64,
-    q_mm: [f64; 3],
-    qc_mm: [f64; 3],
-    /// What the uncertainty of η and λ does to the answer: to q̃ where the pose was given, to the pose where q̃ was.
-    /// Absent where nothing was estimated.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    sd_qc_mm: Option<[f64; 3]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    sd_theta_deg: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    sd_delta_deg: Option<f64>,
+    q_mm: Vector3<f64>,
+    qc_mm: Vector3<f64>,
+    sd: Option<Sd>,
+}
+
+/// What the uncertainty of η and λ does to the answer; nothing is known of it where nothing was estimated.
+enum Sd {
+    /// To q̃, where the pose was given.
+    CommandMm(Vector3<f64>),
+    /// To θ and δ, where q̃ was given.
+    PoseDeg(Vector2<f64>),
 }
 
 impl Args {
@@ -64,7 +64,7 @@ impl Args {
             (None, Some(theta_deg), Some(delta_deg)) => Pose::wanted(&model, theta_deg, delta_deg)?,
             _ => return Err(Error::Usage("give --theta-deg and --delta-deg, or --qc-mm".to_owned())),
         };
-        console.result(&pose, || pose.text());
+        console.result(&pose.json(), || pose.text());
         Ok(())
     }
 }
@@ -77,17 +77,13 @@ impl Pose {
                 "θ = {theta_deg}°, δ = {delta_deg}° is outside the workspace, expected θ from 0 to {most:.0}°"
             )));
         }
-        let psi = Configuration::from_degrees(theta_deg, delta_deg);
-        let sd = model.command_covariance(psi).diagonal().map(|variance| variance.max(0.0).sqrt());
-        let estimated = model.estimate.is_some();
+        let row = TableRow::new(model, Configuration::from_degrees(theta_deg, delta_deg));
         Ok(Self {
-            theta_deg: psi.theta_deg(),
-            delta_deg: psi.delta_deg(),
-            q_mm: model.robot.joint_displacements(psi).into(),
-            qc_mm: model.command(psi).into(),
-            sd_qc_mm: estimated.then(|| sd.into()),
-            sd_theta_deg: None,
-            sd_delta_deg: None,
+            theta_deg: row.configuration.theta_deg(),
+            delta_deg: row.configuration.delta_deg(),
+            q_mm: row.q_mm,
+            qc_mm: row.command_mm,
+            sd: model.estimate.map(|_| Sd::CommandMm(row.sd_command_mm)),
         })
     }
 
@@ -95,16 +91,33 @@ impl Pose {
         let psi = model.forward(&qc_mm)?.configuration;
         // Exactly straight, δ means nothing and has no sd.
         let covariance = model.estimate.and_then(|_| model.response_covariance(psi).ok());
-        let sd = covariance.map(|c| c.diagonal().map(|variance| variance.max(0.0).sqrt().to_degrees()));
+        let sd = covariance.map(|c| Sd::PoseDeg(c.diagonal().map(|variance| variance.max(0.0).sqrt().to_degrees())));
         Ok(Self {
             theta_deg: psi.theta_deg(),
             delta_deg: psi.delta_deg(),
-            q_mm: model.robot.joint_displacements(psi).into(),
-            qc_mm: qc_mm.into(),
-            sd_qc_mm: None,
-            sd_theta_deg: sd.map(|sd| sd.x),
-            sd_delta_deg: sd.map(|sd| sd.y),
+            q_mm: model.robot.joint_displacements(psi),
+            qc_mm,
+            sd,
         })
+    }
+
+    /// Names as in compensation.csv.
+    fn json(&self) -> Map<String, Value> {
+        let mut fields = vec![("theta_deg".to_owned(), self.theta_deg), ("delta_deg".to_owned(), self.delta_deg)];
+        let mut backbones = |name: &str, values: &Vector3<f64>| {
+            fields.extend((1..).zip(values).map(|(i, &value)| (format!("{name}{i}_mm"), value)));
+        };
+        backbones("q", &self.q_mm);
+        backbones("qc", &self.qc_mm);
+        match &self.sd {
+            Some(Sd::CommandMm(sd)) => backbones("sd_qc", sd),
+            Some(Sd::PoseDeg(sd)) => {
+                fields.extend([("sd_theta_deg".to_owned(), sd.x), ("sd_delta_deg".to_owned(), sd.y)])
+            }
+            None => {}
+        }
+        let rounded = |value: f64| Value::from((value * 1e9).round() / 1e9);
+        fields.into_iter().map(|(name, value)| (name, rounded(value))).collect()
     }
 
     fn text(&self) -> String {
@@ -112,13 +125,18 @@ impl Pose {
             Some(sd) => format!("{value:.places$} ± {sd:.places$}"),
             None => format!("{value:.places$}"),
         };
+        let (sd_command, sd_pose) = match &self.sd {
+            Some(Sd::CommandMm(sd)) => (Some(sd), None),
+            Some(Sd::PoseDeg(sd)) => (None, Some(sd)),
+            None => (None, None),
+        };
         let mut text = format!(
             "theta    {}°\ndelta    {}°\n\nbackbone   desired q (mm)   command q̃ (mm)\n",
-            with_sd(self.theta_deg, self.sd_theta_deg, 3),
-            with_sd(self.delta_deg, self.sd_delta_deg, 3)
+            with_sd(self.theta_deg, sd_pose.map(|sd| sd.x), 3),
+            with_sd(self.delta_deg, sd_pose.map(|sd| sd.y), 3)
         );
         for i in 0..3 {
-            let command = with_sd(self.qc_mm[i], self.sd_qc_mm.map(|sd| sd[i]), 5);
+            let command = with_sd(self.qc_mm[i], sd_command.map(|sd| sd[i]), 5);
             text += &format!("{:>8}   {:>14.5}   {command}\n", i + 1, self.q_mm[i]);
         }
         text

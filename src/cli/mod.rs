@@ -11,6 +11,7 @@ mod inputs;
 mod invert;
 mod render;
 mod simulate;
+mod table;
 
 use crate::Result;
 use clap::{Parser, Subcommand};
@@ -36,6 +37,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Estimate(estimate::Args),
+    Table(table::Args),
     Invert(invert::Args),
     Evaluate(evaluate::Args),
     Simulate(simulate::Args),
@@ -47,6 +49,7 @@ impl Command {
     fn run(&self, console: &Console) -> Result<()> {
         match self {
             Self::Estimate(args) => args.run(console),
+            Self::Table(args) => args.run(console),
             Self::Invert(args) => args.run(console),
             Self::Evaluate(args) => args.run(console),
             Self::Simulate(args) => args.run(console),
