@@ -3,6 +3,11 @@
 mod file;
 pub mod frame;
 pub mod lens;
+#[cfg(feature = "opencv")]
+mod opencv;
+#[cfg(not(feature = "opencv"))]
+#[path = "without_opencv.rs"]
+mod opencv;
 pub mod source;
 pub use frame::{Frame, read_frame};
 pub use lens::Lens;

@@ -1,44 +1,65 @@
-//! Where frames come from: picture files told by a glob or a numbered pattern.
+//! Where frames come from: picture files told by a glob or a numbered pattern, or a video file.
 
 use super::frame::{Frame, read_frame};
+use super::opencv::Video;
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
+/// File name extensions, in lower case, that make a source a video.
+const VIDEO_EXTENSIONS: [&str; 11] = ["avi", "m4v", "mjpeg", "mjpg", "mkv", "mov", "mp4", "mpeg", "mpg", "webm", "wmv"];
+
 /// The frames of one view, in order of their index.
 #[derive(Debug, Clone, PartialEq)]
-pub struct FrameSource {
-    files: Vec<(u64, PathBuf)>,
+pub enum FrameSource {
+    /// Picture files with their indices; never empty.
+    Pictures(Vec<(u64, PathBuf)>),
+    /// A video file that has at least one frame; a frame's index is its position, from 0.
+    Video(PathBuf),
 }
 
-/// One frame of a source, not read yet.
+/// One frame of a source, not decoded yet where that can wait.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SourceFrame {
-    /// The number in the file's name.
+    /// The number in the file's name, or the position in the video.
     pub index: u64,
-    /// When the frame was taken, s; picture files do not say.
+    /// When the frame was taken, s from the video's start; picture files do not say.
     pub time_s: Option<f64>,
-    /// The file.
+    /// The picture file or the video.
     pub path: PathBuf,
+    /// A video's frame; videos decode in order.
+    pub(super) decoded: Option<Frame>,
 }
 
 impl SourceFrame {
-    /// Reads and decodes the picture; see [`read_frame`] for the errors.
-    pub fn read(&self) -> Result<Frame> {
-        read_frame(&self.path)
+    /// The picture, read and decoded now if it is a file; see [`read_frame`] for the errors.
+    pub fn read(self) -> Result<Frame> {
+        match self.decoded {
+            Some(frame) => Ok(frame),
+            None => read_frame(&self.path),
+        }
     }
 }
 
 impl FrameSource {
-    /// Finds the frames that a view names: `frames/*.png` (a glob) or `frames/%05d.png` (a numbered pattern), relative
-    /// to the experiment's folder.
+    /// Finds the frames that a view names, relative to the experiment's folder: `frames/*.png` (a glob),
+    /// `frames/%05d.png` (a numbered pattern) or `run.mp4` (a video, told by its extension).
     ///
-    /// A frame's index is the number that stands for `%d`, or with a glob the last number in the file's name.
+    /// A frame's index is the number that stands for `%d`, with a glob the last number in the file's name, in a video its
+    /// position.
     ///
     /// # Errors
     /// A pattern that is none of these or matches no file, a file name without a number, two files with the same
-    /// number, a folder that cannot be read.
+    /// number, a folder that cannot be read; a video that cannot be read, or any video without the `opencv` feature.
     pub fn open(folder: &Path, pattern: &str) -> Result<Self> {
-        let mut files = match numbered(pattern) {
+        let numbered = numbered(pattern);
+        if numbered.is_none() && is_video(pattern) {
+            let path = folder.join(pattern);
+            return match Video::open(&path)?.next() {
+                Some(_) => Ok(Self::Video(path)),
+                None => Err(Error::content(&path, "the video has no frame that can be decoded")),
+            };
+        }
+        let mut files = match numbered {
             Some(numbered) => numbered.files(folder)?,
             None => globbed(folder, pattern)?,
         };
@@ -50,19 +71,37 @@ impl FrameSource {
             let message = format!("frame {index} is there twice: {} and {}", file_name(a), file_name(b));
             return Err(Error::content(folder, message));
         }
-        Ok(Self { files })
+        Ok(Self::Pictures(files))
     }
 
-    /// How many frames there are.
-    #[expect(clippy::len_without_is_empty, reason = "a source is never empty")]
-    pub fn len(&self) -> usize {
-        self.files.len()
+    /// How many frames there are; `None` where only reading the video to its end would tell.
+    pub fn count(&self) -> Result<Option<usize>> {
+        match self {
+            Self::Pictures(files) => Ok(Some(files.len())),
+            Self::Video(path) => Ok(Video::open(path)?.frame_count()),
+        }
     }
 
-    /// The frames in order of their index, to be read one by one or in parallel.
-    pub fn frames(&self) -> impl Iterator<Item = SourceFrame> + Send + '_ {
-        self.files.iter().map(|(index, path)| SourceFrame { index: *index, time_s: None, path: path.clone() })
+    /// The frames in order of their index. Picture files can be read in parallel; a video is decoded by the iterator.
+    ///
+    /// # Errors
+    /// A video that cannot be opened any more.
+    pub fn frames(&self) -> Result<Box<dyn Iterator<Item = SourceFrame> + Send + '_>> {
+        Ok(match self {
+            Self::Pictures(files) => Box::new(files.iter().map(|(index, path)| SourceFrame {
+                index: *index,
+                time_s: None,
+                path: path.clone(),
+                decoded: None,
+            })),
+            Self::Video(path) => Box::new(Video::open(path)?),
+        })
     }
+}
+
+fn is_video(pattern: &str) -> bool {
+    let extension = Path::new(pattern).extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    VIDEO_EXTENSIONS.contains(&extension.as_str())
 }
 
 fn file_name(path: &Path) -> String {
@@ -159,8 +198,8 @@ mod tests {
 
     fn indices(folder: &Path, pattern: &str) -> Vec<(u64, String)> {
         let source = FrameSource::open(folder, pattern).unwrap();
-        assert_eq!(source.len(), source.frames().count());
-        source.frames().map(|f| (f.index, file_name(&f.path))).collect()
+        assert_eq!(source.count().unwrap(), Some(source.frames().unwrap().count()));
+        source.frames().unwrap().map(|f| (f.index, file_name(&f.path))).collect()
     }
 
     #[test]
@@ -195,5 +234,13 @@ mod tests {
             let message = FrameSource::open(&folder, pattern).unwrap_err().to_string();
             assert!(message.contains(expected), "{pattern}: expected {expected:?}, got {message:?}");
         }
+    }
+
+    #[cfg(not(feature = "opencv"))]
+    #[test]
+    fn a_build_without_opencv_says_so() {
+        let (_root, folder) = folder(&["run.MP4"]);
+        let error = FrameSource::open(&folder, "frames/run.MP4").unwrap_err();
+        assert!(matches!(error, Error::NoOpenCv { .. }), "{error}");
     }
 }

@@ -149,7 +149,8 @@ mod tests {
             assert_eq!(experiment.encoders, Some(folder.join("encoders.csv")));
             let view = &experiment.views[0];
             assert_eq!(Lens::read(&view.camera).unwrap(), scene.lens);
-            let frames: Vec<u64> = FrameSource::open(folder, &view.frames).unwrap().frames().map(|f| f.index).collect();
+            let frames: Vec<u64> =
+                FrameSource::open(folder, &view.frames).unwrap().frames().unwrap().map(|f| f.index).collect();
             assert_eq!(frames, [3, 4, 11]);
             let back = read_truth(&folder.join("truth.csv")).unwrap();
             assert_eq!(back.rows.iter().map(|row| row.index).collect::<Vec<_>>(), [3, 4, 11]);
