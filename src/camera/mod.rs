@@ -1,5 +1,6 @@
 //! Cameras: the lens model, camera files, and where frames come from.
 
+pub mod calibrate;
 mod file;
 pub mod frame;
 pub mod lens;
@@ -9,6 +10,7 @@ mod opencv;
 #[path = "without_opencv.rs"]
 mod opencv;
 pub mod source;
+pub use calibrate::{Board, CameraCalibration, calibrate_camera};
 pub use frame::{Frame, read_frame};
 pub use lens::Lens;
 pub use source::{FrameSource, SourceFrame};

@@ -1,9 +1,17 @@
 //! Everything that is done through OpenCV. No other module knows it.
 
-use super::frame::Frame;
+use super::calibrate::Board;
 use super::source::SourceFrame;
+use super::{Frame, Lens};
 use crate::error::{Error, Result};
-use opencv::core::{Mat, MatTraitConst, MatTraitConstManual};
+use crate::geometry::Pose;
+use nalgebra::{Point2, Translation3, UnitQuaternion, Vector2, Vector3};
+use opencv::calib3d::{CALIB_CB_ADAPTIVE_THRESH, CALIB_CB_NORMALIZE_IMAGE, calibrate_camera, find_chessboard_corners};
+use opencv::core::{
+    Mat, MatTraitConst, MatTraitConstManual, Point2f, Point3f, Size, TermCriteria, TermCriteria_COUNT,
+    TermCriteria_EPS, Vector,
+};
+use opencv::imgproc::corner_sub_pix;
 use opencv::videoio::{
     CAP_ANY, CAP_PROP_FRAME_COUNT, CAP_PROP_POS_MSEC, VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst,
 };
@@ -68,6 +76,127 @@ fn frame_from(picture: &Mat) -> opencv::Result<Option<Frame>> {
     Ok(Some(Frame { width: picture.cols() as u32, height: picture.rows() as u32, channels, data }))
 }
 
+/// The inner corners of a chessboard, row by row, to a fraction of a pixel; `None` where the whole board is not found.
+///
+/// # Errors
+/// Whatever OpenCV refuses.
+pub fn find_corners(frame: &Frame, board: &Board) -> Result<Option<Vec<Point2<f64>>>> {
+    let corners = || -> opencv::Result<Option<Vec<Point2<f64>>>> {
+        let grey = grey_bytes(frame);
+        let picture = Mat::new_rows_cols_with_data(frame.height as i32, frame.width as i32, &grey)?;
+        let mut corners = Vector::<Point2f>::new();
+        let pattern = Size::new(board.columns as i32, board.rows as i32);
+        let flags = CALIB_CB_ADAPTIVE_THRESH | CALIB_CB_NORMALIZE_IMAGE;
+        if !find_chessboard_corners(&picture, pattern, &mut corners, flags)? {
+            return Ok(None);
+        }
+        // The window must not reach the neighbouring corners.
+        let half = (smallest_distance(&corners) / 2.0).floor().clamp(2.0, 5.0) as i32;
+        let stop = TermCriteria::new(TermCriteria_COUNT + TermCriteria_EPS, 30, 0.01)?;
+        corner_sub_pix(&picture, &mut corners, Size::new(half, half), Size::new(-1, -1), stop)?;
+        Ok(Some(corners.iter().map(|c| Point2::new(f64::from(c.x), f64::from(c.y))).collect()))
+    };
+    corners().map_err(failed("find the chessboard's corners".into()))
+}
+
+fn grey_bytes(frame: &Frame) -> Vec<u8> {
+    // Weights of ITU-R BT.601, as OpenCV's own conversion has.
+    let grey = |pixel: &[f32]| match pixel {
+        [r, g, b] => 0.299 * r + 0.587 * g + 0.114 * b,
+        _ => pixel[0],
+    };
+    frame.data.chunks_exact(frame.channels).map(|pixel| grey(pixel).round() as u8).collect()
+}
+
+fn smallest_distance(corners: &Vector<Point2f>) -> f32 {
+    let neighbours = corners.iter().zip(corners.iter().skip(1));
+    neighbours.map(|(a, b)| (a.x - b.x).hypot(a.y - b.y)).fold(f32::INFINITY, f32::min)
+}
+
+/// The lens with five distortion coefficients, and the poses `camera_from_board`, that bring the boards' corners nearest
+/// to where they were seen (least squares).
+///
+/// # Errors
+/// Whatever OpenCV refuses.
+pub fn calibrate(board: &Board, views: &[&[Point2<f64>]], size: (u32, u32)) -> Result<(Lens, Vec<Pose>)> {
+    let fit = || -> opencv::Result<(Lens, Vec<Pose>)> {
+        let (on_boards, seen) = opencv_points(board, views.iter().copied());
+        let (mut matrix, mut distortion) = (Mat::default(), Mat::default());
+        let (mut rotations, mut translations) = (Vector::<Mat>::new(), Vector::<Mat>::new());
+        // Far beyond OpenCV's default of 30 steps and 2e-16, which may stop short of the least squares.
+        let stop = TermCriteria::new(TermCriteria_COUNT + TermCriteria_EPS, 200, f64::EPSILON)?;
+        calibrate_camera(
+            &on_boards,
+            &seen,
+            Size::new(size.0 as i32, size.1 as i32),
+            &mut matrix,
+            &mut distortion,
+            &mut rotations,
+            &mut translations,
+            0,
+            stop,
+        )?;
+        let k = |row, column| matrix.at_2d::<f64>(row, column).copied();
+        let mut lens = Lens {
+            width: size.0,
+            height: size.1,
+            focal_px: Vector2::new(k(0, 0)?, k(1, 1)?),
+            centre_px: Point2::new(k(0, 2)?, k(1, 2)?),
+            distortion: [0.0; 12],
+        };
+        for (to, from) in lens.distortion.iter_mut().zip(distortion.data_typed::<f64>()?) {
+            *to = *from;
+        }
+        let vector = |mat: Mat| -> opencv::Result<Vector3<f64>> { Ok(Vector3::from_column_slice(mat.data_typed()?)) };
+        let poses = rotations.iter().zip(translations.iter()).map(|(rotation, translation)| {
+            Ok(Pose::from_parts(
+                Translation3::from(vector(translation)?),
+                UnitQuaternion::from_scaled_axis(vector(rotation)?),
+            ))
+        });
+        Ok((lens, poses.collect::<opencv::Result<_>>()?))
+    };
+    fit().map_err(failed("calibrate the lens".into()))
+}
+
+/// The boards' corners and where they were seen, as OpenCV takes them.
+fn opencv_points<'a>(
+    board: &Board,
+    views: impl Iterator<Item = &'a [Point2<f64>]>,
+) -> (Vector<Vector<Point3f>>, Vector<Vector<Point2f>>) {
+    let on_board: Vector<Point3f> =
+        board.corners().iter().map(|c| Point3f::new(c.x as f32, c.y as f32, c.z as f32)).collect();
+    views
+        .map(|view| {
+            let seen: Vector<Point2f> = view.iter().map(|c| Point2f::new(c.x as f32, c.y as f32)).collect();
+            (on_board.clone(), seen)
+        })
+        .unzip()
+}
+
+/// OpenCV's own sigmas of the nine parameters, for comparison.
+#[cfg(test)]
+pub fn own_sigmas(board: &Board, views: &[Vec<Point2<f64>>], size: (u32, u32)) -> nalgebra::SVector<f64, 9> {
+    let (on_boards, seen) = opencv_points(board, views.iter().map(Vec::as_slice));
+    let size = Size::new(size.0 as i32, size.1 as i32);
+    let mut out: [Mat; 7] = Default::default();
+    let [matrix, distortion, rotations, translations, sigmas, pose_sigmas, errors] = &mut out;
+    opencv::calib3d::calibrate_camera_extended_def(
+        &on_boards,
+        &seen,
+        size,
+        matrix,
+        distortion,
+        rotations,
+        translations,
+        sigmas,
+        pose_sigmas,
+        errors,
+    )
+    .unwrap();
+    nalgebra::SVector::from_column_slice(&sigmas.data_typed::<f64>().unwrap()[..9])
+}
+
 fn failed(action: String) -> impl FnOnce(opencv::Error) -> Error {
     move |e| Error::OpenCv { action, message: e.message }
 }
@@ -76,7 +205,7 @@ fn failed(action: String) -> impl FnOnce(opencv::Error) -> Error {
 mod tests {
     use super::*;
     use crate::camera::FrameSource;
-    use opencv::core::{CV_8UC3, Rect, Scalar, Size};
+    use opencv::core::{CV_8UC3, Rect, Scalar};
     use opencv::imgproc::{FILLED, LINE_8, rectangle};
     use opencv::videoio::{VideoWriter, VideoWriterTrait};
 

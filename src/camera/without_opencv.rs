@@ -1,7 +1,11 @@
 //! What stands in for OpenCV in a build without it: everything is refused.
 
+use super::calibrate::Board;
 use super::source::SourceFrame;
+use super::{Frame, Lens};
 use crate::error::{Error, Result};
+use crate::geometry::Pose;
+use nalgebra::Point2;
 use std::path::Path;
 
 /// A video that can never be opened.
@@ -23,4 +27,12 @@ impl Iterator for Video {
     fn next(&mut self) -> Option<SourceFrame> {
         match *self {}
     }
+}
+
+pub fn find_corners(_: &Frame, _: &Board) -> Result<Option<Vec<Point2<f64>>>> {
+    Err(Error::NoOpenCv { what: "finding chessboards".into() })
+}
+
+pub fn calibrate(_: &Board, _: &[&[Point2<f64>]], _: (u32, u32)) -> Result<(Lens, Vec<Pose>)> {
+    Err(Error::NoOpenCv { what: "calibrating a lens".into() })
 }
