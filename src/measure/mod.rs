@@ -1,1 +1,28 @@
+//! The eye: pictures of the snake before a grid to θ and δ, with their uncertainty.
 //!
+//! A rig is calibrated once from a picture of the unbent snake ([`calibrate_rig`]); an [`Eye`] then measures frames:
+//!
+//! 1. `appearance`: colours become one plane in which the snake stands out and the print does not.
+//! 2. `search`: every bend's outline is tried at low resolution; the best few are starts.
+//! 3. `outline`, `edges`: the model's outline is projected and the picture's edges near it are placed to a fraction of a
+//!    pixel.
+//! 4. `fit`: bend and edge bias are adjusted until outline and edges agree, what disagrees losing its weight; the
+//!    covariance counts pieces of the outline, not pixels, as evidence.
+
+mod appearance;
+mod edges;
+mod eye;
+mod fit;
+mod grid;
+mod locate;
+mod outline;
+mod plane;
+mod rig;
+mod rig_file;
+mod search;
+mod solve;
+
+pub use appearance::Appearance;
+pub use eye::{Eye, Sighting};
+pub use outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
+pub use rig::{Rig, RigOptions, calibrate_rig};

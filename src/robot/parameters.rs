@@ -70,6 +70,8 @@ impl ActuationLine {
 }
 
 /// The body as a camera sees it: disks on four tubes, on a holder of the disks' diameter.
+///
+/// A spacer disk is square to the backbone at its own middle; the end disk is square to it at L, where its far face is.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Body {
@@ -128,10 +130,9 @@ impl Robot {
         self.length_mm / (f64::from(self.body.spacer_disk_count) + 1.0)
     }
 
-    /// Arc lengths of the disks' middles, mm, from the first spacer disk to the end disk, whose far face is at L.
-    pub fn disk_middles_mm(&self) -> Vec<f64> {
-        let end = self.length_mm - self.body.disk_thickness_mm / 2.0;
-        (1..=self.body.spacer_disk_count).map(|k| f64::from(k) * self.disk_pitch_mm()).chain([end]).collect()
+    /// Arc lengths of the spacer disks' middles, mm.
+    pub fn spacer_middles_mm(&self) -> Vec<f64> {
+        (1..=self.body.spacer_disk_count).map(|k| f64::from(k) * self.disk_pitch_mm()).collect()
     }
 
     /// K_d⁻¹ = L_d / (E_s A), mm/N: compliance of a backbone in the DDU holder, Eq. 17.

@@ -97,8 +97,7 @@ pub fn body(robot: &Robot, psi: Configuration) -> Vec<Shape> {
         }
     };
     // A spacer disk stands square on the axis at its middle; the end disk does so at its far face, where the axis ends.
-    let middles = robot.disk_middles_mm();
-    let spacers = middles[..middles.len().saturating_sub(1)].iter().map(|&middle| disk(robot.frame_at(psi, middle)));
+    let spacers = robot.spacer_middles_mm().into_iter().map(|middle| disk(robot.frame_at(psi, middle)));
     let tip = robot.frame_at(psi, robot.length_mm);
     let end_disk = disk(tip * Translation3::new(0.0, 0.0, -robot.body.disk_thickness_mm / 2.0));
     let cylinders = holder.chain(spacers).chain([end_disk]).map(Shape::Cylinder);

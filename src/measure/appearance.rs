@@ -1,0 +1,104 @@
+//! What tells snake from paper: the mix of colour channels that separates them best.
+
+use super::plane::Plane;
+use crate::camera::Frame;
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+/// A linear map from colour to "snakeness": about 1 on the snake and 0 on the paper, with the printed grid suppressed.
+///
+/// Fisher's linear discriminant: the grid's lines are part of the background's scatter, so the direction that separates
+/// the two classes best is also the one in which the lines' colour shows least.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Appearance {
+    /// Weight of each channel (one for grey, three for red, green, blue), per unit of linear light.
+    pub weights: Vec<f64>,
+    /// Added to the weighted sum.
+    pub offset: f64,
+}
+
+impl Appearance {
+    /// Learns from a picture in which `label(x, y)` tells snake (`Some(true)`) from background (`Some(false)`).
+    ///
+    /// `None` if one of the classes has too few pixels or they do not differ.
+    pub fn learn(frame: &Frame, label: impl Fn(u32, u32) -> Option<bool>) -> Option<Self> {
+        const STRIDE: usize = 2;
+        const MIN_PIXELS: f64 = 50.0;
+        let channels = frame.channels;
+        let mut count = [0.0; 2];
+        let mut mean = [DVector::zeros(channels), DVector::zeros(channels)];
+        let mut square = DMatrix::zeros(channels, channels);
+        for y in (0..frame.height).step_by(STRIDE) {
+            for x in (0..frame.width).step_by(STRIDE) {
+                let Some(is_snake) = label(x, y) else { continue };
+                let colour = DVector::from_fn(channels, |c, _| linear_light(frame.get(x, y, c)));
+                let class = usize::from(is_snake);
+                count[class] += 1.0;
+                square += &colour * colour.transpose();
+                mean[class] += colour;
+            }
+        }
+        if count[0] < MIN_PIXELS || count[1] < MIN_PIXELS {
+            return None;
+        }
+        for class in 0..2 {
+            mean[class] /= count[class];
+            square -= count[class] * &mean[class] * mean[class].transpose();
+        }
+        // A noise floor keeps the solution finite on pictures without noise.
+        let floor = DMatrix::identity(channels, channels) * 1e-5;
+        let scatter = square / (count[0] + count[1]) + floor;
+        let difference = &mean[1] - &mean[0];
+        let direction = scatter.cholesky()?.solve(&difference);
+        let scale = direction.dot(&difference);
+        if scale <= 0.0 {
+            return None;
+        }
+        let weights = direction / scale;
+        Some(Self { offset: -weights.dot(&mean[0]), weights: weights.iter().copied().collect() })
+    }
+
+    /// The snakeness of every pixel. A grey frame seen with a colour appearance counts as neutral colours, and a colour
+    /// frame seen with a grey appearance is averaged.
+    pub fn plane(&self, frame: &Frame) -> Plane {
+        let weights: Vec<f32> = match (self.weights.len(), frame.channels) {
+            (a, b) if a == b => self.weights.iter().map(|&w| w as f32).collect(),
+            (_, channels) => vec![self.weights.iter().sum::<f64>() as f32 / channels as f32; channels],
+        };
+        let lut = LightTable::new();
+        let offset = self.offset as f32;
+        let data = frame
+            .data
+            .chunks_exact(frame.channels)
+            .map(|pixel| offset + pixel.iter().zip(&weights).map(|(&v, w)| lut.get(v) * w).sum::<f32>())
+            .collect();
+        Plane { width: frame.width as usize, height: frame.height as usize, data }
+    }
+}
+
+/// The light behind an encoded value 0–255, as 0–1, by the sRGB curve (IEC 61966-2-1).
+///
+/// Blur mixes light, not encoded values: half way across a blurred edge is half the light, and an edge placed in the
+/// encoded picture would be off by up to half a pixel towards the dark side.
+pub fn linear_light(encoded: f32) -> f64 {
+    let v = f64::from(encoded) / 255.0;
+    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
+/// [`linear_light`] by table, exact enough (1/16 of a grey level) for 16-bit pictures as well.
+struct LightTable(Vec<f32>);
+
+impl LightTable {
+    const PER_LEVEL: f32 = 16.0;
+
+    fn new() -> Self {
+        let last = (255.0 * Self::PER_LEVEL) as u32;
+        Self((0..=last).map(|k| linear_light(k as f32 / Self::PER_LEVEL) as f32).collect())
+    }
+
+    fn get(&self, encoded: f32) -> f32 {
+        let index = (encoded * Self::PER_LEVEL + 0.5) as usize;
+        self.0[index.min(self.0.len() - 1)]
+    }
+}

@@ -1,0 +1,195 @@
+//! Frames to θ and δ.
+
+use super::edges::EdgeFinder;
+use super::fit::{BendFit, BiasPrior, fit_bend};
+use super::outline::Projection;
+use super::rig::Rig;
+use super::search::Search;
+use crate::camera::{Frame, Lens};
+use crate::geometry::{Configuration, wrap_angle};
+use crate::record::{Measured, Quality, Status};
+use crate::robot::Robot;
+use nalgebra::{Matrix2, Vector2};
+
+/// What one frame says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sighting {
+    /// The verdict; anything but [`Status::Ok`] comes without angles.
+    pub status: Status,
+    /// The angles.
+    pub measured: Option<Measured>,
+    /// How good the fit was, where there was one.
+    pub quality: Option<Quality>,
+}
+
+/// Measures the snake in the frames of one calibrated view.
+#[derive(Debug)]
+pub struct Eye {
+    lens: Lens,
+    rig: Rig,
+    robot: Robot,
+    search: Search,
+}
+
+/// Candidates of the coarse search that are looked at closely.
+const CANDIDATES: usize = 6;
+/// Search distances, px, of a first look at a candidate and of the final fit.
+const FIRST_LOOK_PX: [f64; 3] = [14.0, 10.0, 8.0];
+const FINAL_PX: [f64; 9] = [6.0, 5.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0];
+/// How far the edges' bias may differ between the straight picture and a frame, px (1σ).
+const BIAS_SIGMA_PX: f64 = 0.1;
+/// Share of the outline that must be confirmed by edges.
+const ENOUGH_INLIERS: f64 = 0.45;
+/// Another bend whose cost is within this factor of the best one's explains a picture as well.
+const AS_GOOD: f64 = 1.5;
+
+impl Eye {
+    /// An eye for one view. Prepares the coarse search, which takes about as long as measuring a few frames.
+    pub fn new(lens: Lens, rig: Rig, robot: Robot) -> Self {
+        let search = Search::new(&lens, rig.camera_from_base, &robot);
+        Self { lens, rig, robot, search }
+    }
+
+    /// How this eye projects the snake.
+    pub fn projection(&self) -> Projection<'_> {
+        Projection { lens: &self.lens, camera_from_base: self.rig.camera_from_base, robot: &self.robot }
+    }
+
+    /// Measures one frame: θ and δ as this view sees them (`delta_offset_deg` is the caller's to add).
+    pub fn measure(&self, frame: &Frame) -> Sighting {
+        if (frame.width, frame.height) != (self.lens.width, self.lens.height) {
+            return failed(Status::WrongSize, None);
+        }
+        if is_saturated(frame) {
+            return failed(Status::Saturated, None);
+        }
+        let plane = self.rig.appearance.plane(frame);
+        let view = self.projection();
+        let mut finder = EdgeFinder::new(&plane, plane.noise());
+        let bias = BiasPrior { mean_px: self.rig.edge_bias_px, sigma_px: BIAS_SIGMA_PX };
+        let mut fit = |start: Vector2<f64>, searches: &[f64]| fit_bend(&view, &mut finder, start, bias, searches);
+
+        let candidates = self.search.candidates(&plane, CANDIDATES);
+        let mut looks: Vec<BendFit> = candidates.iter().filter_map(|start| fit(*start, &FIRST_LOOK_PX)).collect();
+        looks.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        let mut fits =
+            distinct(looks).into_iter().take(2).filter_map(|look| fit(look.bend, &FINAL_PX)).collect::<Vec<_>>();
+        fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        match distinct(fits).as_slice() {
+            [] => failed(Status::NoSnake, None),
+            [best, other, ..] if other.cost < AS_GOOD * best.cost => failed(Status::Ambiguous, Some(quality(best))),
+            [best, ..] => self.verdict(best),
+        }
+    }
+
+    /// Angles and sigmas of a fit that can be trusted, or why it cannot.
+    fn verdict(&self, fit: &BendFit) -> Sighting {
+        let quality = quality(fit);
+        const SOFT_PX: f64 = 5.0;
+        const MOSTLY: f64 = 0.5;
+        const HARDLY_ANY: f64 = 0.25;
+        let status = if fit.out_of_frame > MOSTLY {
+            Status::OutOfFrame
+        } else if quality.inlier_fraction < HARDLY_ANY {
+            Status::NoSnake
+        } else if quality.inlier_fraction < ENOUGH_INLIERS {
+            Status::Occluded
+        } else if fit.blur_px > SOFT_PX {
+            Status::Blurred
+        } else {
+            Status::Ok
+        };
+        if status != Status::Ok {
+            return failed(status, Some(quality));
+        }
+        let from_rig = fit.by_pose * self.rig.pose_covariance * fit.by_pose.transpose();
+        let measured = in_polar_terms(fit.bend, &(fit.covariance + from_rig));
+        Sighting { status, measured: Some(measured), quality: Some(quality) }
+    }
+}
+
+fn failed(status: Status, quality: Option<Quality>) -> Sighting {
+    Sighting { status, measured: None, quality }
+}
+
+fn quality(fit: &BendFit) -> Quality {
+    Quality { edges: fit.inliers, inlier_fraction: fit.inliers as f64 / fit.places.max(1) as f64, rms_px: fit.rms_px }
+}
+
+/// Keeps the best of fits that ended at the same bend; they come best first.
+fn distinct(fits: Vec<BendFit>) -> Vec<BendFit> {
+    const SAME_RAD: f64 = 0.035;
+    let mut kept: Vec<BendFit> = Vec::new();
+    for fit in fits {
+        if kept.iter().all(|k| (k.bend - fit.bend).norm() > SAME_RAD) {
+            kept.push(fit);
+        }
+    }
+    kept
+}
+
+/// Whether nearly all of a picture is black or white.
+fn is_saturated(frame: &Frame) -> bool {
+    const NEARLY_ALL: f64 = 0.98;
+    let values = || frame.data.iter().step_by(97);
+    let extreme = values().filter(|v| **v <= 3.0 || **v >= 252.0).count();
+    extreme as f64 > NEARLY_ALL * values().count() as f64
+}
+
+/// θ, δ and their errors for a bend vector with a covariance (rad²).
+///
+/// Far from straight this is the linear propagation. Near straight δ may be anything, so the errors are mean squares over
+/// the bend vector's distribution, here by a grid of ±3.5σ.
+fn in_polar_terms(bend: Vector2<f64>, covariance: &Matrix2<f64>) -> Measured {
+    let configuration = Configuration::from_bend_vector(bend);
+    let eigen = covariance.symmetric_eigen();
+    let axes = eigen.eigenvectors * Matrix2::from_diagonal(&eigen.eigenvalues.map(|v| v.max(0.0).sqrt()));
+    const HALF: i32 = 14;
+    let (mut weights, mut tt, mut dd, mut td) = (0.0, 0.0, 0.0, 0.0);
+    for i in -HALF..=HALF {
+        for j in -HALF..=HALF {
+            let z = Vector2::new(f64::from(i), f64::from(j)) * (3.5 / f64::from(HALF));
+            let weight = (-0.5 * z.norm_squared()).exp();
+            let other = Configuration::from_bend_vector(bend + axes * z);
+            let theta = other.theta - configuration.theta;
+            let delta = wrap_angle(other.delta - configuration.delta);
+            weights += weight;
+            tt += weight * theta * theta;
+            dd += weight * delta * delta;
+            td += weight * theta * delta;
+        }
+    }
+    Measured {
+        configuration,
+        sigma_theta: (tt / weights).sqrt(),
+        sigma_delta: (dd / weights).sqrt(),
+        correlation: if tt * dd > 0.0 { (td / (tt * dd).sqrt()).clamp(-0.999, 0.999) } else { 0.0 },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use approx::assert_relative_eq;
+
+    #[test]
+    fn far_from_straight_the_polar_errors_are_those_of_linear_propagation() {
+        let (theta, delta) = (0.8_f64, 0.6_f64);
+        let bend = Configuration::new(theta, delta).bend_vector();
+        let covariance = Matrix2::new(4e-6, 1e-6, 1e-6, 2e-6);
+        let polar = in_polar_terms(bend, &covariance);
+        let jacobian = Matrix2::new(delta.cos(), delta.sin(), -delta.sin() / theta, delta.cos() / theta);
+        let linear = jacobian * covariance * jacobian.transpose();
+        assert_relative_eq!(polar.sigma_theta, linear[(0, 0)].sqrt(), max_relative = 0.01);
+        assert_relative_eq!(polar.sigma_delta, linear[(1, 1)].sqrt(), max_relative = 0.01);
+        assert_relative_eq!(polar.covariance()[(0, 1)], linear[(0, 1)], epsilon = 2e-8);
+    }
+
+    #[test]
+    fn at_straight_delta_is_anything() {
+        let polar = in_polar_terms(Vector2::new(1e-9, 0.0), &(Matrix2::identity() * 1e-6));
+        // A direction uniform over the circle has σ = π/√3.
+        assert_relative_eq!(polar.sigma_delta, std::f64::consts::PI / 3.0_f64.sqrt(), max_relative = 0.05);
+        assert!(polar.sigma_theta > 1e-3);
+    }
+}

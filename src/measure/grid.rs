@@ -1,0 +1,617 @@
+//! Finds the printed grid and the camera's pose to it.
+//!
+//! A grid is a sum of plane waves. Within a window of some ten pitches the phase of the wave along each of its two
+//! directions tells where the lines are, from every pixel at once and whatever the lines' colour or width; thick lines
+//! every 5 or 10 mm lie on the same lattice and add to the same wave. Windows all over the picture, counted from
+//! neighbour to neighbour, give pairs of picture and paper coordinates, and these the pose.
+
+use super::plane::Plane;
+use super::solve::minimise;
+use crate::camera::{Frame, Lens};
+use crate::geometry::Pose;
+use nalgebra::{DMatrix, DVector, Matrix2, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
+use rustfft::{FftPlanner, num_complex::Complex};
+use std::collections::VecDeque;
+use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
+
+/// What is printed on the paper.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pattern {
+    /// Lines in two directions, one pitch apart.
+    Lines,
+    /// Squares of side one pitch, alternately dark and light: waves along the diagonals, √2 pitches long.
+    Checkerboard,
+}
+
+/// A place of the paper seen in the picture.
+#[derive(Debug, Clone, Copy)]
+pub struct GridPoint {
+    /// Where it is seen, px.
+    pub pixel: Point2<f64>,
+    /// Where it is on the paper, mm, in the grid frame.
+    pub paper_mm: Point2<f64>,
+}
+
+/// The grid in one picture.
+#[derive(Debug, Clone)]
+pub struct Grid {
+    /// The camera's pose to it.
+    pub camera_from_grid: Pose,
+    /// The places it was seen at.
+    pub points: Vec<GridPoint>,
+    /// Scatter of the points about the pose, px per coordinate.
+    pub rms_px: f64,
+}
+
+/// Radius of the window, in wavelengths: a Hann window of 5 pitches is blind to the waves of a 5 mm ruling beside those
+/// of a 1 mm one.
+const WINDOW: f64 = 5.0;
+/// Distance between windows, in pitches.
+const SPACING: f64 = 1.7;
+
+/// Finds the grid in a picture.
+///
+/// `expected_px` is the pitch as the snake's known size predicts it; a grid within a fifth of it is taken, so that a
+/// heavier ruling is not mistaken for the pitch. `is_snake` tells pixels that are not paper.
+///
+/// # Errors
+///
+/// A sentence that says what was not found.
+pub fn find_grid(
+    frame: &Frame,
+    lens: &Lens,
+    pitch_mm: f64,
+    expected_px: f64,
+    is_snake: impl Fn(&Point2<f64>) -> bool,
+) -> Result<Grid, String> {
+    let plane = strongest_pattern(frame, &is_snake);
+    let mut best: Option<Grid> = None;
+    for pattern in [Pattern::Lines, Pattern::Checkerboard] {
+        let Some(seed) = seed(&plane, pattern, expected_px, &is_snake) else { continue };
+        let Some(grid) = follow(&plane, lens, pattern, pitch_mm, expected_px, &seed, &is_snake) else { continue };
+        if best.as_ref().is_none_or(|b| grid.points.len() > b.points.len()) {
+            best = Some(grid);
+        }
+    }
+    best.ok_or_else(|| {
+        format!(
+            "no grid of {pitch_mm} mm pitch was found on the paper; by the snake's size its lines should be about \
+             {expected_px:.1} px apart. Check grid_pitch_mm and that the lines can be seen"
+        )
+    })
+}
+
+/// The mix of channels in which the paper's fine structure is strongest: the first principal component of what is left
+/// after the mean of each pixel's surroundings is taken away.
+fn strongest_pattern(frame: &Frame, is_snake: &impl Fn(&Point2<f64>) -> bool) -> Plane {
+    let channels = frame.channels;
+    let block = 8;
+    let mut scatter = DMatrix::zeros(channels, channels);
+    for y in (0..frame.height.saturating_sub(block)).step_by(2 * block as usize) {
+        for x in (0..frame.width.saturating_sub(block)).step_by(2 * block as usize) {
+            if is_snake(&Point2::new(f64::from(x), f64::from(y))) {
+                continue;
+            }
+            let colours: Vec<DVector<f64>> = (0..block * block)
+                .map(|k| DVector::from_fn(channels, |c, _| f64::from(frame.get(x + k % block, y + k / block, c))))
+                .collect();
+            let mean = colours.iter().fold(DVector::zeros(channels), |a, b| a + b) / colours.len() as f64;
+            colours.iter().for_each(|colour| scatter += (colour - &mean) * (colour - &mean).transpose());
+        }
+    }
+    let eigen = scatter.symmetric_eigen();
+    let weights = eigen.eigenvectors.column(eigen.eigenvalues.imax()).map(|w| w as f32);
+    let data =
+        frame.data.chunks_exact(channels).map(|p| p.iter().zip(weights.iter()).map(|(v, w)| v * w).sum()).collect();
+    Plane { width: frame.width as usize, height: frame.height as usize, data }
+}
+
+/// Where the grid was first recognised: a window's centre and its two wave vectors, cycles per px.
+struct Seed {
+    centre: Point2<f64>,
+    waves: [Vector2<f64>; 2],
+}
+
+/// Looks for two square waves of the expected length in windows that show little but paper.
+fn seed(plane: &Plane, pattern: Pattern, expected_px: f64, is_snake: &impl Fn(&Point2<f64>) -> bool) -> Option<Seed> {
+    let size = if plane.width.min(plane.height) >= 512 { 256 } else { 128 };
+    if plane.width < size || plane.height < size {
+        return None;
+    }
+    let expected = match pattern {
+        Pattern::Lines => 1.0 / expected_px,
+        Pattern::Checkerboard => FRAC_1_SQRT_2 / expected_px,
+    };
+    let mut planner = FftPlanner::new();
+    let fft = planner.plan_fft_forward(size);
+    let mut best: Option<(f64, Seed)> = None;
+    for row in 0..3 {
+        for column in 0..5 {
+            let (x0, y0) = (column * (plane.width - size) / 4, row * (plane.height - size) / 2);
+            let centre = Point2::new((x0 + size / 2) as f64, (y0 + size / 2) as f64);
+            let covered = (0..64)
+                .filter(|k| is_snake(&Point2::new((x0 + k % 8 * size / 8) as f64, (y0 + k / 8 * size / 8) as f64)));
+            if covered.count() > 8 {
+                continue;
+            }
+            let spectrum = amplitude_spectrum(plane, x0, y0, size, fft.as_ref());
+            if let Some((strength, waves)) = wave_pair(&spectrum, size, expected, pattern)
+                && best.as_ref().is_none_or(|(s, _)| strength > *s)
+            {
+                best = Some((strength, Seed { centre, waves }));
+            }
+        }
+    }
+    best.map(|(_, seed)| seed)
+}
+
+/// |FFT| of a Hann-windowed square of the picture.
+fn amplitude_spectrum(plane: &Plane, x0: usize, y0: usize, size: usize, fft: &dyn rustfft::Fft<f64>) -> Vec<f64> {
+    let hann: Vec<f64> = (0..size).map(|k| 0.5 - 0.5 * (TAU * k as f64 / size as f64).cos()).collect();
+    let rows = (0..size).map(|y| &plane.data[(y0 + y) * plane.width + x0..][..size]);
+    let mean = rows.clone().flatten().map(|&v| f64::from(v)).sum::<f64>() / (size * size) as f64;
+    let mut data: Vec<Complex<f64>> = rows
+        .enumerate()
+        .flat_map(|(y, row)| row.iter().enumerate().map(move |(x, &v)| (x, y, f64::from(v))))
+        .map(|(x, y, v)| Complex::new((v - mean) * hann[x] * hann[y], 0.0))
+        .collect();
+    for _ in 0..2 {
+        data.chunks_exact_mut(size).for_each(|row| fft.process(row));
+        data = (0..size * size).map(|k| data[k % size * size + k / size]).collect();
+    }
+    data.iter().map(|c| c.norm()).collect()
+}
+
+/// The two strongest, roughly square, waves near the expected wave number, with their strength over the background.
+fn wave_pair(spectrum: &[f64], size: usize, expected: f64, pattern: Pattern) -> Option<(f64, [Vector2<f64>; 2])> {
+    let at = |x: i64, y: i64| spectrum[y.rem_euclid(size as i64) as usize * size + x.rem_euclid(size as i64) as usize];
+    let reach = (1.25 * expected * size as f64).ceil() as i64;
+    let mut peaks: Vec<(f64, Vector2<f64>)> = Vec::new();
+    let mut floor: Vec<f32> = Vec::new();
+    for y in -reach..=reach {
+        for x in 0..=reach {
+            let amplitude = at(x, y);
+            let number = ((x * x + y * y) as f64).sqrt() / size as f64;
+            if !(0.78 * expected..1.25 * expected).contains(&number) || (x == 0 && y <= 0) {
+                continue;
+            }
+            floor.push(amplitude as f32);
+            let neighbours = [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)];
+            if neighbours.iter().all(|(dx, dy)| at(x + dx, y + dy) <= amplitude) {
+                let vertex =
+                    |before: f64, after: f64| 0.5 * (after - before) / (2.0 * amplitude - before - after).max(1e-12);
+                let dx = vertex(at(x - 1, y), at(x + 1, y));
+                let dy = vertex(at(x, y - 1), at(x, y + 1));
+                // How far the wave number may be from the snake's prediction: a few per cent.
+                let likely = (-0.5 * ((number / expected - 1.0) / 0.08).powi(2)).exp();
+                peaks.push((amplitude * likely, Vector2::new(x as f64 + dx, y as f64 + dy) / size as f64));
+            }
+        }
+    }
+    let floor = f64::from(super::plane::median(&mut floor));
+    peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
+    peaks.truncate(12);
+    let mut best: Option<(f64, [Vector2<f64>; 2])> = None;
+    for (i, (strength_a, a)) in peaks.iter().enumerate() {
+        for (strength_b, b) in &peaks[i + 1..] {
+            let cosine = a.dot(b) / (a.norm() * b.norm());
+            let ratio = a.norm() / b.norm();
+            let strength = strength_a.min(*strength_b) / floor.max(1e-12);
+            const STANDS_OUT: f64 = 5.0;
+            if cosine.abs() < 0.35
+                && (0.75..1.33).contains(&ratio)
+                && strength > STANDS_OUT
+                && best.is_none_or(|(s, _)| strength > s)
+            {
+                best = Some((strength, ordered(*a, *b, pattern)));
+            }
+        }
+    }
+    best
+}
+
+/// Turns two waves so that the paper's axes they imply are nearest to the picture's: x right, y down.
+fn ordered(a: Vector2<f64>, b: Vector2<f64>, pattern: Pattern) -> [Vector2<f64>; 2] {
+    let mut best = ([a, b], f64::MIN);
+    for (first, second) in [(a, b), (b, a)] {
+        for (s, t) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
+            let waves = [first * s, second * t];
+            let [x, y] = axes_from_waves(waves, pattern);
+            let agreement = x.x / x.norm() + y.y / y.norm();
+            if agreement > best.1 {
+                best = (waves, agreement);
+            }
+        }
+    }
+    best.0
+}
+
+/// Gradients of the paper's x and y coordinates, pitches per px, from the phases' gradients.
+fn axes_from_waves(waves: [Vector2<f64>; 2], pattern: Pattern) -> [Vector2<f64>; 2] {
+    match pattern {
+        Pattern::Lines => waves,
+        // The phases are (x + y)/2 and (x − y)/2 pitches.
+        Pattern::Checkerboard => [waves[0] + waves[1], waves[0] - waves[1]],
+    }
+}
+
+/// Paper coordinates, pitches, to phases, cycles: the inverse of [`axes_from_waves`] on numbers.
+fn phases_from_paper(paper: Vector2<f64>, pattern: Pattern) -> Vector2<f64> {
+    match pattern {
+        Pattern::Lines => paper,
+        Pattern::Checkerboard => Vector2::new(paper.x + paper.y, paper.x - paper.y) / 2.0,
+    }
+}
+
+fn paper_from_phases(phases: Vector2<f64>, pattern: Pattern) -> Vector2<f64> {
+    match pattern {
+        Pattern::Lines => phases,
+        Pattern::Checkerboard => Vector2::new(phases.x + phases.y, phases.x - phases.y),
+    }
+}
+
+/// The phase (cycles, in [−½, ½)) of a wave in a round window, and its amplitude.
+fn phase_at(plane: &Plane, centre: &Point2<f64>, wave: Vector2<f64>, radius: f64) -> (f64, f64) {
+    let reach = radius.floor() as i64;
+    let (cx, cy) = (centre.x.round() as i64, centre.y.round() as i64);
+    let taper: Vec<f64> = (-reach..=reach).map(|k| 0.5 + 0.5 * (PI * k as f64 / radius).cos()).collect();
+    let turn = |k: f64| Complex::from_polar(1.0, -TAU * k);
+    let columns: Vec<Complex<f64>> = (-reach..=reach).zip(&taper).map(|(k, t)| turn(wave.x * k as f64) * t).collect();
+    let column_sum: Complex<f64> = columns.iter().sum();
+    let (mut total, mut plain, mut weight) = (Complex::<f64>::ZERO, 0.0, Complex::<f64>::ZERO);
+    let mut plain_weight = 0.0;
+    for (dy, t) in (-reach..=reach).zip(&taper) {
+        let row = &plane.data[(cy + dy) as usize * plane.width + (cx - reach) as usize..][..taper.len()];
+        let turned = turn(wave.y * dy as f64) * t;
+        let (mut sum, mut grey) = (Complex::<f64>::ZERO, 0.0);
+        for ((&v, c), w) in row.iter().zip(&columns).zip(&taper) {
+            sum += c * f64::from(v);
+            grey += w * f64::from(v);
+        }
+        total += sum * turned;
+        weight += column_sum * turned;
+        plain += grey * t;
+        plain_weight += t * taper.iter().sum::<f64>();
+    }
+    // The mean grey must not leak into the wave.
+    let wave_part: Complex<f64> = (total - weight * (plain / plain_weight)) / plain_weight;
+    // The phase belongs to the window's pixel; carry it to the exact centre.
+    let shift = wave.dot(&(centre - Point2::new(cx as f64, cy as f64)));
+    (wrap_cycles(wave_part.arg() / TAU + shift), wave_part.norm())
+}
+
+fn wrap_cycles(cycles: f64) -> f64 {
+    cycles - cycles.round()
+}
+
+/// One window: its centre and, once counted, the phases in cycles of the whole picture.
+struct Window {
+    centre: Point2<f64>,
+    phases: Option<Vector2<f64>>,
+}
+
+/// Counts phases from window to window over the paper, then fits the pose and measures again with the waves it predicts.
+fn follow(
+    plane: &Plane,
+    lens: &Lens,
+    pattern: Pattern,
+    pitch_mm: f64,
+    expected_px: f64,
+    seed: &Seed,
+    is_snake: &impl Fn(&Point2<f64>) -> bool,
+) -> Option<Grid> {
+    let wavelength = 1.0 / seed.waves[0].norm();
+    let radius = WINDOW * wavelength;
+    let step = SPACING * expected_px;
+    let columns = ((plane.width as f64 - 2.0 * radius - 2.0) / step).floor() as i64;
+    let rows = ((plane.height as f64 - 2.0 * radius - 2.0) / step).floor() as i64;
+    if columns < 3 || rows < 3 {
+        return None;
+    }
+    let place = |x: i64, y: i64| Point2::new(radius + 1.0 + x as f64 * step, radius + 1.0 + y as f64 * step);
+    let mut windows: Vec<Window> =
+        (0..rows * columns).map(|k| Window { centre: place(k % columns, k / columns), phases: None }).collect();
+    let clear: Vec<bool> = windows.iter().map(|w| paper_share(&w.centre, radius, is_snake) > 0.85).collect();
+
+    // Amplitude that counts as the grid: a third of what the seed shows.
+    let enough = seed.waves.map(|wave| phase_at(plane, &clamp_into(plane, &seed.centre, radius), wave, radius).1 / 3.0);
+    let measure = |centre: &Point2<f64>, predicted: Vector2<f64>, waves: [Vector2<f64>; 2]| -> Option<Vector2<f64>> {
+        let mut phases = Vector2::zeros();
+        for k in 0..2 {
+            let (phase, amplitude) = phase_at(plane, centre, waves[k], radius);
+            let deviation = wrap_cycles(phase - predicted[k]);
+            const SURE_CYCLES: f64 = 0.25;
+            if amplitude < enough[k] || deviation.abs() > SURE_CYCLES {
+                return None;
+            }
+            phases[k] = predicted[k] + deviation;
+        }
+        Some(phases)
+    };
+
+    let start = (0..windows.len()).filter(|&k| clear[k]).min_by(|&a, &b| {
+        let distance = |k: usize| (windows[k].centre - seed.centre).norm();
+        distance(a).total_cmp(&distance(b))
+    })?;
+    let first = seed.waves.map(|wave| phase_at(plane, &windows[start].centre, wave, radius).0);
+    windows[start].phases = Some(Vector2::new(first[0], first[1]));
+    let mut queue = VecDeque::from([start]);
+    while let Some(from) = queue.pop_front() {
+        let Some(known) = windows[from].phases else { continue };
+        let (x, y) = (from as i64 % columns, from as i64 / columns);
+        for (nx, ny) in [(x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)] {
+            let k = (ny * columns + nx) as usize;
+            if nx < 0 || ny < 0 || nx >= columns || ny >= rows || !clear[k] || windows[k].phases.is_some() {
+                continue;
+            }
+            let moved = windows[k].centre - windows[from].centre;
+            let predicted = known + Vector2::new(seed.waves[0].dot(&moved), seed.waves[1].dot(&moved));
+            windows[k].phases = measure(&windows[k].centre, predicted, seed.waves);
+            if windows[k].phases.is_some() {
+                queue.push_back(k);
+            }
+        }
+    }
+
+    let sightings = |windows: &[Window]| -> Vec<GridPoint> {
+        let seen = windows.iter().filter_map(|w| Some((w.centre, w.phases?)));
+        seen.map(|(pixel, phases)| GridPoint {
+            pixel,
+            paper_mm: Point2::from(paper_from_phases(phases, pattern) * pitch_mm),
+        })
+        .collect()
+    };
+    let gradients = axes_from_waves(seed.waves, pattern);
+    let mut points = sightings(&windows);
+    let mut pose = starting_pose(lens, pitch_mm, gradients, points.first()?);
+    let mut rms_px = 0.0;
+    for _ in 0..2 {
+        (pose, rms_px) = fit_pose(lens, &points, &pose)?;
+        for (window, _) in windows.iter_mut().zip(&clear).filter(|(_, clear)| **clear) {
+            let (paper, gradient) = paper_at(lens, &pose, &window.centre)?;
+            let phases = phases_from_paper(paper.coords / pitch_mm, pattern);
+            let waves = waves_from_gradient(gradient / pitch_mm, pattern);
+            window.phases = measure(&window.centre, phases, waves);
+        }
+        points = sightings(&windows);
+    }
+    let clear_count = clear.iter().filter(|c| **c).count();
+    if points.len() < 12 || points.len() * 3 < clear_count {
+        return None;
+    }
+    if pattern == Pattern::Lines {
+        let lines = Lines { plane, lens, pitch_mm, is_snake };
+        pose = lines.put_origin_on_a_line(pose)?;
+        for _ in 0..2 {
+            (pose, rms_px) = lines.fit_pose(&pose)?;
+        }
+    }
+    Some(Grid { camera_from_grid: pose, points, rms_px })
+}
+
+/// The printed lines themselves, followed at many places once a pose tells where to look.
+///
+/// The waves average over windows that cannot reach the picture's border and that shadows and the snake cut into; the
+/// lines are seen everywhere, and each place of each line is a measurement of its own.
+struct Lines<'a, F> {
+    plane: &'a Plane,
+    lens: &'a Lens,
+    pitch_mm: f64,
+    is_snake: &'a F,
+}
+
+/// A place on a printed line: where it is on the paper, where it was seen, and the line's normal in the picture.
+struct LinePlace {
+    paper_mm: Point2<f64>,
+    seen: Point2<f64>,
+    normal: Vector2<f64>,
+}
+
+impl<F: Fn(&Point2<f64>) -> bool> Lines<'_, F> {
+    fn fit_pose(&self, start: &Pose) -> Option<(Pose, f64)> {
+        let places = kept_places(self.places(start)?)?;
+        let mut pose = *start;
+        let mut rms = 0.0;
+        let distance =
+            |pose: &Pose, p: &LinePlace| p.normal.dot(&(p.seen - project_paper(self.lens, pose, &p.paper_mm)));
+        for _ in 0..3 {
+            let mut sizes: Vec<f32> = places.iter().map(|p| distance(&pose, p).abs() as f32).collect();
+            let limit = 4.0 * 1.4826 * f64::from(super::plane::median(&mut sizes)) + 1e-3;
+            let kept: Vec<&LinePlace> = places.iter().filter(|p| distance(&pose, p).abs() < limit).collect();
+            let residuals = |x: &DVector<f64>| {
+                let moved = nudged(&pose, x);
+                DVector::from_iterator(kept.len(), kept.iter().map(|p| distance(&moved, p)))
+            };
+            let solution = minimise(residuals, DVector::zeros(6), &pose_steps())?;
+            rms = (solution.residuals.norm_squared() / kept.len() as f64).sqrt();
+            pose = nudged(&pose, &solution.parameters);
+        }
+        Some((pose, rms))
+    }
+
+    /// The waves' crests are the lines if these are light, and half way between them if they are dark. Lines are the
+    /// narrower of the two, so the sharper bow tells.
+    fn put_origin_on_a_line(&self, pose: Pose) -> Option<Pose> {
+        let shifted = |by: f64| pose * Translation3::new(by * self.pitch_mm, by * self.pitch_mm, 0.0);
+        let sharpness = |pose: &Pose| -> Option<f64> {
+            let places = self.places(pose)?;
+            Some((places.iter().map(|(depth, _)| depth).sum::<f64>() / places.len().max(1) as f64).abs())
+        };
+        let (crest, trough) = (shifted(0.0), shifted(0.5));
+        Some(if sharpness(&crest)? > sharpness(&trough)? { crest } else { trough })
+    }
+
+    /// Looks at every line of both directions, in the middle between the lines that cross it.
+    fn places(&self, pose: &Pose) -> Option<Vec<(f64, LinePlace)>> {
+        const MARGIN_PX: f64 = 3.0;
+        let size = Vector2::new(self.plane.width as f64 - 1.0, self.plane.height as f64 - 1.0);
+        let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)];
+        let mut reach = [(f64::MAX, f64::MIN); 2];
+        for (x, y) in corners {
+            let (paper, _) = paper_at(self.lens, pose, &Point2::new(x * size.x, y * size.y))?;
+            for axis in 0..2 {
+                let line = paper[axis] / self.pitch_mm;
+                reach[axis] = (reach[axis].0.min(line), reach[axis].1.max(line));
+            }
+        }
+        const MOST_LINES: f64 = 2000.0;
+        if reach.iter().any(|(low, high)| high - low > MOST_LINES) {
+            return None;
+        }
+        let range = |axis: usize| (reach[axis].0.ceil() as i64)..=(reach[axis].1.floor() as i64);
+        let mut found: Vec<(f64, LinePlace)> = Vec::new();
+        for axis in 0..2 {
+            for line in range(axis) {
+                for between in range(1 - axis) {
+                    let mut paper = Point2::origin();
+                    paper[axis] = line as f64 * self.pitch_mm;
+                    paper[1 - axis] = (between as f64 + 0.5) * self.pitch_mm;
+                    let pixel = project_paper(self.lens, pose, &paper);
+                    if !self.lens.contains(&pixel, MARGIN_PX) || (self.is_snake)(&pixel) {
+                        continue;
+                    }
+                    let mut ahead = paper;
+                    ahead[1 - axis] += 0.3 * self.pitch_mm;
+                    let along = (project_paper(self.lens, pose, &ahead) - pixel) / 0.3;
+                    found.extend(
+                        self.ridge(&pixel, along)
+                            .map(|(depth, seen, normal)| (depth, LinePlace { paper_mm: paper, seen, normal })),
+                    );
+                }
+            }
+        }
+        Some(found)
+    }
+
+    /// The middle of the darkest or lightest stripe near a pixel, along a vector of one pitch: its depth (positive if
+    /// dark), its place and the line's normal.
+    fn ridge(&self, pixel: &Point2<f64>, along: Vector2<f64>) -> Option<(f64, Point2<f64>, Vector2<f64>)> {
+        const STEP_PX: f64 = 0.5;
+        let pitch_px = along.norm();
+        let direction = along / pitch_px;
+        let normal = Vector2::new(-direction.y, direction.x);
+        let search = (0.15 * pitch_px / STEP_PX).ceil() as i64;
+        let reach = search + 6;
+        let rows = (0.35 * pitch_px).floor() as i64;
+        let profile: Vec<f64> = (-reach..=reach)
+            .map(|k| {
+                let centre = pixel + normal * (k as f64 * STEP_PX);
+                let sum: f64 = (-rows..=rows).map(|r| self.plane.sample(&(centre + direction * r as f64))).sum();
+                sum / (2 * rows + 1) as f64
+            })
+            .collect();
+        // A second difference about as wide as a line finds its middle whatever the paper's slope.
+        let width = 4;
+        let curve = |k: usize| profile[k - width] + profile[k + width] - 2.0 * profile[k];
+        let smooth = |k: usize| curve(k - 1) + 2.0 * curve(k) + curve(k + 1);
+        let inner = width + 2..profile.len().saturating_sub(width + 2);
+        let best = inner.clone().max_by(|&a, &b| smooth(a).abs().total_cmp(&smooth(b).abs()))?;
+        if best == inner.start || best + 1 == inner.end {
+            return None;
+        }
+        let (before, at, after) = (smooth(best - 1), smooth(best), smooth(best + 1));
+        let bow = 2.0 * at - before - after;
+        let vertex = if bow == 0.0 { return None } else { 0.5 * (after - before) / bow };
+        let offset = (best as f64 + vertex.clamp(-1.0, 1.0) - reach as f64) * STEP_PX;
+        Some((at, pixel + normal * offset, normal))
+    }
+}
+
+/// Lines are dark on light paper or light on dark; most places tell which, and the others saw something else.
+fn kept_places(found: Vec<(f64, LinePlace)>) -> Option<Vec<LinePlace>> {
+    let dark = found.iter().map(|(depth, _)| depth).sum::<f64>() > 0.0;
+    let places: Vec<LinePlace> =
+        found.into_iter().filter(|(depth, _)| (*depth > 0.0) == dark).map(|(_, p)| p).collect();
+    (places.len() >= 50).then_some(places)
+}
+
+/// Steps of central differences for a pose.
+fn pose_steps() -> DVector<f64> {
+    DVector::from_column_slice(&[1e-5, 1e-5, 1e-5, 1e-4, 1e-4, 1e-4])
+}
+
+fn clamp_into(plane: &Plane, centre: &Point2<f64>, radius: f64) -> Point2<f64> {
+    Point2::new(
+        centre.x.clamp(radius + 1.0, (plane.width as f64 - radius - 2.0).max(radius + 1.0)),
+        centre.y.clamp(radius + 1.0, (plane.height as f64 - radius - 2.0).max(radius + 1.0)),
+    )
+}
+
+/// The share of a window that shows paper.
+fn paper_share(centre: &Point2<f64>, radius: f64, is_snake: &impl Fn(&Point2<f64>) -> bool) -> f64 {
+    const SIDE: i32 = 9;
+    let offsets =
+        (0..SIDE * SIDE).map(|k| Vector2::new(f64::from(k % SIDE), f64::from(k / SIDE)) * 2.0 / f64::from(SIDE - 1));
+    let free = offsets.filter(|o| !is_snake(&(centre + (o - Vector2::new(1.0, 1.0)) * 0.7 * radius)));
+    free.count() as f64 / f64::from(SIDE * SIDE)
+}
+
+/// A camera square to the paper, from the pitch and the direction of its lines.
+fn starting_pose(lens: &Lens, pitch_mm: f64, gradients: [Vector2<f64>; 2], point: &GridPoint) -> Pose {
+    let mm_per_px = (gradients[0].norm() * gradients[1].norm()).sqrt() * pitch_mm;
+    let depth = lens.focal_px.x * mm_per_px;
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), gradients[0].y.atan2(gradients[0].x));
+    let seen = lens.ray(&point.pixel);
+    let at = seen * (depth / seen.z) - rotation * Vector3::new(point.paper_mm.x, point.paper_mm.y, 0.0);
+    Pose::from_parts(Translation3::from(at), rotation)
+}
+
+/// Robust fit of the pose to sightings of the paper.
+fn fit_pose(lens: &Lens, points: &[GridPoint], start: &Pose) -> Option<(Pose, f64)> {
+    let mut pose = *start;
+    let mut kept: Vec<&GridPoint> = points.iter().collect();
+    let mut rms = f64::INFINITY;
+    for _ in 0..3 {
+        let residuals = |x: &DVector<f64>| {
+            let moved = nudged(&pose, x);
+            let errors = kept.iter().flat_map(|p| {
+                let e = project_paper(lens, &moved, &p.paper_mm) - p.pixel;
+                [e.x, e.y]
+            });
+            DVector::from_iterator(2 * kept.len(), errors)
+        };
+        let solution = minimise(residuals, DVector::zeros(6), &pose_steps())?;
+        pose = nudged(&pose, &solution.parameters);
+        let error = |p: &GridPoint| (project_paper(lens, &pose, &p.paper_mm) - p.pixel).norm();
+        let mut sizes: Vec<f32> = points.iter().map(|p| error(p) as f32).collect();
+        let limit = 4.0 * f64::from(super::plane::median(&mut sizes)) + 1e-3;
+        kept = points.iter().filter(|p| error(p) < limit).collect();
+        rms = (kept.iter().map(|p| error(p).powi(2)).sum::<f64>() / (2.0 * kept.len().max(1) as f64)).sqrt();
+    }
+    Some((pose, rms))
+}
+
+/// A pose turned by a rotation vector (rad) about its own origin and shifted (mm): x = (rotation, translation).
+pub(super) fn nudged(pose: &Pose, x: &DVector<f64>) -> Pose {
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(x[0], x[1], x[2]));
+    Pose::from_parts(Translation3::from(pose.translation.vector + Vector3::new(x[3], x[4], x[5])), turn * pose.rotation)
+}
+
+/// The pixel of a place on the paper (mm).
+pub(super) fn project_paper(lens: &Lens, camera_from_grid: &Pose, paper_mm: &Point2<f64>) -> Point2<f64> {
+    lens.project(&(camera_from_grid * Point3::new(paper_mm.x, paper_mm.y, 0.0)))
+}
+
+/// The place of the paper (mm) seen at a pixel, and the gradients of its coordinates (rows), mm per px.
+fn paper_at(lens: &Lens, camera_from_grid: &Pose, pixel: &Point2<f64>) -> Option<(Point2<f64>, Matrix2<f64>)> {
+    let grid_from_camera = camera_from_grid.inverse();
+    let eye = grid_from_camera * Point3::origin();
+    let hit = |p: &Point2<f64>| -> Option<Point2<f64>> {
+        let ray = grid_from_camera * lens.ray(p);
+        let distance = -eye.z / ray.z;
+        (distance > 0.0).then(|| Point2::new(eye.x + distance * ray.x, eye.y + distance * ray.y))
+    };
+    let centre = hit(pixel)?;
+    let right = hit(&(pixel + Vector2::x()))? - centre;
+    let down = hit(&(pixel + Vector2::y()))? - centre;
+    Some((centre, Matrix2::from_columns(&[right, down])))
+}
+
+/// The wave vectors (cycles per px) that belong to the gradients (rows, pitches per px) of the paper's coordinates.
+fn waves_from_gradient(gradient: Matrix2<f64>, pattern: Pattern) -> [Vector2<f64>; 2] {
+    let (x, y) = (gradient.row(0).transpose(), gradient.row(1).transpose());
+    match pattern {
+        Pattern::Lines => [x, y],
+        Pattern::Checkerboard => [(x + y) / 2.0, (x - y) / 2.0],
+    }
+}

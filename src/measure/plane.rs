@@ -1,0 +1,89 @@
+//! A single-channel picture with real values, and how it is sampled.
+
+use nalgebra::{Point2, Vector2};
+
+/// A grey picture of `f32`, row by row.
+#[derive(Debug, Clone)]
+pub struct Plane {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `width * height` values.
+    pub data: Vec<f32>,
+}
+
+impl Plane {
+    /// The value of one pixel; positions outside are those of the nearest border pixel.
+    pub fn get(&self, x: i64, y: i64) -> f32 {
+        let x = x.clamp(0, self.width as i64 - 1) as usize;
+        let y = y.clamp(0, self.height as i64 - 1) as usize;
+        self.data[y * self.width + x]
+    }
+
+    /// Bilinear interpolation; pixel centres are at integers.
+    pub fn sample(&self, at: &Point2<f64>) -> f64 {
+        let (x, y) = (at.x.floor(), at.y.floor());
+        let (fx, fy) = ((at.x - x) as f32, (at.y - y) as f32);
+        let (x, y) = (x as i64, y as i64);
+        let top = self.get(x, y) * (1.0 - fx) + self.get(x + 1, y) * fx;
+        let bottom = self.get(x, y + 1) * (1.0 - fx) + self.get(x + 1, y + 1) * fx;
+        f64::from(top * (1.0 - fy) + bottom * fy)
+    }
+
+    /// Values along a line through `centre`, `step` px apart, `count` on each side of it.
+    pub fn profile(&self, centre: &Point2<f64>, direction: Vector2<f64>, step: f64, count: usize, into: &mut Vec<f64>) {
+        into.clear();
+        let reach = count as f64 * step;
+        into.extend((0..=2 * count).map(|k| self.sample(&(centre + direction * (k as f64 * step - reach)))));
+    }
+
+    /// The picture made `factor` times smaller, each pixel the mean of a block.
+    ///
+    /// The centre of block (x, y) is at pixel `factor * x + (factor - 1) / 2` of this picture.
+    pub fn shrunk(&self, factor: usize) -> Self {
+        let (width, height) = (self.width / factor, self.height / factor);
+        let scale = 1.0 / (factor * factor) as f32;
+        let mut data = vec![0.0; width * height];
+        for (y, row) in data.chunks_exact_mut(width.max(1)).enumerate() {
+            for line in 0..factor {
+                let source = &self.data[(y * factor + line) * self.width..][..width * factor];
+                for (value, block) in row.iter_mut().zip(source.chunks_exact(factor)) {
+                    *value += block.iter().sum::<f32>() * scale;
+                }
+            }
+        }
+        Self { width, height, data }
+    }
+
+    /// An estimate of the pixel noise σ, robust against everything that is not noise.
+    ///
+    /// Source: J. Immerkær, "Fast Noise Variance Estimation", 1996: the difference of two Laplacians kills all structure
+    /// that is locally linear; the median instead of the mean survives the edges.
+    pub fn noise(&self) -> f64 {
+        if self.width < 3 || self.height < 3 {
+            return 0.0;
+        }
+        let mut responses: Vec<f32> = Vec::new();
+        for y in (1..self.height - 1).step_by(3) {
+            for x in (1..self.width - 1).step_by(3) {
+                let at = |dx: i64, dy: i64| self.data[(y as i64 + dy) as usize * self.width + (x as i64 + dx) as usize];
+                let laplacians = at(-1, -1) + at(1, -1) + at(-1, 1) + at(1, 1)
+                    - 2.0 * (at(0, -1) + at(-1, 0) + at(1, 0) + at(0, 1))
+                    + 4.0 * at(0, 0);
+                responses.push(laplacians.abs());
+            }
+        }
+        // The mask's norm is 6; the median of |N(0, σ)| is 0.6745 σ.
+        f64::from(median(&mut responses)) / (6.0 * 0.6745)
+    }
+}
+
+/// The median of some values (0 for none); reorders them.
+pub fn median(values: &mut [f32]) -> f32 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}

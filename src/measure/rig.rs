@@ -1,0 +1,224 @@
+//! Where the grid and the snake's base are, seen from one camera: the rig.
+
+use super::appearance::Appearance;
+use super::edges::EdgeFinder;
+use super::fit::{Matches, SETTLED_PX, clustered_covariance, inliers, robust_weights};
+use super::grid::{Grid, find_grid};
+use super::locate::{StraightSnake, locate_straight};
+use super::outline::{Outline, Projection};
+use super::solve::minimise;
+use crate::camera::{Frame, Lens};
+use crate::geometry::{Configuration, Pose};
+use crate::robot::Robot;
+use nalgebra::{
+    DMatrix, DVector, Matrix3, Matrix6, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
+};
+
+/// A calibrated view: everything that does not change from frame to frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rig {
+    /// The camera's pose to the snake's base.
+    pub camera_from_base: Pose,
+    /// Covariance of that pose: a small turn about the base's origin (rad) and a shift (mm), both along the camera's axes.
+    pub pose_covariance: Matrix6<f64>,
+    /// The camera's pose to the grid.
+    pub camera_from_grid: Pose,
+    /// Pitch of the grid's lines, mm.
+    pub grid_pitch_mm: f64,
+    /// What tells snake from paper.
+    pub appearance: Appearance,
+    /// How far outside the snake's true border its edge is seen, px.
+    pub edge_bias_px: f64,
+    /// Scatter of the grid about its pose, px.
+    pub grid_rms_px: f64,
+    /// Scatter of the straight snake's edges about the model, px.
+    pub edge_rms_px: f64,
+}
+
+/// What is known about a rig before it is calibrated.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RigOptions {
+    /// Pitch of the grid's finest lines (or side of a checkerboard's squares), mm.
+    pub grid_pitch_mm: f64,
+    /// Distance from the snake's axis back to the grid plane, mm.
+    pub standoff_mm: f64,
+}
+
+/// How far the standoff may be from what was said, mm (1σ): a ruler's precision.
+const STANDOFF_SIGMA_MM: f64 = 0.1;
+/// How far the snake may be from parallel to the grid, rad (1σ).
+const TILT_SIGMA: f64 = 0.1 * std::f64::consts::PI / 180.0;
+
+/// Calibrates a rig from a picture of the unbent snake before the grid.
+///
+/// 1. The snake is the large, long object that is unlike the paper; its width tells the scale.
+/// 2. The grid near the pitch that this scale predicts gives the camera's pose to the paper.
+/// 3. The snake lies parallel to the paper, `standoff_mm` before it; its edges give the base's place and direction, and
+///    refine standoff and parallelism within what a ruler can do.
+///
+/// # Errors
+///
+/// A sentence that says which step failed and what to do.
+pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOptions) -> Result<Rig, String> {
+    if (frame.width, frame.height) != (lens.width, lens.height) {
+        return Err(format!(
+            "the picture is {}×{} px but the camera file says {}×{}; use the camera file of this camera and resolution",
+            frame.width, frame.height, lens.width, lens.height
+        ));
+    }
+    let snake = locate_straight(frame)?;
+    let snake_mm_per_px = robot.body.disk_diameter_mm / snake.width_px;
+    let distance = lens.focal_px.x * snake_mm_per_px;
+    let expected_px = lens.focal_px.x * options.grid_pitch_mm / (distance + options.standoff_mm);
+    let across = Vector2::new(-snake.axis.y, snake.axis.x);
+    let is_snake = |p: &Point2<f64>| {
+        let from_tip = p - snake.tip;
+        across.dot(&from_tip).abs() < 0.65 * snake.width_px && snake.axis.dot(&from_tip) < 0.3 * snake.width_px
+    };
+    let grid = find_grid(frame, lens, options.grid_pitch_mm, expected_px, is_snake)?;
+    fit_base(frame, lens, robot, options, &snake, &grid)
+}
+
+/// The base's place on the paper: x, y (mm, grid frame), turn γ, height above the standoff (mm), tilt out of the plane.
+struct Placement(DVector<f64>);
+
+impl Placement {
+    /// The base's axes in the grid frame when nothing is turned: x right, y away, z up (the grid's −y).
+    fn upright() -> Rotation3<f64> {
+        Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[Vector3::x(), Vector3::z(), -Vector3::y()]))
+    }
+
+    fn grid_from_base(&self, standoff_mm: f64) -> Pose {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.0[2]);
+        let tilt = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), self.0[4]);
+        let upright = UnitQuaternion::from_rotation_matrix(&Self::upright());
+        Pose::from_parts(Translation3::new(self.0[0], self.0[1], self.0[3] - standoff_mm), turn * upright * tilt)
+    }
+}
+
+fn fit_base(
+    frame: &Frame,
+    lens: &Lens,
+    robot: &Robot,
+    options: &RigOptions,
+    snake: &StraightSnake,
+    grid: &Grid,
+) -> Result<Rig, String> {
+    let mut placement = starting_placement(lens, robot, options, snake, grid)?;
+    let straight = Configuration::new(0.0, 0.0);
+    let mut appearance = snake.appearance.clone();
+    let mut edge_bias_px = 0.0;
+    let mut outcome = None;
+    for (round, search_px) in [14.0, 12.0, 10.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 3.0, 3.0].into_iter().enumerate() {
+        let pose = |p: &Placement| grid.camera_from_grid * p.grid_from_base(options.standoff_mm);
+        let view = Projection { lens, camera_from_base: pose(&placement), robot };
+        let outline = Outline::new(&view, straight, 4);
+        // Once the snake is where it should be, its own outline tells which pixels are snake.
+        if round == 3 {
+            appearance = appearance_of(frame, &outline).ok_or("the snake does not stand out from the paper")?;
+        }
+        let plane = appearance.plane(frame);
+        let mut finder = EdgeFinder::new(&plane, plane.noise());
+        let matches = Matches::find(&outline, &mut finder, search_px, |_| true);
+        if matches.len() < 40 || matches.len() * 3 < matches.places {
+            return Err(format!(
+                "only {} of {} places on the straight snake's outline show an edge; is the snake unbent, in focus and \
+                 of the robot's dimensions?",
+                matches.len(),
+                matches.places
+            ));
+        }
+        let roots = robust_weights(&matches.residuals(&view, straight, edge_bias_px), search_px > SETTLED_PX);
+        let weighted = |x: &DVector<f64>| {
+            let moved = Projection { camera_from_base: pose(&Placement(x.rows(0, 5).into_owned())), ..view.clone() };
+            let edges = matches.residuals(&moved, straight, x[5]);
+            let priors = [x[3] / STANDOFF_SIGMA_MM, x[4] / TILT_SIGMA];
+            DVector::from_iterator(edges.len() + 2, edges.iter().zip(&roots).map(|(r, w)| r * w).chain(priors))
+        };
+        let start = placement.0.clone().push(edge_bias_px);
+        let steps = DVector::from_column_slice(&[1e-4, 1e-4, 1e-5, 1e-4, 1e-5, 1e-3]);
+        let solution = minimise(weighted, start, &steps).ok_or("the fit of the snake's base did not converge")?;
+        placement = Placement(solution.parameters.rows(0, 5).into_owned());
+        edge_bias_px = solution.parameters[5];
+        outcome = Some((matches, roots, solution));
+    }
+    let (matches, roots, solution) = outcome.ok_or("no edges were looked for")?;
+
+    let camera_from_base = grid.camera_from_grid * placement.grid_from_base(options.standoff_mm);
+    let view = Projection { lens, camera_from_base, robot };
+    let covariance = clustered_covariance(&solution.jacobian, &solution.residuals, &matches.pieces())
+        .zip(solution.covariance())
+        .map(|(clustered, independent)| clustered + independent)
+        .ok_or("the snake's edges do not determine where its base is")?;
+    let (_, edge_rms_px) = inliers(&matches.distances_px(&view, straight), edge_bias_px, &roots);
+    Ok(Rig {
+        camera_from_base,
+        pose_covariance: nudge_covariance(&placement, &covariance, options.standoff_mm, &grid.camera_from_grid),
+        camera_from_grid: grid.camera_from_grid,
+        grid_pitch_mm: options.grid_pitch_mm,
+        appearance,
+        edge_bias_px,
+        grid_rms_px: grid.rms_px,
+        edge_rms_px,
+    })
+}
+
+/// The snake's tip and direction, carried onto the plane in which it lies.
+fn starting_placement(
+    lens: &Lens,
+    robot: &Robot,
+    options: &RigOptions,
+    snake: &StraightSnake,
+    grid: &Grid,
+) -> Result<Placement, String> {
+    let grid_from_camera = grid.camera_from_grid.inverse();
+    let eye = grid_from_camera * Point3::origin();
+    let on_plane = |pixel: &Point2<f64>| -> Option<Point3<f64>> {
+        let ray = grid_from_camera * lens.ray(pixel);
+        let distance = (-options.standoff_mm - eye.z) / ray.z;
+        (distance > 0.0).then(|| eye + ray * distance)
+    };
+    let below = snake.tip - snake.axis.into_inner() * (5.0 * snake.width_px);
+    let (tip, root) =
+        on_plane(&snake.tip).zip(on_plane(&below)).ok_or("the standoff puts the snake behind the camera")?;
+    let up = (tip - root).xy().normalize();
+    let base = tip.xy() - up * robot.length_mm;
+    // At γ = 0 the snake points along the grid's −y.
+    let gamma = up.x.atan2(-up.y);
+    Ok(Placement(DVector::from_column_slice(&[base.x, base.y, gamma, 0.0, 0.0])))
+}
+
+/// What tells snake from paper, learned from inside and outside of the outline.
+fn appearance_of(frame: &Frame, outline: &Outline) -> Option<Appearance> {
+    let (x0, y0, x1, y1) = outline.bounds();
+    let margin = x1 - x0;
+    Appearance::learn(frame, |x, y| {
+        let pixel = Point2::new(f64::from(x), f64::from(y));
+        let near = pixel.x > x0 - margin && pixel.x < x1 + margin && pixel.y > y0 - margin && pixel.y < y1 + margin;
+        near.then(|| outline.covers(&pixel))
+    })
+}
+
+/// Covariance of placement and bias, as one of the camera's pose in the terms of [`Rig::pose_covariance`].
+fn nudge_covariance(
+    placement: &Placement,
+    covariance: &DMatrix<f64>,
+    standoff_mm: f64,
+    camera_from_grid: &Pose,
+) -> Matrix6<f64> {
+    let pose = |x: &DVector<f64>| camera_from_grid * Placement(x.clone()).grid_from_base(standoff_mm);
+    let centre = pose(&placement.0);
+    let mut jacobian = DMatrix::zeros(6, 5);
+    for k in 0..5 {
+        const STEP: f64 = 1e-5;
+        let mut moved = placement.0.clone();
+        moved[k] += STEP;
+        let moved = pose(&moved);
+        let turn = (moved.rotation * centre.rotation.inverse()).scaled_axis() / STEP;
+        let shift = (moved.translation.vector - centre.translation.vector) / STEP;
+        jacobian.set_column(k, &DVector::from_iterator(6, turn.iter().chain(shift.iter()).copied()));
+    }
+    let placed = covariance.view((0, 0), (5, 5));
+    let nudges = &jacobian * placed * jacobian.transpose();
+    Matrix6::from_fn(|r, c| nudges[(r, c)])
+}

@@ -1,0 +1,175 @@
+//! rig.toml: a calibrated view on disk.
+//!
+//! ```toml
+//! [base]                    # the camera's pose to the snake's base
+//! rotation = [[…], […], […]]      # rows of R in x_camera = R x_base + t
+//! translation_mm = [x, y, z]
+//! covariance = [[…] × 6]          # of a small turn (rad) and a shift (mm) along the camera's axes
+//! [grid]                    # the camera's pose to the paper
+//! [appearance]              # what tells snake from paper
+//! [fit]                     # how well the calibration fitted
+//! ```
+
+use super::appearance::Appearance;
+use super::rig::Rig;
+use crate::error::{Error, Result};
+use crate::geometry::Pose;
+use crate::record::write_atomically;
+use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RigFile {
+    base: BaseTable,
+    grid: GridTable,
+    appearance: Appearance,
+    fit: FitTable,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BaseTable {
+    rotation: [[f64; 3]; 3],
+    translation_mm: [f64; 3],
+    covariance: [[f64; 6]; 6],
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct GridTable {
+    pitch_mm: f64,
+    rotation: [[f64; 3]; 3],
+    translation_mm: [f64; 3],
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FitTable {
+    edge_bias_px: f64,
+    edge_rms_px: f64,
+    grid_rms_px: f64,
+}
+
+impl Rig {
+    /// Reads rig.toml.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read, is not such a file, or holds a pose that is none.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
+        let file: RigFile = toml::from_str(&text).map_err(|e| {
+            let line = e.span().map(|s| text[..s.start.min(text.len())].lines().count().max(1) as u64);
+            Error::Content { path: path.to_owned(), line, message: e.message().to_owned() }
+        })?;
+        let wrong = |what: &str| Error::content(path, format!("{what}; write the file anew with `calibrate rig`"));
+        let base = &file.base;
+        let numbers = base.covariance.iter().flatten().chain(&file.appearance.weights).chain([&file.appearance.offset]);
+        if !numbers.chain([&file.fit.edge_bias_px]).all(|v| v.is_finite()) {
+            return Err(wrong("a number is not finite"));
+        }
+        if ![1, 3].contains(&file.appearance.weights.len()) {
+            return Err(wrong("appearance.weights must have one number (grey) or three (colour)"));
+        }
+        Ok(Self {
+            camera_from_base: pose(&base.rotation, &base.translation_mm)
+                .ok_or_else(|| wrong("[base] is not a pose"))?,
+            pose_covariance: Matrix6::from_fn(|r, c| (base.covariance[r][c] + base.covariance[c][r]) / 2.0),
+            camera_from_grid: pose(&file.grid.rotation, &file.grid.translation_mm)
+                .ok_or_else(|| wrong("[grid] is not a pose"))?,
+            grid_pitch_mm: file.grid.pitch_mm,
+            appearance: file.appearance,
+            edge_bias_px: file.fit.edge_bias_px,
+            edge_rms_px: file.fit.edge_rms_px,
+            grid_rms_px: file.fit.grid_rms_px,
+        })
+    }
+
+    /// Writes rig.toml, whole or not at all.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let covariance = &self.pose_covariance;
+        let (base, grid) = (rows(&self.camera_from_base), rows(&self.camera_from_grid));
+        let file = RigFile {
+            base: BaseTable {
+                rotation: base.0,
+                translation_mm: base.1,
+                covariance: std::array::from_fn(|r| std::array::from_fn(|c| covariance[(r, c)])),
+            },
+            grid: GridTable { pitch_mm: self.grid_pitch_mm, rotation: grid.0, translation_mm: grid.1 },
+            appearance: self.appearance.clone(),
+            fit: FitTable {
+                edge_bias_px: self.edge_bias_px,
+                edge_rms_px: self.edge_rms_px,
+                grid_rms_px: self.grid_rms_px,
+            },
+        };
+        let text = toml::to_string(&file).map_err(|e| Error::content(path, e.to_string()))?;
+        write_atomically(path, text.as_bytes())
+    }
+}
+
+/// R by rows and t.
+fn rows(pose: &Pose) -> ([[f64; 3]; 3], [f64; 3]) {
+    let rotation = pose.rotation.to_rotation_matrix();
+    (std::array::from_fn(|r| std::array::from_fn(|c| rotation[(r, c)])), pose.translation.vector.into())
+}
+
+/// The pose, if the matrix is a rotation to within rounding and everything is finite.
+fn pose(rotation: &[[f64; 3]; 3], translation_mm: &[f64; 3]) -> Option<Pose> {
+    let matrix = Matrix3::from_fn(|r, c| rotation[r][c]);
+    let translation = Vector3::from(*translation_mm);
+    let is_rotation = (matrix * matrix.transpose() - Matrix3::identity()).amax() < 1e-6 && matrix.determinant() > 0.0;
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
+    (is_rotation && translation.iter().all(|v| v.is_finite()))
+        .then(|| Pose::from_parts(Translation3::from(translation), rotation))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rig() -> Rig {
+        Rig {
+            camera_from_base: Pose::new(Vector3::new(1.0, 2.0, 230.0), Vector3::new(1.5, 0.1, -0.05)),
+            pose_covariance: Matrix6::from_diagonal_element(1e-6),
+            camera_from_grid: Pose::new(Vector3::new(0.0, 0.0, 255.0), Vector3::new(0.02, 0.01, 0.03)),
+            grid_pitch_mm: 1.0,
+            appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25 },
+            edge_bias_px: -0.05,
+            grid_rms_px: 0.1,
+            edge_rms_px: 0.12,
+        }
+    }
+
+    #[test]
+    fn what_is_written_is_read_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rig.toml");
+        rig().write(&path).unwrap();
+        let read = Rig::read(&path).unwrap();
+        assert!((read.camera_from_base.rotation.angle_to(&rig().camera_from_base.rotation)) < 1e-12);
+        assert_eq!(read.camera_from_base.translation, rig().camera_from_base.translation);
+        assert_eq!(read.appearance, rig().appearance);
+        assert_eq!(read.pose_covariance, rig().pose_covariance);
+    }
+
+    #[test]
+    fn a_mirrored_pose_and_an_unknown_key_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rig.toml");
+        rig().write(&path).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(&path, text.replacen("rotation = [[", "rotation = [[-", 1)).unwrap();
+        let message = Rig::read(&path).unwrap_err().to_string();
+        assert!(message.contains("[base] is not a pose") || message.contains("expected"), "{message}");
+        std::fs::write(&path, text.replace("[fit]", "[fit]\nedges = 3")).unwrap();
+        let message = Rig::read(&path).unwrap_err().to_string();
+        assert!(message.contains("edges") && message.contains("rig.toml:"), "{message}");
+    }
+}
