@@ -1,6 +1,7 @@
 //! `calibrate`: what must be known once, before anything is measured.
 
 mod friction;
+mod rig;
 
 use super::console::Console;
 use crate::Result;
@@ -15,12 +16,14 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
+    Rig(rig::Args),
     Friction(friction::Args),
 }
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
         match &self.what {
+            What::Rig(args) => args.run(console),
             What::Friction(args) => args.run(console),
         }
     }

@@ -36,12 +36,16 @@ impl Console {
         }
     }
 
-    /// A progress bar over `steps` steps; it shows only on a terminal, and not when quiet.
-    pub fn progress(&self, steps: usize, doing: &'static str) -> ProgressBar {
+    /// A progress bar over so many steps, or an unknown number; it shows only on a terminal, and not when quiet.
+    pub fn progress(&self, steps: Option<usize>, doing: &'static str) -> ProgressBar {
         let visible = !self.quiet && std::io::stderr().is_terminal();
         let target = if visible { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-        let bar = ProgressBar::with_draw_target(Some(steps as u64), target).with_message(doing);
-        match ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len}, {eta} left") {
+        let bar = ProgressBar::with_draw_target(steps.map(|steps| steps as u64), target).with_message(doing);
+        let template = match steps {
+            Some(_) => "{msg} {wide_bar} {pos}/{len}, {eta} left",
+            None => "{msg} {spinner} {pos}, {per_sec}",
+        };
+        match ProgressStyle::with_template(template) {
             Ok(style) => bar.with_style(style),
             Err(_) => bar,
         }

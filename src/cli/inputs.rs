@@ -2,7 +2,7 @@
 
 use super::console::Console;
 use crate::Result;
-use crate::record::{Checked, read_model};
+use crate::record::{Checked, EncoderReading, Experiment, read_encoders, read_model};
 use crate::robot::Model;
 use std::path::Path;
 
@@ -15,4 +15,25 @@ pub fn model_or_paper(path: Option<&Path>) -> Result<Model> {
 pub fn rows<T>(console: &Console, checked: Checked<T>) -> Vec<T> {
     console.warn(&checked.warnings);
     checked.rows
+}
+
+/// An experiment's model: its `model`, with the constants of its `robot` where that is given; the paper's without.
+pub fn model_of(experiment: &Experiment) -> Result<Model> {
+    let mut model = model_or_paper(experiment.model.as_deref())?;
+    if let Some(path) = &experiment.robot {
+        let Model { robot, friction, .. } = read_model(path)?;
+        model.robot = robot;
+        if experiment.model.is_none() {
+            model.friction = friction;
+        }
+    }
+    Ok(model)
+}
+
+/// An experiment's encoder log; empty where it has none.
+pub fn encoders_of(experiment: &Experiment) -> Result<Checked<EncoderReading>> {
+    match &experiment.encoders {
+        Some(path) => read_encoders(path),
+        None => Ok(Checked { rows: Vec::new(), warnings: Vec::new() }),
+    }
 }

@@ -9,9 +9,12 @@ mod estimator;
 mod evaluate;
 mod inputs;
 mod invert;
+mod measure;
 mod render;
+mod run;
 mod simulate;
 mod table;
+mod views;
 
 use crate::Result;
 use clap::{Parser, Subcommand};
@@ -36,6 +39,8 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Run(run::Args),
+    Measure(measure::Args),
     Estimate(estimate::Args),
     Table(table::Args),
     Invert(invert::Args),
@@ -48,6 +53,8 @@ enum Command {
 impl Command {
     fn run(&self, console: &Console) -> Result<()> {
         match self {
+            Self::Run(args) => args.run(console),
+            Self::Measure(args) => args.run(console),
             Self::Estimate(args) => args.run(console),
             Self::Table(args) => args.run(console),
             Self::Invert(args) => args.run(console),

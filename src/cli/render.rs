@@ -48,7 +48,7 @@ impl Args {
         };
         let scene = self.scene.as_deref().map_or_else(|| Ok(Scene::default()), Scene::read)?;
         let poses = rows(console, read_truth(&self.poses)?);
-        let bar = console.progress(poses.len(), "rendering");
+        let bar = console.progress(Some(poses.len()), "rendering");
         write_experiment(&self.output, &scene, &poses, format, self.seed, &|| bar.inc(1))?;
         bar.finish_and_clear();
         let summary = Summary { frames: poses.len(), output: self.output.clone() };

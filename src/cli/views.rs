@@ -1,0 +1,210 @@
+//! The views of an experiment, made ready to measure, and the measuring itself.
+
+use super::console::Console;
+use crate::camera::{FrameSource, Lens, SourceFrame, read_frame};
+use crate::geometry::Configuration;
+use crate::measure::{Eye, Outline, Rig, RigOptions, calibrate_rig};
+use crate::record::{EncoderReading, Experiment, Measurement, RigSource, Status, View};
+use crate::report::overlay::Shape;
+use crate::robot::Robot;
+use crate::{Error, Result};
+use nalgebra::Point3;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+/// One view: where its frames are and the eye that measures them.
+pub struct OpenView {
+    name: String,
+    eye: Eye,
+    delta_offset: f64,
+    frames: FrameSource,
+}
+
+/// How long measuring took, and what for.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Throughput {
+    /// Wall time, s.
+    pub seconds: f64,
+    /// Frames per second of wall time, end to end.
+    pub frames_per_second: f64,
+    /// Share of the computing time that reading and decoding the pictures took, 0 to 1.
+    pub decoding_share: f64,
+}
+
+/// Reads cameras and rigs and finds the frames of every view; calibrates rigs that are given by a straight picture.
+pub fn open_views(experiment: &Experiment, robot: &Robot) -> Result<Vec<OpenView>> {
+    experiment.views.iter().map(|view| OpenView::open(view, experiment, robot)).collect()
+}
+
+impl OpenView {
+    fn open(view: &View, experiment: &Experiment, robot: &Robot) -> Result<Self> {
+        let frames = FrameSource::open(experiment.folder(), &view.frames)?;
+        let lens = Lens::read(&view.camera)?;
+        let rig = match &view.rig {
+            RigSource::File(path) => Rig::read(path)?,
+            RigSource::Straight { picture, grid_pitch_mm, standoff_mm } => {
+                let options = RigOptions { grid_pitch_mm: *grid_pitch_mm, standoff_mm: *standoff_mm };
+                calibrate_rig(&read_frame(picture)?, &lens, robot, &options)
+                    .map_err(|message| Error::Rig { path: picture.clone(), message })?
+            }
+        };
+        Ok(Self {
+            name: view.name.clone(),
+            eye: Eye::new(lens, rig, robot.clone()),
+            delta_offset: view.delta_offset_deg.to_radians(),
+            frames,
+        })
+    }
+
+    /// The frames whose index is wanted, once more, for a person to look at.
+    ///
+    /// # Errors
+    /// A video that cannot be opened any more.
+    pub fn frames(&self, wanted: impl Fn(u64) -> bool + Send) -> Result<impl ParallelIterator<Item = SourceFrame>> {
+        Ok(self.frames.frames()?.filter(move |frame| wanted(frame.index)).par_bridge())
+    }
+
+    /// The view's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The model's shape in this view's picture.
+    pub fn shape(&self, psi: Configuration) -> Shape {
+        const POINTS: usize = 60;
+        /// Fine enough for a drawing.
+        const OUTLINE_DETAIL: u32 = 2;
+        let view = self.eye.projection();
+        let seen = Configuration::new(psi.theta, psi.delta - self.delta_offset);
+        let arc = (0..=POINTS).map(|i| {
+            let s_mm = view.robot.length_mm * i as f64 / POINTS as f64;
+            let point = Point3::from(view.robot.frame_at(seen, s_mm).translation.vector);
+            view.lens.project(&(view.camera_from_base * point))
+        });
+        let outline = Outline::new(&view, seen, OUTLINE_DETAIL);
+        Shape { arc: arc.collect(), outline: outline.points.iter().map(|point| point.pixel).collect() }
+    }
+
+    /// Measures one frame, and adds up how long reading and measuring took.
+    fn measure(&self, source: SourceFrame, reading: &Clock, measuring: &Clock) -> Measurement {
+        let (index, time_s) = (source.index, source.time_s);
+        let unmeasured = |status| Measurement {
+            index,
+            time_s,
+            status,
+            measured: None,
+            quality: None,
+            view: Some(self.name.clone()),
+        };
+        let Ok(frame) = reading.time(|| source.read()) else { return unmeasured(Status::Unreadable) };
+        let sighting = measuring.time(|| self.eye.measure(&frame));
+        let measured = sighting.measured.map(|mut measured| {
+            let psi = measured.configuration;
+            measured.configuration = Configuration::new(psi.theta, psi.delta + self.delta_offset);
+            measured
+        });
+        Measurement { measured, quality: sighting.quality, ..unmeasured(sighting.status) }
+    }
+}
+
+/// Measures every frame of every view in parallel; the rows come in order of index, then view.
+///
+/// A frame has the time that its source or else the encoder log tells.
+///
+/// # Errors
+/// A video that cannot be opened any more.
+pub fn measure_frames(
+    console: &Console,
+    views: &[OpenView],
+    encoders: &[EncoderReading],
+) -> Result<(Vec<Measurement>, Throughput)> {
+    let times: HashMap<u64, f64> = encoders.iter().map(|reading| (reading.index, reading.time_s)).collect();
+    let (reading, measuring) = (Clock::default(), Clock::default());
+    let start = Instant::now();
+    let mut measurements: Vec<Measurement> = Vec::new();
+    for view in views {
+        let bar = console.progress(view.frames.count()?, "measuring");
+        let frames = Timed { frames: view.frames.frames()?, clock: &reading };
+        let mut of_view: Vec<Measurement> = frames
+            .par_bridge()
+            .map(|frame| {
+                let mut measurement = view.measure(frame, &reading, &measuring);
+                measurement.time_s = measurement.time_s.or_else(|| times.get(&measurement.index).copied());
+                bar.inc(1);
+                measurement
+            })
+            .collect();
+        bar.finish_and_clear();
+        measurements.append(&mut of_view);
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    let place = |m: &Measurement| views.iter().position(|view| m.view.as_ref() == Some(&view.name));
+    measurements.sort_by_key(|measurement| (measurement.index, place(measurement)));
+    let throughput = Throughput {
+        seconds,
+        frames_per_second: measurements.len() as f64 / seconds,
+        decoding_share: reading.seconds() / (reading.seconds() + measuring.seconds()),
+    };
+    Ok((measurements, throughput))
+}
+
+/// Frames whose decoding by the iterator itself, as a video's is, counts as reading.
+struct Timed<'a, I> {
+    frames: I,
+    clock: &'a Clock,
+}
+
+impl<I: Iterator> Iterator for Timed<'_, I> {
+    type Item = I::Item;
+
+    fn next(&mut self) -> Option<I::Item> {
+        self.clock.time(|| self.frames.next())
+    }
+}
+
+/// How many frames ended with each status, `ok` among them.
+pub fn count_by_status(measurements: &[Measurement]) -> BTreeMap<String, usize> {
+    let mut counts = BTreeMap::new();
+    for measurement in measurements {
+        *counts.entry(measurement.status.to_string()).or_default() += 1;
+    }
+    counts
+}
+
+/// An error where not a single frame has angles.
+pub fn require_some_measured(experiment: &Experiment, measurements: &[Measurement]) -> Result<()> {
+    if measurements.iter().any(|measurement| measurement.measured.is_some()) {
+        return Ok(());
+    }
+    let counts = count_by_status(measurements);
+    let reasons: Vec<_> = counts.iter().map(|(status, count)| format!("{status} {count}")).collect();
+    let message = format!(
+        "none of the {} frames could be measured ({}); look at one beside the straight picture: same camera, same place?",
+        measurements.len(),
+        reasons.join(", ")
+    );
+    Err(Error::content(&experiment.path, message))
+}
+
+/// Adds up time over threads.
+#[derive(Default)]
+struct Clock {
+    nanoseconds: AtomicU64,
+}
+
+impl Clock {
+    fn time<T>(&self, work: impl FnOnce() -> T) -> T {
+        let start = Instant::now();
+        let result = work();
+        let nanoseconds = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        self.nanoseconds.fetch_add(nanoseconds, Ordering::Relaxed);
+        result
+    }
+
+    fn seconds(&self) -> f64 {
+        Duration::from_nanos(self.nanoseconds.load(Ordering::Relaxed)).as_secs_f64()
+    }
+}
