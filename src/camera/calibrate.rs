@@ -538,7 +538,7 @@ mod tests {
         #[test]
         fn sigmas_are_the_scatter_and_opencv_s_are_too_large() {
             let truth = parameters(&lens());
-            let trials = 200;
+            let trials = 80;
             let squares: Vec<[SVector<f64, 9>; 2]> = (0..trials)
                 .into_par_iter()
                 .map(|seed| {
@@ -556,9 +556,9 @@ mod tests {
                 mean(0).transpose(),
                 mean(1).transpose()
             );
-            // A mean of 200 squares of normal numbers has σ = 0.1.
-            assert!(mean(0).iter().all(|&m| (0.65..1.4).contains(&m)), "ours: {}", mean(0));
-            assert!((mean(0).mean() - 1.0).abs() < 0.15, "ours: {}", mean(0));
+            // A mean of 80 squares of normal numbers has σ = 0.16.
+            assert!(mean(0).iter().all(|&m| (0.5..1.7).contains(&m)), "ours: {}", mean(0));
+            assert!((mean(0).mean() - 1.0).abs() < 0.2, "ours: {}", mean(0));
             assert!((mean(1).mean() - 0.5).abs() < 0.1, "OpenCV's: {}", mean(1));
         }
 
@@ -568,13 +568,13 @@ mod tests {
                 let views: Vec<&[Point2<f64>]> = seen.iter().map(Vec::as_slice).collect();
                 halves(&BOARD, &views, (640, 480)).unwrap()
             };
-            let ratios: Vec<f64> = (0..30)
+            let ratios: Vec<f64> = (0..20)
                 .into_par_iter()
                 .map(|seed| halves_of(&corners_seen(&lens(), 0.2, 1000 + seed)))
                 .map(|halves| halves.rms_deg / halves.expected_deg)
                 .collect();
             println!("rms / expected {ratios:.2?}");
-            let mean_square = ratios.iter().map(|r| r * r).sum::<f64>() / 30.0;
+            let mean_square = ratios.iter().map(|r| r * r).sum::<f64>() / 20.0;
             assert!((0.6..1.5).contains(&mean_square), "{mean_square}");
             assert!(ratios.iter().filter(|&&r| r > 2.0).count() <= 2, "{ratios:?}");
 

@@ -1,12 +1,13 @@
 //! `calibrate`: what must be known once, before anything is measured.
 
+mod camera;
 mod friction;
 mod rig;
 
 use super::console::Console;
 use crate::Result;
 
-/// Find what does not change from run to run: the rig, the friction
+/// Find what does not change from run to run: the camera, the rig, the friction
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop calibrate friction calib/friction.csv")]
 pub struct Args {
@@ -16,6 +17,7 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
+    Camera(camera::Args),
     Rig(rig::Args),
     Friction(friction::Args),
 }
@@ -23,6 +25,7 @@ enum What {
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
         match &self.what {
+            What::Camera(args) => args.run(console),
             What::Rig(args) => args.run(console),
             What::Friction(args) => args.run(console),
         }

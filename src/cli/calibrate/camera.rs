@@ -1,0 +1,186 @@
+//! `calibrate camera`: the lens from pictures of a chessboard, and what it is worth.
+
+use crate::Result;
+use crate::camera::{Board, CameraCalibration, calibrate_camera};
+use crate::cli::console::Console;
+use crate::record::write_atomically;
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Calibrate the lens from pictures of a chessboard
+///
+/// Writes an OpenCV camera file, and prints the parameters with standard deviations, each picture's residuals, how much
+/// of the picture the boards reach and whether two halves of the pictures agree.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  snakeloop calibrate camera boards/*.jpg --corners 9x6 --square 25 -o camera.yaml")]
+pub struct Args {
+    /// Pictures of the whole board, at least three, tilted differently and together filling the picture
+    #[arg(required = true)]
+    pictures: Vec<PathBuf>,
+    /// Inner corners of the board: along a row, along a column
+    #[arg(long, value_name = "COLUMNSxROWS", value_parser = corners)]
+    corners: (usize, usize),
+    /// Side of a square, mm; the lens does not depend on it
+    #[arg(long, value_name = "MM", default_value_t = 1.0)]
+    square: f64,
+    /// Write the camera file there (camera.yaml)
+    #[arg(short, long, value_name = "CAMERA")]
+    output: Option<PathBuf>,
+}
+
+/// `9x6`.
+fn corners(text: &str) -> std::result::Result<(usize, usize), String> {
+    let numbers = text.split_once(['x', '×']).and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
+    numbers.ok_or_else(|| "expected inner corners like 9x6".to_owned())
+}
+
+#[derive(Serialize)]
+struct Calibrated {
+    image_width: u32,
+    image_height: u32,
+    rms_px: f64,
+    parameters: Vec<Parameter>,
+    coverage: f64,
+    /// What the sigmas mean for an angle measured on the snake.
+    sigma_deg: f64,
+    halves: Option<Compared>,
+    pictures: Vec<Picture>,
+    skipped: Vec<Skipped>,
+}
+
+#[derive(Serialize)]
+struct Parameter {
+    name: &'static str,
+    value: f64,
+    sd: f64,
+}
+
+#[derive(Serialize)]
+struct Compared {
+    rms_deg: f64,
+    expected_deg: f64,
+    disagree: bool,
+}
+
+#[derive(Serialize)]
+struct Picture {
+    path: PathBuf,
+    rms_px: f64,
+    worst_px: f64,
+    tilt_deg: f64,
+    outlier: bool,
+}
+
+#[derive(Serialize)]
+struct Skipped {
+    path: PathBuf,
+    why: String,
+}
+
+impl Args {
+    pub fn run(&self, console: &Console) -> Result<()> {
+        let board = Board { columns: self.corners.0, rows: self.corners.1, square_mm: self.square };
+        let calibration = calibrate_camera(&self.pictures, &board)?;
+        if let Some(path) = &self.output {
+            write_atomically(path, calibration.lens.to_opencv_yaml().as_bytes())?;
+        }
+        let calibrated = Calibrated::from(calibration);
+        console.warn(calibrated.warnings());
+        console.result(&calibrated, || calibrated.text());
+        Ok(())
+    }
+}
+
+impl From<CameraCalibration> for Calibrated {
+    fn from(calibration: CameraCalibration) -> Self {
+        let parameters = calibration.parameters().map(|(name, value, sd)| Parameter { name, value, sd }).into();
+        let halves = calibration.halves.map(|halves| Compared {
+            rms_deg: halves.rms_deg,
+            expected_deg: halves.expected_deg,
+            disagree: halves.disagree(),
+        });
+        let picture = |view: crate::camera::calibrate::BoardView| Picture {
+            path: view.path,
+            rms_px: view.rms_px,
+            worst_px: view.worst_px,
+            tilt_deg: view.tilt_deg,
+            outlier: view.outlier,
+        };
+        Self {
+            image_width: calibration.lens.width,
+            image_height: calibration.lens.height,
+            rms_px: calibration.rms_px,
+            parameters,
+            coverage: calibration.coverage,
+            sigma_deg: calibration.sigma_deg,
+            halves,
+            pictures: calibration.views.into_iter().map(picture).collect(),
+            skipped: calibration.skipped.into_iter().map(|(path, why)| Skipped { path, why }).collect(),
+        }
+    }
+}
+
+impl Calibrated {
+    fn warnings(&self) -> Vec<String> {
+        let skipped = self.skipped.iter().map(|s| format!("{}: not used: {}", s.path.display(), s.why));
+        let outliers = self.pictures.iter().filter(|p| p.outlier).map(|p| {
+            format!(
+                "{}: rms {:.2} px stands out; look at it, and leave it out if it is bad",
+                p.path.display(),
+                p.rms_px
+            )
+        });
+        let parallel = self.pictures.iter().all(|p| p.tilt_deg < 10.0);
+        let tilt = parallel.then(|| "no board is tilted by more than 10°: the focal length is uncertain".to_owned());
+        let bare = (self.coverage < 0.5).then(|| {
+            format!("the boards reach {:.0} % of the picture: its borders are guessed", 100.0 * self.coverage)
+        });
+        let halves = self.halves.as_ref().filter(|halves| halves.disagree).map(|halves| {
+            format!(
+                "two halves of the pictures differ by {:.3}° at the snake, {:.3}° would be expected: is the board flat, \
+                 and did the lens stay as it was?",
+                halves.rms_deg, halves.expected_deg
+            )
+        });
+        skipped.chain(outliers).chain(tilt).chain(bare).chain(halves).collect()
+    }
+
+    fn text(&self) -> String {
+        let mut text = format!(
+            "{} pictures of {}×{} px, rms {:.4} px, corners in {:.0} % of the picture\n\n",
+            self.pictures.len(),
+            self.image_width,
+            self.image_height,
+            self.rms_px,
+            100.0 * self.coverage
+        );
+        for Parameter { name, value, sd } in &self.parameters {
+            text += &format!("{name:6} {value:11.5} ± {sd:.5}\n");
+        }
+        text += &format!("\nan angle on the snake: ± {:.4}°\n", self.sigma_deg);
+        if let Some(halves) = &self.halves {
+            text += &format!("two halves differ by {:.4}°, expected {:.4}°\n", halves.rms_deg, halves.expected_deg);
+        }
+        text += "\nrms px  worst px  tilt   picture\n";
+        for picture in &self.pictures {
+            let Picture { path, rms_px, worst_px, tilt_deg, outlier } = picture;
+            let mark = if *outlier { "  stands out" } else { "" };
+            text += &format!("{rms_px:6.3}  {worst_px:8.3}  {tilt_deg:4.1}°  {}{mark}\n", path.display());
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corners_are_two_numbers() {
+        assert_eq!(corners("9x6"), Ok((9, 6)));
+        assert_eq!(corners("11×8"), Ok((11, 8)));
+        for wrong in ["", "9", "9x", "x6", "9x6x2", "-9x6"] {
+            assert!(corners(wrong).is_err(), "{wrong}");
+        }
+    }
+}
