@@ -11,11 +11,11 @@ use nalgebra::{DMatrix, DVector, Point2, Unit, Vector2};
 /// The unbent snake in a picture, roughly.
 #[derive(Debug, Clone)]
 pub struct StraightSnake {
-    /// Middle of the far end, px.
-    pub tip: Point2<f64>,
+    /// Middle of the holder's upper end, where the snake begins, px.
+    pub base: Point2<f64>,
     /// Direction from the holder to the tip.
     pub axis: Unit<Vector2<f64>>,
-    /// Width of disks and holder, px.
+    /// Width of the holder, px.
     pub width_px: f64,
     /// What tells snake from paper in this picture.
     pub appearance: Appearance,
@@ -24,26 +24,37 @@ pub struct StraightSnake {
 /// Side of the blocks of pixels that are looked at as one.
 const BLOCK: usize = 4;
 
-/// Finds the unbent snake: the largest object that differs from the paper, long and straight, cut by one border.
+/// Finds the unbent snake by its holder: the largest thick object that differs from the paper and is cut by a border.
+///
+/// Printed lines are thinner than three blocks and are dropped first. Then the holder's own colour tells snake from
+/// paper, and its sides and its upper end are looked for in that.
 ///
 /// # Errors
 ///
 /// A sentence that says what was not found.
 pub fn locate_straight(frame: &Frame) -> Result<StraightSnake, String> {
-    let mut mask = largest_component(&unlike_paper(frame));
-    let mut appearance = None;
+    let no_object = "no object stands out from the paper; is the snake in the picture?";
+    let mut object = largest_component(&opened(&unlike_paper(frame)));
+    let mut learned = None;
     for _ in 0..2 {
-        let learned = Appearance::learn(frame, |x, y| Some(block_is_set(&mask, x, y)))
-            .ok_or("nothing in the picture stands out from the background")?;
-        mask = largest_component(&above_half(&learned.plane(frame).shrunk(BLOCK)));
-        appearance = Some(learned);
+        let appearance = Appearance::learn(frame, |x, y| Some(block_is_set(&object, x, y))).ok_or(no_object)?;
+        object = largest_component(&opened(&above_half(&appearance.plane(frame).shrunk(BLOCK))));
+        learned = Some(appearance);
     }
-    let LongShape { tip, axis, width_px } = measure_shape(&mask)?;
-    Ok(StraightSnake { tip, axis, width_px, appearance: appearance.ok_or("no appearance was learned")? })
+    let appearance = learned.ok_or(no_object)?;
+    let rough = rough_axis(&object)?;
+    let plane = appearance.plane(frame);
+    let (base, axis, width_px) = follow_holder(&plane, &rough)?;
+    Ok(StraightSnake { base, axis, width_px, appearance })
 }
 
 fn block_is_set(mask: &GrayImage, x: u32, y: u32) -> bool {
     mask.get_pixel_checked(x / BLOCK as u32, y / BLOCK as u32).is_some_and(|p| p.0[0] > 0)
+}
+
+/// Drops what is thinner than three blocks.
+fn opened(mask: &GrayImage) -> GrayImage {
+    imageproc::morphology::open(mask, imageproc::distance_transform::Norm::LInf, 1)
 }
 
 /// Blocks whose colour is unlike that of the paper, a smooth surface that fills most of the picture.
@@ -140,69 +151,123 @@ fn largest_component(mask: &GrayImage) -> GrayImage {
     })
 }
 
-/// A long object cut by the picture's border, px of the full picture.
-struct LongShape {
-    tip: Point2<f64>,
-    axis: Unit<Vector2<f64>>,
+/// A line along the holder, px of the full picture.
+struct Axis {
+    /// Where the object is cut by the picture's border.
+    root: Point2<f64>,
+    /// Into the picture.
+    direction: Vector2<f64>,
+    /// A guess of the holder's width.
     width_px: f64,
 }
 
-/// Tip, axis and width of the object in a mask of blocks.
-fn measure_shape(mask: &GrayImage) -> Result<LongShape, String> {
-    let (w, h) = (mask.width(), mask.height());
-    let inside: Vec<Vector2<f64>> = mask
+/// The object's middle line near the border that cuts it.
+fn rough_axis(object: &GrayImage) -> Result<Axis, String> {
+    let (w, h) = (object.width(), object.height());
+    let inside: Vec<Point2<f64>> = object
         .enumerate_pixels()
         .filter(|(_, _, p)| p.0[0] > 0)
-        .map(|(x, y, _)| Vector2::new(f64::from(x), f64::from(y)))
+        .map(|(x, y, _)| Point2::new(f64::from(x), f64::from(y)) * BLOCK as f64)
         .collect();
-    if inside.len() < 100 {
+    if inside.len() < 50 {
         return Err("no object stands out from the paper; is the snake in the picture?".into());
     }
-    let at_border: Vec<_> = inside
-        .iter()
-        .filter(|p| p.x < 1.0 || p.y < 1.0 || p.x > f64::from(w) - 2.0 || p.y > f64::from(h) - 2.0)
-        .collect();
-    if at_border.is_empty() {
-        return Err(
-            "the object that stands out does not reach the picture's border, as the snake's holder would".into()
-        );
+    // The border with most of the object on it is the one the holder comes from.
+    let (right, bottom) = (f64::from((w - 1) * BLOCK as u32), f64::from((h - 1) * BLOCK as u32));
+    let borders: [(fn(&Point2<f64>) -> f64, f64, Vector2<f64>); 4] = [
+        (|p| p.y, bottom, -Vector2::y()),
+        (|p| p.y, 0.0, Vector2::y()),
+        (|p| p.x, 0.0, Vector2::x()),
+        (|p| p.x, right, -Vector2::x()),
+    ];
+    let on = |(coordinate, at, _): &(fn(&Point2<f64>) -> f64, f64, Vector2<f64>)| -> Vec<Vector2<f64>> {
+        inside.iter().filter(|p| (coordinate(p) - at).abs() < 1.5 * BLOCK as f64).map(|p| p.coords).collect()
+    };
+    let (cut, inward) = borders.iter().map(|b| (on(b), b.2)).max_by_key(|(cut, _)| cut.len()).unwrap_or_default();
+    if cut.is_empty() {
+        return Err("the object that stands out does not reach the picture's border, as the snake's holder would".into());
     }
-    let root = at_border.iter().copied().sum::<Vector2<f64>>() / at_border.len() as f64;
-    let mean = inside.iter().sum::<Vector2<f64>>() / inside.len() as f64;
-    let scatter: nalgebra::Matrix2<f64> = inside.iter().map(|p| (p - mean) * (p - mean).transpose()).sum();
-    let eigen = scatter.symmetric_eigen();
-    let major = eigen.eigenvalues.imax();
-    if eigen.eigenvalues[major] < 9.0 * eigen.eigenvalues[1 - major] {
-        return Err(
-            "the object that stands out is not long and straight; take the picture with the snake unbent".into()
-        );
-    }
-    let mut axis = eigen.eigenvectors.column(major).into_owned();
-    if axis.dot(&(mean - root)) < 0.0 {
-        axis = -axis;
-    }
-    let across = Vector2::new(-axis.y, axis.x);
+    let root = Point2::from(cut.iter().sum::<Vector2<f64>>() / cut.len() as f64);
+    let across = Vector2::new(-inward.y, inward.x);
+    let side = cut.iter().map(|p| across.dot(p));
+    let (low, high) = side.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
+    let width_px = high - low + BLOCK as f64;
+    // The object within about one width of the border shows which way it goes.
+    let near: Vec<Vector2<f64>> =
+        inside.iter().map(|p| p - root).filter(|d| (0.0..1.5 * width_px).contains(&inward.dot(d))).collect();
+    let (sxx, sxy) = near.iter().fold((0.0, 0.0), |(sxx, sxy), d| {
+        let (x, y) = (inward.dot(d), across.dot(d));
+        (sxx + x * x, sxy + x * y)
+    });
+    let slope = if sxx > 0.0 { sxy / sxx } else { 0.0 };
+    Ok(Axis { root, direction: (inward + across * slope).normalize(), width_px })
+}
 
-    // Slices across the axis: those through disks and holder have the full width.
-    let mut slices = std::collections::BTreeMap::new();
-    for p in &inside {
-        let (along, side) = (axis.dot(&(p - mean)), across.dot(&(p - mean)));
-        let slice = slices.entry(along.round() as i64).or_insert((side, side));
-        *slice = (slice.0.min(side), slice.1.max(side));
+/// Follows the holder's two sides from the border to its upper end: the end's middle, the direction and the width.
+fn follow_holder(plane: &Plane, rough: &Axis) -> Result<(Point2<f64>, Unit<Vector2<f64>>, f64), String> {
+    const STEP_PX: f64 = 2.0;
+    let mut axis = rough.direction;
+    let mut root = rough.root.coords;
+    let mut width = rough.width_px;
+    for _ in 0..8 {
+        let across = Vector2::new(-axis.y, axis.x);
+        // Slices that are snake from side to side, from the border on.
+        let mut slices: Vec<(f64, f64, f64)> = Vec::new();
+        let mut along = 2.0 * STEP_PX;
+        let mut missed = 0;
+        while missed < 4 {
+            let centre = Point2::from(root + axis * along);
+            match slice(plane, &centre, across, width) {
+                Some((middle, full)) => {
+                    slices.push((along, middle, full));
+                    missed = 0;
+                }
+                None => missed += 1,
+            }
+            along += STEP_PX;
+        }
+        if slices.len() < 8 {
+            return Err("the snake's holder was not found at the picture's border: it must be seen for at least half its \
+                        width below the snake"
+                .into());
+        }
+        let line: Vec<(f64, f64)> = slices.iter().map(|(along, middle, _)| (*along, *middle)).collect();
+        let (offset, slope) = fit_line(&line).ok_or("the holder's direction could not be determined")?;
+        let mut widths: Vec<f32> = slices.iter().map(|(_, _, full)| *full as f32).collect();
+        width = f64::from(median(&mut widths));
+        let last = slices[slices.len() - 1].0;
+        root += across * offset;
+        axis = (axis + across * slope).normalize();
+        let end = root + axis * last;
+        if slope.abs() < 0.005 && offset.abs() < 1.5 {
+            return Ok((Point2::from(end), Unit::new_normalize(axis), width));
+        }
     }
-    let mut widths: Vec<f32> = slices.values().map(|(low, high)| (high - low + 1.0) as f32).collect();
-    widths.sort_by(f32::total_cmp);
-    let width = f64::from(widths[widths.len() * 85 / 100]);
-    let full: Vec<(f64, f64)> = slices
-        .iter()
-        .filter(|(_, (low, high))| (high - low + 1.0 - width).abs() < 0.15 * width)
-        .map(|(&along, (low, high))| (along as f64, (low + high) / 2.0))
-        .collect();
-    let line = fit_line(&full).ok_or("the snake's axis could not be determined")?;
-    let last = *slices.keys().next_back().ok_or("the snake's tip was not found")? as f64;
-    let in_blocks = mean + axis * (last + 0.5) + across * (line.0 + line.1 * (last + 0.5));
-    let tip = Point2::from(in_blocks * BLOCK as f64).map(|v| v + (BLOCK as f64 - 1.0) / 2.0);
-    Ok(LongShape { tip, axis: Unit::new_normalize(axis + across * line.1), width_px: width * BLOCK as f64 })
+    Err("the holder's sides are not straight; take the picture with nothing across the holder".into())
+}
+
+/// The middle (px from `centre`) and width of a slice that is snake throughout, if it is about `width` wide.
+fn slice(plane: &Plane, centre: &Point2<f64>, across: Vector2<f64>, width: f64) -> Option<(f64, f64)> {
+    let at = |offset: f64| plane.sample(&(centre + across * offset));
+    let within = |p: Point2<f64>| p.x >= 0.0 && p.y >= 0.0 && p.x < plane.width as f64 && p.y < plane.height as f64;
+    let reach = 0.75 * width;
+    if !within(centre + across * reach) || !within(centre - across * reach) {
+        return None;
+    }
+    // A highlight may be as bright as paper, but not over a quarter of the holder; the tubes above it leave more free.
+    let count = (0.8 * width) as i32;
+    let solid = (0..=count).filter(|k| at((f64::from(*k) / f64::from(count) - 0.5) * 0.8 * width) > 0.4).count();
+    if (solid as f64) < 0.75 * f64::from(count + 1) {
+        return None;
+    }
+    // From the paper inwards to where the snake begins for good: print is thin.
+    const THICKER_THAN_PRINT_PX: i32 = 8;
+    let side = |sign: f64| -> Option<f64> {
+        let begins = |d: &f64| (0..THICKER_THAN_PRINT_PX).all(|k| at(sign * (d - f64::from(k))) > 0.5);
+        (0..(0.5 * width) as i32).map(|k| reach - f64::from(k)).find(begins)
+    };
+    let (left, right) = (side(-1.0)?, side(1.0)?);
+    Some(((right - left) / 2.0, left + right))
 }
 
 /// Least-squares line y = a + b x.

@@ -49,6 +49,13 @@ const STANDOFF_SIGMA_MM: f64 = 0.1;
 /// How far the snake may be from parallel to the grid, rad (1σ).
 const TILT_SIGMA: f64 = 0.1 * std::f64::consts::PI / 180.0;
 
+/// A snake further from where the standoff puts it than this many times that precision contradicts what was said.
+const FAR_OFF_SIGMAS: f64 = 15.0;
+/// Share of the straight snake's outline that must be confirmed by edges.
+const ENOUGH_INLIERS: f64 = 0.6;
+/// An edge bias beyond this, px, is no edge's but a wrong model's.
+const MOST_BIAS_PX: f64 = 0.8;
+
 /// Calibrates a rig from a picture of the unbent snake before the grid.
 ///
 /// 1. The snake is the large, long object that is unlike the paper; its width tells the scale.
@@ -72,8 +79,9 @@ pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOpt
     let expected_px = lens.focal_px.x * options.grid_pitch_mm / (distance + options.standoff_mm);
     let across = Vector2::new(-snake.axis.y, snake.axis.x);
     let is_snake = |p: &Point2<f64>| {
-        let from_tip = p - snake.tip;
-        across.dot(&from_tip).abs() < 0.65 * snake.width_px && snake.axis.dot(&from_tip) < 0.3 * snake.width_px
+        let from_base = p - snake.base;
+        let length_px = 1.1 * robot.length_mm / snake_mm_per_px;
+        across.dot(&from_base).abs() < 0.65 * snake.width_px && snake.axis.dot(&from_base) < length_px
     };
     let grid = find_grid(frame, lens, options.grid_pitch_mm, expected_px, is_snake)?;
     fit_base(frame, lens, robot, options, &snake, &grid)
@@ -104,7 +112,7 @@ fn fit_base(
     snake: &StraightSnake,
     grid: &Grid,
 ) -> Result<Rig, String> {
-    let mut placement = starting_placement(lens, robot, options, snake, grid)?;
+    let mut placement = starting_placement(lens, options, snake, grid)?;
     let straight = Configuration::new(0.0, 0.0);
     let mut appearance = snake.appearance.clone();
     let mut edge_bias_px = 0.0;
@@ -150,7 +158,23 @@ fn fit_base(
         .zip(solution.covariance())
         .map(|(clustered, independent)| clustered + independent)
         .ok_or("the snake's edges do not determine where its base is")?;
-    let (_, edge_rms_px) = inliers(&matches.distances_px(&view, straight), edge_bias_px, &roots);
+    let (agreeing, edge_rms_px) = inliers(&matches.distances_px(&view, straight), edge_bias_px, &roots);
+    let height_mm = placement.0[3];
+    if height_mm.abs() > FAR_OFF_SIGMAS * STANDOFF_SIGMA_MM {
+        return Err(format!(
+            "the snake looks {:.2} mm nearer to the grid than the standoff of {} mm says: grid_pitch_mm, standoff_mm, the \
+             camera file or the robot's dimensions are wrong",
+            height_mm, options.standoff_mm
+        ));
+    }
+    let share = agreeing as f64 / matches.places.max(1) as f64;
+    if share < ENOUGH_INLIERS || edge_bias_px.abs() > MOST_BIAS_PX {
+        return Err(format!(
+            "only {:.0} % of the straight snake's outline agrees with the model (edges lie {edge_bias_px:.2} px outside it); \
+             is the snake unbent, in focus and of the robot's dimensions?",
+            100.0 * share
+        ));
+    }
     Ok(Rig {
         camera_from_base,
         pose_covariance: nudge_covariance(&placement, &covariance, options.standoff_mm, &grid.camera_from_grid),
@@ -163,10 +187,9 @@ fn fit_base(
     })
 }
 
-/// The snake's tip and direction, carried onto the plane in which it lies.
+/// The snake's base and direction, carried onto the plane in which it lies.
 fn starting_placement(
     lens: &Lens,
-    robot: &Robot,
     options: &RigOptions,
     snake: &StraightSnake,
     grid: &Grid,
@@ -178,11 +201,10 @@ fn starting_placement(
         let distance = (-options.standoff_mm - eye.z) / ray.z;
         (distance > 0.0).then(|| eye + ray * distance)
     };
-    let below = snake.tip - snake.axis.into_inner() * (5.0 * snake.width_px);
-    let (tip, root) =
-        on_plane(&snake.tip).zip(on_plane(&below)).ok_or("the standoff puts the snake behind the camera")?;
-    let up = (tip - root).xy().normalize();
-    let base = tip.xy() - up * robot.length_mm;
+    let ahead = snake.base + snake.axis.into_inner() * (5.0 * snake.width_px);
+    let (base, tip) =
+        on_plane(&snake.base).zip(on_plane(&ahead)).ok_or("the standoff puts the snake behind the camera")?;
+    let up = (tip - base).xy().normalize();
     // At γ = 0 the snake points along the grid's −y.
     let gamma = up.x.atan2(-up.y);
     Ok(Placement(DVector::from_column_slice(&[base.x, base.y, gamma, 0.0, 0.0])))
