@@ -16,6 +16,9 @@ pub struct Appearance {
     pub weights: Vec<f64>,
     /// Added to the weighted sum.
     pub offset: f64,
+    /// Whether much of the background is on the snake's side of the paper, as on a checkerboard with squares darker than
+    /// the snake: edges may then go either way.
+    pub two_sided: bool,
 }
 
 impl Appearance {
@@ -56,7 +59,18 @@ impl Appearance {
             return None;
         }
         let weights = direction / scale;
-        Some(Self { offset: -weights.dot(&mean[0]), weights: weights.iter().copied().collect() })
+        let mut appearance =
+            Self { offset: -weights.dot(&mean[0]), weights: weights.iter().copied().collect(), two_sided: false };
+        // Shadows and thick lines cover less of the paper than that.
+        const MUCH: f64 = 0.2;
+        let plane = appearance.plane(frame);
+        let background = |x: u32, y: u32| label(x, y) == Some(false);
+        let places =
+            (0..frame.height).step_by(STRIDE).flat_map(|y| (0..frame.width).step_by(STRIDE).map(move |x| (x, y)));
+        let like_snake =
+            places.filter(|&(x, y)| background(x, y) && plane.get(i64::from(x), i64::from(y)) > 0.6).count();
+        appearance.two_sided = like_snake as f64 > MUCH * count[0];
+        Some(appearance)
     }
 
     /// The snakeness of every pixel. A grey frame seen with a colour appearance counts as neutral colours, and a colour

@@ -19,6 +19,7 @@ pub struct Edge {
 pub struct EdgeFinder<'a> {
     plane: &'a Plane,
     noise: f64,
+    two_sided: bool,
     kernel: Vec<f64>,
     profile: Vec<f64>,
 }
@@ -35,15 +36,16 @@ const NEIGHBOURHOOD_PX: f64 = 5.0;
 const DRAWN_PX: f64 = 1.0;
 
 impl<'a> EdgeFinder<'a> {
-    /// A finder for a picture in which the snake is brighter than its background and the noise is `noise` (1σ).
-    pub fn new(plane: &'a Plane, noise: f64) -> Self {
+    /// A finder for a picture in which the snake is brighter than its background or, if `two_sided`, different from it.
+    pub fn new(plane: &'a Plane, two_sided: bool) -> Self {
+        let noise = plane.noise();
         let reach = (3.0 * FILTER_PX / STEP_PX).ceil() as i32;
         let gaussian = |k: i32| (-0.5 * (f64::from(k) * STEP_PX / FILTER_PX).powi(2)).exp();
         let mut kernel: Vec<f64> = (-reach..=reach).map(|k| f64::from(k) * gaussian(k)).collect();
         // Normalised so that a ramp of one level per px answers 1.
         let ramp: f64 = kernel.iter().zip(-reach..=reach).map(|(w, k)| w * f64::from(k) * STEP_PX).sum();
         kernel.iter_mut().for_each(|w| *w /= ramp);
-        Self { plane, noise, kernel, profile: Vec::new() }
+        Self { plane, noise, two_sided, kernel, profile: Vec::new() }
     }
 
     /// The most likely edge within `search_px` of a border point: the picture must fall from snake to background there,
@@ -53,7 +55,7 @@ impl<'a> EdgeFinder<'a> {
         let count = ((search_px + NEIGHBOURHOOD_PX) / STEP_PX).ceil() as usize + 1;
         let mut profile = std::mem::take(&mut self.profile);
         self.plane.profile(&point.pixel, point.normal.into_inner(), STEP_PX, count + reach, &mut profile);
-        let fall: Vec<f64> = profile
+        let mut fall: Vec<f64> = profile
             .windows(self.kernel.len())
             .map(|window| -window.iter().zip(&self.kernel).map(|(v, w)| v * w).sum::<f64>())
             .collect();
@@ -62,12 +64,18 @@ impl<'a> EdgeFinder<'a> {
         let position = |k: usize| (k as f64 - count as f64) * STEP_PX;
         let outward = search_px.min(point.gap_px);
         let inward = search_px.min(point.depth_px);
-        let best = (1..fall.len() - 1)
-            .filter(|&k| fall[k] >= fall[k - 1] && fall[k] > fall[k + 1] && (-inward..=outward).contains(&position(k)))
-            .max_by(|&a, &b| {
-                let likelihood = |k: usize| fall[k] * (-0.5 * (position(k) / search_px).powi(2)).exp();
+        let steepness = |k: usize| if self.two_sided { fall[k].abs() } else { fall[k] };
+        let is_peak = |k: usize| steepness(k) >= steepness(k - 1) && steepness(k) > steepness(k + 1);
+        let best = (1..fall.len() - 1).filter(|&k| is_peak(k) && (-inward..=outward).contains(&position(k))).max_by(
+            |&a, &b| {
+                let likelihood = |k: usize| steepness(k) * (-0.5 * (position(k) / search_px).powi(2)).exp();
                 likelihood(a).total_cmp(&likelihood(b))
-            })?;
+            },
+        )?;
+
+        if fall[best] < 0.0 {
+            fall.iter_mut().for_each(|f| *f = -*f);
+        }
 
         // A step of height h blurred to σ has slope h / (σ√2π) and, filtered, curvature slope / (σ² + FILTER²).
         let curvature = (2.0 * fall[best] - fall[best - 1] - fall[best + 1]) / (STEP_PX * STEP_PX);

@@ -65,11 +65,11 @@ impl Eye {
         }
         let plane = self.rig.appearance.plane(frame);
         let view = self.projection();
-        let mut finder = EdgeFinder::new(&plane, plane.noise());
+        let mut finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
         let bias = BiasPrior { mean_px: self.rig.edge_bias_px, sigma_px: BIAS_SIGMA_PX };
         let mut fit = |start: Vector2<f64>, searches: &[f64]| fit_bend(&view, &mut finder, start, bias, searches);
 
-        let candidates = self.search.candidates(&plane, CANDIDATES);
+        let candidates = self.search.candidates(&plane, self.rig.appearance.two_sided, CANDIDATES);
         let mut looks: Vec<BendFit> = candidates.iter().filter_map(|start| fit(*start, &FIRST_LOOK_PX)).collect();
         looks.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         let mut fits =

@@ -6,13 +6,14 @@
 //! neighbour to neighbour, give pairs of picture and paper coordinates, and these the pose.
 
 use super::plane::Plane;
-use super::solve::minimise;
+use super::solve::{Solution, minimise};
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use nalgebra::{DMatrix, DVector, Matrix2, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rustfft::{FftPlanner, num_complex::Complex};
 use std::collections::VecDeque;
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
+use std::ops::{Range, RangeInclusive};
 
 /// What is printed on the paper.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,10 +38,21 @@ pub struct GridPoint {
 pub struct Grid {
     /// The camera's pose to it.
     pub camera_from_grid: Pose,
+    /// Variance of that pose's rotation about each of the camera's axes, rad².
+    pub rotation_variance: Vector3<f64>,
     /// The places it was seen at.
     pub points: Vec<GridPoint>,
     /// Scatter of the points about the pose, px per coordinate.
     pub rms_px: f64,
+}
+
+impl Grid {
+    /// Depth (camera z), mm, at which a line of sight meets the paper.
+    pub fn distance_mm(&self, ray: &Vector3<f64>) -> f64 {
+        let normal = self.camera_from_grid * Vector3::z();
+        let along = normal.dot(&self.camera_from_grid.translation.vector) / normal.dot(ray);
+        along * ray.z
+    }
 }
 
 /// Radius of the window, in wavelengths: a Hann window of 5 pitches is blind to the waves of a 5 mm ruling beside those
@@ -51,8 +63,9 @@ const SPACING: f64 = 1.7;
 
 /// Finds the grid in a picture.
 ///
-/// `expected_px` is the pitch as the snake's known size predicts it; a grid within a fifth of it is taken, so that a
-/// heavier ruling is not mistaken for the pitch. `is_snake` tells pixels that are not paper.
+/// `pitch_px` is the range in which the snake's known size puts the pitch, narrow enough that a heavier ruling is not
+/// mistaken for it. Within it the finest ruling has the strongest wave, for every heavier line lies on it too. The lines
+/// run within 30° of the snake's `axis` or square to it. `is_snake` tells pixels that are not paper.
 ///
 /// # Errors
 ///
@@ -61,22 +74,25 @@ pub fn find_grid(
     frame: &Frame,
     lens: &Lens,
     pitch_mm: f64,
-    expected_px: f64,
+    pitch_px: RangeInclusive<f64>,
+    axis: Vector2<f64>,
     is_snake: impl Fn(&Point2<f64>) -> bool,
 ) -> Result<Grid, String> {
     let plane = strongest_pattern(frame, &is_snake);
     let mut best: Option<Grid> = None;
     for pattern in [Pattern::Lines, Pattern::Checkerboard] {
-        let Some(seed) = seed(&plane, pattern, expected_px, &is_snake) else { continue };
-        let Some(grid) = follow(&plane, lens, pattern, pitch_mm, expected_px, &seed, &is_snake) else { continue };
+        let Some(seed) = seed(&plane, pattern, &pitch_px, axis, &is_snake) else { continue };
+        let Some(grid) = follow(&plane, lens, pattern, pitch_mm, &seed, &is_snake) else { continue };
         if best.as_ref().is_none_or(|b| grid.points.len() > b.points.len()) {
             best = Some(grid);
         }
     }
     best.ok_or_else(|| {
         format!(
-            "no grid of {pitch_mm} mm pitch was found on the paper; by the snake's size its lines should be about \
-             {expected_px:.1} px apart. Check grid_pitch_mm and that the lines can be seen"
+            "no grid of {pitch_mm} mm pitch was found on the paper; by the snake's size its lines should be {:.0} to \
+             {:.0} px apart. Check grid_pitch_mm and that the lines can be seen",
+            pitch_px.start(),
+            pitch_px.end()
         )
     })
 }
@@ -113,15 +129,22 @@ struct Seed {
 }
 
 /// Looks for two square waves of the expected length in windows that show little but paper.
-fn seed(plane: &Plane, pattern: Pattern, expected_px: f64, is_snake: &impl Fn(&Point2<f64>) -> bool) -> Option<Seed> {
+fn seed(
+    plane: &Plane,
+    pattern: Pattern,
+    pitch_px: &RangeInclusive<f64>,
+    axis: Vector2<f64>,
+    is_snake: &impl Fn(&Point2<f64>) -> bool,
+) -> Option<Seed> {
     let size = if plane.width.min(plane.height) >= 512 { 256 } else { 128 };
     if plane.width < size || plane.height < size {
         return None;
     }
-    let expected = match pattern {
-        Pattern::Lines => 1.0 / expected_px,
-        Pattern::Checkerboard => FRAC_1_SQRT_2 / expected_px,
+    let per_pitch = match pattern {
+        Pattern::Lines => 1.0,
+        Pattern::Checkerboard => FRAC_1_SQRT_2,
     };
+    let numbers = per_pitch / pitch_px.end()..per_pitch / pitch_px.start();
     let mut planner = FftPlanner::new();
     let fft = planner.plan_fft_forward(size);
     let mut best: Option<(f64, Seed)> = None;
@@ -135,7 +158,7 @@ fn seed(plane: &Plane, pattern: Pattern, expected_px: f64, is_snake: &impl Fn(&P
                 continue;
             }
             let spectrum = amplitude_spectrum(plane, x0, y0, size, fft.as_ref());
-            if let Some((strength, waves)) = wave_pair(&spectrum, size, expected, pattern)
+            if let Some((strength, waves)) = wave_pair(&spectrum, size, &numbers, axis, pattern)
                 && best.as_ref().is_none_or(|(s, _)| strength > *s)
             {
                 best = Some((strength, Seed { centre, waves }));
@@ -162,17 +185,24 @@ fn amplitude_spectrum(plane: &Plane, x0: usize, y0: usize, size: usize, fft: &dy
     data.iter().map(|c| c.norm()).collect()
 }
 
-/// The two strongest, roughly square, waves near the expected wave number, with their strength over the background.
-fn wave_pair(spectrum: &[f64], size: usize, expected: f64, pattern: Pattern) -> Option<(f64, [Vector2<f64>; 2])> {
+/// The two strongest, roughly square, waves with wave numbers (cycles per px) in a range, with their strength over the
+/// background.
+fn wave_pair(
+    spectrum: &[f64],
+    size: usize,
+    numbers: &Range<f64>,
+    axis: Vector2<f64>,
+    pattern: Pattern,
+) -> Option<(f64, [Vector2<f64>; 2])> {
     let at = |x: i64, y: i64| spectrum[y.rem_euclid(size as i64) as usize * size + x.rem_euclid(size as i64) as usize];
-    let reach = (1.25 * expected * size as f64).ceil() as i64;
+    let reach = (numbers.end * size as f64).ceil() as i64;
     let mut peaks: Vec<(f64, Vector2<f64>)> = Vec::new();
     let mut floor: Vec<f32> = Vec::new();
     for y in -reach..=reach {
         for x in 0..=reach {
             let amplitude = at(x, y);
             let number = ((x * x + y * y) as f64).sqrt() / size as f64;
-            if !(0.78 * expected..1.25 * expected).contains(&number) || (x == 0 && y <= 0) {
+            if !numbers.contains(&number) || (x == 0 && y <= 0) {
                 continue;
             }
             floor.push(amplitude as f32);
@@ -182,9 +212,7 @@ fn wave_pair(spectrum: &[f64], size: usize, expected: f64, pattern: Pattern) -> 
                     |before: f64, after: f64| 0.5 * (after - before) / (2.0 * amplitude - before - after).max(1e-12);
                 let dx = vertex(at(x - 1, y), at(x + 1, y));
                 let dy = vertex(at(x, y - 1), at(x, y + 1));
-                // How far the wave number may be from the snake's prediction: a few per cent.
-                let likely = (-0.5 * ((number / expected - 1.0) / 0.08).powi(2)).exp();
-                peaks.push((amplitude * likely, Vector2::new(x as f64 + dx, y as f64 + dy) / size as f64));
+                peaks.push((amplitude, Vector2::new(x as f64 + dx, y as f64 + dy) / size as f64));
             }
         }
     }
@@ -197,8 +225,13 @@ fn wave_pair(spectrum: &[f64], size: usize, expected: f64, pattern: Pattern) -> 
             let cosine = a.dot(b) / (a.norm() * b.norm());
             let ratio = a.norm() / b.norm();
             let strength = strength_a.min(*strength_b) / floor.max(1e-12);
+            // Lines run along the snake, roughly, and a checkerboard's waves along its diagonals.
+            let turn = a.angle(&axis).to_degrees().rem_euclid(90.0);
+            let along = turn.min(90.0 - turn) < 30.0;
+            let runs_right = along == (pattern == Pattern::Lines);
             const STANDS_OUT: f64 = 5.0;
-            if cosine.abs() < 0.35
+            if runs_right
+                && cosine.abs() < 0.35
                 && (0.75..1.33).contains(&ratio)
                 && strength > STANDS_OUT
                 && best.is_none_or(|(s, _)| strength > s)
@@ -296,13 +329,12 @@ fn follow(
     lens: &Lens,
     pattern: Pattern,
     pitch_mm: f64,
-    expected_px: f64,
     seed: &Seed,
     is_snake: &impl Fn(&Point2<f64>) -> bool,
 ) -> Option<Grid> {
     let wavelength = 1.0 / seed.waves[0].norm();
     let radius = WINDOW * wavelength;
-    let step = SPACING * expected_px;
+    let step = SPACING / (axes_from_waves(seed.waves, pattern)[0].norm());
     let columns = ((plane.width as f64 - 2.0 * radius - 2.0) / step).floor() as i64;
     let rows = ((plane.height as f64 - 2.0 * radius - 2.0) / step).floor() as i64;
     if columns < 3 || rows < 3 {
@@ -364,9 +396,10 @@ fn follow(
     let gradients = axes_from_waves(seed.waves, pattern);
     let mut points = sightings(&windows);
     let mut pose = starting_pose(lens, pitch_mm, gradients, points.first()?);
-    let mut rms_px = 0.0;
+    let mut fit = PoseFit::default();
     for _ in 0..2 {
-        (pose, rms_px) = fit_pose(lens, &points, &pose)?;
+        fit = fit_pose(lens, &points, &pose)?;
+        pose = fit.pose;
         for (window, _) in windows.iter_mut().zip(&clear).filter(|(_, clear)| **clear) {
             let (paper, gradient) = paper_at(lens, &pose, &window.centre)?;
             let phases = phases_from_paper(paper.coords / pitch_mm, pattern);
@@ -383,10 +416,11 @@ fn follow(
         let lines = Lines { plane, lens, pitch_mm, is_snake };
         pose = lines.put_origin_on_a_line(pose)?;
         for _ in 0..2 {
-            (pose, rms_px) = lines.fit_pose(&pose)?;
+            fit = lines.fit_pose(&pose)?;
+            pose = fit.pose;
         }
     }
-    Some(Grid { camera_from_grid: pose, points, rms_px })
+    Some(Grid { camera_from_grid: pose, rotation_variance: fit.rotation_variance, points, rms_px: fit.rms_px })
 }
 
 /// The printed lines themselves, followed at many places once a pose tells where to look.
@@ -408,10 +442,10 @@ struct LinePlace {
 }
 
 impl<F: Fn(&Point2<f64>) -> bool> Lines<'_, F> {
-    fn fit_pose(&self, start: &Pose) -> Option<(Pose, f64)> {
+    fn fit_pose(&self, start: &Pose) -> Option<PoseFit> {
         let places = kept_places(self.places(start)?)?;
         let mut pose = *start;
-        let mut rms = 0.0;
+        let mut fit = None;
         let distance =
             |pose: &Pose, p: &LinePlace| p.normal.dot(&(p.seen - project_paper(self.lens, pose, &p.paper_mm)));
         for _ in 0..3 {
@@ -423,10 +457,12 @@ impl<F: Fn(&Point2<f64>) -> bool> Lines<'_, F> {
                 DVector::from_iterator(kept.len(), kept.iter().map(|p| distance(&moved, p)))
             };
             let solution = minimise(residuals, DVector::zeros(6), &pose_steps())?;
-            rms = (solution.residuals.norm_squared() / kept.len() as f64).sqrt();
             pose = nudged(&pose, &solution.parameters);
+            // Neighbouring places of one line share its printing's errors.
+            const CORRELATED: f64 = 10.0;
+            fit = PoseFit::new(pose, &solution, CORRELATED);
         }
-        Some((pose, rms))
+        fit
     }
 
     /// The waves' crests are the lines if these are light, and half way between them if they are dark. Lines are the
@@ -556,11 +592,29 @@ fn starting_pose(lens: &Lens, pitch_mm: f64, gradients: [Vector2<f64>; 2], point
     Pose::from_parts(Translation3::from(at), rotation)
 }
 
+/// A pose fitted to what was seen of the paper.
+#[derive(Debug, Clone, Default)]
+struct PoseFit {
+    pose: Pose,
+    rotation_variance: Vector3<f64>,
+    rms_px: f64,
+}
+
+impl PoseFit {
+    /// `correlated` is how many residuals count as one.
+    fn new(pose: Pose, solution: &Solution, correlated: f64) -> Option<Self> {
+        let variance = solution.residuals.norm_squared() / solution.residuals.len() as f64;
+        let covariance = solution.covariance()? * (variance * correlated);
+        let rotation_variance = Vector3::from_fn(|k, _| covariance[(k, k)]);
+        Some(Self { pose, rotation_variance, rms_px: variance.sqrt() })
+    }
+}
+
 /// Robust fit of the pose to sightings of the paper.
-fn fit_pose(lens: &Lens, points: &[GridPoint], start: &Pose) -> Option<(Pose, f64)> {
+fn fit_pose(lens: &Lens, points: &[GridPoint], start: &Pose) -> Option<PoseFit> {
     let mut pose = *start;
     let mut kept: Vec<&GridPoint> = points.iter().collect();
-    let mut rms = f64::INFINITY;
+    let mut fit = None;
     for _ in 0..3 {
         let residuals = |x: &DVector<f64>| {
             let moved = nudged(&pose, x);
@@ -576,9 +630,11 @@ fn fit_pose(lens: &Lens, points: &[GridPoint], start: &Pose) -> Option<(Pose, f6
         let mut sizes: Vec<f32> = points.iter().map(|p| error(p) as f32).collect();
         let limit = 4.0 * f64::from(super::plane::median(&mut sizes)) + 1e-3;
         kept = points.iter().filter(|p| error(p) < limit).collect();
-        rms = (kept.iter().map(|p| error(p).powi(2)).sum::<f64>() / (2.0 * kept.len().max(1) as f64)).sqrt();
+        // Windows overlap: each place of the paper is in so many of them.
+        const OVERLAP: f64 = PI * (WINDOW / SPACING) * (WINDOW / SPACING);
+        fit = PoseFit::new(pose, &solution, OVERLAP);
     }
-    Some((pose, rms))
+    fit
 }
 
 /// A pose turned by a rotation vector (rad) about its own origin and shifted (mm): x = (rotation, translation).

@@ -6,46 +6,53 @@ use crate::camera::Frame;
 use image::{GrayImage, Luma};
 use imageproc::contrast::otsu_level;
 use imageproc::region_labelling::{Connectivity, connected_components};
-use nalgebra::{DMatrix, DVector, Point2, Unit, Vector2};
+use nalgebra::{DMatrix, DVector, Point2, Vector2};
 
-/// The unbent snake in a picture, roughly.
+/// The snake's holder in a picture of which nothing is known, roughly.
 #[derive(Debug, Clone)]
-pub struct StraightSnake {
-    /// Middle of the holder's upper end, where the snake begins, px.
+pub struct Holder {
+    /// Where the holder is cut by the picture's border, px.
+    pub root: Point2<f64>,
+    /// From there towards the snake.
+    pub axis: Vector2<f64>,
+    /// Its width, px, or less: where it is lit it may look like paper.
+    pub width_px: f64,
+}
+
+/// Where the snake begins, more precisely.
+#[derive(Debug, Clone)]
+pub struct SnakeStart {
+    /// Middle of the holder's upper end, px.
     pub base: Point2<f64>,
     /// Direction from the holder to the tip.
-    pub axis: Unit<Vector2<f64>>,
-    /// Width of the holder, px.
-    pub width_px: f64,
-    /// What tells snake from paper in this picture.
-    pub appearance: Appearance,
+    pub axis: Vector2<f64>,
 }
 
 /// Side of the blocks of pixels that are looked at as one.
 const BLOCK: usize = 4;
 
-/// Finds the unbent snake by its holder: the largest thick object that differs from the paper and is cut by a border.
+/// Finds the holder: the largest thick object that differs from the paper and is cut by a border.
 ///
-/// Printed lines are thinner than three blocks and are dropped first. Then the holder's own colour tells snake from
-/// paper, and its sides and its upper end are looked for in that.
+/// Printed lines are thinner than three blocks and are dropped. The squares of a checkerboard are not; where they make up
+/// the largest object, the picture is looked at through ever larger means, in which they vanish.
 ///
 /// # Errors
 ///
 /// A sentence that says what was not found.
-pub fn locate_straight(frame: &Frame) -> Result<StraightSnake, String> {
-    let no_object = "no object stands out from the paper; is the snake in the picture?";
-    let mut object = largest_component(&opened(&unlike_paper(frame)));
-    let mut learned = None;
-    for _ in 0..2 {
-        let appearance = Appearance::learn(frame, |x, y| Some(block_is_set(&object, x, y))).ok_or(no_object)?;
-        object = largest_component(&opened(&above_half(&appearance.plane(frame).shrunk(BLOCK))));
-        learned = Some(appearance);
-    }
-    let appearance = learned.ok_or(no_object)?;
-    let rough = rough_axis(&object)?;
-    let plane = appearance.plane(frame);
-    let (base, axis, width_px) = follow_holder(&plane, &rough)?;
-    Ok(StraightSnake { base, axis, width_px, appearance })
+pub fn locate_holder(frame: &Frame) -> Result<Holder, String> {
+    let fine = || -> Result<Holder, String> {
+        let mut object = largest_component(&opened(&unlike_paper(frame, 1)));
+        for _ in 0..2 {
+            let appearance = Appearance::learn(frame, |x, y| Some(block_is_set(&object, x, y)))
+                .ok_or("no object stands out from the paper; is the snake in the picture?")?;
+            object = largest_component(&opened(&above_half(&appearance.plane(frame).shrunk(BLOCK))));
+        }
+        rough_axis(&object)
+    };
+    let coarse = [4, 8, 12, 18].into_iter().map(|reach| rough_axis(&largest_component(&unlike_paper(frame, reach))));
+    let mut outcomes = std::iter::once_with(fine).chain(coarse);
+    let first = outcomes.next().unwrap_or_else(|| Err("nothing was looked at".into()));
+    first.or_else(|message| outcomes.find_map(Result::ok).ok_or(message))
 }
 
 fn block_is_set(mask: &GrayImage, x: u32, y: u32) -> bool {
@@ -57,9 +64,9 @@ fn opened(mask: &GrayImage) -> GrayImage {
     imageproc::morphology::open(mask, imageproc::distance_transform::Norm::LInf, 1)
 }
 
-/// Blocks whose colour is unlike that of the paper, a smooth surface that fills most of the picture.
-fn unlike_paper(frame: &Frame) -> GrayImage {
-    let channels: Vec<Plane> = (0..frame.channels).map(|c| smoothed(&channel(frame, c).shrunk(BLOCK))).collect();
+/// Blocks whose colour, as a mean over `reach` blocks around them, is unlike that of the paper, a smooth surface that fills most of the picture.
+fn unlike_paper(frame: &Frame, reach: i64) -> GrayImage {
+    let channels: Vec<Plane> = (0..frame.channels).map(|c| smoothed(&channel(frame, c).shrunk(BLOCK), reach)).collect();
     let (width, height) = (channels[0].width, channels[0].height);
     let mut distance = vec![0.0_f32; width * height];
     for plane in &channels {
@@ -87,19 +94,16 @@ fn channel(frame: &Frame, c: usize) -> Plane {
     Plane { width: frame.width as usize, height: frame.height as usize, data }
 }
 
-/// The mean over 3 × 3 blocks.
-fn smoothed(plane: &Plane) -> Plane {
-    let mut data = Vec::with_capacity(plane.data.len());
-    for y in 0..plane.height as i64 {
-        for x in 0..plane.width as i64 {
-            let sum: f32 = (-1..=1)
-                .flat_map(|dy| (-1..=1).map(move |dx| (dx, dy)))
-                .map(|(dx, dy)| plane.get(x + dx, y + dy))
-                .sum();
-            data.push(sum / 9.0);
-        }
-    }
-    Plane { width: plane.width, height: plane.height, data }
+/// The mean over (2 reach + 1)² blocks.
+fn smoothed(plane: &Plane, reach: i64) -> Plane {
+    let pass = |plane: &Plane, dx: i64, dy: i64| {
+        let (w, h) = (plane.width as i64, plane.height as i64);
+        let mean = |x: i64, y: i64| (-reach..=reach).map(|k| plane.get(x + k * dx, y + k * dy)).sum::<f32>();
+        let scale = 1.0 / (2 * reach + 1) as f32;
+        let data = (0..w * h).map(|k| mean(k % w, k / w) * scale).collect();
+        Plane { width: plane.width, height: plane.height, data }
+    };
+    pass(&pass(plane, 1, 0), 0, 1)
 }
 
 /// What remains of a plane after a quadratic surface, fitted to the majority of it, is taken away.
@@ -151,18 +155,8 @@ fn largest_component(mask: &GrayImage) -> GrayImage {
     })
 }
 
-/// A line along the holder, px of the full picture.
-struct Axis {
-    /// Where the object is cut by the picture's border.
-    root: Point2<f64>,
-    /// Into the picture.
-    direction: Vector2<f64>,
-    /// A guess of the holder's width.
-    width_px: f64,
-}
-
 /// The object's middle line near the border that cuts it.
-fn rough_axis(object: &GrayImage) -> Result<Axis, String> {
+fn rough_axis(object: &GrayImage) -> Result<Holder, String> {
     let (w, h) = (object.width(), object.height());
     let inside: Vec<Point2<f64>> = object
         .enumerate_pixels()
@@ -174,24 +168,26 @@ fn rough_axis(object: &GrayImage) -> Result<Axis, String> {
     }
     // The border with most of the object on it is the one the holder comes from.
     let (right, bottom) = (f64::from((w - 1) * BLOCK as u32), f64::from((h - 1) * BLOCK as u32));
-    let borders: [(fn(&Point2<f64>) -> f64, f64, Vector2<f64>); 4] = [
-        (|p| p.y, bottom, -Vector2::y()),
-        (|p| p.y, 0.0, Vector2::y()),
-        (|p| p.x, 0.0, Vector2::x()),
-        (|p| p.x, right, -Vector2::x()),
-    ];
-    let on = |(coordinate, at, _): &(fn(&Point2<f64>) -> f64, f64, Vector2<f64>)| -> Vec<Vector2<f64>> {
-        inside.iter().filter(|p| (coordinate(p) - at).abs() < 1.5 * BLOCK as f64).map(|p| p.coords).collect()
+    let borders = [(-Vector2::y(), bottom), (Vector2::y(), 0.0), (Vector2::x(), 0.0), (-Vector2::x(), right)];
+    let on = |inward: Vector2<f64>, offset: f64| -> Vec<Vector2<f64>> {
+        let from_border = |p: &&Point2<f64>| inward.dot(&p.coords) + offset < 1.5 * BLOCK as f64;
+        inside.iter().filter(from_border).map(|p| p.coords).collect()
     };
-    let (cut, inward) = borders.iter().map(|b| (on(b), b.2)).max_by_key(|(cut, _)| cut.len()).unwrap_or_default();
+    let cuts = borders.iter().map(|&(inward, offset)| (on(inward, offset), inward));
+    let (cut, inward) = cuts.max_by_key(|(cut, _)| cut.len()).unwrap_or_default();
     if cut.is_empty() {
-        return Err("the object that stands out does not reach the picture's border, as the snake's holder would".into());
+        return Err(
+            "the object that stands out does not reach the picture's border, as the snake's holder would".into()
+        );
     }
     let root = Point2::from(cut.iter().sum::<Vector2<f64>>() / cut.len() as f64);
     let across = Vector2::new(-inward.y, inward.x);
     let side = cut.iter().map(|p| across.dot(p));
     let (low, high) = side.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
     let width_px = high - low + BLOCK as f64;
+    if inside.len() as f64 > 0.3 * f64::from(w * h) || width_px > 0.4 * right.max(bottom) {
+        return Err("what stands out from the paper is far too large for a snake's holder".into());
+    }
     // The object within about one width of the border shows which way it goes.
     let near: Vec<Vector2<f64>> =
         inside.iter().map(|p| p - root).filter(|d| (0.0..1.5 * width_px).contains(&inward.dot(d))).collect();
@@ -200,80 +196,108 @@ fn rough_axis(object: &GrayImage) -> Result<Axis, String> {
         (sxx + x * x, sxy + x * y)
     });
     let slope = if sxx > 0.0 { sxy / sxx } else { 0.0 };
-    Ok(Axis { root, direction: (inward + across * slope).normalize(), width_px })
+    Ok(Holder { root, axis: (inward + across * slope).normalize(), width_px })
 }
 
-/// Follows the holder's two sides from the border to its upper end: the end's middle, the direction and the width.
-fn follow_holder(plane: &Plane, rough: &Axis) -> Result<(Point2<f64>, Unit<Vector2<f64>>, f64), String> {
-    const STEP_PX: f64 = 2.0;
-    let mut axis = rough.direction;
-    let mut root = rough.root.coords;
-    let mut width = rough.width_px;
-    for _ in 0..8 {
-        let across = Vector2::new(-axis.y, axis.x);
-        // Slices that are snake from side to side, from the border on.
-        let mut slices: Vec<(f64, f64, f64)> = Vec::new();
-        let mut along = 2.0 * STEP_PX;
-        let mut missed = 0;
-        while missed < 4 {
-            let centre = Point2::from(root + axis * along);
-            match slice(plane, &centre, across, width) {
-                Some((middle, full)) => {
-                    slices.push((along, middle, full));
-                    missed = 0;
-                }
-                None => missed += 1,
+/// Finds the holder's two sides, now that its width is known, and follows them to its upper end.
+///
+/// A side is a step of colour, seen in the mean over a length of the holder: shading is smooth, print across the holder
+/// averages out, and print along it is too thin to be a step.
+///
+/// # Errors
+///
+/// A sentence that says what was not found.
+pub fn find_start(frame: &Frame, holder: &Holder, width_px: f64) -> Result<SnakeStart, String> {
+    let channels: Vec<Plane> = (0..frame.channels).map(|c| channel(frame, c)).collect();
+    let strip = Strip { channels: &channels, root: holder.root, width_px };
+    let mut best = (0.0, holder.axis, 0.0);
+    for (reach, steps) in [(0.10, 10), (0.010, 5)] {
+        let around = best.1;
+        for k in -steps..=steps {
+            let turn = reach * f64::from(k) / f64::from(steps);
+            let axis = (around + Vector2::new(-around.y, around.x) * turn).normalize();
+            let (strength, left) = strip.best_sides(axis);
+            if strength > best.0 {
+                best = (strength, axis, left);
             }
-            along += STEP_PX;
-        }
-        if slices.len() < 8 {
-            return Err("the snake's holder was not found at the picture's border: it must be seen for at least half its \
-                        width below the snake"
-                .into());
-        }
-        let line: Vec<(f64, f64)> = slices.iter().map(|(along, middle, _)| (*along, *middle)).collect();
-        let (offset, slope) = fit_line(&line).ok_or("the holder's direction could not be determined")?;
-        let mut widths: Vec<f32> = slices.iter().map(|(_, _, full)| *full as f32).collect();
-        width = f64::from(median(&mut widths));
-        let last = slices[slices.len() - 1].0;
-        root += across * offset;
-        axis = (axis + across * slope).normalize();
-        let end = root + axis * last;
-        if slope.abs() < 0.005 && offset.abs() < 1.5 {
-            return Ok((Point2::from(end), Unit::new_normalize(axis), width));
         }
     }
-    Err("the holder's sides are not straight; take the picture with nothing across the holder".into())
+    let (_, axis, left) = best;
+    let sides = strip.sides(axis, left, 0.0..0.9 * width_px);
+    let mut end = None;
+    let (mut along, mut missed) = (4.0, 0);
+    while missed < 4 {
+        let here = strip.sides(axis, left, along - 3.0..along + 3.0);
+        if here.0 > 0.4 * sides.0 && here.1 > 0.4 * sides.1 {
+            end = Some(along);
+            missed = 0;
+        } else {
+            missed += 1;
+        }
+        along += 2.0;
+    }
+    let end = end.filter(|end| *end > 0.5 * width_px).ok_or(
+        "the snake's holder was not found at the picture's border: it must be seen for at least half its width below \
+         the snake",
+    )?;
+    let across = Vector2::new(-axis.y, axis.x);
+    Ok(SnakeStart { base: holder.root + axis * end + across * (left + width_px / 2.0), axis })
 }
 
-/// The middle (px from `centre`) and width of a slice that is snake throughout, if it is about `width` wide.
-fn slice(plane: &Plane, centre: &Point2<f64>, across: Vector2<f64>, width: f64) -> Option<(f64, f64)> {
-    let at = |offset: f64| plane.sample(&(centre + across * offset));
-    let within = |p: Point2<f64>| p.x >= 0.0 && p.y >= 0.0 && p.x < plane.width as f64 && p.y < plane.height as f64;
-    let reach = 0.75 * width;
-    if !within(centre + across * reach) || !within(centre - across * reach) {
-        return None;
-    }
-    // A highlight may be as bright as paper, but not over a quarter of the holder; the tubes above it leave more free.
-    let count = (0.8 * width) as i32;
-    let solid = (0..=count).filter(|k| at((f64::from(*k) / f64::from(count) - 0.5) * 0.8 * width) > 0.4).count();
-    if (solid as f64) < 0.75 * f64::from(count + 1) {
-        return None;
-    }
-    // From the paper inwards to where the snake begins for good: print is thin.
-    const THICKER_THAN_PRINT_PX: i32 = 8;
-    let side = |sign: f64| -> Option<f64> {
-        let begins = |d: &f64| (0..THICKER_THAN_PRINT_PX).all(|k| at(sign * (d - f64::from(k))) > 0.5);
-        (0..(0.5 * width) as i32).map(|k| reach - f64::from(k)).find(begins)
-    };
-    let (left, right) = (side(-1.0)?, side(1.0)?);
-    Some(((right - left) / 2.0, left + right))
+/// The picture around the holder, in coordinates along and across it.
+struct Strip<'a> {
+    channels: &'a [Plane],
+    root: Point2<f64>,
+    width_px: f64,
 }
 
-/// Least-squares line y = a + b x.
-fn fit_line(points: &[(f64, f64)]) -> Option<(f64, f64)> {
-    let n = points.len() as f64;
-    let (mx, my) = points.iter().fold((0.0, 0.0), |(a, b), (x, y)| (a + x / n, b + y / n));
-    let (sxx, sxy) = points.iter().fold((0.0, 0.0), |(a, b), (x, y)| (a + (x - mx).powi(2), b + (x - mx) * (y - my)));
-    (sxx > 0.0).then(|| (my - sxy / sxx * mx, sxy / sxx))
+impl Strip<'_> {
+    /// Length of the two means whose difference is a step, px: more than a printed line's width.
+    const STEP_PX: i32 = 8;
+
+    /// The place of the left side, px across from the root, at which both sides are steepest, and how steep the weaker is.
+    fn best_sides(&self, axis: Vector2<f64>) -> (f64, f64) {
+        let reach = (1.6 * self.width_px) as i32;
+        let profile = self.profile(axis, -reach - Self::STEP_PX..reach + Self::STEP_PX, 0.0..0.9 * self.width_px);
+        let step = |t: i32| self.step(&profile, (t + reach + Self::STEP_PX) as usize);
+        let width = self.width_px.round() as i32;
+        let pairs = (-reach + 1..reach - width).map(|t| (step(t).min(step(t + width)), f64::from(t)));
+        pairs.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or_default()
+    }
+
+    /// How steep the two sides are over a part of the holder.
+    fn sides(&self, axis: Vector2<f64>, left: f64, along: std::ops::Range<f64>) -> (f64, f64) {
+        let at = |t: f64| {
+            let middle = t.round() as i32;
+            let profile = self.profile(axis, middle - Self::STEP_PX - 2..middle + Self::STEP_PX + 3, along.clone());
+            (0..5).map(|k| self.step(&profile, (Self::STEP_PX + k) as usize)).fold(0.0, f64::max)
+        };
+        (at(left), at(left + self.width_px))
+    }
+
+    /// Mean colour over a part of the holder's length, for every px across; channel by channel.
+    fn profile(
+        &self,
+        axis: Vector2<f64>,
+        across_px: std::ops::Range<i32>,
+        along: std::ops::Range<f64>,
+    ) -> Vec<Vec<f64>> {
+        let across = Vector2::new(-axis.y, axis.x);
+        let rows = (along.end - along.start).max(1.0).ceil() as i32;
+        let mean = |plane: &Plane, t: i32| {
+            let places = (0..rows).map(|row| self.root + axis * (along.start + f64::from(row)) + across * f64::from(t));
+            places.map(|p| plane.sample(&p)).sum::<f64>() / f64::from(rows)
+        };
+        across_px.map(|t| self.channels.iter().map(|plane| mean(plane, t)).collect()).collect()
+    }
+
+    /// Distance between the mean colours on both sides of a place in a profile.
+    fn step(&self, profile: &[Vec<f64>], at: usize) -> f64 {
+        let reach = Self::STEP_PX as usize;
+        if at < reach || at + reach >= profile.len() {
+            return 0.0;
+        }
+        let mean = |from: usize, c: usize| profile[from..from + reach].iter().map(|p| p[c]).sum::<f64>() / reach as f64;
+        (0..self.channels.len()).map(|c| (mean(at + 1, c) - mean(at - reach, c)).powi(2)).sum::<f64>().sqrt()
+    }
 }

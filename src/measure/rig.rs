@@ -4,7 +4,7 @@ use super::appearance::Appearance;
 use super::edges::EdgeFinder;
 use super::fit::{Matches, SETTLED_PX, clustered_covariance, inliers, robust_weights};
 use super::grid::{Grid, find_grid};
-use super::locate::{StraightSnake, locate_straight};
+use super::locate::{SnakeStart, find_start, locate_holder};
 use super::outline::{Outline, Projection};
 use super::solve::minimise;
 use crate::camera::{Frame, Lens};
@@ -73,18 +73,25 @@ pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOpt
             frame.width, frame.height, lens.width, lens.height
         ));
     }
-    let snake = locate_straight(frame)?;
-    let snake_mm_per_px = robot.body.disk_diameter_mm / snake.width_px;
-    let distance = lens.focal_px.x * snake_mm_per_px;
-    let expected_px = lens.focal_px.x * options.grid_pitch_mm / (distance + options.standoff_mm);
-    let across = Vector2::new(-snake.axis.y, snake.axis.x);
-    let is_snake = |p: &Point2<f64>| {
-        let from_base = p - snake.base;
-        let length_px = 1.1 * robot.length_mm / snake_mm_per_px;
-        across.dot(&from_base).abs() < 0.65 * snake.width_px && snake.axis.dot(&from_base) < length_px
+    let holder = locate_holder(frame)?;
+    let diameter_mm = robot.body.disk_diameter_mm;
+    let pitch_px = |width_px: f64| {
+        let distance_mm = lens.focal_px.x * diameter_mm / width_px;
+        lens.focal_px.x * options.grid_pitch_mm / (distance_mm + options.standoff_mm)
     };
-    let grid = find_grid(frame, lens, options.grid_pitch_mm, expected_px, is_snake)?;
-    fit_base(frame, lens, robot, options, &snake, &grid)
+    // What was seen of the holder may be only its dark side.
+    let range = 0.85 * pitch_px(holder.width_px)..=pitch_px(2.2 * holder.width_px);
+    let across = Vector2::new(-holder.axis.y, holder.axis.x);
+    let corridor = |from: Point2<f64>| move |p: &Point2<f64>| across.dot(&(p - from)).abs() < 1.1 * holder.width_px;
+    let grid = find_grid(frame, lens, options.grid_pitch_mm, range, holder.axis, corridor(holder.root))?;
+
+    // The snake is nearer than the grid by the standoff; where it is cut by the border its holder is this wide.
+    let distance_mm = grid.distance_mm(&lens.ray(&holder.root)) - options.standoff_mm;
+    if distance_mm <= 0.0 {
+        return Err("the standoff puts the snake behind the camera; check standoff_mm and grid_pitch_mm".into());
+    }
+    let start = find_start(frame, &holder, lens.focal_px.x * diameter_mm / distance_mm)?;
+    fit_base(frame, lens, robot, options, &start, &grid)
 }
 
 /// The base's place on the paper: x, y (mm, grid frame), turn γ, height above the standoff (mm), tilt out of the plane.
@@ -109,24 +116,25 @@ fn fit_base(
     lens: &Lens,
     robot: &Robot,
     options: &RigOptions,
-    snake: &StraightSnake,
+    snake: &SnakeStart,
     grid: &Grid,
 ) -> Result<Rig, String> {
     let mut placement = starting_placement(lens, options, snake, grid)?;
     let straight = Configuration::new(0.0, 0.0);
-    let mut appearance = snake.appearance.clone();
+    let mut appearance = None;
     let mut edge_bias_px = 0.0;
     let mut outcome = None;
     for (round, search_px) in [14.0, 12.0, 10.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 3.0, 3.0].into_iter().enumerate() {
         let pose = |p: &Placement| grid.camera_from_grid * p.grid_from_base(options.standoff_mm);
         let view = Projection { lens, camera_from_base: pose(&placement), robot };
         let outline = Outline::new(&view, straight, 4);
-        // Once the snake is where it should be, its own outline tells which pixels are snake.
-        if round == 3 {
-            appearance = appearance_of(frame, &outline).ok_or("the snake does not stand out from the paper")?;
+        // The model's own outline tells which pixels are snake, the better the better it lies.
+        if round % 3 == 0 || appearance.is_none() {
+            appearance = appearance_of(frame, &outline);
         }
-        let plane = appearance.plane(frame);
-        let mut finder = EdgeFinder::new(&plane, plane.noise());
+        let known = appearance.as_ref().ok_or("the snake does not stand out from the paper")?;
+        let plane = known.plane(frame);
+        let mut finder = EdgeFinder::new(&plane, known.two_sided);
         let matches = Matches::find(&outline, &mut finder, search_px, |_| true);
         if matches.len() < 40 || matches.len() * 3 < matches.places {
             return Err(format!(
@@ -177,10 +185,10 @@ fn fit_base(
     }
     Ok(Rig {
         camera_from_base,
-        pose_covariance: nudge_covariance(&placement, &covariance, options.standoff_mm, &grid.camera_from_grid),
+        pose_covariance: nudge_covariance(&placement, &covariance, options.standoff_mm, grid),
         camera_from_grid: grid.camera_from_grid,
         grid_pitch_mm: options.grid_pitch_mm,
-        appearance,
+        appearance: appearance.ok_or("no appearance was learned")?,
         edge_bias_px,
         grid_rms_px: grid.rms_px,
         edge_rms_px,
@@ -188,12 +196,7 @@ fn fit_base(
 }
 
 /// The snake's base and direction, carried onto the plane in which it lies.
-fn starting_placement(
-    lens: &Lens,
-    options: &RigOptions,
-    snake: &StraightSnake,
-    grid: &Grid,
-) -> Result<Placement, String> {
+fn starting_placement(lens: &Lens, options: &RigOptions, snake: &SnakeStart, grid: &Grid) -> Result<Placement, String> {
     let grid_from_camera = grid.camera_from_grid.inverse();
     let eye = grid_from_camera * Point3::origin();
     let on_plane = |pixel: &Point2<f64>| -> Option<Point3<f64>> {
@@ -201,7 +204,8 @@ fn starting_placement(
         let distance = (-options.standoff_mm - eye.z) / ray.z;
         (distance > 0.0).then(|| eye + ray * distance)
     };
-    let ahead = snake.base + snake.axis.into_inner() * (5.0 * snake.width_px);
+    const AHEAD_PX: f64 = 300.0;
+    let ahead = snake.base + snake.axis * AHEAD_PX;
     let (base, tip) =
         on_plane(&snake.base).zip(on_plane(&ahead)).ok_or("the standoff puts the snake behind the camera")?;
     let up = (tip - base).xy().normalize();
@@ -222,13 +226,8 @@ fn appearance_of(frame: &Frame, outline: &Outline) -> Option<Appearance> {
 }
 
 /// Covariance of placement and bias, as one of the camera's pose in the terms of [`Rig::pose_covariance`].
-fn nudge_covariance(
-    placement: &Placement,
-    covariance: &DMatrix<f64>,
-    standoff_mm: f64,
-    camera_from_grid: &Pose,
-) -> Matrix6<f64> {
-    let pose = |x: &DVector<f64>| camera_from_grid * Placement(x.clone()).grid_from_base(standoff_mm);
+fn nudge_covariance(placement: &Placement, covariance: &DMatrix<f64>, standoff_mm: f64, grid: &Grid) -> Matrix6<f64> {
+    let pose = |x: &DVector<f64>| grid.camera_from_grid * Placement(x.clone()).grid_from_base(standoff_mm);
     let centre = pose(&placement.0);
     let mut jacobian = DMatrix::zeros(6, 5);
     for k in 0..5 {
@@ -242,5 +241,7 @@ fn nudge_covariance(
     }
     let placed = covariance.view((0, 0), (5, 5));
     let nudges = &jacobian * placed * jacobian.transpose();
-    Matrix6::from_fn(|r, c| nudges[(r, c)])
+    // The base is turned about its own axis as the grid is; the grid's own error adds to that of the placement on it.
+    let from_grid = |r: usize, c: usize| if r == c && r < 3 { grid.rotation_variance[r] } else { 0.0 };
+    Matrix6::from_fn(|r, c| nudges[(r, c)] + from_grid(r, c))
 }

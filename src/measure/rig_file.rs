@@ -140,7 +140,7 @@ mod tests {
             pose_covariance: Matrix6::from_diagonal_element(1e-6),
             camera_from_grid: Pose::new(Vector3::new(0.0, 0.0, 255.0), Vector3::new(0.02, 0.01, 0.03)),
             grid_pitch_mm: 1.0,
-            appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25 },
+            appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },
             edge_bias_px: -0.05,
             grid_rms_px: 0.1,
             edge_rms_px: 0.12,

@@ -46,16 +46,17 @@ impl Search {
     }
 
     /// The bends that stand out, best first, by how much more snake-like their inside is than their outside.
-    pub fn candidates(&self, plane: &Plane, most: usize) -> Vec<Vector2<f64>> {
+    pub fn candidates(&self, plane: &Plane, two_sided: bool, most: usize) -> Vec<Vector2<f64>> {
         let small = plane.shrunk(SHRINK);
         let look = |p: &Point2<f32>| small.get(p.x.round() as i64, p.y.round() as i64).clamp(-0.25, 1.25);
+        let contrast = |step: f32| if two_sided { step.abs() } else { step };
         let mut scored: Vec<(f64, Vector2<f64>)> = self
             .bends
             .iter()
             .filter(|b| b.pairs.len() >= 20)
             .map(|b| {
-                let contrast: f32 = b.pairs.iter().map(|(inside, outside)| look(inside) - look(outside)).sum();
-                (f64::from(contrast) / b.pairs.len() as f64, b.bend)
+                let total: f32 = b.pairs.iter().map(|(inside, outside)| contrast(look(inside) - look(outside))).sum();
+                (f64::from(total) / b.pairs.len() as f64, b.bend)
             })
             .collect();
         scored.sort_by(|a, b| b.0.total_cmp(&a.0));
