@@ -3,6 +3,7 @@
 use super::console::Console;
 use super::inputs::model_or_paper;
 use crate::record::{encoders_csv, measurements_csv, truth_csv, write_atomically};
+use crate::robot::Effect;
 use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
 use crate::{Error, Result};
 use serde::Serialize;
@@ -18,6 +19,9 @@ pub struct Args {
     /// What the snake obeys (model.toml); without it the paper's, with Table I
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
+    /// An effect that the snake obeys besides, such as load_directed_backlash:play_mm=0.08; may be given again
+    #[arg(long, value_name = "NAME:PARAMETER=VALUE,...", value_parser = Effect::parse)]
+    effect: Vec<Effect>,
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
@@ -76,7 +80,9 @@ impl Args {
             ..BendingExperiment::default()
         }
         .waypoints()?;
-        let plant = Plant { model: model_or_paper(self.model.as_deref())?, sd_encoder_mm: self.encoder_sd };
+        let mut model = model_or_paper(self.model.as_deref())?;
+        model.effects.extend(self.effect.iter().cloned());
+        let plant = Plant { model, sd_encoder_mm: self.encoder_sd };
         let samples = plant.run(&trajectory, self.seed.wrapping_add(1));
 
         let readings: Vec<_> = samples.iter().map(|sample| sample.reading).collect();

@@ -22,7 +22,7 @@
 //! a wrong μ scales η, and no number of measurements averages that away.
 
 use super::consistency::Whitened;
-use super::{Consistency, Filter, Row, Weighting};
+use super::{Consistency, Filter, Row, Weighting, without_effects};
 use crate::error::{Error, Result};
 use crate::record::{EncoderReading, EstimateRow, EtaLambda, Measured, Measurement, Status, Verdict};
 use crate::robot::{Estimate, MAX_THETA, Model};
@@ -489,7 +489,8 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 /// Estimates η and λ from all measurements, in order, each with the encoder reading of its index.
 ///
 /// Gives the rows of estimate.csv, with verdicts as they stood at the end, and the model with its estimate (the model
-/// as it was given, less an estimate it had, where the measurements do not pin one).
+/// as it was given, less an estimate it had, where the measurements do not pin one). What the model's effects do is
+/// taken off first and stays in the model.
 ///
 /// # Errors
 /// [`Error::Usage`] for an option out of its range.
@@ -499,10 +500,12 @@ pub fn estimate(
     measurements: &[Measurement],
     readings: &[EncoderReading],
 ) -> Result<(Vec<EstimateRow>, Model)> {
+    let effects = &model.effects;
+    let (measurements, readings) = without_effects(model, measurements, readings);
     let readings: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
-    let mut estimator = Estimator::new(model, options)?;
+    let mut estimator = Estimator::new(&model.plain(), options)?;
     let mut rows: Vec<EstimateRow> = Vec::with_capacity(measurements.len());
-    for measurement in measurements {
+    for measurement in &measurements {
         let step = estimator.update(measurement, readings.get(&measurement.index).copied());
         for Revision { update, reason } in step.revisions {
             rows[update].verdict = if reason.is_none() { Verdict::Used } else { Verdict::Rejected };
@@ -523,5 +526,5 @@ pub fn estimate(
             view: measurement.view.clone(),
         });
     }
-    Ok((rows, estimator.model))
+    Ok((rows, Model { effects: effects.clone(), ..estimator.model }))
 }

@@ -5,11 +5,13 @@
 //! reported standard deviations honest. The [`Estimator`] brings them together.
 
 mod consistency;
+mod effects;
 mod estimator;
 mod filter;
 mod row;
 
 pub use consistency::Consistency;
+pub use effects::without_effects;
 pub use estimator::{Estimator, Options, Reason, Revision, Step, estimate};
 pub use filter::Filter;
 pub use row::{Row, Weighting};

@@ -10,6 +10,10 @@
 //! sd_lambda_mm = 0.0006
 //! correlation = 0.1    # of the errors of eta and lambda
 //! samples = 36
+//! [[effect]]           # each effect that was found; see robot::effects
+//! name = "load_directed_backlash"
+//! found = "discover, 320 samples"
+//! parameters.play_mm = { value = 0.11, sd = 0.0004, unit = "mm" }
 //! ```
 //!
 //! `robot` and `friction` may be left out: Table I and the fit of Table II stand in. An `[[effect]]` that this version
@@ -18,12 +22,14 @@
 use super::experiment::line_at;
 use super::write::write_atomically;
 use crate::error::{Error, Result};
-use crate::robot::{Estimate, Friction, Model, Robot};
+use crate::robot::effects::ParameterSpec;
+use crate::robot::{Effect, Estimate, Friction, Model, Robot};
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::path::Path;
-use toml::de::{DeTable, DeValue};
+use toml::de::DeTable;
 
 /// The file as it is written.
 #[derive(Debug, Serialize, Deserialize)]
@@ -35,6 +41,44 @@ pub(super) struct ModelFile {
     friction: Friction,
     #[serde(skip_serializing_if = "Option::is_none")]
     estimate: Option<EstimateTable>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    effect: Vec<toml::Spanned<EffectTable>>,
+}
+
+/// An effect as files show it.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct EffectTable {
+    name: String,
+    /// Where it was found.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    found: String,
+    #[serde(default)]
+    parameters: BTreeMap<String, ParameterTable>,
+}
+
+/// A parameter of an effect.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ParameterTable {
+    value: f64,
+    #[serde(default)]
+    sd: f64,
+    unit: String,
+}
+
+impl From<&Effect> for EffectTable {
+    fn from(effect: &Effect) -> Self {
+        let parameter = |(spec, (&value, &sd)): (&ParameterSpec, (&f64, &f64))| {
+            (spec.name.to_owned(), ParameterTable { value, sd, unit: spec.unit.to_owned() })
+        };
+        let values = effect.values.iter().zip(&effect.sds);
+        Self {
+            name: effect.physics.name.to_owned(),
+            found: effect.found.clone(),
+            parameters: effect.physics.parameters.iter().zip(values).map(parameter).collect(),
+        }
+    }
 }
 
 /// An estimate as files show it: sds and correlation rather than covariances.
@@ -51,7 +95,13 @@ struct EstimateTable {
 
 impl From<&Model> for ModelFile {
     fn from(model: &Model) -> Self {
-        Self { robot: model.robot.clone(), friction: model.friction, estimate: model.estimate.map(EstimateTable::from) }
+        let effect = |effect: &Effect| toml::Spanned::new(0..0, EffectTable::from(effect));
+        Self {
+            robot: model.robot.clone(),
+            friction: model.friction,
+            estimate: model.estimate.map(EstimateTable::from),
+            effect: model.effects.iter().map(effect).collect(),
+        }
     }
 }
 
@@ -115,11 +165,14 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
         None => Error::content(path, e.message()),
     };
     let document = DeTable::parse(text).map_err(at_span)?;
-    if let Some((key, effects)) = document.get_ref().get_key_value("effect") {
-        return Err(unknown_effect(path, text, effects.get_ref(), key.span().start));
-    }
     let file: ModelFile = toml::from_str(text).map_err(at_span)?;
-    let model = Model { robot: file.robot, friction: file.friction, estimate: file.estimate.map(Estimate::from) };
+    let mut effects = Vec::new();
+    for table in file.effect {
+        let line = line_at(text, table.span().start);
+        effects.push(effect(table.into_inner()).map_err(|why| Error::at_line(path, line, why.to_string()))?);
+    }
+    let estimate = file.estimate.map(Estimate::from);
+    let model = Model { robot: file.robot, friction: file.friction, estimate, effects };
     match first_fault(&model) {
         None => Ok(model),
         Some(fault) => {
@@ -129,22 +182,22 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
     }
 }
 
-/// The error for `[[effect]]` entries, of which this version knows none.
-fn unknown_effect(path: &Path, text: &str, effects: &DeValue, key_at: usize) -> Error {
-    let first = effects.as_array().and_then(|list| list.iter().next());
-    let line = line_at(text, first.map_or(key_at, |entry| entry.span().start));
-    let name = first
-        .and_then(|entry| entry.get_ref().as_table())
-        .and_then(|table| table.get("name"))
-        .and_then(|name| name.get_ref().as_str())
-        .unwrap_or("without a name");
-    Error::at_line(
-        path,
-        line,
-        format!(
-            "effect {name:?} is not known to this version, and predictions without it would be wrong; use the version that wrote the file, or remove the [[effect]]"
-        ),
-    )
+/// One `[[effect]]` as a model.
+fn effect(table: EffectTable) -> Result<Effect> {
+    let values: Vec<(String, f64)> = table.parameters.iter().map(|(name, p)| (name.clone(), p.value)).collect();
+    let mut effect = Effect::new(&table.name, &values)?;
+    for (spec, sd) in effect.physics.parameters.iter().zip(&mut effect.sds) {
+        let Some(parameter) = table.parameters.get(spec.name) else { continue };
+        if parameter.unit != spec.unit || !(parameter.sd >= 0.0 && parameter.sd.is_finite()) {
+            return Err(Error::Usage(format!(
+                "effect {}: {} has sd = {} and unit = {:?}, expected an sd of 0 or more and {:?}",
+                table.name, spec.name, parameter.sd, parameter.unit, spec.unit
+            )));
+        }
+        *sd = parameter.sd;
+    }
+    effect.found = table.found;
+    Ok(effect)
 }
 
 /// A number outside what the physics allows.
@@ -320,6 +373,19 @@ mod tests {
     fn an_effect_that_is_not_known_is_named() {
         let message = message("\n\n[[effect]]\nname = \"moon_phase\"\n");
         assert!(message.contains("model.toml:3") && message.contains("moon_phase"), "{message}");
+    }
+
+    #[test]
+    fn effects_come_back_as_they_were_written() {
+        let mut model = estimated();
+        let mut creep = Effect::parse("creep:share=0.1,time_constant_s=4").unwrap();
+        (creep.sds, creep.found) = (vec![0.01, 0.3], "a test".to_owned());
+        model.effects = vec![creep, Effect::parse("load_directed_backlash:play_mm=-0.08").unwrap()];
+        let text = model_toml(&model).unwrap();
+        assert_eq!(parse(Path::new("model.toml"), &text).unwrap().effects, model.effects, "{text}");
+        let wrong = text.replace("unit = \"s\"", "unit = \"min\"");
+        let error = parse(Path::new("model.toml"), &wrong).unwrap_err().to_string();
+        assert!(error.contains("time_constant_s") && error.contains("expected an sd"), "{error}");
     }
 
     #[test]

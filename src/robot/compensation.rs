@@ -40,6 +40,7 @@
 
 use super::kinematics::{bend_by_configuration, configuration_by_bend};
 use super::model::Model;
+use super::motion::{Led, Mechanics};
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Matrix3x2, Vector2, Vector3};
@@ -105,8 +106,12 @@ impl Model {
         self.epsilon_by_bend(psi.bend_vector()) * bend_by_configuration(psi)
     }
 
-    /// Eq. 23: q̃ = q + ε, mm, what to command so that the snake takes a configuration.
+    /// Eq. 23: q̃ = q + ε, mm, what to command so that the snake takes a configuration. The model's effects are obeyed, as
+    /// for a single pose (see [`motion`](super::motion)).
     pub fn command(&self, psi: Configuration) -> Vector3<f64> {
+        if !self.effects.is_empty() {
+            return Mechanics::new(self).command(psi.bend_vector(), None);
+        }
         self.robot.joint_displacements(psi) + self.epsilon(psi)
     }
 
@@ -141,11 +146,15 @@ impl Model {
         Ok(polar(psi)? * self.updated_jacobian_bend(psi.bend_vector())?)
     }
 
-    /// The configuration that a q̃ (mm) leads to, and what the redundancy takes up.
+    /// The configuration that a q̃ (mm) leads to, and what the redundancy takes up. The model's effects are obeyed, as in
+    /// [`command`](Self::command).
     ///
     /// # Errors
     /// [`Error::Domain`] for a q̃ that is not finite, or that would bend the snake beyond [`MAX_THETA`].
     pub fn forward(&self, q_tilde_mm: &Vector3<f64>) -> Result<Response> {
+        if !self.effects.is_empty() {
+            return self.forward_with_effects(q_tilde_mm);
+        }
         let bend = self.forward_bend(q_tilde_mm)?;
         let left = q_tilde_mm - self.robot.displacement_by_bend() * bend - self.epsilon_at(bend);
         Ok(Response {
@@ -155,7 +164,24 @@ impl Model {
         })
     }
 
-    /// The bend vector (rad) that a q̃ (mm) leads to.
+    fn forward_with_effects(&self, q_tilde_mm: &Vector3<f64>) -> Result<Response> {
+        // The plain model's answer is near, and fails where there is none.
+        let near = self.forward_bend(q_tilde_mm)?;
+        let Led { bend, common_mm } = Mechanics::new(self).led(q_tilde_mm, None, near);
+        if bend.norm() > MAX_THETA {
+            return Err(Error::Domain(format!(
+                "with its effects the model bends beyond {:.0}°, where it does not hold; command less",
+                MAX_THETA.to_degrees()
+            )));
+        }
+        Ok(Response {
+            configuration: Configuration::from_bend_vector(bend),
+            common_mm,
+            internal_force_n: common_mm / self.line_compliance_mm_per_n(),
+        })
+    }
+
+    /// The bend vector (rad) that a q̃ (mm) leads to by Eq. 18 alone.
     ///
     /// # Errors
     /// As [`forward`](Self::forward).

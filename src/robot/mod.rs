@@ -4,15 +4,19 @@
 //! being backbone 1.
 
 pub mod compensation;
+pub mod effects;
 pub mod friction;
 pub mod kinematics;
 pub mod model;
+pub mod motion;
 pub mod parameters;
 pub mod statics;
 pub mod table;
 
 pub use compensation::{MAX_THETA, Response};
+pub use effects::{Effect, LIBRARY, Physics};
 pub use friction::{Friction, FrictionFit, FrictionSample};
 pub use model::{Estimate, Model};
+pub use motion::{Mechanics, Motion, Observation};
 pub use parameters::{Body, Robot};
 pub use table::{Grid, GridAxis, TableRow, compensation_table};

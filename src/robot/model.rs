@@ -1,6 +1,6 @@
 //! The model: what a prediction needs to know about one robot.
 
-use super::{Friction, Robot};
+use super::{Effect, Friction, Robot};
 use nalgebra::{Matrix2, Vector2};
 
 /// The estimated parameters x = (η, λ) of Eq. 18.
@@ -45,6 +45,8 @@ pub struct Model {
     pub friction: Friction,
     /// η and λ; where absent, the naive η = 1, λ = 0 of Section IV.
     pub estimate: Option<Estimate>,
+    /// What else acts, beyond Eq. 18.
+    pub effects: Vec<Effect>,
 }
 
 impl Model {

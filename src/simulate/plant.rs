@@ -3,7 +3,7 @@
 use super::trajectory::Waypoint;
 use crate::geometry::{Configuration, sinc};
 use crate::record::{EncoderReading, Measured, Measurement, Status, Truth};
-use crate::robot::Model;
+use crate::robot::{Mechanics, Model};
 use nalgebra::{Rotation2, Vector2, Vector3};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
@@ -24,20 +24,31 @@ pub struct Plant {
 pub struct Sample {
     /// What the encoders read.
     pub reading: EncoderReading,
-    /// What the snake did.
+    /// What a frame of the same index shows: what the snake did, a moment ago where the camera is late.
     pub truth: Truth,
+    /// What an eye without noise makes of it: the same, but for effects on the eye.
+    pub seen: Configuration,
 }
 
 impl Plant {
     /// Leads the snake along a trajectory; indices count from 0. The same seed gives the same noise.
     pub fn run(&self, trajectory: &[Waypoint], seed: u64) -> Vec<Sample> {
         let mut random = StdRng::seed_from_u64(seed);
-        (0..)
-            .zip(trajectory)
-            .map(|(index, &Waypoint { time_s, configuration })| {
+        let times_s: Vec<f64> = trajectory.iter().map(|waypoint| waypoint.time_s).collect();
+        let bends: Vec<_> = trajectory.iter().map(|waypoint| waypoint.configuration.bend_vector()).collect();
+        let mechanics = Mechanics::new(&self.model);
+        let motions = mechanics.motions(&times_s, &bends);
+        let pictured = mechanics.pictured(&times_s, &bends);
+        (0..trajectory.len())
+            .map(|k| {
+                let index = k as u64;
                 let noise = Vector3::from_fn(|_, _| -> f64 { StandardNormal.sample(&mut random) }) * self.sd_encoder_mm;
-                let q_mm = self.model.command(configuration) + noise;
-                Sample { reading: EncoderReading { index, time_s, q_mm }, truth: Truth { index, configuration } }
+                let q_mm = mechanics.command(bends[k], Some(&motions[k])) + noise;
+                Sample {
+                    reading: EncoderReading { index, time_s: times_s[k], q_mm },
+                    truth: Truth { index, configuration: Configuration::from_bend_vector(pictured[k]) },
+                    seen: Configuration::from_bend_vector(mechanics.seen(pictured[k])),
+                }
             })
             .collect()
     }
@@ -69,7 +80,7 @@ impl SimulatedEye {
                 index: sample.truth.index,
                 time_s: Some(sample.reading.time_s),
                 status: Status::Ok,
-                measured: Some(self.measure(sample.truth.configuration, &mut random)),
+                measured: Some(self.measure(sample.seen, &mut random)),
                 quality: None,
                 view: None,
             })

@@ -1,5 +1,6 @@
 //! Scores: how far measurements are from the truth, and how far a model is from measurements.
 
+use crate::estimate::without_effects;
 use crate::geometry::{Configuration, wrap_angle};
 use crate::record::{EncoderReading, Measurement, Truth};
 use crate::robot::Model;
@@ -105,8 +106,11 @@ pub struct Gap {
     pub unpredicted: usize,
 }
 
-/// Measures the gap between a model and data: every measurement that has angles and an encoder reading counts.
+/// Measures the gap between a model and data: every measurement that has angles and an encoder reading counts. What the
+/// model's effects do along the path is taken off first.
 pub fn gap(model: &Model, measurements: &[Measurement], encoders: &[EncoderReading]) -> Gap {
+    let (measurements, encoders) = without_effects(model, measurements, encoders);
+    let (model, measurements, encoders) = (&model.plain(), &measurements[..], &encoders[..]);
     let mut eps = Vec::new();
     let mut noise = Vec::new();
     let mut theta = Vec::new();

@@ -1,0 +1,221 @@
+//! Effects: physics of a real actuation line and a real eye that the paper's Eq. 18 leaves out.
+//!
+//! Each effect is one [`Physics`]: a name, an equation, a reading in words, parameters with units and ranges, and the one
+//! function by which it acts. A [`Model`](super::Model) holds a list of [`Effect`]s, and everything that predicts obeys
+//! them through [`motion`](super::motion). They act in four places:
+//!
+//! | where | what it is given | what it changes |
+//! | --- | --- | --- |
+//! | [`Acts::Line`] | the bend, τ, how the snake got there | a summand of ε, mm |
+//! | [`Acts::Actuator`] | q̃ | what the encoders read beyond the lines' motion, mm |
+//! | [`Acts::Snake`] | the snake's constants | geometry, stiffness or load, and so q and τ |
+//! | [`Acts::Eye`] | the bend and the one a moment ago | the bend that is measured |
+//!
+//! `non_circular_shape` is not among them: with θ and δ alone a curvature that varies along the snake leaves q as it is (Eq. 1
+//! needs no circle) and scales the elastic energy, which η already does, or lets it follow θ², which
+//! `superelastic_softening` does. Only the outline in the frames could tell it.
+
+mod actuator;
+mod eye;
+mod friction;
+mod snake;
+mod time;
+
+use super::motion::{Motion, Snake};
+use crate::error::{Error, Result};
+use nalgebra::{Vector2, Vector3};
+
+/// A parameter of an effect.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ParameterSpec {
+    /// Its name; ends in the unit where it has one.
+    pub name: &'static str,
+    /// Its unit, `1` for a number without.
+    pub unit: &'static str,
+    /// Least and largest value that such a robot can have.
+    pub range: (f64, f64),
+    /// A value of the size that matters: about 0.05 mm of effect.
+    pub typical: f64,
+}
+
+/// The snake at one instant, as effects on the line see it.
+#[derive(Debug, Clone, Copy)]
+pub struct Instant<'a> {
+    /// The snake's constants, with the effects on them applied.
+    pub snake: &'a Snake,
+    /// The bend vector, rad.
+    pub bend: Vector2<f64>,
+    /// q, mm.
+    pub q_mm: Vector3<f64>,
+    /// τ of Eq. 11, N, positive towards +q, before η.
+    pub tau_n: Vector3<f64>,
+    /// How the snake got there.
+    pub motion: &'a Motion,
+}
+
+/// How an effect acts, with its parameters in the order of [`Physics::parameters`].
+#[derive(Debug, Clone, Copy)]
+pub enum Acts {
+    /// A summand of ε, mm.
+    Line(fn(&Instant, &[f64]) -> Vector3<f64>),
+    /// What the encoders read beyond the lines' motion, mm, from q̃.
+    Actuator(fn(&Vector3<f64>, &[f64]) -> Vector3<f64>),
+    /// A change of the snake's constants.
+    Snake(fn(&mut Snake, &[f64])),
+    /// The bend vector that the eye measures, from the true one.
+    Eye(fn(Vector2<f64>, &[f64]) -> Vector2<f64>),
+    /// The eye shows the bend of so many seconds ago.
+    Delay(fn(&[f64]) -> f64),
+}
+
+/// One effect's physics.
+#[derive(Debug)]
+pub struct Physics {
+    /// Its canonical name.
+    pub name: &'static str,
+    /// Its equation.
+    pub equation: &'static str,
+    /// What it means, in words that follow "the data show".
+    pub reading: &'static str,
+    /// Its parameters.
+    pub parameters: &'static [ParameterSpec],
+    /// Where a search for its parameters starts; several starts where the fit is not nearly linear.
+    pub starts: &'static [&'static [f64]],
+    /// How it acts.
+    pub acts: Acts,
+}
+
+impl PartialEq for Physics {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+/// Every effect that this version knows.
+pub static LIBRARY: [&Physics; 18] = [
+    &friction::LOAD_DIRECTED_BACKLASH,
+    &friction::MOTION_DIRECTED_BACKLASH,
+    &friction::DISC_FRICTION,
+    &friction::CONE_FRICTION_REVERSAL,
+    &actuator::ACTUATOR_SCALE,
+    &actuator::ACTUATOR_OFFSET,
+    &actuator::SCREW_PERIODIC,
+    &snake::SUPERELASTIC_SOFTENING,
+    &snake::TIP_LOAD,
+    &eye::PLANE_MISALIGNMENT,
+    &eye::BEND_OFFSET,
+    &time::THERMAL_DRIFT,
+    &time::CREEP,
+    &time::VISCOUS_DRAG,
+    &eye::CAMERA_LATENCY,
+    &snake::BACKBONE_RADIUS,
+    &snake::BACKBONE_AZIMUTH,
+    &snake::PRIMARY_COMPRESSION,
+];
+
+/// The physics of this name.
+pub fn physics(name: &str) -> Option<&'static Physics> {
+    LIBRARY.into_iter().find(|physics| physics.name == name)
+}
+
+/// An effect with the values of its parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Effect {
+    /// What it is.
+    pub physics: &'static Physics,
+    /// Values of its parameters.
+    pub values: Vec<f64>,
+    /// Their standard deviations; 0 where a value is given and not estimated.
+    pub sds: Vec<f64>,
+    /// Where it was found; empty where nobody says.
+    pub found: String,
+}
+
+impl Effect {
+    /// An effect with known values.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a name that is not in the library, an unknown or missing parameter, a value out of its range.
+    pub fn new(name: &str, parameters: &[(String, f64)]) -> Result<Self> {
+        let Some(physics) = physics(name) else {
+            let known: Vec<_> = LIBRARY.iter().map(|physics| physics.name).collect();
+            let known = known.join(", ");
+            return Err(Error::Usage(format!("effect {name:?} is not known to this version; it knows {known}")));
+        };
+        let names = || physics.parameters.iter().map(|p| p.name).collect::<Vec<_>>().join(", ");
+        if let Some((unknown, _)) = parameters.iter().find(|(n, _)| !physics.parameters.iter().any(|p| p.name == n)) {
+            return Err(Error::Usage(format!("effect {name} has no parameter {unknown:?}; it has {}", names())));
+        }
+        let mut values = Vec::new();
+        for spec in physics.parameters {
+            let Some((_, value)) = parameters.iter().find(|(n, _)| n == spec.name) else {
+                return Err(Error::Usage(format!("effect {name}: {} is missing; it takes {}", spec.name, names())));
+            };
+            let (least, most) = spec.range;
+            if !(least..=most).contains(value) {
+                return Err(Error::Usage(format!(
+                    "effect {name}: {} = {value}, expected {least} to {most} ({})",
+                    spec.name, spec.unit
+                )));
+            }
+            values.push(*value);
+        }
+        Ok(Self { physics, sds: vec![0.0; values.len()], values, found: String::new() })
+    }
+
+    /// An effect as it is written on a command line: `name:parameter=value,parameter=value`.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new), and [`Error::Usage`] for another form.
+    pub fn parse(text: &str) -> Result<Self> {
+        let form = || Error::Usage(format!("effect {text:?}: expected name:parameter=value,parameter=value"));
+        let (name, list) = text.split_once(':').ok_or_else(form)?;
+        let mut parameters = Vec::new();
+        for pair in list.split(',') {
+            let (key, value) = pair.split_once('=').ok_or_else(form)?;
+            parameters.push((key.trim().to_owned(), value.trim().parse().map_err(|_| form())?));
+        }
+        Self::new(name.trim(), &parameters)
+    }
+}
+
+/// The sign of a force, smooth through zero over about ±0.3 N.
+fn smooth_sign(force_n: f64) -> f64 {
+    (force_n / 0.3).tanh()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_unique_and_every_start_lies_in_its_range() {
+        for (k, physics) in LIBRARY.iter().enumerate() {
+            assert!(LIBRARY[..k].iter().all(|other| other.name != physics.name));
+            assert!(!physics.equation.is_empty() && !physics.reading.is_empty());
+            for start in physics.starts {
+                assert_eq!(start.len(), physics.parameters.len(), "{}", physics.name);
+                for (value, spec) in start.iter().zip(physics.parameters) {
+                    assert!((spec.range.0..=spec.range.1).contains(value), "{} {}", physics.name, spec.name);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_written_wrongly_is_an_error_that_says_what_to_write() {
+        let good = Effect::parse("load_directed_backlash:play_mm=0.08").unwrap();
+        assert_eq!(good.values, [0.08]);
+        for (text, message) in [
+            ("gremlins:size=1", "it knows load_directed_backlash, motion"),
+            ("creep:share=0.1", "time_constant_s is missing"),
+            ("creep:shares=0.1,time_constant_s=2", "no parameter \"shares\""),
+            ("load_directed_backlash:play_mm=20", "expected -1 to 1 (mm)"),
+            ("load_directed_backlash:play_mm=nan", "expected -1 to 1"),
+            ("load_directed_backlash", "expected name:parameter=value"),
+        ] {
+            let error = Effect::parse(text).unwrap_err();
+            assert!(error.to_string().contains(message), "{error}");
+        }
+    }
+}
