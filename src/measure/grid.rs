@@ -55,11 +55,24 @@ impl Grid {
     }
 }
 
-/// Radius of the window, in wavelengths: a Hann window of 5 pitches is blind to the waves of a 5 mm ruling beside those
-/// of a 1 mm one.
-const WINDOW: f64 = 5.0;
-/// Distance between windows, in pitches.
-const SPACING: f64 = 1.7;
+impl Pattern {
+    /// Radius of the windows, in wavelengths: a Hann window of 5 pitches is blind to the waves of a 5 mm ruling beside
+    /// those of a 1 mm one; a checkerboard has no such neighbours.
+    fn window(self) -> f64 {
+        match self {
+            Self::Lines => 5.0,
+            Self::Checkerboard => 1.5,
+        }
+    }
+
+    /// Distance between windows, in pitches.
+    fn spacing(self) -> f64 {
+        match self {
+            Self::Lines => 1.7,
+            Self::Checkerboard => 0.6,
+        }
+    }
+}
 
 /// Finds the grid in a picture.
 ///
@@ -136,15 +149,18 @@ fn seed(
     axis: Vector2<f64>,
     is_snake: &impl Fn(&Point2<f64>) -> bool,
 ) -> Option<Seed> {
-    let size = if plane.width.min(plane.height) >= 512 { 256 } else { 128 };
-    if plane.width < size || plane.height < size {
-        return None;
-    }
     let per_pitch = match pattern {
         Pattern::Lines => 1.0,
         Pattern::Checkerboard => FRAC_1_SQRT_2,
     };
     let numbers = per_pitch / pitch_px.end()..per_pitch / pitch_px.start();
+    // Enough waves to tell their length, in a window that finds paper beside the snake.
+    const ENOUGH_WAVES: f64 = 5.0;
+    let fits = |size: &usize| *size <= plane.width.min(plane.height);
+    let sizes = [128, 256, 512, 1024];
+    let longest = 0.7 / numbers.start;
+    let size = sizes.into_iter().filter(fits).find(|&s| s as f64 >= 256.0_f64.max(ENOUGH_WAVES * longest));
+    let size = size.or_else(|| sizes.into_iter().rfind(fits))?;
     let mut planner = FftPlanner::new();
     let fft = planner.plan_fft_forward(size);
     let mut best: Option<(f64, Seed)> = None;
@@ -333,8 +349,8 @@ fn follow(
     is_snake: &impl Fn(&Point2<f64>) -> bool,
 ) -> Option<Grid> {
     let wavelength = 1.0 / seed.waves[0].norm();
-    let radius = WINDOW * wavelength;
-    let step = SPACING / (axes_from_waves(seed.waves, pattern)[0].norm());
+    let radius = pattern.window() * wavelength;
+    let step = pattern.spacing() / (axes_from_waves(seed.waves, pattern)[0].norm());
     let columns = ((plane.width as f64 - 2.0 * radius - 2.0) / step).floor() as i64;
     let rows = ((plane.height as f64 - 2.0 * radius - 2.0) / step).floor() as i64;
     if columns < 3 || rows < 3 {
@@ -631,7 +647,7 @@ fn fit_pose(lens: &Lens, points: &[GridPoint], start: &Pose) -> Option<PoseFit> 
         let limit = 4.0 * f64::from(super::plane::median(&mut sizes)) + 1e-3;
         kept = points.iter().filter(|p| error(p) < limit).collect();
         // Windows overlap: each place of the paper is in so many of them.
-        const OVERLAP: f64 = PI * (WINDOW / SPACING) * (WINDOW / SPACING);
+        const OVERLAP: f64 = 28.0;
         fit = PoseFit::new(pose, &solution, OVERLAP);
     }
     fit

@@ -5,7 +5,7 @@ use super::edges::EdgeFinder;
 use super::fit::{Matches, SETTLED_PX, clustered_covariance, inliers, robust_weights};
 use super::grid::{Grid, find_grid};
 use super::locate::{SnakeStart, find_start, locate_holder};
-use super::outline::{Outline, Projection};
+use super::outline::{Outline, Piece, Projection};
 use super::solve::minimise;
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose};
@@ -56,6 +56,9 @@ const ENOUGH_INLIERS: f64 = 0.6;
 /// An edge bias beyond this, px, is no edge's but a wrong model's.
 const MOST_BIAS_PX: f64 = 0.8;
 
+/// Share of the outline of each of its ends that must be confirmed by edges.
+const ENOUGH_OF_A_PART: f64 = 0.4;
+
 /// Calibrates a rig from a picture of the unbent snake before the grid.
 ///
 /// 1. The snake is the large, long object that is unlike the paper; its width tells the scale.
@@ -91,7 +94,27 @@ pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOpt
         return Err("the standoff puts the snake behind the camera; check standoff_mm and grid_pitch_mm".into());
     }
     let start = find_start(frame, &holder, lens.focal_px.x * diameter_mm / distance_mm)?;
-    fit_base(frame, lens, robot, options, &start, &grid)
+    // Disks look alike: where the first start ends in a snake that is not all there, it may be one disk off.
+    let pitch_px = lens.focal_px.x * robot.disk_pitch_mm() / distance_mm;
+    let moved = |disks: f64| SnakeStart { base: start.base + start.axis * (disks * pitch_px), axis: start.axis };
+    let first = fit_base(frame, lens, robot, options, &start, &grid);
+    first.or_else(|message| {
+        let others = [-1.0, 1.0, -0.5, 0.5, -2.0, 2.0];
+        others.into_iter().find_map(|d| fit_base(frame, lens, robot, options, &moved(d), &grid).ok()).ok_or(message)
+    })
+}
+
+/// The parts of the straight snake that must be seen, so that no disk is taken for its neighbour.
+fn parts(robot: &Robot) -> [(&'static str, impl Fn(Piece) -> bool); 2] {
+    let last = robot.body.spacer_disk_count + 1;
+    let is_part = move |end: bool| {
+        move |piece: Piece| match piece {
+            Piece::HolderSide(_) => !end,
+            Piece::Rim(number, _) => end && number == last,
+            _ => false,
+        }
+    };
+    [("the holder", is_part(false)), ("the end disk", is_part(true))]
 }
 
 /// The base's place on the paper: x, y (mm, grid frame), turn γ, height above the standoff (mm), tilt out of the plane.
@@ -182,6 +205,14 @@ fn fit_base(
              is the snake unbent, in focus and of the robot's dimensions?",
             100.0 * share
         ));
+    }
+    for (part, is_part) in parts(robot) {
+        let (seen, agreeing) = matches.agreement(&roots, is_part);
+        if seen < 5 || (agreeing as f64) < ENOUGH_OF_A_PART * seen as f64 {
+            return Err(format!(
+                "{part} is not where the model says; is the snake unbent, and all of it in the picture?"
+            ));
+        }
     }
     Ok(Rig {
         camera_from_base,
