@@ -190,8 +190,30 @@ mod tests {
         assert!(barrel.ray(&Point2::new(639.5 + 1.01 * limit, 359.5)).iter().all(|v| v.is_nan()));
     }
 
+    /// Whether the radial distortion grows all the way to the picture's corners, and so has an inverse there.
+    /// To spare is what the tangential and prism terms of the property below can add: 0.02 at the corners.
+    fn images_the_corners(lens: &Lens) -> bool {
+        let [k1, k2, _, _, k3, k4, k5, k6, ..] = lens.distortion;
+        let corner = lens.centre_px.coords.component_div(&lens.focal_px).norm() + 0.02;
+        let radii = (0..2000).map(|i| {
+            let r = f64::from(i) * 1e-3;
+            let r2 = r * r;
+            r * (1.0 + k1 * r2 + k2 * r2.powi(2) + k3 * r2.powi(3))
+                / (1.0 + k4 * r2 + k5 * r2.powi(2) + k6 * r2.powi(3))
+        });
+        let mut before = -1.0;
+        for radius in radii {
+            if radius <= before || radius >= corner {
+                return radius >= corner;
+            }
+            before = radius;
+        }
+        false
+    }
+
     proptest! {
-        /// Over whole pictures of lenses as laboratories have them, normal to wide-angle.
+        /// Over whole pictures of lenses as laboratories have them, normal to wide-angle, whose model does not fold
+        /// before the corners.
         #[test]
         fn projecting_a_ray_gives_its_pixel_back(
             u in 0.0..1279.0, v in 0.0..719.0, depth_mm in 1.0..1000.0,
@@ -205,6 +227,7 @@ mod tests {
                 focal_px: Vector2::new(1000.0, 1010.0),
                 ..lens(&[])
             };
+            prop_assume!(images_the_corners(&lens));
             let pixel = Point2::new(u, v);
             let ray = lens.ray(&pixel);
             prop_assert!((ray.norm() - 1.0).abs() < 1e-12);
