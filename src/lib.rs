@@ -20,11 +20,13 @@
 //! | [`robot`], [`camera`] | the snake: kinematics, statics, friction, ε; lenses and sources of frames |
 //! | [`record`] | the files of an experiment: read, check, write |
 //! | [`measure`], [`estimate`], [`simulate`] | frames → θ, δ; measurements → η, λ; the other way round, for tests |
+//! | [`discover`] | which effect the model lacks |
 //! | [`report`] | overlays, plots, the HTML page |
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
 pub mod camera;
+pub mod discover;
 pub mod error;
 pub mod estimate;
 pub mod geometry;

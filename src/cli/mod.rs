@@ -4,6 +4,7 @@
 
 mod calibrate;
 mod console;
+mod discover;
 mod estimate;
 mod estimator;
 mod evaluate;
@@ -44,6 +45,7 @@ enum Command {
     Estimate(estimate::Args),
     Table(table::Args),
     Invert(invert::Args),
+    Discover(discover::Args),
     Evaluate(evaluate::Args),
     Simulate(simulate::Args),
     Render(render::Args),
@@ -58,6 +60,7 @@ impl Command {
             Self::Estimate(args) => args.run(console),
             Self::Table(args) => args.run(console),
             Self::Invert(args) => args.run(console),
+            Self::Discover(args) => args.run(console),
             Self::Evaluate(args) => args.run(console),
             Self::Simulate(args) => args.run(console),
             Self::Render(args) => args.run(console),

@@ -230,13 +230,13 @@ fn frame_name(index: u64, view: &Option<String>) -> String {
     }
 }
 
-fn definitions(class: &str, pairs: &[(String, String)]) -> String {
+pub(super) fn definitions(class: &str, pairs: &[(String, String)]) -> String {
     let rows: String =
         pairs.iter().map(|(k, v)| format!("<div><dt>{}</dt><dd>{}</dd></div>\n", escaped(k), escaped(v))).collect();
     format!("<dl class=\"{class}\">\n{rows}</dl>\n")
 }
 
-fn table<const N: usize>(title: &str, header: [&str; N], rows: &[[String; N]]) -> String {
+pub(super) fn table<const N: usize>(title: &str, header: [&str; N], rows: &[[String; N]]) -> String {
     let cells = |tag: &str, texts: &[String]| {
         texts.iter().map(|text| format!("<{tag}>{}</{tag}>", escaped(text))).collect::<String>()
     };
@@ -249,7 +249,7 @@ fn table<const N: usize>(title: &str, header: [&str; N], rows: &[[String; N]]) -
     )
 }
 
-fn list(title: &str, note: &str, items: &[String]) -> String {
+pub(super) fn list(title: &str, note: &str, items: &[String]) -> String {
     if items.is_empty() {
         return String::new();
     }
@@ -258,11 +258,11 @@ fn list(title: &str, note: &str, items: &[String]) -> String {
 }
 
 /// Text as it must stand in HTML.
-fn escaped(text: &str) -> String {
+pub(super) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-fn style() -> String {
+pub(super) fn style() -> String {
     format!(
         "
 :root {{ color-scheme: light dark; --ink: #1b1f24; --soft: #59636e; --paper: #ffffff; --panel: #f5f6f8; --line: #d0d4da; }}

@@ -1,5 +1,6 @@
 //! What a person looks at: overlays on frames, plots, the HTML page.
 
+pub mod discovery;
 pub mod html;
 pub mod overlay;
 pub mod plot;

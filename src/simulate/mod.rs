@@ -7,10 +7,12 @@ pub mod plant;
 pub mod render;
 pub mod scene;
 pub mod score;
+pub mod sealed;
 pub mod trajectory;
 
 pub use experiment::{FrameFormat, write_experiment};
 pub use plant::{Plant, Sample, SimulatedEye};
 pub use render::{coverage, hidden_fraction, render};
 pub use scene::Scene;
+pub use sealed::Sealed;
 pub use trajectory::{BendingExperiment, Waypoint};

@@ -1,0 +1,109 @@
+//! `discover`: which effect the model lacks.
+
+use super::console::Console;
+use super::inputs::{encoders_of, model_of, model_or_paper, rows};
+use super::views::{measure_frames, open_views, require_some_measured};
+use crate::discover::{Data, discover};
+use crate::estimate::Options;
+use crate::record::{
+    Checked, EncoderReading, Experiment, Measurement, measurements_csv, read_encoders, read_measurements, read_model,
+    write_atomically, write_model,
+};
+use crate::report::discovery::{discovery_html, sentence};
+use crate::robot::Model;
+use crate::{Error, Result};
+use std::path::PathBuf;
+
+/// Find the effect that the model lacks, name it and add it: writes discrepancy.json, model.toml and report.html
+///
+/// Compares what the model predicts with what was measured. The verdict is `named`, `none` (the gap is noise) or
+/// `unexplained` (there is a gap, and no known effect accounts for it).
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  snakeloop discover --measurements out/measurements.csv \
+                  --encoders fixtures/bending/encoders.csv -o found")]
+pub struct Args {
+    /// The experiment: a folder with an experiment.toml, or that file; its frames are measured first
+    #[arg(required_unless_present = "measurements", conflicts_with_all = ["measurements", "encoders"])]
+    experiment: Option<PathBuf>,
+    /// What the eye measured (measurements.csv)
+    #[arg(long, value_name = "CSV", requires = "encoders")]
+    measurements: Option<PathBuf>,
+    /// The encoder log (encoders.csv)
+    #[arg(long, value_name = "CSV", requires = "measurements")]
+    encoders: Option<PathBuf>,
+    /// The model to start from (model.toml); its effects stay. Without it the experiment's, or the paper's with Table I
+    #[arg(long, value_name = "MODEL")]
+    model: Option<PathBuf>,
+    /// The folder to write to; created where it is missing
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+    /// Standard deviation of an encoder reading, mm
+    #[arg(long, value_name = "MM", default_value_t = Options::default().sd_encoder_mm)]
+    encoder_sd: f64,
+}
+
+impl Args {
+    pub fn run(&self, console: &Console) -> Result<()> {
+        if !(self.encoder_sd > 0.0 && self.encoder_sd <= 1.0) {
+            return Err(Error::Usage(format!("--encoder-sd {}: expected more than 0, to 1 mm", self.encoder_sd)));
+        }
+        let (model, measurements, readings) = self.inputs(console)?;
+        let data = Data::new(&measurements, &readings, self.encoder_sd)?;
+        let found = discover(&model, &data)?;
+
+        let json = found.json();
+        self.write("discrepancy.json", &format!("{json:#}\n"))?;
+        write_model(&self.output.join("model.toml"), &found.model)?;
+        self.write("report.html", &discovery_html(&found, &data))?;
+        console.warn(&found.remarks);
+        console.result(&json, || {
+            format!(
+                "{}: {}\ngap of ε   {:.4} mm before, {:.4} mm after (noise alone: {:.4} mm)\n\
+                 gap of θ   {:.3}° before, {:.3}° after\ngap of δ   {:.3}° before, {:.3}° after",
+                found.verdict.word(),
+                sentence(&found),
+                found.before.eps_mm,
+                found.after.eps_mm,
+                found.noise_floor_mm,
+                found.before.theta_deg,
+                found.after.theta_deg,
+                found.before.delta_deg,
+                found.after.delta_deg
+            )
+        });
+        Ok(())
+    }
+
+    fn inputs(&self, console: &Console) -> Result<(Model, Vec<Measurement>, Vec<EncoderReading>)> {
+        match (&self.experiment, &self.measurements, &self.encoders) {
+            (Some(folder), _, _) => {
+                let experiment = Experiment::read(folder)?;
+                if experiment.encoders.is_none() {
+                    let message = "encoders is missing; `discover` needs an encoder log";
+                    return Err(Error::content(&experiment.path, message));
+                }
+                let model = match &self.model {
+                    Some(path) => read_model(path)?,
+                    None => model_of(&experiment)?,
+                };
+                let Checked { rows: readings, warnings } = encoders_of(&experiment)?;
+                console.warn(&warnings);
+                let views = open_views(&experiment, &model.robot)?;
+                let (measurements, _) = measure_frames(console, &views, &readings)?;
+                self.write("measurements.csv", &measurements_csv(&measurements))?;
+                require_some_measured(&experiment, &measurements)?;
+                Ok((model, measurements, readings))
+            }
+            (None, Some(measurements), Some(encoders)) => Ok((
+                model_or_paper(self.model.as_deref())?,
+                rows(console, read_measurements(measurements)?),
+                rows(console, read_encoders(encoders)?),
+            )),
+            _ => Err(Error::Usage("give an experiment, or --measurements and --encoders".to_owned())),
+        }
+    }
+
+    fn write(&self, name: &str, text: &str) -> Result<()> {
+        write_atomically(&self.output.join(name), text.as_bytes())
+    }
+}

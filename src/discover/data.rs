@@ -1,0 +1,186 @@
+//! What the search works on: pairs of readings and measurements in the order of time, cut into sweeps.
+
+use crate::error::{Error, Result};
+use crate::record::{EncoderReading, Measured, Measurement, Status};
+use crate::robot::MAX_THETA;
+use nalgebra::Vector3;
+use std::collections::HashMap;
+
+/// Fewer samples than this decide nothing.
+pub const LEAST_SAMPLES: usize = 24;
+/// Parts that cross-validation leaves out in turn.
+pub const FOLDS: usize = 5;
+
+/// The usable samples of an experiment.
+#[derive(Debug, Clone)]
+pub struct Data {
+    /// Index of each sample.
+    pub indices: Vec<u64>,
+    /// Time, s.
+    pub times_s: Vec<f64>,
+    /// q̃, mm.
+    pub q_mm: Vec<Vector3<f64>>,
+    /// What the eye measured.
+    pub measured: Vec<Measured>,
+    /// The sweep that each sample belongs to, counted from 0.
+    pub sweeps: Vec<usize>,
+    /// Standard deviation of a reading, mm.
+    pub sd_encoder_mm: f64,
+    /// What was passed over or cannot be decided, in words.
+    pub remarks: Vec<String>,
+}
+
+impl Data {
+    /// Pairs measurements and readings of the same index.
+    ///
+    /// # Errors
+    /// [`Error::Domain`] for too few samples, or a snake that does not move.
+    pub fn new(measurements: &[Measurement], readings: &[EncoderReading], sd_encoder_mm: f64) -> Result<Self> {
+        let by_index: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
+        let mut pairs: Vec<(&EncoderReading, Measured)> = measurements
+            .iter()
+            .filter(|m| m.status == Status::Ok)
+            .filter_map(|m| Some((*by_index.get(&m.index)?, m.measured?)))
+            .filter(|(reading, measured)| usable(reading, measured))
+            .collect();
+        let mut remarks = Vec::new();
+        if pairs.len() < measurements.len() {
+            remarks.push(format!(
+                "{} of {} measurements are used; the others have a status, no angles or sigmas, or no reading of their index",
+                pairs.len(),
+                measurements.len()
+            ));
+        }
+        if pairs.len() < LEAST_SAMPLES {
+            return Err(Error::Domain(format!(
+                "{} usable samples, and {LEAST_SAMPLES} at least are needed to tell an effect from noise; measure more poses",
+                pairs.len()
+            )));
+        }
+        if pairs.windows(2).any(|pair| pair[1].0.time_s <= pair[0].0.time_s) {
+            remarks.push("times do not rise from sample to sample: they were sorted, and effects of time and speed are less sure".into());
+            pairs.sort_by(|a, b| a.0.time_s.total_cmp(&b.0.time_s));
+        }
+        let thetas: Vec<f64> = pairs.iter().map(|(_, m)| m.configuration.theta).collect();
+        let range = |of: &dyn Fn(&Vector3<f64>) -> f64| {
+            let values = || pairs.iter().map(|(reading, _)| of(&reading.q_mm));
+            values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
+        };
+        if (0..3).all(|i| range(&|q| q[i]) < 0.02) {
+            return Err(Error::Domain(
+                "the encoders hardly move (less than 0.02 mm); lead the snake along sweeps".into(),
+            ));
+        }
+        if one_plane(&pairs) {
+            remarks.push(
+                "all bends lie in one plane: effects that differ from one azimuth to another cannot be told apart"
+                    .into(),
+            );
+        }
+        Ok(Self {
+            indices: pairs.iter().map(|(reading, _)| reading.index).collect(),
+            times_s: pairs.iter().map(|(reading, _)| reading.time_s).collect(),
+            q_mm: pairs.iter().map(|(reading, _)| reading.q_mm).collect(),
+            measured: pairs.iter().map(|(_, measured)| *measured).collect(),
+            sweeps: sweeps(&thetas),
+            sd_encoder_mm,
+            remarks,
+        })
+    }
+
+    /// How many samples there are.
+    pub fn len(&self) -> usize {
+        self.times_s.len()
+    }
+
+    /// Whether there are none; never, after [`new`](Self::new).
+    pub fn is_empty(&self) -> bool {
+        self.times_s.is_empty()
+    }
+
+    /// The fold of each sample: whole sweeps, dealt in turn.
+    pub fn fold(&self, k: usize) -> usize {
+        self.sweeps[k] % FOLDS
+    }
+}
+
+fn usable(reading: &EncoderReading, measured: &Measured) -> bool {
+    let Measured { configuration, sigma_theta, sigma_delta, correlation } = *measured;
+    let numbers = [configuration.delta, sigma_theta, sigma_delta, reading.time_s];
+    numbers.iter().chain(&reading.q_mm).all(|value| value.is_finite())
+        && (0.0..=MAX_THETA).contains(&configuration.theta)
+        && sigma_theta > 0.0
+        && sigma_delta > 0.0
+        && correlation.abs() < 1.0
+}
+
+/// Whether all bends lie within a few degrees of one plane through the straight snake.
+fn one_plane(pairs: &[(&EncoderReading, Measured)]) -> bool {
+    let scatter: nalgebra::Matrix2<f64> =
+        pairs.iter().map(|(_, m)| m.configuration.bend_vector()).map(|bend| bend * bend.transpose()).sum();
+    let spread = scatter.symmetric_eigenvalues();
+    spread.min() < 0.01 * spread.max()
+}
+
+/// Cuts where θ turns by more than a quarter of its range, and long pieces (a round at one θ) again, so that there are
+/// enough to leave some out in turn.
+fn sweeps(thetas: &[f64]) -> Vec<usize> {
+    let (least, most) = thetas.iter().fold((f64::INFINITY, 0.0f64), |(a, b), &t| (a.min(t), b.max(t)));
+    let turn = 0.25 * (most - least);
+    let longest = thetas.len().div_ceil(2 * FOLDS).max(3);
+    let mut sweep = 0;
+    let (mut began, mut rising, mut extreme) = (0, None, thetas[0]);
+    let mut numbers = Vec::with_capacity(thetas.len());
+    for (k, &theta) in thetas.iter().enumerate() {
+        let turned = match rising {
+            None => (theta - extreme).abs() > turn,
+            Some(true) => theta < extreme - turn,
+            Some(false) => theta > extreme + turn,
+        };
+        if turned {
+            sweep += usize::from(rising.is_some());
+            rising = Some(theta > extreme);
+            extreme = theta;
+            began = k;
+        } else if k - began >= longest {
+            sweep += 1;
+            began = k;
+        }
+        match rising {
+            Some(true) => extreme = extreme.max(theta),
+            Some(false) => extreme = extreme.min(theta),
+            None => {}
+        }
+        numbers.push(sweep);
+    }
+    numbers
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::Model;
+    use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
+
+    #[test]
+    fn folds_hold_whole_stretches_and_all_of_them_something() {
+        let trajectory = BendingExperiment { sweep_poses: 20, ..Default::default() }.waypoints().unwrap();
+        let samples = Plant { model: Model::default(), sd_encoder_mm: 0.0015 }.run(&trajectory, 1);
+        let readings: Vec<_> = samples.iter().map(|s| s.reading).collect();
+        let data = Data::new(&SimulatedEye::default().observe(&samples, 2), &readings, 0.0015).unwrap();
+        assert!(data.sweeps.windows(2).all(|pair| pair[1] == pair[0] || pair[1] == pair[0] + 1));
+        for fold in 0..FOLDS {
+            let size = (0..data.len()).filter(|&k| data.fold(k) == fold).count();
+            assert!(size >= data.len() / (3 * FOLDS), "fold {fold}: {size} of {}", data.len());
+        }
+        assert!(data.remarks.is_empty(), "{:?}", data.remarks);
+    }
+
+    #[test]
+    fn too_little_is_said_plainly() {
+        let readings: Vec<_> =
+            (0..30).map(|index| EncoderReading { index, time_s: index as f64, q_mm: Vector3::zeros() }).collect();
+        let error = Data::new(&[], &readings, 0.0015).unwrap_err().to_string();
+        assert!(error.contains("0 usable samples"), "{error}");
+    }
+}

@@ -1,0 +1,288 @@
+//! The gap in units of its noise, and the parameters that make it least.
+//!
+//! q̃ stands on both sides of ε = q̃ − q(ψ), and a column that holds q̃ would explain any data. So the gap is taken where
+//! something was measured: the forward problem leads from q̃ to a bend, and from there to what the eye should have seen;
+//! the residual is the eye's answer less that, whitened by the eye's covariance and the encoders' through the forward problem. A
+//! third component is the part of q̃ common to all backbones, which no bend changes and encoders alone tell. The two are
+//! independent, since Q⁺1 = 0.
+//!
+//! Directions of loads and motions are taken from the bend that the encoders imply, not from the eye's, which is noisy.
+
+use super::data::Data;
+use crate::record::Measured;
+use crate::robot::{Effect, Estimate, Mechanics, Model};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Matrix3x2, Rotation2, Vector2, Vector3};
+use std::f64::consts::PI;
+
+/// Whitened residuals beyond this count linearly (Huber): a few samples at a sign's edge must not name an effect.
+const HUBER: f64 = 3.0;
+/// The most Gauss-Newton steps.
+const MOST_STEPS: usize = 25;
+/// A step that lowers the cost by less than this is the last.
+const SETTLED: f64 = 0.02;
+
+/// One sample's noise.
+#[derive(Debug, Clone)]
+struct Noise {
+    /// Whitens the bend residual.
+    whitening: Matrix2<f64>,
+    /// ∂(Q b + ε)/∂b, mm per rad.
+    line_by_bend: Matrix3x2<f64>,
+    /// ∂b/∂q̃, rad per mm.
+    bend_by_line: Matrix2x3<f64>,
+    /// Variance of ε that the eye's and the encoders' noise leave, mean over the backbones, mm².
+    floor_mm2: f64,
+}
+
+/// The data with their noise, ready to be fitted.
+#[derive(Debug, Clone)]
+pub struct Problem<'a> {
+    /// The samples.
+    pub data: &'a Data,
+    noise: Vec<Noise>,
+    sd_common_mm: f64,
+    /// The path that the model without anything new implies: where every forward problem starts.
+    start: Vec<Vector2<f64>>,
+}
+
+/// A model fitted to the data.
+#[derive(Debug, Clone)]
+pub struct Fit {
+    /// The model, with η, λ and its effects at their best.
+    pub model: Model,
+    /// Whitened residuals of each sample: bend (2) and common part.
+    pub residuals: Vec<Vector3<f64>>,
+    /// The bends that the encoders imply.
+    pub path: Vec<Vector2<f64>>,
+    /// Sum of the robust squares.
+    pub cost: f64,
+    /// Number of parameters.
+    pub parameters: usize,
+    /// Derivatives of the residuals by the parameters, η and λ first.
+    pub jacobian: DMatrix<f64>,
+}
+
+impl Fit {
+    /// Schwarz's criterion: less is better.
+    pub fn bic(&self) -> f64 {
+        self.cost + self.parameters as f64 * (3.0 * self.residuals.len() as f64).ln()
+    }
+
+    /// The robust square of one sample.
+    pub fn loss(&self, k: usize) -> f64 {
+        self.residuals[k].iter().map(|&r| rho(r)).sum()
+    }
+}
+
+fn rho(r: f64) -> f64 {
+    if r.abs() <= HUBER { r * r } else { HUBER * (2.0 * r.abs() - HUBER) }
+}
+
+fn weight(r: f64) -> f64 {
+    if r.abs() <= HUBER { 1.0 } else { HUBER / r.abs() }
+}
+
+impl<'a> Problem<'a> {
+    /// Prepares data for fits near a model.
+    pub fn new(data: &'a Data, model: &Model) -> Self {
+        let mechanics = Mechanics::new(model);
+        let start: Vec<_> = mechanics.path(&data.times_s, &data.q_mm, None).iter().map(|led| led.bend).collect();
+        let motions = mechanics.motions_read(&data.times_s, &start, &data.q_mm);
+        let variance = data.sd_encoder_mm.powi(2);
+        let noise = data.measured.iter().zip(start.iter().zip(&motions)).map(|(measured, (&bend, motion))| {
+            let (bend_by_line, line_by_bend) = mechanics.slopes(bend, motion);
+            let eye = bend_covariance(measured, bend);
+            let covariance = eye + bend_by_line * bend_by_line.transpose() * variance;
+            let whitening = covariance.cholesky().and_then(|factor| factor.l().try_inverse());
+            let floor = (line_by_bend * eye * line_by_bend.transpose()).trace() / 3.0 + variance;
+            Noise { whitening: whitening.unwrap_or_else(Matrix2::zeros), line_by_bend, bend_by_line, floor_mm2: floor }
+        });
+        Self { data, noise: noise.collect(), sd_common_mm: data.sd_encoder_mm.max(1e-5) / 3f64.sqrt(), start }
+    }
+
+    /// Whitened residuals, with the history that a guess at the path implies, and the path.
+    fn residuals(&self, model: &Model, guess: &[Vector2<f64>]) -> (Vec<Vector3<f64>>, Vec<Vector2<f64>>) {
+        let mechanics = Mechanics::new(model);
+        let led = mechanics.pass(&self.data.times_s, &self.data.q_mm, guess);
+        let path: Vec<_> = led.iter().map(|led| led.bend).collect();
+        let pictured = mechanics.pictured(&self.data.times_s, &path);
+        let residuals = (0..path.len()).map(|k| {
+            let gap = self.data.measured[k].configuration.bend_vector() - mechanics.seen(pictured[k]);
+            let bend = self.noise[k].whitening * gap;
+            Vector3::new(bend.x, bend.y, led[k].common_mm / self.sd_common_mm)
+        });
+        (residuals.collect(), path)
+    }
+
+    /// Fits η, λ and all parameters of the model's effects, starting from their values. Samples of the fold `without` have
+    /// no part in it.
+    pub fn fit(&self, start: &Model, guess: Option<&[Vector2<f64>]>, without: Option<usize>) -> Fit {
+        let counts = |k: usize| without != Some(self.data.fold(k));
+        let total = |residuals: &[Vector3<f64>]| -> f64 {
+            let counted = residuals.iter().enumerate().filter(|(k, _)| counts(*k));
+            counted.map(|(_, r)| r.iter().map(|&r| rho(r)).sum::<f64>()).sum()
+        };
+        let (scales, ranges) = scales_and_ranges(start);
+        let mut x = vector(start);
+        let mut model = start.clone();
+        let (mut residuals, mut path) = self.residuals(&model, guess.unwrap_or(&self.start));
+        let mut cost = total(&residuals);
+        let mut jacobian = DMatrix::zeros(3 * path.len(), x.len());
+        let mut damping = 1e-6;
+        for _ in 0..MOST_STEPS {
+            // Derivatives are taken with the history of one path.
+            let (here, _) = self.residuals(&model, &path);
+            for j in 0..x.len() {
+                let mut nudged = x.clone();
+                // Inwards, where the range ends.
+                let h = 1e-3 * scales[j] * if x[j] + 1e-3 * scales[j] > ranges[j].1 { -1.0 } else { 1.0 };
+                nudged[j] += h;
+                let (moved, _) = self.residuals(&with_vector(&model, &nudged), &path);
+                for (k, (after, before)) in moved.iter().zip(&here).enumerate() {
+                    jacobian.fixed_view_mut::<3, 1>(3 * k, j).copy_from(&((after - before) * (scales[j] / h)));
+                }
+            }
+            let mut information = DMatrix::zeros(x.len(), x.len());
+            let mut gradient = DVector::zeros(x.len());
+            for (k, r) in residuals.iter().enumerate().filter(|(k, _)| counts(*k)) {
+                for c in 0..3 {
+                    let row = jacobian.row(3 * k + c);
+                    let w = weight(r[c]);
+                    information.ger(w, &row.transpose(), &row.transpose(), 1.0);
+                    gradient.axpy(w * r[c], &row.transpose(), 1.0);
+                }
+            }
+            let before = cost;
+            let mut improved = false;
+            for _ in 0..6 {
+                let mut damped = information.clone();
+                for j in 0..x.len() {
+                    damped[(j, j)] += damping * information[(j, j)] + 1e-9;
+                }
+                let Some(factor) = damped.cholesky() else {
+                    damping *= 10.0;
+                    continue;
+                };
+                let step = factor.solve(&gradient);
+                let next: Vec<f64> =
+                    (0..x.len()).map(|j| (x[j] - step[j] * scales[j]).clamp(ranges[j].0, ranges[j].1)).collect();
+                let candidate = with_vector(&model, &next);
+                let (next_residuals, next_path) = self.residuals(&candidate, &path);
+                let next_cost = total(&next_residuals);
+                if next_cost < cost {
+                    (x, model, residuals, path, cost) = (next, candidate, next_residuals, next_path, next_cost);
+                    damping = (damping * 0.1).max(1e-9);
+                    improved = true;
+                    break;
+                }
+                damping = (damping * 10.0).max(1e-4);
+            }
+            if !improved || before - cost < SETTLED {
+                break;
+            }
+        }
+        // The history that belongs to the path found.
+        let (residuals, path) = self.residuals(&model, &path);
+        let cost = total(&residuals);
+        for (j, scale) in scales.iter().enumerate() {
+            jacobian.column_mut(j).unscale_mut(*scale);
+        }
+        Fit { model, residuals, path, cost, parameters: x.len(), jacobian }
+    }
+
+    /// Puts the fit's covariance into its model.
+    pub fn with_covariance(&self, fit: &Fit) -> Model {
+        let mut model = fit.model.clone();
+        let mut weighted = fit.jacobian.clone();
+        for (k, r) in fit.residuals.iter().enumerate() {
+            for c in 0..3 {
+                weighted.row_mut(3 * k + c).scale_mut(weight(r[c]).sqrt());
+            }
+        }
+        let (scales, _) = scales_and_ranges(&model);
+        for (j, scale) in scales.iter().enumerate() {
+            weighted.column_mut(j).scale_mut(*scale);
+        }
+        let information = weighted.transpose() * weighted;
+        // A direction that the data do not pin gets an sd of a hundred typical sizes, not infinity.
+        let damped = &information + DMatrix::identity(scales.len(), scales.len()) * 1e-4;
+        let Some(inverse) = damped.cholesky().map(|factor| factor.inverse()) else { return model };
+        let covariance = |a: usize, b: usize| inverse[(a, b)] * scales[a] * scales[b];
+        if let Some(estimate) = &mut model.estimate {
+            estimate.covariance = Matrix2::from_fn(covariance);
+            estimate.samples = self.data.len();
+        }
+        let mut next = 2;
+        for effect in &mut model.effects {
+            for sd in &mut effect.sds {
+                *sd = covariance(next, next).max(0.0).sqrt();
+                next += 1;
+            }
+        }
+        model
+    }
+
+    /// What a summand of q̃ (mm, at each sample) would do to the whitened residuals, to first order.
+    pub fn response(&self, k: usize, summand: &Vector3<f64>) -> Vector3<f64> {
+        let noise = &self.noise[k];
+        let bend = noise.whitening * (noise.bend_by_line * summand);
+        Vector3::new(bend.x, bend.y, -summand.mean() / self.sd_common_mm)
+    }
+
+    /// The gap of ε at sample k, mm: what is left between q̃ and the model at the measured bend.
+    pub fn eps_gap_mm(&self, fit: &Fit, k: usize) -> Vector3<f64> {
+        let noise = &self.noise[k];
+        let r = fit.residuals[k];
+        let unwhitened = noise.whitening.try_inverse().unwrap_or_else(Matrix2::zeros) * Vector2::new(r.x, r.y);
+        (-noise.line_by_bend * unwhitened).add_scalar(r.z * self.sd_common_mm)
+    }
+
+    /// The gap of the bend at sample k, rad, along and across the bend.
+    pub fn bend_gap(&self, fit: &Fit, k: usize) -> Vector2<f64> {
+        let r = fit.residuals[k];
+        let whitening = &self.noise[k].whitening;
+        let gap = whitening.try_inverse().unwrap_or_else(Matrix2::zeros) * Vector2::new(r.x, r.y);
+        Rotation2::new(-self.data.measured[k].configuration.delta) * gap
+    }
+
+    /// The mean variance of ε that noise alone leaves at sample k, mm².
+    pub fn floor_mm2(&self, k: usize) -> f64 {
+        self.noise[k].floor_mm2
+    }
+}
+
+/// Covariance of the measured bend vector, rad², at a bend: σ_θ along it, θ σ_δ across it, where δ is never worse than
+/// wholly unknown.
+fn bend_covariance(measured: &Measured, bend: Vector2<f64>) -> Matrix2<f64> {
+    let sigma_delta = measured.sigma_delta.min(PI / 3f64.sqrt());
+    // σ_δ goes with the measured θ: near straight their product is well known, while neither of them is.
+    let theta = measured.configuration.theta;
+    let along = measured.sigma_theta.powi(2) + theta.powi(2) * sigma_delta.powi(4) / 2.0;
+    let across = (theta.powi(2) + measured.sigma_theta.powi(2)) * sigma_delta.powi(2);
+    let cross = measured.correlation * measured.sigma_theta * theta * sigma_delta;
+    let turn = Rotation2::new(bend.y.atan2(bend.x));
+    turn * Matrix2::new(along, cross, cross, across) * turn.inverse()
+}
+
+/// η, λ and the effects' values in a row.
+fn vector(model: &Model) -> Vec<f64> {
+    let x = model.parameters();
+    [x.x, x.y].into_iter().chain(model.effects.iter().flat_map(|effect| effect.values.iter().copied())).collect()
+}
+
+fn with_vector(model: &Model, x: &[f64]) -> Model {
+    let mut values = x[2..].iter();
+    let effects = model.effects.iter().map(|effect| Effect {
+        values: values.by_ref().take(effect.values.len()).copied().collect(),
+        ..effect.clone()
+    });
+    let estimate = Estimate { eta: x[0], lambda_mm: x[1], covariance: Matrix2::zeros(), samples: 0 };
+    Model { effects: effects.collect(), estimate: Some(estimate), robot: model.robot.clone(), friction: model.friction }
+}
+
+/// The size of each parameter that matters, and its range.
+fn scales_and_ranges(model: &Model) -> (Vec<f64>, Vec<(f64, f64)>) {
+    let specs = model.effects.iter().flat_map(|effect| effect.physics.parameters);
+    let of_effects = specs.map(|spec| (spec.typical, spec.range));
+    [(0.03, (0.05, 10.0)), (0.02, (-2.0, 2.0))].into_iter().chain(of_effects).unzip()
+}

@@ -1,0 +1,17 @@
+//! Where simulation and measurement disagree, which effect is missing, and whether the gap shrinks with it.
+//!
+//! 1. [`Data`]: samples in the order of time, cut into sweeps.
+//! 2. [`Problem`]: the gap in units of its predicted noise, in what was measured; η and λ are fitted anew with every effect.
+//! 3. [`search`](search::search): forward steps over the library, exchange, backward elimination; by Schwarz's criterion and on sweeps
+//!    left out.
+//! 4. [`Discovery`]: the verdict, held to noise and to what structure is left; nothing in it is judged on data that the fit saw.
+
+mod data;
+mod fit;
+mod search;
+mod verdict;
+
+pub use data::{Data, LEAST_SAMPLES};
+pub use fit::{Fit, Problem};
+pub use search::Named;
+pub use verdict::{Discovery, Gap, Structure, Verdict, discover};
