@@ -1,0 +1,91 @@
+//! How long each step takes, on the bundled experiment: `cargo bench --no-default-features`.
+
+use divan::Bencher;
+use nalgebra::Matrix2;
+use snakeloop::camera::{Frame, Lens, read_frame};
+use snakeloop::estimate::{Estimator, Options};
+use snakeloop::geometry::Configuration;
+use snakeloop::measure::{Eye, RigOptions, calibrate_rig};
+use snakeloop::record::{Measured, Measurement, Status, Verdict, read_encoders, read_truth};
+use snakeloop::robot::table::{Grid, compensation_table};
+use snakeloop::robot::{Estimate, Model};
+use std::path::{Path, PathBuf};
+
+fn main() {
+    divan::main();
+}
+
+fn bundled(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/bending").join(name)
+}
+
+fn frame() -> PathBuf {
+    bundled("frames/00004.jpg")
+}
+
+/// The paper's robot with the bundled experiment's η and λ.
+fn model() -> Model {
+    let covariance = Matrix2::from_diagonal_element(1e-6);
+    Model { estimate: Some(Estimate { eta: 1.221, lambda_mm: 0.1765, covariance, samples: 17 }), ..Model::default() }
+}
+
+#[divan::bench(max_time = 5)]
+fn decode_a_frame() -> Frame {
+    read_frame(&frame()).unwrap()
+}
+
+#[divan::bench(max_time = 15)]
+fn measure_a_decoded_frame(bencher: Bencher) {
+    let lens = Lens::read(&bundled("camera.yaml")).unwrap();
+    let robot = Model::default().robot;
+    let options = RigOptions { grid_pitch_mm: 1.0, standoff_mm: 25.0 };
+    let rig = calibrate_rig(&read_frame(&bundled("straight.jpg")).unwrap(), &lens, &robot, &options).unwrap();
+    let eye = Eye::new(lens, rig, robot);
+    let frame = read_frame(&frame()).unwrap();
+    assert_eq!(eye.measure(&frame).status, Status::Ok);
+    bencher.bench_local(|| eye.measure(&frame));
+}
+
+#[divan::bench(max_time = 2)]
+fn solve_the_forward_problem(bencher: Bencher) {
+    let model = model();
+    let q_tilde_mm = model.command(Configuration::from_degrees(60.0, 35.0));
+    bencher.bench_local(|| model.forward(divan::black_box(&q_tilde_mm)).unwrap());
+}
+
+/// The last measurement of the bundled experiment, after all the others.
+#[divan::bench(max_time = 2)]
+fn update_the_estimate(bencher: Bencher) {
+    let encoders = read_encoders(&bundled("encoders.csv")).unwrap().rows;
+    let sigma = 0.1_f64.to_radians();
+    let measurements = read_truth(&bundled("truth.csv")).unwrap().rows.into_iter().map(|truth| Measurement {
+        index: truth.index,
+        time_s: None,
+        status: Status::Ok,
+        measured: Some(Measured {
+            configuration: truth.configuration,
+            sigma_theta: sigma,
+            sigma_delta: sigma,
+            correlation: 0.0,
+        }),
+        quality: None,
+        view: None,
+    });
+    let mut rows: Vec<_> = measurements.zip(encoders).collect();
+    let (last, reading) = rows.pop().unwrap();
+    let mut estimator = Estimator::new(&Model::default(), Options::default()).unwrap();
+    for (measurement, reading) in &rows {
+        estimator.update(measurement, Some(reading));
+    }
+    assert_eq!(estimator.clone().update(&last, Some(&reading)).verdict, Verdict::Used);
+    bencher
+        .with_inputs(|| estimator.clone())
+        .bench_local_values(|mut estimator| estimator.update(&last, Some(&reading)));
+}
+
+/// The default grid: 19 bends by 24 azimuths.
+#[divan::bench(max_time = 2)]
+fn make_a_compensation_table(bencher: Bencher) {
+    let (model, grid) = (model(), Grid::default());
+    bencher.bench_local(|| compensation_table(&model, &grid).unwrap());
+}
