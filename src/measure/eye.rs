@@ -75,10 +75,14 @@ impl Eye {
         let mut fits =
             distinct(looks).into_iter().take(2).filter_map(|look| fit(look.bend, &FINAL_PX)).collect::<Vec<_>>();
         fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        match distinct(fits).as_slice() {
-            [] => failed(Status::NoSnake, None),
-            [best, other, ..] if other.cost < AS_GOOD * best.cost => failed(Status::Ambiguous, Some(quality(best))),
-            [best, ..] => self.verdict(best),
+        let fits = distinct(fits);
+        let Some(best) = fits.first() else { return failed(Status::NoSnake, None) };
+        let sighting = self.verdict(best);
+        match fits.get(1) {
+            Some(other) if sighting.status == Status::Ok && other.cost < AS_GOOD * best.cost => {
+                failed(Status::Ambiguous, sighting.quality)
+            }
+            _ => sighting,
         }
     }
 

@@ -201,8 +201,8 @@ fn rough_axis(object: &GrayImage) -> Result<Holder, String> {
 
 /// Finds the holder's two sides, now that its width is known, and follows them to its upper end.
 ///
-/// A side is a step of colour, seen in the mean over a length of the holder: shading is smooth, print across the holder
-/// averages out, and print along it is too thin to be a step.
+/// A side is a step of colour all along the holder: shading is smooth, print across the holder is here and there, and
+/// print along it is too thin to be a step.
 ///
 /// # Errors
 ///
@@ -258,10 +258,10 @@ impl Strip<'_> {
     /// The place of the left side, px across from the root, at which both sides are steepest, and how steep the weaker is.
     fn best_sides(&self, axis: Vector2<f64>) -> (f64, f64) {
         let reach = (1.6 * self.width_px) as i32;
-        let profile = self.profile(axis, -reach - Self::STEP_PX..reach + Self::STEP_PX, 0.0..0.9 * self.width_px);
-        let step = |t: i32| self.step(&profile, (t + reach + Self::STEP_PX) as usize);
+        let steps = self.steps(axis, -reach..reach, 0.0..0.9 * self.width_px);
+        let step = |t: i32| steps.get((t + reach) as usize).copied().unwrap_or(0.0);
         let width = self.width_px.round() as i32;
-        let pairs = (-reach + 1..reach - width).map(|t| (step(t).min(step(t + width)), f64::from(t)));
+        let pairs = (-reach..reach - width).map(|t| (step(t).min(step(t + width)), f64::from(t)));
         pairs.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or_default()
     }
 
@@ -269,10 +269,26 @@ impl Strip<'_> {
     fn sides(&self, axis: Vector2<f64>, left: f64, along: std::ops::Range<f64>) -> (f64, f64) {
         let at = |t: f64| {
             let middle = t.round() as i32;
-            let profile = self.profile(axis, middle - Self::STEP_PX - 2..middle + Self::STEP_PX + 3, along.clone());
-            (0..5).map(|k| self.step(&profile, (Self::STEP_PX + k) as usize)).fold(0.0, f64::max)
+            self.steps(axis, middle - 2..middle + 3, along.clone()).into_iter().fold(0.0, f64::max)
         };
         (at(left), at(left + self.width_px))
+    }
+
+    /// How steep the colours are at every px across, as a mean over short lengths of the holder: before a checkerboard
+    /// a side may be a step up here and a step down there.
+    fn steps(&self, axis: Vector2<f64>, across_px: std::ops::Range<i32>, along: std::ops::Range<f64>) -> Vec<f64> {
+        const LENGTH_PX: f64 = 6.0;
+        let lengths = ((along.end - along.start) / LENGTH_PX).round().max(1.0) as usize;
+        let mut mean = vec![0.0; across_px.len()];
+        for k in 0..lengths {
+            let start = along.start + k as f64 * LENGTH_PX;
+            let wider = across_px.start - Self::STEP_PX..across_px.end + Self::STEP_PX;
+            let profile = self.profile(axis, wider, start..start + LENGTH_PX);
+            for (t, value) in mean.iter_mut().enumerate() {
+                *value += self.step(&profile, t + Self::STEP_PX as usize) / lengths as f64;
+            }
+        }
+        mean
     }
 
     /// Mean colour over a part of the holder's length, for every px across; channel by channel.

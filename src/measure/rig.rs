@@ -52,7 +52,7 @@ const TILT_SIGMA: f64 = 0.1 * std::f64::consts::PI / 180.0;
 /// A snake further from where the standoff puts it than this many times that precision contradicts what was said.
 const FAR_OFF_SIGMAS: f64 = 15.0;
 /// Share of the straight snake's outline that must be confirmed by edges.
-const ENOUGH_INLIERS: f64 = 0.6;
+const ENOUGH_INLIERS: f64 = 0.5;
 /// An edge bias beyond this, px, is no edge's but a wrong model's.
 const MOST_BIAS_PX: f64 = 0.8;
 
@@ -194,7 +194,7 @@ fn fit_base(
     if height_mm.abs() > FAR_OFF_SIGMAS * STANDOFF_SIGMA_MM {
         return Err(format!(
             "the snake looks {:.2} mm nearer to the grid than the standoff of {} mm says: grid_pitch_mm, standoff_mm, the \
-             camera file or the robot's dimensions are wrong",
+             camera file or the robot's dimensions are wrong, or the snake is not unbent",
             height_mm, options.standoff_mm
         ));
     }

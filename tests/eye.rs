@@ -1,0 +1,137 @@
+//! The eye against rendered pictures whose truth is known. The renderer casts rays at the body's surfaces and shares no
+//! code with the outlines that the eye fits.
+
+use image::DynamicImage;
+use snakeloop::camera::Frame;
+use snakeloop::geometry::{Configuration, wrap_degrees};
+use snakeloop::measure::{Eye, Rig, RigOptions, calibrate_rig};
+use snakeloop::record::Status;
+use snakeloop::simulate::render::render;
+use snakeloop::simulate::scene::{Light, Pattern, Scene, Sensor, Surface, Viewpoint, Wire};
+
+const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
+
+fn frame(scene: &Scene, psi: Configuration, seed: u64) -> Frame {
+    Frame::from_image(&DynamicImage::ImageRgb8(render(scene, psi, seed))).unwrap()
+}
+
+fn rig(scene: &Scene, grid_pitch_mm: f64) -> Result<Rig, String> {
+    let options = RigOptions { grid_pitch_mm, standoff_mm: scene.paper.standoff_mm };
+    calibrate_rig(&frame(scene, STRAIGHT, 7), &scene.lens, &scene.robot, &options)
+}
+
+fn eye(scene: &Scene, rig: Rig) -> Eye {
+    Eye::new(scene.lens.clone(), rig, scene.robot.clone())
+}
+
+/// A noisy lab: a tilted camera with distortion, a gradient, a shadow, some blur.
+fn lab() -> Scene {
+    let mut scene = Scene { sensor: Sensor { rays_per_pixel: 4, blur_px: 0.8, noise: 3.0 }, ..Scene::default() };
+    scene.lens.distortion[0] = -0.12;
+    scene.view = Viewpoint { yaw_deg: -6.0, pitch_deg: 4.0, roll_deg: -3.0, ..scene.view };
+    scene.light = Light { gradient: [0.15, -0.1], shadow: 0.3, shadow_blur_mm: 1.5, ..scene.light };
+    scene
+}
+
+/// Measures some poses and checks errors against the bounds and against the sigmas that come with them.
+fn check_poses(eye: &Eye, scene: &Scene, poses: &[(f64, f64)], most_theta_deg: f64, most_delta_deg: f64) {
+    for (seed, &(theta_deg, delta_deg)) in (100..).zip(poses) {
+        let psi = Configuration::from_degrees(theta_deg, delta_deg);
+        let sighting = eye.measure(&frame(scene, psi, seed));
+        assert_eq!(sighting.status, Status::Ok, "θ {theta_deg}°, δ {delta_deg}°: {:?}", sighting.quality);
+        let measured = sighting.measured.unwrap();
+        let theta_error = measured.configuration.theta_deg() - theta_deg;
+        let delta_error = wrap_degrees(measured.configuration.delta_deg() - delta_deg);
+        let told = format!(
+            "θ {theta_deg}° δ {delta_deg}°: errors {theta_error:.3}° ± {:.3}°, {delta_error:.3}° ± {:.3}°",
+            measured.sigma_theta.to_degrees(),
+            measured.sigma_delta.to_degrees()
+        );
+        assert!(theta_error.abs() < most_theta_deg, "{told}");
+        assert!(theta_error.abs() < 5.0 * measured.sigma_theta.to_degrees(), "{told}");
+        assert!(delta_error.abs() < 5.0 * measured.sigma_delta.to_degrees(), "{told}");
+        assert!(theta_deg < 15.0 || delta_error.abs() < most_delta_deg, "{told}");
+    }
+}
+
+#[test]
+fn a_noisy_lab_is_measured_in_every_direction() {
+    let scene = lab();
+    let rig = rig(&scene, 1.0).unwrap();
+
+    let truth = scene.view.camera_from_base();
+    let turn = (rig.camera_from_base.rotation * truth.rotation.inverse()).scaled_axis();
+    let shift = rig.camera_from_base.translation.vector - truth.translation.vector;
+    assert!(turn.norm().to_degrees() < 0.2, "the base is turned by {turn:?} rad");
+    assert!(shift.xy().norm() < 0.02 && shift.z.abs() < 0.2, "the base is off by {shift:?} mm");
+    for (error, variance) in turn.iter().chain(shift.iter()).zip(rig.pose_covariance.diagonal().iter()) {
+        assert!(error.abs() < 5.0 * variance.sqrt() + 1e-9, "{error} against σ {}", variance.sqrt());
+    }
+
+    let poses = [(3.0, 40.0), (20.0, 0.0), (30.0, 90.0), (30.0, -90.0), (60.0, 150.0), (75.0, -40.0), (90.0, 180.0)];
+    check_poses(&eye(&scene, rig), &scene, &poses, 0.3, 1.0);
+}
+
+#[test]
+fn a_checkerboard_lighter_than_the_snake_will_do_as_well() {
+    let mut scene = lab();
+    scene.surface = Surface { colour: [40.0, 40.0, 42.0], ..scene.surface };
+    scene.paper.turn_deg = 6.0;
+    scene.paper.pattern = Pattern::Checkerboard { square_mm: 2.0, colour: [150.0, 150.0, 155.0] };
+    scene.paper.colour = [230.0, 230.0, 226.0];
+    let rig = rig(&scene, 2.0).unwrap();
+    check_poses(&eye(&scene, rig), &scene, &[(25.0, 20.0), (50.0, -110.0)], 1.0, 3.0);
+}
+
+#[test]
+fn a_wire_across_the_snake_costs_precision_and_not_truth() {
+    let mut scene = lab();
+    let eye = eye(&scene, rig(&scene, 1.0).unwrap());
+    scene.wires.push(Wire { from_px: [200.0, 420.0], to_px: [1100.0, 260.0], width_px: 14.0, colour: [40.0; 3] });
+    check_poses(&eye, &scene, &[(40.0, 30.0), (65.0, -140.0)], 0.3, 1.0);
+}
+
+#[test]
+fn near_straight_the_direction_is_said_to_be_unknown() {
+    let scene = lab();
+    let eye = eye(&scene, rig(&scene, 1.0).unwrap());
+    let measured = eye.measure(&frame(&scene, STRAIGHT, 3)).measured.unwrap();
+    assert!(measured.configuration.theta_deg() < 0.3);
+    assert!(measured.sigma_delta.to_degrees() > 5.0, "σ_δ {}°", measured.sigma_delta.to_degrees());
+}
+
+#[test]
+fn what_is_no_snake_gets_no_angle() {
+    let scene = lab();
+    let eye = eye(&scene, rig(&scene, 1.0).unwrap());
+    let (width, height) = (scene.lens.width, scene.lens.height);
+    let flat = |value: f32| Frame { width, height, channels: 3, data: vec![value; (width * height * 3) as usize] };
+    assert_eq!(eye.measure(&flat(255.0)).status, Status::Saturated);
+    assert_eq!(eye.measure(&flat(0.0)).status, Status::Saturated);
+    assert_eq!(eye.measure(&flat(128.0)).status, Status::NoSnake);
+    let small = Frame { width: 64, height: 64, channels: 1, data: vec![0.0; 64 * 64] };
+    assert_eq!(eye.measure(&small).status, Status::WrongSize);
+
+    // The same paper without a snake: one that is far too small to be seen.
+    let mut empty = scene.clone();
+    empty.view.base_mm[0] += 200.0;
+    let sighting = eye.measure(&frame(&empty, STRAIGHT, 5));
+    assert_ne!(sighting.status, Status::Ok);
+    assert!(sighting.measured.is_none());
+}
+
+#[test]
+fn a_wrong_standoff_or_a_bent_snake_is_refused_with_a_reason() {
+    let scene = lab();
+    let bent = frame(&scene, Configuration::from_degrees(40.0, 30.0), 4);
+    let options = RigOptions { grid_pitch_mm: 1.0, standoff_mm: scene.paper.standoff_mm };
+    let message = calibrate_rig(&bent, &scene.lens, &scene.robot, &options).unwrap_err();
+    assert!(message.contains("unbent"), "{message}");
+
+    let straight = frame(&scene, STRAIGHT, 7);
+    let wrong = RigOptions { standoff_mm: 15.0, ..options };
+    let message = calibrate_rig(&straight, &scene.lens, &scene.robot, &wrong).unwrap_err();
+    assert!(message.contains("standoff") || message.contains("outline"), "{message}");
+    let wrong = RigOptions { grid_pitch_mm: 5.0, ..options };
+    assert!(calibrate_rig(&straight, &scene.lens, &scene.robot, &wrong).is_err());
+}
