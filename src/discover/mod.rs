@@ -2,7 +2,7 @@
 //!
 //! 1. [`Data`]: samples in the order of time, cut into sweeps.
 //! 2. [`Problem`]: the gap in units of its predicted noise, in what was measured; η and λ are fitted anew with every effect.
-//! 3. [`search`](search::search): forward steps over the library, exchange, backward elimination; by Schwarz's criterion and on sweeps
+//! 3. `search`: forward steps over the library, exchange, backward elimination; by Schwarz's criterion and on sweeps
 //!    left out.
 //! 4. [`Discovery`]: the verdict, held to noise and to what structure is left; nothing in it is judged on data that the fit saw.
 

@@ -219,7 +219,7 @@ pub(super) fn fit_bend(
     let mut last = None;
     for &search_px in searches_px {
         let psi = Configuration::from_bend_vector(bend);
-        let outline = Outline::new(view, psi, 4);
+        let outline = Outline::new(view, psi, if search_px > SETTLED_PX { 2 } else { 4 });
         // The holder and the base disk do not bend.
         let matches =
             Matches::find(&outline, finder, search_px, |p| !matches!(p, Piece::HolderSide(_) | Piece::BaseRim));
