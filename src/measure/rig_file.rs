@@ -14,7 +14,7 @@ use super::appearance::Appearance;
 use super::rig::Rig;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-use crate::record::write_atomically;
+use crate::record::{line_at, write_atomically};
 use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -61,7 +61,7 @@ impl Rig {
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
         let file: RigFile = toml::from_str(&text).map_err(|e| {
-            let line = e.span().map(|s| text[..s.start.min(text.len())].lines().count().max(1) as u64);
+            let line = e.span().map(|span| line_at(&text, span.start));
             Error::Content { path: path.to_owned(), line, message: e.message().to_owned() }
         })?;
         let wrong = |what: &str| Error::content(path, format!("{what}; write the file anew with `calibrate rig`"));

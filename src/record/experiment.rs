@@ -169,7 +169,7 @@ fn length(
 }
 
 /// The line, counted from 1, that a byte of the text stands in.
-pub(super) fn line_at(text: &str, byte: usize) -> u64 {
+pub(crate) fn line_at(text: &str, byte: usize) -> u64 {
     1 + text.bytes().take(byte).filter(|&b| b == b'\n').count() as u64
 }
 

@@ -15,6 +15,7 @@ pub mod write;
 pub use compensation::{compensation_csv, compensation_json};
 pub use encoders::{encoders_csv, read_encoders};
 pub use estimates::{EstimateRow, EtaLambda, Verdict, estimates_csv};
+pub(crate) use experiment::line_at;
 pub use experiment::{Experiment, RigSource, View};
 pub use friction::read_friction;
 pub use measurement::{EncoderReading, Measured, Measurement, Quality, Status, Truth};
