@@ -11,6 +11,7 @@ mod opencv;
 mod opencv;
 pub mod source;
 pub use calibrate::{Board, CameraCalibration, calibrate_camera};
+pub use file::CameraFormat;
 pub use frame::{Frame, read_frame};
 pub use lens::Lens;
 pub use source::{FrameSource, SourceFrame};

@@ -2,6 +2,7 @@
 
 use super::render::render;
 use super::scene::{Pattern, Scene};
+use crate::camera::CameraFormat;
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::record::{Truth, truth_csv, write_atomically};
@@ -65,7 +66,7 @@ pub fn write_experiment(
         write_atomically(&path, &bytes)
     };
 
-    write("camera.yaml", &scene.lens.to_opencv_yaml())?;
+    write("camera.yaml", &scene.lens.to_file(CameraFormat::OpenCvYaml))?;
     write("scene.toml", &scene.to_toml()?)?;
     write("rig_truth.json", &rig_json(scene))?;
     write("truth.csv", &truth_csv(truths))?;

@@ -1,15 +1,15 @@
 //! `calibrate camera`: the lens from pictures of a chessboard, and what it is worth.
 
-use crate::Result;
-use crate::camera::{Board, CameraCalibration, calibrate_camera};
+use crate::camera::{Board, CameraCalibration, CameraFormat, calibrate_camera};
 use crate::cli::console::Console;
 use crate::record::write_atomically;
+use crate::{Error, Result};
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Calibrate the lens from pictures of a chessboard
 ///
-/// Writes an OpenCV camera file, and prints the parameters with standard deviations, each picture's residuals, how much
+/// Writes a camera file for OpenCV or ROS, and prints the parameters with standard deviations, each picture's residuals, how much
 /// of the picture the boards reach and whether two halves of the pictures agree.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop calibrate camera boards/*.jpg --corners 9x6 --square 25 -o camera.yaml")]
@@ -23,9 +23,12 @@ pub struct Args {
     /// Side of a square, mm; the lens does not depend on it
     #[arg(long, value_name = "MM", default_value_t = 1.0)]
     square: f64,
-    /// Write the camera file there (camera.yaml)
+    /// Write the camera file there, as OpenCV's FileStorage: XML if the name ends in .xml, else YAML
     #[arg(short, long, value_name = "CAMERA")]
     output: Option<PathBuf>,
+    /// Write it as ROS camera_info YAML instead
+    #[arg(long, requires = "output")]
+    ros: bool,
 }
 
 /// `9x6`.
@@ -80,14 +83,25 @@ struct Skipped {
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
         let board = Board { columns: self.corners.0, rows: self.corners.1, square_mm: self.square };
+        let file = self.output.as_ref().map(|path| Ok((path, self.format(path)?))).transpose()?;
         let calibration = calibrate_camera(&self.pictures, &board)?;
-        if let Some(path) = &self.output {
-            write_atomically(path, calibration.lens.to_opencv_yaml().as_bytes())?;
+        if let Some((path, format)) = file {
+            write_atomically(path, calibration.lens.to_file(format).as_bytes())?;
         }
         let calibrated = Calibrated::from(calibration);
         console.warn(calibrated.warnings());
         console.result(&calibrated, || calibrated.text());
         Ok(())
+    }
+
+    fn format(&self, output: &Path) -> Result<CameraFormat> {
+        let is_xml = output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("xml"));
+        match (self.ros, is_xml) {
+            (false, false) => Ok(CameraFormat::OpenCvYaml),
+            (false, true) => Ok(CameraFormat::OpenCvXml),
+            (true, false) => Ok(CameraFormat::Ros),
+            (true, true) => Err(Error::Usage(format!("--ros writes YAML, but {} ends in .xml", output.display()))),
+        }
     }
 }
 
