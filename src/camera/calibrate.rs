@@ -534,6 +534,45 @@ mod tests {
             assert!(rms(fit.residuals.iter().flatten()) < 1e-4);
         }
 
+        /// The lens that Debian's `mrcal`, a program of its own with its own projection and solver, makes of the same
+        /// corners: no regularisation, no outliers dropped, the board flat, as here. `None` where it is not installed.
+        fn by_mrcal(seen: &[Vec<Point2<f64>>]) -> Option<SVector<f64, 9>> {
+            let folder = tempfile::tempdir().unwrap();
+            let corners = folder.path().join("corners.vnl");
+            let line = |k: usize, c: &Point2<f64>| format!("board{k:02}.png {} {} 0\n", c.x, c.y);
+            let lines = seen.iter().enumerate().flat_map(|(k, view)| view.iter().map(move |c| line(k, c)));
+            std::fs::write(&corners, format!("# filename x y level\n{}", lines.collect::<String>())).unwrap();
+            let output = std::process::Command::new("mrcal-calibrate-cameras")
+                .arg("--corners-cache")
+                .arg(&corners)
+                .arg("--outdir")
+                .arg(folder.path())
+                .args(["--lensmodel", "LENSMODEL_OPENCV5", "--focal", "500", "--imagersize", "640", "480"])
+                .args(["--object-spacing", "0.025", "--object-width-n", "9", "--object-height-n", "6"])
+                .args(["--skip-regularization", "--skip-outlier-rejection", "--skip-calobject-warp-solve"])
+                .arg("board*.png")
+                .output()
+                .ok()?;
+            assert!(output.status.success(), "mrcal: {}", String::from_utf8_lossy(&output.stderr));
+            let model = std::fs::read_to_string(folder.path().join("camera-0.cameramodel")).unwrap();
+            let (_, rest) = model.split_once("'intrinsics': [").unwrap();
+            let values = rest.split_once(']').unwrap().0.split(',').filter_map(|v| v.trim().parse().ok());
+            Some(SVector::from_vec(values.collect()))
+        }
+
+        #[test]
+        fn mrcal_finds_the_same_lens() {
+            let seen = corners_seen(&lens(), 0.2, 3);
+            let Some(theirs) = by_mrcal(&seen) else {
+                println!("skipped: mrcal-calibrate-cameras is not installed (Debian: apt install mrcal)");
+                return;
+            };
+            let fit = fit(&seen);
+            let difference = (parameters(&fit.lens) - theirs).component_div(&fit.covariance.diagonal().map(f64::sqrt));
+            println!("ours − mrcal's, in sigmas: {difference:.5}");
+            assert!(difference.amax() < 0.01, "ours − mrcal's, in sigmas: {difference}");
+        }
+
         /// Mean square of (estimate − truth) / sigma over many repetitions, for each parameter: 1 if the sigmas are right.
         #[test]
         fn sigmas_are_the_scatter_and_opencv_s_are_too_large() {
