@@ -3,11 +3,11 @@
 use super::console::Console;
 use super::inputs::{encoders_of, model_of, model_or_paper, rows};
 use super::views::{measure_frames, open_views, require_some_measured};
-use crate::discover::{Data, discover};
+use crate::discover::{Data, Discovery, Next, discover, next_experiment};
 use crate::estimate::Options;
 use crate::record::{
     Checked, EncoderReading, Experiment, Measurement, measurements_csv, read_encoders, read_measurements, read_model,
-    write_atomically, write_model,
+    trajectory_csv, write_atomically, write_model,
 };
 use crate::report::discovery::{discovery_html, sentence};
 use crate::robot::Model;
@@ -40,7 +40,14 @@ pub struct Args {
     /// Standard deviation of an encoder reading, mm
     #[arg(long, value_name = "MM", default_value_t = Options::default().sd_encoder_mm)]
     encoder_sd: f64,
+    /// Also propose the experiment that would settle what these data leave open: writes OUT/next.csv, a trajectory that
+    /// `simulate --trajectory` takes (index,time_s,theta_deg,delta_deg) with the q̃ to command (qc1_mm,qc2_mm,qc3_mm)
+    #[arg(long)]
+    next: bool,
 }
+
+/// The trajectory that --next writes.
+const NEXT: &str = "next.csv";
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
@@ -51,10 +58,14 @@ impl Args {
         let data = Data::new(&measurements, &readings, self.encoder_sd)?;
         let found = discover(&model, &data)?;
 
-        let json = found.json();
+        let mut json = found.json();
+        let next = if self.next { self.propose(&found, &data)? } else { None };
+        if self.next {
+            json["next"] = next.as_ref().map(|next| next.json(NEXT)).into();
+        }
         self.write("discrepancy.json", &format!("{json:#}\n"))?;
         write_model(&self.output.join("model.toml"), &found.model)?;
-        self.write("report.html", &discovery_html(&found, &data))?;
+        self.write("report.html", &discovery_html(&found, &data, next.as_ref()))?;
         console.warn(&found.remarks);
         console.result(&json, || {
             format!(
@@ -69,9 +80,25 @@ impl Args {
                 found.after.theta_deg,
                 found.before.delta_deg,
                 found.after.delta_deg
-            )
+            ) + &self.next_in_words(next.as_ref())
         });
         Ok(())
+    }
+
+    fn propose(&self, found: &Discovery, data: &Data) -> Result<Option<Next>> {
+        let next = next_experiment(found, data);
+        if let Some(next) = &next {
+            self.write(NEXT, &trajectory_csv(&next.waypoints, &next.commands_mm))?;
+        }
+        Ok(next)
+    }
+
+    fn next_in_words(&self, next: Option<&Next>) -> String {
+        match next {
+            None if !self.next => String::new(),
+            None => "\nnothing is open that another ride would settle".to_owned(),
+            Some(next) => format!("\n{}\n{}", next.sentence(), self.output.join(NEXT).display()),
+        }
     }
 
     fn inputs(&self, console: &Console) -> Result<(Model, Vec<Measurement>, Vec<EncoderReading>)> {

@@ -1,8 +1,8 @@
 //! `simulate`: what the encoders of a robot with hidden η and λ read during a bending experiment.
 
 use super::console::Console;
-use super::inputs::model_or_paper;
-use crate::record::{encoders_csv, measurements_csv, truth_csv, write_atomically};
+use super::inputs::{model_or_paper, rows};
+use crate::record::{Waypoint, encoders_csv, measurements_csv, read_trajectory, truth_csv, write_atomically};
 use crate::robot::Effect;
 use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
 use crate::{Error, Result};
@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// Simulate a bending experiment: writes OUT/encoders.csv and OUT/truth.csv
 ///
 /// The snake is bent up and down at each δ of the sweeps, then led once round at a fixed θ. It obeys the model, whose η
-/// and λ an estimator is to find again.
+/// and λ an estimator is to find again. Or it is led along a trajectory of your own, such as `discover --next` writes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop simulate --model hidden.toml --observe -o simulated")]
 pub struct Args {
@@ -25,6 +25,10 @@ pub struct Args {
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
+    /// Poses and times to lead it along instead (index,time_s,theta_deg,delta_deg)
+    #[arg(long, value_name = "CSV", conflicts_with_all =
+        ["sweeps", "sweep_theta", "sweep_poses", "round_theta", "round_poses", "jitter"])]
+    trajectory: Option<PathBuf>,
     /// δ of the sweeps, degrees, separated by commas
     #[arg(long, value_name = "DEGREES", value_delimiter = ',', allow_hyphen_values = true, default_value = "0,120")]
     sweeps: Vec<f64>,
@@ -63,23 +67,13 @@ struct Summary {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
-        let &[least, largest] = &self.sweep_theta[..] else {
-            return Err(Error::Usage(format!("--sweep-theta: {} numbers, expected 2", self.sweep_theta.len())));
-        };
         if !(0.0..=10.0).contains(&self.encoder_sd) {
             return Err(Error::Usage(format!("--encoder-sd {}: expected 0 to 10 mm", self.encoder_sd)));
         }
-        let trajectory = BendingExperiment {
-            sweep_delta_deg: self.sweeps.clone(),
-            sweep_theta_deg: (least, largest),
-            sweep_poses: self.sweep_poses,
-            round_theta_deg: self.round_theta,
-            round_poses: self.round_poses,
-            jitter_deg: self.jitter,
-            seed: self.seed,
-            ..BendingExperiment::default()
-        }
-        .waypoints()?;
+        let trajectory = match &self.trajectory {
+            Some(path) => rows(console, read_trajectory(path)?),
+            None => self.bending_experiment()?,
+        };
         let mut model = model_or_paper(self.model.as_deref())?;
         model.effects.extend(self.effect.iter().cloned());
         let plant = Plant { model, sd_encoder_mm: self.encoder_sd };
@@ -99,6 +93,23 @@ impl Args {
             format!("{} poses in {:.1} s\n{}", summary.poses, summary.seconds, summary.output.display())
         });
         Ok(())
+    }
+
+    fn bending_experiment(&self) -> Result<Vec<Waypoint>> {
+        let &[least, largest] = &self.sweep_theta[..] else {
+            return Err(Error::Usage(format!("--sweep-theta: {} numbers, expected 2", self.sweep_theta.len())));
+        };
+        BendingExperiment {
+            sweep_delta_deg: self.sweeps.clone(),
+            sweep_theta_deg: (least, largest),
+            sweep_poses: self.sweep_poses,
+            round_theta_deg: self.round_theta,
+            round_poses: self.round_poses,
+            jitter_deg: self.jitter,
+            seed: self.seed,
+            ..BendingExperiment::default()
+        }
+        .waypoints()
     }
 
     fn write(&self, name: &str, text: &str) -> Result<()> {

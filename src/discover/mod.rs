@@ -5,13 +5,17 @@
 //! 3. `search`: forward steps over the library, exchange, backward elimination; by Schwarz's criterion and on sweeps
 //!    left out.
 //! 4. [`Discovery`]: the verdict, held to noise and to what structure is left; nothing in it is judged on data that the fit saw.
+//! 5. [`next_experiment`]: the ride that would settle what these data leave open.
 
 mod data;
 mod fit;
+mod next;
+mod plans;
 mod search;
 mod verdict;
 
 pub use data::{Data, LEAST_SAMPLES};
 pub use fit::{Fit, Problem};
+pub use next::{Next, next_experiment};
 pub use search::Named;
 pub use verdict::{Discovery, Gap, Structure, Verdict, discover};

@@ -145,7 +145,7 @@ pub fn held_out(problem: &Problem, fit: &Fit) -> (Vec<Fit>, f64) {
 }
 
 /// The best fit with one effect more.
-fn with_effect(problem: &Problem, fit: &Fit, physics: &'static Physics) -> Fit {
+pub(super) fn with_effect(problem: &Problem, fit: &Fit, physics: &'static Physics) -> Fit {
     let starts: Vec<Vec<f64>> = if physics.name == "screw_periodic" {
         screw_starts(problem, fit)
     } else {
@@ -207,7 +207,7 @@ fn screw_starts(problem: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
     powers.into_iter().take(2).map(|(_, start)| start).collect()
 }
 
-fn without_effect(model: &Model, k: usize) -> Model {
+pub(super) fn without_effect(model: &Model, k: usize) -> Model {
     let mut model = model.clone();
     model.effects.remove(k);
     model

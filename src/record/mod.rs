@@ -9,6 +9,7 @@ pub mod measurement;
 pub mod measurements;
 pub mod model;
 pub mod table;
+pub mod trajectory;
 pub mod truth;
 pub mod write;
 
@@ -22,5 +23,6 @@ pub use measurement::{EncoderReading, Measured, Measurement, Quality, Status, Tr
 pub use measurements::{measurements_csv, read_measurements};
 pub use model::{model_toml, read_model, write_model};
 pub use table::{Checked, Warning};
+pub use trajectory::{Waypoint, read_trajectory, trajectory_csv};
 pub use truth::{read_truth, truth_csv};
 pub use write::{PendingFile, write_atomically};

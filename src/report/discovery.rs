@@ -2,10 +2,10 @@
 
 use super::html::{definitions, escaped, list, style, table};
 use super::plot::{Plot, Point, Series, Style};
-use crate::discover::{Data, Discovery, Verdict};
+use crate::discover::{Data, Discovery, Next, Verdict};
 
 /// The page.
-pub fn discovery_html(found: &Discovery, data: &Data) -> String {
+pub fn discovery_html(found: &Discovery, data: &Data, next: Option<&Next>) -> String {
     let mut page = format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
@@ -42,8 +42,20 @@ pub fn discovery_html(found: &Discovery, data: &Data) -> String {
         }
     }
     page += "</div>\n";
+    page += &next.map(proposal).unwrap_or_default();
     page += &list("Remarks", "What was passed over, or could not be decided.", &found.remarks);
     page + "</main>\n</body>\n</html>\n"
+}
+
+/// The next experiment.
+fn proposal(next: &Next) -> String {
+    let rows: Vec<[String; 2]> =
+        next.candidates.iter().map(|(name, gain)| [name.replace('_', " "), format!("{gain:.2}")]).collect();
+    format!(
+        "<h2>The next experiment</h2>\n<p>{}</p>\n{}",
+        escaped(&next.sentence()),
+        table("Rides compared", ["ride", "told apart by, in squares of the noise per sample"], &rows)
+    ) + &list("Beyond reach", "Open as well, and not settled by this ride.", &next.beyond_reach)
 }
 
 /// The verdict in a sentence.

@@ -15,4 +15,4 @@ pub use plant::{Plant, Sample, SimulatedEye};
 pub use render::{coverage, hidden_fraction, render};
 pub use scene::Scene;
 pub use sealed::Sealed;
-pub use trajectory::{BendingExperiment, Waypoint};
+pub use trajectory::BendingExperiment;

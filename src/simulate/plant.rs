@@ -1,8 +1,7 @@
 //! The plant: what encoders and an eye would say of a snake whose model is known. For tests, and for whoever has no robot.
 
-use super::trajectory::Waypoint;
 use crate::geometry::{Configuration, sinc};
-use crate::record::{EncoderReading, Measured, Measurement, Status, Truth};
+use crate::record::{EncoderReading, Measured, Measurement, Status, Truth, Waypoint};
 use crate::robot::{Mechanics, Model};
 use nalgebra::{Rotation2, Vector2, Vector3};
 use rand::SeedableRng;

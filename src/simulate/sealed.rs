@@ -4,7 +4,7 @@
 use super::plant::{Plant, SimulatedEye};
 use super::trajectory::BendingExperiment;
 use crate::error::Result;
-use crate::record::{EncoderReading, Measurement};
+use crate::record::{EncoderReading, Measurement, Waypoint};
 use crate::robot::{Effect, Estimate, Model, Observation, Physics};
 use nalgebra::Matrix2;
 use rand::rngs::StdRng;
@@ -69,7 +69,7 @@ impl Sealed {
 }
 
 /// rms over samples and backbones of what a plant's effects leave in ε, mm.
-fn size(plant: &Plant, trajectory: &[super::Waypoint]) -> f64 {
+fn size(plant: &Plant, trajectory: &[Waypoint]) -> f64 {
     let plain = plant.model.plain();
     let observations: Vec<Observation> = plant
         .run(trajectory, 0)

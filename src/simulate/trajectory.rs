@@ -2,19 +2,11 @@
 
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
+use crate::record::Waypoint;
 use crate::robot::MAX_THETA;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
-
-/// One pose of a trajectory.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Waypoint {
-    /// Time, s.
-    pub time_s: f64,
-    /// θ and δ.
-    pub configuration: Configuration,
-}
 
 /// The paper's bending experiment: sweeps of θ up and down at fixed δ (its Fig. 10), then δ once round at a fixed θ (Fig. 11).
 #[derive(Debug, Clone, PartialEq)]

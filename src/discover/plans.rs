@@ -1,0 +1,178 @@
+//! Candidate experiments: rides that each bring out something that others hide.
+
+use super::data::Data;
+use crate::geometry::Configuration;
+use crate::record::Waypoint;
+use crate::robot::MAX_THETA;
+
+/// The least bend of a ride, degrees: below it a camera hardly sees δ.
+const LEAST_THETA_DEG: f64 = 6.0;
+/// Poses of a ride.
+const POSES: std::ops::RangeInclusive<f64> = 140.0..=360.0;
+
+/// A ride.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// Its name, in snake_case.
+    pub name: &'static str,
+    /// What it is and what it brings out, in words.
+    pub words: &'static str,
+    /// The poses.
+    pub waypoints: Vec<Waypoint>,
+}
+
+/// One stretch of a ride.
+#[derive(Debug, Clone, Copy)]
+enum Leg {
+    /// To (θ, δ) in degrees, at a pace in units of the usual one.
+    To(f64, f64, f64),
+    /// Rest for so many poses.
+    Rest(usize),
+}
+
+/// The candidates, at the pace and the rate of an experiment that was made: what a lab could do then it can do now.
+pub fn plans(data: &Data) -> Vec<Plan> {
+    let largest = data.measured.iter().map(|m| m.configuration.theta_deg()).fold(0.0, f64::max).clamp(60.0, 85.0);
+    let further = (1.3 * largest).min(0.9 * MAX_THETA.to_degrees());
+    let three = [0.0, 120.0, -120.0];
+    let six = [0.0, 60.0, 120.0, 180.0, -120.0, -60.0];
+    let rides: [(&'static str, &'static str, Vec<Leg>); 8] = [
+        (
+            "many_planes",
+            "up and down in six planes: what differs from backbone to backbone, or has a direction in space, shows only there",
+            six.iter().flat_map(|&delta| sweep(delta, largest, |_| 1.0)).collect(),
+        ),
+        (
+            "uneven_pace",
+            "the same bends at a third of the pace and at nearly twice: what goes with speed or lags behind changes, and nothing else",
+            three.iter().flat_map(|&delta| sweep(delta, largest, |k| if k % 2 == 0 { 0.35 } else { 1.7 })).collect(),
+        ),
+        (
+            "stops",
+            "sweeps with sudden stops: what goes with speed is gone at once, what lags behind or creeps is not",
+            three.iter().flat_map(|&delta| stops(delta, largest, 5)).collect(),
+        ),
+        (
+            "reversals",
+            "two steps forward, one back: what follows the direction of motion shows at every bend",
+            three.iter().flat_map(|&delta| reversals(delta, largest)).collect(),
+        ),
+        (
+            "larger_bends",
+            "sweeps to larger bends than before: what grows faster than the bend shows there",
+            three.iter().flat_map(|&delta| sweep(delta, further, |_| 1.0)).collect(),
+        ),
+        (
+            "rounds",
+            "rounds at three bends, both ways: every direction at the same bend",
+            [25.0, 0.5 * (25.0 + largest), largest].into_iter().flat_map(rounds).collect(),
+        ),
+        (
+            "long_holds",
+            "quick moves and long holds: what goes on while nothing moves shows",
+            three.iter().flat_map(|&delta| stops(delta, largest, 14)).collect(),
+        ),
+        (
+            "a_bit_of_everything",
+            "six planes, two paces, stops, reversals and a round",
+            [
+                sweep(0.0, largest, |k| if k % 2 == 0 { 0.5 } else { 1.6 }),
+                reversals(120.0, largest),
+                stops(-120.0, largest, 5),
+                sweep(60.0, further, |_| 1.4),
+                stops(180.0, largest, 5),
+                reversals(-60.0, largest),
+                rounds(40.0),
+            ]
+            .concat(),
+        ),
+    ];
+    let (interval_s, step_deg) = rate(data);
+    rides.map(|(name, words, legs)| Plan { name, words, waypoints: ride(&legs, interval_s, step_deg) }).into()
+}
+
+/// The same ride so many times over.
+pub fn repeated(waypoints: &[Waypoint], times: usize) -> Vec<Waypoint> {
+    let Some(last) = waypoints.last() else { return Vec::new() };
+    let pause_s = last.time_s / waypoints.len().max(2) as f64;
+    let round = |k: usize| {
+        let later = (last.time_s + pause_s) * k as f64;
+        waypoints.iter().map(move |w| Waypoint { time_s: w.time_s + later, ..*w })
+    };
+    (0..times).flat_map(round).collect()
+}
+
+/// Up and down in one plane, in four stretches each way with a pace of their own.
+fn sweep(delta_deg: f64, largest_deg: f64, pace: impl Fn(usize) -> f64) -> Vec<Leg> {
+    let at = |share: f64| LEAST_THETA_DEG + share * (largest_deg - LEAST_THETA_DEG);
+    let shares = [0.0, 0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0];
+    shares.iter().enumerate().map(|(k, &share)| Leg::To(at(share), delta_deg, pace(k))).collect()
+}
+
+/// Up and down in one plane with stops on the way.
+fn stops(delta_deg: f64, largest_deg: f64, poses: usize) -> Vec<Leg> {
+    sweep(delta_deg, largest_deg, |_| 1.6).into_iter().flat_map(|leg| [leg, Leg::Rest(poses)]).collect()
+}
+
+/// Up and down in one plane, two steps forward and one back.
+fn reversals(delta_deg: f64, largest_deg: f64) -> Vec<Leg> {
+    let at = |step: f64| LEAST_THETA_DEG + step / 6.0 * (largest_deg - LEAST_THETA_DEG);
+    let steps = [0.0, 2.0, 1.0, 3.0, 2.0, 4.0, 3.0, 5.0, 4.0, 6.0, 4.0, 5.0, 3.0, 4.0, 2.0, 3.0, 1.0, 2.0, 0.0];
+    steps.iter().map(|&step| Leg::To(at(step), delta_deg, 1.0)).collect()
+}
+
+/// Once round at one bend, and back.
+fn rounds(theta_deg: f64) -> Vec<Leg> {
+    let there = (0..=12).map(f64::from);
+    let back = (0..12).rev().map(f64::from);
+    there.chain(back).map(|k| Leg::To(theta_deg, 30.0 * k, 1.0)).collect()
+}
+
+/// The interval of an experiment, s, and how far it goes in one, degrees: medians over the samples that move.
+fn rate(data: &Data) -> (f64, f64) {
+    let median = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied()
+    };
+    let intervals = data.times_s.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
+    let bends: Vec<_> = data.measured.iter().map(|m| m.configuration.bend_vector()).collect();
+    let steps = bends.windows(2).map(|pair| (pair[1] - pair[0]).norm().to_degrees()).filter(|step| *step > 0.5);
+    let (interval_s, step_deg) = (median(intervals).unwrap_or(0.35), median(steps.collect()).unwrap_or(2.0));
+    (interval_s.clamp(0.01, 60.0), step_deg.clamp(1.0, 8.0))
+}
+
+/// The poses of a ride. The pace is changed as a whole where there would be too few poses or too many.
+fn ride(legs: &[Leg], interval_s: f64, step_deg: f64) -> Vec<Waypoint> {
+    let at_pace = walk(legs, step_deg).len() as f64;
+    let poses = at_pace.clamp(*POSES.start(), *POSES.end());
+    let places = walk(legs, step_deg * at_pace / poses);
+    let at = |(k, &(theta, delta)): (usize, &(f64, f64))| Waypoint {
+        time_s: interval_s * k as f64,
+        configuration: Configuration::from_degrees(theta, delta),
+    };
+    places.iter().enumerate().map(at).collect()
+}
+
+/// (θ, δ) in degrees at equal intervals.
+fn walk(legs: &[Leg], step_deg: f64) -> Vec<(f64, f64)> {
+    let mut places: Vec<(f64, f64)> = Vec::new();
+    for leg in legs {
+        let from = places.last().copied();
+        match (*leg, from) {
+            (Leg::To(theta, delta, _), None) => places.push((theta, delta)),
+            (Leg::To(theta, delta, pace), Some(from)) => {
+                let across = 0.5 * (theta + from.0) * (delta - from.1).to_radians();
+                let length = (theta - from.0).hypot(across);
+                let steps = (length / (step_deg * pace)).round().max(1.0) as usize;
+                if length > 0.0 {
+                    let share = |k: usize| k as f64 / steps as f64;
+                    let on = |k: usize| (from.0 + share(k) * (theta - from.0), from.1 + share(k) * (delta - from.1));
+                    places.extend((1..=steps).map(on));
+                }
+            }
+            (Leg::Rest(poses), Some(from)) => places.extend(std::iter::repeat_n(from, poses)),
+            (Leg::Rest(_), None) => {}
+        }
+    }
+    places
+}

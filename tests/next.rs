@@ -1,0 +1,84 @@
+//! `discover --next`: what one experiment cannot tell apart, the proposed one does.
+
+use serde_json::Value;
+use std::fmt::Write;
+use std::path::Path;
+use std::process::Command;
+
+fn snakeloop(folder: &Path, arguments: &[&str]) -> Value {
+    let output = Command::new(env!("CARGO_BIN_EXE_snakeloop")).current_dir(folder).args(arguments).output().unwrap();
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// Leads a robot with a hidden effect along a trajectory, and asks what it lacks.
+fn discover(folder: &Path, trajectory: &str, effect: &str, out: &str) -> Value {
+    let simulate = ["simulate", "--observe", "--trajectory", trajectory, "--effect", effect, "-o", out, "--json"];
+    snakeloop(folder, &simulate);
+    let (measurements, encoders) = (format!("{out}/measurements.csv"), format!("{out}/encoders.csv"));
+    let data = ["--measurements", &measurements, "--encoders", &encoders];
+    snakeloop(folder, &[&["discover"], &data[..], &["--next", "-o", out, "--json"]].concat())
+}
+
+/// θ and δ in degrees, a pose every 0.35 s.
+fn write_trajectory(path: &Path, poses: impl Iterator<Item = (f64, f64)>) {
+    let mut text = "index,time_s,theta_deg,delta_deg\n".to_owned();
+    for (k, (theta, delta)) in poses.enumerate() {
+        writeln!(text, "{k},{:.3},{theta:.4},{delta:.4}", 0.35 * k as f64).unwrap();
+    }
+    std::fs::write(path, text).unwrap();
+}
+
+/// Every name that the answer does not rule out.
+fn open(found: &Value) -> Vec<&str> {
+    let effects = found["effects"].as_array().unwrap().iter();
+    effects
+        .flat_map(|effect| effect["indistinguishable_from"].as_array().unwrap().iter().chain([&effect["name"]]))
+        .map(|name| name.as_str().unwrap())
+        .collect()
+}
+
+/// The effect is named, alone, and the rival is ruled out.
+fn settled(found: &Value, name: &str, rival: &str) {
+    assert_eq!(found["verdict"], "named", "{found:#}");
+    assert_eq!(found["effects"].as_array().unwrap().len(), 1, "{found:#}");
+    assert_eq!(found["effects"][0]["name"], name, "{found:#}");
+    assert!(!open(found).contains(&rival), "{found:#}");
+}
+
+#[test]
+fn drag_and_a_late_camera_are_told_apart_where_the_pace_changes() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    // Slow turns and no corner: speed and lag are one and the same.
+    let even = (0..240).map(|k| (42.0 - 34.0 * (f64::from(k) / 25.0).cos(), 1.5 * f64::from(k)));
+    write_trajectory(&folder.join("even.csv"), even);
+    for (effect, name, rival) in [
+        ("viscous_drag:drag_n_s_per_mm=2", "viscous_drag", "camera_latency"),
+        ("camera_latency:latency_s=0.05", "camera_latency", "viscous_drag"),
+    ] {
+        let found = discover(folder, "even.csv", effect, "even");
+        let names = open(&found);
+        assert!(names.contains(&name) && names.contains(&rival), "{found:#}");
+        let words = found["next"]["words"].as_str().unwrap();
+        assert!(words.contains("viscous_drag") && words.contains("camera_latency"), "{words}");
+        settled(&discover(folder, "even/next.csv", effect, "told"), name, rival);
+    }
+}
+
+#[test]
+fn what_one_plane_hides_more_planes_show() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let plane = (0..200).map(|k| (40.0 - 34.0 * (f64::from(k) / 12.0).cos(), 0.0));
+    write_trajectory(&folder.join("plane.csv"), plane);
+    let effect = "actuator_scale:scale_1=0.03,scale_2=-0.02,scale_3=0.01";
+    let found = discover(folder, "plane.csv", effect, "plane");
+    assert!(open(&found).len() > 1 || found["verdict"] != "named", "{found:#}");
+    let remarks = found["remarks"].to_string();
+    assert!(remarks.contains("one plane"), "{remarks}");
+    assert!(!found["next"].is_null(), "{found:#}");
+    let text = std::fs::read_to_string(folder.join("plane/next.csv")).unwrap();
+    assert!(text.starts_with("index,time_s,theta_deg,delta_deg,qc1_mm,qc2_mm,qc3_mm\n0,0.0000,"), "{text}");
+    settled(&discover(folder, "plane/next.csv", effect, "told"), "actuator_scale", "primary_compression");
+}
