@@ -161,3 +161,33 @@ fn a_run_that_is_killed_leaves_whole_files_or_none() {
         }
     }
 }
+
+#[test]
+fn a_frame_is_explained_stage_by_stage() {
+    let (folder, experiment) = copy_of_bending(&[4, 5]);
+    image::RgbImage::new(640, 360).save(experiment.join("frames/00005.jpg")).unwrap();
+    let out = folder.path().join("out");
+    let explain =
+        |frame: &str| json(&succeed(&["measure", text(&experiment), "-o", text(&out), "--explain", frame, "--json"]));
+    let files = |name: &str| {
+        let mut files: Vec<_> = fs::read_dir(out.join(name)).unwrap().map(|f| f.unwrap().file_name()).collect();
+        files.sort();
+        files.into_iter().map(|f| f.into_string().unwrap()).collect::<Vec<_>>()
+    };
+
+    let said = explain("4");
+    assert_eq!(said[0]["status"], "ok");
+    let stages = ["1-frame.png", "2-snakeness.png", "3-grid.png", "4-search.png", "5-edges.png", "6-model.png"];
+    assert_eq!(files("explain-00004-side")[..6], stages);
+    let page = fs::read_to_string(said[0]["page"].as_str().unwrap()).unwrap();
+    assert!(stages.iter().all(|stage| page.contains(stage)) && page.contains("share of the outline"), "{page}");
+
+    // A picture in which nothing is found has the stages before that.
+    let said = explain("5");
+    assert!(["saturated", "wrong_size"].contains(&said[0]["status"].as_str().unwrap()), "{said}");
+    assert!(!files("explain-00005-side").contains(&"5-edges.png".to_owned()));
+    assert!(!out.join("measurements.csv").exists());
+
+    let message = fail(&["measure", text(&experiment), "-o", text(&out), "--explain", "9"]);
+    assert!(message.contains("no view has a frame 9"), "{message}");
+}

@@ -2,11 +2,17 @@
 
 use super::console::Console;
 use super::inputs::{encoders_of, model_of, rows};
-use super::views::{Throughput, count_by_status, measure_frames, open_views, require_some_measured};
-use crate::Result;
-use crate::record::{Experiment, measurements_csv, write_atomically};
+use super::views::{OpenView, Throughput, count_by_status, measure_frames, open_views, require_some_measured};
+use crate::camera::Frame;
+use crate::measure::Sighting;
+use crate::record::{Experiment, Measurement, measurements_csv, write_atomically};
+use crate::report::explain::{page, stages};
+use crate::{Error, Result};
+use image::{ImageFormat, RgbImage};
+use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::io::Cursor;
 use std::path::PathBuf;
 
 /// Measure θ and δ in every frame of an experiment: writes OUT/measurements.csv
@@ -20,6 +26,9 @@ pub struct Args {
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
+    /// Only draw every stage of measuring this frame (its index) into OUT/explain-FRAME-VIEW/, to see why it failed
+    #[arg(long, value_name = "FRAME")]
+    explain: Option<u64>,
 }
 
 #[derive(Serialize)]
@@ -31,12 +40,22 @@ struct Summary {
     measurements: PathBuf,
 }
 
+#[derive(Serialize)]
+struct Explained {
+    view: String,
+    status: String,
+    page: PathBuf,
+}
+
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
         let experiment = Experiment::read(&self.experiment)?;
         let model = model_of(&experiment)?;
         let encoders = rows(console, encoders_of(&experiment)?);
         let views = open_views(&experiment, &model.robot)?;
+        if let Some(index) = self.explain {
+            return self.explain(console, &experiment, &views, index);
+        }
         let (measurements, throughput) = measure_frames(console, &views, &encoders)?;
         let path = self.output.join("measurements.csv");
         write_atomically(&path, measurements_csv(&measurements).as_bytes())?;
@@ -46,6 +65,45 @@ impl Args {
         console.result(&summary, || summary.text());
         Ok(())
     }
+
+    /// Draws every stage of measuring one frame, in every view that has it.
+    fn explain(&self, console: &Console, experiment: &Experiment, views: &[OpenView], index: u64) -> Result<()> {
+        let mut explained = Vec::new();
+        for view in views {
+            for source in view.frames(|i| i == index)?.collect::<Vec<_>>() {
+                explained.push(self.explain_one(view, index, &source.read()?)?);
+            }
+        }
+        if explained.is_empty() {
+            return Err(Error::content(&experiment.path, format!("no view has a frame {index}")));
+        }
+        let line = |e: &Explained| format!("{}: {}, {}\n", e.view, e.status, e.page.display());
+        console.result(&explained, || explained.iter().map(line).collect());
+        Ok(())
+    }
+
+    fn explain_one(&self, view: &OpenView, index: u64, frame: &Frame) -> Result<Explained> {
+        let explanation = view.explain(frame);
+        let Sighting { status, measured, quality } = explanation.sighting.clone();
+        let measurement =
+            Measurement { index, time_s: None, status, measured, quality, view: Some(view.name().to_owned()) };
+        let stages = stages(frame, &explanation, &measurement, |psi| view.shape(psi));
+        let folder = self.output.join(format!("explain-{index:05}-{}", view.name()));
+        for stage in &stages {
+            write_atomically(&folder.join(stage.file), &png(&stage.picture)?)?;
+        }
+        let title = format!("{}, frame {index}, {}", self.experiment.display(), view.name());
+        let path = folder.join("index.html");
+        write_atomically(&path, page(&title, &explanation, &measurement, &stages).as_bytes())?;
+        Ok(Explained { view: view.name().to_owned(), status: measurement.status.to_string(), page: path })
+    }
+}
+
+fn png(picture: &RgbImage) -> Result<Vec<u8>> {
+    let mut bytes = Cursor::new(Vec::new());
+    let wrong = |e| Error::Domain(format!("cannot encode a picture: {e}"));
+    picture.write_to(&mut bytes, ImageFormat::Png).map_err(wrong)?;
+    Ok(bytes.into_inner())
 }
 
 impl Summary {

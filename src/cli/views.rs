@@ -1,9 +1,9 @@
 //! The views of an experiment, made ready to measure, and the measuring itself.
 
 use super::console::Console;
-use crate::camera::{FrameSource, Lens, SourceFrame, read_frame};
+use crate::camera::{Frame, FrameSource, Lens, SourceFrame, read_frame};
 use crate::geometry::Configuration;
-use crate::measure::{Eye, Outline, Rig, RigOptions, calibrate_rig};
+use crate::measure::{Explanation, Eye, Outline, Rig, RigOptions, calibrate_rig};
 use crate::record::{EncoderReading, Experiment, Measurement, RigSource, Status, View};
 use crate::report::overlay::Shape;
 use crate::robot::Robot;
@@ -86,6 +86,17 @@ impl OpenView {
         });
         let outline = Outline::new(&view, seen, OUTLINE_DETAIL);
         Shape { arc: arc.collect(), outline: outline.points.iter().map(|point| point.pixel).collect() }
+    }
+
+    /// Measures one frame and tells every stage of it, with δ as the base has it.
+    pub fn explain(&self, frame: &Frame) -> Explanation {
+        let mut explanation = self.eye.explain(frame);
+        let Explanation { candidates, fits, sighting, .. } = &mut explanation;
+        let measured = sighting.measured.iter_mut().map(|measured| &mut measured.configuration);
+        for psi in candidates.iter_mut().chain(fits).chain(measured) {
+            *psi = Configuration::new(psi.theta, psi.delta + self.delta_offset);
+        }
+        explanation
     }
 
     /// Measures one frame, and adds up how long reading and measuring took.

@@ -25,10 +25,19 @@ pub struct Sighting {
 /// Measures the snake in the frames of one calibrated view.
 #[derive(Debug)]
 pub struct Eye {
-    lens: Lens,
-    rig: Rig,
+    pub(super) lens: Lens,
+    pub(super) rig: Rig,
     robot: Robot,
     search: Search,
+}
+
+/// What led to a sighting.
+pub(super) struct Look {
+    /// Bends that the coarse search found worth fitting, best first.
+    pub candidates: Vec<Vector2<f64>>,
+    /// Bends that were fitted to the end, best first.
+    pub fits: Vec<BendFit>,
+    pub sighting: Sighting,
 }
 
 /// Candidates of the coarse search that are looked at closely.
@@ -57,11 +66,17 @@ impl Eye {
 
     /// Measures one frame: θ and δ as this view sees them (`delta_offset_deg` is the caller's to add).
     pub fn measure(&self, frame: &Frame) -> Sighting {
+        self.look(frame).sighting
+    }
+
+    /// Measures one frame and keeps what led to the verdict.
+    pub(super) fn look(&self, frame: &Frame) -> Look {
+        let mut look = Look { candidates: Vec::new(), fits: Vec::new(), sighting: failed(Status::NoSnake, None) };
         if (frame.width, frame.height) != (self.lens.width, self.lens.height) {
-            return failed(Status::WrongSize, None);
+            return Look { sighting: failed(Status::WrongSize, None), ..look };
         }
         if is_saturated(frame) {
-            return failed(Status::Saturated, None);
+            return Look { sighting: failed(Status::Saturated, None), ..look };
         }
         let plane = self.rig.appearance.plane(frame);
         let view = self.projection();
@@ -69,21 +84,23 @@ impl Eye {
         let bias = BiasPrior { mean_px: self.rig.edge_bias_px, sigma_px: BIAS_SIGMA_PX };
         let mut fit = |start: Vector2<f64>, searches: &[f64]| fit_bend(&view, &mut finder, start, bias, searches);
 
-        let candidates = self.search.candidates(&plane, self.rig.appearance.two_sided, CANDIDATES);
-        let mut looks: Vec<BendFit> = candidates.iter().filter_map(|start| fit(*start, &FIRST_LOOK_PX)).collect();
+        look.candidates = self.search.candidates(&plane, self.rig.appearance.two_sided, CANDIDATES);
+        let mut looks: Vec<BendFit> = look.candidates.iter().filter_map(|start| fit(*start, &FIRST_LOOK_PX)).collect();
         looks.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         let mut fits =
             distinct(looks).into_iter().take(2).filter_map(|look| fit(look.bend, &FINAL_PX)).collect::<Vec<_>>();
         fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        let fits = distinct(fits);
-        let Some(best) = fits.first() else { return failed(Status::NoSnake, None) };
-        let sighting = self.verdict(best);
-        match fits.get(1) {
-            Some(other) if sighting.status == Status::Ok && other.cost < AS_GOOD * best.cost => {
-                failed(Status::Ambiguous, sighting.quality)
+        look.fits = distinct(fits);
+        if let Some(best) = look.fits.first() {
+            look.sighting = self.verdict(best);
+            if let Some(other) = look.fits.get(1)
+                && look.sighting.status == Status::Ok
+                && other.cost < AS_GOOD * best.cost
+            {
+                look.sighting = failed(Status::Ambiguous, look.sighting.quality);
             }
-            _ => sighting,
         }
+        look
     }
 
     /// Angles and sigmas of a fit that can be trusted, or why it cannot.

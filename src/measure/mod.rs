@@ -11,6 +11,7 @@
 
 mod appearance;
 mod edges;
+mod explain;
 mod eye;
 mod fit;
 mod grid;
@@ -23,6 +24,7 @@ mod search;
 mod solve;
 
 pub use appearance::Appearance;
+pub use explain::{Explanation, Place};
 pub use eye::{Eye, Sighting};
 pub use outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 pub use rig::{Rig, RigOptions, calibrate_rig};

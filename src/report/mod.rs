@@ -1,6 +1,7 @@
 //! What a person looks at: overlays on frames, plots, the HTML page.
 
 pub mod discovery;
+pub mod explain;
 pub mod html;
 pub mod overlay;
 pub mod plot;

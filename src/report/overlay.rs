@@ -84,7 +84,7 @@ fn plus_minus(angle_deg: f64, sigma: f64) -> String {
     format!("{angle_deg:.places$} ± {sigma_deg:.places$}°").replace('-', "−")
 }
 
-fn rgb(frame: &Frame) -> RgbImage {
+pub(super) fn rgb(frame: &Frame) -> RgbImage {
     let level = |value: f32| value.round().clamp(0.0, 255.0) as u8;
     RgbImage::from_fn(frame.width, frame.height, |x, y| match frame.channels {
         1 => Rgb([level(frame.get(x, y, 0)); 3]),
@@ -94,7 +94,7 @@ fn rgb(frame: &Frame) -> RgbImage {
 
 /// Draws a chain of points as one line with round ends, `width` px wide, its border smoothed over a pixel. One point
 /// alone is a dot. Points that are not in a picture (NaN, far away) are left out.
-fn stroke(picture: &mut RgbImage, chain: &[Point2<f64>], width: f64, colour: Rgb<u8>) {
+pub(super) fn stroke(picture: &mut RgbImage, chain: &[Point2<f64>], width: f64, colour: Rgb<u8>) {
     let (columns, rows) = (f64::from(picture.width()), f64::from(picture.height()));
     let near = |p: &&Point2<f64>| p.x > -columns && p.x < 2.0 * columns && p.y > -rows && p.y < 2.0 * rows;
     let chain: Vec<Point2<f64>> = chain.iter().filter(near).copied().collect();

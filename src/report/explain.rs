@@ -1,0 +1,273 @@
+//! One frame, stage by stage: pictures of what the eye saw and a page that says what to look for in them.
+
+use super::html::{escaped, style};
+use super::overlay::{Shape, angles, overlay, rgb, stroke};
+use crate::camera::Frame;
+use crate::measure::{Explanation, Place};
+use crate::record::{Measurement, Status};
+use image::{Rgb, RgbImage, imageops};
+use nalgebra::Point2;
+use std::fmt::Write;
+
+const GRID: Rgb<u8> = Rgb([0, 200, 255]);
+const AGREES: Rgb<u8> = Rgb([40, 235, 70]);
+const DISAGREES: Rgb<u8> = Rgb([255, 50, 50]);
+const NO_EDGE: Rgb<u8> = Rgb([80, 130, 255]);
+/// Colours of the coarse search's bends, best first.
+const CANDIDATES: [Rgb<u8>; 6] = [
+    Rgb([255, 70, 70]),
+    Rgb([255, 160, 0]),
+    Rgb([235, 225, 0]),
+    Rgb([60, 220, 90]),
+    Rgb([0, 200, 255]),
+    Rgb([220, 110, 255]),
+];
+/// How much larger the picture of the edges is than the frame.
+const ENLARGED: u32 = 4;
+
+/// One stage's picture.
+#[derive(Debug, Clone)]
+pub struct Stage {
+    /// Its file's name.
+    pub file: &'static str,
+    /// What it shows and what to look for.
+    pub caption: String,
+    /// The picture.
+    pub picture: RgbImage,
+}
+
+/// Draws every stage. `shape` gives the model's shape at a bend of the explanation.
+pub fn stages(
+    frame: &Frame,
+    explanation: &Explanation,
+    measurement: &Measurement,
+    shape: impl Fn(crate::geometry::Configuration) -> Shape,
+) -> Vec<Stage> {
+    let unit = f64::from(frame.height.min(frame.width)) / 720.0;
+    let stage = |file, caption: &str, picture| Stage { file, caption: caption.to_owned(), picture };
+    let mut stages = vec![
+        stage("1-frame.png", "The frame as it was read.", rgb(frame)),
+        stage(
+            "2-snakeness.png",
+            "How much each pixel looks like the snake rather than the paper, by the colours learned from the straight \
+             picture: the snake should be light, the paper dark and the print hardly seen.",
+            rgb(&explanation.snakeness),
+        ),
+    ];
+
+    let mut picture = faded(frame);
+    for line in &explanation.grid {
+        stroke(&mut picture, line, 0.6 * unit, GRID);
+    }
+    stages.push(stage(
+        "3-grid.png",
+        "The grid where the rig says it is. Where these lines leave the printed ones, camera or paper have moved since the \
+         rig was calibrated, or the lens is another.",
+        picture,
+    ));
+
+    let mut picture = faded(frame);
+    for (bend, colour) in explanation.candidates.iter().zip(CANDIDATES).rev() {
+        stroke(&mut picture, &shape(*bend).arc, 3.0 * unit, colour);
+    }
+    stages.push(stage(
+        "4-search.png",
+        "The bends that the coarse search found worth a look; red was the best, then orange, yellow, green, blue and violet. \
+         One of them should lie roughly on the snake.",
+        picture,
+    ));
+
+    if !explanation.places.is_empty() {
+        let caption = format!(
+            "The best fit's outline and the edges found near it, {ENLARGED} times as large. Green: an edge that agrees; red: \
+             one that does not and hardly counts, with a line from where it was expected; blue: no edge where one should \
+             be. {}",
+            counted(&explanation.places)
+        );
+        stages.push(Stage { file: "5-edges.png", caption, picture: edges(frame, &explanation.places) });
+    }
+
+    let drawn = explanation.fits.first().map(|psi| shape(*psi));
+    stages.push(stage(
+        "6-model.png",
+        "The best fit, whatever the verdict on it: outline, central backbone, base (green) and tip (magenta).",
+        overlay(frame, measurement, drawn.as_ref()),
+    ));
+    stages
+}
+
+/// The frame, paler, so that lines on it can be seen.
+fn faded(frame: &Frame) -> RgbImage {
+    let mut picture = rgb(frame);
+    picture.iter_mut().for_each(|v| *v = (127 + u16::from(*v) / 2) as u8);
+    picture
+}
+
+/// The part of the frame with places in it, enlarged, with every place and its edge.
+fn edges(frame: &Frame, places: &[Place]) -> RgbImage {
+    const MARGIN_PX: f64 = 15.0;
+    let bound = |value: f64, size: u32| value.clamp(0.0, f64::from(size - 1)) as u32;
+    let start = |axis: usize| places.iter().map(|p| p.expected[axis]).fold(f64::INFINITY, f64::min) - MARGIN_PX;
+    let end = |axis: usize| places.iter().map(|p| p.expected[axis]).fold(0.0, f64::max) + MARGIN_PX;
+    let (x0, y0) = (bound(start(0), frame.width), bound(start(1), frame.height));
+    let (x1, y1) = (bound(end(0), frame.width), bound(end(1), frame.height));
+    let part = imageops::crop_imm(&rgb(frame), x0, y0, x1 - x0 + 1, y1 - y0 + 1).to_image();
+    let mut picture =
+        imageops::resize(&part, ENLARGED * part.width(), ENLARGED * part.height(), imageops::FilterType::Triangle);
+    let scale = f64::from(ENLARGED);
+    // Pixel centres are at integers in both.
+    let enlarged = |p: &Point2<f64>| {
+        let to = |value: f64, from: u32| scale * (value - f64::from(from) + 0.5) - 0.5;
+        Point2::new(to(p.x, x0), to(p.y, y0))
+    };
+    for place in places {
+        let expected = enlarged(&place.expected);
+        match place.seen {
+            None => stroke(&mut picture, &[expected], 1.3 * scale, NO_EDGE),
+            Some((seen, _, weight)) => {
+                let seen = enlarged(&seen);
+                let mix = |k: usize| {
+                    (f64::from(AGREES.0[k]) * weight + f64::from(DISAGREES.0[k]) * (1.0 - weight)).round() as u8
+                };
+                let colour = Rgb([mix(0), mix(1), mix(2)]);
+                stroke(&mut picture, &[expected, seen], 0.25 * scale, colour);
+                stroke(&mut picture, &[seen], 1.3 * scale, colour);
+            }
+        }
+    }
+    picture
+}
+
+fn counted(places: &[Place]) -> String {
+    let agree = places.iter().filter(|p| p.seen.is_some_and(|(_, _, weight)| weight > 0.25)).count();
+    let missing = places.iter().filter(|p| p.seen.is_none()).count();
+    format!(
+        "{} places: {agree} agree, {} disagree, {missing} show no edge.",
+        places.len(),
+        places.len() - agree - missing
+    )
+}
+
+/// What a status means and what to do about it.
+fn meaning(status: &Status) -> &'static str {
+    match status {
+        Status::Ok => "Measured.",
+        Status::NoSnake => {
+            "Nothing here looks like the snake: is it in the picture (1), does it stand out from the paper (2), and did the \
+             search find it (4)? A light that changed much since the straight picture can do this."
+        }
+        Status::Occluded => {
+            "Too little of the snake's outline is confirmed by edges (5): something hides it or the model lies wrong (6)."
+        }
+        Status::Ambiguous => "Two bends explain the picture about equally well, so that neither is given.",
+        Status::Blurred => "The outline is too soft for its edges to be placed: focus, or a shorter exposure.",
+        Status::Saturated => "Nearly all of the picture is black or white: exposure.",
+        Status::OutOfFrame => "Too much of the snake lies outside the picture.",
+        Status::Unreadable => "The picture could not be read.",
+        Status::WrongSize => "The picture is not of the size that the camera file says.",
+        Status::Other(_) => "",
+    }
+}
+
+/// The page that shows the stages; their files lie beside it.
+pub fn page(title: &str, explanation: &Explanation, measurement: &Measurement, stages: &[Stage]) -> String {
+    let mut page = format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<title>{title}</title>\n\
+         <style>{style}</style>\n</head>\n<body>\n<main>\n<h1>{title}: {status}</h1>\n<p>{meaning}</p>\n<table>\n",
+        title = escaped(title),
+        style = style(),
+        status = measurement.status,
+        meaning = meaning(&measurement.status),
+    );
+    for (name, value) in figures(explanation, measurement) {
+        // Writing to a String cannot fail.
+        let _ = writeln!(page, "<tr><th>{name}</th><td>{}</td></tr>", escaped(&value));
+    }
+    page += "</table>\n";
+    for Stage { file, caption, .. } in stages {
+        let _ = writeln!(
+            page,
+            "<h2>{}</h2>\n<figure><img src=\"{file}\" alt=\"\"><figcaption>{}</figcaption></figure>",
+            escaped(file.trim_end_matches(".png")),
+            escaped(caption)
+        );
+    }
+    page + "</main>\n</body>\n</html>\n"
+}
+
+fn figures(explanation: &Explanation, measurement: &Measurement) -> Vec<(&'static str, String)> {
+    let mut figures = Vec::new();
+    if let Some(measured) = &measurement.measured {
+        let (theta, delta) = angles(measured);
+        figures.extend([("θ", theta), ("δ", delta)]);
+    }
+    for (name, psi) in ["best fit", "second fit"].into_iter().zip(&explanation.fits) {
+        figures.push((name, format!("θ {:.2}°, δ {:.2}°", psi.theta_deg(), psi.delta_deg())));
+    }
+    if let Some(quality) = &measurement.quality {
+        figures.push(("edges that agree", quality.edges.to_string()));
+        figures.push(("share of the outline", format!("{:.0} %", 100.0 * quality.inlier_fraction)));
+        figures.push(("their scatter", format!("{:.2} px", quality.rms_px)));
+    }
+    figures
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Configuration;
+    use crate::measure::Sighting;
+
+    fn frame() -> Frame {
+        Frame { width: 64, height: 48, channels: 1, data: vec![100.0; 64 * 48] }
+    }
+
+    fn explanation(places: Vec<Place>) -> Explanation {
+        Explanation {
+            sighting: Sighting { status: Status::NoSnake, measured: None, quality: None },
+            snakeness: frame(),
+            grid: vec![vec![Point2::new(10.0, 0.0), Point2::new(10.0, 47.0)]],
+            candidates: vec![Configuration::from_degrees(30.0, 0.0)],
+            fits: if places.is_empty() { Vec::new() } else { vec![Configuration::from_degrees(31.0, 2.0)] },
+            places,
+        }
+    }
+
+    fn measurement() -> Measurement {
+        Measurement { index: 7, time_s: None, status: Status::NoSnake, measured: None, quality: None, view: None }
+    }
+
+    #[test]
+    fn places_are_drawn_where_they_are_and_as_they_agree() {
+        let place = |x: f64, weight: f64| Place {
+            expected: Point2::new(x, 24.0),
+            seen: Some((Point2::new(x, 24.0), 0.0, weight)),
+        };
+        let missing = Place { expected: Point2::new(40.0, 24.0), seen: None };
+        let picture = edges(&frame(), &[place(20.0, 1.0), place(30.0, 0.0), missing]);
+        // The part starts 15 px left of the first place and above them all.
+        assert_eq!(picture.dimensions(), (4 * (40 - 20 + 31), 4 * 31));
+        let at = |x: u32| *picture.get_pixel(4 * (x - 5) + 2, 4 * (24 - 9) + 2);
+        assert_eq!([at(20), at(30), at(40)], [AGREES, DISAGREES, NO_EDGE]);
+        assert_eq!(at(25), Rgb([100; 3]));
+    }
+
+    #[test]
+    fn a_frame_without_any_fit_has_its_page_too() {
+        let explained = explanation(Vec::new());
+        let stages = stages(&frame(), &explained, &measurement(), |_| Shape::default());
+        let files: Vec<&str> = stages.iter().map(|stage| stage.file).collect();
+        assert_eq!(files, ["1-frame.png", "2-snakeness.png", "3-grid.png", "4-search.png", "6-model.png"]);
+        let page = page("a <lab>, frame 7", &explained, &measurement(), &stages);
+        assert!(page.contains("a &lt;lab&gt;, frame 7: no_snake") && page.contains("src=\"3-grid.png\""), "{page}");
+        assert!(page.contains("Nothing here looks like the snake"), "{page}");
+    }
+
+    #[test]
+    fn places_are_counted() {
+        let seen = |weight| Some((Point2::origin(), 0.5, weight));
+        let place = |seen| Place { expected: Point2::new(20.0, 20.0), seen };
+        let places = [place(seen(1.0)), place(seen(0.1)), place(None), place(seen(0.9))];
+        assert_eq!(counted(&places), "4 places: 2 agree, 1 disagree, 1 show no edge.");
+    }
+}
