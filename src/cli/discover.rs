@@ -3,13 +3,13 @@
 use super::console::Console;
 use super::inputs::{encoders_of, model_of, model_or_paper, rows};
 use super::views::{measure_frames, open_views, require_some_measured};
-use crate::discover::{Data, Discovery, Next, discover, next_experiment};
+use crate::discover::{Correction, Data, Discovery, Next, Whereabouts, discover, learn_correction, next_experiment};
 use crate::estimate::Options;
 use crate::record::{
     Checked, EncoderReading, Experiment, Measurement, measurements_csv, read_encoders, read_measurements, read_model,
     trajectory_csv, write_atomically, write_model,
 };
-use crate::report::discovery::{discovery_html, sentence};
+use crate::report::discovery::{Page, sentence};
 use crate::robot::Model;
 use crate::{Error, Result};
 use std::path::PathBuf;
@@ -44,6 +44,10 @@ pub struct Args {
     /// `simulate --trajectory` takes (index,time_s,theta_deg,delta_deg) with the q̃ to command (qc1_mm,qc2_mm,qc3_mm)
     #[arg(long)]
     next: bool,
+    /// Where the verdict is `unexplained`, learn a smooth correction of ε from the gap, and add it to model.toml as
+    /// `learned_correction` if it helps on sweeps left out
+    #[arg(long)]
+    correction: bool,
 }
 
 /// The trajectory that --next writes.
@@ -57,15 +61,29 @@ impl Args {
         let (model, measurements, readings) = self.inputs(console)?;
         let data = Data::new(&measurements, &readings, self.encoder_sd)?;
         let found = discover(&model, &data)?;
+        let gap = Whereabouts::of(&found, &data);
+        let correction = self.correction.then(|| learn_correction(&found, &data));
 
         let mut json = found.json();
+        json["where"] = gap.as_ref().map(Whereabouts::json).into();
+        if let Some(correction) = &correction {
+            json["correction"] = correction.json();
+        }
         let next = if self.next { self.propose(&found, &data)? } else { None };
         if self.next {
             json["next"] = next.as_ref().map(|next| next.json(NEXT)).into();
         }
         self.write("discrepancy.json", &format!("{json:#}\n"))?;
-        write_model(&self.output.join("model.toml"), &found.model)?;
-        self.write("report.html", &discovery_html(&found, &data, next.as_ref()))?;
+        let corrected = correction.as_ref().and_then(|correction| correction.model.as_ref());
+        write_model(&self.output.join("model.toml"), corrected.unwrap_or(&found.model))?;
+        let page = Page {
+            found: &found,
+            data: &data,
+            gap: gap.as_ref(),
+            correction: correction.as_ref(),
+            next: next.as_ref(),
+        };
+        self.write("report.html", &page.html())?;
         console.warn(&found.remarks);
         console.result(&json, || {
             format!(
@@ -80,7 +98,9 @@ impl Args {
                 found.after.theta_deg,
                 found.before.delta_deg,
                 found.after.delta_deg
-            ) + &self.next_in_words(next.as_ref())
+            ) + &gap.map(|gap| format!("\nthe gap is  {}", gap.words())).unwrap_or_default()
+                + &correction.map(|Correction { words, .. }| format!("\n{words}")).unwrap_or_default()
+                + &self.next_in_words(next.as_ref())
         });
         Ok(())
     }

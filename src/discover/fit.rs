@@ -213,7 +213,7 @@ impl<'a> Problem<'a> {
             estimate.samples = self.data.len();
         }
         let mut next = 2;
-        for effect in &mut model.effects {
+        for effect in model.effects.iter_mut().filter(|effect| effect.physics.is_fitted()) {
             for sd in &mut effect.sds {
                 *sd = covariance(next, next).max(0.0).sqrt();
                 next += 1;
@@ -264,17 +264,22 @@ fn bend_covariance(measured: &Measured, bend: Vector2<f64>) -> Matrix2<f64> {
     turn * Matrix2::new(along, cross, cross, across) * turn.inverse()
 }
 
+/// The effects whose parameters a fit may change.
+fn fitted(model: &Model) -> impl Iterator<Item = &Effect> {
+    model.effects.iter().filter(|effect| effect.physics.is_fitted())
+}
+
 /// η, λ and the effects' values in a row.
 fn vector(model: &Model) -> Vec<f64> {
     let x = model.parameters();
-    [x.x, x.y].into_iter().chain(model.effects.iter().flat_map(|effect| effect.values.iter().copied())).collect()
+    [x.x, x.y].into_iter().chain(fitted(model).flat_map(|effect| effect.values.iter().copied())).collect()
 }
 
 fn with_vector(model: &Model, x: &[f64]) -> Model {
     let mut values = x[2..].iter();
-    let effects = model.effects.iter().map(|effect| Effect {
-        values: values.by_ref().take(effect.values.len()).copied().collect(),
-        ..effect.clone()
+    let effects = model.effects.iter().map(|effect| match effect.physics.is_fitted() {
+        true => Effect { values: values.by_ref().take(effect.values.len()).copied().collect(), ..effect.clone() },
+        false => effect.clone(),
     });
     let estimate = Estimate { eta: x[0], lambda_mm: x[1], covariance: Matrix2::zeros(), samples: 0 };
     Model { effects: effects.collect(), estimate: Some(estimate), robot: model.robot.clone(), friction: model.friction }
@@ -282,7 +287,7 @@ fn with_vector(model: &Model, x: &[f64]) -> Model {
 
 /// The size of each parameter that matters, and its range.
 fn scales_and_ranges(model: &Model) -> (Vec<f64>, Vec<(f64, f64)>) {
-    let specs = model.effects.iter().flat_map(|effect| effect.physics.parameters);
+    let specs = fitted(model).flat_map(|effect| effect.physics.parameters);
     let of_effects = specs.map(|spec| (spec.typical, spec.range));
     [(0.03, (0.05, 10.0)), (0.02, (-2.0, 2.0))].into_iter().chain(of_effects).unzip()
 }

@@ -5,17 +5,22 @@
 //! 3. `search`: forward steps over the library, exchange, backward elimination; by Schwarz's criterion and on sweeps
 //!    left out.
 //! 4. [`Discovery`]: the verdict, held to noise and to what structure is left; nothing in it is judged on data that the fit saw.
-//! 5. [`next_experiment`]: the ride that would settle what these data leave open.
+//! 5. [`Whereabouts`]: where the gap lives; [`learn_correction`]: a smooth function in place of an explanation.
+//! 6. [`next_experiment`]: the ride that would settle what these data leave open.
 
+mod correction;
 mod data;
 mod fit;
 mod next;
 mod plans;
 mod search;
 mod verdict;
+mod whereabouts;
 
+pub use correction::{Correction, learn_correction};
 pub use data::{Data, LEAST_SAMPLES};
 pub use fit::{Fit, Problem};
 pub use next::{Next, next_experiment};
 pub use search::Named;
 pub use verdict::{Discovery, Gap, Structure, Verdict, discover};
+pub use whereabouts::{Part, Whereabouts};

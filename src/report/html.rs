@@ -74,7 +74,12 @@ impl Report<'_> {
 
     fn all_plots(&self) -> Vec<(&'static str, &'static str, Plot)> {
         let axis = Axis::of(self.measurements);
-        let plot = |y_label: &str, series| Plot { x_label: axis.label().into(), y_label: y_label.into(), series };
+        let plot = |y_label: &str, series| Plot {
+            x_label: axis.label().into(),
+            y_label: y_label.into(),
+            series,
+            y_shown: vec![],
+        };
         let mut plots = vec![
             (
                 "Bend θ",

@@ -1,5 +1,6 @@
 //! What a person looks at: overlays on frames, plots, the HTML page.
 
+pub mod bend_map;
 pub mod discovery;
 pub mod explain;
 pub mod html;

@@ -56,6 +56,8 @@ pub struct Plot {
     pub y_label: String,
     /// The series, each in its own colour.
     pub series: Vec<Series>,
+    /// Values that the y axis shows at least, so that plots beside each other compare.
+    pub y_shown: Vec<f64>,
 }
 
 impl Plot {
@@ -79,7 +81,8 @@ impl Plot {
         xs.sort_by(f64::total_cmp);
         let middle = *xs.get(xs.len() / 2)?;
         let settled = all().filter(|p| p.x >= middle && p.sd.is_finite()).flat_map(|p| [p.y - p.sd, p.y + p.sd]);
-        let mut y_range = widened(all().map(|p| p.y).chain(settled));
+        let shown = self.y_shown.iter().copied().filter(|y| y.is_finite());
+        let mut y_range = widened(all().map(|p| p.y).chain(settled).chain(shown));
         if self.series.len() > 1 {
             y_range[1] += LEGEND_ROOM * (y_range[1] - y_range[0]);
         }
@@ -161,7 +164,10 @@ mod tests {
     fn plot(style: Style, points: Vec<Point>) -> Plot {
         let series = |name: &str| Series { name: name.to_owned(), style, points: points.clone() };
         Plot {
-            x_label: "time (s)".into(), y_label: "θ (°)".into(), series: vec![series("used"), series("<rejected>")]
+            x_label: "time (s)".into(),
+            y_label: "θ (°)".into(),
+            series: vec![series("used"), series("<rejected>")],
+            y_shown: vec![],
         }
     }
 

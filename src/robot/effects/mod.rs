@@ -18,8 +18,11 @@
 mod actuator;
 mod eye;
 mod friction;
+mod learned;
 mod snake;
 mod time;
+
+pub use learned::{LEARNED_CORRECTION, POWERS, TERMS, basis};
 
 use super::motion::{Motion, Snake};
 use crate::error::{Error, Result};
@@ -91,7 +94,14 @@ impl PartialEq for Physics {
     }
 }
 
-/// Every effect that this version knows.
+impl Physics {
+    /// Whether its parameters are physics, that a fit may change; those of a learned correction are not.
+    pub fn is_fitted(&self) -> bool {
+        self.name != LEARNED_CORRECTION.name
+    }
+}
+
+/// Every effect that `discover` searches for.
 pub static LIBRARY: [&Physics; 18] = [
     &friction::LOAD_DIRECTED_BACKLASH,
     &friction::MOTION_DIRECTED_BACKLASH,
@@ -115,7 +125,7 @@ pub static LIBRARY: [&Physics; 18] = [
 
 /// The physics of this name.
 pub fn physics(name: &str) -> Option<&'static Physics> {
-    LIBRARY.into_iter().find(|physics| physics.name == name)
+    LIBRARY.into_iter().chain([&LEARNED_CORRECTION]).find(|physics| physics.name == name)
 }
 
 /// An effect with the values of its parameters.
