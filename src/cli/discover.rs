@@ -3,7 +3,9 @@
 use super::console::Console;
 use super::inputs::{encoders_of, model_of, model_or_paper, rows};
 use super::views::{measure_frames, open_views, require_some_measured};
-use crate::discover::{Correction, Data, Discovery, Next, Whereabouts, discover, learn_correction, next_experiment};
+use crate::discover::{
+    Correction, Data, Discovery, Next, Whereabouts, discover, discover_in_frames, learn_correction, next_experiment,
+};
 use crate::estimate::Options;
 use crate::record::{
     Checked, EncoderReading, Experiment, Measurement, measurements_csv, read_encoders, read_measurements, read_model,
@@ -60,7 +62,8 @@ impl Args {
         }
         let (model, measurements, readings) = self.inputs(console)?;
         let data = Data::new(&measurements, &readings, self.encoder_sd)?;
-        let found = discover(&model, &data)?;
+        let from_frames = measurements.iter().any(|measurement| measurement.quality.is_some());
+        let found = if from_frames { discover_in_frames(model, &data)? } else { discover(&model, &data)? };
         let gap = Whereabouts::of(&found, &data);
         let correction = self.correction.then(|| learn_correction(&found, &data));
 

@@ -22,5 +22,5 @@ pub use data::{Data, LEAST_SAMPLES};
 pub use fit::{Fit, Problem};
 pub use next::{Next, next_experiment};
 pub use search::Named;
-pub use verdict::{Discovery, Gap, Structure, Verdict, discover};
+pub use verdict::{Discovery, Gap, Structure, Verdict, discover, discover_in_frames};
 pub use whereabouts::{Part, Whereabouts};

@@ -4,7 +4,8 @@ use super::data::Data;
 use super::fit::{Fit, Problem};
 use super::search::{Found, Named, held_out, search};
 use crate::error::Result;
-use crate::robot::{Mechanics, Model};
+use crate::robot::effects::RIG_ERROR;
+use crate::robot::{Effect, Mechanics, Model};
 use crate::simulate::score::LEAST_THETA_FOR_DELTA;
 use nalgebra::{DMatrix, DVector, Vector3};
 use serde_json::{Map, Value, json};
@@ -145,6 +146,25 @@ pub fn discover(model: &Model, data: &Data) -> Result<Discovery> {
         samples: data.len(),
         remarks,
     })
+}
+
+/// [`discover`] for measurements that come from frames, which share the error of their rig: it is left free with every fit, and
+/// is no part of the model that comes out.
+///
+/// # Errors
+/// As [`discover`].
+pub fn discover_in_frames(mut model: Model, data: &Data) -> Result<Discovery> {
+    let values = vec![0.0; RIG_ERROR.parameters.len()];
+    model.effects.push(Effect { physics: &RIG_ERROR, sds: values.clone(), values, found: String::new() });
+    let mut found = discover(&model, data)?;
+    if let Some(k) = found.model.effects.iter().position(|effect| effect.physics == &RIG_ERROR) {
+        let effect = found.model.effects.remove(k);
+        let texts = effect.physics.parameters.iter().zip(effect.values.iter().zip(&effect.sds));
+        let texts: Vec<String> =
+            texts.map(|(spec, (value, sd))| format!("{} = {value:.2} ± {sd:.2}°", spec.name)).collect();
+        found.remarks.push(format!("the rig's own error, the same in all frames, was left free: {}", texts.join(", ")));
+    }
+    Ok(found)
 }
 
 /// Parameters that the data do not pin, in words.

@@ -4,7 +4,7 @@
 use super::plant::{Plant, SimulatedEye};
 use super::trajectory::BendingExperiment;
 use crate::error::Result;
-use crate::record::{EncoderReading, Measurement, Waypoint};
+use crate::record::{EncoderReading, Measurement, Truth, Waypoint};
 use crate::robot::{Effect, Estimate, Model, Observation, Physics};
 use nalgebra::Matrix2;
 use rand::rngs::StdRng;
@@ -19,6 +19,8 @@ pub struct Sealed {
     pub measurements: Vec<Measurement>,
     /// What its encoders read.
     pub readings: Vec<EncoderReading>,
+    /// What a perfect eye would make of each frame: what to draw.
+    pub shown: Vec<Truth>,
 }
 
 impl Sealed {
@@ -27,14 +29,22 @@ impl Sealed {
     /// # Errors
     /// None in practice: trajectories that it draws lie in the workspace.
     pub fn new(hidden: &[&'static Physics], seed: u64) -> Result<Self> {
+        Self::of_poses(hidden, seed, 34, 48)
+    }
+
+    /// The same with as many poses on the way up each of the four sweeps, and as many in the round.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn of_poses(hidden: &[&'static Physics], seed: u64, sweep: usize, round: usize) -> Result<Self> {
         let mut random = StdRng::seed_from_u64(seed);
         let planes: Vec<f64> = (0..4).map(|k| 90.0 * f64::from(k) + random.random_range(-40.0..40.0)).collect();
         let trajectory = BendingExperiment {
             sweep_delta_deg: planes,
             sweep_theta_deg: (random.random_range(3.0..8.0), random.random_range(65.0..85.0)),
-            sweep_poses: 34,
+            sweep_poses: sweep,
             round_theta_deg: random.random_range(25.0..50.0),
-            round_poses: 48,
+            round_poses: round,
             interval_s: 0.35,
             jitter_deg: 1.0,
             seed,
@@ -64,7 +74,8 @@ impl Sealed {
         }
         let samples = Plant { model: truth.clone(), sd_encoder_mm: 0.0015 }.run(&trajectory, seed.wrapping_add(1));
         let measurements = SimulatedEye::default().observe(&samples, seed.wrapping_add(2));
-        Ok(Self { truth, measurements, readings: samples.iter().map(|sample| sample.reading).collect() })
+        let shown = samples.iter().map(|sample| Truth { index: sample.truth.index, configuration: sample.seen });
+        Ok(Self { truth, measurements, shown: shown.collect(), readings: samples.iter().map(|s| s.reading).collect() })
     }
 }
 

@@ -19,10 +19,12 @@ mod actuator;
 mod eye;
 mod friction;
 mod learned;
+mod rig;
 mod snake;
 mod time;
 
 pub use learned::{LEARNED_CORRECTION, POWERS, TERMS, basis};
+pub use rig::RIG_ERROR;
 
 use super::motion::{Motion, Snake};
 use crate::error::{Error, Result};
