@@ -35,6 +35,7 @@ impl Page<'_> {
             escaped(&sentence(found))
         );
         page += &definitions("summary", &summary(found));
+        page += GLOSSARY;
         page += &self.whereabouts();
         page += &effects(found);
         page += &self.before_and_after();
@@ -119,6 +120,9 @@ impl Page<'_> {
         ]
     }
 }
+
+const GLOSSARY: &str = "<p>ε is how much further the actuators move (q̃, what their encoders read) than the snake's backbones do: what \
+                        the actuation lines swallow. The gap is the measured ε less the model's; θ is the bend, δ its direction.</p>\n";
 
 /// Dots of one series.
 const MOST_DOTS: usize = 1500;
