@@ -2,11 +2,9 @@
 
 use super::console::Console;
 use super::estimator::EstimatorArgs;
-use super::inputs::{model_or_paper, rows};
+use super::inputs::{measurements_and_readings, model_or_paper};
 use crate::estimate::estimate;
-use crate::record::{
-    EstimateRow, Verdict, estimates_csv, read_encoders, read_measurements, write_atomically, write_model,
-};
+use crate::record::{EstimateRow, Verdict, estimates_csv, write_atomically, write_model};
 use crate::robot::Estimate;
 use crate::{Error, Result};
 use serde::Serialize;
@@ -51,8 +49,7 @@ pub struct Estimated {
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
         let model = model_or_paper(self.model.as_deref())?;
-        let measurements = rows(console, read_measurements(&self.measurements)?);
-        let encoders = rows(console, read_encoders(&self.encoders)?);
+        let (measurements, encoders) = measurements_and_readings(console, &self.measurements, Some(&self.encoders))?;
         let (steps, model) = estimate(&model, self.estimator.into(), &measurements, &encoders)?;
         write_atomically(&self.output.join("estimate.csv"), estimates_csv(&steps).as_bytes())?;
         let estimated = Estimated::of(&steps, model.estimate, &self.measurements)?;

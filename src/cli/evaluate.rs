@@ -1,8 +1,8 @@
 //! `evaluate`: the gap that a model leaves on data, and how far measurements are from a known truth.
 
 use super::console::Console;
-use super::inputs::{model_or_paper, rows};
-use crate::record::{read_encoders, read_measurements, read_truth};
+use super::inputs::{measurements_and_readings, model_or_paper, rows};
+use crate::record::read_truth;
 use crate::simulate::score::{self, Accuracy, AngleScore, Gap};
 use crate::{Error, Result};
 use serde::Serialize;
@@ -41,12 +41,13 @@ struct Evaluation {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
-        let measurements = rows(console, read_measurements(&self.measurements)?);
+        let (measurements, readings) =
+            measurements_and_readings(console, &self.measurements, self.encoders.as_deref())?;
         let gap = match &self.encoders {
             None => None,
             Some(path) => {
                 let model = model_or_paper(self.model.as_deref())?;
-                let gap = score::gap(&model, &measurements, &rows(console, read_encoders(path)?));
+                let gap = score::gap(&model, &measurements, &readings);
                 if gap.samples == 0 {
                     let message = "no measurement with angles has an encoder reading of the same index in this file";
                     return Err(Error::content(path, message));

@@ -2,7 +2,8 @@
 
 use super::console::Console;
 use crate::Result;
-use crate::record::{Checked, EncoderReading, Experiment, read_encoders, read_model};
+use crate::estimate::with_sigmas;
+use crate::record::{Checked, EncoderReading, Experiment, Measurement, read_encoders, read_measurements, read_model};
 use crate::robot::Model;
 use std::path::Path;
 
@@ -15,6 +16,22 @@ pub fn model_or_paper(path: Option<&Path>) -> Result<Model> {
 pub fn rows<T>(console: &Console, checked: Checked<T>) -> Vec<T> {
     console.warn(&checked.warnings);
     checked.rows
+}
+
+/// Measurements and, where there is a file, encoder readings; measurements without sigmas are given those that they show.
+pub fn measurements_and_readings(
+    console: &Console,
+    measurements: &Path,
+    encoders: Option<&Path>,
+) -> Result<(Vec<Measurement>, Vec<EncoderReading>)> {
+    let measurements = rows(console, read_measurements(measurements)?);
+    let readings = match encoders {
+        Some(path) => rows(console, read_encoders(path)?),
+        None => Vec::new(),
+    };
+    let (measurements, remark) = with_sigmas(&measurements, &readings);
+    console.warn(remark);
+    Ok((measurements, readings))
 }
 
 /// An experiment's model: its `model`, with the constants of its `robot` where that is given; the paper's without.

@@ -1,6 +1,7 @@
 //! What the search works on: pairs of readings and measurements in the order of time, cut into sweeps.
 
 use crate::error::{Error, Result};
+use crate::estimate::with_sigmas;
 use crate::record::{EncoderReading, Measured, Measurement, Status};
 use crate::robot::MAX_THETA;
 use nalgebra::Vector3;
@@ -10,11 +11,6 @@ use std::collections::HashMap;
 pub const LEAST_SAMPLES: usize = 24;
 /// Parts that cross-validation leaves out in turn.
 pub const FOLDS: usize = 5;
-
-/// Bends below this show little of what loads do.
-const SMALL_BENDS_DEG: f64 = 12.0;
-/// A time step of so many usual ones is a jump.
-const JUMP: f64 = 30.0;
 
 /// The usable samples of an experiment.
 #[derive(Debug, Clone)]
@@ -31,8 +27,6 @@ pub struct Data {
     pub sweeps: Vec<usize>,
     /// Standard deviation of a reading, mm.
     pub sd_encoder_mm: f64,
-    /// Whether all bends lie in one plane.
-    pub one_plane: bool,
     /// What was passed over or cannot be decided, in words.
     pub remarks: Vec<String>,
 }
@@ -43,17 +37,18 @@ impl Data {
     /// # Errors
     /// [`Error::Domain`] for too few samples, or a snake that does not move.
     pub fn new(measurements: &[Measurement], readings: &[EncoderReading], sd_encoder_mm: f64) -> Result<Self> {
+        let (measurements, no_sigmas) = with_sigmas(measurements, readings);
         let by_index: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
-        let pairs: Vec<(&EncoderReading, Measured)> = measurements
+        let mut pairs: Vec<(&EncoderReading, Measured)> = measurements
             .iter()
             .filter(|m| m.status == Status::Ok)
             .filter_map(|m| Some((*by_index.get(&m.index)?, m.measured?)))
             .filter(|(reading, measured)| usable(reading, measured))
             .collect();
-        let mut remarks = Vec::new();
+        let mut remarks: Vec<String> = no_sigmas.into_iter().collect();
         if pairs.len() < measurements.len() {
             remarks.push(format!(
-                "{} of {} measurements are used; the others have a status, no angles or sigmas, or no reading of their index",
+                "{} of {} measurements are used; the others have a status, no angles, or no reading of their index",
                 pairs.len(),
                 measurements.len()
             ));
@@ -64,8 +59,10 @@ impl Data {
                 pairs.len()
             )));
         }
-        let (times_s, about_times) = clock(&pairs.iter().map(|(reading, _)| reading.time_s).collect::<Vec<_>>());
-        remarks.extend(about_times);
+        if pairs.windows(2).any(|pair| pair[1].0.time_s <= pair[0].0.time_s) {
+            remarks.push("times do not rise from sample to sample: they were sorted, and effects of time and speed are less sure".into());
+            pairs.sort_by(|a, b| a.0.time_s.total_cmp(&b.0.time_s));
+        }
         let thetas: Vec<f64> = pairs.iter().map(|(_, m)| m.configuration.theta).collect();
         let range = |of: &dyn Fn(&Vector3<f64>) -> f64| {
             let values = || pairs.iter().map(|(reading, _)| of(&reading.q_mm));
@@ -76,33 +73,19 @@ impl Data {
                 "the encoders hardly move (less than 0.02 mm); lead the snake along sweeps".into(),
             ));
         }
-        let one_plane = one_plane(&pairs);
-        if one_plane {
+        if one_plane(&pairs) {
             remarks.push(
                 "all bends lie in one plane: effects that differ from one azimuth to another cannot be told apart"
                     .into(),
             );
         }
-        for i in (0..3).filter(|&i| range(&|q| q[i]) == 0.0) {
-            remarks.push(format!(
-                "q{}_mm is the same in every reading: its encoder is stuck, or no bend moved its backbone",
-                i + 1
-            ));
-        }
-        let largest_deg = thetas.iter().copied().fold(0.0, f64::max).to_degrees();
-        if largest_deg < SMALL_BENDS_DEG {
-            remarks.push(format!(
-                "no bend is above {largest_deg:.1}°: what grows with the bend or the load can hardly be seen; bend further"
-            ));
-        }
         Ok(Self {
             indices: pairs.iter().map(|(reading, _)| reading.index).collect(),
-            times_s,
+            times_s: pairs.iter().map(|(reading, _)| reading.time_s).collect(),
             q_mm: pairs.iter().map(|(reading, _)| reading.q_mm).collect(),
             measured: pairs.iter().map(|(_, measured)| *measured).collect(),
             sweeps: sweeps(&thetas),
             sd_encoder_mm,
-            one_plane,
             remarks,
         })
     }
@@ -121,30 +104,6 @@ impl Data {
     pub fn fold(&self, k: usize) -> usize {
         self.sweeps[k] % FOLDS
     }
-}
-
-/// The times to work with, and what is to be said of them: a clock that stands still or goes back is no clock, and the samples
-/// are then taken in the order of their index, at even steps.
-fn clock(read_s: &[f64]) -> (Vec<f64>, Option<String>) {
-    let steps = || read_s.windows(2).map(|pair| pair[1] - pair[0]);
-    let mut rising: Vec<f64> = steps().filter(|step| *step > 0.0).collect();
-    rising.sort_by(f64::total_cmp);
-    let usual = rising.get(rising.len() / 2).copied().unwrap_or(1.0);
-    if let Some(k) = steps().position(|step| step <= 0.0) {
-        let even = (0..read_s.len()).map(|k| usual * k as f64).collect();
-        let remark = format!(
-            "times do not rise ({} s after {} s): the order of the indices and even steps of {usual:.3} s were taken instead, and \
-             effects of time and speed are less sure",
-            read_s[k + 1],
-            read_s[k]
-        );
-        return (even, Some(remark));
-    }
-    let longest = rising.last().copied().unwrap_or(0.0);
-    let jump = (longest > JUMP * usual).then(|| {
-        format!("time jumps by {longest:.1} s where {usual:.3} s is usual: what the snake did in between is not known")
-    });
-    (read_s.to_vec(), jump)
 }
 
 fn usable(reading: &EncoderReading, measured: &Measured) -> bool {
@@ -217,17 +176,6 @@ mod tests {
             assert!(size >= data.len() / (3 * FOLDS), "fold {fold}: {size} of {}", data.len());
         }
         assert!(data.remarks.is_empty(), "{:?}", data.remarks);
-    }
-
-    #[test]
-    fn a_clock_that_goes_back_is_not_used_and_a_jump_is_told() {
-        let (times, remark) = clock(&[0.0, 0.5, 1.0, 0.2, 0.7]);
-        assert_eq!(times, [0.0, 0.5, 1.0, 1.5, 2.0]);
-        assert!(remark.unwrap().contains("0.2 s after 1 s"));
-        let (times, remark) = clock(&[0.0, 0.5, 1.0, 100.0, 100.5]);
-        assert_eq!(times[3], 100.0);
-        assert!(remark.unwrap().contains("jumps by 99.0 s"));
-        assert_eq!(clock(&[0.0, 0.5, 1.1]).1, None);
     }
 
     #[test]

@@ -9,9 +9,11 @@ mod effects;
 mod estimator;
 mod filter;
 mod row;
+mod sigmas;
 
 pub use consistency::Consistency;
 pub use effects::without_effects;
 pub use estimator::{Estimator, Options, Reason, Revision, Step, estimate};
 pub use filter::Filter;
 pub use row::{Row, Weighting};
+pub use sigmas::with_sigmas;

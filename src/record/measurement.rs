@@ -74,9 +74,9 @@ impl FromStr for Status {
 pub struct Measured {
     /// θ and δ.
     pub configuration: Configuration,
-    /// Standard deviation of θ, rad.
+    /// Standard deviation of θ, rad; NaN where a file does not say.
     pub sigma_theta: f64,
-    /// Standard deviation of δ, rad; large near straight, where δ means little.
+    /// Standard deviation of δ, rad; large near straight, where δ means little; NaN where a file does not say.
     pub sigma_delta: f64,
     /// Correlation of the errors of θ and δ, in (−1, 1).
     pub correlation: f64,

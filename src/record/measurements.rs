@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | `index`, `time_s` | the frame; the time is empty where nobody knows it |
 //! | `theta_deg`, `delta_deg` | bend from straight θ = θ_0 − θ_L and azimuth δ in (−180, 180]; empty where not measured |
-//! | `sigma_theta_deg`, `sigma_delta_deg` | their standard deviations (1σ) |
+//! | `sigma_theta_deg`, `sigma_delta_deg` | their standard deviations (1σ); empty or left out where nobody says |
 //! | `status` | `ok`, or the reason why not |
 //! | `rho_theta_delta` | correlation of the errors of θ and δ |
 //! | `edges`, `inlier_fraction`, `rms_px` | the fit's quality: edge points used, their share, their rms distance |
@@ -16,9 +16,11 @@ use crate::error::Result;
 use crate::geometry::Configuration;
 use std::path::Path;
 
-/// The columns that the design fixes; a file from elsewhere must have these.
-const REQUIRED: [&str; 7] =
-    ["index", "time_s", "theta_deg", "delta_deg", "sigma_theta_deg", "sigma_delta_deg", "status"];
+/// The columns that the design fixes.
+const FIXED: [&str; 7] = ["index", "time_s", "theta_deg", "delta_deg", "sigma_theta_deg", "sigma_delta_deg", "status"];
+
+/// Those that a file from elsewhere must have.
+const REQUIRED: [&str; 5] = ["index", "time_s", "theta_deg", "delta_deg", "status"];
 
 /// The further columns that this program writes.
 const FURTHER: [&str; 5] = ["rho_theta_delta", "edges", "inlier_fraction", "rms_px", "view"];
@@ -71,9 +73,10 @@ fn measured_of(row: &Row) -> RowResult<Option<Measured>> {
     if delta_deg.abs() > 360.0 {
         return Err(format!("delta_deg is {delta_deg}, expected −180 to 180"));
     }
-    let sigma = |column| match row.number(column)? {
-        sigma_deg if sigma_deg > 0.0 => Ok(f64::to_radians(sigma_deg)),
-        sigma_deg => Err(format!("{column} is {sigma_deg}, expected more than 0")),
+    let sigma = |column| match row.optional_number(column)? {
+        None => Ok(f64::NAN),
+        Some(sigma_deg) if sigma_deg > 0.0 => Ok(f64::to_radians(sigma_deg)),
+        Some(sigma_deg) => Err(format!("{column} is {sigma_deg}, expected more than 0")),
     };
     let correlation = row.optional_number("rho_theta_delta")?.unwrap_or(0.0);
     if correlation.abs() >= 1.0 {
@@ -98,7 +101,7 @@ fn quality_of(row: &Row) -> RowResult<Option<Quality>> {
 
 /// measurements.csv as text; angles and sigmas to 1e-6 degrees.
 pub fn measurements_csv(measurements: &[Measurement]) -> String {
-    let mut text = [&REQUIRED[..], &FURTHER[..]].concat().join(",") + "\n";
+    let mut text = [&FIXED[..], &FURTHER[..]].concat().join(",") + "\n";
     for measurement in measurements {
         text += &csv_row(measurement);
         text.push('\n');
@@ -180,15 +183,23 @@ mod tests {
     }
 
     #[test]
+    fn measurements_without_sigmas_are_read() {
+        for text in ["index,time_s,theta_deg,delta_deg,status\n0,,30,20,ok\n", &(FIXED.join(",") + "\n0,,30,20,,,ok\n")]
+        {
+            let measured = read_text(text).unwrap().rows.remove(0).measured.unwrap();
+            assert!(measured.sigma_theta.is_nan() && measured.sigma_delta.is_nan());
+        }
+    }
+
+    #[test]
     fn rows_that_cannot_be_right_are_skipped() {
-        let header = REQUIRED.join(",");
+        let header = FIXED.join(",");
         let good = "9,,1,2,0.1,0.2,ok";
         for (row, fault) in [
             ("0,,,,,,ok", "the angles are empty"),
             ("0,,-1,0,0.1,0.1,ok", "theta_deg is -1"),
             ("0,,1,1000,0.1,0.1,ok", "delta_deg is 1000"),
             ("0,,1,1,0,0.1,ok", "sigma_theta_deg is 0, expected more than 0"),
-            ("0,,1,1,0.1,,ok", "sigma_delta_deg is empty"),
             ("0,,1,1,0.1,0.1,", "status is empty"),
         ] {
             let checked = read_text(&format!("{header}\n{row}\n{good}\n")).unwrap();
@@ -199,7 +210,7 @@ mod tests {
 
     #[test]
     fn two_views_of_one_frame_are_not_duplicates() {
-        let text = format!("{},view\n0,,1,2,0.1,0.2,ok,side\n0,,1,3,0.1,0.2,ok,top\n", REQUIRED.join(","));
+        let text = format!("{},view\n0,,1,2,0.1,0.2,ok,side\n0,,1,3,0.1,0.2,ok,top\n", FIXED.join(","));
         let checked = read_text(&text).unwrap();
         assert_eq!((checked.rows.len(), checked.warnings.len()), (2, 0));
     }
