@@ -153,7 +153,7 @@ impl<'a> Lesson<'a> {
         let mut values: Vec<f64> = weights.iter().map(|weight| weight.clamp(-50.0, 50.0)).collect();
         values.push(self.largest_theta.to_degrees().clamp(1.0, 120.0));
         let found = format!("discover --correction, {samples} samples");
-        Effect { physics: &LEARNED_CORRECTION, sds: vec![0.0; values.len()], values, found }
+        Effect { found, ..Effect::of(&LEARNED_CORRECTION, values) }
     }
 }
 

@@ -10,8 +10,9 @@
 
 use super::data::Data;
 use crate::record::Measured;
-use crate::robot::{Effect, Estimate, Mechanics, Model};
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Matrix3x2, Rotation2, Vector2, Vector3};
+use crate::robot::motion::{Led, Slope};
+use crate::robot::{Effect, Estimate, Mechanics, Model, Motion};
+use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2, Vector3};
 use std::f64::consts::PI;
 
 /// Whitened residuals beyond this count linearly (Huber): a few samples at a sign's edge must not name an effect.
@@ -20,16 +21,16 @@ const HUBER: f64 = 3.0;
 const MOST_STEPS: usize = 25;
 /// A step that lowers the cost by less than this is the last.
 const SETTLED: f64 = 0.02;
+/// The same, as a share of the cost: of no use where a model is far off.
+const SETTLED_SHARE: f64 = 1e-4;
 
 /// One sample's noise.
 #[derive(Debug, Clone)]
 struct Noise {
     /// Whitens the bend residual.
     whitening: Matrix2<f64>,
-    /// ∂(Q b + ε)/∂b, mm per rad.
-    line_by_bend: Matrix3x2<f64>,
-    /// ∂b/∂q̃, rad per mm.
-    bend_by_line: Matrix2x3<f64>,
+    /// Of the line at the sample's bend.
+    slope: Slope,
     /// Variance of ε that the eye's and the encoders' noise leave, mean over the backbones, mm².
     floor_mm2: f64,
 }
@@ -45,6 +46,29 @@ pub struct Problem<'a> {
     start: Vec<Vector2<f64>>,
 }
 
+/// What a model makes of the readings.
+#[derive(Debug, Clone)]
+struct Run {
+    led: Vec<Led>,
+    motions: Vec<Motion>,
+    residuals: Vec<Vector3<f64>>,
+}
+
+impl Run {
+    fn path(&self) -> Vec<Vector2<f64>> {
+        self.led.iter().map(|led| led.bend).collect()
+    }
+
+    fn vector(&self) -> DVector<f64> {
+        stacked(&self.residuals)
+    }
+}
+
+/// Residuals in a row.
+pub fn stacked(residuals: &[Vector3<f64>]) -> DVector<f64> {
+    DVector::from_iterator(3 * residuals.len(), residuals.iter().flat_map(|r| [r.x, r.y, r.z]))
+}
+
 /// A model fitted to the data.
 #[derive(Debug, Clone)]
 pub struct Fit {
@@ -58,20 +82,36 @@ pub struct Fit {
     pub cost: f64,
     /// Number of parameters.
     pub parameters: usize,
-    /// Derivatives of the residuals by the parameters, η and λ first.
+    /// Derivatives of the residuals by the parameters in units of their scales, η and λ first.
     pub jacobian: DMatrix<f64>,
 }
 
 impl Fit {
     /// Schwarz's criterion: less is better.
     pub fn bic(&self) -> f64 {
-        self.cost + self.parameters as f64 * (3.0 * self.residuals.len() as f64).ln()
+        let price: f64 = self.model.effects.iter().map(|effect| effect.physics.price()).sum();
+        self.cost + self.parameters as f64 * (3.0 * self.residuals.len() as f64).ln() + price
     }
 
     /// The robust square of one sample.
     pub fn loss(&self, k: usize) -> f64 {
         self.residuals[k].iter().map(|&r| rho(r)).sum()
     }
+}
+
+/// JᵗWJ and JᵗWr, each sample weighted by how far out it is and by `share`.
+pub fn normal_equations(
+    jacobian: &DMatrix<f64>,
+    residuals: &[Vector3<f64>],
+    share: impl Fn(usize) -> f64,
+) -> (DMatrix<f64>, DVector<f64>) {
+    let mut weighted = jacobian.clone();
+    let weights = residuals.iter().enumerate().flat_map(|(k, r)| [r.x, r.y, r.z].map(|r| weight(r) * share(k)));
+    let weights = DVector::from_iterator(3 * residuals.len(), weights);
+    for mut column in weighted.column_iter_mut() {
+        column.component_mul_assign(&weights);
+    }
+    (jacobian.transpose() * &weighted, weighted.transpose() * stacked(residuals))
 }
 
 fn rho(r: f64) -> f64 {
@@ -90,20 +130,18 @@ impl<'a> Problem<'a> {
         let motions = mechanics.motions_read(&data.times_s, &start, &data.q_mm);
         let variance = data.sd_encoder_mm.powi(2);
         let noise = data.measured.iter().zip(start.iter().zip(&motions)).map(|(measured, (&bend, motion))| {
-            let (bend_by_line, line_by_bend) = mechanics.slopes(bend, motion);
+            let slope = mechanics.slope(bend, motion);
             let eye = bend_covariance(measured, bend);
-            let covariance = eye + bend_by_line * bend_by_line.transpose() * variance;
+            let covariance = eye + slope.bend_by_line * slope.bend_by_line.transpose() * variance;
             let whitening = covariance.cholesky().and_then(|factor| factor.l().try_inverse());
-            let floor = (line_by_bend * eye * line_by_bend.transpose()).trace() / 3.0 + variance;
-            Noise { whitening: whitening.unwrap_or_else(Matrix2::zeros), line_by_bend, bend_by_line, floor_mm2: floor }
+            let floor = (slope.line_by_bend * eye * slope.line_by_bend.transpose()).trace() / 3.0 + variance;
+            Noise { whitening: whitening.unwrap_or_else(Matrix2::zeros), slope, floor_mm2: floor }
         });
         Self { data, noise: noise.collect(), sd_common_mm: data.sd_encoder_mm.max(1e-5) / 3f64.sqrt(), start }
     }
 
-    /// Whitened residuals, with the history that a guess at the path implies, and the path.
-    fn residuals(&self, model: &Model, guess: &[Vector2<f64>]) -> (Vec<Vector3<f64>>, Vec<Vector2<f64>>) {
-        let mechanics = Mechanics::new(model);
-        let led = mechanics.pass(&self.data.times_s, &self.data.q_mm, guess);
+    /// Whitened residuals of predicted bends and common parts.
+    fn whitened(&self, mechanics: &Mechanics, led: &[Led]) -> Vec<Vector3<f64>> {
         let path: Vec<_> = led.iter().map(|led| led.bend).collect();
         let pictured = mechanics.pictured(&self.data.times_s, &path);
         let residuals = (0..path.len()).map(|k| {
@@ -111,7 +149,40 @@ impl<'a> Problem<'a> {
             let bend = self.noise[k].whitening * gap;
             Vector3::new(bend.x, bend.y, led[k].common_mm / self.sd_common_mm)
         });
-        (residuals.collect(), path)
+        residuals.collect()
+    }
+
+    fn run(&self, model: &Model, guess: &[Vector2<f64>]) -> Run {
+        let mechanics = Mechanics::new(model);
+        let first = self.data.measured[0].configuration.bend_vector();
+        let (led, motions) = mechanics.settled(&self.data.times_s, &self.data.q_mm, guess, Some(first));
+        let residuals = self.whitened(&mechanics, &led);
+        Run { led, motions, residuals }
+    }
+
+    /// ∂(residuals)/∂(parameter / its scale), a row for each component of each sample.
+    fn jacobian(&self, model: &Model, run: &Run) -> DMatrix<f64> {
+        let mechanics = Mechanics::new(model);
+        let slopes: Vec<Slope> =
+            run.led.iter().zip(&run.motions).map(|(led, motion)| mechanics.slope(led.bend, motion)).collect();
+        let data = (&self.data.times_s[..], &self.data.q_mm[..]);
+        let (scales, ranges) = scales_and_ranges(model);
+        let x = vector(model);
+        let mut jacobian = DMatrix::zeros(3 * run.led.len(), x.len());
+        for j in 0..x.len() {
+            // Inwards, where the range ends.
+            let h = 1e-3 * if x[j] + 1e-3 * scales[j] > ranges[j].1 { -1.0 } else { 1.0 };
+            let mut nudged = x.clone();
+            nudged[j] += h * scales[j];
+            let nudged = with_vector(model, &nudged);
+            let changed = Mechanics::new(&nudged);
+            let led = mechanics.changed(&changed, data, (&run.led, &run.motions, &slopes));
+            let moved = self.whitened(&changed, &led);
+            for (k, (after, before)) in moved.iter().zip(&run.residuals).enumerate() {
+                jacobian.fixed_view_mut::<3, 1>(3 * k, j).copy_from(&((after - before) / h));
+            }
+        }
+        jacobian
     }
 
     /// Fits η, λ and all parameters of the model's effects, starting from their values. Samples of the fold `without` have
@@ -125,33 +196,14 @@ impl<'a> Problem<'a> {
         let (scales, ranges) = scales_and_ranges(start);
         let mut x = vector(start);
         let mut model = start.clone();
-        let (mut residuals, mut path) = self.residuals(&model, guess.unwrap_or(&self.start));
-        let mut cost = total(&residuals);
-        let mut jacobian = DMatrix::zeros(3 * path.len(), x.len());
+        let mut run = self.run(&model, guess.unwrap_or(&self.start));
+        let mut cost = total(&run.residuals);
+        let mut jacobian = DMatrix::zeros(3 * run.led.len(), x.len());
         let mut damping = 1e-6;
         for _ in 0..MOST_STEPS {
-            // Derivatives are taken with the history of one path.
-            let (here, _) = self.residuals(&model, &path);
-            for j in 0..x.len() {
-                let mut nudged = x.clone();
-                // Inwards, where the range ends.
-                let h = 1e-3 * scales[j] * if x[j] + 1e-3 * scales[j] > ranges[j].1 { -1.0 } else { 1.0 };
-                nudged[j] += h;
-                let (moved, _) = self.residuals(&with_vector(&model, &nudged), &path);
-                for (k, (after, before)) in moved.iter().zip(&here).enumerate() {
-                    jacobian.fixed_view_mut::<3, 1>(3 * k, j).copy_from(&((after - before) * (scales[j] / h)));
-                }
-            }
-            let mut information = DMatrix::zeros(x.len(), x.len());
-            let mut gradient = DVector::zeros(x.len());
-            for (k, r) in residuals.iter().enumerate().filter(|(k, _)| counts(*k)) {
-                for c in 0..3 {
-                    let row = jacobian.row(3 * k + c);
-                    let w = weight(r[c]);
-                    information.ger(w, &row.transpose(), &row.transpose(), 1.0);
-                    gradient.axpy(w * r[c], &row.transpose(), 1.0);
-                }
-            }
+            jacobian = self.jacobian(&model, &run);
+            let (information, gradient) =
+                normal_equations(&jacobian, &run.residuals, |k| if counts(k) { 1.0 } else { 0.0 });
             let before = cost;
             let mut improved = false;
             for _ in 0..6 {
@@ -167,43 +219,43 @@ impl<'a> Problem<'a> {
                 let next: Vec<f64> =
                     (0..x.len()).map(|j| (x[j] - step[j] * scales[j]).clamp(ranges[j].0, ranges[j].1)).collect();
                 let candidate = with_vector(&model, &next);
-                let (next_residuals, next_path) = self.residuals(&candidate, &path);
-                let next_cost = total(&next_residuals);
+                let next_run = self.run(&candidate, &run.path());
+                let next_cost = total(&next_run.residuals);
                 if next_cost < cost {
-                    (x, model, residuals, path, cost) = (next, candidate, next_residuals, next_path, next_cost);
+                    (x, model, run, cost) = (next, candidate, next_run, next_cost);
                     damping = (damping * 0.1).max(1e-9);
                     improved = true;
                     break;
                 }
                 damping = (damping * 10.0).max(1e-4);
             }
-            if !improved || before - cost < SETTLED {
+            if !improved || before - cost < SETTLED.max(SETTLED_SHARE * cost) {
                 break;
             }
         }
-        // The history that belongs to the path found.
-        let (residuals, path) = self.residuals(&model, &path);
-        let cost = total(&residuals);
-        for (j, scale) in scales.iter().enumerate() {
-            jacobian.column_mut(j).unscale_mut(*scale);
+        let path = run.path();
+        Fit { model, residuals: run.residuals, path, cost, parameters: x.len(), jacobian }
+    }
+
+    /// A start, seen from a fit: the derivatives there, and the sum of squares that one step from it promises.
+    pub fn prospect(&self, start: &Model, guess: &[Vector2<f64>]) -> (DMatrix<f64>, f64) {
+        let run = self.run(start, guess);
+        let jacobian = self.jacobian(start, &run);
+        let r = run.vector();
+        let gradient = jacobian.transpose() * &r;
+        let mut information = jacobian.transpose() * &jacobian;
+        for j in 0..information.nrows() {
+            information[(j, j)] *= 1.0 + 1e-6;
         }
-        Fit { model, residuals, path, cost, parameters: x.len(), jacobian }
+        let gain = information.cholesky().map_or(0.0, |factor| gradient.dot(&factor.solve(&gradient)));
+        (jacobian, r.norm_squared() - gain)
     }
 
     /// Puts the fit's covariance into its model.
     pub fn with_covariance(&self, fit: &Fit) -> Model {
         let mut model = fit.model.clone();
-        let mut weighted = fit.jacobian.clone();
-        for (k, r) in fit.residuals.iter().enumerate() {
-            for c in 0..3 {
-                weighted.row_mut(3 * k + c).scale_mut(weight(r[c]).sqrt());
-            }
-        }
+        let (information, _) = normal_equations(&fit.jacobian, &fit.residuals, |_| 1.0);
         let (scales, _) = scales_and_ranges(&model);
-        for (j, scale) in scales.iter().enumerate() {
-            weighted.column_mut(j).scale_mut(*scale);
-        }
-        let information = weighted.transpose() * weighted;
         // A direction that the data do not pin gets an sd of a hundred typical sizes, not infinity.
         let damped = &information + DMatrix::identity(scales.len(), scales.len()) * 1e-4;
         let Some(inverse) = damped.cholesky().map(|factor| factor.inverse()) else { return model };
@@ -214,10 +266,10 @@ impl<'a> Problem<'a> {
         }
         let mut next = 2;
         for effect in model.effects.iter_mut().filter(|effect| effect.physics.is_fitted()) {
-            for sd in &mut effect.sds {
-                *sd = covariance(next, next).max(0.0).sqrt();
-                next += 1;
-            }
+            let after = next + effect.values.len();
+            effect.covariance = (next..after).map(|a| (0..after).map(|b| covariance(a, b)).collect()).collect();
+            effect.sds = (next..after).map(|a| covariance(a, a).max(0.0).sqrt()).collect();
+            next = after;
         }
         model
     }
@@ -225,7 +277,7 @@ impl<'a> Problem<'a> {
     /// What a summand of q̃ (mm, at each sample) would do to the whitened residuals, to first order.
     pub fn response(&self, k: usize, summand: &Vector3<f64>) -> Vector3<f64> {
         let noise = &self.noise[k];
-        let bend = noise.whitening * (noise.bend_by_line * summand);
+        let bend = noise.whitening * (noise.slope.bend_by_line * summand);
         Vector3::new(bend.x, bend.y, -summand.mean() / self.sd_common_mm)
     }
 
@@ -234,7 +286,7 @@ impl<'a> Problem<'a> {
         let noise = &self.noise[k];
         let r = fit.residuals[k];
         let unwhitened = noise.whitening.try_inverse().unwrap_or_else(Matrix2::zeros) * Vector2::new(r.x, r.y);
-        (-noise.line_by_bend * unwhitened).add_scalar(r.z * self.sd_common_mm)
+        (-noise.slope.line_by_bend * unwhitened).add_scalar(r.z * self.sd_common_mm)
     }
 
     /// The gap of the bend at sample k, rad, along and across the bend.

@@ -1,11 +1,12 @@
 //! The verdict: named, none or unexplained.
 
+use super::chance::Chance;
 use super::data::Data;
 use super::fit::{Fit, Problem};
 use super::search::{Found, Named, held_out, search};
 use crate::error::Result;
 use crate::robot::effects::RIG_ERROR;
-use crate::robot::{Effect, Mechanics, Model};
+use crate::robot::{Effect, Estimate, Mechanics, Model, Physics};
 use crate::simulate::score::LEAST_THETA_FOR_DELTA;
 use nalgebra::{DMatrix, DVector, Vector3};
 use serde_json::{Map, Value, json};
@@ -108,8 +109,13 @@ pub struct Discovery {
 /// # Errors
 /// What [`Data::new`] refuses.
 pub fn discover(model: &Model, data: &Data) -> Result<Discovery> {
-    let problem = Problem::new(data, model);
-    let Found { before, after, named } = search(&problem, model);
+    let model = with_estimate(model);
+    let rough = Problem::new(data, &model).fit(&model, None, None);
+    // The noise, where η and λ put it.
+    let problem = Problem::new(data, &rough.model);
+    let before = problem.fit(&rough.model, Some(&rough.path), None);
+    let chance = Chance::of(&problem, &before);
+    let Found { before, after, named } = search(&problem, before, &chance);
     let (unseen_before, unseen_after) = (Unseen::of(&problem, &before), Unseen::of(&problem, &after));
     let (structure_before, structure_after) = (structure(data, &before), structure(data, &after));
     let exceeds = |structure: &Structure| (0..2).any(|part| structure.exceeds(part, data.len()));
@@ -131,6 +137,7 @@ pub fn discover(model: &Model, data: &Data) -> Result<Discovery> {
     }
     let mut remarks = data.remarks.clone();
     remarks.extend(unpinned(&fitted));
+    remarks.extend(chance.hidden.iter().map(|physics| hidden(physics)));
     let unseen_kept = if verdict == Verdict::Named { &unseen_after } else { &unseen_before };
     let residuals_mm = unseen_before.eps.iter().zip(&unseen_kept.eps).map(|(a, b)| [*a, *b]).collect();
     Ok(Discovery {
@@ -154,17 +161,30 @@ pub fn discover(model: &Model, data: &Data) -> Result<Discovery> {
 /// # Errors
 /// As [`discover`].
 pub fn discover_in_frames(mut model: Model, data: &Data) -> Result<Discovery> {
-    let values = vec![0.0; RIG_ERROR.parameters.len()];
-    model.effects.push(Effect { physics: &RIG_ERROR, sds: values.clone(), values, found: String::new() });
+    model.effects.push(Effect::of(&RIG_ERROR, vec![0.0; RIG_ERROR.parameters.len()]));
     let mut found = discover(&model, data)?;
     if let Some(k) = found.model.effects.iter().position(|effect| effect.physics == &RIG_ERROR) {
         let effect = found.model.effects.remove(k);
+        let given = found.model.effects[..k].iter().filter(|effect| effect.physics.is_fitted());
+        let before: usize = given.map(|effect| effect.values.len()).sum();
+        for later in found.model.effects[k..].iter_mut() {
+            for row in later.covariance.iter_mut() {
+                row.drain(2 + before..2 + before + effect.values.len());
+            }
+        }
         let texts = effect.physics.parameters.iter().zip(effect.values.iter().zip(&effect.sds));
         let texts: Vec<String> =
-            texts.map(|(spec, (value, sd))| format!("{} = {value:.3} ± {sd:.3}°", spec.name)).collect();
+            texts.map(|(spec, (value, sd))| format!("{} = {value:.2} ± {sd:.2}°", spec.name)).collect();
         found.remarks.push(format!("the rig's own error, the same in all frames, was left free: {}", texts.join(", ")));
     }
     Ok(found)
+}
+
+/// η = 1, λ = 0 where nothing was estimated, so that there is something to fit.
+fn with_estimate(model: &Model) -> Model {
+    let x = model.parameters();
+    let estimate = Estimate { eta: x.x, lambda_mm: x.y, covariance: model.parameter_covariance(), samples: 0 };
+    Model { estimate: Some(estimate), ..model.clone() }
 }
 
 /// Parameters that the data do not pin, in words.
@@ -178,6 +198,13 @@ fn unpinned(model: &Model) -> Vec<String> {
         }
     }
     remarks
+}
+
+/// An effect, or a part of it, that η and λ hide.
+fn hidden(physics: &Physics) -> String {
+    let form = if physics.form.is_empty() { String::new() } else { format!(" ({})", physics.form) };
+    let part = if physics.parameters.len() > 1 { "a part of " } else { "" };
+    format!("{part}{}{form} could hide in η and λ: these data cannot tell it from them", physics.name)
 }
 
 /// The gap of every sample under a fit that it had no part in.
@@ -305,6 +332,7 @@ impl Discovery {
                 named.rivals.iter().take(5).map(|(name, worse)| json!({"name": name, "bic_worse": worse})).collect();
             json!({
                 "name": named.physics.name,
+                "form": named.physics.form,
                 "equation": named.physics.equation,
                 "reading": named.physics.reading,
                 "parameters": parameters,

@@ -13,8 +13,14 @@
 //! [[effect]]           # each effect that was found; see robot::effects
 //! name = "load_directed_backlash"
 //! found = "discover, 320 samples"
+//! form = "..."         # where it is not the first of its name
 //! parameters.play_mm = { value = 0.11, sd = 0.0004, unit = "mm" }
+//! covariance_of = ["eta", "lambda_mm", "load_directed_backlash.play_mm"]
+//! covariance = [[1e-7, 2e-8, 1.6e-7]]
 //! ```
+//!
+//! `covariance` has a row for each parameter of its effect and a column for each of `covariance_of`: η, λ, the parameters of the
+//! effects before it and its own, which are the rows. The rows of all effects together are the lower half of one matrix.
 //!
 //! `robot` and `friction` may be left out: Table I and the fit of Table II stand in. An `[[effect]]` that this version
 //! does not know is an error, since a prediction without it would be wrong.
@@ -50,9 +56,18 @@ pub(super) struct ModelFile {
 #[serde(deny_unknown_fields)]
 struct EffectTable {
     name: String,
+    /// Which of the forms of this name, where it is not the first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    form: Option<String>,
     /// Where it was found.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     found: String,
+    /// The parameters that the columns of `covariance` belong to.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    covariance_of: Vec<String>,
+    /// A row for each parameter of this effect.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    covariance: Vec<Vec<f64>>,
     #[serde(default)]
     parameters: BTreeMap<String, ParameterTable>,
 }
@@ -67,18 +82,30 @@ struct ParameterTable {
     unit: String,
 }
 
-impl From<&Effect> for EffectTable {
-    fn from(effect: &Effect) -> Self {
-        let parameter = |(spec, (&value, &sd)): (&ParameterSpec, (&f64, &f64))| {
-            (spec.name.to_owned(), ParameterTable { value, sd, unit: spec.unit.to_owned() })
-        };
-        let values = effect.values.iter().zip(&effect.sds);
-        Self {
-            name: effect.physics.name.to_owned(),
-            found: effect.found.clone(),
-            parameters: effect.physics.parameters.iter().zip(values).map(parameter).collect(),
-        }
+/// Effect k of a model as its file shows it.
+fn effect_table(model: &Model, k: usize) -> EffectTable {
+    let effect = &model.effects[k];
+    let parameter = |(spec, (&value, &sd)): (&ParameterSpec, (&f64, &f64))| {
+        (spec.name.to_owned(), ParameterTable { value, sd, unit: spec.unit.to_owned() })
+    };
+    let values = effect.values.iter().zip(&effect.sds);
+    EffectTable {
+        name: effect.physics.name.to_owned(),
+        form: Some(effect.physics.form).filter(|form| !form.is_empty()).map(str::to_owned),
+        found: effect.found.clone(),
+        covariance_of: if effect.covariance.is_empty() { Vec::new() } else { columns(&model.effects[..=k]) },
+        covariance: effect.covariance.clone(),
+        parameters: effect.physics.parameters.iter().zip(values).map(parameter).collect(),
     }
+}
+
+/// What the columns of the last effect's covariance belong to.
+fn columns(effects: &[Effect]) -> Vec<String> {
+    let estimated = effects.iter().filter(|effect| effect.physics.is_fitted());
+    let of_effects = estimated.flat_map(|effect| {
+        effect.physics.parameters.iter().map(|spec| format!("{}.{}", effect.physics.name, spec.name))
+    });
+    ["eta", "lambda_mm"].map(str::to_owned).into_iter().chain(of_effects).collect()
 }
 
 /// An estimate as files show it: sds and correlation rather than covariances.
@@ -95,12 +122,12 @@ struct EstimateTable {
 
 impl From<&Model> for ModelFile {
     fn from(model: &Model) -> Self {
-        let effect = |effect: &Effect| toml::Spanned::new(0..0, EffectTable::from(effect));
+        let effect = |k: usize| toml::Spanned::new(0..0, effect_table(model, k));
         Self {
             robot: model.robot.clone(),
             friction: model.friction,
             estimate: model.estimate.map(EstimateTable::from),
-            effect: model.effects.iter().map(effect).collect(),
+            effect: (0..model.effects.len()).map(effect).collect(),
         }
     }
 }
@@ -169,7 +196,10 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
     let mut effects = Vec::new();
     for table in file.effect {
         let line = line_at(text, table.span().start);
-        effects.push(effect(table.into_inner()).map_err(|why| Error::at_line(path, line, why.to_string()))?);
+        let at = |why: Error| Error::at_line(path, line, why.to_string());
+        let (covariance_of, table) = (table.get_ref().covariance_of.clone(), table.into_inner());
+        effects.push(effect(table).map_err(at)?);
+        check_covariance(&effects, &covariance_of).map_err(at)?;
     }
     let estimate = file.estimate.map(Estimate::from);
     let model = Model { robot: file.robot, friction: file.friction, estimate, effects };
@@ -185,7 +215,7 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
 /// One `[[effect]]` as a model.
 fn effect(table: EffectTable) -> Result<Effect> {
     let values: Vec<(String, f64)> = table.parameters.iter().map(|(name, p)| (name.clone(), p.value)).collect();
-    let mut effect = Effect::new(&table.name, &values)?;
+    let mut effect = Effect::new(&table.name, table.form.as_deref(), &values)?;
     for (spec, sd) in effect.physics.parameters.iter().zip(&mut effect.sds) {
         let Some(parameter) = table.parameters.get(spec.name) else { continue };
         if parameter.unit != spec.unit || !(parameter.sd >= 0.0 && parameter.sd.is_finite()) {
@@ -197,7 +227,47 @@ fn effect(table: EffectTable) -> Result<Effect> {
         *sd = parameter.sd;
     }
     effect.found = table.found;
+    effect.covariance = table.covariance;
     Ok(effect)
+}
+
+/// Checks the covariance of the last effect: as many rows and columns as it must have, finite, its own part symmetric, with the
+/// sds' squares on its diagonal and no correlation above 1.
+fn check_covariance(effects: &[Effect], covariance_of: &[String]) -> Result<()> {
+    let Some(effect) = effects.last() else { return Ok(()) };
+    let (name, rows, expected) = (effect.physics.name, &effect.covariance, columns(effects));
+    if rows.is_empty() && covariance_of.is_empty() {
+        return Ok(());
+    }
+    let n = effect.values.len();
+    let wrong = |what: String| Err(Error::Usage(format!("effect {name}: covariance: {what}")));
+    if covariance_of != expected {
+        return wrong(format!("covariance_of is {covariance_of:?}, expected {expected:?}"));
+    }
+    if rows.len() != n || rows.iter().any(|row| row.len() != expected.len()) {
+        return wrong(format!("expected {n} rows of {} numbers", expected.len()));
+    }
+    let own = |a: usize, b: usize| rows[a][expected.len() - n + b];
+    for (a, row) in rows.iter().enumerate() {
+        if !(own(a, a) >= 0.0 && (own(a, a).sqrt() - effect.sds[a]).abs() <= 1e-6 * effect.sds[a]) {
+            return wrong(format!("the variance in row {} is {}, expected the square of its sd", a + 1, own(a, a)));
+        }
+        for b in 0..n {
+            let limit = (1.0 + 1e-6) * effect.sds[a] * effect.sds[b];
+            // Written so that what is not finite fails.
+            if !(own(a, b).abs() <= limit && (own(a, b) - own(b, a)).abs() <= 1e-6 * limit) {
+                return wrong(format!(
+                    "{} in row {}, expected a symmetric matrix without correlations above 1",
+                    own(a, b),
+                    a + 1
+                ));
+            }
+        }
+        if row.iter().any(|value| !value.is_finite()) {
+            return wrong(format!("row {} has a number that is not finite", a + 1));
+        }
+    }
+    Ok(())
 }
 
 /// A number outside what the physics allows.
@@ -386,6 +456,31 @@ mod tests {
         let wrong = text.replace("unit = \"s\"", "unit = \"min\"");
         let error = parse(Path::new("model.toml"), &wrong).unwrap_err().to_string();
         assert!(error.contains("time_constant_s") && error.contains("expected an sd"), "{error}");
+    }
+
+    #[test]
+    fn forms_and_covariances_come_back_and_are_checked() {
+        let mut model = estimated();
+        let values = [("drag_n_s_per_mm".to_owned(), 0.4)];
+        let mut drag = Effect::new("viscous_drag", Some("speed since the sample before"), &values).unwrap();
+        (drag.sds, drag.covariance) = (vec![0.1], vec![vec![1e-4, -2e-5, 0.01]]);
+        let mut creep = Effect::parse("creep:share=0.1,time_constant_s=4").unwrap();
+        creep.sds = vec![0.01, 0.3];
+        creep.covariance = vec![vec![0.0, 1e-6, 2e-4, 1e-4, 1e-3], vec![0.25, 0.0, 3e-3, 1e-3, 0.09]];
+        model.effects = vec![drag, creep];
+        let text = model_toml(&model).unwrap();
+        assert_eq!(read_text(&text).unwrap().effects, model.effects, "{text}");
+        for (from, to, what) in [
+            ("form = \"speed since the sample before\"", "form = \"sideways\"", "form \"sideways\""),
+            ("\"creep.share\", ", "", "covariance_of is"),
+            ("0.09]", "0.08]", "expected the square of its sd"),
+            ("0.0001, 0.001]", "0.0001, 0.002]", "expected a symmetric matrix"),
+            ("[0.25, ", "[inf, ", "not finite"),
+        ] {
+            assert!(text.contains(from), "{from}: {text}");
+            let message = message(&text.replacen(from, to, 1));
+            assert!(message.contains(what), "{message}");
+        }
     }
 
     #[test]

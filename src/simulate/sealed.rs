@@ -9,6 +9,7 @@ use crate::robot::{Effect, Estimate, Model, Observation, Physics};
 use nalgebra::Matrix2;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
+use std::f64::consts::TAU;
 
 /// A sealed experiment.
 #[derive(Debug, Clone)]
@@ -38,18 +39,7 @@ impl Sealed {
     /// As [`new`](Self::new).
     pub fn of_poses(hidden: &[&'static Physics], seed: u64, sweep: usize, round: usize) -> Result<Self> {
         let mut random = StdRng::seed_from_u64(seed);
-        let planes: Vec<f64> = (0..4).map(|k| 90.0 * f64::from(k) + random.random_range(-40.0..40.0)).collect();
-        let trajectory = BendingExperiment {
-            sweep_delta_deg: planes,
-            sweep_theta_deg: (random.random_range(3.0..8.0), random.random_range(65.0..85.0)),
-            sweep_poses: sweep,
-            round_theta_deg: random.random_range(25.0..50.0),
-            round_poses: round,
-            interval_s: 0.35,
-            jitter_deg: 1.0,
-            seed,
-        }
-        .waypoints()?;
+        let trajectory = ride(&mut random, seed, sweep, round)?;
         let estimate = Estimate {
             eta: random.random_range(0.9..1.5),
             lambda_mm: random.random_range(0.05..0.25),
@@ -69,14 +59,47 @@ impl Sealed {
                     let (least, most) = physics.parameters[k].range;
                     effect.values[k] = (effect.values[k] * scale).clamp(least, most);
                 }
+                if physics.name == "screw_periodic" {
+                    // A steeper error would let the nut stand still or run back while the screw turns.
+                    effect.values[0] = effect.values[0].min(0.75 * effect.values[1] / TAU);
+                }
             }
             truth.effects.push(effect);
         }
-        let samples = Plant { model: truth.clone(), sd_encoder_mm: 0.0015 }.run(&trajectory, seed.wrapping_add(1));
+        Ok(Self::seen(truth, &trajectory, seed))
+    }
+
+    /// The same plant on another ride.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn another(&self, seed: u64) -> Result<Self> {
+        let trajectory = ride(&mut StdRng::seed_from_u64(seed), seed, 34, 48)?;
+        Ok(Self::seen(self.truth.clone(), &trajectory, seed))
+    }
+
+    fn seen(truth: Model, trajectory: &[Waypoint], seed: u64) -> Self {
+        let samples = Plant { model: truth.clone(), sd_encoder_mm: 0.0015 }.run(trajectory, seed.wrapping_add(1));
         let measurements = SimulatedEye::default().observe(&samples, seed.wrapping_add(2));
         let shown = samples.iter().map(|sample| Truth { index: sample.truth.index, configuration: sample.seen });
-        Ok(Self { truth, measurements, shown: shown.collect(), readings: samples.iter().map(|s| s.reading).collect() })
+        Self { truth, measurements, shown: shown.collect(), readings: samples.iter().map(|s| s.reading).collect() }
     }
+}
+
+/// Four sweeps in planes all round and a round, with so many poses.
+fn ride(random: &mut StdRng, seed: u64, sweep: usize, round: usize) -> Result<Vec<Waypoint>> {
+    let planes = (0..4).map(|k| 90.0 * f64::from(k) + random.random_range(-40.0..40.0)).collect();
+    BendingExperiment {
+        sweep_delta_deg: planes,
+        sweep_theta_deg: (random.random_range(3.0..8.0), random.random_range(65.0..85.0)),
+        sweep_poses: sweep,
+        round_theta_deg: random.random_range(25.0..50.0),
+        round_poses: round,
+        interval_s: 0.35,
+        jitter_deg: 1.0,
+        seed,
+    }
+    .waypoints()
 }
 
 /// rms over samples and backbones of what a plant's effects leave in ε, mm.
@@ -118,5 +141,5 @@ fn drawn(physics: &'static Physics, random: &mut StdRng) -> Effect {
         }
         _ => {}
     }
-    Effect { physics, sds: vec![0.0; values.len()], values, found: String::new() }
+    Effect::of(physics, values)
 }

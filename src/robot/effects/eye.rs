@@ -6,16 +6,19 @@ use nalgebra::Rotation2;
 /// The grid's or the camera's axis is turned about the snake's.
 pub(super) static PLANE_MISALIGNMENT: Physics = Physics {
     name: "plane_misalignment",
+    form: "",
     equation: "measured δ = δ + a",
     reading: "a camera or grid that is turned about the snake's axis, so that every δ is off by the same angle",
     parameters: &[ParameterSpec { name: "angle_deg", unit: "deg", range: (-30.0, 30.0), typical: 2.0 }],
     starts: &[&[0.0]],
     acts: Acts::Eye(|bend, p| Rotation2::new(p[0].to_radians()) * bend),
+    remembers: None,
 };
 
 /// The straight reference was not straight.
 pub(super) static BEND_OFFSET: Physics = Physics {
     name: "bend_offset",
+    form: "",
     equation: "measured θ = θ + a",
     reading: "a measured bend that is off by the same angle everywhere, as when the straight picture was not straight",
     parameters: &[ParameterSpec { name: "angle_deg", unit: "deg", range: (-15.0, 15.0), typical: 1.0 }],
@@ -24,14 +27,32 @@ pub(super) static BEND_OFFSET: Physics = Physics {
         let theta = bend.norm();
         if theta > 0.0 { bend * ((theta + p[0].to_radians()) / theta) } else { bend }
     }),
+    remembers: None,
+};
+
+/// The snake is no circle, and the less so the more it bends.
+///
+/// With θ and δ alone a curvature that varies along the snake leaves q as it is (Eq. 1 needs no circle) and scales the elastic
+/// energy, which η does already. What is left is the eye that fits a circle to it: it is off by more than in proportion.
+pub(super) static NON_CIRCULAR_SHAPE: Physics = Physics {
+    name: "non_circular_shape",
+    form: "",
+    equation: "measured θ = θ + k θ²",
+    reading: "a snake whose curvature varies along it, so that the circle that the eye fits bends otherwise than its tip",
+    parameters: &[ParameterSpec { name: "shape_per_rad", unit: "1/rad", range: (-0.3, 0.3), typical: 0.02 }],
+    starts: &[&[0.0]],
+    acts: Acts::Eye(|bend, p| bend * (1.0 + p[0] * bend.norm())),
+    remembers: None,
 };
 
 /// The frame is older than the encoders' reading.
 pub(super) static CAMERA_LATENCY: Physics = Physics {
     name: "camera_latency",
+    form: "",
     equation: "measured ψ(t) = ψ(t − T)",
     reading: "frames that are older than the encoder readings of the same number",
     parameters: &[ParameterSpec { name: "latency_s", unit: "s", range: (-2.0, 2.0), typical: 0.05 }],
     starts: &[&[0.0]],
     acts: Acts::Delay(|p| p[0]),
+    remembers: None,
 };

@@ -54,6 +54,7 @@ static PARAMETERS: [ParameterSpec; 3 * TERMS + 1] = {
 /// a model that has it keeps it.
 pub static LEARNED_CORRECTION: Physics = Physics {
     name: "learned_correction",
+    form: "",
     equation: "ε_i += Σ a_i,mn xᵐyⁿ (m + n ≤ 4) + s_i (c_i + c_i,x x + c_i,y y), (x, y) = θ (cos δ, sin δ), θ held at the largest \
                that was learned from; s_i = ±1 the direction in which q_i last moved",
     reading: "a gap without a name, taken off by a smooth function of the bend that was learned from it",
@@ -65,6 +66,7 @@ pub static LEARNED_CORRECTION: Physics = Physics {
             basis.iter().zip(&p[i * TERMS..]).map(|(basis, weight)| basis * weight).sum()
         })
     }),
+    remembers: Some(|memory, _| memory.direction = true),
 };
 
 /// The functions at a bend vector (rad) and a direction of motion of the backbone, in the order of the parameters.
@@ -96,8 +98,7 @@ mod tests {
     fn it_adds_what_it_says_and_stops_growing_where_nothing_was_learned() {
         let mut values = vec![0.0; 3 * TERMS + 1];
         (values[TERMS + 3], values[3 * TERMS]) = (0.1, 60.0);
-        let effect =
-            Effect { physics: &LEARNED_CORRECTION, sds: vec![0.0; values.len()], values, found: String::new() };
+        let effect = Effect::of(&LEARNED_CORRECTION, values);
         let model = Model { effects: vec![effect], ..Model::default() };
         let added = |theta: f64| {
             let psi = Configuration::from_degrees(theta, 0.0);

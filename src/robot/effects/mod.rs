@@ -11,9 +11,9 @@
 //! | [`Acts::Snake`] | the snake's constants | geometry, stiffness or load, and so q and τ |
 //! | [`Acts::Eye`] | the bend and the one a moment ago | the bend that is measured |
 //!
-//! `non_circular_shape` is not among them: with θ and δ alone a curvature that varies along the snake leaves q as it is (Eq. 1
-//! needs no circle) and scales the elastic energy, which η already does, or lets it follow θ², which
-//! `superelastic_softening` does. Only the outline in the frames could tell it.
+//! Some physics can be written down in more than one way, and no convention says which is meant: whether a play is crossed at
+//! once or by travel, whether a screw's error follows what its encoder reads or what its nut travels. They are [forms](Physics::form)
+//! of one name. `discover` tries all and names the effect; the form goes into the model with it.
 
 mod actuator;
 mod eye;
@@ -26,7 +26,7 @@ mod time;
 pub use learned::{LEARNED_CORRECTION, POWERS, TERMS, basis};
 pub use rig::RIG_ERROR;
 
-use super::motion::{Motion, Snake};
+use super::motion::{Memory, Motion, Snake};
 use crate::error::{Error, Result};
 use nalgebra::{Vector2, Vector3};
 
@@ -54,6 +54,8 @@ pub struct Instant<'a> {
     pub q_mm: Vector3<f64>,
     /// τ of Eq. 11, N, positive towards +q, before η.
     pub tau_n: Vector3<f64>,
+    /// q + ε of what stands before the effect in the model, mm.
+    pub line_mm: Vector3<f64>,
     /// How the snake got there.
     pub motion: &'a Motion,
 }
@@ -78,6 +80,9 @@ pub enum Acts {
 pub struct Physics {
     /// Its canonical name.
     pub name: &'static str,
+    /// Which of the forms of this name it is; empty for the first. Forms are one physics written down in different ways, where
+    /// no convention says which.
+    pub form: &'static str,
     /// Its equation.
     pub equation: &'static str,
     /// What it means, in words that follow "the data show".
@@ -88,46 +93,76 @@ pub struct Physics {
     pub starts: &'static [&'static [f64]],
     /// How it acts.
     pub acts: Acts,
+    /// What it needs to be remembered of the path, beyond the direction of the motion.
+    pub remembers: Option<fn(&mut Memory, &[f64])>,
 }
 
 impl PartialEq for Physics {
     fn eq(&self, other: &Self) -> bool {
-        self.name == other.name
+        self.name == other.name && self.form == other.form
     }
 }
 
 impl Physics {
+    /// What it must gain in Schwarz's criterion beyond its parameters' price before it is believed: a form that leaves the statics
+    /// aside must be asked for by the data.
+    pub fn price(&self) -> f64 {
+        if self.form == snake::IN_Q_ALONE { 12.0 } else { 0.0 }
+    }
+
     /// Whether its parameters are physics, that a fit may change; those of a learned correction are not.
     pub fn is_fitted(&self) -> bool {
         self.name != LEARNED_CORRECTION.name
     }
 }
 
-/// Every effect that `discover` searches for.
-pub static LIBRARY: [&Physics; 18] = [
+/// Every effect that `discover` searches for, in every form; the first form of a name has none.
+pub static LIBRARY: [&Physics; 35] = [
     &friction::LOAD_DIRECTED_BACKLASH,
+    &friction::LOAD_DIRECTED_WIDTH,
+    &friction::LOAD_DIRECTED_GRADUAL,
     &friction::MOTION_DIRECTED_BACKLASH,
+    &friction::MOTION_DIRECTED_PLAY,
     &friction::DISC_FRICTION,
     &friction::CONE_FRICTION_REVERSAL,
+    &friction::CONE_FRICTION_STATIC,
+    &friction::CONE_FRICTION_MOTION,
     &actuator::ACTUATOR_SCALE,
     &actuator::ACTUATOR_OFFSET,
     &actuator::SCREW_PERIODIC,
+    &actuator::SCREW_PHASES,
+    &actuator::SCREW_TRAVEL,
+    &actuator::SCREW_TRAVEL_PHASES,
     &snake::SUPERELASTIC_SOFTENING,
     &snake::TIP_LOAD,
     &eye::PLANE_MISALIGNMENT,
     &eye::BEND_OFFSET,
+    &eye::NON_CIRCULAR_SHAPE,
     &time::THERMAL_DRIFT,
     &time::CREEP,
+    &time::CREEP_SETTLED,
+    &time::CREEP_SOFTENING,
+    &time::CREEP_LOGARITHMIC,
     &time::VISCOUS_DRAG,
+    &time::VISCOUS_DRAG_BEFORE,
     &eye::CAMERA_LATENCY,
+    &snake::BACKBONE_RADII,
     &snake::BACKBONE_RADIUS,
+    &snake::BACKBONE_RADII_AND_MEAN,
+    &snake::BACKBONE_RADII_IN_Q,
     &snake::BACKBONE_AZIMUTH,
+    &snake::BACKBONE_AZIMUTH_IN_Q,
     &snake::PRIMARY_COMPRESSION,
 ];
 
-/// The physics of this name.
+/// Every physics of this name, the first form first.
+pub fn forms(name: &str) -> impl Iterator<Item = &'static Physics> {
+    LIBRARY.into_iter().chain([&LEARNED_CORRECTION]).filter(move |physics| physics.name == name)
+}
+
+/// The first form of the physics of this name.
 pub fn physics(name: &str) -> Option<&'static Physics> {
-    LIBRARY.into_iter().chain([&LEARNED_CORRECTION]).find(|physics| physics.name == name)
+    forms(name).next()
 }
 
 /// An effect with the values of its parameters.
@@ -139,20 +174,43 @@ pub struct Effect {
     pub values: Vec<f64>,
     /// Their standard deviations; 0 where a value is given and not estimated.
     pub sds: Vec<f64>,
+    /// Covariances of each parameter, in its row, with η, λ (mm), every parameter of the effects before this one in the model,
+    /// and every parameter of this one; empty where nothing was estimated.
+    pub covariance: Vec<Vec<f64>>,
     /// Where it was found; empty where nobody says.
     pub found: String,
 }
 
 impl Effect {
-    /// An effect with known values.
+    /// An effect of a physics with these values.
+    pub fn of(physics: &'static Physics, values: Vec<f64>) -> Self {
+        Self { physics, sds: vec![0.0; values.len()], values, covariance: Vec::new(), found: String::new() }
+    }
+
+    /// An effect with known values: in the given form, else in the first whose parameters these are.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a name that is not in the library, an unknown or missing parameter, a value out of its range.
-    pub fn new(name: &str, parameters: &[(String, f64)]) -> Result<Self> {
-        let Some(physics) = physics(name) else {
-            let known: Vec<_> = LIBRARY.iter().map(|physics| physics.name).collect();
+    /// [`Error::Usage`] for a name or form that is not in the library, an unknown or missing parameter, a value out of its range.
+    pub fn new(name: &str, form: Option<&str>, parameters: &[(String, f64)]) -> Result<Self> {
+        let fits = |physics: &&Physics| {
+            physics.parameters.len() == parameters.len()
+                && physics.parameters.iter().all(|spec| parameters.iter().any(|(name, _)| name == spec.name))
+        };
+        let Some(first) = physics(name) else {
+            let mut known: Vec<_> = LIBRARY.iter().map(|physics| physics.name).collect();
+            known.dedup();
             let known = known.join(", ");
             return Err(Error::Usage(format!("effect {name:?} is not known to this version; it knows {known}")));
+        };
+        let physics = match form {
+            None => forms(name).find(fits).unwrap_or(first),
+            Some(form) => forms(name).find(|physics| physics.form == form).ok_or_else(|| {
+                let known: Vec<_> = forms(name).map(|physics| format!("{:?}", physics.form)).collect();
+                Error::Usage(format!(
+                    "effect {name}: form {form:?} is not known to this version; it knows {}",
+                    known.join(", ")
+                ))
+            })?,
         };
         let names = || physics.parameters.iter().map(|p| p.name).collect::<Vec<_>>().join(", ");
         if let Some((unknown, _)) = parameters.iter().find(|(n, _)| !physics.parameters.iter().any(|p| p.name == n)) {
@@ -172,7 +230,7 @@ impl Effect {
             }
             values.push(*value);
         }
-        Ok(Self { physics, sds: vec![0.0; values.len()], values, found: String::new() })
+        Ok(Self::of(physics, values))
     }
 
     /// An effect as it is written on a command line: `name:parameter=value,parameter=value`.
@@ -187,7 +245,7 @@ impl Effect {
             let (key, value) = pair.split_once('=').ok_or_else(form)?;
             parameters.push((key.trim().to_owned(), value.trim().parse().map_err(|_| form())?));
         }
-        Self::new(name.trim(), &parameters)
+        Self::new(name.trim(), None, &parameters)
     }
 }
 
@@ -203,7 +261,8 @@ mod tests {
     #[test]
     fn names_are_unique_and_every_start_lies_in_its_range() {
         for (k, physics) in LIBRARY.iter().enumerate() {
-            assert!(LIBRARY[..k].iter().all(|other| other.name != physics.name));
+            assert!(LIBRARY[..k].iter().all(|other| other != physics), "{} {}", physics.name, physics.form);
+            assert_eq!(forms(physics.name).next().unwrap().form, "");
             assert!(!physics.equation.is_empty() && !physics.reading.is_empty());
             for start in physics.starts {
                 assert_eq!(start.len(), physics.parameters.len(), "{}", physics.name);

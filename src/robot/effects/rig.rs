@@ -12,9 +12,11 @@ const fn angle(name: &'static str, most_deg: f64) -> ParameterSpec {
 /// where measurements come from frames; it belongs to the experiment and not to the robot, and stands in no model.
 pub static RIG_ERROR: Physics = Physics {
     name: "rig_error",
+    form: "",
     equation: "measured b = R(a) b + c",
     reading: "a base that stands a little otherwise than the rig calibration says",
     parameters: &[angle("tilt_x_deg", 0.5), angle("tilt_y_deg", 0.5), angle("turn_deg", 0.3)],
     starts: &[&[0.0; 3]],
     acts: Acts::Eye(|bend, p| Rotation2::new(p[2].to_radians()) * bend + Vector2::new(p[0], p[1]).map(f64::to_radians)),
+    remembers: None,
 };

@@ -3,6 +3,9 @@
 use super::{Acts, ParameterSpec, Physics};
 use nalgebra::{Vector3, Vector6};
 
+/// The form of effects on the geometry that leaves the forces as they were.
+pub(super) const IN_Q_ALONE: &str = "in Eq. 1 alone";
+
 const fn force(name: &'static str) -> ParameterSpec {
     ParameterSpec { name, unit: "N", range: (-20.0, 20.0), typical: 0.3 }
 }
@@ -11,19 +14,29 @@ const fn azimuth(name: &'static str) -> ParameterSpec {
     ParameterSpec { name, unit: "deg", range: (-30.0, 30.0), typical: 2.0 }
 }
 
+const AZIMUTHS: &[ParameterSpec] =
+    &[azimuth("azimuth_error_1_deg"), azimuth("azimuth_error_2_deg"), azimuth("azimuth_error_3_deg")];
+
+const fn radius(name: &'static str) -> ParameterSpec {
+    ParameterSpec { name, unit: "mm", range: (-0.4, 0.4), typical: 0.04 }
+}
+
 /// Super-elastic NiTi softens as its strain, and so θ, grows.
 pub(super) static SUPERELASTIC_SOFTENING: Physics = Physics {
     name: "superelastic_softening",
+    form: "",
     equation: "∇E → (1 − k θ²) ∇E",
     reading: "backbones that soften as they bend, as super-elastic NiTi does",
     parameters: &[ParameterSpec { name: "softening_per_rad2", unit: "1/rad²", range: (-0.5, 0.5), typical: 0.03 }],
     starts: &[&[0.0]],
     acts: Acts::Snake(|snake, p| snake.softening_per_rad2 += p[0]),
+    remembers: None,
 };
 
 /// A dead force on the tip, constant in {b}.
 pub(super) static TIP_LOAD: Physics = Physics {
     name: "tip_load",
+    form: "",
     equation: "Qᵗτ = ∇E − J_xbᵗ (F, 0)",
     reading: "a force of constant size and direction that pulls at the tip",
     parameters: &[force("fx_n"), force("fy_n"), force("fz_n")],
@@ -32,34 +45,98 @@ pub(super) static TIP_LOAD: Physics = Physics {
         let wrench = Vector6::new(p[0], p[1], p[2], 0.0, 0.0, 0.0);
         snake.wrench = Some(snake.wrench.unwrap_or_default() + wrench);
     }),
+    remembers: None,
 };
 
 /// The circle of backbones has another radius than Table I says.
 pub(super) static BACKBONE_RADIUS: Physics = Physics {
     name: "backbone_radius",
+    form: "common",
     equation: "r → r + Δr",
     reading: "backbones that lie on a larger or smaller circle than the model says",
-    parameters: &[ParameterSpec { name: "radius_error_mm", unit: "mm", range: (-0.4, 0.4), typical: 0.04 }],
+    parameters: &[radius("radius_error_mm")],
     starts: &[&[0.0]],
-    acts: Acts::Snake(|snake, p| snake.radius_mm += p[0]),
+    acts: Acts::Snake(|snake, p| snake.radii_mm.add_scalar_mut(p[0])),
+    remembers: None,
+};
+
+const DIFFERENCES: &[ParameterSpec] = &[radius("radius_error_1_mm"), radius("radius_error_2_mm")];
+
+/// Each backbone stands at its own radius. The mean of the three is all but η, so the errors sum to zero.
+pub(super) static BACKBONE_RADII: Physics = Physics {
+    name: "backbone_radius",
+    form: "",
+    equation: "r_i → r + Δr_i, Δr_3 = −Δr_1 − Δr_2 (their mean is not told from η)",
+    reading: "backbones that do not lie on one circle",
+    parameters: DIFFERENCES,
+    starts: &[&[0.0; 2]],
+    acts: Acts::Snake(|snake, p| snake.radii_mm += Vector3::new(p[0], p[1], -p[0] - p[1])),
+    remembers: None,
+};
+
+/// Each backbone stands at its own radius, so far off that their mean is told from η as well.
+pub(super) static BACKBONE_RADII_AND_MEAN: Physics = Physics {
+    name: "backbone_radius",
+    form: "with their mean",
+    equation: "r_i → r + Δr_i",
+    reading: "backbones that do not lie on one circle",
+    parameters: &[radius("radius_error_1_mm"), radius("radius_error_2_mm"), radius("radius_error_3_mm")],
+    starts: &[&[0.0; 3]],
+    acts: Acts::Snake(|snake, p| snake.radii_mm += Vector3::new(p[0], p[1], p[2])),
+    remembers: None,
+};
+
+/// The same in Eq. 1 alone, as where the end disk's holes are off and the forces are not.
+pub(super) static BACKBONE_RADII_IN_Q: Physics = Physics {
+    name: "backbone_radius",
+    form: IN_Q_ALONE,
+    equation: "q_i = −(r + Δr_i) θ cos δ_i with τ as without, Δr_3 = −Δr_1 − Δr_2",
+    reading: "backbones that do not lie on one circle",
+    parameters: DIFFERENCES,
+    starts: &[&[0.0; 2]],
+    acts: Acts::Line(|at, p| {
+        Vector3::new(p[0], p[1], -p[0] - p[1]).component_mul(&at.q_mm).component_div(&at.snake.radii_mm)
+    }),
+    remembers: None,
 };
 
 /// Each backbone stands at another azimuth than −(i−1)β.
 pub(super) static BACKBONE_AZIMUTH: Physics = Physics {
     name: "backbone_azimuth",
+    form: "",
     equation: "a_i → −(i−1)β + Δa_i",
     reading: "backbones that are not 120° apart",
-    parameters: &[azimuth("azimuth_error_1_deg"), azimuth("azimuth_error_2_deg"), azimuth("azimuth_error_3_deg")],
+    parameters: AZIMUTHS,
     starts: &[&[0.0; 3]],
     acts: Acts::Snake(|snake, p| snake.azimuths += Vector3::new(p[0], p[1], p[2]).map(f64::to_radians)),
+    remembers: None,
+};
+
+/// The same in Eq. 1 alone.
+pub(super) static BACKBONE_AZIMUTH_IN_Q: Physics = Physics {
+    name: "backbone_azimuth",
+    form: IN_Q_ALONE,
+    equation: "q_i = −r θ cos(δ_i − Δa_i) with τ as without",
+    reading: "backbones that are not 120° apart",
+    parameters: AZIMUTHS,
+    starts: &[&[0.0; 3]],
+    acts: Acts::Line(|at, p| {
+        Vector3::from_fn(|i, _| {
+            let (sin, cos) = (at.snake.azimuths[i] + p[i].to_radians()).sin_cos();
+            -at.snake.radii_mm[i] * (at.bend.x * cos + at.bend.y * sin) - at.q_mm[i]
+        })
+    }),
+    remembers: None,
 };
 
 /// The central backbone, and all that holds it, gives way under the sum of the forces.
 pub(super) static PRIMARY_COMPRESSION: Physics = Physics {
     name: "primary_compression",
+    form: "",
     equation: "ε_i += C Σ_j |τ_j|, the same for all i",
     reading: "a central backbone that is compressed by the sum of the forces on the others",
     parameters: &[ParameterSpec { name: "compliance_mm_per_n", unit: "mm/N", range: (-0.1, 0.1), typical: 0.002 }],
     starts: &[&[0.0]],
     acts: Acts::Line(|at, p| Vector3::repeat(p[0] * at.tau_n.lp_norm(1))),
+    remembers: None,
 };
