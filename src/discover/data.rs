@@ -12,6 +12,11 @@ pub const LEAST_SAMPLES: usize = 24;
 /// Parts that cross-validation leaves out in turn.
 pub const FOLDS: usize = 5;
 
+/// Bends below this show little of what loads do.
+const SMALL_BENDS_DEG: f64 = 12.0;
+/// A time step of so many usual ones is a jump.
+const JUMP: f64 = 30.0;
+
 /// The usable samples of an experiment.
 #[derive(Debug, Clone)]
 pub struct Data {
@@ -27,6 +32,8 @@ pub struct Data {
     pub sweeps: Vec<usize>,
     /// Standard deviation of a reading, mm.
     pub sd_encoder_mm: f64,
+    /// Whether all bends lie in one plane.
+    pub one_plane: bool,
     /// What was passed over or cannot be decided, in words.
     pub remarks: Vec<String>,
 }
@@ -39,7 +46,7 @@ impl Data {
     pub fn new(measurements: &[Measurement], readings: &[EncoderReading], sd_encoder_mm: f64) -> Result<Self> {
         let (measurements, no_sigmas) = with_sigmas(measurements, readings);
         let by_index: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
-        let mut pairs: Vec<(&EncoderReading, Measured)> = measurements
+        let pairs: Vec<(&EncoderReading, Measured)> = measurements
             .iter()
             .filter(|m| m.status == Status::Ok)
             .filter_map(|m| Some((*by_index.get(&m.index)?, m.measured?)))
@@ -59,10 +66,8 @@ impl Data {
                 pairs.len()
             )));
         }
-        if pairs.windows(2).any(|pair| pair[1].0.time_s <= pair[0].0.time_s) {
-            remarks.push("times do not rise from sample to sample: they were sorted, and effects of time and speed are less sure".into());
-            pairs.sort_by(|a, b| a.0.time_s.total_cmp(&b.0.time_s));
-        }
+        let (times_s, about_times) = clock(&pairs.iter().map(|(reading, _)| reading.time_s).collect::<Vec<_>>());
+        remarks.extend(about_times);
         let thetas: Vec<f64> = pairs.iter().map(|(_, m)| m.configuration.theta).collect();
         let range = |of: &dyn Fn(&Vector3<f64>) -> f64| {
             let values = || pairs.iter().map(|(reading, _)| of(&reading.q_mm));
@@ -73,19 +78,33 @@ impl Data {
                 "the encoders hardly move (less than 0.02 mm); lead the snake along sweeps".into(),
             ));
         }
-        if one_plane(&pairs) {
+        let one_plane = one_plane(&pairs);
+        if one_plane {
             remarks.push(
                 "all bends lie in one plane: effects that differ from one azimuth to another cannot be told apart"
                     .into(),
             );
         }
+        for i in (0..3).filter(|&i| range(&|q| q[i]) == 0.0) {
+            remarks.push(format!(
+                "q{}_mm is the same in every reading: its encoder is stuck, or no bend moved its backbone",
+                i + 1
+            ));
+        }
+        let largest_deg = thetas.iter().copied().fold(0.0, f64::max).to_degrees();
+        if largest_deg < SMALL_BENDS_DEG {
+            remarks.push(format!(
+                "no bend is above {largest_deg:.1}°: what grows with the bend or the load can hardly be seen; bend further"
+            ));
+        }
         Ok(Self {
             indices: pairs.iter().map(|(reading, _)| reading.index).collect(),
-            times_s: pairs.iter().map(|(reading, _)| reading.time_s).collect(),
+            times_s,
             q_mm: pairs.iter().map(|(reading, _)| reading.q_mm).collect(),
             measured: pairs.iter().map(|(_, measured)| *measured).collect(),
             sweeps: sweeps(&thetas),
             sd_encoder_mm,
+            one_plane,
             remarks,
         })
     }
@@ -104,6 +123,30 @@ impl Data {
     pub fn fold(&self, k: usize) -> usize {
         self.sweeps[k] % FOLDS
     }
+}
+
+/// The times to work with, and what is to be said of them: a clock that stands still or goes back is no clock, and the samples
+/// are then taken in the order of their index, at even steps.
+fn clock(read_s: &[f64]) -> (Vec<f64>, Option<String>) {
+    let steps = || read_s.windows(2).map(|pair| pair[1] - pair[0]);
+    let mut rising: Vec<f64> = steps().filter(|step| *step > 0.0).collect();
+    rising.sort_by(f64::total_cmp);
+    let usual = rising.get(rising.len() / 2).copied().unwrap_or(1.0);
+    if let Some(k) = steps().position(|step| step <= 0.0) {
+        let even = (0..read_s.len()).map(|k| usual * k as f64).collect();
+        let remark = format!(
+            "times do not rise ({} s after {} s): the order of the indices and even steps of {usual:.3} s were taken instead, and \
+             effects of time and speed are less sure",
+            read_s[k + 1],
+            read_s[k]
+        );
+        return (even, Some(remark));
+    }
+    let longest = rising.last().copied().unwrap_or(0.0);
+    let jump = (longest > JUMP * usual).then(|| {
+        format!("time jumps by {longest:.1} s where {usual:.3} s is usual: what the snake did in between is not known")
+    });
+    (read_s.to_vec(), jump)
 }
 
 fn usable(reading: &EncoderReading, measured: &Measured) -> bool {
@@ -176,6 +219,17 @@ mod tests {
             assert!(size >= data.len() / (3 * FOLDS), "fold {fold}: {size} of {}", data.len());
         }
         assert!(data.remarks.is_empty(), "{:?}", data.remarks);
+    }
+
+    #[test]
+    fn a_clock_that_goes_back_is_not_used_and_a_jump_is_told() {
+        let (times, remark) = clock(&[0.0, 0.5, 1.0, 0.2, 0.7]);
+        assert_eq!(times, [0.0, 0.5, 1.0, 1.5, 2.0]);
+        assert!(remark.unwrap().contains("0.2 s after 1 s"));
+        let (times, remark) = clock(&[0.0, 0.5, 1.0, 100.0, 100.5]);
+        assert_eq!(times[3], 100.0);
+        assert!(remark.unwrap().contains("jumps by 99.0 s"));
+        assert_eq!(clock(&[0.0, 0.5, 1.1]).1, None);
     }
 
     #[test]

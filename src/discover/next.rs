@@ -69,6 +69,9 @@ pub fn next_experiment(found: &Discovery, data: &Data) -> Option<Next> {
     let blind = unseen(found);
     let seen = |question: &Question| eye.noncentrality(question, &own) >= DECIDES;
     questions.extend(blind.into_par_iter().filter(|question| !seen(question)).collect::<Vec<_>>());
+    if data.one_plane {
+        questions.extend(alike_on_one_plane(&found.model));
+    }
     if questions.is_empty() {
         return None;
     }
@@ -159,16 +162,29 @@ fn unseen(found: &Discovery) -> Vec<Question> {
     let model = &found.model;
     let asked =
         |physics: &Physics| found.named.iter().any(|named| named.indistinguishable_from.contains(&physics.name));
-    let absent = LIBRARY.into_iter().filter(|physics| {
-        physics.form.is_empty() && !asked(physics) && model.effects.iter().all(|effect| effect.physics != *physics)
-    });
     let question = |physics: &'static Physics| {
-        let mut with = model.clone();
-        with.effects.push(Effect { sds: typical(physics), ..Effect::of(physics, typical(physics)) });
         let words = format!("{} could hide in these data", physics.name);
-        Question { words, asks: Asks::Whether(Box::new(with)) }
+        Some(Question { words, asks: Asks::Whether(Box::new(with_typical(model, physics)?)) })
     };
-    absent.map(question).collect()
+    LIBRARY.into_iter().filter(|physics| physics.form.is_empty() && !asked(physics)).filter_map(question).collect()
+}
+
+/// What scales one backbone's travel and what compresses all of them are alike as long as the bends keep to one plane.
+fn alike_on_one_plane(model: &Model) -> Option<Question> {
+    let names = ["actuator_scale", "primary_compression"];
+    let [Some(a), Some(b)] = names.map(|name| with_typical(model, crate::robot::effects::physics(name)?)) else {
+        return None;
+    };
+    let words = format!("the bends lie in one plane, where {} and {} look alike", names[0], names[1]);
+    Some(Question { words, asks: Asks::Which([Box::new(a), Box::new(b)]) })
+}
+
+/// The model with an effect of the size that matters besides; none where it has the effect.
+fn with_typical(model: &Model, physics: &'static Physics) -> Option<Model> {
+    let values = typical(physics);
+    let effect = Effect::of(physics, values);
+    let absent = model.effects.iter().all(|effect| effect.physics != physics);
+    absent.then(|| Model { effects: [&model.effects[..], &[effect]].concat(), ..model.clone() })
 }
 
 /// An effect's parameters at a size that matters; the backbones differ, since what they share η and λ hide.

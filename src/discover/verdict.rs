@@ -174,7 +174,7 @@ pub fn discover_in_frames(mut model: Model, data: &Data) -> Result<Discovery> {
         }
         let texts = effect.physics.parameters.iter().zip(effect.values.iter().zip(&effect.sds));
         let texts: Vec<String> =
-            texts.map(|(spec, (value, sd))| format!("{} = {value:.2} ± {sd:.2}°", spec.name)).collect();
+            texts.map(|(spec, (value, sd))| format!("{} = {value:.3} ± {sd:.3}°", spec.name)).collect();
         found.remarks.push(format!("the rig's own error, the same in all frames, was left free: {}", texts.join(", ")));
     }
     Ok(found)

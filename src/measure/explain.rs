@@ -5,6 +5,7 @@ use super::eye::{Eye, Sighting};
 use super::fit::{SETTLED_PX, robust_weights};
 use super::grid::project_paper;
 use super::outline::Outline;
+use super::proof::Proof;
 use crate::camera::Frame;
 use crate::geometry::Configuration;
 use nalgebra::Point2;
@@ -24,6 +25,8 @@ pub struct Explanation {
     pub fits: Vec<Configuration>,
     /// The places of the best fit's outline at which an edge was looked for.
     pub places: Vec<Place>,
+    /// The share of each disk's outline, by its number from the base, that has its edge, 0 to 1.
+    pub disks: Vec<(u8, f64)>,
 }
 
 /// A place of the outline and the edge that was found there.
@@ -42,12 +45,12 @@ impl Eye {
         let look = self.look(frame);
         let plane = self.rig.appearance.plane(frame);
         let fits: Vec<Configuration> = look.fits.iter().map(|fit| Configuration::from_bend_vector(fit.bend)).collect();
-        let places = fits.first().map(|&psi| {
-            let outline = Outline::new(&self.projection(), psi, 4);
-            let mut finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
-            places(&outline, &mut finder)
-        });
+        let outline = fits.first().map(|&psi| Outline::new(&self.projection(), psi, 4));
+        let mut finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
+        let disks = outline.as_ref().map(|outline| Proof::new(outline, &mut finder).disks().collect());
+        let places = outline.as_ref().map(|outline| places(outline, &mut finder));
         Explanation {
+            disks: disks.unwrap_or_default(),
             snakeness: Frame {
                 width: frame.width,
                 height: frame.height,

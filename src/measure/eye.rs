@@ -2,7 +2,8 @@
 
 use super::edges::EdgeFinder;
 use super::fit::{BendFit, BiasPrior, fit_bend};
-use super::outline::Projection;
+use super::outline::{Outline, Projection};
+use super::proof::Proof;
 use super::rig::Rig;
 use super::search::Search;
 use crate::camera::{Frame, Lens};
@@ -49,6 +50,9 @@ const FINAL_PX: [f64; 9] = [6.0, 5.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0];
 const BIAS_SIGMA_PX: f64 = 0.1;
 /// Share of the outline that must be confirmed by edges.
 const ENOUGH_INLIERS: f64 = 0.45;
+/// Share of the disks that must be where the fit says, most of their outline seen: one hidden and one half hidden is
+/// allowed.
+const ENOUGH_DISKS: f64 = 0.6;
 /// Another bend whose cost is within this factor of the best one's explains a picture as well.
 const AS_GOOD: f64 = 1.5;
 
@@ -87,12 +91,19 @@ impl Eye {
         look.candidates = self.search.candidates(&plane, self.rig.appearance.two_sided, CANDIDATES);
         let mut looks: Vec<BendFit> = look.candidates.iter().filter_map(|start| fit(*start, &FIRST_LOOK_PX)).collect();
         looks.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        let mut fits =
-            distinct(looks).into_iter().take(2).filter_map(|look| fit(look.bend, &FINAL_PX)).collect::<Vec<_>>();
+        let looks = distinct(looks);
+        // The search may have passed over the best bend's twin, which leans the other way along the line of sight.
+        let twin = looks.first().and_then(|best| fit(self.twin(best.bend), &FIRST_LOOK_PX));
+        let chosen = looks.iter().take(2).chain(&twin);
+        let mut fits: Vec<BendFit> = chosen.filter_map(|look| fit(look.bend, &FINAL_PX)).collect();
         fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         look.fits = distinct(fits);
         if let Some(best) = look.fits.first() {
             look.sighting = self.verdict(best);
+            let outline = Outline::new(&view, Configuration::from_bend_vector(best.bend), 4);
+            if look.sighting.status == Status::Ok && Proof::new(&outline, &mut finder).disks_there() < ENOUGH_DISKS {
+                look.sighting = failed(Status::Occluded, look.sighting.quality);
+            }
             if let Some(other) = look.fits.get(1)
                 && look.sighting.status == Status::Ok
                 && other.cost < AS_GOOD * best.cost
@@ -101,6 +112,13 @@ impl Eye {
             }
         }
         look
+    }
+
+    /// The bend whose outline is nearly the same from here: mirrored along the line of sight.
+    fn twin(&self, bend: Vector2<f64>) -> Vector2<f64> {
+        let sight = self.rig.camera_from_base.inverse() * self.rig.camera_from_base.translation.vector;
+        let depth = sight.xy().normalize();
+        bend - 2.0 * depth * depth.dot(&bend)
     }
 
     /// Angles and sigmas of a fit that can be trusted, or why it cannot.

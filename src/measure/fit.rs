@@ -94,12 +94,6 @@ impl Matches {
         self.matches.iter().map(|m| m.piece).collect()
     }
 
-    /// How many edges were found on some pieces, and how many of them count at least half.
-    pub fn agreement(&self, roots: &[f64], is_wanted: impl Fn(Piece) -> bool) -> (usize, usize) {
-        let wanted = || self.matches.iter().zip(roots).filter(|(m, _)| is_wanted(m.piece));
-        (wanted().count(), wanted().filter(|(_, root)| **root > 0.5).count())
-    }
-
     /// Median blur of the edges, px.
     fn blur_px(&self) -> f64 {
         f64::from(median(&mut self.matches.iter().map(|m| m.blur_px as f32).collect::<Vec<_>>()))

@@ -18,6 +18,7 @@ mod grid;
 mod locate;
 mod outline;
 mod plane;
+mod proof;
 mod rig;
 mod rig_file;
 mod search;

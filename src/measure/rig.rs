@@ -5,7 +5,8 @@ use super::edges::EdgeFinder;
 use super::fit::{Matches, SETTLED_PX, clustered_covariance, inliers, robust_weights};
 use super::grid::{Grid, find_grid};
 use super::locate::{SnakeStart, find_start, locate_holder};
-use super::outline::{Outline, Piece, Projection};
+use super::outline::{Outline, Projection};
+use super::proof::Proof;
 use super::solve::minimise;
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose};
@@ -56,9 +57,6 @@ const ENOUGH_INLIERS: f64 = 0.5;
 /// An edge bias beyond this, px, is no edge's but a wrong model's.
 const MOST_BIAS_PX: f64 = 0.8;
 
-/// Share of the outline of each of its ends that must be confirmed by edges.
-const ENOUGH_OF_A_PART: f64 = 0.4;
-
 /// Calibrates a rig from a picture of the unbent snake before the grid.
 ///
 /// 1. The snake is the large, long object that is unlike the paper; its width tells the scale.
@@ -102,19 +100,6 @@ pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOpt
         let others = [-1.0, 1.0, -0.5, 0.5, -2.0, 2.0];
         others.into_iter().find_map(|d| fit_base(frame, lens, robot, options, &moved(d), &grid).ok()).ok_or(message)
     })
-}
-
-/// The parts of the straight snake that must be seen, so that no disk is taken for its neighbour.
-fn parts(robot: &Robot) -> [(&'static str, impl Fn(Piece) -> bool); 2] {
-    let last = robot.body.spacer_disk_count + 1;
-    let is_part = move |end: bool| {
-        move |piece: Piece| match piece {
-            Piece::HolderSide(_) => !end,
-            Piece::Rim(number, _) => end && number == last,
-            _ => false,
-        }
-    };
-    [("the holder", is_part(false)), ("the end disk", is_part(true))]
 }
 
 /// The base's place on the paper: x, y (mm, grid frame), turn γ, height above the standoff (mm), tilt out of the plane.
@@ -206,20 +191,20 @@ fn fit_base(
             100.0 * share
         ));
     }
-    for (part, is_part) in parts(robot) {
-        let (seen, agreeing) = matches.agreement(&roots, is_part);
-        if seen < 5 || (agreeing as f64) < ENOUGH_OF_A_PART * seen as f64 {
-            return Err(format!(
-                "{part} is not where the model says; is the snake unbent, and all of it in the picture?"
-            ));
-        }
+    let appearance = appearance.ok_or("no appearance was learned")?;
+    let plane = appearance.plane(frame);
+    let mut finder = EdgeFinder::new(&plane, appearance.two_sided);
+    let proof = Proof::new(&Outline::new(&view, straight, 4), &mut finder);
+    let ends = [("the holder", 0), ("the first disk", 1), ("the end disk", robot.body.spacer_disk_count + 1)];
+    if let Some((part, _)) = ends.into_iter().find(|&(_, part)| !proof.is_there(part)) {
+        return Err(format!("{part} is not where the model says; is the snake unbent, and all of it in the picture?"));
     }
     Ok(Rig {
         camera_from_base,
         pose_covariance: nudge_covariance(&placement, &covariance, options.standoff_mm, grid),
         camera_from_grid: grid.camera_from_grid,
         grid_pitch_mm: options.grid_pitch_mm,
-        appearance: appearance.ok_or("no appearance was learned")?,
+        appearance,
         edge_bias_px,
         grid_rms_px: grid.rms_px,
         edge_rms_px,

@@ -24,6 +24,7 @@ pub fn bend_map(values: &[(Configuration, f64)], unit: &str) -> Option<String> {
             "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" font-size=\"13\" font-family=\"sans-serif\" fill=\"{INK}\">{text}</text>\n"
         )
     };
+    let mut labels = String::new();
     for k in 1..=(rim_deg / 30.0) as usize {
         let theta = 30.0 * k as f64;
         let radius = scale * theta;
@@ -31,7 +32,8 @@ pub fn bend_map(values: &[(Configuration, f64)], unit: &str) -> Option<String> {
             svg,
             "<circle cx=\"{middle}\" cy=\"{middle}\" r=\"{radius:.1}\" fill=\"none\" stroke=\"{GRID}\"/>"
         );
-        svg += &text(middle + 3.0, middle - radius + 14.0, "start", &format!("θ {theta:.0}°"));
+        let diagonal = radius * std::f64::consts::FRAC_1_SQRT_2;
+        labels += &text(middle + diagonal + 2.0, middle + diagonal + 10.0, "start", &format!("θ {theta:.0}°"));
     }
     let rim = scale * rim_deg + 14.0;
     for (delta, anchor) in [(0, "start"), (90, "middle"), (180, "end"), (-90, "middle")] {
@@ -61,6 +63,7 @@ pub fn bend_map(values: &[(Configuration, f64)], unit: &str) -> Option<String> {
             0.35 + 0.5 * strength
         );
     }
+    svg += &labels;
     let legend = SIZE_PX + 14.0;
     for (x, colour, sign) in [(0.28, NEGATIVE, "−"), (0.58, POSITIVE, "+")] {
         let _ = writeln!(

@@ -35,11 +35,12 @@ impl Page<'_> {
             escaped(&sentence(found))
         );
         page += &definitions("summary", &summary(found));
+        page += GLOSSARY;
         page += &self.whereabouts();
         page += &effects(found);
         page += &self.before_and_after();
-        page +=
-            &self.correction.map(|c| paragraph("A correction without an explanation", &c.words)).unwrap_or_default();
+        let correction = self.correction.map(|c| paragraph("The correction", &capitalised(&c.words)));
+        page += &correction.unwrap_or_default();
         page += &self.next.map(proposal).unwrap_or_default();
         page += &list("Remarks", "What was passed over, or could not be decided.", &found.remarks);
         page + "</main>\n</body>\n</html>\n"
@@ -53,8 +54,8 @@ impl Page<'_> {
             Part::Common => "The part of the gap of ε that the backbones share".to_owned(),
             Part::Several => "The gap of ε of the backbone that has most of it".to_owned(),
         };
-        let values: Vec<_> =
-            self.data.measured.iter().zip(&gap.gap_mm).map(|(m, gap)| (m.configuration, *gap)).collect();
+        let values = self.data.measured.iter().zip(&gap.gap_mm).map(|(m, gap)| (m.configuration, *gap));
+        let values: Vec<_> = values.step_by(self.every()).collect();
         if let Some(map) = bend_map(&values, "mm") {
             let _ = writeln!(
                 section,
@@ -86,6 +87,7 @@ impl Page<'_> {
                     points: x
                         .iter()
                         .zip(&found.residuals_mm)
+                        .step_by(self.every())
                         .map(|(&x, gaps)| Point { x, y: gaps[side][i], sd: 0.0 })
                         .collect(),
                 });
@@ -104,6 +106,11 @@ impl Page<'_> {
         section + "</div>\n"
     }
 
+    /// One of so many samples is drawn, so that a page of any experiment opens.
+    fn every(&self) -> usize {
+        self.data.len().div_ceil(MOST_DOTS)
+    }
+
     fn abscissae(&self) -> Vec<(&'static str, Vec<f64>)> {
         let data = self.data;
         vec![
@@ -113,6 +120,12 @@ impl Page<'_> {
         ]
     }
 }
+
+const GLOSSARY: &str = "<p>ε is how much further the actuators move (q̃, what their encoders read) than the snake's backbones do: what \
+                        the actuation lines swallow. The gap is the measured ε less the model's; θ is the bend, δ its direction.</p>\n";
+
+/// Dots of one series.
+const MOST_DOTS: usize = 1500;
 
 const STYLE: &str = "
 .verdict { font-size: 1.15rem; color: var(--ink); max-width: 48rem; }
@@ -212,6 +225,10 @@ fn effects(found: &Discovery) -> String {
         section += "<h2>What was considered</h2>\n<p>Each of these takes part of the gap away, but what is left is more than \
                     noise. It is evidence, not an answer.</p>\n";
     }
+    if found.verdict == Verdict::Unexplained && found.named.is_empty() {
+        section += "<h2>What was considered</h2>\n<p>Every effect of the library, alone and together with others; none takes enough \
+                    of the gap away on sweeps left out.</p>\n";
+    }
     for named in &found.named {
         section += &effect(found, named);
     }
@@ -241,7 +258,10 @@ fn effect(found: &Discovery, named: &Named) -> String {
     }
     section += &definitions("summary", &facts);
     let title = format!("What was tried in place of {}", named.physics.name);
-    section + &table(&title, ["effect", "worse by (Schwarz's criterion)"], &rivals)
+    section += &table(&title, ["effect", "worse by (Schwarz's criterion)"], &rivals);
+    section
+        + "<p>Schwarz's criterion weighs what an answer leaves unexplained, in squares of the noise, against its number of parameters. \
+           Less is better; what is worse by more than 6 is ruled out.</p>\n"
 }
 
 fn capitalised(text: &str) -> String {

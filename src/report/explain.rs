@@ -209,6 +209,8 @@ fn figures(explanation: &Explanation, measurement: &Measurement) -> Vec<(&'stati
         figures.push(("share of the outline", format!("{:.0} %", 100.0 * quality.inlier_fraction)));
         figures.push(("their scatter", format!("{:.2} px", quality.rms_px)));
     }
+    let disks = explanation.disks.iter().map(|(disk, share)| format!("{disk}: {:.0} %", 100.0 * share));
+    figures.push(("of each disk's outline, from the base", disks.collect::<Vec<_>>().join(", ")));
     figures
 }
 
@@ -229,6 +231,7 @@ mod tests {
             grid: vec![vec![Point2::new(10.0, 0.0), Point2::new(10.0, 47.0)]],
             candidates: vec![Configuration::from_degrees(30.0, 0.0)],
             fits: if places.is_empty() { Vec::new() } else { vec![Configuration::from_degrees(31.0, 2.0)] },
+            disks: Vec::new(),
             places,
         }
     }

@@ -6,6 +6,7 @@ use crate::record::{EncoderReading, Measurement, Truth};
 use crate::robot::Model;
 use nalgebra::Matrix3x2;
 use serde::Serialize;
+use std::collections::HashMap;
 
 /// Below this bend δ means too little to be scored, rad (15°).
 pub const LEAST_THETA_FOR_DELTA: f64 = 15.0 * std::f64::consts::PI / 180.0;
@@ -116,9 +117,10 @@ pub fn gap(model: &Model, measurements: &[Measurement], encoders: &[EncoderReadi
     let mut theta = Vec::new();
     let mut delta = Vec::new();
     let (mut samples, mut unpredicted) = (0, 0);
+    let by_index: HashMap<u64, &EncoderReading> = encoders.iter().map(|reading| (reading.index, reading)).collect();
     for measurement in measurements {
         let Some(measured) = &measurement.measured else { continue };
-        let Some(reading) = encoders.iter().find(|reading| reading.index == measurement.index) else { continue };
+        let Some(reading) = by_index.get(&measurement.index) else { continue };
         let psi = measured.configuration;
         samples += 1;
         eps.extend((reading.q_mm - model.command(psi)).iter().copied());

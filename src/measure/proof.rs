@@ -1,0 +1,81 @@
+//! Which parts of the snake a picture proves to be where a model puts them.
+//!
+//! A fit has only the edges that it found, and forgives those that disagree: a hand before the tip, or a disk taken for its
+//! neighbour, leaves it with edges enough. What tells is where edges should be and are not, so every part is asked on its
+//! own whether its outline is seen.
+
+use super::edges::EdgeFinder;
+use super::outline::{Outline, Piece};
+use super::plane::median;
+use std::collections::BTreeMap;
+
+/// How much of the outline of each part has its edge where the model says.
+#[derive(Debug, Clone)]
+pub struct Proof {
+    /// Places with their edge, and all places, of the holder (number 0) and the disks (from 1 next to the base).
+    parts: BTreeMap<u8, (usize, usize)>,
+}
+
+impl Proof {
+    /// Looks for the edges of an outline in a picture. Where all of them lie to one side of it, as overexposed or soft
+    /// ones do, that is not held against them.
+    pub fn new(outline: &Outline, finder: &mut EdgeFinder) -> Self {
+        // Nearer to another part the edge's surroundings are not what the edge filter assumes.
+        const CLEAR_PX: f64 = 3.0;
+        const SEARCH_PX: f64 = 4.0;
+        const NEAR_PX: f64 = 1.0;
+        let asked: Vec<_> = outline
+            .points
+            .iter()
+            .filter(|p| p.gap_px >= CLEAR_PX && p.depth_px >= CLEAR_PX)
+            .filter_map(|p| Some((part(p.piece)?, finder.find(p, SEARCH_PX))))
+            .collect();
+        let mut offsets: Vec<f32> =
+            asked.iter().filter_map(|(_, edge)| Some(edge.as_ref()?.offset_px as f32)).collect();
+        let bias_px = f64::from(median(&mut offsets));
+        let mut parts: BTreeMap<u8, (usize, usize)> = BTreeMap::new();
+        for (part, edge) in asked {
+            let (seen, places) = parts.entry(part).or_default();
+            *places += 1;
+            let is_near = |offset_px: f64, sigma_px: f64| (offset_px - bias_px).abs() < NEAR_PX.max(2.0 * sigma_px);
+            *seen += usize::from(edge.is_some_and(|edge| is_near(edge.offset_px, edge.sigma_px)));
+        }
+        Self { parts }
+    }
+
+    /// The share of each disk's outline that is seen, 0 to 1, by the disk's number; disks too covered by others to be
+    /// asked are left out.
+    pub fn disks(&self) -> impl Iterator<Item = (u8, f64)> {
+        const FEWEST: usize = 4;
+        self.parts
+            .iter()
+            .filter(|&(&part, &(_, places))| part > 0 && places >= FEWEST)
+            .map(|(&part, &(seen, places))| (part, seen as f64 / places as f64))
+    }
+
+    /// The share of the disks that are there.
+    pub fn disks_there(&self) -> f64 {
+        let (there, all) =
+            self.disks().fold((0, 0), |(there, all), (_, share)| (there + u32::from(is_there(share)), all + 1));
+        f64::from(there) / f64::from(all.max(1))
+    }
+
+    /// Whether the holder (0) or a disk is there.
+    pub fn is_there(&self, part: u8) -> bool {
+        self.parts.get(&part).is_some_and(|&(seen, places)| is_there(seen as f64 / places as f64))
+    }
+}
+
+/// A part is there if most of its outline is seen.
+fn is_there(share: f64) -> bool {
+    share >= 0.5
+}
+
+/// The number of the part that a piece belongs to. Tubes prove nothing: they look alike all along the snake.
+fn part(piece: Piece) -> Option<u8> {
+    match piece {
+        Piece::HolderSide(_) | Piece::BaseRim => Some(0),
+        Piece::Rim(disk, _) | Piece::DiskSide(disk, _) => Some(disk),
+        Piece::Tube(..) => None,
+    }
+}
