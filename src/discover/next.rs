@@ -7,9 +7,10 @@
 use super::data::Data;
 use super::fit::Problem;
 use super::plans::{Plan, plans, repeated};
-use super::search::{with_effect, without_effect};
+use super::search::{Named, with_effect, without_effect};
 use super::verdict::{Discovery, Verdict};
 use crate::record::{Measured, Measurement, Status, Waypoint};
+use crate::robot::effects::physics;
 use crate::robot::{Effect, LIBRARY, Model, Physics};
 use crate::simulate::Plant;
 use nalgebra::Vector3;
@@ -21,6 +22,11 @@ use std::f64::consts::PI;
 const DECIDES: f64 = 50.0;
 /// The most times that a ride is repeated to get there.
 const MOST_REPEATS: usize = 4;
+
+/// Rivals of one effect that are asked about.
+const MOST_RIVALS: usize = 5;
+/// A rival that leaves less than so many squares of the noise more fits as well.
+const FITS_AS_WELL: f64 = 6.0;
 
 /// What is to be told apart.
 #[derive(Debug, Clone)]
@@ -127,10 +133,10 @@ fn rivals(found: &Discovery, data: &Data) -> Vec<Question> {
         .named
         .iter()
         .enumerate()
-        .flat_map(|(k, named)| named.indistinguishable_from.iter().map(move |rival| (given + k, *rival)))
+        .flat_map(|(k, named)| open_rivals(named, data.len()).into_iter().map(move |rival| (given + k, rival)))
         .collect();
     let question = |(k, rival): (usize, &str)| {
-        let physics = crate::robot::effects::physics(rival)?;
+        let physics = physics(rival)?;
         let without = problem.fit(&without_effect(&found.model, k), None, None);
         let other = with_effect(&problem, &without, physics).model;
         let words =
@@ -138,6 +144,22 @@ fn rivals(found: &Discovery, data: &Data) -> Vec<Question> {
         Some(Question { words, asks: Asks::Which([Box::new(found.model.clone()), Box::new(other)]) })
     };
     pairs.into_par_iter().filter_map(question).collect()
+}
+
+/// The rivals that were not ruled out, and those that only their number of parameters rules out: what is simpler is likelier, but
+/// a ride may show otherwise.
+fn open_rivals(named: &Named, samples: usize) -> Vec<&'static str> {
+    let parameters = |physics: &Physics| physics.parameters.len() as f64;
+    let fits_as_well = |&&(rival, worse): &&(&'static str, f64)| {
+        let more = physics(rival).map_or(0.0, parameters) - parameters(named.physics);
+        worse - more.max(0.0) * (3.0 * samples as f64).ln() < FITS_AS_WELL
+    };
+    let mut open = named.indistinguishable_from.clone();
+    open.extend(named.rivals.iter().filter(fits_as_well).map(|(rival, _)| *rival));
+    open.sort_unstable();
+    open.dedup();
+    open.truncate(MOST_RIVALS);
+    open
 }
 
 /// Parameters found whose sd is more than a third of the size that matters.
@@ -161,7 +183,7 @@ fn values(found: &Discovery) -> Vec<Question> {
 fn unseen(found: &Discovery) -> Vec<Question> {
     let model = &found.model;
     let asked =
-        |physics: &Physics| found.named.iter().any(|named| named.indistinguishable_from.contains(&physics.name));
+        |physics: &Physics| found.named.iter().any(|named| open_rivals(named, found.samples).contains(&physics.name));
     let question = |physics: &'static Physics| {
         let words = format!("{} could hide in these data", physics.name);
         Some(Question { words, asks: Asks::Whether(Box::new(with_typical(model, physics)?)) })
@@ -172,7 +194,7 @@ fn unseen(found: &Discovery) -> Vec<Question> {
 /// What scales one backbone's travel and what compresses all of them are alike as long as the bends keep to one plane.
 fn alike_on_one_plane(model: &Model) -> Option<Question> {
     let names = ["actuator_scale", "primary_compression"];
-    let [Some(a), Some(b)] = names.map(|name| with_typical(model, crate::robot::effects::physics(name)?)) else {
+    let [Some(a), Some(b)] = names.map(|name| with_typical(model, physics(name)?)) else {
         return None;
     };
     let words = format!("the bends lie in one plane, where {} and {} look alike", names[0], names[1]);
