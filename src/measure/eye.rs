@@ -167,12 +167,17 @@ fn distinct(fits: Vec<BendFit>) -> Vec<BendFit> {
     kept
 }
 
-/// Whether nearly all of a picture is black or white.
+/// Whether nearly all of a picture is black or white, or most of it so overexposed that the snake's edges are no longer
+/// where half the light is.
 fn is_saturated(frame: &Frame) -> bool {
     const NEARLY_ALL: f64 = 0.98;
-    let values = || frame.data.iter().step_by(97);
-    let extreme = values().filter(|v| **v <= 3.0 || **v >= 252.0).count();
-    extreme as f64 > NEARLY_ALL * values().count() as f64
+    const MOST: f64 = 0.5;
+    let pixels = || frame.data.chunks_exact(frame.channels).step_by(31);
+    let share = |is_so: fn(f32) -> bool| {
+        pixels().filter(|pixel| pixel.iter().all(|v| is_so(*v))).count() as f64 / pixels().count().max(1) as f64
+    };
+    let (white, black) = (share(|v| v >= 252.0), share(|v| v <= 3.0));
+    white > MOST || white + black > NEARLY_ALL
 }
 
 /// θ, δ and their errors for a bend vector with a covariance (rad²).

@@ -31,7 +31,7 @@ pub struct SnakeStart {
 /// Side of the blocks of pixels that are looked at as one.
 const BLOCK: usize = 4;
 
-/// Finds the holder: the largest thick object that differs from the paper and is cut by a border.
+/// Finds what may be the holder, most likely first: large thick objects that differ from the paper and are cut by a border.
 ///
 /// Printed lines are thinner than three blocks and are dropped. The squares of a checkerboard are not; where they make up
 /// the largest object, the picture is looked at through ever larger means, in which they vanish.
@@ -39,20 +39,48 @@ const BLOCK: usize = 4;
 /// # Errors
 ///
 /// A sentence that says what was not found.
-pub fn locate_holder(frame: &Frame) -> Result<Holder, String> {
-    let fine = || -> Result<Holder, String> {
-        let mut object = largest_component(&opened(&unlike_paper(frame, 1)));
-        for _ in 0..2 {
-            let appearance = Appearance::learn(frame, |x, y| Some(block_is_set(&object, x, y)))
-                .ok_or("no object stands out from the paper; is the snake in the picture?")?;
-            object = largest_component(&opened(&above_half(&appearance.plane(frame).shrunk(BLOCK))));
-        }
-        rough_axis(&object)
+pub fn locate_holders(frame: &Frame) -> Result<Vec<Holder>, String> {
+    const MOST: usize = 3;
+    let mut found: Vec<Holder> = Vec::new();
+    let mut refused = None;
+    let mut take = |outcome: Result<Holder, String>| match outcome {
+        Ok(holder) if found.iter().any(|other| other.is_like(&holder)) => {}
+        Ok(holder) => found.push(holder),
+        Err(message) => refused = refused.take().or(Some(message)),
     };
-    let coarse = [4, 8, 12, 18].into_iter().map(|reach| rough_axis(&largest_component(&unlike_paper(frame, reach))));
-    let mut outcomes = std::iter::once_with(fine).chain(coarse);
-    let first = outcomes.next().unwrap_or_else(|| Err("nothing was looked at".into()));
-    first.or_else(|message| outcomes.find_map(Result::ok).ok_or(message))
+    for object in components(&opened(&unlike_paper(frame, 1))).into_iter().take(MOST) {
+        take(refined(frame, object).and_then(|object| rough_axis(&object)));
+    }
+    for reach in [4, 8, 12, 18] {
+        for object in components(&unlike_paper(frame, reach)).iter().take(1) {
+            take(rough_axis(object));
+        }
+    }
+    found.truncate(MOST);
+    if found.is_empty() { Err(refused.unwrap_or_else(|| NOTHING.into())) } else { Ok(found) }
+}
+
+const NOTHING: &str = "no object stands out from the paper; is the snake in the picture?";
+
+impl Holder {
+    /// Whether two findings are the same object.
+    fn is_like(&self, other: &Self) -> bool {
+        let width_px = self.width_px.max(other.width_px);
+        (self.root - other.root).norm() < 0.2 * width_px && (self.width_px - other.width_px).abs() < 0.2 * width_px
+    }
+}
+
+/// The object as its own colours show it.
+fn refined(frame: &Frame, object: GrayImage) -> Result<GrayImage, String> {
+    let mut object = object;
+    for _ in 0..2 {
+        let appearance = Appearance::learn(frame, |x, y| Some(block_is_set(&object, x, y))).ok_or(NOTHING)?;
+        let overlap =
+            |other: &GrayImage| other.pixels().zip(object.pixels()).filter(|(a, b)| a.0[0] & b.0[0] > 0).count();
+        let others = components(&opened(&above_half(&appearance.plane(frame).shrunk(BLOCK))));
+        object = others.into_iter().max_by_key(overlap).ok_or(NOTHING)?;
+    }
+    Ok(object)
 }
 
 fn block_is_set(mask: &GrayImage, x: u32, y: u32) -> bool {
@@ -142,18 +170,26 @@ fn above_half(plane: &Plane) -> GrayImage {
     })
 }
 
-/// Keeps the largest connected component only.
-fn largest_component(mask: &GrayImage) -> GrayImage {
+/// The connected components that are large enough for a holder, the largest first.
+fn components(mask: &GrayImage) -> Vec<GrayImage> {
     let labels = connected_components(mask, Connectivity::Eight, Luma([0]));
-    let mut sizes = std::collections::HashMap::new();
+    let mut sizes = std::collections::BTreeMap::new();
     for label in labels.pixels().map(|p| p.0[0]).filter(|&l| l > 0) {
         *sizes.entry(label).or_insert(0_usize) += 1;
     }
-    let largest = sizes.into_iter().max_by_key(|&(label, size)| (size, label)).map_or(0, |(label, _)| label);
-    GrayImage::from_fn(mask.width(), mask.height(), |x, y| {
-        Luma([if largest > 0 && labels.get_pixel(x, y).0[0] == largest { 255 } else { 0 }])
-    })
+    let mut large: Vec<(usize, u32)> =
+        sizes.into_iter().filter(|&(_, size)| size >= SMALLEST).map(|(label, size)| (size, label)).collect();
+    large.sort_by(|a, b| b.cmp(a));
+    let only = |label: u32| {
+        GrayImage::from_fn(mask.width(), mask.height(), |x, y| {
+            Luma([if labels.get_pixel(x, y).0[0] == label { 255 } else { 0 }])
+        })
+    };
+    large.into_iter().take(5).map(|(_, label)| only(label)).collect()
 }
+
+/// Fewer blocks than that are no holder.
+const SMALLEST: usize = 50;
 
 /// The object's middle line near the border that cuts it.
 fn rough_axis(object: &GrayImage) -> Result<Holder, String> {
@@ -163,9 +199,6 @@ fn rough_axis(object: &GrayImage) -> Result<Holder, String> {
         .filter(|(_, _, p)| p.0[0] > 0)
         .map(|(x, y, _)| Point2::new(f64::from(x), f64::from(y)) * BLOCK as f64)
         .collect();
-    if inside.len() < 50 {
-        return Err("no object stands out from the paper; is the snake in the picture?".into());
-    }
     // The border with most of the object on it is the one the holder comes from.
     let (right, bottom) = (f64::from((w - 1) * BLOCK as u32), f64::from((h - 1) * BLOCK as u32));
     let borders = [(-Vector2::y(), bottom), (Vector2::y(), 0.0), (Vector2::x(), 0.0), (-Vector2::x(), right)];
@@ -226,7 +259,8 @@ pub fn find_start(frame: &Frame, holder: &Holder, width_px: f64) -> Result<Snake
     let sides = strip.sides(axis, left, 0.0..0.9 * width_px);
     let mut end = None;
     let (mut along, mut missed) = (4.0, 0);
-    while missed < 4 {
+    let too_many = (0.05 * width_px).round().max(2.0) as i32;
+    while missed < too_many {
         let here = strip.sides(axis, left, along - 3.0..along + 3.0);
         if here.0 > 0.4 * sides.0 && here.1 > 0.4 * sides.1 {
             end = Some(along);
@@ -252,8 +286,11 @@ struct Strip<'a> {
 }
 
 impl Strip<'_> {
-    /// Length of the two means whose difference is a step, px: more than a printed line's width.
-    const STEP_PX: i32 = 8;
+    /// Length of the two means whose difference is a step, px: more than a printed line's width, less than the tubes lie
+    /// inside the holder's sides.
+    fn step_px(&self) -> i32 {
+        (0.1 * self.width_px).round().max(3.0) as i32
+    }
 
     /// The place of the left side, px across from the root, at which both sides are steepest, and how steep the weaker is.
     fn best_sides(&self, axis: Vector2<f64>) -> (f64, f64) {
@@ -269,7 +306,8 @@ impl Strip<'_> {
     fn sides(&self, axis: Vector2<f64>, left: f64, along: std::ops::Range<f64>) -> (f64, f64) {
         let at = |t: f64| {
             let middle = t.round() as i32;
-            self.steps(axis, middle - 2..middle + 3, along.clone()).into_iter().fold(0.0, f64::max)
+            let off = (0.025 * self.width_px).round().max(1.0) as i32;
+            self.steps(axis, middle - off..middle + off + 1, along.clone()).into_iter().fold(0.0, f64::max)
         };
         (at(left), at(left + self.width_px))
     }
@@ -282,10 +320,10 @@ impl Strip<'_> {
         let mut mean = vec![0.0; across_px.len()];
         for k in 0..lengths {
             let start = along.start + k as f64 * LENGTH_PX;
-            let wider = across_px.start - Self::STEP_PX..across_px.end + Self::STEP_PX;
+            let wider = across_px.start - self.step_px()..across_px.end + self.step_px();
             let profile = self.profile(axis, wider, start..start + LENGTH_PX);
             for (t, value) in mean.iter_mut().enumerate() {
-                *value += self.step(&profile, t + Self::STEP_PX as usize) / lengths as f64;
+                *value += self.step(&profile, t + self.step_px() as usize) / lengths as f64;
             }
         }
         mean
@@ -309,7 +347,7 @@ impl Strip<'_> {
 
     /// Distance between the mean colours on both sides of a place in a profile.
     fn step(&self, profile: &[Vec<f64>], at: usize) -> f64 {
-        let reach = Self::STEP_PX as usize;
+        let reach = self.step_px() as usize;
         if at < reach || at + reach >= profile.len() {
             return 0.0;
         }

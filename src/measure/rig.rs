@@ -4,7 +4,7 @@ use super::appearance::Appearance;
 use super::edges::EdgeFinder;
 use super::fit::{Matches, SETTLED_PX, clustered_covariance, inliers, robust_weights};
 use super::grid::{Grid, find_grid};
-use super::locate::{SnakeStart, find_start, locate_holder};
+use super::locate::{Holder, SnakeStart, find_start, locate_holders};
 use super::outline::{Outline, Projection};
 use super::proof::Proof;
 use super::solve::minimise;
@@ -59,7 +59,8 @@ const MOST_BIAS_PX: f64 = 0.8;
 
 /// Calibrates a rig from a picture of the unbent snake before the grid.
 ///
-/// 1. The snake is the large, long object that is unlike the paper; its width tells the scale.
+/// 1. The snake is the large, long object that is unlike the paper; its width tells the scale. Where there are several,
+///    each is tried in turn.
 /// 2. The grid near the pitch that this scale predicts gives the camera's pose to the paper.
 /// 3. The snake lies parallel to the paper, `standoff_mm` before it; its edges give the base's place and direction, and
 ///    refine standoff and parallelism within what a ruler can do.
@@ -74,31 +75,75 @@ pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOpt
             frame.width, frame.height, lens.width, lens.height
         ));
     }
-    let holder = locate_holder(frame)?;
+    let mut refused = None;
+    for holder in locate_holders(frame)? {
+        match calibrate_from(frame, lens, robot, options, &holder) {
+            Ok(rig) => return Ok(rig),
+            Err(message) => refused = refused.or(Some(message)),
+        }
+    }
+    Err(refused.unwrap_or_else(|| "no holder was found".into()))
+}
+
+/// Calibrates the rig if this is the holder.
+fn calibrate_from(
+    frame: &Frame,
+    lens: &Lens,
+    robot: &Robot,
+    options: &RigOptions,
+    holder: &Holder,
+) -> Result<Rig, String> {
     let diameter_mm = robot.body.disk_diameter_mm;
     let pitch_px = |width_px: f64| {
         let distance_mm = lens.focal_px.x * diameter_mm / width_px;
         lens.focal_px.x * options.grid_pitch_mm / (distance_mm + options.standoff_mm)
     };
-    // What was seen of the holder may be only its dark side.
-    let range = 0.85 * pitch_px(holder.width_px)..=pitch_px(2.2 * holder.width_px);
     let across = Vector2::new(-holder.axis.y, holder.axis.x);
-    let corridor = |from: Point2<f64>| move |p: &Point2<f64>| across.dot(&(p - from)).abs() < 1.1 * holder.width_px;
-    let grid = find_grid(frame, lens, options.grid_pitch_mm, range, holder.axis, corridor(holder.root))?;
+    let corridor = |p: &Point2<f64>| across.dot(&(p - holder.root)).abs() < 1.1 * holder.width_px;
+    // What was seen of the holder may be only its dark side, and thin lines have an overtone of twice their number; or
+    // a shadow was seen with it.
+    let mut refused = None;
+    let mut tried: Vec<f64> = Vec::new();
+    for (narrowest, widest) in [(0.85, 2.2), (1.25, 2.2), (0.45, 0.85)] {
+        let range = pitch_px(narrowest * holder.width_px)..=pitch_px(widest * holder.width_px);
+        let rig = find_grid(frame, lens, options.grid_pitch_mm, range, holder.axis, corridor).and_then(|grid| {
+            let distance_mm = grid.distance_mm(&lens.ray(&holder.root));
+            if tried.iter().any(|other| (distance_mm / other - 1.0).abs() < 0.05) {
+                return Err("this grid was tried".into());
+            }
+            tried.push(distance_mm);
+            calibrate_on(frame, lens, robot, options, holder, &grid)
+        });
+        match rig {
+            Ok(rig) => return Ok(rig),
+            Err(message) => refused = refused.or(Some(message)),
+        }
+    }
+    Err(refused.unwrap_or_else(|| "no grid was found".into()))
+}
 
+/// Calibrates the rig if these are the holder and the grid.
+fn calibrate_on(
+    frame: &Frame,
+    lens: &Lens,
+    robot: &Robot,
+    options: &RigOptions,
+    holder: &Holder,
+    grid: &Grid,
+) -> Result<Rig, String> {
     // The snake is nearer than the grid by the standoff; where it is cut by the border its holder is this wide.
     let distance_mm = grid.distance_mm(&lens.ray(&holder.root)) - options.standoff_mm;
     if distance_mm <= 0.0 {
         return Err("the standoff puts the snake behind the camera; check standoff_mm and grid_pitch_mm".into());
     }
-    let start = find_start(frame, &holder, lens.focal_px.x * diameter_mm / distance_mm)?;
+    let start = find_start(frame, holder, lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm)?;
     // Disks look alike: where the first start ends in a snake that is not all there, it may be one disk off.
     let pitch_px = lens.focal_px.x * robot.disk_pitch_mm() / distance_mm;
     let moved = |disks: f64| SnakeStart { base: start.base + start.axis * (disks * pitch_px), axis: start.axis };
-    let first = fit_base(frame, lens, robot, options, &start, &grid);
+    let first = fit_base(frame, lens, robot, options, &start, grid);
     first.or_else(|message| {
         let others = [-1.0, 1.0, -0.5, 0.5, -2.0, 2.0];
-        others.into_iter().find_map(|d| fit_base(frame, lens, robot, options, &moved(d), &grid).ok()).ok_or(message)
+        others.into_iter().find_map(|d| fit_base(frame, lens, robot, options, &moved(d), grid).ok()).ok_or(message)
     })
 }
 
