@@ -244,6 +244,9 @@ fn effect(found: &Discovery, named: &Named) -> String {
         escaped(&capitalised(named.physics.reading)),
         escaped(named.physics.equation)
     );
+    if !named.physics.form.is_empty() {
+        section += &format!("<p>In the form: {}.</p>\n", escaped(named.physics.form));
+    }
     let mut facts: Vec<(String, String)> = Vec::new();
     for parameter in parameters(found, named.physics.name) {
         if let Some((name, value)) = parameter.split_once(" = ") {
