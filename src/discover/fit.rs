@@ -18,7 +18,7 @@ use std::f64::consts::PI;
 /// Whitened residuals beyond this count linearly (Huber): a few samples at a sign's edge must not name an effect.
 const HUBER: f64 = 3.0;
 /// The most Gauss-Newton steps.
-const MOST_STEPS: usize = 25;
+const MOST_STEPS: usize = 16;
 /// A step that lowers the cost by less than this is the last.
 const SETTLED: f64 = 0.02;
 /// The same, as a share of the cost: of no use where a model is far off.

@@ -21,6 +21,10 @@ const DEAD_BAND_MM: f64 = 0.003;
 const TOLD_MM: f64 = 0.01;
 /// ... and at least this share of the largest of the three: the lines' stretch mixes the backbones by less.
 const TOLD_SHARE: f64 = 0.15;
+/// How far off the bend that an eye saw at the first reading may be, rad, ...
+const FIRST_BEND_RAD: f64 = 0.004;
+/// ... and the common part, mm, while λ is not known well.
+const FIRST_COMMON_MM: f64 = 0.01;
 /// A path that moves by less than this in a pass has settled, rad: a fiftieth of what encoders can tell.
 const SETTLED_RAD: f64 = 1e-5;
 /// The most passes over a path. Speed feeds back by less than a half for any drag that a snake can work with.
@@ -372,7 +376,7 @@ impl<'a> Mechanics<'a> {
         for _ in 1..MOST_PASSES {
             let bends: Vec<_> = path.iter().map(|led| led.bend).collect();
             let moved = bends.iter().zip(&before).map(|(a, b)| (a - b).amax()).fold(0.0, f64::max);
-            if moved < SETTLED_RAD || !(self.memory.is_long() || self.memory.direction) {
+            if moved < SETTLED_RAD || !self.memory.is_long() {
                 break;
             }
             motions = self.motions_read(times_s, &bends, q_tilde);
@@ -439,7 +443,9 @@ impl<'a> Mechanics<'a> {
         first: Option<Vector2<f64>>,
     ) -> (Led, Vector3<f64>) {
         let Some(seen) = first else { return led_in(away) };
-        let miss = |led: &Led| (self.seen(led.bend) - seen).norm();
+        // The eye cannot see a direction that all three share; the common part tells it.
+        let miss =
+            |led: &Led| (self.seen(led.bend) - seen).norm() / FIRST_BEND_RAD + led.common_mm.abs() / FIRST_COMMON_MM;
         let mut best = led_in(away);
         for direction in any_direction() {
             let next = led_in(direction);
@@ -478,14 +484,17 @@ impl<'a> Mechanics<'a> {
         if least < 1.0 {
             return best;
         }
-        for direction in any_direction() {
-            let allowed = |i: usize| direction[i] == kept[i] || direction[i] != 0.0;
-            if direction != kept && (0..3).all(allowed) {
-                let next = led_in(direction);
-                let doubt = doubt(&next);
-                if doubt < least {
-                    (best, least) = (next, doubt);
-                }
+        // One backbone otherwise, or all that have a direction.
+        let turned = (0..3).flat_map(|i| [-1.0, 1.0].map(|sign| (i, sign))).map(|(i, sign)| {
+            let mut direction = kept;
+            direction[i] = sign;
+            direction
+        });
+        for direction in turned.chain([-kept]).filter(|direction| *direction != kept) {
+            let next = led_in(direction);
+            let doubt = doubt(&next);
+            if doubt < least {
+                (best, least) = (next, doubt);
             }
         }
         best
@@ -657,7 +666,8 @@ impl Model {
         let times_s: Vec<f64> = observations.iter().map(|o| o.time_s).collect();
         let q_tilde: Vec<Vector3<f64>> = observations.iter().map(|o| o.q_mm).collect();
         let Some(first) = observations.first() else { return Vec::new() };
-        let guess: Vec<_> = mechanics.path(&times_s, &q_tilde, None).iter().map(|led| led.bend).collect();
+        // Where the eye saw the snake: of several bends that a steep screw error allows, the one that it had.
+        let guess: Vec<_> = observations.iter().map(|o| mechanics.unseen(o.configuration.bend_vector())).collect();
         let (path, _) = mechanics.settled(&times_s, &q_tilde, &guess, Some(first.configuration.bend_vector()));
         let bends: Vec<_> = path.iter().map(|led| led.bend).collect();
         let pictured = mechanics.pictured(&times_s, &bends);
