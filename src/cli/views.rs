@@ -51,12 +51,8 @@ impl OpenView {
                     .map_err(|message| Error::Rig { path: picture.clone(), message })?
             }
         };
-        Ok(Self {
-            name: view.name.clone(),
-            eye: Eye::new(lens, rig, robot.clone()),
-            delta_offset: view.delta_offset_deg.to_radians(),
-            frames,
-        })
+        let eye = Eye::new(lens, rig, robot.clone()).refined(sample(&frames)?);
+        Ok(Self { name: view.name.clone(), eye, delta_offset: view.delta_offset_deg.to_radians(), frames })
     }
 
     /// The frames whose index is wanted, once more, for a person to look at.
@@ -75,8 +71,6 @@ impl OpenView {
     /// The model's shape in this view's picture.
     pub fn shape(&self, psi: Configuration) -> Shape {
         const POINTS: usize = 60;
-        /// Fine enough for a drawing.
-        const OUTLINE_DETAIL: u32 = 2;
         let view = self.eye.projection();
         let seen = Configuration::new(psi.theta, psi.delta - self.delta_offset);
         let arc = (0..=POINTS).map(|i| {
@@ -84,7 +78,7 @@ impl OpenView {
             let point = Point3::from(view.robot.frame_at(seen, s_mm).translation.vector);
             view.lens.project(&(view.camera_from_base * point))
         });
-        let outline = Outline::new(&view, seen, OUTLINE_DETAIL);
+        let outline = Outline::new(&view, seen);
         Shape { arc: arc.collect(), outline: outline.points.iter().map(|point| point.pixel).collect() }
     }
 
@@ -119,6 +113,19 @@ impl OpenView {
         });
         Measurement { measured, quality: sighting.quality, ..unmeasured(sighting.status) }
     }
+}
+
+/// Frames from which a view's rig is refined: enough to see the snake bent to all sides.
+const REFINING: usize = 24;
+
+/// Frames spread over a sequence; what cannot be read is left out.
+fn sample(source: &FrameSource) -> Result<impl ParallelIterator<Item = Frame>> {
+    let count = source.count()?.unwrap_or(REFINING);
+    let wanted = |i: usize| count <= REFINING || (i + 1) * REFINING / count > i * REFINING / count;
+    // In order, so that sums over them are the same in every run.
+    let frames = source.frames()?.enumerate();
+    let chosen: Vec<_> = frames.filter(|(i, _)| wanted(*i)).map(|(_, frame)| frame).take(REFINING).collect();
+    Ok(chosen.into_par_iter().filter_map(|frame| frame.read().ok()))
 }
 
 /// Measures every frame of every view in parallel; the rows come in order of index, then view.

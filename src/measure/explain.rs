@@ -45,7 +45,7 @@ impl Eye {
         let look = self.look(frame);
         let plane = self.rig.appearance.plane(frame);
         let fits: Vec<Configuration> = look.fits.iter().map(|fit| Configuration::from_bend_vector(fit.bend)).collect();
-        let outline = fits.first().map(|&psi| Outline::new(&self.projection(), psi, 4));
+        let outline = fits.first().map(|&psi| Outline::new(&self.projection(), psi));
         let mut finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
         let disks = outline.as_ref().map(|outline| Proof::new(outline, &mut finder).disks().collect());
         let places = outline.as_ref().map(|outline| places(outline, &mut finder));

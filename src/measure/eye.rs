@@ -28,7 +28,7 @@ pub struct Sighting {
 pub struct Eye {
     pub(super) lens: Lens,
     pub(super) rig: Rig,
-    robot: Robot,
+    pub(super) robot: Robot,
     search: Search,
 }
 
@@ -47,7 +47,7 @@ const CANDIDATES: usize = 6;
 const FIRST_LOOK_PX: [f64; 3] = [14.0, 10.0, 8.0];
 const FINAL_PX: [f64; 9] = [6.0, 5.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0];
 /// How far the edges' bias may differ between the straight picture and a frame, px (1σ).
-const BIAS_SIGMA_PX: f64 = 0.1;
+pub(super) const BIAS_SIGMA_PX: f64 = 0.05;
 /// Share of the outline that must be confirmed by edges.
 const ENOUGH_INLIERS: f64 = 0.45;
 /// Share of the disks that must be where the fit says, most of their outline seen: one hidden and one half hidden is
@@ -61,6 +61,11 @@ impl Eye {
     pub fn new(lens: Lens, rig: Rig, robot: Robot) -> Self {
         let search = Search::new(&lens, rig.camera_from_base, &robot);
         Self { lens, rig, robot, search }
+    }
+
+    /// The rig that this eye measures by.
+    pub fn rig(&self) -> &Rig {
+        &self.rig
     }
 
     /// How this eye projects the snake.
@@ -85,7 +90,7 @@ impl Eye {
         let plane = self.rig.appearance.plane(frame);
         let view = self.projection();
         let mut finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
-        let bias = BiasPrior { mean_px: self.rig.edge_bias_px, sigma_px: BIAS_SIGMA_PX };
+        let bias = BiasPrior { mean: self.rig.edge_bias, sigma_px: BIAS_SIGMA_PX };
         let mut fit = |start: Vector2<f64>, searches: &[f64]| fit_bend(&view, &mut finder, start, bias, searches);
 
         look.candidates = self.search.candidates(&plane, self.rig.appearance.two_sided, CANDIDATES);
@@ -100,7 +105,7 @@ impl Eye {
         look.fits = distinct(fits);
         if let Some(best) = look.fits.first() {
             look.sighting = self.verdict(best);
-            let outline = Outline::new(&view, Configuration::from_bend_vector(best.bend), 4);
+            let outline = Outline::new(&view, Configuration::from_bend_vector(best.bend));
             if look.sighting.status == Status::Ok && Proof::new(&outline, &mut finder).disks_there() < ENOUGH_DISKS {
                 look.sighting = failed(Status::Occluded, look.sighting.quality);
             }

@@ -2,18 +2,39 @@
 
 use super::edges::EdgeFinder;
 use super::grid::nudged;
-use super::outline::{BodyPoint, Outline, Piece, Projection};
+use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use super::plane::median;
-use super::solve::minimise;
+use super::solve::{Solution, minimise};
 use crate::geometry::{Configuration, Pose};
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x6, Point2, Point3, Vector2};
+use crate::robot::Robot;
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x6, Point2, Point3, SMatrix, SVector, Vector2};
 use std::collections::BTreeMap;
+
+/// How far outside the snake's true border its edges are seen, px.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct EdgeBias {
+    /// Where a surface turns away from the camera: its shading bends over there, and what it mirrors is foreshortened.
+    pub side_px: f64,
+    /// At the sharp rims of the disks.
+    pub rim_px: f64,
+}
+
+impl EdgeBias {
+    fn of(self, piece: Piece) -> f64 {
+        match piece {
+            Piece::BaseRim | Piece::Rim(..) => self.rim_px,
+            Piece::HolderSide(_) | Piece::DiskSide(..) | Piece::Tube(..) => self.side_px,
+        }
+    }
+}
 
 /// A border point of the model and the edge that was found near it.
 #[derive(Debug, Clone, Copy)]
 struct Match {
     body: BodyPoint,
     piece: Piece,
+    /// See [`OutlinePoint::lateral`].
+    lateral: f64,
     /// Where the edge is, px.
     seen: Point2<f64>,
     /// Outward normal of the border.
@@ -35,20 +56,44 @@ pub(super) struct Matches {
     pub places: usize,
 }
 
+/// What light from one side does to all rims of a straight snake alike, px (1σ): see [`Matches::light_patterns`].
+pub(super) const LIGHT_STRAIGHT_PX: f64 = 0.05;
+/// The same for a bent snake, whose disks turn in the light.
+const LIGHT_BENT_PX: f64 = 0.02;
+/// Edges come in runs of about as many that err alike; what is known beforehand weighs against one of a run.
+const ALIKE: f64 = 10.0;
+/// The furthest that softness may displace an edge of the model, px.
+const ROUNDED_PX: f64 = 1.0;
 /// Systematic error of a single edge's place, px: what shading and print do to it however clean it looks.
 const EDGE_FLOOR_PX: f64 = 0.08;
 
 impl Matches {
-    /// Finds the edges within `search_px` of the model's outline.
-    pub fn find(outline: &Outline, finder: &mut EdgeFinder, search_px: f64, is_wanted: impl Fn(Piece) -> bool) -> Self {
+    /// Finds the edges within `search_px` of the model's outline. With a `blur_px`, the model's own silhouette is looked at
+    /// with the same softness and the same filter, so that corners and bends of the border, which a soft picture rounds
+    /// off, are rounded in both.
+    pub fn find(
+        outline: &Outline,
+        finder: &mut EdgeFinder,
+        search_px: f64,
+        blur_px: Option<f64>,
+        is_wanted: impl Fn(Piece) -> bool,
+    ) -> Self {
         // Close to another part the edge's surroundings are not what the edge filter assumes.
         const CLEAR_PX: f64 = 4.0;
         let clear =
             outline.points.iter().filter(|p| p.gap_px >= CLEAR_PX && p.depth_px >= CLEAR_PX && is_wanted(p.piece));
         let mut found = Self { matches: Vec::new(), sections_mm: Vec::new(), section_of: Vec::new(), places: 0 };
+        let model = blur_px.map(|blur_px| outline.seen_through(blur_px));
+        let mut model = model.as_ref().map(|(plane, first)| (EdgeFinder::new(plane, false), first));
         for point in clear {
             found.places += 1;
             let Some(edge) = finder.find(point, search_px) else { continue };
+            let mut offset_px = edge.offset_px;
+            if let Some((finder, first)) = &mut model {
+                let ideal = OutlinePoint { pixel: point.pixel - **first, ..*point };
+                let Some(rounded) = finder.find(&ideal, ROUNDED_PX) else { continue };
+                offset_px -= rounded.offset_px;
+            }
             // Points come section by section.
             if found.sections_mm.last() != Some(&point.body.s_mm) {
                 found.sections_mm.push(point.body.s_mm);
@@ -57,7 +102,8 @@ impl Matches {
             found.matches.push(Match {
                 body: point.body,
                 piece: point.piece,
-                seen: point.pixel + point.normal.into_inner() * edge.offset_px,
+                lateral: point.lateral,
+                seen: point.pixel + point.normal.into_inner() * offset_px,
                 normal: point.normal.into_inner(),
                 sigma_px: edge.sigma_px.hypot(EDGE_FLOOR_PX),
                 blur_px: edge.blur_px,
@@ -83,10 +129,15 @@ impl Matches {
             .collect()
     }
 
-    /// The same in units of σ, for edges that lie `bias_px` outside the true border.
-    pub fn residuals(&self, view: &Projection, psi: Configuration, bias_px: f64) -> Vec<f64> {
+    /// How far outside its place, which is the model's border and its bias, each edge lies, px.
+    pub fn misfits_px(&self, view: &Projection, psi: Configuration, bias: EdgeBias) -> Vec<f64> {
         let distances = self.distances_px(view, psi);
-        distances.iter().zip(&self.matches).map(|(d, m)| (d - bias_px) / m.sigma_px).collect()
+        distances.iter().zip(&self.matches).map(|(d, m)| d - bias.of(m.piece)).collect()
+    }
+
+    /// The same in units of σ.
+    pub fn residuals(&self, view: &Projection, psi: Configuration, bias: EdgeBias) -> Vec<f64> {
+        self.misfits_px(view, psi, bias).iter().zip(&self.matches).map(|(d, m)| d / m.sigma_px).collect()
     }
 
     /// The piece of the body of every edge.
@@ -95,8 +146,45 @@ impl Matches {
     }
 
     /// Median blur of the edges, px.
-    fn blur_px(&self) -> f64 {
+    pub fn blur_px(&self) -> f64 {
         f64::from(median(&mut self.matches.iter().map(|m| m.blur_px as f32).collect::<Vec<_>>()))
+    }
+
+    /// Errors, in units of σ and weighted, that light and softness make on all rims alike, so that no number of disks
+    /// averages them away: all rims shifted along the snake, the same at their ends only, all ends rounded off, and disks
+    /// that look thicker towards one end of the snake.
+    pub fn light_patterns(&self, robot: &Robot, light_px: f64, roots: &[f64]) -> Vec<DVector<f64>> {
+        let patterns: [fn(f64, f64, f64) -> f64; 4] =
+            [|side, _, _| side, |side, end, _| side * end, |_, end, _| end, |_, _, along| along];
+        let of_edge = |pattern: &fn(f64, f64, f64) -> f64, m: &Match, root: f64| {
+            let along = 2.0 * m.body.s_mm / robot.length_mm - 1.0;
+            let shift = match m.piece {
+                Piece::Rim(_, far) => pattern(if far { 1.0 } else { -1.0 }, m.lateral.powi(2), along),
+                Piece::BaseRim => pattern(1.0, m.lateral.powi(2), along),
+                Piece::HolderSide(_) | Piece::DiskSide(..) | Piece::Tube(..) => 0.0,
+            };
+            root * shift * light_px / m.sigma_px
+        };
+        let all = |pattern| self.matches.iter().zip(roots).map(move |(m, root)| of_edge(pattern, m, *root));
+        patterns.iter().map(|pattern| DVector::from_iterator(self.len(), all(pattern))).collect()
+    }
+
+    /// Derivatives of the weighted residuals by bend vector and edge bias.
+    fn own_jacobian(&self, view: &Projection, state: &State, roots: &[f64]) -> DMatrix<f64> {
+        let mut jacobian = DMatrix::zeros(self.len(), State::STEPS.len());
+        for (column, step) in State::STEPS.into_iter().enumerate() {
+            let moved = |by: f64| {
+                let mut x = state.vector();
+                x[column] += by;
+                let moved = State::of(&x);
+                self.residuals(view, moved.psi(), moved.bias)
+            };
+            let change = moved(step).into_iter().zip(moved(-step)).map(|(ahead, behind)| ahead - behind);
+            for (row, (change, root)) in change.zip(roots).enumerate() {
+                jacobian[(row, column)] = root * change / (2.0 * step);
+            }
+        }
+        jacobian
     }
 
     /// Derivatives of the weighted residuals by the camera's pose (see [`nudged`]).
@@ -108,7 +196,7 @@ impl Matches {
                 let mut x = DVector::zeros(6);
                 x[column] = by;
                 let moved = Projection { camera_from_base: nudged(&view.camera_from_base, &x), ..view.clone() };
-                self.residuals(&moved, psi, 0.0)
+                self.residuals(&moved, psi, EdgeBias::default())
             };
             let change = moved(STEP).into_iter().zip(moved(-STEP)).map(|(ahead, behind)| ahead - behind);
             for (row, (change, root)) in change.zip(roots).enumerate() {
@@ -161,9 +249,24 @@ pub(super) fn clustered_covariance(
     Some(&bread * meat * &bread * (clusters / (clusters - parameters as f64)))
 }
 
+/// What [`Matches::light_patterns`] add to the covariance of a fit to these edges.
+pub(super) fn light_covariance(
+    matches: &Matches,
+    solution: &Solution,
+    independent: &DMatrix<f64>,
+    robot: &Robot,
+    light_px: f64,
+    roots: &[f64],
+) -> DMatrix<f64> {
+    let edges = solution.jacobian.rows(0, matches.len()).transpose();
+    let shifts =
+        matches.light_patterns(robot, light_px, roots).into_iter().map(|pattern| independent * (&edges * pattern));
+    shifts.fold(DMatrix::zeros(independent.nrows(), independent.ncols()), |sum, shift| sum + &shift * shift.transpose())
+}
+
 /// The share of edges that count at least half, and their scatter, px.
-pub(super) fn inliers(distances_px: &[f64], bias_px: f64, roots: &[f64]) -> (usize, f64) {
-    let kept: Vec<f64> = distances_px.iter().zip(roots).filter(|(_, w)| **w > 0.5).map(|(d, _)| d - bias_px).collect();
+pub(super) fn inliers(misfits_px: &[f64], roots: &[f64]) -> (usize, f64) {
+    let kept: Vec<f64> = misfits_px.iter().zip(roots).filter(|(_, w)| **w > 0.5).map(|(d, _)| *d).collect();
     let rms = (kept.iter().map(|d| d * d).sum::<f64>() / kept.len().max(1) as f64).sqrt();
     (kept.len(), rms)
 }
@@ -192,8 +295,32 @@ pub(super) struct BendFit {
 /// What is known of the edges' bias before the picture is looked at.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BiasPrior {
-    pub mean_px: f64,
+    pub mean: EdgeBias,
     pub sigma_px: f64,
+}
+
+/// What a picture is fitted with.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct State {
+    pub bend: Vector2<f64>,
+    pub bias: EdgeBias,
+}
+
+impl State {
+    /// Steps of central differences: rad and px.
+    const STEPS: [f64; 4] = [1e-5, 1e-5, 1e-3, 1e-3];
+
+    fn vector(&self) -> DVector<f64> {
+        DVector::from_column_slice(&[self.bend.x, self.bend.y, self.bias.side_px, self.bias.rim_px])
+    }
+
+    fn of(x: &DVector<f64>) -> Self {
+        Self { bend: Vector2::new(x[0], x[1]), bias: EdgeBias { side_px: x[2], rim_px: x[3] } }
+    }
+
+    fn psi(&self) -> Configuration {
+        Configuration::from_bend_vector(self.bend)
+    }
 }
 
 /// Fits bend and edge bias by matching edges within ever smaller distances; at the last one it stops once nothing moves.
@@ -209,29 +336,31 @@ pub(super) fn fit_bend(
     const FURTHEST_RAD: f64 = 2.2;
     const FEWEST_EDGES: usize = 30;
     const CONVERGED_RAD: f64 = 2e-5;
-    let (mut bend, mut bias_px) = (start, bias.mean_px);
+    let mut state = State { bend: start, bias: bias.mean };
     let mut last = None;
     for &search_px in searches_px {
-        let psi = Configuration::from_bend_vector(bend);
-        let outline = Outline::new(view, psi, if search_px > SETTLED_PX { 2 } else { 4 });
+        let psi = state.psi();
+        let settled = search_px <= SETTLED_PX;
+        let outline = Outline::new(view, psi);
+        let soft = last.as_ref().filter(|_| settled).map(|(matches, ..): &(Matches, _, _, _, _)| matches.blur_px());
         // The holder and the base disk do not bend.
         let matches =
-            Matches::find(&outline, finder, search_px, |p| !matches!(p, Piece::HolderSide(_) | Piece::BaseRim));
+            Matches::find(&outline, finder, search_px, soft, |p| !matches!(p, Piece::HolderSide(_) | Piece::BaseRim));
         if matches.len() < FEWEST_EDGES {
             return None;
         }
-        let roots = robust_weights(&matches.residuals(view, psi, bias_px), search_px > SETTLED_PX);
+        let roots = robust_weights(&matches.residuals(view, psi, state.bias), search_px > SETTLED_PX);
         let weighted = |x: &DVector<f64>| {
-            let psi = Configuration::from_bend_vector(Vector2::new(x[0], x[1]));
-            let edges = matches.residuals(view, psi, x[2]);
-            let prior = (x[2] - bias.mean_px) / bias.sigma_px;
-            DVector::from_iterator(edges.len() + 1, edges.iter().zip(&roots).map(|(r, w)| r * w).chain([prior]))
+            let State { bias: at, .. } = State::of(x);
+            let edges = matches.residuals(view, State::of(x).psi(), at);
+            let priors = [at.side_px - bias.mean.side_px, at.rim_px - bias.mean.rim_px]
+                .map(|off| off / bias.sigma_px * ALIKE.sqrt());
+            DVector::from_iterator(edges.len() + 2, edges.iter().zip(&roots).map(|(r, w)| r * w).chain(priors))
         };
-        let start = DVector::from_column_slice(&[bend.x, bend.y, bias_px]);
-        let solution = minimise(weighted, start, &DVector::from_column_slice(&[1e-5, 1e-5, 1e-3]))?;
-        let moved = (Vector2::new(solution.parameters[0], solution.parameters[1]) - bend).norm();
-        (bend, bias_px) = (Vector2::new(solution.parameters[0], solution.parameters[1]), solution.parameters[2]);
-        if bend.norm() > FURTHEST_RAD {
+        let solution = minimise(weighted, state.vector(), &DVector::from_column_slice(&State::STEPS))?;
+        let moved = (State::of(&solution.parameters).bend - state.bend).norm();
+        state = State::of(&solution.parameters);
+        if state.bend.norm() > FURTHEST_RAD {
             return None;
         }
         last = Some((matches, roots, outline.out_of_frame, search_px, solution));
@@ -241,18 +370,19 @@ pub(super) fn fit_bend(
     }
 
     let (matches, roots, out_of_frame, search_px, solution) = last?;
-    let psi = Configuration::from_bend_vector(bend);
+    let psi = state.psi();
     let independent = solution.covariance()?;
     let clustered = clustered_covariance(&solution.jacobian, &solution.residuals, &matches.pieces())?;
+    let light = light_covariance(&matches, &solution, &independent, view.robot, LIGHT_BENT_PX, &roots);
     let gain =
         &independent * solution.jacobian.rows(0, matches.len()).transpose() * matches.pose_jacobian(view, psi, &roots);
-    let distances = matches.distances_px(view, psi);
-    let (inliers, rms_px) = inliers(&distances, bias_px, &roots);
-    let near: f64 = distances.iter().map(|d| 1.0 - ((d - bias_px) / search_px).powi(2).min(1.0)).sum();
+    let misfits = matches.misfits_px(view, psi, state.bias);
+    let (inliers, rms_px) = inliers(&misfits, &roots);
+    let near: f64 = misfits.iter().map(|d| 1.0 - (d / search_px).powi(2).min(1.0)).sum();
     let block = |c: &DMatrix<f64>| Matrix2::new(c[(0, 0)], c[(0, 1)], c[(1, 0)], c[(1, 1)]);
     Some(BendFit {
-        bend,
-        covariance: block(&clustered) + block(&independent),
+        bend: state.bend,
+        covariance: block(&clustered) + block(&independent) + block(&light),
         by_pose: Matrix2x6::from_fn(|row, column| -gain[(row, column)]),
         places: matches.places,
         inliers,
@@ -261,4 +391,52 @@ pub(super) fn fit_bend(
         out_of_frame,
         cost: 1.0 - near / matches.places as f64,
     })
+}
+
+/// What all pictures of a sequence share: the camera's pose (see [`nudged`]) and the edges' bias (sides, rims; px).
+pub(super) type Shared = SVector<f64, 8>;
+pub(super) type SharedInformation = SMatrix<f64, 8, 8>;
+
+/// What one picture says of what all share, its own bend being free.
+#[derive(Debug, Clone)]
+pub(super) struct SharedEvidence {
+    /// Piece by piece: the information if every edge were a witness of its own, and the derivative of half the squared
+    /// residuals.
+    pub pieces: BTreeMap<Piece, (SharedInformation, Shared)>,
+    /// That derivative for each of [`Matches::light_patterns`].
+    pub light: Vec<Shared>,
+}
+
+/// Looks at a picture whose bend is known nearly, and lets the bend follow pose and bias.
+///
+/// `None` where the edges do not determine the bend.
+pub(super) fn shared_evidence(
+    view: &Projection,
+    finder: &mut EdgeFinder,
+    state: &State,
+    blur_px: f64,
+) -> Option<SharedEvidence> {
+    let psi = state.psi();
+    let matches = Matches::find(&Outline::new(view, psi), finder, 3.0, Some(blur_px), |_| true);
+    let residuals = matches.residuals(view, psi, state.bias);
+    let roots = robust_weights(&residuals, false);
+    let own = matches.own_jacobian(view, state, &roots);
+    let (bend, bias) = (own.columns(0, 2), own.columns(2, 2));
+    let pose = matches.pose_jacobian(view, psi, &roots);
+    let shared = DMatrix::from_fn(pose.nrows(), 8, |r, c| if c < 6 { pose[(r, c)] } else { bias[(r, c - 6)] });
+    // What the picture's own bend could have done as well is no evidence.
+    let projected = &shared - bend * (bend.transpose() * bend).cholesky()?.solve(&(bend.transpose() * &shared));
+    let mut pieces = BTreeMap::new();
+    for (row, ((piece, residual), root)) in matches.pieces().into_iter().zip(residuals).zip(&roots).enumerate() {
+        let along = Shared::from_iterator(projected.row(row).iter().copied());
+        let (information, score) = pieces.entry(piece).or_insert((SharedInformation::zeros(), Shared::zeros()));
+        *information += along * along.transpose();
+        *score += along * (residual * root);
+    }
+    let light = matches.light_patterns(view.robot, LIGHT_BENT_PX, &roots);
+    let light = light.iter().map(|pattern| {
+        let score = projected.transpose() * pattern;
+        Shared::from_iterator(score.iter().copied())
+    });
+    Some(SharedEvidence { pieces, light: light.collect() })
 }

@@ -6,12 +6,13 @@
 //! first order: moving along the surface slides the point *along* the border, so only the motion of the material point
 //! moves the border across itself. A border point is therefore kept as a material point, [`BodyPoint`].
 
+use super::plane::Plane;
 use crate::camera::Lens;
 use crate::geometry::{Configuration, Pose};
 use crate::robot::Robot;
-use image::{GrayImage, Luma};
-use imageproc::drawing::draw_polygon_mut;
-use imageproc::point::Point;
+use ab_glyph_rasterizer::{Rasterizer, point};
+use image::{ImageBuffer, Luma};
+use imageproc::filter::gaussian_blur_f32;
 use nalgebra::{Point2, Point3, Unit, Vector2, Vector3};
 
 /// A point fixed to the snake's body: `local` (mm) in the frame of the section at arc length `s_mm`.
@@ -55,6 +56,8 @@ pub struct OutlinePoint {
     pub body: BodyPoint,
     /// Its piece of the body.
     pub piece: Piece,
+    /// On a rim: how far to the side, 0 in the middle to 1 at the ends where the rim turns away. 0 elsewhere.
+    pub lateral: f64,
     /// Where it is seen, px.
     pub pixel: Point2<f64>,
     /// Unit normal of the border in the picture, pointing out of the snake.
@@ -75,15 +78,12 @@ pub struct Outline {
     mask: Mask,
 }
 
-/// The body's silhouette over the part of the picture that it covers.
+/// The body's silhouette over the part of the picture that it covers: the share of every pixel that is snake.
 #[derive(Debug, Clone)]
 struct Mask {
-    /// 255 on the snake, 0 elsewhere.
-    picture: GrayImage,
-    /// The mask's pixels are this many times finer than the picture's.
-    scale: f64,
-    /// The mask's first pixel, in its own pixels from the picture's.
-    origin: Point2<i32>,
+    coverage: Plane,
+    /// The pixel of the picture that is the mask's first.
+    first: Vector2<f64>,
 }
 
 /// What is needed to project the body: where the camera is and what it looks at.
@@ -116,6 +116,8 @@ impl<'a> Projection<'a> {
 struct Candidate {
     body: BodyPoint,
     piece: Piece,
+    /// See [`OutlinePoint::lateral`].
+    lateral: f64,
     /// Unit surface normal that is square to the line of sight or to a rim, in the base frame: points out of the snake.
     outward: Vector3<f64>,
     /// Direction of the border in space, base frame.
@@ -129,16 +131,13 @@ impl Outline {
     pub const REACH_PX: f64 = 12.0;
 
     /// Projects the body and keeps what lies on the border of its silhouette and within the picture.
-    ///
-    /// `detail` is how many times finer than the picture the silhouette is drawn: 1 for a search, 4 for a fit, where of
-    /// two nearly coinciding borders the outer one must be told from the inner.
-    pub fn new(view: &Projection, psi: Configuration, detail: u32) -> Self {
+    pub fn new(view: &Projection, psi: Configuration) -> Self {
         let mut candidates = Vec::new();
         let mut polygons = Vec::new();
         cylinders(view, psi, &mut candidates, &mut polygons);
         tubes(view, psi, &mut candidates, &mut polygons);
 
-        let mask = Mask::new(view.lens, &polygons, f64::from(detail));
+        let mask = Mask::new(view.lens, &polygons);
         let points = candidates.iter().filter_map(|c| border_point(&mask, view, psi, c)).collect();
         let outside =
             candidates.iter().filter(|c| c.body.s_mm > 0.0 && !view.lens.contains(&view.pixel(psi, &c.body), 1.0));
@@ -150,11 +149,23 @@ impl Outline {
         self.mask.covers(pixel)
     }
 
+    /// How an ideal camera would see the silhouette, 1 on the snake and 0 elsewhere, with edges as soft as a blur of
+    /// σ = `blur_px` makes them; and the pixel of the picture that is that plane's first.
+    pub(super) fn seen_through(&self, blur_px: f64) -> (Plane, Vector2<f64>) {
+        /// What pixels and the interpolation between them do to a step, px.
+        const PIXELS_PX: f64 = 0.54;
+        let sigma = (blur_px.powi(2) - PIXELS_PX.powi(2)).max(0.01).sqrt();
+        let Plane { width, height, data } = self.mask.coverage.clone();
+        let soft = ImageBuffer::<Luma<f32>, _>::from_raw(width as u32, height as u32, data)
+            .map(|coverage| gaussian_blur_f32(&coverage, sigma as f32).into_raw())
+            .unwrap_or_default();
+        (Plane { width, height, data: soft }, self.mask.first)
+    }
+
     /// The part of the picture the body may cover: x0, y0, x1, y1, px.
     pub fn bounds(&self) -> (f64, f64, f64, f64) {
-        let start = self.mask.origin.cast::<f64>() / self.mask.scale;
-        let (width, height) = self.mask.picture.dimensions();
-        (start.x, start.y, start.x + f64::from(width) / self.mask.scale, start.y + f64::from(height) / self.mask.scale)
+        let Mask { coverage, first } = &self.mask;
+        (first.x, first.y, first.x + coverage.width as f64, first.y + coverage.height as f64)
     }
 }
 
@@ -175,10 +186,10 @@ fn border_point(mask: &Mask, view: &Projection, psi: Configuration, candidate: &
     let gap_px = mask.run_length(&pixel, normal.into_inner(), false);
     let depth_px = mask.run_length(&pixel, -normal.into_inner(), true);
     // Where two parts' borders nearly coincide, only the outer one is seen.
-    let on_border_px = 3.0 / mask.scale;
-    (gap_px > on_border_px && depth_px > on_border_px).then_some(OutlinePoint {
+    (gap_px > Mask::FIRST_STEP_PX && depth_px > Mask::FIRST_STEP_PX).then_some(OutlinePoint {
         body: candidate.body,
         piece: candidate.piece,
+        lateral: candidate.lateral,
         pixel,
         normal,
         gap_px,
@@ -207,16 +218,17 @@ fn cylinders(
         let frame = view.robot.frame_at(psi, s_mm);
         let local_eye = frame.inverse() * eye;
 
-        let mut rims = Vec::new();
+        let project = |local: Vector3<f64>| view.lens.project(&(view.camera_from_base * (frame * Point3::from(local))));
         let steps = (std::f64::consts::TAU * radius / spacing_mm).ceil().max(16.0) as usize;
         for far in [false, true] {
             let z = if far { far_mm } else { near_mm };
             let face_seen = if far { local_eye.z > z } else { local_eye.z < z };
+            let mut rim = Vec::new();
             for step in 0..steps {
                 let phi = std::f64::consts::TAU * step as f64 / steps as f64;
                 let radial = Vector3::new(phi.cos(), phi.sin(), 0.0);
                 let local = Vector3::new(radius * radial.x, radius * radial.y, z);
-                rims.push(view.lens.project(&(view.camera_from_base * (frame * Point3::from(local)))));
+                rim.push(project(local));
                 let wall_seen = radial.dot(&(local_eye.coords - local)) > 0.0;
                 // A rim is on the cylinder's border where just one of the two surfaces that meet in it is seen.
                 if face_seen == wall_seen || (number == 0 && !far) {
@@ -225,26 +237,32 @@ fn cylinders(
                 candidates.push(Candidate {
                     body: BodyPoint { s_mm, local },
                     piece: if number == 0 { Piece::BaseRim } else { Piece::Rim(number, far) },
+                    lateral: (radial.x * local_eye.y - radial.y * local_eye.x).abs() / local_eye.coords.xy().norm(),
                     // Any mix of the two surfaces' normals points out of the border.
                     outward: frame * (radial + Vector3::z() * if far { 1.0 } else { -1.0 }),
                     along: frame * Vector3::new(-radial.y, radial.x, 0.0),
                 });
             }
+            polygons.push(rim);
         }
-        polygons.push(convex_hull(rims));
-
+        let mut wall = Vec::new();
         for (side, radial) in tangent_directions(Vector2::new(local_eye.x, local_eye.y), radius) {
+            let at = |z: f64| project(Vector3::new(radius * radial.x, radius * radial.y, z));
+            let ends = if side < 0 { [near_mm, far_mm] } else { [far_mm, near_mm] };
+            wall.extend(ends.map(at));
             let count = ((far_mm - near_mm) / spacing_mm).floor().max(1.0) as usize;
             for step in 0..count {
                 let z = near_mm + (far_mm - near_mm) * (step as f64 + 0.5) / count as f64;
                 candidates.push(Candidate {
                     body: BodyPoint { s_mm, local: Vector3::new(radius * radial.x, radius * radial.y, z) },
                     piece: if number == 0 { Piece::HolderSide(side) } else { Piece::DiskSide(number, side) },
+                    lateral: 0.0,
                     outward: frame * Vector3::new(radial.x, radial.y, 0.0),
                     along: frame * Vector3::z(),
                 });
             }
         }
+        polygons.push(wall);
     }
 }
 
@@ -276,6 +294,7 @@ fn tubes(view: &Projection, psi: Configuration, candidates: &mut Vec<Candidate>,
                 candidates.push(Candidate {
                     body: BodyPoint { s_mm, local },
                     piece: Piece::Tube(number as u8, side, (s_mm / robot.disk_pitch_mm()) as u8),
+                    lateral: 0.0,
                     outward: frame * Vector3::new(radial.x, radial.y, 0.0),
                     along: frame * Vector3::z(),
                 });
@@ -304,67 +323,69 @@ fn tangent_directions(eye: Vector2<f64>, radius: f64) -> impl Iterator<Item = (i
     solutions.into_iter().flatten().map(|(side, angle)| (side, Vector2::new(angle.cos(), angle.sin())))
 }
 
-/// The convex hull of projected points; none if one of them has no projection.
-fn convex_hull(points: Vec<Point2<f64>>) -> Vec<Point2<f64>> {
-    const SCALE: f64 = 16.0;
-    if points.iter().any(|p| !p.x.is_finite() || !p.y.is_finite() || p.coords.amax() > 1e6) {
-        return Vec::new();
-    }
-    let scaled: Vec<Point<i32>> =
-        points.iter().map(|p| Point::new((p.x * SCALE).round() as i32, (p.y * SCALE).round() as i32)).collect();
-    imageproc::geometry::convex_hull(scaled)
-        .into_iter()
-        .map(|p: Point<i32>| Point2::new(f64::from(p.x) / SCALE, f64::from(p.y) / SCALE))
-        .collect()
-}
-
 impl Mask {
+    /// The first step from a border pixel, px: what ends sooner is not the border.
+    const FIRST_STEP_PX: f64 = 0.4;
+    const STEP_PX: f64 = 0.5;
+
     /// Draws the union of the polygons (px of the picture), on what they cover and [`Outline::REACH_PX`] around it.
-    fn new(lens: &Lens, polygons: &[Vec<Point2<f64>>], scale: f64) -> Self {
-        let fine = |px: f64| (px * scale).round() as i32;
-        let reach = fine(Outline::REACH_PX + 2.0);
-        let clamp = |px: f64, size: u32| fine(px).clamp(-reach, fine(f64::from(size)) + reach);
-        let (mut x0, mut y0, mut x1, mut y1) = (i32::MAX, i32::MAX, i32::MIN, i32::MIN);
-        for p in polygons.iter().flatten().filter(|p| p.x.is_finite() && p.y.is_finite()) {
-            let (x, y) = (clamp(p.x, lens.width), clamp(p.y, lens.height));
-            (x0, y0, x1, y1) = (x0.min(x), y0.min(y), x1.max(x), y1.max(y));
+    fn new(lens: &Lens, polygons: &[Vec<Point2<f64>>]) -> Self {
+        /// The snake may leave the picture by this much, px, before it cannot be drawn.
+        const FURTHEST_PX: f64 = 2048.0;
+        const MARGIN_PX: f64 = Outline::REACH_PX + 2.0;
+        let (width, height) = (f64::from(lens.width), f64::from(lens.height));
+        let fits = |p: &Point2<f64>| {
+            (-FURTHEST_PX..width + FURTHEST_PX).contains(&p.x) && (-FURTHEST_PX..height + FURTHEST_PX).contains(&p.y)
+        };
+        let drawable = || polygons.iter().filter(|polygon| polygon.len() >= 3 && polygon.iter().all(fits));
+        let Some((least, most)) = drawable().flatten().fold(None, |bounds: Option<(Point2<f64>, Point2<f64>)>, p| {
+            bounds.map_or(Some((*p, *p)), |(least, most)| Some((least.inf(p), most.sup(p))))
+        }) else {
+            return Self { coverage: Plane { width: 1, height: 1, data: vec![0.0] }, first: Vector2::zeros() };
+        };
+        let first = (least.coords - Vector2::repeat(MARGIN_PX)).map(f64::floor);
+        let size = (most.coords - first + Vector2::repeat(MARGIN_PX)).map(|v| v.ceil() as usize + 1);
+        let mut coverage = Plane { width: size.x, height: size.y, data: vec![0.0; size.x * size.y] };
+        let mut rasterizer = Rasterizer::new(0, 0);
+        for polygon in drawable() {
+            coverage.cover(polygon, &first, &mut rasterizer);
         }
-        if x0 > x1 {
-            return Self { picture: GrayImage::new(1, 1), scale, origin: Point2::origin() };
-        }
-        let origin = Point2::new(x0 - reach, y0 - reach);
-        let mut picture = GrayImage::new((x1 - x0 + 2 * reach + 1) as u32, (y1 - y0 + 2 * reach + 1) as u32);
-        for polygon in polygons {
-            const FURTHEST_PX: f64 = 1e5;
-            let mut vertices: Vec<Point<i32>> = polygon
-                .iter()
-                .filter(|p| p.x.is_finite() && p.y.is_finite() && p.coords.amax() < FURTHEST_PX)
-                .map(|p| Point::new(fine(p.x) - origin.x, fine(p.y) - origin.y))
-                .collect();
-            vertices.dedup();
-            if vertices.first() == vertices.last() {
-                vertices.pop();
-            }
-            if vertices.len() >= 3 {
-                draw_polygon_mut(&mut picture, &vertices, Luma([255]));
-            }
-        }
-        Self { picture, scale, origin }
+        Self { coverage, first }
     }
 
     fn covers(&self, pixel: &Point2<f64>) -> bool {
-        let x = (pixel.x * self.scale).round() as i32 - self.origin.x;
-        let y = (pixel.y * self.scale).round() as i32 - self.origin.y;
-        let inside = x >= 0 && y >= 0;
-        inside && self.picture.get_pixel_checked(x as u32, y as u32).is_some_and(|p| p.0[0] > 0)
+        self.coverage.sample(&(pixel - self.first)) > 0.5
     }
 
     /// How far, px, one can go from a border pixel before the mask is no longer `inside`.
     fn run_length(&self, from: &Point2<f64>, direction: Vector2<f64>, inside: bool) -> f64 {
-        let mut distance = 1.5 / self.scale;
+        let mut distance = Self::FIRST_STEP_PX;
         while distance < Outline::REACH_PX && self.covers(&(from + direction * distance)) == inside {
-            distance += 2.0 / self.scale;
+            distance += Self::STEP_PX;
         }
         distance.min(Outline::REACH_PX)
+    }
+}
+
+impl Plane {
+    /// Raises every pixel to the share of it that a polygon covers; the polygon's pixels count from `first`, and it lies
+    /// within the plane.
+    fn cover(&mut self, polygon: &[Point2<f64>], first: &Vector2<f64>, rasterizer: &mut Rasterizer) {
+        let (least, most) = polygon.iter().fold((polygon[0], polygon[0]), |(a, b), p| (a.inf(p), b.sup(p)));
+        // Pixel centres are at integers; the rasterizer has pixel corners there.
+        let corner = (least - first).map(|v| (v + 0.5).floor() as usize);
+        let from = corner.map(|v| v as f64 - 0.5) + first;
+        let size = (most - Point2::from(from)).map(|v| v.ceil() as usize + 1);
+        rasterizer.reset(size.x, size.y);
+        let place = |p: &Point2<f64>| point((p.x - from.x) as f32, (p.y - from.y) as f32);
+        for (a, b) in polygon.iter().zip(polygon.iter().cycle().skip(1)) {
+            rasterizer.draw_line(place(a), place(b));
+        }
+        let (width, data) = (self.width, &mut self.data);
+        rasterizer.for_each_pixel_2d(|x, y, share| {
+            if let Some(pixel) = data.get_mut((corner.y + y as usize) * width + corner.x + x as usize) {
+                *pixel = pixel.max(share.min(1.0));
+            }
+        });
     }
 }

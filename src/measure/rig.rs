@@ -2,7 +2,9 @@
 
 use super::appearance::Appearance;
 use super::edges::EdgeFinder;
-use super::fit::{Matches, SETTLED_PX, clustered_covariance, inliers, robust_weights};
+use super::fit::{
+    EdgeBias, LIGHT_STRAIGHT_PX, Matches, SETTLED_PX, clustered_covariance, inliers, light_covariance, robust_weights,
+};
 use super::grid::{Grid, find_grid};
 use super::locate::{Holder, SnakeStart, find_start, locate_holders};
 use super::outline::{Outline, Projection};
@@ -28,8 +30,8 @@ pub struct Rig {
     pub grid_pitch_mm: f64,
     /// What tells snake from paper.
     pub appearance: Appearance,
-    /// How far outside the snake's true border its edge is seen, px.
-    pub edge_bias_px: f64,
+    /// How far outside the snake's true border its edges are seen.
+    pub edge_bias: EdgeBias,
     /// Scatter of the grid about its pose, px.
     pub grid_rms_px: f64,
     /// Scatter of the straight snake's edges about the model, px.
@@ -175,12 +177,12 @@ fn fit_base(
     let mut placement = starting_placement(lens, options, snake, grid)?;
     let straight = Configuration::new(0.0, 0.0);
     let mut appearance = None;
-    let mut edge_bias_px = 0.0;
+    let mut edge_bias = EdgeBias::default();
     let mut outcome = None;
     for (round, search_px) in [14.0, 12.0, 10.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 3.0, 3.0].into_iter().enumerate() {
         let pose = |p: &Placement| grid.camera_from_grid * p.grid_from_base(options.standoff_mm);
         let view = Projection { lens, camera_from_base: pose(&placement), robot };
-        let outline = Outline::new(&view, straight, 4);
+        let outline = Outline::new(&view, straight);
         // The model's own outline tells which pixels are snake, the better the better it lies.
         if round % 3 == 0 || appearance.is_none() {
             appearance = appearance_of(frame, &outline);
@@ -188,7 +190,11 @@ fn fit_base(
         let known = appearance.as_ref().ok_or("the snake does not stand out from the paper")?;
         let plane = known.plane(frame);
         let mut finder = EdgeFinder::new(&plane, known.two_sided);
-        let matches = Matches::find(&outline, &mut finder, search_px, |_| true);
+        let soft = outcome
+            .as_ref()
+            .filter(|_| search_px <= SETTLED_PX)
+            .map(|(matches, ..): &(Matches, _, _)| matches.blur_px());
+        let matches = Matches::find(&outline, &mut finder, search_px, soft, |_| true);
         if matches.len() < 40 || matches.len() * 3 < matches.places {
             return Err(format!(
                 "only {} of {} places on the straight snake's outline show an edge; is the snake unbent, in focus and \
@@ -197,18 +203,19 @@ fn fit_base(
                 matches.places
             ));
         }
-        let roots = robust_weights(&matches.residuals(&view, straight, edge_bias_px), search_px > SETTLED_PX);
+        let roots = robust_weights(&matches.residuals(&view, straight, edge_bias), search_px > SETTLED_PX);
         let weighted = |x: &DVector<f64>| {
             let moved = Projection { camera_from_base: pose(&Placement(x.rows(0, 5).into_owned())), ..view.clone() };
-            let edges = matches.residuals(&moved, straight, x[5]);
+            let edges = matches.residuals(&moved, straight, EdgeBias { side_px: x[5], rim_px: x[6] });
             let priors = [x[3] / STANDOFF_SIGMA_MM, x[4] / TILT_SIGMA];
             DVector::from_iterator(edges.len() + 2, edges.iter().zip(&roots).map(|(r, w)| r * w).chain(priors))
         };
-        let start = placement.0.clone().push(edge_bias_px);
-        let steps = DVector::from_column_slice(&[1e-4, 1e-4, 1e-5, 1e-4, 1e-5, 1e-3]);
+        let start = placement.0.clone().push(edge_bias.side_px).push(edge_bias.rim_px);
+        let steps = DVector::from_column_slice(&[1e-4, 1e-4, 1e-5, 1e-4, 1e-5, 1e-3, 1e-3]);
         let solution = minimise(weighted, start, &steps).ok_or("the fit of the snake's base did not converge")?;
         placement = Placement(solution.parameters.rows(0, 5).into_owned());
-        edge_bias_px = solution.parameters[5];
+        let x = &solution.parameters;
+        edge_bias = EdgeBias { side_px: x[5], rim_px: x[6] };
         outcome = Some((matches, roots, solution));
     }
     let (matches, roots, solution) = outcome.ok_or("no edges were looked for")?;
@@ -217,9 +224,12 @@ fn fit_base(
     let view = Projection { lens, camera_from_base, robot };
     let covariance = clustered_covariance(&solution.jacobian, &solution.residuals, &matches.pieces())
         .zip(solution.covariance())
-        .map(|(clustered, independent)| clustered + independent)
+        .map(|(clustered, independent)| {
+            let light = light_covariance(&matches, &solution, &independent, robot, LIGHT_STRAIGHT_PX, &roots);
+            clustered + independent + light
+        })
         .ok_or("the snake's edges do not determine where its base is")?;
-    let (agreeing, edge_rms_px) = inliers(&matches.distances_px(&view, straight), edge_bias_px, &roots);
+    let (agreeing, edge_rms_px) = inliers(&matches.misfits_px(&view, straight, edge_bias), &roots);
     let height_mm = placement.0[3];
     if height_mm.abs() > FAR_OFF_SIGMAS * STANDOFF_SIGMA_MM {
         return Err(format!(
@@ -229,9 +239,10 @@ fn fit_base(
         ));
     }
     let share = agreeing as f64 / matches.places.max(1) as f64;
-    if share < ENOUGH_INLIERS || edge_bias_px.abs() > MOST_BIAS_PX {
+    let bias_px = if edge_bias.side_px.abs() > edge_bias.rim_px.abs() { edge_bias.side_px } else { edge_bias.rim_px };
+    if share < ENOUGH_INLIERS || bias_px.abs() > MOST_BIAS_PX {
         return Err(format!(
-            "only {:.0} % of the straight snake's outline agrees with the model (edges lie {edge_bias_px:.2} px outside it); \
+            "only {:.0} % of the straight snake's outline agrees with the model (edges lie {bias_px:.2} px outside it); \
              is the snake unbent, in focus and of the robot's dimensions?",
             100.0 * share
         ));
@@ -239,7 +250,7 @@ fn fit_base(
     let appearance = appearance.ok_or("no appearance was learned")?;
     let plane = appearance.plane(frame);
     let mut finder = EdgeFinder::new(&plane, appearance.two_sided);
-    let proof = Proof::new(&Outline::new(&view, straight, 4), &mut finder);
+    let proof = Proof::new(&Outline::new(&view, straight), &mut finder);
     let ends = [("the holder", 0), ("the first disk", 1), ("the end disk", robot.body.spacer_disk_count + 1)];
     if let Some((part, _)) = ends.into_iter().find(|&(_, part)| !proof.is_there(part)) {
         return Err(format!("{part} is not where the model says; is the snake unbent, and all of it in the picture?"));
@@ -250,7 +261,7 @@ fn fit_base(
         camera_from_grid: grid.camera_from_grid,
         grid_pitch_mm: options.grid_pitch_mm,
         appearance,
-        edge_bias_px,
+        edge_bias,
         grid_rms_px: grid.rms_px,
         edge_rms_px,
     })

@@ -11,6 +11,7 @@
 //! ```
 
 use super::appearance::Appearance;
+use super::fit::EdgeBias;
 use super::rig::Rig;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
@@ -48,6 +49,8 @@ struct GridTable {
 #[serde(deny_unknown_fields)]
 struct FitTable {
     edge_bias_px: f64,
+    /// Files of versions that told no rims from sides have none.
+    rim_bias_px: Option<f64>,
     edge_rms_px: f64,
     grid_rms_px: f64,
 }
@@ -67,7 +70,7 @@ impl Rig {
         let wrong = |what: &str| Error::content(path, format!("{what}; write the file anew with `calibrate rig`"));
         let base = &file.base;
         let numbers = base.covariance.iter().flatten().chain(&file.appearance.weights).chain([&file.appearance.offset]);
-        if !numbers.chain([&file.fit.edge_bias_px]).all(|v| v.is_finite()) {
+        if !numbers.chain([&file.fit.edge_bias_px]).chain(&file.fit.rim_bias_px).all(|v| v.is_finite()) {
             return Err(wrong("a number is not finite"));
         }
         if ![1, 3].contains(&file.appearance.weights.len()) {
@@ -81,7 +84,10 @@ impl Rig {
                 .ok_or_else(|| wrong("[grid] is not a pose"))?,
             grid_pitch_mm: file.grid.pitch_mm,
             appearance: file.appearance,
-            edge_bias_px: file.fit.edge_bias_px,
+            edge_bias: EdgeBias {
+                side_px: file.fit.edge_bias_px,
+                rim_px: file.fit.rim_bias_px.unwrap_or(file.fit.edge_bias_px),
+            },
             edge_rms_px: file.fit.edge_rms_px,
             grid_rms_px: file.fit.grid_rms_px,
         })
@@ -104,7 +110,8 @@ impl Rig {
             grid: GridTable { pitch_mm: self.grid_pitch_mm, rotation: grid.0, translation_mm: grid.1 },
             appearance: self.appearance.clone(),
             fit: FitTable {
-                edge_bias_px: self.edge_bias_px,
+                edge_bias_px: self.edge_bias.side_px,
+                rim_bias_px: Some(self.edge_bias.rim_px),
                 edge_rms_px: self.edge_rms_px,
                 grid_rms_px: self.grid_rms_px,
             },
@@ -141,7 +148,7 @@ mod tests {
             camera_from_grid: Pose::new(Vector3::new(0.0, 0.0, 255.0), Vector3::new(0.02, 0.01, 0.03)),
             grid_pitch_mm: 1.0,
             appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },
-            edge_bias_px: -0.05,
+            edge_bias: EdgeBias { side_px: -0.05, rim_px: 0.01 },
             grid_rms_px: 0.1,
             edge_rms_px: 0.12,
         }

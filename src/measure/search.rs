@@ -75,7 +75,7 @@ impl Search {
 
 fn pairs(view: &Projection, bend: Vector2<f64>) -> Vec<(Point2<f32>, Point2<f32>)> {
     const DISTANCE_PX: f64 = 1.6;
-    let outline = Outline::new(view, Configuration::from_bend_vector(bend), 1);
+    let outline = Outline::new(view, Configuration::from_bend_vector(bend));
     let points = outline.points.iter().filter(|p| p.body.s_mm > 0.0 && p.gap_px >= 2.5);
     points
         .map(|p| {

@@ -1,0 +1,117 @@
+//! The rig once more, from the whole sequence: bent snakes tell what the straight one could not.
+//!
+//! A straight snake hardly tells how far it leans towards the camera. Snakes bent to all sides do: every frame's bend is
+//! its own, but all share one camera, one base and one light.
+
+use super::edges::EdgeFinder;
+use super::eye::{BIAS_SIGMA_PX, Eye, Look};
+use super::fit::{BiasPrior, EdgeBias, Shared, SharedEvidence, SharedInformation, State, fit_bend, shared_evidence};
+use super::grid::nudged;
+use super::outline::{Piece, Projection};
+use super::plane::Plane;
+use super::rig::Rig;
+use crate::camera::Frame;
+use crate::record::Status;
+use nalgebra::{DVector, Matrix6, Vector2};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Frames fewer than this tell nothing worth having.
+const FEWEST_FRAMES: usize = 3;
+/// Rounds of matching and moving; each leaves about a quarter of what was to go.
+const ROUNDS: usize = 3;
+/// Search distance in a round, px, and how often a frame's bend follows.
+const SEARCHES_PX: [f64; 2] = [3.0; 2];
+
+impl Eye {
+    /// This eye with its rig refined from frames of a sequence: the errors of pose and bias are then what the frames
+    /// leave, not what the straight picture did. Frames that cannot be measured are passed over; where fewer than three
+    /// can, the eye stays as it is.
+    pub fn refined(self, frames: impl ParallelIterator<Item = Frame>) -> Self {
+        match self.refined_rig(frames) {
+            Some(rig) => Self::new(self.lens, rig, self.robot),
+            None => self,
+        }
+    }
+
+    fn refined_rig(&self, frames: impl ParallelIterator<Item = Frame>) -> Option<Rig> {
+        let find = |frame: Frame| {
+            let Look { sighting, fits, .. } = self.look(&frame);
+            let fit = fits.first().filter(|_| sighting.status == Status::Ok)?;
+            Some((self.rig.appearance.plane(&frame), fit.bend))
+        };
+        let (planes, mut bends): (Vec<Plane>, Vec<Vector2<f64>>) = frames.filter_map(find).unzip();
+        let mut rig = self.rig.clone();
+        let mut moved = Shared::zeros();
+        for _ in 0..ROUNDS {
+            let view = Projection { lens: &self.lens, camera_from_base: rig.camera_from_base, robot: &self.robot };
+            let prior = BiasPrior { mean: rig.edge_bias, sigma_px: BIAS_SIGMA_PX };
+            let look = |(plane, bend): (&Plane, &mut Vector2<f64>)| {
+                let mut finder = EdgeFinder::new(plane, rig.appearance.two_sided);
+                let fit = fit_bend(&view, &mut finder, *bend, prior, &SEARCHES_PX)?;
+                *bend = fit.bend;
+                shared_evidence(&view, &mut finder, &State { bend: fit.bend, bias: rig.edge_bias }, fit.blur_px)
+            };
+            let seen: Vec<SharedEvidence> = planes.par_iter().zip(&mut bends).filter_map(look).collect();
+            if seen.len() < FEWEST_FRAMES {
+                return None;
+            }
+            let (step, covariance) = combine(&self.rig, &moved, &seen)?;
+            moved += step;
+            rig = self.rig.moved(&moved, covariance);
+        }
+        Some(rig)
+    }
+}
+
+impl Rig {
+    fn moved(&self, by: &Shared, covariance: SharedInformation) -> Self {
+        let pose = DVector::from_column_slice(&by.as_slice()[..6]);
+        Self {
+            camera_from_base: nudged(&self.camera_from_base, &pose),
+            pose_covariance: covariance.fixed_view::<6, 6>(0, 0).into_owned(),
+            edge_bias: EdgeBias { side_px: self.edge_bias.side_px + by[6], rim_px: self.edge_bias.rim_px + by[7] },
+            ..self.clone()
+        }
+    }
+}
+
+/// The next step after `moved` from what is known of the rig, and the covariance after it.
+///
+/// Errors along one piece of the body are the same in every frame (they share its shading), so pieces, not edges and not
+/// frames, are the witnesses: their information counts as much less as their scores scatter more than they should.
+fn combine(rig: &Rig, moved: &Shared, evidence: &[SharedEvidence]) -> Option<(Shared, SharedInformation)> {
+    const ROUNDS: usize = 6;
+    let pose: Matrix6<f64> = rig.pose_covariance.cholesky()?.inverse();
+    let prior = SharedInformation::from_fn(|r, c| match (r < 6, c < 6) {
+        (true, true) => pose[(r, c)],
+        _ if r == c => BIAS_SIGMA_PX.powi(-2),
+        _ => 0.0,
+    });
+    let mut pieces: BTreeMap<Piece, (SharedInformation, Shared)> = BTreeMap::new();
+    for (piece, (information, score)) in evidence.iter().flat_map(|e| &e.pieces) {
+        let sum = pieces.entry(*piece).or_insert((SharedInformation::zeros(), Shared::zeros()));
+        *sum = (sum.0 + information, sum.1 + score);
+    }
+    let information: SharedInformation = pieces.values().map(|p| p.0).sum();
+    let score: Shared = pieces.values().map(|p| p.1).sum();
+    let alone = information.cholesky()?.inverse();
+    let patterns = evidence.first().map_or(0, |e| e.light.len());
+    let light = (0..patterns).map(|p| evidence.iter().map(|e| e.light[p]).sum::<Shared>());
+    let light: SharedInformation = light.map(|s| s * s.transpose()).sum();
+    let (parameters, clusters) = (Shared::zeros().len() as f64, pieces.len() as f64);
+    if clusters <= parameters {
+        return None;
+    }
+    let mut step = -alone * score;
+    let mut covariance = alone;
+    for _ in 0..ROUNDS {
+        let left = pieces.values().map(|(information, score)| score + information * step);
+        let meat = left.map(|s| s * s.transpose()).sum::<SharedInformation>() * (clusters / (clusters - parameters));
+        let inflation = ((alone * meat).trace() / parameters).max(1.0);
+        let bread = (prior + information / inflation).cholesky()?.inverse();
+        step = -bread * (prior * moved + score / inflation);
+        covariance = bread * (prior + (meat + light) / inflation.powi(2)) * bread;
+    }
+    Some((step, covariance))
+}
