@@ -8,6 +8,8 @@
 //!    pixel.
 //! 4. `fit`: bend and edge bias are adjusted until outline and edges agree, what disagrees losing its weight; the
 //!    covariance counts pieces of the outline, not pixels, as evidence.
+//!
+//! Frames of bent snakes tell more about the rig than the straight picture does: [`Eye::refined`].
 
 mod appearance;
 mod edges;
