@@ -53,8 +53,10 @@ const ENOUGH_INLIERS: f64 = 0.45;
 /// Share of the disks that must be where the fit says, most of their outline seen: one hidden and one half hidden is
 /// allowed.
 const ENOUGH_DISKS: f64 = 0.6;
-/// Another bend whose cost is within this factor of the best one's explains a picture as well.
+/// Another bend explains a picture as well if its cost is within this factor of the best one's…
 const AS_GOOD: f64 = 1.5;
+/// … and the scatter of its edges within this one: over some sixty pieces of outline, 2.7σ of chance.
+const AS_CLOSE: f64 = 1.3;
 
 impl Eye {
     /// An eye for one view. Prepares the coarse search, which takes about as long as measuring a few frames.
@@ -112,6 +114,7 @@ impl Eye {
             if let Some(other) = look.fits.get(1)
                 && look.sighting.status == Status::Ok
                 && other.cost < AS_GOOD * best.cost
+                && other.rms_px < AS_CLOSE * best.rms_px
             {
                 look.sighting = failed(Status::Ambiguous, look.sighting.quality);
             }
