@@ -38,7 +38,7 @@ fn decode_a_frame() -> Frame {
 fn measure_a_decoded_frame(bencher: Bencher) {
     let lens = Lens::read(&bundled("camera.yaml")).unwrap();
     let robot = Model::default().robot;
-    let options = RigOptions { grid_pitch_mm: 1.0, standoff_mm: 25.0 };
+    let options = RigOptions { grid_pitch_mm: 1.0, standoff_mm: 25.0, delta_offset: 0.0 };
     let rig = calibrate_rig(&read_frame(&bundled("straight.jpg")).unwrap(), &lens, &robot, &options).unwrap();
     let eye = Eye::new(lens, rig, robot);
     let frame = read_frame(&frame()).unwrap();

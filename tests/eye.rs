@@ -18,7 +18,7 @@ fn frame(scene: &Scene, psi: Configuration, seed: u64) -> Frame {
 }
 
 fn rig(scene: &Scene, grid_pitch_mm: f64) -> Result<Rig, String> {
-    let options = RigOptions { grid_pitch_mm, standoff_mm: scene.paper.standoff_mm };
+    let options = RigOptions { grid_pitch_mm, standoff_mm: scene.paper.standoff_mm, delta_offset: 0.0 };
     calibrate_rig(&frame(scene, STRAIGHT, 7), &scene.lens, &scene.robot, &options)
 }
 
@@ -148,7 +148,7 @@ fn what_is_no_snake_gets_no_angle() {
 fn a_wrong_standoff_or_a_bent_snake_is_refused_with_a_reason() {
     let scene = lab();
     let bent = frame(&scene, Configuration::from_degrees(40.0, 30.0), 4);
-    let options = RigOptions { grid_pitch_mm: 1.0, standoff_mm: scene.paper.standoff_mm };
+    let options = RigOptions { grid_pitch_mm: 1.0, standoff_mm: scene.paper.standoff_mm, delta_offset: 0.0 };
     let message = calibrate_rig(&bent, &scene.lens, &scene.robot, &options).unwrap_err();
     assert!(message.contains("unbent"), "{message}");
 

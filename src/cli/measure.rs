@@ -84,7 +84,7 @@ impl Args {
 
     fn explain_one(&self, view: &OpenView, index: u64, frame: &Frame) -> Result<Explained> {
         let explanation = view.explain(frame);
-        let Sighting { status, measured, quality } = explanation.sighting.clone();
+        let Sighting { status, measured, quality, .. } = explanation.sighting.clone();
         let measurement =
             Measurement { index, time_s: None, status, measured, quality, view: Some(view.name().to_owned()) };
         let stages = stages(frame, &explanation, &measurement, |psi| view.shape(psi));

@@ -141,11 +141,10 @@ impl Args {
             Overlays::All => measurements.iter().collect(),
             _ => sample.clone(),
         };
-        let bar = console.progress(Some(chosen.len()), "drawing");
+        let bar = console.progress(Some(chosen.len() * views.len()), "drawing");
         let mut pictures = Vec::new();
         for view in views {
-            let of_view = chosen.iter().filter(|m| m.view.as_deref() == Some(view.name()));
-            let by_index: HashMap<u64, &Measurement> = of_view.map(|m| (m.index, *m)).collect();
+            let by_index: HashMap<u64, &Measurement> = chosen.iter().map(|m| (m.index, *m)).collect();
             let drawn: Result<Vec<_>> = view
                 .frames(|index| by_index.contains_key(&index))?
                 .filter_map(|frame| by_index.get(&frame.index).map(|measurement| (frame, *measurement)))

@@ -3,7 +3,7 @@
 use super::console::Console;
 use crate::camera::{Frame, FrameSource, Lens, SourceFrame, read_frame};
 use crate::geometry::Configuration;
-use crate::measure::{Explanation, Eye, Outline, Rig, RigOptions, calibrate_rig};
+use crate::measure::{Explanation, Eye, Outline, Rig, RigOptions, Sighting, calibrate_rig, fused};
 use crate::record::{EncoderReading, Experiment, Measurement, RigSource, Status, View};
 use crate::report::overlay::Shape;
 use crate::robot::Robot;
@@ -19,7 +19,6 @@ use std::time::{Duration, Instant};
 pub struct OpenView {
     name: String,
     eye: Eye,
-    delta_offset: f64,
     frames: FrameSource,
 }
 
@@ -43,16 +42,17 @@ impl OpenView {
     fn open(view: &View, experiment: &Experiment, robot: &Robot) -> Result<Self> {
         let frames = FrameSource::open(experiment.folder(), &view.frames)?;
         let lens = Lens::read(&view.camera)?;
+        let delta_offset = view.delta_offset_deg.to_radians();
         let rig = match &view.rig {
-            RigSource::File(path) => Rig::read(path)?,
+            RigSource::File(path) => Rig::read(path)?.looking_from(delta_offset),
             RigSource::Straight { picture, grid_pitch_mm, standoff_mm } => {
-                let options = RigOptions { grid_pitch_mm: *grid_pitch_mm, standoff_mm: *standoff_mm };
+                let options = RigOptions { grid_pitch_mm: *grid_pitch_mm, standoff_mm: *standoff_mm, delta_offset };
                 calibrate_rig(&read_frame(picture)?, &lens, robot, &options)
                     .map_err(|message| Error::Rig { path: picture.clone(), message })?
             }
         };
         let eye = Eye::new(lens, rig, robot.clone()).refined(sample(&frames)?);
-        Ok(Self { name: view.name.clone(), eye, delta_offset: view.delta_offset_deg.to_radians(), frames })
+        Ok(Self { name: view.name.clone(), eye, frames })
     }
 
     /// The frames whose index is wanted, once more, for a person to look at.
@@ -72,47 +72,48 @@ impl OpenView {
     pub fn shape(&self, psi: Configuration) -> Shape {
         const POINTS: usize = 60;
         let view = self.eye.projection();
-        let seen = Configuration::new(psi.theta, psi.delta - self.delta_offset);
         let arc = (0..=POINTS).map(|i| {
             let s_mm = view.robot.length_mm * i as f64 / POINTS as f64;
-            let point = Point3::from(view.robot.frame_at(seen, s_mm).translation.vector);
+            let point = Point3::from(view.robot.frame_at(psi, s_mm).translation.vector);
             view.lens.project(&(view.camera_from_base * point))
         });
-        let outline = Outline::new(&view, seen);
+        let outline = Outline::new(&view, psi);
         Shape { arc: arc.collect(), outline: outline.points.iter().map(|point| point.pixel).collect() }
     }
 
-    /// Measures one frame and tells every stage of it, with δ as the base has it.
+    /// Measures one frame and tells every stage of it.
     pub fn explain(&self, frame: &Frame) -> Explanation {
-        let mut explanation = self.eye.explain(frame);
-        let Explanation { candidates, fits, sighting, .. } = &mut explanation;
-        let measured = sighting.measured.iter_mut().map(|measured| &mut measured.configuration);
-        for psi in candidates.iter_mut().chain(fits).chain(measured) {
-            *psi = Configuration::new(psi.theta, psi.delta + self.delta_offset);
-        }
-        explanation
+        self.eye.explain(frame)
     }
 
     /// Measures one frame, and adds up how long reading and measuring took.
-    fn measure(&self, source: SourceFrame, reading: &Clock, measuring: &Clock) -> Measurement {
+    fn measure(&self, source: SourceFrame, reading: &Clock, measuring: &Clock) -> Seen<'_> {
         let (index, time_s) = (source.index, source.time_s);
-        let unmeasured = |status| Measurement {
-            index,
-            time_s,
-            status,
-            measured: None,
-            quality: None,
-            view: Some(self.name.clone()),
+        let sighting = match reading.time(|| source.read()) {
+            Ok(frame) => measuring.time(|| self.eye.measure(&frame)),
+            Err(_) => Sighting { status: Status::Unreadable, measured: None, bend: None, quality: None },
         };
-        let Ok(frame) = reading.time(|| source.read()) else { return unmeasured(Status::Unreadable) };
-        let sighting = measuring.time(|| self.eye.measure(&frame));
-        let measured = sighting.measured.map(|mut measured| {
-            let psi = measured.configuration;
-            measured.configuration = Configuration::new(psi.theta, psi.delta + self.delta_offset);
-            measured
-        });
-        Measurement { measured, quality: sighting.quality, ..unmeasured(sighting.status) }
+        Seen { index, time_s, view: &self.name, sighting }
     }
+}
+
+/// One view's part of a measurement.
+struct Seen<'a> {
+    index: u64,
+    time_s: Option<f64>,
+    view: &'a str,
+    sighting: Sighting,
+}
+
+/// The row of one index from what its views saw.
+fn row(seen: &[Seen], times: &HashMap<u64, f64>) -> Option<Measurement> {
+    let index = seen.first()?.index;
+    let sightings: Vec<Sighting> = seen.iter().map(|s| s.sighting.clone()).collect();
+    let Sighting { status, measured, quality, .. } = fused(&sightings);
+    let answered = |s: &&Seen| measured.is_none() || s.sighting.measured.is_some();
+    let names: Vec<&str> = seen.iter().filter(answered).map(|s| s.view).collect();
+    let time_s = seen.iter().find_map(|s| s.time_s).or_else(|| times.get(&index).copied());
+    Some(Measurement { index, time_s, status, measured, quality, view: Some(names.join("+")) })
 }
 
 /// Frames from which a view's rig is refined: enough to see the snake bent to all sides.
@@ -128,7 +129,8 @@ fn sample(source: &FrameSource) -> Result<impl ParallelIterator<Item = Frame>> {
     Ok(chosen.into_par_iter().filter_map(|frame| frame.read().ok()))
 }
 
-/// Measures every frame of every view in parallel; the rows come in order of index, then view.
+/// Measures every frame of every view in parallel: one row an index, in order; what several views saw under the same index
+/// is put together.
 ///
 /// A frame has the time that its source or else the encoder log tells.
 ///
@@ -142,31 +144,30 @@ pub fn measure_frames(
     let times: HashMap<u64, f64> = encoders.iter().map(|reading| (reading.index, reading.time_s)).collect();
     let (reading, measuring) = (Clock::default(), Clock::default());
     let start = Instant::now();
-    let mut measurements: Vec<Measurement> = Vec::new();
+    let mut seen: Vec<Seen> = Vec::new();
     for view in views {
         let bar = console.progress(view.frames.count()?, "measuring");
         let frames = Timed { frames: view.frames.frames()?, clock: &reading };
-        let mut of_view: Vec<Measurement> = frames
-            .par_bridge()
-            .map(|frame| {
-                let mut measurement = view.measure(frame, &reading, &measuring);
-                measurement.time_s = measurement.time_s.or_else(|| times.get(&measurement.index).copied());
-                bar.inc(1);
-                measurement
-            })
-            .collect();
+        let measure = |frame| {
+            let seen = view.measure(frame, &reading, &measuring);
+            bar.inc(1);
+            seen
+        };
+        let mut of_view: Vec<Seen> = frames.par_bridge().map(measure).collect();
         bar.finish_and_clear();
-        measurements.append(&mut of_view);
+        of_view.sort_by_key(|seen| seen.index);
+        seen.append(&mut of_view);
     }
+    // Stable: under one index the views keep their order.
+    seen.sort_by_key(|seen| seen.index);
     let seconds = start.elapsed().as_secs_f64();
-    let place = |m: &Measurement| views.iter().position(|view| m.view.as_ref() == Some(&view.name));
-    measurements.sort_by_key(|measurement| (measurement.index, place(measurement)));
     let throughput = Throughput {
         seconds,
-        frames_per_second: measurements.len() as f64 / seconds,
+        frames_per_second: seen.len() as f64 / seconds,
         decoding_share: reading.seconds() / (reading.seconds() + measuring.seconds()),
     };
-    Ok((measurements, throughput))
+    let rows = seen.chunk_by(|a, b| a.index == b.index).filter_map(|seen| row(seen, &times));
+    Ok((rows.collect(), throughput))
 }
 
 /// Frames whose decoding by the iterator itself, as a video's is, counts as reading.

@@ -19,8 +19,19 @@ pub struct Sighting {
     pub status: Status,
     /// The angles.
     pub measured: Option<Measured>,
+    /// The same as a bend vector, which stays Gaussian near straight, for [`fused`](super::fused).
+    pub bend: Option<Bend>,
     /// How good the fit was, where there was one.
     pub quality: Option<Quality>,
+}
+
+/// A bend vector θ (cos δ, sin δ) and its covariance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bend {
+    /// rad.
+    pub vector: Vector2<f64>,
+    /// rad².
+    pub covariance: Matrix2<f64>,
 }
 
 /// Measures the snake in the frames of one calibrated view.
@@ -75,7 +86,7 @@ impl Eye {
         Projection { lens: &self.lens, camera_from_base: self.rig.camera_from_base, robot: &self.robot }
     }
 
-    /// Measures one frame: θ and δ as this view sees them (`delta_offset_deg` is the caller's to add).
+    /// Measures one frame: θ and δ in the base's axes.
     pub fn measure(&self, frame: &Frame) -> Sighting {
         self.look(frame).sighting
     }
@@ -150,13 +161,20 @@ impl Eye {
             return failed(status, Some(quality));
         }
         let from_rig = fit.by_pose * self.rig.pose_covariance * fit.by_pose.transpose();
-        let measured = in_polar_terms(fit.bend, &(fit.covariance + from_rig));
-        Sighting { status, measured: Some(measured), quality: Some(quality) }
+        Sighting::of(Bend { vector: fit.bend, covariance: fit.covariance + from_rig }, quality)
     }
 }
 
-fn failed(status: Status, quality: Option<Quality>) -> Sighting {
-    Sighting { status, measured: None, quality }
+impl Sighting {
+    /// A snake that is bent like this.
+    pub(super) fn of(bend: Bend, quality: Quality) -> Self {
+        let measured = in_polar_terms(bend.vector, &bend.covariance);
+        Self { status: Status::Ok, measured: Some(measured), bend: Some(bend), quality: Some(quality) }
+    }
+}
+
+pub(super) fn failed(status: Status, quality: Option<Quality>) -> Sighting {
+    Sighting { status, measured: None, bend: None, quality }
 }
 
 fn quality(fit: &BendFit) -> Quality {

@@ -25,11 +25,13 @@ mod refine;
 mod rig;
 mod rig_file;
 mod search;
+mod several;
 mod solve;
 
 pub use appearance::Appearance;
 pub use explain::{Explanation, Place};
-pub use eye::{Eye, Sighting};
+pub use eye::{Bend, Eye, Sighting};
 pub use fit::EdgeBias;
 pub use outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 pub use rig::{Rig, RigOptions, calibrate_rig};
+pub use several::fused;

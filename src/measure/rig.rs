@@ -38,6 +38,21 @@ pub struct Rig {
     pub edge_rms_px: f64,
 }
 
+impl Rig {
+    /// The rig of a view that looks from elsewhere: `self` was calibrated as if image right were the base's x,
+    /// `delta_offset` (rad) is the azimuth in {b} that it is.
+    #[must_use]
+    pub fn looking_from(mut self, delta_offset: f64) -> Self {
+        self.camera_from_base.rotation *= azimuth(delta_offset);
+        self
+    }
+}
+
+/// The base's axes in those of a view whose image right is at this azimuth of the base, rad.
+fn azimuth(delta_offset: f64) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -delta_offset)
+}
+
 /// What is known about a rig before it is calibrated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RigOptions {
@@ -45,6 +60,8 @@ pub struct RigOptions {
     pub grid_pitch_mm: f64,
     /// Distance from the snake's axis back to the grid plane, mm.
     pub standoff_mm: f64,
+    /// Azimuth in {b} of the direction that points to this view's image right, rad.
+    pub delta_offset: f64,
 }
 
 /// How far the standoff may be from what was said, mm (1σ): a ruler's precision.
@@ -158,11 +175,12 @@ impl Placement {
         Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[Vector3::x(), Vector3::z(), -Vector3::y()]))
     }
 
-    fn grid_from_base(&self, standoff_mm: f64) -> Pose {
+    fn grid_from_base(&self, options: &RigOptions) -> Pose {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.0[2]);
         let tilt = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), self.0[4]);
         let upright = UnitQuaternion::from_rotation_matrix(&Self::upright());
-        Pose::from_parts(Translation3::new(self.0[0], self.0[1], self.0[3] - standoff_mm), turn * upright * tilt)
+        let place = Translation3::new(self.0[0], self.0[1], self.0[3] - options.standoff_mm);
+        Pose::from_parts(place, turn * upright * tilt * azimuth(options.delta_offset))
     }
 }
 
@@ -180,7 +198,7 @@ fn fit_base(
     let mut edge_bias = EdgeBias::default();
     let mut outcome = None;
     for (round, search_px) in [14.0, 12.0, 10.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 3.0, 3.0].into_iter().enumerate() {
-        let pose = |p: &Placement| grid.camera_from_grid * p.grid_from_base(options.standoff_mm);
+        let pose = |p: &Placement| grid.camera_from_grid * p.grid_from_base(options);
         let view = Projection { lens, camera_from_base: pose(&placement), robot };
         let outline = Outline::new(&view, straight);
         // The model's own outline tells which pixels are snake, the better the better it lies.
@@ -220,7 +238,7 @@ fn fit_base(
     }
     let (matches, roots, solution) = outcome.ok_or("no edges were looked for")?;
 
-    let camera_from_base = grid.camera_from_grid * placement.grid_from_base(options.standoff_mm);
+    let camera_from_base = grid.camera_from_grid * placement.grid_from_base(options);
     let view = Projection { lens, camera_from_base, robot };
     let covariance = clustered_covariance(&solution.jacobian, &solution.residuals, &matches.pieces())
         .zip(solution.covariance())
@@ -257,7 +275,7 @@ fn fit_base(
     }
     Ok(Rig {
         camera_from_base,
-        pose_covariance: nudge_covariance(&placement, &covariance, options.standoff_mm, grid),
+        pose_covariance: nudge_covariance(&placement, &covariance, options, grid),
         camera_from_grid: grid.camera_from_grid,
         grid_pitch_mm: options.grid_pitch_mm,
         appearance,
@@ -298,8 +316,13 @@ fn appearance_of(frame: &Frame, outline: &Outline) -> Option<Appearance> {
 }
 
 /// Covariance of placement and bias, as one of the camera's pose in the terms of [`Rig::pose_covariance`].
-fn nudge_covariance(placement: &Placement, covariance: &DMatrix<f64>, standoff_mm: f64, grid: &Grid) -> Matrix6<f64> {
-    let pose = |x: &DVector<f64>| grid.camera_from_grid * Placement(x.clone()).grid_from_base(standoff_mm);
+fn nudge_covariance(
+    placement: &Placement,
+    covariance: &DMatrix<f64>,
+    options: &RigOptions,
+    grid: &Grid,
+) -> Matrix6<f64> {
+    let pose = |x: &DVector<f64>| grid.camera_from_grid * Placement(x.clone()).grid_from_base(options);
     let centre = pose(&placement.0);
     let mut jacobian = DMatrix::zeros(6, 5);
     for k in 0..5 {

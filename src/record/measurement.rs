@@ -25,6 +25,8 @@ pub enum Status {
     Saturated,
     /// Too much of the snake lies outside the picture.
     OutOfFrame,
+    /// Views of the same moment contradict each other.
+    ViewsDisagree,
     /// The picture could not be read.
     Unreadable,
     /// The picture has another size than the camera file says.
@@ -43,6 +45,7 @@ impl fmt::Display for Status {
             Self::Blurred => "blurred",
             Self::Saturated => "saturated",
             Self::OutOfFrame => "out_of_frame",
+            Self::ViewsDisagree => "views_disagree",
             Self::Unreadable => "unreadable",
             Self::WrongSize => "wrong_size",
             Self::Other(reason) => reason,
@@ -62,6 +65,7 @@ impl FromStr for Status {
             "blurred" => Self::Blurred,
             "saturated" => Self::Saturated,
             "out_of_frame" => Self::OutOfFrame,
+            "views_disagree" => Self::ViewsDisagree,
             "unreadable" => Self::Unreadable,
             "wrong_size" => Self::WrongSize,
             other => Self::Other(other.to_owned()),
@@ -114,7 +118,8 @@ pub struct Measurement {
     pub measured: Option<Measured>,
     /// The fit's quality, where there was a fit.
     pub quality: Option<Quality>,
-    /// Name of the view that the frame comes from, where the experiment names one.
+    /// Name of the view that the frame comes from, where the experiment names one; of several that were put together, with
+    /// `+` between them.
     pub view: Option<String>,
 }
 
@@ -152,6 +157,7 @@ mod tests {
             Status::Blurred,
             Status::Saturated,
             Status::OutOfFrame,
+            Status::ViewsDisagree,
             Status::Unreadable,
             Status::WrongSize,
             Status::Other("grid_lost".into()),

@@ -163,6 +163,9 @@ fn meaning(status: &Status) -> &'static str {
         Status::Blurred => "The outline is too soft for its edges to be placed: focus, or a shorter exposure.",
         Status::Saturated => "Nearly all of the picture is black or white: exposure.",
         Status::OutOfFrame => "Too much of the snake lies outside the picture.",
+        Status::ViewsDisagree => {
+            "The views contradict each other: did one camera move, or are its frames of another time?"
+        }
         Status::Unreadable => "The picture could not be read.",
         Status::WrongSize => "The picture is not of the size that the camera file says.",
         Status::Other(_) => "",
@@ -226,7 +229,7 @@ mod tests {
 
     fn explanation(places: Vec<Place>) -> Explanation {
         Explanation {
-            sighting: Sighting { status: Status::NoSnake, measured: None, quality: None },
+            sighting: Sighting { status: Status::NoSnake, measured: None, bend: None, quality: None },
             snakeness: frame(),
             grid: vec![vec![Point2::new(10.0, 0.0), Point2::new(10.0, 47.0)]],
             candidates: vec![Configuration::from_degrees(30.0, 0.0)],

@@ -57,8 +57,11 @@ fn frame(picture: &RgbImage) -> Frame {
 
 /// The eye of a rig, or why there is none.
 fn eye(scene: &Scene, seed: u64) -> Result<Eye, String> {
-    let options =
-        RigOptions { grid_pitch_mm: rigs::finest_pitch_mm(&scene.paper), standoff_mm: scene.paper.standoff_mm };
+    let options = RigOptions {
+        grid_pitch_mm: rigs::finest_pitch_mm(&scene.paper),
+        standoff_mm: scene.paper.standoff_mm,
+        delta_offset: 0.0,
+    };
     let straight = frame(&render(scene, Configuration::new(0.0, 0.0), seed));
     Ok(Eye::new(
         scene.lens.clone(),

@@ -1,0 +1,91 @@
+//! Several views of one snake at one moment.
+
+use super::eye::{Bend, Sighting, failed};
+use crate::record::{Quality, Status};
+use nalgebra::{Matrix2, Vector2};
+
+/// Two views that differ by more than this, rad, and by more than their sigmas allow, do not see the same snake.
+const APART_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
+/// The squared distance of the views' bends from their mean, in units of their covariance and per degree of freedom, that
+/// their sigmas allow: sigmas that are a third too large or small are common.
+const ALLOWED: f64 = 12.0;
+
+/// What several views say together: their bends' mean, weighted by their information. To first order this is the fit to
+/// the edges of all of them at once, since each view's errors are its own.
+///
+/// A view that cannot measure leaves the others to answer; where none can, the first one's reason stands. Views that
+/// scatter more than their sigmas say widen the sigma of the mean; views that contradict each other give
+/// [`Status::ViewsDisagree`] and no angles.
+pub fn fused(sightings: &[Sighting]) -> Sighting {
+    let seen: Vec<(Bend, Quality)> = sightings.iter().filter_map(|s| s.bend.zip(s.quality)).collect();
+    let alone = || sightings.iter().find(|s| s.bend.is_some()).or(sightings.first()).cloned();
+    if seen.len() < 2 {
+        return alone().unwrap_or(failed(Status::NoSnake, None));
+    }
+    let informed: Option<Vec<(Bend, Matrix2<f64>)>> =
+        seen.iter().map(|(bend, _)| Some((*bend, bend.covariance.try_inverse()?))).collect();
+    let Some(informed) = informed else { return failed(Status::NoSnake, None) };
+    let information: Matrix2<f64> = informed.iter().map(|(_, information)| information).sum();
+    let Some(covariance) = information.try_inverse() else { return failed(Status::NoSnake, None) };
+    let mean = covariance * informed.iter().map(|(bend, weight)| weight * bend.vector).sum::<Vector2<f64>>();
+
+    let off = |(bend, weight): &(Bend, Matrix2<f64>)| {
+        let off = bend.vector - mean;
+        off.dot(&(weight * off))
+    };
+    let excess = informed.iter().map(off).sum::<f64>() / (2.0 * (seen.len() as f64 - 1.0));
+    let quality = together(&seen);
+    let apart = seen.iter().any(|(bend, _)| (bend.vector - mean).norm() > APART_RAD);
+    if excess > ALLOWED && apart {
+        return failed(Status::ViewsDisagree, Some(quality));
+    }
+    Sighting::of(Bend { vector: mean, covariance: covariance * excess.max(1.0) }, quality)
+}
+
+fn together(seen: &[(Bend, Quality)]) -> Quality {
+    let edges: usize = seen.iter().map(|(_, q)| q.edges).sum();
+    let mean = |of: &dyn Fn(&Quality) -> f64| {
+        seen.iter().map(|(_, q)| of(q) * q.edges as f64).sum::<f64>() / edges.max(1) as f64
+    };
+    Quality { edges, inlier_fraction: mean(&|q| q.inlier_fraction), rms_px: mean(&|q| q.rms_px.powi(2)).sqrt() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use approx::assert_relative_eq;
+
+    fn sighting(x: f64, y: f64, sigma_x: f64, sigma_y: f64) -> Sighting {
+        let covariance = Matrix2::new(sigma_x.powi(2), 0.0, 0.0, sigma_y.powi(2));
+        let quality = Quality { edges: 1000, inlier_fraction: 0.9, rms_px: 0.1 };
+        Sighting::of(Bend { vector: Vector2::new(x, y), covariance }, quality)
+    }
+
+    #[test]
+    fn two_views_at_right_angles_are_as_good_in_every_direction() {
+        let together = fused(&[sighting(0.5, 0.502, 1e-4, 2e-3), sighting(0.502, 0.5, 2e-3, 1e-4)]);
+        let bend = together.bend.unwrap();
+        assert_relative_eq!(bend.vector, Vector2::new(0.5, 0.5), epsilon = 1e-5);
+        // Two measurements of one number: 1/σ² = 1/σ₁² + 1/σ₂².
+        let variance = 1.0 / (1e8 + 1.0 / 4e-6);
+        assert_relative_eq!(bend.covariance, Matrix2::identity() * variance, max_relative = 1e-9);
+    }
+
+    #[test]
+    fn a_view_that_fails_leaves_the_other_to_answer() {
+        let seen = sighting(0.3, 0.1, 1e-3, 1e-3);
+        let together = fused(&[failed(Status::Occluded, None), seen.clone()]);
+        assert_eq!(together, seen);
+        let none = fused(&[failed(Status::Occluded, None), failed(Status::Blurred, None)]);
+        assert_eq!(none.status, Status::Occluded);
+    }
+
+    #[test]
+    fn views_that_contradict_each_other_give_no_angles() {
+        let together = fused(&[sighting(0.30, 0.1, 1e-3, 1e-3), sighting(0.36, 0.1, 1e-3, 1e-3)]);
+        assert_eq!((together.status, together.measured), (Status::ViewsDisagree, None));
+        // 4σ between them, but only a sixth of a degree: nine times the variance, not a contradiction.
+        let together = fused(&[sighting(0.3, 0.1, 5e-4, 5e-4), sighting(0.303, 0.1, 5e-4, 5e-4)]);
+        assert_relative_eq!(together.bend.unwrap().covariance[(0, 0)], 9.0 * 2.5e-7 / 2.0, max_relative = 1e-9);
+    }
+}
