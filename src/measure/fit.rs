@@ -4,7 +4,7 @@ use super::edges::EdgeFinder;
 use super::grid::nudged;
 use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use super::plane::median;
-use super::solve::{Solution, minimise};
+use super::solve::{Solution, differences, minimise};
 use crate::geometry::{Configuration, Pose};
 use crate::robot::Robot;
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x6, Point2, Point3, SMatrix, SVector, Vector2};
@@ -171,40 +171,29 @@ impl Matches {
 
     /// Derivatives of the weighted residuals by bend vector and edge bias.
     fn own_jacobian(&self, view: &Projection, state: &State, roots: &[f64]) -> DMatrix<f64> {
-        let mut jacobian = DMatrix::zeros(self.len(), State::STEPS.len());
-        for (column, step) in State::STEPS.into_iter().enumerate() {
-            let moved = |by: f64| {
-                let mut x = state.vector();
-                x[column] += by;
-                let moved = State::of(&x);
-                self.residuals(view, moved.psi(), moved.bias)
-            };
-            let change = moved(step).into_iter().zip(moved(-step)).map(|(ahead, behind)| ahead - behind);
-            for (row, (change, root)) in change.zip(roots).enumerate() {
-                jacobian[(row, column)] = root * change / (2.0 * step);
-            }
-        }
-        jacobian
+        let residuals = |x: &DVector<f64>| {
+            let state = State::of(x);
+            DVector::from_vec(self.residuals(view, state.psi(), state.bias))
+        };
+        weighted(differences(residuals, &state.vector(), &State::STEPS), roots)
     }
 
     /// Derivatives of the weighted residuals by the camera's pose (see [`nudged`]).
     fn pose_jacobian(&self, view: &Projection, psi: Configuration, roots: &[f64]) -> DMatrix<f64> {
-        let mut jacobian = DMatrix::zeros(self.len(), 6);
-        for column in 0..6 {
-            const STEP: f64 = 1e-4;
-            let moved = |by: f64| {
-                let mut x = DVector::zeros(6);
-                x[column] = by;
-                let moved = Projection { camera_from_base: nudged(&view.camera_from_base, &x), ..view.clone() };
-                self.residuals(&moved, psi, EdgeBias::default())
-            };
-            let change = moved(STEP).into_iter().zip(moved(-STEP)).map(|(ahead, behind)| ahead - behind);
-            for (row, (change, root)) in change.zip(roots).enumerate() {
-                jacobian[(row, column)] = root * change / (2.0 * STEP);
-            }
-        }
-        jacobian
+        let residuals = |x: &DVector<f64>| {
+            let moved = Projection { camera_from_base: nudged(&view.camera_from_base, x), ..view.clone() };
+            DVector::from_vec(self.residuals(&moved, psi, EdgeBias::default()))
+        };
+        weighted(differences(residuals, &DVector::zeros(6), &[1e-4; 6]), roots)
     }
+}
+
+/// A Jacobian with its rows times the square roots of their weights.
+fn weighted(mut jacobian: DMatrix<f64>, roots: &[f64]) -> DMatrix<f64> {
+    for (mut row, root) in jacobian.row_iter_mut().zip(roots) {
+        row *= *root;
+    }
+    jacobian
 }
 
 /// Edges are searched for within this distance, px, once the model has settled.

@@ -38,7 +38,7 @@ pub fn minimise(
         return None;
     }
     let (problem, _) = LevenbergMarquardt::new().with_patience(30).minimize(problem);
-    let jacobian = problem.differences();
+    let jacobian = differences(&problem.residuals, &problem.parameters, problem.steps.as_slice());
     let finite = jacobian.iter().chain(problem.parameters.iter()).all(|v| v.is_finite());
     finite.then_some(Solution { parameters: problem.parameters, residuals: problem.current, jacobian })
 }
@@ -50,20 +50,20 @@ struct Problem<'a, F> {
     steps: &'a DVector<f64>,
 }
 
-impl<F: Fn(&DVector<f64>) -> DVector<f64>> Problem<'_, F> {
-    /// The Jacobian by central differences.
-    fn differences(&self) -> DMatrix<f64> {
-        let mut jacobian = DMatrix::zeros(self.current.len(), self.parameters.len());
-        for (k, &step) in self.steps.iter().enumerate() {
-            let mut moved = self.parameters.clone();
+/// The Jacobian of a function at x by central differences with these steps.
+pub(super) fn differences(of: impl Fn(&DVector<f64>) -> DVector<f64>, x: &DVector<f64>, steps: &[f64]) -> DMatrix<f64> {
+    let columns: Vec<DVector<f64>> = steps
+        .iter()
+        .enumerate()
+        .map(|(k, &step)| {
+            let mut moved = x.clone();
             moved[k] += step;
-            let ahead = (self.residuals)(&moved);
+            let ahead = of(&moved);
             moved[k] -= 2.0 * step;
-            let behind = (self.residuals)(&moved);
-            jacobian.set_column(k, &((ahead - behind) / (2.0 * step)));
-        }
-        jacobian
-    }
+            (ahead - of(&moved)) / (2.0 * step)
+        })
+        .collect();
+    DMatrix::from_columns(&columns)
 }
 
 impl<F: Fn(&DVector<f64>) -> DVector<f64>> LeastSquaresProblem<f64, solver::Dyn, solver::Dyn> for Problem<'_, F> {
@@ -86,7 +86,7 @@ impl<F: Fn(&DVector<f64>) -> DVector<f64>> LeastSquaresProblem<f64, solver::Dyn,
     }
 
     fn jacobian(&self) -> Option<solver::DMatrix<f64>> {
-        let jacobian = self.differences();
+        let jacobian = differences(&self.residuals, &self.parameters, self.steps.as_slice());
         let finite = jacobian.iter().all(|v| v.is_finite());
         finite.then(|| solver::DMatrix::from_column_slice(jacobian.nrows(), jacobian.ncols(), jacobian.as_slice()))
     }
