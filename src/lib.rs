@@ -21,6 +21,7 @@
 //! | [`record`] | the files of an experiment: read, check, write |
 //! | [`measure`], [`estimate`], [`simulate`] | frames → θ, δ; measurements → η, λ; the other way round, for tests |
 //! | [`discover`] | which effect the model lacks |
+//! | [`reproduce`] | the paper's tables and figures |
 //! | [`report`] | overlays, plots, the HTML page |
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
@@ -33,6 +34,7 @@ pub mod geometry;
 pub mod measure;
 pub mod record;
 pub mod report;
+pub mod reproduce;
 pub mod robot;
 pub mod simulate;
 

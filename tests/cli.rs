@@ -169,3 +169,15 @@ fn rendered_frames_are_an_experiment() {
     let experiment = snakeloop::record::Experiment::read(&made).unwrap();
     assert_eq!((experiment.views.len(), experiment.encoders), (1, None));
 }
+
+#[test]
+fn reproduce_sets_the_papers_figures_beside_its_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let result = json(&succeed(&["reproduce", "-o", text(folder.path()), "--json"]));
+    let mu = result["comparisons"].as_array().unwrap().iter().find(|c| c["quantity"] == "μ by least squares").unwrap();
+    assert_eq!(mu["paper"], 0.1727);
+    assert!((mu["ours"].as_f64().unwrap() - 0.1727).abs() < 5e-5);
+    for name in ["report.html", "comparisons.csv", "figure_10.csv", "table_iii.csv", "equation_26.csv"] {
+        assert!(folder.path().join(name).is_file(), "{name}");
+    }
+}

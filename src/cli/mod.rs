@@ -12,6 +12,7 @@ mod inputs;
 mod invert;
 mod measure;
 mod render;
+mod reproduce;
 mod run;
 mod simulate;
 mod table;
@@ -50,6 +51,7 @@ enum Command {
     Simulate(simulate::Args),
     Render(render::Args),
     Calibrate(calibrate::Args),
+    Reproduce(reproduce::Args),
 }
 
 impl Command {
@@ -65,6 +67,7 @@ impl Command {
             Self::Simulate(args) => args.run(console),
             Self::Render(args) => args.run(console),
             Self::Calibrate(args) => args.run(console),
+            Self::Reproduce(args) => args.run(console),
         }
     }
 }

@@ -6,3 +6,4 @@ pub mod explain;
 pub mod html;
 pub mod overlay;
 pub mod plot;
+pub mod reproduction;

@@ -12,9 +12,10 @@ pub const INK: &str = "#1B1F24";
 pub const GRID: &str = "#D0D4DA";
 
 const SIZE_PX: (u32, u32) = (560, 300);
-/// Share of the y range that is left free above the points for the legend.
-const LEGEND_ROOM: f64 = 0.35;
-const PALETTE: [RGBColor; 3] = [RGBColor(47, 120, 200), RGBColor(214, 98, 30), RGBColor(46, 148, 88)];
+/// Share of the y range that is left free above the points for each line of the legend.
+const LEGEND_ROOM: f64 = 0.115;
+const PALETTE: [RGBColor; 4] =
+    [RGBColor(47, 120, 200), RGBColor(214, 98, 30), RGBColor(46, 148, 88), RGBColor(150, 90, 190)];
 
 /// How a series is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,7 +48,7 @@ pub struct Series {
     pub points: Vec<Point>,
 }
 
-/// One plot of up to three series.
+/// One plot of up to four series.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plot {
     /// What runs along the x axis, with its unit.
@@ -84,7 +85,7 @@ impl Plot {
         let shown = self.y_shown.iter().copied().filter(|y| y.is_finite());
         let mut y_range = widened(all().map(|p| p.y).chain(settled).chain(shown));
         if self.series.len() > 1 {
-            y_range[1] += LEGEND_ROOM * (y_range[1] - y_range[0]);
+            y_range[1] += LEGEND_ROOM * self.series.len() as f64 * (y_range[1] - y_range[0]);
         }
         Some((widened(xs.into_iter()), y_range))
     }

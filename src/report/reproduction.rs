@@ -1,0 +1,277 @@
+//! report.html of `reproduce`: each of the paper's results beside this program's.
+
+use super::html::{definitions, escaped, style};
+use super::plot::{Plot, Point, Series, Style};
+use crate::reproduce::{BendingError, Comparison, Compensation, Reproduction, SimulatedRobot};
+use std::fmt::Write;
+
+const STYLE: &str = "
+td { vertical-align: top; }
+td:first-child { white-space: nowrap; }
+.plots { margin: 1rem 0; }
+td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+td.why { min-width: 18rem; color: var(--soft); }
+";
+
+const LEAD: &str = "Every number and picture of the paper that can be computed, beside what this program gives. Where the two \
+    differ the last column says why. Where the paper measured its robot, a simulated one stands in: it obeys Eq. 18 with the \
+    paper's η = 1.221 and λ = 0.1765 mm, and in a second form has play of ± 0.0875 mm that each backbone's load takes up, the \
+    middle of what the paper's dial indicator found.";
+
+/// The page as HTML; it asks no other address for anything.
+pub fn page(all: &Reproduction) -> String {
+    let mut page = format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <title>snakeloop: the paper, reproduced</title>\n<style>{}{STYLE}</style>\n</head>\n<body>\n<main>\n\
+         <h1>The paper, reproduced</h1>\n<p>{LEAD}</p>\n",
+        style()
+    );
+    page += &section(
+        "Friction: Table II, Fig. 8, Eq. 14",
+        &all.comparisons,
+        &["Table II", "Eq. 14", "Fig. 8"],
+        friction(all),
+    );
+    page += &section(
+        "The line, and Fig. 9: backbone 1 over the workspace",
+        &all.comparisons,
+        &["Section III-B", "Eq. 16, 17", "Section V", "Fig. 9"],
+        workspace(all),
+    );
+    let figures_10 = bending(&all.by_theta, "desired θ (°)", |row| row.theta_deg, Angle::Theta);
+    page += &section("Fig. 10: bending errors at δ = 0°", &all.comparisons, &["Fig. 10"], figures_10);
+    let mut figures_11 = bending(&all.by_delta, "desired δ (°)", |row| row.delta_deg, Angle::Theta);
+    figures_11.extend(bending(&all.by_delta, "desired δ (°)", |row| row.delta_deg, Angle::Delta));
+    page += &section("Fig. 11: bending errors at θ = 30°", &all.comparisons, &["Fig. 11"], figures_11);
+    page += &section("Table III: ten measurements", &all.comparisons, &["Table III"], recursion(all));
+    page += &table_iii(all);
+    page +=
+        &section("Jacobian and statics: Eq. 5, 9, 26", &all.comparisons, &["Eq. 5", "Eq. 9", "Eq. 26"], jacobian(all));
+    page += "<h2>Made from</h2>\n";
+    let version = format!("snakeloop {} reproduce", env!("CARGO_PKG_VERSION"));
+    page += &definitions("provenance", &[("program".into(), version)]);
+    page + "</main>\n</body>\n</html>\n"
+}
+
+type Figure = (String, &'static str, Plot);
+
+/// A heading, the comparisons of these places, and figures.
+fn section(title: &str, comparisons: &[Comparison], places: &[&str], figures: Vec<Figure>) -> String {
+    let mut section = format!(
+        "<h2>{title}</h2>\n<div class=\"wide\"><table>\n<tr><th>place</th><th>quantity</th><th>paper</th><th>ours</th>\
+         <th>difference</th><th>unit</th><th>why</th></tr>\n"
+    );
+    for row in comparisons.iter().filter(|row| places.contains(&row.place)) {
+        let _ = writeln!(
+            section,
+            "<tr><td>{}</td><td>{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td>\
+             <td>{}</td><td class=\"why\">{}</td></tr>",
+            row.place,
+            escaped(&row.quantity),
+            row.paper.map_or("–".to_owned(), number),
+            number(row.ours),
+            row.difference().map_or("–".to_owned(), number),
+            if row.unit == "1" { "" } else { row.unit },
+            escaped(&row.explanation)
+        );
+    }
+    section += "</table></div>\n<div class=\"plots\">\n";
+    for (title, note, plot) in figures {
+        if let Some(svg) = plot.svg() {
+            let svg = svg.replace(" xmlns=\"http://www.w3.org/2000/svg\"", "");
+            let _ = writeln!(section, "<figure><h3>{title}</h3>{svg}<figcaption>{note}</figcaption></figure>");
+        }
+    }
+    section + "</div>\n"
+}
+
+/// Four decimals; more where they are all noughts, none where there are none.
+fn number(value: f64) -> String {
+    let text = match value.abs() {
+        size if size < 1e-12 => "0".to_owned(),
+        size if size < 1e-4 => format!("{value:.1e}"),
+        size if size >= 2.0 && size.fract() == 0.0 => format!("{value:.0}"),
+        _ => format!("{value:.4}"),
+    };
+    text.replace('-', "−")
+}
+
+fn line(name: impl Into<String>, points: impl Iterator<Item = (f64, f64)>) -> Series {
+    let points = points.map(|(x, y)| Point { x, y, sd: 0.0 }).collect();
+    Series { name: name.into(), style: Style::Band, points }
+}
+
+fn plot(x_label: &str, y_label: &str, series: Vec<Series>) -> Plot {
+    Plot { x_label: x_label.into(), y_label: y_label.into(), series, y_shown: vec![] }
+}
+
+fn friction(all: &Reproduction) -> Vec<Figure> {
+    let measured = all.friction.iter().map(|p| Point { x: p.tau_g, y: p.tau_tilde_g, sd: p.tau_tilde_limit_g });
+    let measured = Series { name: "Table II".into(), style: Style::Dots, points: measured.collect() };
+    let eq_13 = line("Eq. 13", all.friction.iter().map(|p| (p.tau_g, p.equation_13_g)));
+    let eq_12 = line("Eq. 12", all.friction.iter().map(|p| (p.tau_g, p.equation_12_g)));
+    let off =
+        all.friction.iter().map(|p| Point { x: p.tau_g, y: p.tau_tilde_g - p.equation_13_g, sd: p.tau_tilde_limit_g });
+    let off = Series { name: String::new(), style: Style::Dots, points: off.collect() };
+    vec![
+        (
+            "Fig. 8: actuation force over the backbone's force".into(),
+            "Weighings with their limits of ±25 g, and the fitted lines.",
+            plot("τ (g)", "τ̃ (g)", vec![measured, eq_13, eq_12]),
+        ),
+        (
+            "What Eq. 13 leaves".into(),
+            "Measured less fitted, with the limits of ±25 g.",
+            plot("τ (g)", "τ̃ − Eq. 13 (g)", vec![off]),
+        ),
+    ]
+}
+
+fn workspace(all: &Reproduction) -> Vec<Figure> {
+    let around = |length: fn(&crate::reproduce::WorkspacePoint) -> f64| {
+        [90.0, 60.0, 30.0].map(|theta_deg: f64| {
+            let ring = all.workspace.iter().filter(move |p| (p.theta_deg - theta_deg).abs() < 1e-6);
+            line(format!("θ = {theta_deg}°"), ring.map(|p| (p.delta_deg, length(p))))
+        })
+    };
+    let shown = vec![20.0, 32.0];
+    let figure = |y_label: &str, series: [Series; 3]| Plot {
+        y_shown: shown.clone(),
+        ..plot("δ (°)", y_label, series.to_vec())
+    };
+    vec![
+        (
+            "Fig. 9: compensated length of backbone 1".into(),
+            "L + q̃_1 with η = 1.221, λ = 0.1765 mm; rings of the surface that the paper draws. The whole grid is in figure_9.csv.",
+            figure("L + q̃_1 (mm)", around(|p| p.compensated_mm)),
+        ),
+        ("The same without compensation".into(), "L + q_1 of Eq. 1.", figure("L + q_1 (mm)", around(|p| p.ideal_mm))),
+    ]
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Angle {
+    Theta,
+    Delta,
+}
+
+fn bending(rows: &[BendingError], x_label: &str, x: fn(&BendingError) -> f64, angle: Angle) -> Vec<Figure> {
+    let (y_label, of): (_, fn(&BendingError) -> f64) = match angle {
+        Angle::Theta => ("error of θ (°)", |row| row.error_theta_deg),
+        Angle::Delta => ("error of δ (°)", |row| row.error_delta_deg),
+    };
+    // The uncompensated last, so that the others keep their colours without it.
+    let all_four = [
+        (Compensation::Naive, "naive"),
+        (Compensation::Estimated, "estimated"),
+        (Compensation::EstimatedWithPlay, "estimated, play known"),
+        (Compensation::None, "none"),
+    ];
+    let figure = |robot: SimulatedRobot, without: bool| {
+        let chosen = all_four.iter().filter(|(compensation, _)| without || *compensation != Compensation::None);
+        let series = chosen.map(|(compensation, name)| {
+            let of_these = rows.iter().filter(|row| (row.robot, row.compensation) == (robot, *compensation));
+            line(*name, of_these.map(|row| (x(row), of(row))))
+        });
+        plot(x_label, y_label, series.filter(|series| !series.points.is_empty()).collect())
+    };
+    let mut figures = Vec::new();
+    for (robot, name) in
+        [(SimulatedRobot::Equation18, "Eq. 18's robot"), (SimulatedRobot::WithPlay, "the robot with play")]
+    {
+        // By symmetry Eq. 18's robot bends where it is told to, if not as far.
+        if angle == Angle::Delta && robot == SimulatedRobot::Equation18 {
+            continue;
+        }
+        if angle == Angle::Theta {
+            let note = "Reached less desired, with each compensation.";
+            figures.push((format!("{name}, {y_label}"), note, figure(robot, true)));
+        }
+        let note = "The same without the uncompensated errors; the goal is ±1°.";
+        figures.push((format!("{name}, {y_label}, compensated"), note, figure(robot, false)));
+    }
+    figures
+}
+
+fn recursion(all: &Reproduction) -> Vec<Figure> {
+    let figure = |paper: &dyn Fn(&crate::reproduce::RecursionStep) -> f64,
+                  ours: &dyn Fn(&crate::reproduce::RecursionStep) -> Option<(f64, f64)>,
+                  y_label: &str| {
+        let printed = all.recursion.iter().map(|s| Point { x: s.measurement as f64, y: paper(s), sd: 0.0 });
+        let simulated = all.recursion.iter().filter_map(|s| {
+            let (y, sd) = ours(s)?;
+            Some(Point { x: s.measurement as f64, y, sd })
+        });
+        let series = vec![
+            Series { name: "simulated, Eq. 19".into(), style: Style::Band, points: simulated.collect() },
+            Series { name: "printed".into(), style: Style::Dots, points: printed.collect() },
+        ];
+        plot("measurement", y_label, series)
+    };
+    let note = "Dots: Table III. Line and band: a simulated robot with the paper's final η and λ, ±1σ of Eq. 21.";
+    vec![
+        ("η̂".into(), note, figure(&|s| s.paper_eta, &|s| Some((s.eta?, s.sd_eta?)), "η")),
+        ("λ̂".into(), note, figure(&|s| s.paper_lambda_mm, &|s| Some((s.lambda_mm?, s.sd_lambda_mm?)), "λ (mm)")),
+    ]
+}
+
+fn table_iii(all: &Reproduction) -> String {
+    let mut text =
+        "<div class=\"wide\"><table>\n<tr><th>No.</th><th>η̂ printed</th><th>η̂ simulated</th><th>± Eq. 21</th>\
+                    <th>rms of 400 repeats</th><th>λ̂ printed (mm)</th><th>λ̂ simulated (mm)</th><th>± Eq. 21</th>\
+                    <th>rms of 400 repeats</th></tr>\n"
+            .to_owned();
+    for step in &all.recursion {
+        let numbers = [
+            Some(step.paper_eta),
+            step.eta,
+            step.sd_eta,
+            step.scatter_eta,
+            Some(step.paper_lambda_mm),
+            step.lambda_mm,
+            step.sd_lambda_mm,
+            step.scatter_lambda_mm,
+        ];
+        let cells =
+            numbers.map(|n| format!("<td class=\"number\">{}</td>", n.map_or("–".to_owned(), |n| format!("{n:.4}"))));
+        let _ = writeln!(text, "<tr><td>{}</td>{}</tr>", step.measurement, cells.concat());
+    }
+    text + "</table></div>\n"
+}
+
+fn jacobian(all: &Reproduction) -> Vec<Figure> {
+    let at = |value: fn(&crate::reproduce::JacobianEntry) -> f64| {
+        all.jacobian
+            .iter()
+            .filter(|e| e.angle == "theta" && e.backbone == 1 && e.delta_deg == 0.0)
+            .map(move |e| (e.theta_deg, value(e)))
+    };
+    let series = vec![
+        line("Eq. 26", at(|e| e.equation_26_rad_per_mm)),
+        Series { style: Style::Dots, ..line("differences", at(|e| e.differences_rad_per_mm)) },
+        line("Eq. 7", at(|e| e.without_stretch_rad_per_mm)),
+    ];
+    vec![(
+        "∂θ/∂q̃_1 at δ = 0°".into(),
+        "Eq. 26, finite differences of where the model leads, and Eq. 7 without the lines' stretch. All entries are in equation_26.csv.",
+        plot("θ (°)", "rad/mm", series),
+    )]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reproduce::reproduce;
+
+    #[test]
+    fn the_page_has_every_comparison_and_reaches_for_nothing() {
+        let all = reproduce(1).unwrap();
+        let page = page(&all);
+        for row in &all.comparisons {
+            assert!(page.contains(&escaped(&row.explanation)), "{row:?}");
+        }
+        assert!(page.matches("<svg").count() >= 14);
+        assert!(!page.contains("http") && !page.contains("NaN"));
+    }
+}
