@@ -23,6 +23,7 @@
 //! | [`discover`] | which effect the model lacks |
 //! | [`reproduce`] | the paper's tables and figures |
 //! | [`report`] | overlays, plots, the HTML page |
+//! | [`live`] | the loop while the robot moves, with its dashboard |
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
@@ -31,6 +32,7 @@ pub mod discover;
 pub mod error;
 pub mod estimate;
 pub mod geometry;
+pub mod live;
 pub mod measure;
 pub mod record;
 pub mod report;

@@ -1,6 +1,7 @@
 //! Cameras: the lens model, camera files, and where frames come from.
 
 pub mod calibrate;
+pub mod capture;
 mod file;
 pub mod frame;
 pub mod lens;
@@ -11,7 +12,9 @@ mod opencv;
 mod opencv;
 pub mod source;
 pub use calibrate::{Board, CameraCalibration, calibrate_camera};
+pub use capture::{CaptureSettings, CaptureTarget};
 pub use file::CameraFormat;
 pub use frame::{Frame, read_frame};
 pub use lens::Lens;
+pub use opencv::Capture;
 pub use source::{FrameSource, SourceFrame};

@@ -1,6 +1,7 @@
 //! Everything that is done through OpenCV. No other module knows it.
 
 use super::calibrate::Board;
+use super::capture::{CaptureSettings, CaptureTarget};
 use super::source::SourceFrame;
 use super::{Frame, Lens};
 use crate::error::{Error, Result};
@@ -13,7 +14,10 @@ use opencv::core::{
 };
 use opencv::imgproc::corner_sub_pix;
 use opencv::videoio::{
-    CAP_ANY, CAP_PROP_FRAME_COUNT, CAP_PROP_POS_MSEC, VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst,
+    CAP_ANY, CAP_FFMPEG, CAP_PROP_AUTO_EXPOSURE, CAP_PROP_AUTOFOCUS, CAP_PROP_BUFFERSIZE, CAP_PROP_EXPOSURE,
+    CAP_PROP_FOCUS, CAP_PROP_FPS, CAP_PROP_FRAME_COUNT, CAP_PROP_FRAME_HEIGHT, CAP_PROP_FRAME_WIDTH,
+    CAP_PROP_OPEN_TIMEOUT_MSEC, CAP_PROP_POS_MSEC, CAP_PROP_READ_TIMEOUT_MSEC, VideoCapture, VideoCaptureTrait,
+    VideoCaptureTraitConst,
 };
 use std::path::{Path, PathBuf};
 
@@ -65,6 +69,87 @@ impl Iterator for Video {
     }
 }
 
+/// A camera or a stream, frame by frame as they come.
+pub struct Capture {
+    capture: VideoCapture,
+    picture: Mat,
+}
+
+/// How long opening a stream, and waiting for its next frame, may take, ms.
+const OPEN_TIMEOUT_MS: i32 = 3000;
+const READ_TIMEOUT_MS: i32 = 1000;
+
+impl Capture {
+    /// Opens a camera or a stream. What a camera cannot be set to it leaves alone; [`settings`](Self::settings) tells.
+    ///
+    /// # Errors
+    /// A camera or stream that is not there or does not answer.
+    pub fn open(target: &CaptureTarget, settings: &CaptureSettings) -> Result<Self> {
+        let name = match target {
+            CaptureTarget::Device(number) => format!("open camera {number}"),
+            CaptureTarget::Stream(address) => format!("open the stream {address}"),
+        };
+        let open = || match target {
+            CaptureTarget::Device(number) => VideoCapture::new(*number as i32, CAP_ANY),
+            CaptureTarget::Stream(address) => {
+                let timeouts =
+                    [CAP_PROP_OPEN_TIMEOUT_MSEC, OPEN_TIMEOUT_MS, CAP_PROP_READ_TIMEOUT_MSEC, READ_TIMEOUT_MS];
+                VideoCapture::from_file_with_params(address, CAP_FFMPEG, &Vector::from_slice(&timeouts))
+            }
+        };
+        let capture = open().map_err(failed(name.clone()))?;
+        if !capture.is_opened().map_err(failed(name.clone()))? {
+            return Err(Error::OpenCv { action: name, message: "it is not there, or does not answer".into() });
+        }
+        let mut opened = Self { capture, picture: Mat::default() };
+        opened.set(settings);
+        Ok(opened)
+    }
+
+    /// Asks for settings, in the order in which drivers take them. What is refused stays as it was.
+    fn set(&mut self, settings: &CaptureSettings) {
+        // V4L2's "manual"; with automatic exposure on, a set value is ignored.
+        const MANUAL_EXPOSURE: f64 = 1.0;
+        let mut ask = |property: i32, value: Option<f64>| {
+            if let Some(value) = value {
+                let _ = self.capture.set(property, value);
+            }
+        };
+        // Queued frames are stale frames.
+        ask(CAP_PROP_BUFFERSIZE, Some(1.0));
+        ask(CAP_PROP_FRAME_WIDTH, settings.size.map(|(width, _)| f64::from(width)));
+        ask(CAP_PROP_FRAME_HEIGHT, settings.size.map(|(_, height)| f64::from(height)));
+        ask(CAP_PROP_FPS, settings.rate_fps);
+        ask(CAP_PROP_AUTO_EXPOSURE, settings.exposure.map(|_| MANUAL_EXPOSURE));
+        ask(CAP_PROP_EXPOSURE, settings.exposure);
+        ask(CAP_PROP_AUTOFOCUS, settings.focus.map(|_| 0.0));
+        ask(CAP_PROP_FOCUS, settings.focus);
+    }
+
+    /// The next frame, waited for; `None` where the camera or stream is gone or silent.
+    pub fn read(&mut self) -> Option<Frame> {
+        if !self.capture.read(&mut self.picture).ok()? {
+            return None;
+        }
+        frame_from(&self.picture).ok()?
+    }
+
+    /// The settings as the camera or stream reports them.
+    pub fn settings(&self) -> CaptureSettings {
+        let ask = |property: i32| self.capture.get(property).ok().filter(|value| value.is_finite());
+        let positive = |property: i32| ask(property).filter(|&value| value > 0.0);
+        // Streams and drivers without a control answer 0 or −1.
+        let control = |property: i32| ask(property).filter(|&value| value != 0.0 && value != -1.0);
+        let size = positive(CAP_PROP_FRAME_WIDTH).zip(positive(CAP_PROP_FRAME_HEIGHT));
+        CaptureSettings {
+            size: size.map(|(width, height)| (width as u32, height as u32)),
+            rate_fps: positive(CAP_PROP_FPS),
+            exposure: control(CAP_PROP_EXPOSURE),
+            focus: control(CAP_PROP_FOCUS),
+        }
+    }
+}
+
 /// OpenCV's 8-bit picture, grey or BGR. `None` for any other kind.
 fn frame_from(picture: &Mat) -> opencv::Result<Option<Frame>> {
     let channels = picture.channels() as usize;
@@ -72,7 +157,17 @@ fn frame_from(picture: &Mat) -> opencv::Result<Option<Frame>> {
         return Ok(None);
     }
     let bytes = picture.data_bytes()?;
-    let data = bytes.chunks_exact(channels).flat_map(|pixel| pixel.iter().rev()).map(|&v| f32::from(v)).collect();
+    let mut data = vec![0.0; bytes.len()];
+    // Written out for each layout, since this is done for every pixel of every frame.
+    if channels == 3 {
+        for (rgb, bgr) in data.as_chunks_mut::<3>().0.iter_mut().zip(bytes.as_chunks::<3>().0) {
+            *rgb = [f32::from(bgr[2]), f32::from(bgr[1]), f32::from(bgr[0])];
+        }
+    } else {
+        for (to, from) in data.iter_mut().zip(bytes) {
+            *to = f32::from(*from);
+        }
+    }
     Ok(Some(Frame { width: picture.cols() as u32, height: picture.rows() as u32, channels, data }))
 }
 

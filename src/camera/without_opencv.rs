@@ -1,6 +1,7 @@
 //! What stands in for OpenCV in a build without it: everything is refused.
 
 use super::calibrate::Board;
+use super::capture::{CaptureSettings, CaptureTarget};
 use super::source::SourceFrame;
 use super::{Frame, Lens};
 use crate::error::{Error, Result};
@@ -25,6 +26,34 @@ impl Iterator for Video {
     type Item = SourceFrame;
 
     fn next(&mut self) -> Option<SourceFrame> {
+        match *self {}
+    }
+}
+
+/// A camera or stream that can never be opened.
+#[derive(Debug)]
+pub enum Capture {}
+
+impl Capture {
+    /// Always refuses.
+    ///
+    /// # Errors
+    /// [`Error::NoOpenCv`].
+    pub fn open(target: &CaptureTarget, _: &CaptureSettings) -> Result<Self> {
+        let what = match target {
+            CaptureTarget::Device(number) => format!("camera {number}"),
+            CaptureTarget::Stream(address) => format!("the stream {address}"),
+        };
+        Err(Error::NoOpenCv { what })
+    }
+
+    /// The next frame.
+    pub fn read(&mut self) -> Option<Frame> {
+        match *self {}
+    }
+
+    /// The settings as they are.
+    pub fn settings(&self) -> CaptureSettings {
         match *self {}
     }
 }

@@ -50,7 +50,7 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
         let model = model_or_paper(self.model.as_deref())?;
         let (measurements, encoders) = measurements_and_readings(console, &self.measurements, Some(&self.encoders))?;
-        let (steps, model) = estimate(&model, self.estimator.into(), &measurements, &encoders)?;
+        let (steps, model) = estimate(&model, self.estimator.options(1.0), &measurements, &encoders)?;
         write_atomically(&self.output.join("estimate.csv"), estimates_csv(&steps).as_bytes())?;
         let estimated = Estimated::of(&steps, model.estimate, &self.measurements)?;
         write_model(&self.output.join("model.toml"), &model)?;

@@ -1,4 +1,4 @@
-//! The estimator's settings, as `run` and `estimate` take them.
+//! The estimator's settings, as `run`, `estimate` and `live` take them.
 
 use crate::estimate::{Options, Weighting};
 
@@ -9,9 +9,9 @@ pub struct EstimatorArgs {
     /// Weight all measurements alike, as the paper does (it takes 1°), instead of by their own sigmas
     #[arg(long, value_name = "DEGREES")]
     flat_sigma: Option<f64>,
-    /// Fading memory: share of all earlier information kept at each measurement; 1 forgets nothing
-    #[arg(long, value_name = "SHARE", default_value_t = Options::default().keep)]
-    keep: f64,
+    /// Fading memory: share of all earlier information kept at each measurement; 1 forgets nothing [default: 1; live: 0.9995]
+    #[arg(long, value_name = "SHARE")]
+    keep: Option<f64>,
     /// Standard deviations beyond which a measurement is rejected as an outlier
     #[arg(long, value_name = "SDS", default_value_t = Options::default().gate)]
     gate: f64,
@@ -20,12 +20,13 @@ pub struct EstimatorArgs {
     encoder_sd: f64,
 }
 
-impl From<EstimatorArgs> for Options {
-    fn from(args: EstimatorArgs) -> Self {
-        let weighting = match args.flat_sigma {
+impl EstimatorArgs {
+    /// The settings, with the command's own share to keep where none was given.
+    pub fn options(&self, usual_keep: f64) -> Options {
+        let weighting = match self.flat_sigma {
             Some(sigma_deg) => Weighting::Flat { sigma_deg },
             None => Weighting::Measured,
         };
-        Self { weighting, sd_encoder_mm: args.encoder_sd, keep: args.keep, gate: args.gate }
+        Options { weighting, sd_encoder_mm: self.encoder_sd, keep: self.keep.unwrap_or(usual_keep), gate: self.gate }
     }
 }

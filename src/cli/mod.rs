@@ -10,6 +10,7 @@ mod estimator;
 mod evaluate;
 mod inputs;
 mod invert;
+mod live;
 mod measure;
 mod render;
 mod reproduce;
@@ -42,6 +43,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Run(run::Args),
+    Live(live::Args),
     Measure(measure::Args),
     Estimate(estimate::Args),
     Table(table::Args),
@@ -58,6 +60,7 @@ impl Command {
     fn run(&self, console: &Console) -> Result<()> {
         match self {
             Self::Run(args) => args.run(console),
+            Self::Live(args) => args.run(console),
             Self::Measure(args) => args.run(console),
             Self::Estimate(args) => args.run(console),
             Self::Table(args) => args.run(console),

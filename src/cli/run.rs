@@ -4,12 +4,13 @@ use super::console::Console;
 use super::estimate::Estimated;
 use super::estimator::EstimatorArgs;
 use super::inputs::{encoders_of, model_of};
-use super::table::{largest_correction_mm, write_table};
+use super::table::largest_correction_mm;
 use super::views::{OpenView, Throughput, count_by_status, measure_frames, open_views, require_some_measured};
 use crate::camera::SourceFrame;
 use crate::estimate::estimate;
 use crate::record::{
-    Checked, Experiment, Measurement, Status, estimates_csv, measurements_csv, write_atomically, write_model,
+    Checked, Experiment, Measurement, Status, estimates_csv, measurements_csv, write_atomically, write_compensation,
+    write_model,
 };
 use crate::report::html::{Picture, Report};
 use crate::report::overlay::{angles, overlay};
@@ -93,14 +94,14 @@ impl Args {
         self.write("measurements.csv", &measurements_csv(&measurements))?;
         require_some_measured(&experiment, &measurements)?;
 
-        let (steps, model) = estimate(&start, self.estimator.into(), &measurements, &encoders)?;
+        let (steps, model) = estimate(&start, self.estimator.options(1.0), &measurements, &encoders)?;
         self.write("estimate.csv", &estimates_csv(&steps))?;
         let pictures = self.draw(console, &views, &measurements)?;
 
         let estimated = Estimated::of(&steps, model.estimate, &experiment.path)?;
         let model_path = self.output.join("model.toml");
         write_model(&model_path, &model)?;
-        let table = write_table(&self.output, &model, &model_path.display().to_string(), &Grid::default())?;
+        let table = write_compensation(&self.output, &model, &model_path.display().to_string(), &Grid::default())?;
         let naive = Model { estimate: None, ..model.clone() };
         let summary = Summary {
             frames: measurements.len(),

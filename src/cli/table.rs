@@ -3,10 +3,10 @@
 use super::console::Console;
 use super::inputs::model_or_paper;
 use crate::Result;
-use crate::record::{compensation_csv, compensation_json, write_atomically};
-use crate::robot::{Grid, GridAxis, Model, TableRow, compensation_table};
+use crate::record::write_compensation;
+use crate::robot::{Grid, GridAxis, TableRow};
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Tabulate what to command for every pose of a grid: writes OUT/compensation.csv and OUT/compensation.json
 #[derive(Debug, clap::Args)]
@@ -41,7 +41,7 @@ impl Args {
         let model = model_or_paper(self.model.as_deref())?;
         let source = self.model.as_deref().map_or("built in".to_owned(), |path| path.display().to_string());
         let grid = Grid { theta: self.theta_deg, delta: self.delta_deg };
-        let rows = write_table(&self.output, &model, &source, &grid)?;
+        let rows = write_compensation(&self.output, &model, &source, &grid)?;
         let summary = Summary {
             poses: rows.len(),
             largest_correction_mm: largest_correction_mm(&rows),
@@ -57,15 +57,6 @@ impl Args {
         });
         Ok(())
     }
-}
-
-/// Writes compensation.csv and compensation.json into a folder.
-pub fn write_table(folder: &Path, model: &Model, source: &str, grid: &Grid) -> Result<Vec<TableRow>> {
-    let rows = compensation_table(model, grid)?;
-    write_atomically(&folder.join("compensation.csv"), compensation_csv(&rows).as_bytes())?;
-    let json = compensation_json(model, source, grid, &rows)?;
-    write_atomically(&folder.join("compensation.json"), json.as_bytes())?;
-    Ok(rows)
 }
 
 /// The largest |q̃ − q| of any backbone in a table, mm.

@@ -3,12 +3,11 @@
 use super::console::Console;
 use crate::camera::{Frame, FrameSource, Lens, SourceFrame, read_frame};
 use crate::geometry::Configuration;
-use crate::measure::{Explanation, Eye, Outline, Rig, RigOptions, Sighting, calibrate_rig, fused};
+use crate::measure::{Explanation, Eye, Rig, RigOptions, Sighting, calibrate_rig, fused};
 use crate::record::{EncoderReading, Experiment, Measurement, RigSource, Status, View};
 use crate::report::overlay::Shape;
 use crate::robot::Robot;
 use crate::{Error, Result};
-use nalgebra::Point3;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
@@ -38,19 +37,24 @@ pub fn open_views(experiment: &Experiment, robot: &Robot) -> Result<Vec<OpenView
     experiment.views.iter().map(|view| OpenView::open(view, experiment, robot)).collect()
 }
 
+/// The rig of a view: from its file, or calibrated from its straight picture.
+pub fn rig_of(view: &View, lens: &Lens, robot: &Robot) -> Result<Rig> {
+    let delta_offset = view.delta_offset_deg.to_radians();
+    match &view.rig {
+        RigSource::File(path) => Ok(Rig::read(path)?.looking_from(delta_offset)),
+        RigSource::Straight { picture, grid_pitch_mm, standoff_mm } => {
+            let options = RigOptions { grid_pitch_mm: *grid_pitch_mm, standoff_mm: *standoff_mm, delta_offset };
+            calibrate_rig(&read_frame(picture)?, lens, robot, &options)
+                .map_err(|message| Error::Rig { path: picture.clone(), message })
+        }
+    }
+}
+
 impl OpenView {
     fn open(view: &View, experiment: &Experiment, robot: &Robot) -> Result<Self> {
         let frames = FrameSource::open(experiment.folder(), &view.frames)?;
         let lens = Lens::read(&view.camera)?;
-        let delta_offset = view.delta_offset_deg.to_radians();
-        let rig = match &view.rig {
-            RigSource::File(path) => Rig::read(path)?.looking_from(delta_offset),
-            RigSource::Straight { picture, grid_pitch_mm, standoff_mm } => {
-                let options = RigOptions { grid_pitch_mm: *grid_pitch_mm, standoff_mm: *standoff_mm, delta_offset };
-                calibrate_rig(&read_frame(picture)?, &lens, robot, &options)
-                    .map_err(|message| Error::Rig { path: picture.clone(), message })?
-            }
-        };
+        let rig = rig_of(view, &lens, robot)?;
         let eye = Eye::new(lens, rig, robot.clone()).refined(sample(&frames)?);
         Ok(Self { name: view.name.clone(), eye, frames })
     }
@@ -70,15 +74,7 @@ impl OpenView {
 
     /// The model's shape in this view's picture.
     pub fn shape(&self, psi: Configuration) -> Shape {
-        const POINTS: usize = 60;
-        let view = self.eye.projection();
-        let arc = (0..=POINTS).map(|i| {
-            let s_mm = view.robot.length_mm * i as f64 / POINTS as f64;
-            let point = Point3::from(view.robot.frame_at(psi, s_mm).translation.vector);
-            view.lens.project(&(view.camera_from_base * point))
-        });
-        let outline = Outline::new(&view, psi);
-        Shape { arc: arc.collect(), outline: outline.points.iter().map(|point| point.pixel).collect() }
+        Shape::of(&self.eye.projection(), psi)
     }
 
     /// Measures one frame and tells every stage of it.

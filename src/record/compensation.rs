@@ -12,10 +12,12 @@
 
 use super::model::ModelFile;
 use super::table::{azimuth, decimals};
+use super::write::write_atomically;
 use crate::error::{Error, Result};
-use crate::robot::{Grid, Model, TableRow};
+use crate::robot::{Grid, Model, TableRow, compensation_table};
 use nalgebra::Vector3;
 use serde::Serialize;
+use std::path::Path;
 
 const COLUMNS: &str = "theta_deg,delta_deg,q1_mm,q2_mm,q3_mm,qc1_mm,qc2_mm,qc3_mm,sd_qc1_mm,sd_qc2_mm,sd_qc3_mm";
 
@@ -48,6 +50,18 @@ pub fn compensation_json(model: &Model, source: &str, grid: &Grid, rows: &[Table
     };
     let text = serde_json::to_string_pretty(&file);
     text.map(|text| text + "\n").map_err(|e| Error::Domain(format!("cannot write the table: {e}")))
+}
+
+/// Writes compensation.csv and compensation.json into a folder, and gives the rows. `source` says where the model comes from.
+///
+/// # Errors
+/// A grid of too many poses, a number that JSON cannot hold, a file that cannot be written.
+pub fn write_compensation(folder: &Path, model: &Model, source: &str, grid: &Grid) -> Result<Vec<TableRow>> {
+    let rows = compensation_table(model, grid)?;
+    write_atomically(&folder.join("compensation.csv"), compensation_csv(&rows).as_bytes())?;
+    let json = compensation_json(model, source, grid, &rows)?;
+    write_atomically(&folder.join("compensation.json"), json.as_bytes())?;
+    Ok(rows)
 }
 
 #[derive(Serialize)]

@@ -13,7 +13,7 @@ pub mod trajectory;
 pub mod truth;
 pub mod write;
 
-pub use compensation::{compensation_csv, compensation_json};
+pub use compensation::{compensation_csv, compensation_json, write_compensation};
 pub use encoders::{encoders_csv, read_encoders};
 pub use estimates::{EstimateRow, EtaLambda, Verdict, estimates_csv};
 pub(crate) use experiment::line_at;
@@ -21,7 +21,7 @@ pub use experiment::{Experiment, RigSource, View};
 pub use friction::read_friction;
 pub use measurement::{EncoderReading, Measured, Measurement, Quality, Status, Truth};
 pub use measurements::{measurements_csv, read_measurements};
-pub use model::{model_toml, read_model, write_model};
+pub use model::{model_json, model_toml, read_model, write_model};
 pub use table::{Checked, Warning};
 pub use trajectory::{Waypoint, read_trajectory, trajectory_csv};
 pub use truth::{read_truth, truth_csv};

@@ -186,6 +186,17 @@ pub fn model_toml(model: &Model) -> Result<String> {
     toml::to_string(&ModelFile::from(model)).map_err(|e| Error::Domain(format!("cannot write the model: {e}")))
 }
 
+/// A model as JSON with model.toml's keys.
+///
+/// # Errors
+/// As [`model_toml`].
+pub fn model_json(model: &Model) -> Result<serde_json::Value> {
+    if let Some(fault) = first_fault(model) {
+        return Err(Error::Domain(format!("cannot write the model: {fault}")));
+    }
+    serde_json::to_value(ModelFile::from(model)).map_err(|e| Error::Domain(format!("cannot write the model: {e}")))
+}
+
 fn parse(path: &Path, text: &str) -> Result<Model> {
     let at_span = |e: toml::de::Error| match e.span() {
         Some(span) => Error::at_line(path, line_at(text, span.start), e.message()),

@@ -1,11 +1,13 @@
 //! A frame with what was measured drawn on it.
 
 use crate::camera::Frame;
+use crate::geometry::Configuration;
+use crate::measure::{Outline, Projection};
 use crate::record::{Measured, Measurement, Status};
 use ab_glyph::{FontRef, PxScale};
 use image::{Rgb, RgbImage};
 use imageproc::drawing::{draw_text_mut, text_size};
-use nalgebra::Point2;
+use nalgebra::{Point2, Point3};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -24,6 +26,20 @@ pub struct Shape {
     pub arc: Vec<Point2<f64>>,
     /// Points of the outline.
     pub outline: Vec<Point2<f64>>,
+}
+
+impl Shape {
+    /// The model's shape at a bend, as a view shows it.
+    pub fn of(view: &Projection, psi: Configuration) -> Self {
+        const POINTS: usize = 60;
+        let arc = (0..=POINTS).map(|i| {
+            let s_mm = view.robot.length_mm * i as f64 / POINTS as f64;
+            let point = Point3::from(view.robot.frame_at(psi, s_mm).translation.vector);
+            view.lens.project(&(view.camera_from_base * point))
+        });
+        let outline = Outline::new(view, psi);
+        Self { arc: arc.collect(), outline: outline.points.iter().map(|point| point.pixel).collect() }
+    }
 }
 
 /// Draws outline, arc, base (green), tip (magenta) and the figures on a copy of the frame.
@@ -162,7 +178,6 @@ fn label(picture: &mut RgbImage, lines: &[String], size: f64, colour: Rgb<u8>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Configuration;
     use ab_glyph::Font;
 
     fn grey_frame() -> Frame {

@@ -1,0 +1,262 @@
+//! `live`: the loop while the robot moves.
+
+use super::console::Console;
+use super::estimator::EstimatorArgs;
+use super::inputs::{encoders_of, model_of, rows};
+use super::views::rig_of;
+use crate::camera::{CaptureSettings, CaptureTarget, FrameSource, Lens};
+use crate::live::{EncoderInput, EncoderSource, Histogram, Live, Setup, Source, State, View};
+use crate::measure::{Eye, Rig, RigOptions};
+use crate::record::{self, Experiment, RigSource, read_model};
+use crate::robot::Robot;
+use crate::{Error, Result};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Run the loop while the robot moves: camera and encoders in; η, λ, a fresh table and a dashboard out
+///
+/// The experiment tells camera, rig and model. Frames come from its own files, or from a camera, a video or a stream.
+/// Writes OUT/journal.jsonl with every measurement, OUT/model.toml and OUT/compensation.csv every few seconds, and at the end
+/// OUT/measurements.csv and OUT/encoders.csv. Ctrl-C ends it.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example:\n  snakeloop live EXPERIMENT --camera 0 --size 1280x720 --encoders tcp://robot:5000 -o out\n  \
+                  snakeloop live fixtures/bending --rate 2 -o out"
+)]
+pub struct Args {
+    /// The experiment: a folder with an experiment.toml, or that file
+    experiment: PathBuf,
+    /// The folder to write to; created where it is missing
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+    /// The view that the camera has; the first where the experiment has several
+    #[arg(long, value_name = "NAME")]
+    view: Option<String>,
+    /// Take frames from this camera of the machine
+    #[arg(long, value_name = "NUMBER", conflicts_with = "source")]
+    camera: Option<u32>,
+    /// Take frames from a video file, numbered pictures (frames/%05d.png) or a stream (http://…, rtsp://…)
+    #[arg(long, value_name = "SOURCE")]
+    source: Option<String>,
+    /// Picture size to ask the camera for
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
+    size: Option<(u32, u32)>,
+    /// Frames per second to ask the camera for, or to play pictures or a video at [default: 30 for pictures, a video's own]
+    #[arg(long, value_name = "FPS", value_parser = positive)]
+    rate: Option<f64>,
+    /// Exposure to ask the camera for, in its own unit; switches automatic exposure off
+    #[arg(long, value_name = "VALUE", allow_hyphen_values = true)]
+    exposure: Option<f64>,
+    /// Focus to ask the camera for, in its own unit; switches autofocus off
+    #[arg(long, value_name = "VALUE")]
+    focus: Option<f64>,
+    /// Encoder readings, one a line (time_s,q1_mm,q2_mm,q3_mm, or JSON): - (standard input), tcp://HOST:PORT, unix:PATH, or a
+    /// file that grows. Without it the experiment's own log, matched by index, where frames come from files
+    #[arg(long, value_name = "FROM")]
+    encoders: Option<EncoderSource>,
+    /// Seconds to add to the encoders' times to have the frames'; estimated without it
+    #[arg(long, value_name = "SECONDS", allow_hyphen_values = true, requires = "encoders")]
+    encoder_offset: Option<f64>,
+    /// The model to start from (model.toml); its effects are obeyed. Without it the experiment's, or the paper's
+    #[arg(long, value_name = "MODEL")]
+    model: Option<PathBuf>,
+    #[command(flatten)]
+    estimator: EstimatorArgs,
+    /// How often model and table are written
+    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = positive)]
+    save_every: f64,
+    /// Go on with the run that OUT holds, with all its measurements
+    #[arg(long)]
+    resume: bool,
+}
+
+/// Share of earlier information kept at each measurement: at 60 frames/s, half a minute.
+const KEEP: f64 = 0.9995;
+
+fn size(text: &str) -> std::result::Result<(u32, u32), String> {
+    let parts =
+        text.split_once(['x', '×']).and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
+    parts.filter(|&(width, height)| width > 0 && height > 0).ok_or_else(|| "expected a size such as 1280x720".into())
+}
+
+fn positive(text: &str) -> std::result::Result<f64, String> {
+    let value = text.parse::<f64>().ok().filter(|value| *value > 0.0 && *value < 1e6);
+    value.ok_or_else(|| "expected a number above 0".into())
+}
+
+#[derive(Serialize)]
+struct Summary {
+    frames: u64,
+    dropped: u64,
+    measurements: u64,
+    measured: u64,
+    eta: Option<f64>,
+    lambda_mm: Option<f64>,
+    latency_p50_ms: f64,
+    latency_p99_ms: f64,
+    output: PathBuf,
+    #[serde(skip)]
+    histogram: String,
+}
+
+impl Args {
+    pub fn run(&self, console: &Console) -> Result<()> {
+        let live = Live::start(self.setup(console)?)?;
+        while !live.is_over() {
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        let state = live.board.state();
+        let latencies = live.finish()?;
+        let summary = Summary::new(&state, &latencies, self.output.clone());
+        console.result(&summary, || summary.text());
+        Ok(())
+    }
+
+    fn setup(&self, console: &Console) -> Result<Setup> {
+        let experiment = Experiment::read(&self.experiment)?;
+        let view = self.chosen_view(&experiment)?;
+        let mut model = model_of(&experiment)?;
+        if let Some(path) = &self.model {
+            model = read_model(path)?;
+        }
+        let (source, source_name) = self.source(&experiment, view)?;
+        let encoders = match &self.encoders {
+            Some(from) => EncoderInput::Lines { source: from.clone(), offset_s: self.encoder_offset },
+            None if source.is_recording() && experiment.encoders.is_some() => {
+                EncoderInput::Log(rows(console, encoders_of(&experiment)?))
+            }
+            None => EncoderInput::None,
+        };
+        Ok(Setup {
+            view: self.open(view, &model.robot)?,
+            source,
+            source_name,
+            encoders,
+            model,
+            options: self.estimator.options(KEEP),
+            output: self.output.clone(),
+            resume: self.resume,
+            save_every: Duration::from_secs_f64(self.save_every),
+        })
+    }
+
+    fn chosen_view<'a>(&self, experiment: &'a Experiment) -> Result<&'a record::View> {
+        let wanted = |view: &&record::View| self.view.as_ref().is_none_or(|name| *name == view.name);
+        experiment.views.iter().find(wanted).ok_or_else(|| {
+            let names: Vec<&str> = experiment.views.iter().map(|view| view.name.as_str()).collect();
+            Error::Usage(format!(
+                "--view {}: the experiment has {}",
+                self.view.as_deref().unwrap_or_default(),
+                names.join(", ")
+            ))
+        })
+    }
+
+    /// Where frames come from, and that in words.
+    fn source(&self, experiment: &Experiment, view: &record::View) -> Result<(Source, String)> {
+        let settings =
+            CaptureSettings { size: self.size, rate_fps: self.rate, exposure: self.exposure, focus: self.focus };
+        if let Some(number) = self.camera {
+            let target = CaptureTarget::Device(number);
+            return Ok((Source::Device { target, settings }, format!("camera {number}")));
+        }
+        if self.size.is_some() || self.exposure.is_some() || self.focus.is_some() {
+            return Err(Error::Usage("--size, --exposure and --focus are for --camera".into()));
+        }
+        match &self.source {
+            Some(address) if address.contains("://") => {
+                let target = CaptureTarget::Stream(address.clone());
+                Ok((Source::Device { target, settings }, without_secrets(address)))
+            }
+            Some(pattern) => recording(Path::new(""), pattern, self.rate),
+            None => recording(experiment.folder(), &view.frames, self.rate),
+        }
+    }
+
+    /// The view's eye, by the rig of an earlier run where that is gone on with.
+    fn open(&self, view: &record::View, robot: &Robot) -> Result<View> {
+        let lens = Lens::read(&view.camera)?;
+        let retaken = self.output.join("rig.toml");
+        let rig = if self.resume && retaken.exists() { Rig::read(&retaken)? } else { rig_of(view, &lens, robot)? };
+        let (grid_pitch_mm, standoff_mm) = match view.rig {
+            RigSource::Straight { grid_pitch_mm, standoff_mm, .. } => (grid_pitch_mm, standoff_mm),
+            // The grid's z points away from the camera, and the base stands before it.
+            RigSource::File(_) => {
+                (rig.grid_pitch_mm, -(rig.camera_from_grid.inverse() * rig.camera_from_base).translation.z)
+            }
+        };
+        let rig_options = RigOptions { grid_pitch_mm, standoff_mm, delta_offset: view.delta_offset_deg.to_radians() };
+        let eye = Eye::new(lens.clone(), rig, robot.clone());
+        Ok(View { name: view.name.clone(), lens, robot: robot.clone(), rig_options, eye })
+    }
+}
+
+fn recording(folder: &Path, pattern: &str, rate_fps: Option<f64>) -> Result<(Source, String)> {
+    let frames = FrameSource::open(folder, pattern)?;
+    Ok((Source::Recording { frames, rate_fps }, folder.join(pattern).display().to_string()))
+}
+
+/// An address without the name and password that it may carry.
+fn without_secrets(address: &str) -> String {
+    match address.split_once("://") {
+        Some((scheme, rest)) => {
+            let host = rest.find('/').unwrap_or(rest.len());
+            let from = rest[..host].rfind('@').map_or(0, |at| at + 1);
+            format!("{scheme}://{}", &rest[from..])
+        }
+        None => address.to_owned(),
+    }
+}
+
+impl Summary {
+    fn new(state: &State, latencies: &Histogram, output: PathBuf) -> Self {
+        Self {
+            frames: state.source.frames,
+            dropped: state.source.dropped,
+            measurements: state.measurements,
+            measured: state.measured,
+            eta: state.estimate.map(|estimate| estimate.eta),
+            lambda_mm: state.estimate.map(|estimate| estimate.lambda_mm),
+            latency_p50_ms: state.latency.p50_ms,
+            latency_p99_ms: state.latency.p99_ms,
+            output,
+            histogram: latencies.text(),
+        }
+    }
+
+    fn text(&self) -> String {
+        let estimate = match (self.eta, self.lambda_mm) {
+            (Some(eta), Some(lambda_mm)) => format!("η {eta:.4}, λ {lambda_mm:.4} mm"),
+            _ => "η and λ are not known yet".to_owned(),
+        };
+        format!(
+            "{} frames, {} dropped; {} measured of {}\n{estimate}\nlatency p50 {:.1} ms, p99 {:.1} ms\n{}{}",
+            self.frames,
+            self.dropped,
+            self.measured,
+            self.measurements,
+            self.latency_p50_ms,
+            self.latency_p99_ms,
+            self.histogram,
+            self.output.display()
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_addresss_password_is_not_shown() {
+        assert_eq!(without_secrets("rtsp://me:secret@cam:554/a@b"), "rtsp://cam:554/a@b");
+        assert_eq!(without_secrets("http://cam/stream"), "http://cam/stream");
+    }
+
+    #[test]
+    fn sizes_and_rates_are_checked() {
+        assert_eq!(size("1280x720"), Ok((1280, 720)));
+        assert!(size("1280").is_err() && size("0x3").is_err() && positive("-1").is_err() && positive("nan").is_err());
+    }
+}

@@ -1,0 +1,306 @@
+//! The journal: every measurement, written down before anything else is done with it.
+//!
+//! One line of JSON a measurement or event, appended with a single write. A process that is killed leaves all of them but
+//! the one in hand; the system writes them to the disk at once every few seconds ([`Journal::sync`]), which is what a loss
+//! of power can cost. A last line that is torn is cut off when the journal is opened again.
+
+use crate::error::{Error, Result};
+use crate::geometry::Configuration;
+use crate::record::{EncoderReading, Measured, Measurement, Quality};
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+use std::fs::{File, OpenOptions};
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+
+/// The journal's name in the output folder.
+pub const JOURNAL: &str = "journal.jsonl";
+
+/// One line of the journal.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Entry {
+    /// A frame's measurement, with the encoders' reading of that moment where there is one.
+    Measured(Measurement, Option<EncoderReading>),
+    /// The estimator was told to begin anew.
+    Reset,
+}
+
+/// An entry as its line shows it; angles in degrees.
+#[derive(Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
+struct Line {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    event: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    index: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time_s: Option<f64>,
+    #[serde(skip_serializing_if = "String::is_empty")]
+    status: String,
+    /// θ, δ, σ_θ, σ_δ in degrees, and the correlation.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    angles: Option<[f64; 5]>,
+    /// Edges, inlier fraction, rms in px.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    quality: Option<(usize, f64, f64)>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    q_mm: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    encoder_time_s: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    view: Option<String>,
+}
+
+impl From<&Entry> for Line {
+    fn from(entry: &Entry) -> Self {
+        let Entry::Measured(measurement, reading) = entry else {
+            return Self { event: Some("reset".into()), ..Self::default() };
+        };
+        let angles = measurement.measured.map(|m| {
+            let degrees = [m.configuration.theta, m.configuration.delta, m.sigma_theta, m.sigma_delta];
+            let [theta, delta, sigma_theta, sigma_delta] = degrees.map(f64::to_degrees);
+            [theta, delta, sigma_theta, sigma_delta, m.correlation]
+        });
+        Self {
+            event: None,
+            index: Some(measurement.index),
+            time_s: measurement.time_s,
+            status: measurement.status.to_string(),
+            angles,
+            quality: measurement.quality.map(|q| (q.edges, q.inlier_fraction, q.rms_px)),
+            q_mm: reading.map(|reading| reading.q_mm.into()),
+            encoder_time_s: reading.map(|reading| reading.time_s),
+            view: measurement.view.clone(),
+        }
+    }
+}
+
+impl Line {
+    /// `None` for a line that is no entry of ours.
+    fn entry(self) -> Option<Entry> {
+        if let Some(event) = self.event {
+            return (event == "reset").then_some(Entry::Reset);
+        }
+        let index = self.index?;
+        let measured = self.angles.map(|[theta, delta, sigma_theta, sigma_delta, correlation]| Measured {
+            configuration: Configuration::from_degrees(theta, delta),
+            sigma_theta: sigma_theta.to_radians(),
+            sigma_delta: sigma_delta.to_radians(),
+            correlation,
+        });
+        let measurement = Measurement {
+            index,
+            time_s: self.time_s,
+            status: self.status.parse().unwrap_or_else(|never| match never {}),
+            measured,
+            quality: self.quality.map(|(edges, inlier_fraction, rms_px)| Quality { edges, inlier_fraction, rms_px }),
+            view: self.view,
+        };
+        let reading = self.q_mm.zip(self.encoder_time_s.or(self.time_s)).map(|(q_mm, time_s)| EncoderReading {
+            index,
+            time_s,
+            q_mm: Vector3::from(q_mm),
+        });
+        Some(Entry::Measured(measurement, reading))
+    }
+}
+
+/// A journal that is being written.
+#[derive(Debug)]
+pub struct Journal {
+    path: PathBuf,
+    file: File,
+}
+
+impl Journal {
+    /// Begins a journal in a folder, which is created where it is missing.
+    ///
+    /// # Errors
+    /// A folder that has one already, or that cannot be written to.
+    pub fn create(folder: &Path) -> Result<Self> {
+        let path = folder.join(JOURNAL);
+        std::fs::create_dir_all(folder).map_err(Error::io(folder, "create the folder"))?;
+        match OpenOptions::new().append(true).create_new(true).open(&path) {
+            Ok(file) => Ok(Self { path, file }),
+            Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => Err(Error::content(
+                &path,
+                "an earlier run left its journal here; go on with it (--resume) or choose another folder",
+            )),
+            Err(e) => Err(Error::io(&path, "write")(e)),
+        }
+    }
+
+    /// Opens the journal of an earlier run to go on with it, and gives `each` entry of it, in order; begins one where there is
+    /// none. Says what could not be read.
+    ///
+    /// # Errors
+    /// A file that cannot be read or written.
+    pub fn resume(folder: &Path, each: impl FnMut(Entry)) -> Result<(Self, Option<String>)> {
+        let path = folder.join(JOURNAL);
+        if !path.exists() {
+            return Ok((Self::create(folder)?, None));
+        }
+        let (whole, remark) = read(&path, each)?;
+        let file = OpenOptions::new().append(true).open(&path).map_err(Error::io(&path, "write"))?;
+        file.set_len(whole).map_err(Error::io(&path, "write"))?;
+        Ok((Self { path, file }, remark))
+    }
+
+    /// Appends an entry.
+    ///
+    /// # Errors
+    /// A disk that is full or gone.
+    pub fn append(&mut self, entry: &Entry) -> Result<()> {
+        let mut line = serde_json::to_vec(&Line::from(entry))
+            .map_err(|e| Error::content(&self.path, format!("cannot write an entry: {e}")))?;
+        line.push(b'\n');
+        self.file.write_all(&line).map_err(Error::io(&self.path, "write"))
+    }
+
+    /// A second handle, to bring what was written to the disk from another thread.
+    ///
+    /// # Errors
+    /// A system without handles to spare.
+    pub fn sync_handle(&self) -> Result<File> {
+        self.file.try_clone().map_err(Error::io(&self.path, "open"))
+    }
+}
+
+/// Gives each entry of a journal, in order, and the length of what is whole; says what could not be read.
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn read(path: &Path, mut each: impl FnMut(Entry)) -> Result<(u64, Option<String>)> {
+    let mut lines = BufReader::new(File::open(path).map_err(Error::io(path, "read"))?);
+    let (mut whole, mut bad, mut torn) = (0, 0, false);
+    let mut line = Vec::new();
+    loop {
+        line.clear();
+        let length = lines.read_until(b'\n', &mut line).map_err(Error::io(path, "read"))?;
+        if length == 0 {
+            break;
+        }
+        if line.last() != Some(&b'\n') {
+            torn = true;
+            break;
+        }
+        whole += length as u64;
+        match serde_json::from_slice::<Line>(&line).ok().and_then(Line::entry) {
+            Some(entry) => each(entry),
+            None => bad += 1,
+        }
+    }
+    let remarks = [
+        (bad > 0).then(|| format!("{bad} lines cannot be read and are left out")),
+        torn.then(|| "the last line is torn and was cut off".to_owned()),
+    ];
+    let remark = remarks.into_iter().flatten().collect::<Vec<_>>().join("; ");
+    Ok((whole, (!remark.is_empty()).then(|| format!("{}: {remark}", path.display()))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::Status;
+    use proptest::prelude::*;
+
+    fn entry(index: u64, theta: f64, with_reading: bool) -> Entry {
+        let measured = Measured {
+            configuration: Configuration::new(theta, 0.3),
+            sigma_theta: 0.001,
+            sigma_delta: 0.02,
+            correlation: 0.1,
+        };
+        let time_s = index as f64 / 60.0;
+        let measurement = Measurement {
+            index,
+            time_s: Some(time_s),
+            status: Status::Ok,
+            measured: Some(measured),
+            quality: Some(Quality { edges: 400, inlier_fraction: 0.9, rms_px: 0.2 }),
+            view: Some("side".into()),
+        };
+        let reading = EncoderReading { index, time_s, q_mm: Vector3::new(0.1, -0.2, 0.3) };
+        Entry::Measured(measurement, with_reading.then_some(reading))
+    }
+
+    fn entries_in(folder: &Path) -> Vec<Entry> {
+        let mut entries = Vec::new();
+        read(&folder.join(JOURNAL), |entry| entries.push(entry)).unwrap();
+        entries
+    }
+
+    fn failed(index: u64) -> Entry {
+        let measurement = Measurement {
+            index,
+            time_s: Some(1.0),
+            status: Status::NoSnake,
+            measured: None,
+            quality: None,
+            view: None,
+        };
+        Entry::Measured(measurement, None)
+    }
+
+    #[test]
+    fn what_was_appended_is_there_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let written = [entry(0, 0.5, true), failed(1), Entry::Reset, entry(2, 0.7, false)];
+        let mut journal = Journal::create(folder.path()).unwrap();
+        for entry in &written {
+            journal.append(entry).unwrap();
+        }
+        for (read, written) in entries_in(folder.path()).iter().zip(&written) {
+            match (read, written) {
+                (Entry::Measured(a, q), Entry::Measured(b, p)) => {
+                    assert_eq!(
+                        (a.index, &a.status, a.time_s, a.quality, q),
+                        (b.index, &b.status, b.time_s, b.quality, p)
+                    );
+                    let bend = |m: &Measurement| m.measured.map(|m| m.configuration.bend_vector());
+                    if let (Some(a), Some(b)) = (bend(a), bend(b)) {
+                        assert!((a - b).norm() < 1e-14);
+                    }
+                }
+                pair => assert!(matches!(pair, (Entry::Reset, Entry::Reset))),
+            }
+        }
+        let message = Journal::create(folder.path()).unwrap_err().to_string();
+        assert!(message.contains("--resume"), "{message}");
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn wherever_a_journal_is_cut_all_whole_lines_remain(cut in 0usize..2000) {
+            let folder = tempfile::tempdir().unwrap();
+            let mut journal = Journal::create(folder.path()).unwrap();
+            for index in 0..8 {
+                journal.append(&entry(index, 0.1, true)).unwrap();
+            }
+            let path = folder.path().join(JOURNAL);
+            let bytes = std::fs::read(&path).unwrap();
+            let cut = cut.min(bytes.len());
+            std::fs::write(&path, &bytes[..cut]).unwrap();
+            let whole = bytes[..cut].iter().filter(|&&byte| byte == b'\n').count();
+            let mut count = 0;
+            let (mut journal, _) = Journal::resume(folder.path(), |_| count += 1).unwrap();
+            prop_assert_eq!(count, whole);
+            journal.append(&entry(99, 0.2, false)).unwrap();
+            prop_assert_eq!(entries_in(folder.path()).len(), whole + 1);
+        }
+    }
+
+    #[test]
+    fn lines_of_somebody_else_are_left_out_and_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut journal = Journal::create(folder.path()).unwrap();
+        journal.append(&failed(1)).unwrap();
+        journal.file.write_all(b"not a line of ours\n\xff\xfe\n{\"event\":\"dance\"}\n").unwrap();
+        journal.append(&failed(2)).unwrap();
+        let mut count = 0;
+        let (_, remark) = Journal::resume(folder.path(), |_| count += 1).unwrap();
+        assert_eq!(count, 2);
+        assert!(remark.unwrap().contains("3 lines cannot be read"));
+    }
+}

@@ -1,0 +1,35 @@
+//! The loop while the robot moves: a camera and encoders in; η, λ, a fresh table and a dashboard out.
+//!
+//! ```text
+//! source   ─ newest frame ─┐
+//!                          ├→ pipeline → journal → learner → board → server, tui
+//! encoders ─ by time ──────┘      └→ pictures (drawn beside the loop)      saver, finder (beside the loop)
+//! ```
+//!
+//! Each is a thread of its own where it must not hold up another. They share the [`Board`], which is locked for moments only,
+//! and hand on the newest there is, never a queue.
+
+mod board;
+mod clock;
+mod encoders;
+mod finder;
+mod gap;
+mod journal;
+mod latency;
+mod learner;
+mod outcome;
+mod pictures;
+mod pipeline;
+mod quiet;
+mod saver;
+mod source;
+
+pub use board::{Board, DiscoveryStatus, EstimateStatus, Row, State};
+pub use clock::{ClockState, Lag};
+pub use encoders::{EncoderSource, EncoderStatus};
+pub use gap::{GapState, GapStatus};
+pub use journal::JOURNAL;
+pub use latency::{Histogram, LatencyStatus};
+pub use pictures::Pictures;
+pub use pipeline::{Answer, Command, Commands, EncoderInput, Live, Setup, View};
+pub use source::{Source, SourceState, SourceStatus};

@@ -1,0 +1,292 @@
+//! Where live frames come from: a thread that keeps the newest one.
+//!
+//! Recordings (picture sequences and videos) are played at their rate, as a camera would deliver them; their clock is the
+//! recording's own, from 0. Cameras and streams are read as fast as they deliver, so that nothing stale queues up before
+//! us, and opened again when they fall silent; their clock is Unix time. A frame that is not fetched before the next one
+//! arrives is dropped and counted.
+
+use super::clock::FrameClock;
+use crate::Result;
+use crate::camera::{Capture, CaptureSettings, CaptureTarget, Frame, FrameSource};
+use serde::Serialize;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// What frames come from.
+#[derive(Debug)]
+pub enum Source {
+    /// Pictures or a video, played at a rate (frames/s) or, without one, at the video's own.
+    Recording {
+        /// The frames.
+        frames: FrameSource,
+        /// Frames per second; a video may do without.
+        rate_fps: Option<f64>,
+    },
+    /// A camera or stream, with the settings to ask for.
+    Device {
+        /// What to open.
+        target: CaptureTarget,
+        /// What to ask it for.
+        settings: CaptureSettings,
+    },
+}
+
+impl Source {
+    /// Whether frames come from a file, with a clock of their own.
+    pub fn is_recording(&self) -> bool {
+        matches!(self, Self::Recording { .. })
+    }
+}
+
+/// Pictures without a rate are played at this many frames per second.
+const USUAL_FPS: f64 = 30.0;
+/// How long to wait before a silent camera is tried again.
+const RETRY: Duration = Duration::from_millis(250);
+
+/// One frame as it came.
+#[derive(Debug, Clone)]
+pub struct Captured {
+    /// The recording's index, or a running number, dropped frames counted too.
+    pub index: u64,
+    /// When it was taken by the source's clock, s.
+    pub time_s: f64,
+    /// When it was there.
+    pub at: Instant,
+    /// The picture; `None` where it could not be read.
+    pub frame: Option<Arc<Frame>>,
+}
+
+/// What a source is doing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SourceState {
+    /// Not a frame yet.
+    Waiting,
+    /// Frames come.
+    Running,
+    /// It was there and fell silent; it is tried again.
+    Lost,
+    /// The recording is over.
+    Ended,
+}
+
+/// The figures of a source.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SourceStatus {
+    /// What it is doing.
+    pub state: SourceState,
+    /// Why it is not running, where that is known.
+    pub trouble: Option<String>,
+    /// Frames that came.
+    pub frames: u64,
+    /// Frames that were replaced by a newer one before they were fetched.
+    pub dropped: u64,
+    /// How often it came back.
+    pub reconnects: u64,
+    /// Frames per second over the last frames.
+    pub rate_fps: f64,
+    /// What a camera or stream says of itself.
+    pub settings: Option<CaptureSettings>,
+}
+
+impl SourceStatus {
+    /// Before the first frame.
+    pub fn waiting() -> Self {
+        Self {
+            state: SourceState::Waiting,
+            trouble: None,
+            frames: 0,
+            dropped: 0,
+            reconnects: 0,
+            rate_fps: 0.0,
+            settings: None,
+        }
+    }
+}
+
+/// The reader thread and what it shares.
+#[derive(Debug)]
+pub struct Reader {
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    slot: Mutex<Slot>,
+    changed: Condvar,
+    clock: Arc<FrameClock>,
+}
+
+#[derive(Debug)]
+struct Slot {
+    newest: Option<Captured>,
+    status: SourceStatus,
+    last_at: Option<Instant>,
+    stop: bool,
+}
+
+impl Reader {
+    /// Starts to read, and sets the clock once frames have times. Frames get running numbers from `first_index`; of a recording, earlier ones are passed over.
+    ///
+    /// # Errors
+    /// A video that cannot be opened any more; any camera or stream in a build without OpenCV. One that merely is not there
+    /// (yet) is waited for.
+    pub fn start(source: Source, first_index: u64, clock: Arc<FrameClock>) -> Result<Self> {
+        if let Source::Device { target, settings } = &source
+            && cfg!(not(feature = "opencv"))
+        {
+            Capture::open(target, settings)?;
+        }
+        let slot = Mutex::new(Slot { newest: None, status: SourceStatus::waiting(), last_at: None, stop: false });
+        let shared = Arc::new(Shared { slot, changed: Condvar::new(), clock });
+        let theirs = Arc::clone(&shared);
+        let thread = std::thread::spawn(move || match source {
+            Source::Recording { frames, rate_fps } => theirs.play(&frames, rate_fps, first_index),
+            Source::Device { target, settings } => theirs.watch(&target, &settings, first_index),
+        });
+        Ok(Self { shared, thread: Some(thread) })
+    }
+
+    /// The newest frame, once; waits for it so long. `None` where none came, or none will.
+    pub fn next(&self, wait: Duration) -> Option<Captured> {
+        let slot = self.shared.lock();
+        let idle = |slot: &mut Slot| slot.newest.is_none() && slot.status.state != SourceState::Ended && !slot.stop;
+        let (mut slot, _) =
+            self.shared.changed.wait_timeout_while(slot, wait, idle).unwrap_or_else(PoisonError::into_inner);
+        slot.newest.take()
+    }
+
+    /// The figures so far.
+    pub fn status(&self) -> SourceStatus {
+        self.shared.lock().status.clone()
+    }
+
+    /// Whether a recording is over and its last frame fetched.
+    pub fn is_over(&self) -> bool {
+        let slot = self.shared.lock();
+        slot.status.state == SourceState::Ended && slot.newest.is_none()
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        self.shared.lock().stop = true;
+        self.shared.changed.notify_all();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Slot> {
+        self.slot.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn set(&self, state: SourceState, trouble: Option<String>) {
+        let mut slot = self.lock();
+        slot.status.state = state;
+        slot.status.trouble = trouble;
+        self.changed.notify_all();
+    }
+
+    /// Sleeps unless it is to stop; says whether to go on.
+    fn sleep(&self, time: Duration) -> bool {
+        let slot = self.lock();
+        let waited = self.changed.wait_timeout_while(slot, time, |slot| !slot.stop);
+        !waited.unwrap_or_else(PoisonError::into_inner).0.stop
+    }
+
+    /// Puts a frame in the place of the one before; says whether to go on.
+    fn offer(&self, captured: Captured) -> bool {
+        // Rates are smoothed over about so many frames.
+        const SMOOTHING: f64 = 20.0;
+        let mut slot = self.lock();
+        slot.status.frames += 1;
+        slot.status.state = SourceState::Running;
+        slot.status.trouble = None;
+        if let Some(last) = slot.last_at.replace(captured.at) {
+            let seconds = (captured.at - last).as_secs_f64().max(1e-4);
+            let weight = if slot.status.rate_fps == 0.0 { 1.0 } else { 1.0 / SMOOTHING };
+            let mean_seconds = if slot.status.rate_fps > 0.0 { 1.0 / slot.status.rate_fps } else { seconds };
+            slot.status.rate_fps = 1.0 / (mean_seconds * (1.0 - weight) + seconds * weight);
+        }
+        if slot.newest.replace(captured).is_some() {
+            slot.status.dropped += 1;
+        }
+        self.changed.notify_all();
+        !slot.stop
+    }
+
+    fn play(&self, source: &FrameSource, rate_fps: Option<f64>, first_index: u64) {
+        let frames = match source.frames() {
+            Ok(frames) => frames,
+            Err(error) => return self.set(SourceState::Ended, Some(error.to_string())),
+        };
+        let mut began: Option<(Instant, f64)> = None;
+        for (position, frame) in frames.enumerate() {
+            let by_rate = position as f64 / rate_fps.unwrap_or(USUAL_FPS);
+            let time_s = if rate_fps.is_some() { by_rate } else { frame.time_s.unwrap_or(by_rate) };
+            let index = frame.index;
+            if index < first_index {
+                continue;
+            }
+            // Decoded first, so that it is there when it is due.
+            let picture = frame.read().ok().map(Arc::new);
+            let (start, first_s) = *began.get_or_insert_with(|| {
+                self.clock.set(time_s);
+                (Instant::now(), time_s)
+            });
+            let due = start + Duration::from_secs_f64((time_s - first_s).max(0.0));
+            if !self.sleep(due.saturating_duration_since(Instant::now())) {
+                return;
+            }
+            if !self.offer(Captured { index, time_s, at: Instant::now(), frame: picture }) {
+                return;
+            }
+        }
+        self.set(SourceState::Ended, None);
+    }
+
+    fn watch(&self, target: &CaptureTarget, settings: &CaptureSettings, first_index: u64) {
+        self.clock.set(unix_time_s());
+        let mut index = first_index;
+        let mut was_there = false;
+        loop {
+            match Capture::open(target, settings) {
+                Ok(mut capture) => {
+                    self.lock().status.settings = Some(capture.settings());
+                    let mut first = true;
+                    while let Some(frame) = capture.read() {
+                        if first && was_there {
+                            self.lock().status.reconnects += 1;
+                        }
+                        (first, was_there) = (false, true);
+                        let frame = Some(Arc::new(frame));
+                        if !self.offer(Captured { index, time_s: unix_time_s(), at: Instant::now(), frame }) {
+                            return;
+                        }
+                        index += 1;
+                    }
+                    self.set(lost(was_there), Some("no more frames come; trying again".into()));
+                }
+                Err(error) => self.set(lost(was_there), Some(error.to_string())),
+            }
+            self.lock().last_at = None;
+            if !self.sleep(RETRY) {
+                return;
+            }
+        }
+    }
+}
+
+fn lost(was_there: bool) -> SourceState {
+    if was_there { SourceState::Lost } else { SourceState::Waiting }
+}
+
+/// Seconds since 1970.
+pub fn unix_time_s() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
+}
