@@ -181,3 +181,17 @@ fn reproduce_sets_the_papers_figures_beside_its_own() {
         assert!(folder.path().join(name).is_file(), "{name}");
     }
 }
+
+#[test]
+fn estimate_follows_a_stem() {
+    let (_folder, path) = simulated();
+    let [measurements, encoders, out] = ["measurements.csv", "encoders.csv", "out"].map(|name| path.join(name));
+    let data = ["--measurements", text(&measurements), "--encoders", text(&encoders), "-o", text(&out), "--json"];
+    succeed(&[&["estimate"], &data[..]].concat());
+    let model = out.join("model.toml");
+    let stem = json(&succeed(&[&["estimate", "--stem", "--model", text(&model)], &data[..]].concat()));
+    let (phi, sd) = (stem["phi_deg"].as_f64().unwrap(), stem["sd_phi_deg"].as_f64().unwrap());
+    assert!((phi - 82.0).abs() < 3.0 * sd && sd < 20.0, "{phi} ± {sd}, the cone's is 82°");
+    assert_eq!(fs::read_to_string(out.join("stem.csv")).unwrap().lines().count(), 1 + 36);
+    assert!(fail(&[&["estimate", "--stem"], &data[..6]].concat(), 2).contains("--model"));
+}

@@ -3,9 +3,11 @@
 use super::console::Console;
 use super::estimator::EstimatorArgs;
 use super::inputs::{measurements_and_readings, model_or_paper};
-use crate::estimate::estimate;
-use crate::record::{EstimateRow, Verdict, estimates_csv, write_atomically, write_model};
-use crate::robot::Estimate;
+use crate::estimate::{estimate, estimate_stem};
+use crate::record::{
+    EncoderReading, EstimateRow, Measurement, Verdict, estimates_csv, stems_csv, write_atomically, write_model,
+};
+use crate::robot::{Estimate, Model};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -28,8 +30,22 @@ pub struct Args {
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
+    /// Follow the total bending angle of a flexible stem instead, with η and λ of --model known: writes OUT/stem.csv, and
+    /// OUT/model.toml with the stem as it was at the end
+    #[arg(long, requires = "model", conflicts_with_all = ["flat_sigma", "gate"])]
+    stem: bool,
     #[command(flatten)]
     estimator: EstimatorArgs,
+}
+
+/// The stem's angle as results are printed.
+#[derive(Debug, Serialize)]
+struct Followed {
+    phi_deg: f64,
+    sd_phi_deg: f64,
+    used: usize,
+    skipped: usize,
+    output: PathBuf,
 }
 
 /// η and λ as results are printed, and what became of the measurements.
@@ -50,11 +66,49 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
         let model = model_or_paper(self.model.as_deref())?;
         let (measurements, encoders) = measurements_and_readings(console, &self.measurements, Some(&self.encoders))?;
+        if self.stem {
+            return self.follow_stem(console, &model, &measurements, &encoders);
+        }
         let (steps, model) = estimate(&model, self.estimator.options(1.0), &measurements, &encoders)?;
         write_atomically(&self.output.join("estimate.csv"), estimates_csv(&steps).as_bytes())?;
         let estimated = Estimated::of(&steps, model.estimate, &self.measurements)?;
         write_model(&self.output.join("model.toml"), &model)?;
         console.result(&estimated, || estimated.text());
+        Ok(())
+    }
+
+    fn follow_stem(
+        &self,
+        console: &Console,
+        model: &Model,
+        measurements: &[Measurement],
+        encoders: &[EncoderReading],
+    ) -> Result<()> {
+        let (rows, model) = estimate_stem(model, self.estimator.stem_options(), measurements, encoders)?;
+        let used = rows.iter().filter(|row| row.reason.is_none()).count();
+        let Some(last) = rows.last().filter(|_| used > 0) else {
+            let message = "no measurement could be used; angles with status ok and encoder readings are needed";
+            return Err(Error::content(&self.measurements, message));
+        };
+        let output = self.output.join("stem.csv");
+        write_atomically(&output, stems_csv(&rows).as_bytes())?;
+        write_model(&self.output.join("model.toml"), &model)?;
+        let followed = Followed {
+            phi_deg: last.phi.to_degrees(),
+            sd_phi_deg: last.sd_phi.to_degrees(),
+            used,
+            skipped: rows.len() - used,
+            output,
+        };
+        console.result(&followed, || {
+            format!(
+                "Φ at the end  {:.1} ± {:.1}°\nmeasurements  {used} used, {} skipped\n{}",
+                followed.phi_deg,
+                followed.sd_phi_deg,
+                followed.skipped,
+                followed.output.display()
+            )
+        });
         Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! The estimator's settings, as `run`, `estimate` and `live` take them.
 
-use crate::estimate::{Options, Weighting};
+use crate::estimate::{Options, StemOptions, Weighting};
 
 /// The estimator's settings.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -9,7 +9,8 @@ pub struct EstimatorArgs {
     /// Weight all measurements alike, as the paper does (it takes 1°), instead of by their own sigmas
     #[arg(long, value_name = "DEGREES")]
     flat_sigma: Option<f64>,
-    /// Fading memory: share of all earlier information kept at each measurement; 1 forgets nothing [default: 1; live: 0.9995]
+    /// Fading memory: share of all earlier information kept at each measurement; 1 forgets nothing [default: 1; live: 0.9995;
+    /// --stem: 0.95]
     #[arg(long, value_name = "SHARE")]
     keep: Option<f64>,
     /// Standard deviations beyond which a measurement is rejected as an outlier
@@ -28,5 +29,11 @@ impl EstimatorArgs {
             None => Weighting::Measured,
         };
         Options { weighting, sd_encoder_mm: self.encoder_sd, keep: self.keep.unwrap_or(usual_keep), gate: self.gate }
+    }
+
+    /// The same for a flexible stem.
+    pub fn stem_options(self) -> StemOptions {
+        let usual = StemOptions::default();
+        StemOptions { keep: self.keep.unwrap_or(usual.keep), sd_encoder_mm: self.encoder_sd }
     }
 }

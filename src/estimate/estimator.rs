@@ -431,20 +431,20 @@ impl Estimator {
 ///
 /// The measurements pin ηκ(μ) and λ + K_c⁻¹e^{2μφ}f_s; an error of μ or f_s moves η and λ so that these stay.
 fn friction_covariance(model: &Model, eta: f64) -> Matrix2<f64> {
-    let phi = model.robot.line.cone_bend_angle();
-    let capstan = model.friction.capstan_factor(phi) * model.robot.cone_compliance_mm_per_n();
-    let static_mm = model.static_friction_mm();
-    let by_friction = Matrix2::new(
-        -eta * 2.0 * phi * capstan / model.line_compliance_mm_per_n(),
-        0.0,
-        -2.0 * phi * static_mm,
-        -capstan,
-    );
+    let by_friction = parameters_by_friction(model, eta);
     by_friction * model.friction.covariance() * by_friction.transpose()
 }
 
+/// ∂(η, λ)/∂(μ, f_s) along which the measurements stay as they are.
+pub(super) fn parameters_by_friction(model: &Model, eta: f64) -> Matrix2<f64> {
+    let phi = model.robot.line.cone_bend_angle();
+    let capstan = model.friction.capstan_factor(phi) * model.robot.cone_compliance_mm_per_n();
+    let static_mm = model.static_friction_mm();
+    Matrix2::new(-eta * 2.0 * phi * capstan / model.line_compliance_mm_per_n(), 0.0, -2.0 * phi * static_mm, -capstan)
+}
+
 /// What a measurement and its reading hold, if all of it can be used.
-fn usable(
+pub(super) fn usable(
     measurement: &Measurement,
     reading: Option<&EncoderReading>,
 ) -> std::result::Result<(Measured, Vector3<f64>), Reason> {

@@ -3,6 +3,7 @@
 //! One measurement is one [`Row`]: what it says about x = (η, λ), and how well. A [`Filter`] holds what all rows so far
 //! say, in square-root form. [`Consistency`] compares what the rows scatter with what they promise, and makes the
 //! reported standard deviations honest. The [`Estimator`] brings them together.
+//! Where η and λ are known, [`Stem`] finds how far a flexible stem is bent.
 
 mod consistency;
 mod effects;
@@ -10,6 +11,7 @@ mod estimator;
 mod filter;
 mod row;
 mod sigmas;
+mod stem;
 
 pub use consistency::Consistency;
 pub use effects::without_effects;
@@ -17,3 +19,4 @@ pub use estimator::{Estimator, Options, Reason, Revision, Step, estimate};
 pub use filter::Filter;
 pub use row::{Row, Weighting};
 pub use sigmas::with_sigmas;
+pub use stem::{Stem, StemAngle, StemOptions, estimate_stem};

@@ -63,6 +63,23 @@ impl ActuationLine {
         self.cone_bend_angle_deg.to_radians()
     }
 
+    /// The line's total bending angle, rad: both sections of the cone.
+    pub fn total_angle(&self) -> f64 {
+        2.0 * self.cone_bend_angle()
+    }
+
+    /// The same line bent through another total angle (rad), its length kept: a flexible stem in another shape.
+    pub fn bent_through(&self, total_angle: f64) -> Self {
+        let length_mm = self.cone_length_mm();
+        let radius_mm = self.cone_bend_radius_mm.min(length_mm / total_angle.max(f64::MIN_POSITIVE));
+        Self {
+            cone_bend_radius_mm: radius_mm,
+            cone_bend_angle_deg: 0.5 * total_angle.to_degrees(),
+            cone_straight_mm: (length_mm - radius_mm * total_angle).max(0.0),
+            ..*self
+        }
+    }
+
     /// Length L_c of the backbones in the cone, mm: two circular sections and the straight portion.
     pub fn cone_length_mm(&self) -> f64 {
         2.0 * self.cone_bend_radius_mm * self.cone_bend_angle() + self.cone_straight_mm

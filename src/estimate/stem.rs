@@ -1,0 +1,389 @@
+//! The flexible stem: how far the actuation line is bent, when everything else about it is known.
+//!
+//! Section V's generalisation. With η, λ, μ and f_s known, Eq. 18 is linear in the capstan factor y = e^{μΦ} of the line's total
+//! bending angle Φ (the cone's is 2φ = 82°):
+//!
+//! ```text
+//! q̃ − q − η K_d⁻¹ τ − λ = K_c⁻¹ (η τ + f_s) y        Φ = ln y / μ
+//! ```
+//!
+//! so that one number is estimated, by the same whitened rows as η and λ ([`Row`]), with fading memory: at each measurement all
+//! earlier information shrinks to the share `keep`. The line's length, and so K_c, stays as the stem changes its shape.
+//!
+//! # What it can and cannot do
+//!
+//! Fading memory trades noise for lag: a stem that bends steadily is followed keep/(1 − keep) measurements late, and the noise is
+//! that of (1 + keep)/(1 − keep) measurements. The reported standard deviation holds the measurements' noise, what the errors of
+//! η, λ, μ and f_s do to Φ, and, where predictions miss by more than both, as they do while the stem moves, that excess.
+//! A bend's own part of the signal is small beside the stretch in the holder, so a straight snake says next to nothing.
+//!
+//! η and λ of a model that was estimated with the line at a known angle share their errors with μ and f_s; at that angle these
+//! cancel, and Φ is known best near it.
+
+use super::estimator::{Reason, parameters_by_friction, usable};
+use super::{Row, Weighting, without_effects};
+use crate::error::{Error, Result};
+use crate::record::{EncoderReading, Measurement, StemRow};
+use crate::robot::Model;
+use nalgebra::{Matrix2, Vector2, Vector3};
+use std::collections::HashMap;
+use std::f64::consts::PI;
+
+/// What is known of Φ before the first measurement: the model's, within half a turn.
+const PRIOR_SD: f64 = PI;
+/// The least y that is believed; a straight line has 1.
+const LEAST_FACTOR: f64 = 0.2;
+/// Beyond so many standard deviations a measurement loses weight.
+const CLIP: f64 = 3.0;
+/// Nominal innovations that the scatter starts with.
+const NOMINAL: f64 = 10.0;
+
+/// How the stem is followed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StemOptions {
+    /// Fading memory: the share of all earlier information kept at each measurement, in (0, 1].
+    pub keep: f64,
+    /// Standard deviation of an encoder reading, mm.
+    pub sd_encoder_mm: f64,
+}
+
+impl Default for StemOptions {
+    /// A memory of twenty measurements, encoders good to 1.5 µm.
+    fn default() -> Self {
+        Self { keep: 0.95, sd_encoder_mm: 0.0015 }
+    }
+}
+
+/// The stem's total bending angle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StemAngle {
+    /// Φ, rad.
+    pub phi: f64,
+    /// Its standard deviation, rad.
+    pub sd: f64,
+}
+
+/// Follows the total bending angle of a flexible stem.
+#[derive(Debug, Clone)]
+pub struct Stem {
+    /// The model, with the line bent as it was when η and λ were estimated.
+    model: Model,
+    options: StemOptions,
+    /// y = e^{μΦ}.
+    factor: f64,
+    /// Sum of the measurements' weights, faded by the memory's share.
+    information: f64,
+    /// Variance of the weighted sum of which y is the mean: the weights, faded by the share's square.
+    noise: f64,
+    /// What is never forgotten.
+    least_information: f64,
+    /// ∂(information · y)/∂(η, λ, f_s), by which their errors move y.
+    by_parameters: Vector3<f64>,
+    /// Squared whitened innovations and how many they are, faded.
+    scatter: (f64, f64),
+}
+
+impl Stem {
+    /// Starts at the model's own line. Effects of the model are not obeyed; what they do must be taken off the measurements
+    /// ([`without_effects`]).
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a model without an estimate of η and λ, without friction, or for an option out of its range.
+    pub fn new(model: &Model, options: StemOptions) -> Result<Self> {
+        if model.estimate.is_none() {
+            return Err(Error::Usage(
+                "the stem's angle can be told only with η and λ known; give a --model that `run` or `estimate` wrote"
+                    .into(),
+            ));
+        }
+        if model.friction.mu <= 0.0 {
+            let mu = model.friction.mu;
+            return Err(Error::Usage(format!("friction.mu = {mu}: a line without friction does not show its angle")));
+        }
+        if !(options.keep > 0.0 && options.keep <= 1.0) {
+            let keep = options.keep;
+            return Err(Error::Usage(format!("fading memory keeps {keep}, expected above 0 and at most 1")));
+        }
+        if !(options.sd_encoder_mm > 0.0 && options.sd_encoder_mm <= 10.0) {
+            let sd = options.sd_encoder_mm;
+            return Err(Error::Usage(format!("encoder noise is {sd} mm, expected above 0 and at most 10")));
+        }
+        let factor = (model.friction.mu * model.robot.line.total_angle()).exp();
+        let information = (factor * model.friction.mu * PRIOR_SD).powi(-2);
+        Ok(Self {
+            model: Model { effects: Vec::new(), ..model.clone() },
+            options,
+            factor,
+            information,
+            noise: information,
+            least_information: information,
+            by_parameters: Vector3::zeros(),
+            scatter: (NOMINAL, NOMINAL),
+        })
+    }
+
+    /// Takes one measurement and the encoder reading of the same index; the angle after it.
+    ///
+    /// # Errors
+    /// The reason why the measurement says nothing; the angle stays as it was.
+    pub fn update(
+        &mut self,
+        measurement: &Measurement,
+        reading: Option<&EncoderReading>,
+    ) -> std::result::Result<StemAngle, Reason> {
+        let (measured, q_tilde) = usable(measurement, reading)?;
+        let bent = self.model();
+        let row = Row::new(&bent, Weighting::Measured, self.options.sd_encoder_mm, &measured, &q_tilde);
+        let eta = bent.parameters().x;
+        // The columns of a row's H are κτ and 1.
+        let stretch = row.h.column(0).into_owned();
+        let cone_compliance = bent.robot.cone_compliance_mm_per_n();
+        let tau = stretch / bent.line_compliance_mm_per_n();
+        let by_factor = (tau * eta).add_scalar(bent.friction.static_force_n) * cone_compliance;
+        let Some(weight) = row.covariance.try_inverse() else { return Err(Reason::NotFinite) };
+
+        self.fade();
+        let mut gained = by_factor.dot(&(weight * by_factor));
+        if !(gained > 0.0 && gained.is_finite()) {
+            return Err(Reason::NotFinite);
+        }
+        let innovation = by_factor.dot(&(weight * row.residual(&bent.parameters()))) / gained;
+        let distance = innovation / (1.0 / gained + self.variance()).sqrt();
+        let share = (CLIP / distance.abs()).min(1.0);
+        self.noise += gained * share.powi(2);
+        gained *= share;
+        let static_part = Vector3::repeat(self.factor * cone_compliance);
+        let by_errors = [stretch, Vector3::repeat(1.0), static_part].map(|by| by_factor.dot(&(weight * by)) * share);
+        self.by_parameters -= Vector3::from(by_errors);
+        self.scatter.0 += distance.powi(2).min(CLIP.powi(2));
+        self.scatter.1 += 1.0;
+        self.information += gained;
+        self.factor = (self.factor + innovation * gained / self.information).max(LEAST_FACTOR);
+        Ok(self.angle())
+    }
+
+    /// The angle as it stands.
+    pub fn angle(&self) -> StemAngle {
+        let mu = self.model.friction.mu;
+        let phi = self.factor.ln() / mu;
+        let by_factor = 1.0 / (self.factor * mu);
+        let noise = by_factor.powi(2) * self.variance() * (self.scatter.0 / self.scatter.1).max(1.0);
+        let [by_eta, by_lambda, by_static] = (self.by_parameters * (by_factor / self.information)).into();
+        let by_estimate = Vector2::new(by_eta, by_lambda);
+        let by_friction = Vector2::new(-phi / mu, by_static);
+        let (estimate, friction, cross) = self.covariances();
+        let known = by_estimate.dot(&(estimate * by_estimate))
+            + by_friction.dot(&(friction * by_friction))
+            + 2.0 * by_estimate.dot(&(cross * by_friction));
+        StemAngle { phi, sd: (noise + known.max(0.0)).sqrt() }
+    }
+
+    /// The model with the stem bent as far as it was found to be: what to compensate with.
+    pub fn model(&self) -> Model {
+        let mut model = self.model.clone();
+        model.robot.line = model.robot.line.bent_through((self.factor.ln() / self.model.friction.mu).max(0.0));
+        model
+    }
+
+    /// Variance of y from the measurements' noise.
+    fn variance(&self) -> f64 {
+        self.noise / self.information.powi(2)
+    }
+
+    fn fade(&mut self) {
+        let kept = (self.options.keep * self.information).max(self.least_information.min(self.information));
+        self.by_parameters *= kept / self.information;
+        self.noise *= (kept / self.information).powi(2);
+        self.information = kept;
+        self.scatter.0 *= self.options.keep;
+        self.scatter.1 *= self.options.keep;
+    }
+
+    /// Covariances of (η, λ), of (μ, f_s), and between them.
+    fn covariances(&self) -> (Matrix2<f64>, Matrix2<f64>, Matrix2<f64>) {
+        let estimate = self.model.parameter_covariance();
+        let friction = self.model.friction.covariance();
+        let by_friction = parameters_by_friction(&self.model, self.model.parameters().x);
+        let rest = estimate - by_friction * friction * by_friction.transpose();
+        // An estimate that knows η and λ better than μ and f_s allow did not come from an estimation with these.
+        let shared = rest.symmetric_eigenvalues().min() > -1e-6 * estimate.norm();
+        let cross = if shared { by_friction * friction } else { Matrix2::zeros() };
+        (estimate, friction, cross)
+    }
+}
+
+/// Follows the stem through all measurements, in order: the rows of stem.csv and the model with the stem as it was at the end. What
+/// the model's effects do is taken off first and stays in the model.
+///
+/// # Errors
+/// As [`Stem::new`].
+pub fn estimate_stem(
+    model: &Model,
+    options: StemOptions,
+    measurements: &[Measurement],
+    readings: &[EncoderReading],
+) -> Result<(Vec<StemRow>, Model)> {
+    let mut stem = Stem::new(model, options)?;
+    let (measurements, readings) = without_effects(model, measurements, readings);
+    let readings: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
+    let rows = measurements
+        .iter()
+        .map(|measurement| {
+            let reason = stem.update(measurement, readings.get(&measurement.index).copied()).err();
+            let StemAngle { phi, sd } = stem.angle();
+            StemRow {
+                index: measurement.index,
+                time_s: measurement.time_s,
+                phi,
+                sd_phi: sd,
+                reason: reason.map(|reason| reason.to_string()),
+            }
+        })
+        .collect();
+    Ok((rows, Model { effects: model.effects.clone(), ..stem.model() }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Configuration;
+    use crate::record::Truth;
+    use crate::robot::{Estimate, Friction};
+    use crate::simulate::{Sample, SimulatedEye};
+    use rand::SeedableRng;
+    use rand::rngs::StdRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn known(friction: Friction) -> Model {
+        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 36 };
+        Model { friction, estimate: Some(estimate), ..Model::default() }
+    }
+
+    fn exact() -> Model {
+        known(Friction { sd_mu: 0.0, sd_static_force_n: 0.0, ..Friction::default() })
+    }
+
+    /// Measurements of a snake that goes up and down while the stem has the angles (degrees) of `stem_deg`.
+    fn ride(model: &Model, stem_deg: &[f64], seed: u64) -> Vec<(Measurement, EncoderReading)> {
+        let mut random = StdRng::seed_from_u64(seed);
+        let samples: Vec<Sample> = (0u64..)
+            .zip(stem_deg)
+            .map(|(index, phi)| {
+                let (at, time_s) = (index as f64, index as f64 * 0.1);
+                let psi = Configuration::from_degrees(50.0 + 30.0 * (0.7 * at).sin(), 40.0 * at);
+                let mut bent = model.clone();
+                bent.robot.line = bent.robot.line.bent_through(phi.to_radians());
+                let noise = Vector3::from_fn(|_, _| -> f64 { StandardNormal.sample(&mut random) }) * 0.0015;
+                let reading = EncoderReading { index, time_s, q_mm: bent.command(psi) + noise };
+                Sample { reading, truth: Truth { index, configuration: psi }, seen: psi }
+            })
+            .collect();
+        let eye = SimulatedEye { sigma_theta_deg: 0.05, sigma_across_deg: 0.1 };
+        eye.observe(&samples, seed + 7).into_iter().zip(samples.iter().map(|sample| sample.reading)).collect()
+    }
+
+    fn followed(model: &Model, options: StemOptions, ride: &[(Measurement, EncoderReading)]) -> Vec<StemAngle> {
+        let mut stem = Stem::new(model, options).unwrap();
+        ride.iter().map(|(measurement, reading)| stem.update(measurement, Some(reading)).unwrap()).collect()
+    }
+
+    #[test]
+    fn a_line_bent_otherwise_keeps_its_length() {
+        let line = exact().robot.line;
+        for degrees in [0.0, 10.0, 82.0, 200.0, 700.0] {
+            let bent = line.bent_through(f64::to_radians(degrees));
+            assert!((bent.cone_length_mm() - line.cone_length_mm()).abs() < 1e-9, "{degrees}");
+            assert!((bent.total_angle().to_degrees() - degrees).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_stem_at_rest_is_found_and_its_sigma_holds() {
+        let model = exact();
+        let mut squares = 0.0;
+        let draws = 150;
+        for seed in 0..draws {
+            let phi = 30.0 + seed as f64;
+            let ride = ride(&model, &[phi; 60], 100 * seed);
+            let last = *followed(&model, StemOptions::default(), &ride).last().unwrap();
+            assert!(last.sd.to_degrees() < 5.0, "{}", last.sd.to_degrees());
+            squares += ((last.phi - phi.to_radians()) / last.sd).powi(2);
+        }
+        let scale = (squares / draws as f64).sqrt();
+        assert!((0.8..1.15).contains(&scale), "{scale}");
+    }
+
+    #[test]
+    fn a_stem_that_bends_steadily_is_followed_as_late_as_the_memory_says() {
+        let model = exact();
+        let per_step = 1.0;
+        let path: Vec<f64> = (0..160).map(|k| 40.0 + per_step * f64::from(k)).collect();
+        for keep in [0.8, 0.9] {
+            let options = StemOptions { keep, ..StemOptions::default() };
+            let mut lag = 0.0;
+            for seed in 0..20 {
+                let angles = followed(&model, options, &ride(&model, &path, 1000 * seed));
+                let late = |k: usize| path[k] - angles[k].phi.to_degrees();
+                lag += (100..160).map(late).sum::<f64>() / 60.0 / 20.0;
+            }
+            let expected = per_step * keep / (1.0 - keep);
+            assert!((lag / expected - 1.0).abs() < 0.3, "keep {keep}: {lag}° behind, expected {expected}°");
+        }
+    }
+
+    #[test]
+    fn after_a_jump_the_sigma_owns_up_and_then_settles() {
+        let model = exact();
+        let path: Vec<f64> = (0..200).map(|k| if k < 80 { 60.0 } else { 150.0 }).collect();
+        let angles = followed(&model, StemOptions { keep: 0.9, ..StemOptions::default() }, &ride(&model, &path, 5));
+        assert!(angles[85].sd > 1.4 * angles[79].sd, "{} {}", angles[85].sd, angles[79].sd);
+        assert!((angles[199].phi.to_degrees() - 150.0).abs() < 4.0 * angles[199].sd.to_degrees());
+        assert!((angles[140].phi.to_degrees() - 150.0).abs() < 15.0, "{}", angles[140].phi.to_degrees());
+    }
+
+    #[test]
+    fn errors_of_the_constants_are_in_the_sigma() {
+        // The robot's true friction is drawn; the model has the calibrated one, and η and λ as they then come out.
+        let friction = Friction::default();
+        let lower = friction.covariance().cholesky().unwrap().l();
+        let mut random = StdRng::seed_from_u64(11);
+        let mut squares = 0.0;
+        let draws = 60;
+        for seed in 0..draws {
+            let draw = lower * Vector2::from_fn(|_, _| -> f64 { StandardNormal.sample(&mut random) });
+            let truth = known(Friction {
+                mu: friction.mu + draw.x,
+                static_force_n: friction.static_force_n + draw.y,
+                ..friction
+            });
+            let mut model = known(friction);
+            let shift = parameters_by_friction(&model, 1.221) * -draw;
+            let eta = 1.221 + shift.x;
+            let by_friction = parameters_by_friction(&model, eta);
+            model.estimate = Some(Estimate {
+                eta,
+                lambda_mm: 0.1765 + shift.y,
+                covariance: by_friction * friction.covariance() * by_friction.transpose(),
+                samples: 36,
+            });
+            let last =
+                *followed(&model, StemOptions::default(), &ride(&truth, &[160.0; 80], 500 * seed)).last().unwrap();
+            squares += ((last.phi - 160f64.to_radians()) / last.sd).powi(2);
+        }
+        let scale = (squares / draws as f64).sqrt();
+        assert!((0.7..1.3).contains(&scale), "{scale}");
+    }
+
+    #[test]
+    fn what_cannot_be_told_is_said() {
+        let without = Model::default();
+        assert!(Stem::new(&without, StemOptions::default()).unwrap_err().to_string().contains("η and λ known"));
+        let keep = StemOptions { keep: 0.0, ..StemOptions::default() };
+        assert_eq!(Stem::new(&exact(), keep).unwrap_err().exit_code(), 2);
+        let mut stem = Stem::new(&exact(), StemOptions::default()).unwrap();
+        let (measurement, _) = ride(&exact(), &[82.0], 1)[0].clone();
+        let before = stem.angle();
+        assert_eq!(stem.update(&measurement, None), Err(Reason::NoEncoderReading));
+        assert_eq!(stem.angle(), before);
+    }
+}

@@ -1,0 +1,54 @@
+//! stem.csv: how far the flexible stem was bent at each measurement.
+//!
+//! | column | meaning |
+//! | --- | --- |
+//! | `index`, `time_s` | the frame |
+//! | `phi_deg`, `sd_phi_deg` | the stem's total bending angle after this measurement, and its standard deviation |
+//! | `status` | `used`, or why the measurement was not |
+
+use super::table::{decimals, decimals_or_empty};
+
+/// One row of stem.csv.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StemRow {
+    /// The frame's index.
+    pub index: u64,
+    /// Time, s.
+    pub time_s: Option<f64>,
+    /// Total bending angle of the line, rad.
+    pub phi: f64,
+    /// Its standard deviation, rad.
+    pub sd_phi: f64,
+    /// Why the measurement was not used, in snake_case; `None` where it was.
+    pub reason: Option<String>,
+}
+
+/// stem.csv as text.
+pub fn stems_csv(rows: &[StemRow]) -> String {
+    let mut text = "index,time_s,phi_deg,sd_phi_deg,status\n".to_owned();
+    for row in rows {
+        let fields = [
+            row.index.to_string(),
+            decimals_or_empty(row.time_s, 4),
+            decimals(row.phi.to_degrees(), 4),
+            decimals(row.sd_phi.to_degrees(), 4),
+            row.reason.clone().unwrap_or_else(|| "used".to_owned()),
+        ];
+        text += &(fields.join(",") + "\n");
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_has_its_angle_in_degrees_and_its_status() {
+        let row = StemRow { index: 3, time_s: Some(1.5), phi: 1.0, sd_phi: 0.1, reason: None };
+        let skipped = StemRow { index: 4, time_s: None, reason: Some("no_snake".into()), ..row.clone() };
+        let text = stems_csv(&[row, skipped]);
+        let lines: Vec<_> = text.lines().collect();
+        assert_eq!(lines[1..], ["3,1.5000,57.2958,5.7296,used", "4,,57.2958,5.7296,no_snake"]);
+    }
+}
