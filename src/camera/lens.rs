@@ -2,7 +2,7 @@
 //!
 //! Source: OpenCV documentation, calib3d, "Detailed description" (rational, tangential and thin-prism terms).
 
-use nalgebra::{Matrix2, Point2, Point3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Point2, Point3, Vector2, Vector3};
 
 /// Intrinsics and distortion of one camera. Pixel centres are at integers.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,6 +29,13 @@ impl Lens {
         }
         let distorted = self.distort(Point2::new(point.x / point.z, point.y / point.z));
         Point2::new(self.focal_px.x * distorted.x + self.centre_px.x, self.focal_px.y * distorted.y + self.centre_px.y)
+    }
+
+    /// How the pixel of [`project`](Self::project) follows the point, px per mm.
+    pub fn project_jacobian(&self, point: &Point3<f64>) -> Matrix2x3<f64> {
+        let (x, y) = (point.x / point.z, point.y / point.z);
+        let ideal = Matrix2x3::new(1.0, 0.0, -x, 0.0, 1.0, -y) / point.z;
+        Matrix2::from_diagonal(&self.focal_px) * self.distort_jacobian(Point2::new(x, y)) * ideal
     }
 
     /// The direction (unit length, camera frame) from which light falls on a pixel.
@@ -172,6 +179,19 @@ mod tests {
         let pixel = lens(&[]).project(&Point3::new(20.0, -10.0, 200.0));
         assert_abs_diff_eq!(pixel, Point2::new(639.5 + 80.0, 359.5 - 41.0), epsilon = 1e-12);
         assert_abs_diff_eq!(lens(&[]).ray(&Point2::new(639.5, 359.5)), Vector3::z(), epsilon = 1e-15);
+    }
+
+    proptest! {
+        #[test]
+        fn the_projections_jacobian_is_its_derivative(x in -30.0..30.0f64, y in -20.0..20.0f64, z in 40.0..200.0f64) {
+            let (lens, point) = (lens(&COEFFICIENTS), Point3::new(x, y, z));
+            let jacobian = lens.project_jacobian(&point);
+            for axis in 0..3 {
+                let step = Vector3::ith(axis, 1e-4);
+                let numeric = (lens.project(&(point + step)) - lens.project(&(point - step))) / 2e-4;
+                prop_assert!((numeric - jacobian.column(axis)).norm() < 1e-6);
+            }
+        }
     }
 
     #[test]

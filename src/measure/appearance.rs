@@ -1,6 +1,6 @@
 //! What tells snake from paper: the mix of colour channels that separates them best.
 
-use super::plane::Plane;
+use super::plane::{Plane, Region};
 use crate::camera::Frame;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -76,18 +76,33 @@ impl Appearance {
     /// The snakeness of every pixel. A grey frame seen with a colour appearance counts as neutral colours, and a colour
     /// frame seen with a grey appearance is averaged.
     pub fn plane(&self, frame: &Frame) -> Plane {
+        self.plane_within(frame, &Region { x: 0..frame.width as usize, y: 0..frame.height as usize })
+    }
+
+    /// The same within a region of the frame, with zeros elsewhere.
+    pub fn plane_within(&self, frame: &Frame, region: &Region) -> Plane {
         let weights: Vec<f32> = match (self.weights.len(), frame.channels) {
             (a, b) if a == b => self.weights.iter().map(|&w| w as f32).collect(),
             (_, channels) => vec![self.weights.iter().sum::<f64>() as f32 / channels as f32; channels],
         };
         let lut = LightTable::new();
         let offset = self.offset as f32;
-        let data = frame
-            .data
-            .chunks_exact(frame.channels)
-            .map(|pixel| offset + pixel.iter().zip(&weights).map(|(&v, w)| lut.get(v) * w).sum::<f32>())
-            .collect();
-        Plane { width: frame.width as usize, height: frame.height as usize, data }
+        let (width, height) = (frame.width as usize, frame.height as usize);
+        let mut data = vec![0.0; width * height];
+        for y in region.y.clone() {
+            let row = y * width + region.x.start..y * width + region.x.end;
+            let colours = &frame.data[row.start * frame.channels..row.end * frame.channels];
+            let pixels = data[row].iter_mut();
+            match weights[..] {
+                [red, green, blue] => pixels.zip(colours.as_chunks().0).for_each(|(pixel, &[r, g, b])| {
+                    *pixel = offset + lut.get(r) * red + lut.get(g) * green + lut.get(b) * blue;
+                }),
+                _ => pixels.zip(colours.chunks_exact(frame.channels)).for_each(|(pixel, colour)| {
+                    *pixel = offset + colour.iter().zip(&weights).map(|(&v, w)| lut.get(v) * w).sum::<f32>();
+                }),
+            }
+        }
+        Plane { width, height, data }
     }
 }
 

@@ -1,7 +1,7 @@
 //! Sub-pixel edges between snake and background.
 
 use super::outline::OutlinePoint;
-use super::plane::Plane;
+use super::plane::{Plane, Region};
 
 /// An edge found near a predicted border point.
 #[derive(Debug, Clone, Copy)]
@@ -40,14 +40,23 @@ const DRAWN_PX: f64 = 1.0;
 impl<'a> EdgeFinder<'a> {
     /// A finder for a picture in which the snake is brighter than its background or, if `two_sided`, different from it.
     pub fn new(plane: &'a Plane, two_sided: bool) -> Self {
-        let noise = plane.noise();
+        Self::within(plane, two_sided, &plane.whole())
+    }
+
+    /// The same for a picture of which only a region is known.
+    pub fn within(plane: &'a Plane, two_sided: bool, region: &Region) -> Self {
+        Self { noise: plane.noise(region), two_sided, ..Self::noiseless(plane) }
+    }
+
+    /// A finder for a picture without noise.
+    pub fn noiseless(plane: &'a Plane) -> Self {
         let reach = (3.0 * FILTER_PX / STEP_PX).ceil() as i32;
         let gaussian = |k: i32| (-0.5 * (f64::from(k) * STEP_PX / FILTER_PX).powi(2)).exp();
         let mut kernel: Vec<f64> = (-reach..=reach).map(|k| f64::from(k) * gaussian(k)).collect();
         // Normalised so that a ramp of one level per px answers 1.
         let ramp: f64 = kernel.iter().zip(-reach..=reach).map(|(w, k)| w * f64::from(k) * STEP_PX).sum();
         kernel.iter_mut().for_each(|w| *w /= ramp);
-        Self { plane, noise, two_sided, kernel, profile: Vec::new() }
+        Self { plane, noise: 0.0, two_sided: false, kernel, profile: Vec::new() }
     }
 
     /// The most likely edge within `search_px` of a border point: the picture must fall from snake to background there,

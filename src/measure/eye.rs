@@ -1,8 +1,9 @@
 //! Frames to θ and δ.
 
 use super::edges::EdgeFinder;
-use super::fit::{BendFit, BiasPrior, fit_bend};
+use super::fit::{AS_GOOD, BendFit, BiasPrior, Effort, Start, State, fit_bend};
 use super::outline::{Outline, Projection};
+use super::plane::Region;
 use super::proof::Proof;
 use super::rig::Rig;
 use super::search::Search;
@@ -54,9 +55,26 @@ pub(super) struct Look {
 
 /// Candidates of the coarse search that are looked at closely.
 const CANDIDATES: usize = 6;
-/// Search distances, px, of a first look at a candidate and of the final fit.
-const FIRST_LOOK_PX: [f64; 3] = [14.0, 10.0, 8.0];
-const FINAL_PX: [f64; 9] = [6.0, 5.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0];
+/// Distance between the places of the outline that decide which bend it is, px.
+const SPARSE_PX: f64 = 6.0;
+/// The first look at a candidate, a closer one at the best of them, and the measurement itself.
+const FIRST_LOOK: Effort =
+    Effort { searches_px: &[14.0, 10.0, 8.0], rounds: 3, spacing_px: SPARSE_PX, settled: false, converged_rad: 1e-4 };
+const CLOSE_LOOK: Effort = Effort {
+    searches_px: &[6.0, 5.0, 4.0, 3.0],
+    rounds: 20,
+    spacing_px: SPARSE_PX,
+    settled: false,
+    converged_rad: 2e-4,
+};
+const MEASUREMENT: Effort =
+    Effort { searches_px: &[3.0], rounds: 9, spacing_px: Outline::SPACING_PX, settled: true, converged_rad: 2e-5 };
+/// A closer look is worth while at candidates whose cost is within this factor of the best one's.
+const WORTH_A_LOOK: f64 = 3.0;
+/// A bend this near to its twin is seen edge-on.
+const EDGE_ON_RAD: f64 = 0.1;
+/// How far the snake's outline may move between two frames of a tracked sequence, px.
+const NEARBY_PX: f64 = 40.0;
 /// How far the edges' bias may differ between the straight picture and a frame, px (1σ).
 pub(super) const BIAS_SIGMA_PX: f64 = 0.05;
 /// Share of the outline that must be confirmed by edges.
@@ -64,9 +82,8 @@ const ENOUGH_INLIERS: f64 = 0.45;
 /// Share of the disks that must be where the fit says, most of their outline seen: one hidden and one half hidden is
 /// allowed.
 const ENOUGH_DISKS: f64 = 0.6;
-/// Another bend explains a picture as well if its cost is within this factor of the best one's…
-const AS_GOOD: f64 = 1.5;
-/// … and the scatter of its edges within this one: over some sixty pieces of outline, 2.7σ of chance.
+/// Another bend explains a picture as well if its cost is within [`AS_GOOD`] of the best one's and the scatter of its
+/// edges within this factor: over some sixty pieces of outline, 2.7σ of chance.
 const AS_CLOSE: f64 = 1.3;
 
 impl Eye {
@@ -91,46 +108,104 @@ impl Eye {
         self.look(frame).sighting
     }
 
+    /// Measures a frame of a sequence whose `last` bend vector is known: looks nearby first, and everywhere only where
+    /// that does not convince. Says the same as [`measure`](Self::measure), sooner.
+    pub fn track(&self, frame: &Frame, last: Vector2<f64>) -> Sighting {
+        self.tracked(frame, last).unwrap_or_else(|| self.measure(frame))
+    }
+
     /// Measures one frame and keeps what led to the verdict.
     pub(super) fn look(&self, frame: &Frame) -> Look {
         let mut look = Look { candidates: Vec::new(), fits: Vec::new(), sighting: failed(Status::NoSnake, None) };
-        if (frame.width, frame.height) != (self.lens.width, self.lens.height) {
-            return Look { sighting: failed(Status::WrongSize, None), ..look };
-        }
-        if is_saturated(frame) {
-            return Look { sighting: failed(Status::Saturated, None), ..look };
+        if let Some(status) = self.unfit(frame) {
+            return Look { sighting: failed(status, None), ..look };
         }
         let plane = self.rig.appearance.plane(frame);
         let view = self.projection();
         let mut finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
-        let bias = BiasPrior { mean: self.rig.edge_bias, sigma_px: BIAS_SIGMA_PX };
-        let mut fit = |start: Vector2<f64>, searches: &[f64]| fit_bend(&view, &mut finder, start, bias, searches);
+        let mut fit = |start: Start, effort: &Effort| fit_bend(&view, &mut finder, start, self.prior(), effort);
 
         look.candidates = self.search.candidates(&plane, self.rig.appearance.two_sided, CANDIDATES);
-        let mut looks: Vec<BendFit> = look.candidates.iter().filter_map(|start| fit(*start, &FIRST_LOOK_PX)).collect();
+        let starts = look.candidates.iter().map(|&bend| self.start(bend));
+        let mut looks: Vec<BendFit> = starts.filter_map(|start| fit(start, &FIRST_LOOK)).collect();
         looks.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        let looks = distinct(looks);
+        let mut looks = distinct(looks);
+        looks.truncate(2);
         // The search may have passed over the best bend's twin, which leans the other way along the line of sight.
-        let twin = looks.first().and_then(|best| fit(self.twin(best.bend), &FIRST_LOOK_PX));
-        let chosen = looks.iter().take(2).chain(&twin);
-        let mut fits: Vec<BendFit> = chosen.filter_map(|look| fit(look.bend, &FINAL_PX)).collect();
-        fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        look.fits = distinct(fits);
-        if let Some(best) = look.fits.first() {
-            look.sighting = self.verdict(best);
+        looks.extend(looks.first().and_then(|best| fit(self.start(self.twin(best.bend)), &FIRST_LOOK)));
+        (look.fits, look.sighting) = self.judge(&looks, &mut finder);
+        look
+    }
+
+    /// What [`track`](Self::track) finds near the last bend; `None` where that is not sure to be the snake.
+    fn tracked(&self, frame: &Frame, last: Vector2<f64>) -> Option<Sighting> {
+        if self.unfit(frame).is_some() {
+            return None;
+        }
+        let view = self.projection();
+        let bounds = |bend| Outline::spaced(&view, Configuration::from_bend_vector(bend), SPARSE_PX).bounds();
+        let size = (frame.width, frame.height);
+        let region = Region::around(bounds(last), NEARBY_PX, size);
+        let plane = self.rig.appearance.plane_within(frame, &region);
+        let mut finder = EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region);
+        let mut fit = |start: Start| fit_bend(&view, &mut finder, start, self.prior(), &FIRST_LOOK);
+        let near = fit(self.start(last))?;
+        let twin = fit(self.start(self.twin(near.bend)));
+        // What is not in the region was not looked at.
+        if !region.contains(&Region::around(bounds(near.bend), 0.0, size)) {
+            return None;
+        }
+        let looks: Vec<BendFit> = std::iter::once(near).chain(twin).collect();
+        let (_, sighting) = self.judge(&looks, &mut finder);
+        (sighting.status == Status::Ok).then_some(sighting)
+    }
+
+    /// Why a frame is not worth looking at.
+    fn unfit(&self, frame: &Frame) -> Option<Status> {
+        if (frame.width, frame.height) != (self.lens.width, self.lens.height) {
+            return Some(Status::WrongSize);
+        }
+        is_saturated(frame).then_some(Status::Saturated)
+    }
+
+    fn prior(&self) -> BiasPrior {
+        BiasPrior { mean: self.rig.edge_bias, sigma_px: BIAS_SIGMA_PX }
+    }
+
+    fn start(&self, bend: Vector2<f64>) -> Start {
+        Start { state: State { bend, bias: self.rig.edge_bias }, blur_px: None }
+    }
+
+    /// The fits that first looks lead to, best first, and the verdict on the best.
+    fn judge(&self, looks: &[BendFit], finder: &mut EdgeFinder) -> (Vec<BendFit>, Sighting) {
+        let view = self.projection();
+        let mut fit = |start: Start, effort: &Effort| fit_bend(&view, finder, start, self.prior(), effort);
+        let least = looks.iter().map(|look| look.cost).fold(f64::INFINITY, f64::min);
+        let worth = looks.iter().filter(|look| look.cost <= WORTH_A_LOOK * least);
+        let mut close: Vec<BendFit> = worth.filter_map(|look| fit(look.start(), &CLOSE_LOOK)).collect();
+        close.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        let mut fits = distinct(close);
+        let Some(best) = fits.first() else { return (fits, failed(Status::NoSnake, None)) };
+        let as_good =
+            fits.get(1).is_some_and(|other| other.cost < AS_GOOD * best.cost && other.rms_px < AS_CLOSE * best.rms_px);
+        let Some(mut best) = fit(best.start(), &MEASUREMENT) else { return (fits, failed(Status::NoSnake, None)) };
+        // Disks seen edge-on look alike tilted either way, and edges pull to the side on which the fit began.
+        let twin = self.twin(best.bend);
+        if (twin - best.bend).norm() < EDGE_ON_RAD {
+            let start = Start { state: State { bend: twin, bias: best.bias }, ..best.start() };
+            best = fit(start, &MEASUREMENT).map_or(best.clone(), |other| best.or(other));
+        }
+        let mut sighting = self.verdict(&best);
+        if sighting.status == Status::Ok {
             let outline = Outline::new(&view, Configuration::from_bend_vector(best.bend));
-            if look.sighting.status == Status::Ok && Proof::new(&outline, &mut finder).disks_there() < ENOUGH_DISKS {
-                look.sighting = failed(Status::Occluded, look.sighting.quality);
-            }
-            if let Some(other) = look.fits.get(1)
-                && look.sighting.status == Status::Ok
-                && other.cost < AS_GOOD * best.cost
-                && other.rms_px < AS_CLOSE * best.rms_px
-            {
-                look.sighting = failed(Status::Ambiguous, look.sighting.quality);
+            if Proof::new(&outline, finder).disks_there() < ENOUGH_DISKS {
+                sighting = failed(Status::Occluded, sighting.quality);
+            } else if as_good {
+                sighting = failed(Status::Ambiguous, sighting.quality);
             }
         }
-        look
+        fits[0] = best;
+        (fits, sighting)
     }
 
     /// The bend whose outline is nearly the same from here: mirrored along the line of sight.

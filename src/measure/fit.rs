@@ -1,13 +1,14 @@
 //! Fits the snake's bend to the edges of one picture.
 
 use super::edges::EdgeFinder;
-use super::grid::nudged;
 use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use super::plane::median;
-use super::solve::{Solution, differences, minimise};
+use super::solve::covariance;
 use crate::geometry::{Configuration, Pose};
 use crate::robot::Robot;
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x6, Point2, Point3, SMatrix, SVector, Vector2};
+use nalgebra::{
+    DMatrix, DVector, Matrix2, Matrix2x6, Matrix4, Point2, Point3, SMatrix, SVector, Vector2, Vector3, Vector4,
+};
 use std::collections::BTreeMap;
 
 /// How far outside the snake's true border its edges are seen, px.
@@ -21,10 +22,7 @@ pub struct EdgeBias {
 
 impl EdgeBias {
     fn of(self, piece: Piece) -> f64 {
-        match piece {
-            Piece::BaseRim | Piece::Rim(..) => self.rim_px,
-            Piece::HolderSide(_) | Piece::DiskSide(..) | Piece::Tube(..) => self.side_px,
-        }
+        if piece.is_rim() { self.rim_px } else { self.side_px }
     }
 }
 
@@ -84,7 +82,7 @@ impl Matches {
             outline.points.iter().filter(|p| p.gap_px >= CLEAR_PX && p.depth_px >= CLEAR_PX && is_wanted(p.piece));
         let mut found = Self { matches: Vec::new(), sections_mm: Vec::new(), section_of: Vec::new(), places: 0 };
         let model = blur_px.map(|blur_px| outline.seen_through(blur_px));
-        let mut model = model.as_ref().map(|(plane, first)| (EdgeFinder::new(plane, false), first));
+        let mut model = model.as_ref().map(|(plane, first)| (EdgeFinder::noiseless(plane), first));
         for point in clear {
             found.places += 1;
             let Some(edge) = finder.find(point, search_px) else { continue };
@@ -169,31 +167,80 @@ impl Matches {
         patterns.iter().map(|pattern| DVector::from_iterator(self.len(), all(pattern))).collect()
     }
 
-    /// Derivatives of the weighted residuals by bend vector and edge bias.
-    fn own_jacobian(&self, view: &Projection, state: &State, roots: &[f64]) -> DMatrix<f64> {
-        let residuals = |x: &DVector<f64>| {
-            let state = State::of(x);
-            DVector::from_vec(self.residuals(view, state.psi(), state.bias))
+    /// The residuals at a state and what they do nearby.
+    pub fn linearised(&self, view: &Projection, state: &State) -> Linearised {
+        let psi = state.psi();
+        let sections: Vec<(Pose, [(Vector3<f64>, Vector3<f64>); 2])> = self
+            .sections_mm
+            .iter()
+            .map(|&s_mm| {
+                let twist = view.robot.section_jacobian_bend(state.bend, s_mm);
+                let seen = |row: usize, axis: usize| {
+                    view.camera_from_base.rotation * twist.fixed_view::<3, 1>(row, axis).into_owned()
+                };
+                let by_bend = [0, 1].map(|axis| (seen(0, axis), seen(3, axis)));
+                (view.camera_from_base * view.robot.frame_at(psi, s_mm), by_bend)
+            })
+            .collect();
+        let mut linear = Linearised {
+            residuals: DVector::zeros(self.len()),
+            by_state: DMatrix::zeros(self.len(), 4),
+            by_pose: DMatrix::zeros(self.len(), 6),
         };
-        weighted(differences(residuals, &state.vector(), &State::STEPS), roots)
-    }
-
-    /// Derivatives of the weighted residuals by the camera's pose (see [`nudged`]).
-    fn pose_jacobian(&self, view: &Projection, psi: Configuration, roots: &[f64]) -> DMatrix<f64> {
-        let residuals = |x: &DVector<f64>| {
-            let moved = Projection { camera_from_base: nudged(&view.camera_from_base, x), ..view.clone() };
-            DVector::from_vec(self.residuals(&moved, psi, EdgeBias::default()))
-        };
-        weighted(differences(residuals, &DVector::zeros(6), &[1e-4; 6]), roots)
+        for (row, (m, &section)) in self.matches.iter().zip(&self.section_of).enumerate() {
+            let (frame, by_bend) = &sections[section];
+            let arm = frame.rotation * m.body.local;
+            let place = Point3::from(frame.translation.vector + arm);
+            // How the place moves along the normal, in units of σ, for every mm that the point does.
+            let across = view.lens.project_jacobian(&place).transpose() * m.normal / m.sigma_px;
+            let distance_px = m.normal.dot(&(m.seen - view.lens.project(&place)));
+            linear.residuals[row] = (distance_px - state.bias.of(m.piece)) / m.sigma_px;
+            for (axis, (shift, turn)) in by_bend.iter().enumerate() {
+                linear.by_state[(row, axis)] = -across.dot(&(shift + turn.cross(&arm)));
+            }
+            linear.by_state[(row, if m.piece.is_rim() { 3 } else { 2 })] = -1.0 / m.sigma_px;
+            let turned = (place.coords - view.camera_from_base.translation.vector).cross(&across);
+            for axis in 0..3 {
+                linear.by_pose[(row, axis)] = -turned[axis];
+                linear.by_pose[(row, axis + 3)] = -across[axis];
+            }
+        }
+        linear
     }
 }
 
-/// A Jacobian with its rows times the square roots of their weights.
-fn weighted(mut jacobian: DMatrix<f64>, roots: &[f64]) -> DMatrix<f64> {
-    for (mut row, root) in jacobian.row_iter_mut().zip(roots) {
-        row *= *root;
+/// Residuals of matched edges, in units of σ, and how they follow what may be fitted (rows: edges).
+pub(super) struct Linearised {
+    pub residuals: DVector<f64>,
+    /// By bend vector (rad) and edge bias (sides, rims; px): the components of [`State`].
+    pub by_state: DMatrix<f64>,
+    /// By the camera's pose (see [`nudged`](super::grid::nudged)).
+    pub by_pose: DMatrix<f64>,
+}
+
+impl Linearised {
+    /// With two rows more: what is known of the bias beforehand.
+    fn with_prior(self, prior: &BiasPrior, state: &State) -> Self {
+        let edges = self.residuals.len();
+        let root = ALIKE.sqrt() / prior.sigma_px;
+        let mut residuals = self.residuals.insert_rows(edges, 2, 0.0);
+        residuals[edges] = root * (state.bias.side_px - prior.mean.side_px);
+        residuals[edges + 1] = root * (state.bias.rim_px - prior.mean.rim_px);
+        let mut by_state = self.by_state.insert_rows(edges, 2, 0.0);
+        by_state[(edges, 2)] = root;
+        by_state[(edges + 1, 3)] = root;
+        Self { residuals, by_state, by_pose: self.by_pose.insert_rows(edges, 2, 0.0) }
     }
-    jacobian
+
+    /// With every row times the square root of its weight.
+    fn weighted(mut self, roots: &[f64]) -> Self {
+        for (row, root) in roots.iter().enumerate() {
+            self.residuals[row] *= root;
+            self.by_state.row_mut(row).scale_mut(*root);
+            self.by_pose.row_mut(row).scale_mut(*root);
+        }
+        self
+    }
 }
 
 /// Edges are searched for within this distance, px, once the model has settled.
@@ -238,16 +285,16 @@ pub(super) fn clustered_covariance(
     Some(&bread * meat * &bread * (clusters / (clusters - parameters as f64)))
 }
 
-/// What [`Matches::light_patterns`] add to the covariance of a fit to these edges.
+/// What [`Matches::light_patterns`] add to the covariance of a fit to these edges, whose rows come first in `jacobian`.
 pub(super) fn light_covariance(
     matches: &Matches,
-    solution: &Solution,
+    jacobian: &DMatrix<f64>,
     independent: &DMatrix<f64>,
     robot: &Robot,
     light_px: f64,
     roots: &[f64],
 ) -> DMatrix<f64> {
-    let edges = solution.jacobian.rows(0, matches.len()).transpose();
+    let edges = jacobian.rows(0, matches.len()).transpose();
     let shifts =
         matches.light_patterns(robot, light_px, roots).into_iter().map(|pattern| independent * (&edges * pattern));
     shifts.fold(DMatrix::zeros(independent.nrows(), independent.ncols()), |sum, shift| sum + &shift * shift.transpose())
@@ -260,10 +307,14 @@ pub(super) fn inliers(misfits_px: &[f64], roots: &[f64]) -> (usize, f64) {
     (kept.len(), rms)
 }
 
+/// Another bend explains a picture as well if its cost is within this factor of the best one's.
+pub(super) const AS_GOOD: f64 = 1.5;
+
 /// The snake's bend in one picture.
 #[derive(Debug, Clone)]
 pub(super) struct BendFit {
     pub bend: Vector2<f64>,
+    pub bias: EdgeBias,
     /// Covariance of the bend vector from this picture alone, rad².
     pub covariance: Matrix2<f64>,
     /// Change of the bend vector with the camera's pose (see [`nudged`]).
@@ -281,6 +332,24 @@ pub(super) struct BendFit {
     pub cost: f64,
 }
 
+impl BendFit {
+    /// The better of two that end close together, with the doubt which of them is right.
+    pub fn or(self, other: Self) -> Self {
+        let apart = self.bend - other.bend;
+        let (mut better, worse) = if other.cost < self.cost { (other, self) } else { (self, other) };
+        if worse.cost < AS_GOOD * better.cost {
+            // The variance of two equally likely answers.
+            better.covariance += apart * apart.transpose() / 4.0;
+        }
+        better
+    }
+
+    /// Where to go on from here.
+    pub fn start(&self) -> Start {
+        Start { state: State { bend: self.bend, bias: self.bias }, blur_px: Some(self.blur_px) }
+    }
+}
+
 /// What is known of the edges' bias before the picture is looked at.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BiasPrior {
@@ -296,81 +365,120 @@ pub(super) struct State {
 }
 
 impl State {
-    /// Steps of central differences: rad and px.
-    const STEPS: [f64; 4] = [1e-5, 1e-5, 1e-3, 1e-3];
-
-    fn vector(&self) -> DVector<f64> {
-        DVector::from_column_slice(&[self.bend.x, self.bend.y, self.bias.side_px, self.bias.rim_px])
-    }
-
-    fn of(x: &DVector<f64>) -> Self {
-        Self { bend: Vector2::new(x[0], x[1]), bias: EdgeBias { side_px: x[2], rim_px: x[3] } }
-    }
-
     fn psi(&self) -> Configuration {
         Configuration::from_bend_vector(self.bend)
     }
+
+    fn moved(&self, by: &Vector4<f64>) -> Self {
+        let bias = EdgeBias { side_px: self.bias.side_px + by[2], rim_px: self.bias.rim_px + by[3] };
+        Self { bend: self.bend + by.xy(), bias }
+    }
 }
 
-/// Fits bend and edge bias by matching edges within ever smaller distances; at the last one it stops once nothing moves.
+/// Moves a state to where matched edges, each with its weight, agree with it best: Gauss and Newton's method.
+fn moved_to_edges(matches: &Matches, view: &Projection, start: State, bias: BiasPrior, roots: &[f64]) -> Option<State> {
+    const STEPS: usize = 4;
+    const FURTHEST_RAD: f64 = 0.2;
+    const SETTLED: f64 = 1e-6;
+    let mut state = start;
+    for _ in 0..STEPS {
+        let linear = matches.linearised(view, &state).weighted(roots).with_prior(&bias, &state);
+        let information: Matrix4<f64> = linear.by_state.tr_mul(&linear.by_state).fixed_view::<4, 4>(0, 0).into();
+        let slope: Vector4<f64> = linear.by_state.tr_mul(&linear.residuals).fixed_rows::<4>(0).into();
+        let step = -information.cholesky()?.solve(&slope);
+        let step = step * (FURTHEST_RAD / step.xy().norm()).min(1.0);
+        if step.iter().any(|v| !v.is_finite()) {
+            return None;
+        }
+        state = state.moved(&step);
+        if step.norm() < SETTLED {
+            break;
+        }
+    }
+    Some(state)
+}
+
+/// How thoroughly a picture is looked at.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Effort {
+    /// Search distances, px, one a round of matching; the last one is kept until nothing moves.
+    pub searches_px: &'static [f64],
+    /// Most rounds.
+    pub rounds: usize,
+    /// Distance between the places of the outline that are asked, px.
+    pub spacing_px: f64,
+    /// Whether the start is as good as the answer, so that what disagrees with it is not the snake's outline.
+    pub settled: bool,
+    /// Nothing moves if the bend moves by less, rad.
+    pub converged_rad: f64,
+}
+
+/// Where a fit starts.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Start {
+    pub state: State,
+    /// How soft the picture's edges are, if that is known.
+    pub blur_px: Option<f64>,
+}
+
+/// Fits bend and edge bias by matching edges within ever smaller distances.
 ///
 /// `None` where too little of the outline has edges, or the bend leaves what a snake can do.
 pub(super) fn fit_bend(
     view: &Projection,
     finder: &mut EdgeFinder,
-    start: Vector2<f64>,
+    start: Start,
     bias: BiasPrior,
-    searches_px: &[f64],
+    effort: &Effort,
 ) -> Option<BendFit> {
     const FURTHEST_RAD: f64 = 2.2;
-    const FEWEST_EDGES: usize = 30;
-    const CONVERGED_RAD: f64 = 2e-5;
-    let mut state = State { bend: start, bias: bias.mean };
+    const LEAST_OUTLINE_PX: f64 = 60.0;
+    /// While the bend moves by more, what disagrees with it may be right.
+    const SETTLING_RAD: f64 = 2e-3;
+    let Start { mut state, mut blur_px } = start;
+    let mut settling = !effort.settled;
     let mut last = None;
-    for &search_px in searches_px {
+    let searches = effort.searches_px.iter().chain(std::iter::repeat(effort.searches_px.last()?));
+    for (round, &search_px) in searches.take(effort.rounds).enumerate() {
         let psi = state.psi();
-        let settled = search_px <= SETTLED_PX;
-        let outline = Outline::new(view, psi);
-        let soft = last.as_ref().filter(|_| settled).map(|(matches, ..): &(Matches, _, _, _, _)| matches.blur_px());
+        let outline = Outline::spaced(view, psi, effort.spacing_px);
+        let soft = blur_px.filter(|_| search_px <= SETTLED_PX);
         // The holder and the base disk do not bend.
         let matches =
             Matches::find(&outline, finder, search_px, soft, |p| !matches!(p, Piece::HolderSide(_) | Piece::BaseRim));
-        if matches.len() < FEWEST_EDGES {
+        if matches.len() as f64 * effort.spacing_px < LEAST_OUTLINE_PX {
             return None;
         }
-        let roots = robust_weights(&matches.residuals(view, psi, state.bias), search_px > SETTLED_PX);
-        let weighted = |x: &DVector<f64>| {
-            let State { bias: at, .. } = State::of(x);
-            let edges = matches.residuals(view, State::of(x).psi(), at);
-            let priors = [at.side_px - bias.mean.side_px, at.rim_px - bias.mean.rim_px]
-                .map(|off| off / bias.sigma_px * ALIKE.sqrt());
-            DVector::from_iterator(edges.len() + 2, edges.iter().zip(&roots).map(|(r, w)| r * w).chain(priors))
-        };
-        let solution = minimise(weighted, state.vector(), &DVector::from_column_slice(&State::STEPS))?;
-        let moved = (State::of(&solution.parameters).bend - state.bend).norm();
-        state = State::of(&solution.parameters);
+        let roots = robust_weights(&matches.residuals(view, psi, state.bias), settling || search_px > SETTLED_PX);
+        let before = state.bend;
+        state = moved_to_edges(&matches, view, state, bias, &roots)?;
         if state.bend.norm() > FURTHEST_RAD {
             return None;
         }
-        last = Some((matches, roots, outline.out_of_frame, search_px, solution));
-        if Some(&search_px) == searches_px.last() && moved < CONVERGED_RAD {
+        let moved_rad = (state.bend - before).norm();
+        let done = !settling && round + 1 >= effort.searches_px.len() && moved_rad < effort.converged_rad;
+        settling &= moved_rad > SETTLING_RAD;
+        blur_px = Some(matches.blur_px());
+        last = Some((matches, roots, outline.out_of_frame, search_px));
+        if done {
             break;
         }
     }
 
-    let (matches, roots, out_of_frame, search_px, solution) = last?;
+    let (matches, roots, out_of_frame, search_px) = last?;
     let psi = state.psi();
-    let independent = solution.covariance()?;
-    let clustered = clustered_covariance(&solution.jacobian, &solution.residuals, &matches.pieces())?;
-    let light = light_covariance(&matches, &solution, &independent, view.robot, LIGHT_BENT_PX, &roots);
-    let gain =
-        &independent * solution.jacobian.rows(0, matches.len()).transpose() * matches.pose_jacobian(view, psi, &roots);
+    let linear = matches.linearised(view, &state).weighted(&roots).with_prior(&bias, &state);
+    let independent = covariance(&linear.by_state)?;
+    let clustered = clustered_covariance(&linear.by_state, &linear.residuals, &matches.pieces())?;
+    let light = light_covariance(&matches, &linear.by_state, &independent, view.robot, LIGHT_BENT_PX, &roots);
+    let gain = &independent * linear.by_state.tr_mul(&linear.by_pose);
     let misfits = matches.misfits_px(view, psi, state.bias);
     let (inliers, rms_px) = inliers(&misfits, &roots);
     let near: f64 = misfits.iter().map(|d| 1.0 - (d / search_px).powi(2).min(1.0)).sum();
     let block = |c: &DMatrix<f64>| Matrix2::new(c[(0, 0)], c[(0, 1)], c[(1, 0)], c[(1, 1)]);
     Some(BendFit {
         bend: state.bend,
+        bias: state.bias,
         covariance: block(&clustered) + block(&independent) + block(&light),
         by_pose: Matrix2x6::from_fn(|row, column| -gain[(row, column)]),
         places: matches.places,
@@ -409,9 +517,8 @@ pub(super) fn shared_evidence(
     let matches = Matches::find(&Outline::new(view, psi), finder, 3.0, Some(blur_px), |_| true);
     let residuals = matches.residuals(view, psi, state.bias);
     let roots = robust_weights(&residuals, false);
-    let own = matches.own_jacobian(view, state, &roots);
-    let (bend, bias) = (own.columns(0, 2), own.columns(2, 2));
-    let pose = matches.pose_jacobian(view, psi, &roots);
+    let Linearised { by_state, by_pose: pose, .. } = matches.linearised(view, state).weighted(&roots);
+    let (bend, bias) = (by_state.columns(0, 2), by_state.columns(2, 2));
     let shared = DMatrix::from_fn(pose.nrows(), 8, |r, c| if c < 6 { pose[(r, c)] } else { bias[(r, c - 6)] });
     // What the picture's own bend could have done as well is no evidence.
     let projected = &shared - bend * (bend.transpose() * bend).cholesky()?.solve(&(bend.transpose() * &shared));

@@ -49,6 +49,13 @@ pub enum Piece {
     Tube(u8, i8, u8),
 }
 
+impl Piece {
+    /// Whether it is a sharp edge, not a surface that turns away.
+    pub(super) fn is_rim(self) -> bool {
+        matches!(self, Self::BaseRim | Self::Rim(..))
+    }
+}
+
 /// A point on the border between snake and background.
 #[derive(Debug, Clone, Copy)]
 pub struct OutlinePoint {
@@ -105,11 +112,6 @@ impl<'a> Projection<'a> {
     pub fn pixel(&self, psi: Configuration, point: &BodyPoint) -> Point2<f64> {
         self.lens.project(&(self.camera_from_base * point.in_base(self.robot, psi)))
     }
-
-    /// The camera's centre of projection in the base frame, mm.
-    fn eye(&self) -> Point3<f64> {
-        self.camera_from_base.inverse() * Point3::origin()
-    }
 }
 
 /// A point of a surface that may be on the border, before the rest of the body is taken into account.
@@ -118,10 +120,56 @@ struct Candidate {
     piece: Piece,
     /// See [`OutlinePoint::lateral`].
     lateral: f64,
-    /// Unit surface normal that is square to the line of sight or to a rim, in the base frame: points out of the snake.
-    outward: Vector3<f64>,
-    /// Direction of the border in space, base frame.
-    along: Vector3<f64>,
+    /// Where it is seen, px.
+    pixel: Point2<f64>,
+    /// Unit surface normal that is square to the line of sight or to a rim, as it is seen: points out of the snake.
+    outward: Vector2<f64>,
+    /// Direction of the border as it is seen.
+    along: Vector2<f64>,
+}
+
+/// A section of the snake as the camera sees it.
+struct Section<'a> {
+    lens: &'a Lens,
+    s_mm: f64,
+    camera_from_section: Pose,
+}
+
+impl<'a> Section<'a> {
+    fn new(view: &Projection<'a>, psi: Configuration, s_mm: f64) -> Self {
+        let camera_from_section = view.camera_from_base * view.robot.frame_at(psi, s_mm);
+        Self { lens: view.lens, s_mm, camera_from_section }
+    }
+
+    /// The camera's centre of projection, mm.
+    fn eye(&self) -> Point3<f64> {
+        self.camera_from_section.inverse() * Point3::origin()
+    }
+
+    fn pixel(&self, local: Vector3<f64>) -> Point2<f64> {
+        self.lens.project(&(self.camera_from_section * Point3::from(local)))
+    }
+
+    /// A candidate, from vectors in the section's frame.
+    fn candidate(
+        &self,
+        local: Vector3<f64>,
+        piece: Piece,
+        lateral: f64,
+        outward: Vector3<f64>,
+        along: Vector3<f64>,
+    ) -> Candidate {
+        let in_camera = self.camera_from_section * Point3::from(local);
+        let seen = self.lens.project_jacobian(&in_camera) * self.camera_from_section.rotation.to_rotation_matrix();
+        Candidate {
+            body: BodyPoint { s_mm: self.s_mm, local },
+            piece,
+            lateral,
+            pixel: self.lens.project(&in_camera),
+            outward: seen * outward,
+            along: seen * along,
+        }
+    }
 }
 
 impl Outline {
@@ -132,15 +180,21 @@ impl Outline {
 
     /// Projects the body and keeps what lies on the border of its silhouette and within the picture.
     pub fn new(view: &Projection, psi: Configuration) -> Self {
+        Self::spaced(view, psi, Self::SPACING_PX)
+    }
+
+    /// The same with border points about `spacing_px` apart.
+    pub(super) fn spaced(view: &Projection, psi: Configuration, spacing_px: f64) -> Self {
+        let distance_mm = view.camera_from_base.translation.vector.norm().max(1.0);
+        let mm_per_px = distance_mm / view.lens.focal_px.x;
         let mut candidates = Vec::new();
         let mut polygons = Vec::new();
-        cylinders(view, psi, &mut candidates, &mut polygons);
-        tubes(view, psi, &mut candidates, &mut polygons);
+        cylinders(view, psi, spacing_px * mm_per_px, &mut candidates, &mut polygons);
+        tubes(view, psi, spacing_px, mm_per_px, &mut candidates, &mut polygons);
 
         let mask = Mask::new(view.lens, &polygons);
-        let points = candidates.iter().filter_map(|c| border_point(&mask, view, psi, c)).collect();
-        let outside =
-            candidates.iter().filter(|c| c.body.s_mm > 0.0 && !view.lens.contains(&view.pixel(psi, &c.body), 1.0));
+        let points = candidates.iter().filter_map(|c| border_point(&mask, view.lens, c)).collect();
+        let outside = candidates.iter().filter(|c| c.body.s_mm > 0.0 && !view.lens.contains(&c.pixel, 1.0));
         Self { points, out_of_frame: outside.count() as f64 / candidates.len().max(1) as f64, mask }
     }
 
@@ -169,45 +223,35 @@ impl Outline {
     }
 }
 
-fn border_point(mask: &Mask, view: &Projection, psi: Configuration, candidate: &Candidate) -> Option<OutlinePoint> {
-    let base = candidate.body.in_base(view.robot, psi);
-    let project = |p: Point3<f64>| view.lens.project(&(view.camera_from_base * p));
-    let pixel = project(base);
-    if !view.lens.contains(&pixel, 1.0) {
+fn border_point(mask: &Mask, lens: &Lens, candidate: &Candidate) -> Option<OutlinePoint> {
+    let Candidate { body, piece, lateral, pixel, outward, along } = *candidate;
+    if !lens.contains(&pixel, 1.0) {
         return None;
     }
-    const STEP_MM: f64 = 1e-3;
-    let along = project(base + candidate.along * STEP_MM) - pixel;
-    let out = project(base + candidate.outward * STEP_MM) - pixel;
-    let mut normal = Unit::try_new(Vector2::new(-along.y, along.x), 1e-12)?;
-    if normal.dot(&out) < 0.0 {
+    let mut normal = Unit::try_new(Vector2::new(-along.y, along.x), 1e-9)?;
+    if normal.dot(&outward) < 0.0 {
         normal = -normal;
     }
-    let gap_px = mask.run_length(&pixel, normal.into_inner(), false);
-    let depth_px = mask.run_length(&pixel, -normal.into_inner(), true);
-    // Where two parts' borders nearly coincide, only the outer one is seen.
-    (gap_px > Mask::FIRST_STEP_PX && depth_px > Mask::FIRST_STEP_PX).then_some(OutlinePoint {
-        body: candidate.body,
-        piece: candidate.piece,
-        lateral: candidate.lateral,
-        pixel,
-        normal,
-        gap_px,
-        depth_px,
-    })
+    let depth_px = mask.run_length(&pixel, -normal.into_inner(), true)?;
+    let gap_px = mask.run_length(&pixel, normal.into_inner(), false)?;
+    Some(OutlinePoint { body, piece, lateral, pixel, normal, gap_px, depth_px })
 }
 
 /// Rims and side walls of the disks and the holder.
 fn cylinders(
     view: &Projection,
     psi: Configuration,
+    spacing_mm: f64,
     candidates: &mut Vec<Candidate>,
     polygons: &mut Vec<Vec<Point2<f64>>>,
 ) {
     let body = &view.robot.body;
     let radius = body.disk_diameter_mm / 2.0;
-    let eye = view.eye();
-    let spacing_mm = spacing_mm(view);
+    let steps = (std::f64::consts::TAU * radius / spacing_mm).ceil().max(16.0) as usize;
+    let around: Vec<Vector3<f64>> = (0..steps)
+        .map(|step| std::f64::consts::TAU * step as f64 / steps as f64)
+        .map(|phi| Vector3::new(phi.cos(), phi.sin(), 0.0))
+        .collect();
 
     // (piece number, section it is square to, near and far face from there): the holder is number 0, disks count from 1.
     let half = body.disk_thickness_mm / 2.0;
@@ -215,51 +259,41 @@ fn cylinders(
         view.robot.spacer_middles_mm().into_iter().zip(1..).map(|(middle, number)| (number, middle, -half, half));
     let end = (body.spacer_disk_count + 1, view.robot.length_mm, -body.disk_thickness_mm, 0.0);
     for (number, s_mm, near_mm, far_mm) in std::iter::once((0, 0.0, -HOLDER_MM, 0.0)).chain(spacers).chain([end]) {
-        let frame = view.robot.frame_at(psi, s_mm);
-        let local_eye = frame.inverse() * eye;
-
-        let project = |local: Vector3<f64>| view.lens.project(&(view.camera_from_base * (frame * Point3::from(local))));
-        let steps = (std::f64::consts::TAU * radius / spacing_mm).ceil().max(16.0) as usize;
+        let section = Section::new(view, psi, s_mm);
+        let eye = section.eye();
         for far in [false, true] {
             let z = if far { far_mm } else { near_mm };
-            let face_seen = if far { local_eye.z > z } else { local_eye.z < z };
-            let mut rim = Vec::new();
-            for step in 0..steps {
-                let phi = std::f64::consts::TAU * step as f64 / steps as f64;
-                let radial = Vector3::new(phi.cos(), phi.sin(), 0.0);
+            let face_seen = if far { eye.z > z } else { eye.z < z };
+            let mut rim = Vec::with_capacity(steps);
+            for radial in &around {
                 let local = Vector3::new(radius * radial.x, radius * radial.y, z);
-                rim.push(project(local));
-                let wall_seen = radial.dot(&(local_eye.coords - local)) > 0.0;
+                let wall_seen = radial.dot(&(eye.coords - local)) > 0.0;
                 // A rim is on the cylinder's border where just one of the two surfaces that meet in it is seen.
                 if face_seen == wall_seen || (number == 0 && !far) {
+                    rim.push(section.pixel(local));
                     continue;
                 }
-                candidates.push(Candidate {
-                    body: BodyPoint { s_mm, local },
-                    piece: if number == 0 { Piece::BaseRim } else { Piece::Rim(number, far) },
-                    lateral: (radial.x * local_eye.y - radial.y * local_eye.x).abs() / local_eye.coords.xy().norm(),
-                    // Any mix of the two surfaces' normals points out of the border.
-                    outward: frame * (radial + Vector3::z() * if far { 1.0 } else { -1.0 }),
-                    along: frame * Vector3::new(-radial.y, radial.x, 0.0),
-                });
+                let piece = if number == 0 { Piece::BaseRim } else { Piece::Rim(number, far) };
+                let lateral = (radial.x * eye.y - radial.y * eye.x).abs() / eye.coords.xy().norm();
+                // Any mix of the two surfaces' normals points out of the border.
+                let outward = radial + Vector3::z() * if far { 1.0 } else { -1.0 };
+                let along = Vector3::new(-radial.y, radial.x, 0.0);
+                let candidate = section.candidate(local, piece, lateral, outward, along);
+                rim.push(candidate.pixel);
+                candidates.push(candidate);
             }
             polygons.push(rim);
         }
         let mut wall = Vec::new();
-        for (side, radial) in tangent_directions(Vector2::new(local_eye.x, local_eye.y), radius) {
-            let at = |z: f64| project(Vector3::new(radius * radial.x, radius * radial.y, z));
+        for (side, radial) in tangent_directions(eye.coords.xy(), radius) {
+            let at = |z: f64| Vector3::new(radius * radial.x, radius * radial.y, z);
             let ends = if side < 0 { [near_mm, far_mm] } else { [far_mm, near_mm] };
-            wall.extend(ends.map(at));
+            wall.extend(ends.map(|z| section.pixel(at(z))));
             let count = ((far_mm - near_mm) / spacing_mm).floor().max(1.0) as usize;
             for step in 0..count {
                 let z = near_mm + (far_mm - near_mm) * (step as f64 + 0.5) / count as f64;
-                candidates.push(Candidate {
-                    body: BodyPoint { s_mm, local: Vector3::new(radius * radial.x, radius * radial.y, z) },
-                    piece: if number == 0 { Piece::HolderSide(side) } else { Piece::DiskSide(number, side) },
-                    lateral: 0.0,
-                    outward: frame * Vector3::new(radial.x, radial.y, 0.0),
-                    along: frame * Vector3::z(),
-                });
+                let piece = if number == 0 { Piece::HolderSide(side) } else { Piece::DiskSide(number, side) };
+                candidates.push(section.candidate(at(z), piece, 0.0, radial.push(0.0), Vector3::z()));
             }
         }
         polygons.push(wall);
@@ -267,48 +301,47 @@ fn cylinders(
 }
 
 /// The two sides of each of the four tubes.
-fn tubes(view: &Projection, psi: Configuration, candidates: &mut Vec<Candidate>, polygons: &mut Vec<Vec<Point2<f64>>>) {
+fn tubes(
+    view: &Projection,
+    psi: Configuration,
+    spacing_px: f64,
+    mm_per_px: f64,
+    candidates: &mut Vec<Candidate>,
+    polygons: &mut Vec<Vec<Point2<f64>>>,
+) {
     let robot = view.robot;
-    let eye = view.eye();
-    let steps = (robot.length_mm / spacing_mm(view)).ceil().max(8.0) as usize;
-    let axes = std::iter::once((Vector2::zeros(), robot.primary.outer_diameter_mm / 2.0)).chain(
-        robot
-            .backbone_azimuths()
-            .iter()
-            .map(|azimuth| {
-                let offset = robot.backbone_circle_radius_mm * Vector2::new(azimuth.cos(), azimuth.sin());
-                (offset, robot.secondary.outer_diameter_mm / 2.0)
-            })
-            .collect::<Vec<_>>(),
-    );
-    for (number, (offset, radius)) in axes.enumerate() {
-        let mut sides = [Vec::new(), Vec::new()];
-        for step in 0..steps {
-            let s_mm = robot.length_mm * (step as f64 + 0.5) / steps as f64;
-            let frame = robot.frame_at(psi, s_mm);
-            let local_eye = frame.inverse() * eye;
-            for (side, radial) in tangent_directions(Vector2::new(local_eye.x, local_eye.y) - offset, radius) {
-                let local = Vector3::new(offset.x + radius * radial.x, offset.y + radius * radial.y, 0.0);
-                sides[usize::from(side > 0)]
-                    .push(view.lens.project(&(view.camera_from_base * (frame * Point3::from(local)))));
-                candidates.push(Candidate {
-                    body: BodyPoint { s_mm, local },
-                    piece: Piece::Tube(number as u8, side, (s_mm / robot.disk_pitch_mm()) as u8),
-                    lateral: 0.0,
-                    outward: frame * Vector3::new(radial.x, radial.y, 0.0),
-                    along: frame * Vector3::z(),
-                });
+    let steps = (robot.length_mm / (spacing_px * mm_per_px)).ceil().max(8.0) as usize;
+    let mut axes = vec![(Vector2::zeros(), robot.primary.outer_diameter_mm / 2.0)];
+    for azimuth in &robot.backbone_azimuths() {
+        let offset = robot.backbone_circle_radius_mm * Vector2::new(azimuth.cos(), azimuth.sin());
+        axes.push((offset, robot.secondary.outer_diameter_mm / 2.0));
+    }
+    let mut sides = vec![[Vec::with_capacity(steps), Vec::with_capacity(steps)]; axes.len()];
+    for step in 0..steps {
+        let section = Section::new(view, psi, robot.length_mm * (step as f64 + 0.5) / steps as f64);
+        let eye = section.eye().coords.xy();
+        for (number, &(offset, radius)) in axes.iter().enumerate() {
+            for (side, radial) in tangent_directions(eye - offset, radius) {
+                let local = (offset + radius * radial).push(0.0);
+                let piece = Piece::Tube(number as u8, side, (section.s_mm / robot.disk_pitch_mm()) as u8);
+                let candidate = section.candidate(local, piece, 0.0, radial.push(0.0), Vector3::z());
+                sides[number][usize::from(side > 0)].push(candidate.pixel);
+                candidates.push(candidate);
             }
         }
-        let [left, right] = sides;
-        polygons.push(left.into_iter().chain(right.into_iter().rev()).collect());
     }
-}
-
-/// The spacing of border points on the body, mm, that gives [`Outline::SPACING_PX`] in the picture.
-fn spacing_mm(view: &Projection) -> f64 {
-    let distance = view.camera_from_base.translation.vector.norm().max(1.0);
-    Outline::SPACING_PX * distance / view.lens.focal_px.x
+    // In lengths that overlap: a bent tube's bounds are mostly empty.
+    const LENGTH_PX: f64 = 40.0;
+    const OVERLAP: usize = 2;
+    let length = (LENGTH_PX / spacing_px).ceil() as usize;
+    for [left, right] in sides {
+        for start in (0..steps).step_by(length) {
+            let part = start..(start + length + OVERLAP).min(left.len()).min(right.len());
+            if let (Some(left), Some(right)) = (left.get(part.clone()), right.get(part)) {
+                polygons.push(left.iter().chain(right.iter().rev()).copied().collect());
+            }
+        }
+    }
 }
 
 /// The two radial directions on a circle of this radius at which an observer at `eye` (same plane, centre at the origin)
@@ -357,13 +390,21 @@ impl Mask {
         self.coverage.sample(&(pixel - self.first)) > 0.5
     }
 
-    /// How far, px, one can go from a border pixel before the mask is no longer `inside`.
-    fn run_length(&self, from: &Point2<f64>, direction: Vector2<f64>, inside: bool) -> f64 {
-        let mut distance = Self::FIRST_STEP_PX;
-        while distance < Outline::REACH_PX && self.covers(&(from + direction * distance)) == inside {
+    /// How far, px, one can go from a border pixel before the mask is no longer `inside`; `None` where that is at once, and
+    /// the pixel is not on the mask's border.
+    fn run_length(&self, from: &Point2<f64>, direction: Vector2<f64>, inside: bool) -> Option<f64> {
+        if self.covers(&(from + direction * Self::FIRST_STEP_PX)) != inside {
+            return None;
+        }
+        // Half a pixel is exact enough further on.
+        let covers = |p: Point2<f64>| {
+            self.coverage.get((p.x - self.first.x).round() as i64, (p.y - self.first.y).round() as i64) > 0.5
+        };
+        let mut distance = Self::FIRST_STEP_PX + Self::STEP_PX;
+        while distance < Outline::REACH_PX && covers(from + direction * distance) == inside {
             distance += Self::STEP_PX;
         }
-        distance.min(Outline::REACH_PX)
+        Some(distance.min(Outline::REACH_PX))
     }
 }
 
@@ -383,7 +424,9 @@ impl Plane {
         }
         let (width, data) = (self.width, &mut self.data);
         rasterizer.for_each_pixel_2d(|x, y, share| {
-            if let Some(pixel) = data.get_mut((corner.y + y as usize) * width + corner.x + x as usize) {
+            if share > 0.0
+                && let Some(pixel) = data.get_mut((corner.y + y as usize) * width + corner.x + x as usize)
+            {
                 *pixel = pixel.max(share.min(1.0));
             }
         });

@@ -1,6 +1,7 @@
 //! A single-channel picture with real values, and how it is sampled.
 
 use nalgebra::{Point2, Vector2};
+use std::ops::Range;
 
 /// A grey picture of `f32`, row by row.
 #[derive(Debug, Clone)]
@@ -11,6 +12,32 @@ pub struct Plane {
     pub height: usize,
     /// `width * height` values.
     pub data: Vec<f32>,
+}
+
+/// A part of a picture.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Region {
+    /// Columns.
+    pub x: Range<usize>,
+    /// Rows.
+    pub y: Range<usize>,
+}
+
+impl Region {
+    /// What lies within bounds (x0, y0, x1, y1; px) grown by a margin, of a picture this large.
+    pub fn around((x0, y0, x1, y1): (f64, f64, f64, f64), margin_px: f64, size: (u32, u32)) -> Self {
+        let range = |from: f64, to: f64, most: u32| {
+            let start = (from - margin_px).clamp(0.0, f64::from(most)) as usize;
+            start..((to + margin_px).clamp(0.0, f64::from(most)).ceil() as usize).max(start)
+        };
+        Self { x: range(x0, x1, size.0), y: range(y0, y1, size.1) }
+    }
+
+    /// Whether all of another region is in it.
+    pub fn contains(&self, other: &Self) -> bool {
+        let holds = |a: &Range<usize>, b: &Range<usize>| a.start <= b.start && b.end <= a.end;
+        holds(&self.x, &other.x) && holds(&self.y, &other.y)
+    }
 }
 
 impl Plane {
@@ -35,7 +62,26 @@ impl Plane {
     pub fn profile(&self, centre: &Point2<f64>, direction: Vector2<f64>, step: f64, count: usize, into: &mut Vec<f64>) {
         into.clear();
         let reach = count as f64 * step;
-        into.extend((0..=2 * count).map(|k| self.sample(&(centre + direction * (k as f64 * step - reach)))));
+        let at = |k: usize| centre + direction * (k as f64 * step - reach);
+        let inside = |p: Point2<f64>| {
+            p.x >= 0.0 && p.y >= 0.0 && p.x < self.width as f64 - 1.0 && p.y < self.height as f64 - 1.0
+        };
+        if inside(at(0)) && inside(at(2 * count)) {
+            into.extend((0..=2 * count).map(|k| self.sample_inside(&at(k))));
+        } else {
+            into.extend((0..=2 * count).map(|k| self.sample(&at(k))));
+        }
+    }
+
+    /// [`sample`](Self::sample) where all four pixels around are known to be there.
+    fn sample_inside(&self, at: &Point2<f64>) -> f64 {
+        let (x, y) = (at.x as usize, at.y as usize);
+        let (fx, fy) = ((at.x - x as f64) as f32, (at.y - y as f64) as f32);
+        let first = y * self.width + x;
+        let (above, below) = (&self.data[first..first + 2], &self.data[first + self.width..first + self.width + 2]);
+        let top = above[0] * (1.0 - fx) + above[1] * fx;
+        let bottom = below[0] * (1.0 - fx) + below[1] * fx;
+        f64::from(top * (1.0 - fy) + bottom * fy)
     }
 
     /// The picture made `factor` times smaller, each pixel the mean of a block.
@@ -56,17 +102,19 @@ impl Plane {
         Self { width, height, data }
     }
 
-    /// An estimate of the pixel noise σ, robust against everything that is not noise.
+    /// All of it.
+    pub fn whole(&self) -> Region {
+        Region { x: 0..self.width, y: 0..self.height }
+    }
+
+    /// An estimate of the pixel noise σ within a region, robust against everything that is not noise.
     ///
     /// Source: J. Immerkær, "Fast Noise Variance Estimation", 1996: the difference of two Laplacians kills all structure
     /// that is locally linear; the median instead of the mean survives the edges.
-    pub fn noise(&self) -> f64 {
-        if self.width < 3 || self.height < 3 {
-            return 0.0;
-        }
+    pub fn noise(&self, within: &Region) -> f64 {
         let mut responses: Vec<f32> = Vec::new();
-        for y in (1..self.height - 1).step_by(3) {
-            for x in (1..self.width - 1).step_by(3) {
+        for y in (within.y.start.max(1)..within.y.end.min(self.height.saturating_sub(1))).step_by(3) {
+            for x in (within.x.start.max(1)..within.x.end.min(self.width.saturating_sub(1))).step_by(3) {
                 let at = |dx: i64, dy: i64| self.data[(y as i64 + dy) as usize * self.width + (x as i64 + dx) as usize];
                 let laplacians = at(-1, -1) + at(1, -1) + at(-1, 1) + at(1, 1)
                     - 2.0 * (at(0, -1) + at(-1, 0) + at(1, 0) + at(0, 1))

@@ -5,14 +5,16 @@
 
 use super::edges::EdgeFinder;
 use super::eye::{BIAS_SIGMA_PX, Eye, Look};
-use super::fit::{BiasPrior, EdgeBias, Shared, SharedEvidence, SharedInformation, State, fit_bend, shared_evidence};
+use super::fit::{
+    BiasPrior, EdgeBias, Effort, Shared, SharedEvidence, SharedInformation, Start, State, fit_bend, shared_evidence,
+};
 use super::grid::nudged;
-use super::outline::{Piece, Projection};
+use super::outline::{Outline, Piece, Projection};
 use super::plane::Plane;
 use super::rig::Rig;
 use crate::camera::Frame;
 use crate::record::Status;
-use nalgebra::{DVector, Matrix6, Vector2};
+use nalgebra::{DVector, Matrix6};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -20,8 +22,9 @@ use std::collections::BTreeMap;
 const FEWEST_FRAMES: usize = 3;
 /// Rounds of matching and moving; each leaves about a quarter of what was to go.
 const ROUNDS: usize = 3;
-/// Search distance in a round, px, and how often a frame's bend follows.
-const SEARCHES_PX: [f64; 2] = [3.0; 2];
+/// How a frame's bend follows in a round.
+const FOLLOW: Effort =
+    Effort { searches_px: &[3.0], rounds: 2, spacing_px: Outline::SPACING_PX, settled: true, converged_rad: 2e-5 };
 
 impl Eye {
     /// This eye with its rig refined from frames of a sequence: the errors of pose and bias are then what the frames
@@ -38,21 +41,22 @@ impl Eye {
         let find = |frame: Frame| {
             let Look { sighting, fits, .. } = self.look(&frame);
             let fit = fits.first().filter(|_| sighting.status == Status::Ok)?;
-            Some((self.rig.appearance.plane(&frame), fit.bend))
+            Some((self.rig.appearance.plane(&frame), fit.start()))
         };
-        let (planes, mut bends): (Vec<Plane>, Vec<Vector2<f64>>) = frames.filter_map(find).unzip();
+        let (planes, mut starts): (Vec<Plane>, Vec<Start>) = frames.filter_map(find).unzip();
         let mut rig = self.rig.clone();
         let mut moved = Shared::zeros();
         for _ in 0..ROUNDS {
             let view = Projection { lens: &self.lens, camera_from_base: rig.camera_from_base, robot: &self.robot };
             let prior = BiasPrior { mean: rig.edge_bias, sigma_px: BIAS_SIGMA_PX };
-            let look = |(plane, bend): (&Plane, &mut Vector2<f64>)| {
+            let look = |(plane, start): (&Plane, &mut Start)| {
                 let mut finder = EdgeFinder::new(plane, rig.appearance.two_sided);
-                let fit = fit_bend(&view, &mut finder, *bend, prior, &SEARCHES_PX)?;
-                *bend = fit.bend;
+                let state = State { bend: start.state.bend, bias: rig.edge_bias };
+                let fit = fit_bend(&view, &mut finder, Start { state, ..*start }, prior, &FOLLOW)?;
+                *start = fit.start();
                 shared_evidence(&view, &mut finder, &State { bend: fit.bend, bias: rig.edge_bias }, fit.blur_px)
             };
-            let seen: Vec<SharedEvidence> = planes.par_iter().zip(&mut bends).filter_map(look).collect();
+            let seen: Vec<SharedEvidence> = planes.par_iter().zip(&mut starts).filter_map(look).collect();
             if seen.len() < FEWEST_FRAMES {
                 return None;
             }

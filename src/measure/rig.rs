@@ -243,7 +243,7 @@ fn fit_base(
     let covariance = clustered_covariance(&solution.jacobian, &solution.residuals, &matches.pieces())
         .zip(solution.covariance())
         .map(|(clustered, independent)| {
-            let light = light_covariance(&matches, &solution, &independent, robot, LIGHT_STRAIGHT_PX, &roots);
+            let light = light_covariance(&matches, &solution.jacobian, &independent, robot, LIGHT_STRAIGHT_PX, &roots);
             clustered + independent + light
         })
         .ok_or("the snake's edges do not determine where its base is")?;

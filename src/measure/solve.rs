@@ -18,11 +18,16 @@ pub struct Solution {
 }
 
 impl Solution {
-    /// (JᵗJ)⁻¹: the parameters' covariance if the residuals are in units of their σ. `None` if the data leave a
-    /// parameter undetermined.
+    /// [`covariance`] of the parameters.
     pub fn covariance(&self) -> Option<DMatrix<f64>> {
-        Some((self.jacobian.transpose() * &self.jacobian).cholesky()?.inverse())
+        covariance(&self.jacobian)
     }
+}
+
+/// (JᵗJ)⁻¹: the parameters' covariance if the residuals, whose Jacobian this is, are in units of their σ. `None` if the data
+/// leave a parameter undetermined.
+pub fn covariance(jacobian: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    Some(jacobian.tr_mul(jacobian).cholesky()?.inverse())
 }
 
 /// Minimises `½ ‖residuals(x)‖²` from `start`; `steps` are the parameters' scales for central differences.
@@ -51,7 +56,7 @@ struct Problem<'a, F> {
 }
 
 /// The Jacobian of a function at x by central differences with these steps.
-pub(super) fn differences(of: impl Fn(&DVector<f64>) -> DVector<f64>, x: &DVector<f64>, steps: &[f64]) -> DMatrix<f64> {
+fn differences(of: impl Fn(&DVector<f64>) -> DVector<f64>, x: &DVector<f64>, steps: &[f64]) -> DMatrix<f64> {
     let columns: Vec<DVector<f64>> = steps
         .iter()
         .enumerate()

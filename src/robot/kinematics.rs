@@ -110,21 +110,29 @@ impl Robot {
         arc * Translation3::new(0.0, 0.0, s_mm - on_arc)
     }
 
-    /// J_xb: the tip's twist (velocity of the end disk's far-face centre in mm, then angular velocity, both in {b}) per
-    /// rad of each component of the bend vector. Smooth at θ = 0.
-    pub fn tip_jacobian_bend(&self, bend: Vector2<f64>) -> Matrix6x2<f64> {
-        let theta = bend.norm();
-        let [versine, versine_slope, sinc_slope, turn] = arc_functions(theta);
+    /// The twist of the section at arc length `s_mm` (velocity of the centreline's point in mm, then angular velocity, both
+    /// in {b}) per rad of each component of the bend vector. Smooth at θ = 0; zero on the holder, which does not bend.
+    pub fn section_jacobian_bend(&self, bend: Vector2<f64>, s_mm: f64) -> Matrix6x2<f64> {
+        // The line up to s is an arc of its own, bent by its share.
+        let on_arc = s_mm.clamp(0.0, self.length_mm);
+        let share = on_arc / self.length_mm;
+        let bend = bend * share;
+        let [versine, versine_slope, sinc_slope, turn] = arc_functions(bend.norm());
         let lateral = Matrix2::identity() * versine + bend * bend.transpose() * versine_slope;
         let rotation = rotation_vector(bend).cross_matrix();
         // The left Jacobian of SO(3): from the rate of the rotation vector to the angular velocity in {b}.
         let angular = Matrix3::identity() + rotation * versine + rotation * rotation * turn;
         Matrix6x2::from_columns(&[0, 1].map(|axis| {
             let direction = Vector2::ith(axis, 1.0);
-            let side = lateral.column(axis) * self.length_mm;
+            let side = lateral.column(axis) * on_arc;
             let turning = angular * rotation_vector(direction);
-            Vector6::new(side.x, side.y, sinc_slope * bend[axis] * self.length_mm, turning.x, turning.y, turning.z)
+            share * Vector6::new(side.x, side.y, sinc_slope * bend[axis] * on_arc, turning.x, turning.y, turning.z)
         }))
+    }
+
+    /// J_xb: the tip's twist, [`section_jacobian_bend`](Self::section_jacobian_bend) of the end disk's far face.
+    pub fn tip_jacobian_bend(&self, bend: Vector2<f64>) -> Matrix6x2<f64> {
+        self.section_jacobian_bend(bend, self.length_mm)
     }
 
     /// J_xψ = ∂x/∂(θ, δ): the tip's twist as in [`tip_jacobian_bend`](Self::tip_jacobian_bend) per rad of θ and of δ.
@@ -267,15 +275,20 @@ mod tests {
         }
 
         #[test]
-        fn the_tip_jacobian_is_the_tips_twist(theta in prop_oneof![0.0..2e-3f64, 0.09..0.11f64, 0.0..2.1f64], delta in -PI..PI) {
+        fn the_section_jacobian_is_the_sections_twist(
+            theta in prop_oneof![0.0..2e-3f64, 0.09..0.11f64, 0.0..2.1f64],
+            delta in -PI..PI,
+            share in prop_oneof![Just(1.0), -0.1..1.0f64],
+        ) {
             let robot = Robot::default();
             let bend = Configuration::new(theta, delta).bend_vector();
             let h = 1e-5;
-            let tip = |b| robot.frame_at(Configuration::from_bend_vector(b), robot.length_mm);
-            let jacobian = robot.tip_jacobian_bend(bend);
+            let s_mm = share * robot.length_mm;
+            let section = |b| robot.frame_at(Configuration::from_bend_vector(b), s_mm);
+            let jacobian = robot.section_jacobian_bend(bend, s_mm);
             for axis in 0..2 {
                 let step = Vector2::ith(axis, h);
-                let (after, before) = (tip(bend + step), tip(bend - step));
+                let (after, before) = (section(bend + step), section(bend - step));
                 let linear = (after.translation.vector - before.translation.vector) / (2.0 * h);
                 let angular = (after.rotation * before.rotation.inverse()).scaled_axis() / (2.0 * h);
                 prop_assert!((linear - jacobian.fixed_view::<3, 1>(0, axis)).norm() < 1e-7);
