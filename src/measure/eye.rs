@@ -68,7 +68,7 @@ const CLOSE_LOOK: Effort = Effort {
     converged_rad: 2e-4,
 };
 const MEASUREMENT: Effort =
-    Effort { searches_px: &[3.0], rounds: 9, spacing_px: Outline::SPACING_PX, settled: true, converged_rad: 2e-5 };
+    Effort { searches_px: &[3.0], rounds: 9, spacing_px: Outline::SPACING_PX, settled: true, converged_rad: 1e-4 };
 /// A closer look is worth while at candidates whose cost is within this factor of the best one's.
 const WORTH_A_LOOK: f64 = 3.0;
 /// A bend this near to its twin is seen edge-on.

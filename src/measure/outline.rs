@@ -359,7 +359,7 @@ fn tangent_directions(eye: Vector2<f64>, radius: f64) -> impl Iterator<Item = (i
 impl Mask {
     /// The first step from a border pixel, px: what ends sooner is not the border.
     const FIRST_STEP_PX: f64 = 0.4;
-    const STEP_PX: f64 = 0.5;
+    const STEP_PX: f64 = 1.0;
 
     /// Draws the union of the polygons (px of the picture), on what they cover and [`Outline::REACH_PX`] around it.
     fn new(lens: &Lens, polygons: &[Vec<Point2<f64>>]) -> Self {
@@ -396,9 +396,11 @@ impl Mask {
         if self.covers(&(from + direction * Self::FIRST_STEP_PX)) != inside {
             return None;
         }
-        // Half a pixel is exact enough further on.
+        // A pixel is exact enough further on.
+        let corner = self.first - Vector2::repeat(0.5);
         let covers = |p: Point2<f64>| {
-            self.coverage.get((p.x - self.first.x).round() as i64, (p.y - self.first.y).round() as i64) > 0.5
+            let at = p - corner;
+            self.coverage.get(at.x as i64, at.y as i64) > 0.5
         };
         let mut distance = Self::FIRST_STEP_PX + Self::STEP_PX;
         while distance < Outline::REACH_PX && covers(from + direction * distance) == inside {

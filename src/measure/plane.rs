@@ -50,6 +50,9 @@ impl Plane {
 
     /// Bilinear interpolation; pixel centres are at integers.
     pub fn sample(&self, at: &Point2<f64>) -> f64 {
+        if self.surrounds(at) {
+            return self.sample_inside(at);
+        }
         let (x, y) = (at.x.floor(), at.y.floor());
         let (fx, fy) = ((at.x - x) as f32, (at.y - y) as f32);
         let (x, y) = (x as i64, y as i64);
@@ -63,14 +66,16 @@ impl Plane {
         into.clear();
         let reach = count as f64 * step;
         let at = |k: usize| centre + direction * (k as f64 * step - reach);
-        let inside = |p: Point2<f64>| {
-            p.x >= 0.0 && p.y >= 0.0 && p.x < self.width as f64 - 1.0 && p.y < self.height as f64 - 1.0
-        };
-        if inside(at(0)) && inside(at(2 * count)) {
+        if self.surrounds(&at(0)) && self.surrounds(&at(2 * count)) {
             into.extend((0..=2 * count).map(|k| self.sample_inside(&at(k))));
         } else {
             into.extend((0..=2 * count).map(|k| self.sample(&at(k))));
         }
+    }
+
+    /// Whether there are pixels on all sides of a place.
+    fn surrounds(&self, at: &Point2<f64>) -> bool {
+        at.x >= 0.0 && at.y >= 0.0 && at.x < self.width as f64 - 1.0 && at.y < self.height as f64 - 1.0
     }
 
     /// [`sample`](Self::sample) where all four pixels around are known to be there.
