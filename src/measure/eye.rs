@@ -7,6 +7,7 @@ use super::plane::Region;
 use super::proof::Proof;
 use super::rig::Rig;
 use super::search::Search;
+use super::watch::Watch;
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, wrap_angle};
 use crate::record::{Measured, Quality, Status};
@@ -42,6 +43,7 @@ pub struct Eye {
     pub(super) rig: Rig,
     pub(super) robot: Robot,
     search: Search,
+    watch: Watch,
 }
 
 /// What led to a sighting.
@@ -90,7 +92,9 @@ impl Eye {
     /// An eye for one view. Prepares the coarse search, which takes about as long as measuring a few frames.
     pub fn new(lens: Lens, rig: Rig, robot: Robot) -> Self {
         let search = Search::new(&lens, rig.camera_from_base, &robot);
-        Self { lens, rig, robot, search }
+        let view = Projection { lens: &lens, camera_from_base: rig.camera_from_base, robot: &robot };
+        let watch = Watch::new(&lens, &rig, &view);
+        Self { lens, rig, robot, search, watch }
     }
 
     /// The rig that this eye measures by.
@@ -133,8 +137,21 @@ impl Eye {
         looks.truncate(2);
         // The search may have passed over the best bend's twin, which leans the other way along the line of sight.
         looks.extend(looks.first().and_then(|best| fit(self.start(self.twin(best.bend)), &FIRST_LOOK)));
-        (look.fits, look.sighting) = self.judge(&looks, &mut finder);
-        look
+        let (fits, sighting) = self.judge(&looks, &mut finder);
+        Look { fits, sighting: self.watched(sighting, frame, &mut finder), ..look }
+    }
+
+    /// What may be said of a frame once it is known where camera, base and paper are.
+    fn watched(&self, mut sighting: Sighting, frame: &Frame, finder: &mut EdgeFinder) -> Sighting {
+        let watched = self.watch.look(frame, finder);
+        if let Some(quality) = &mut sighting.quality {
+            quality.base_moved_px = watched.base.map(|base| base.by.norm());
+            quality.grid_moved_px = watched.grid.map(|grid| grid.px);
+        }
+        match watched.status() {
+            Some(status) => failed(status, sighting.quality),
+            None => sighting,
+        }
     }
 
     /// What [`track`](Self::track) finds near the last bend; `None` where that is not sure to be the snake.
@@ -157,6 +174,7 @@ impl Eye {
         }
         let looks: Vec<BendFit> = std::iter::once(near).chain(twin).collect();
         let (_, sighting) = self.judge(&looks, &mut finder);
+        let sighting = self.watched(sighting, frame, &mut finder);
         (sighting.status == Status::Ok).then_some(sighting)
     }
 
@@ -253,7 +271,12 @@ pub(super) fn failed(status: Status, quality: Option<Quality>) -> Sighting {
 }
 
 fn quality(fit: &BendFit) -> Quality {
-    Quality { edges: fit.inliers, inlier_fraction: fit.inliers as f64 / fit.places.max(1) as f64, rms_px: fit.rms_px }
+    Quality {
+        edges: fit.inliers,
+        inlier_fraction: fit.inliers as f64 / fit.places.max(1) as f64,
+        rms_px: fit.rms_px,
+        ..Quality::default()
+    }
 }
 
 /// Keeps the best of fits that ended at the same bend; they come best first.

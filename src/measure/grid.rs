@@ -11,12 +11,14 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use nalgebra::{DMatrix, DVector, Matrix2, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rustfft::{FftPlanner, num_complex::Complex};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 use std::ops::{Range, RangeInclusive};
 
 /// What is printed on the paper.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Pattern {
     /// Lines in two directions, one pitch apart.
     Lines,
@@ -36,6 +38,8 @@ pub struct GridPoint {
 /// The grid in one picture.
 #[derive(Debug, Clone)]
 pub struct Grid {
+    /// What is printed.
+    pub pattern: Pattern,
     /// The camera's pose to it.
     pub camera_from_grid: Pose,
     /// Variance of that pose's rotation about each of the camera's axes, rad².
@@ -58,7 +62,7 @@ impl Grid {
 impl Pattern {
     /// Radius of the windows, in wavelengths: a Hann window of 5 pitches is blind to the waves of a 5 mm ruling beside
     /// those of a 1 mm one; a checkerboard has no such neighbours.
-    fn window(self) -> f64 {
+    pub(super) fn window(self) -> f64 {
         match self {
             Self::Lines => 5.0,
             Self::Checkerboard => 1.5,
@@ -285,7 +289,7 @@ fn axes_from_waves(waves: [Vector2<f64>; 2], pattern: Pattern) -> [Vector2<f64>;
 }
 
 /// Paper coordinates, pitches, to phases, cycles: the inverse of [`axes_from_waves`] on numbers.
-fn phases_from_paper(paper: Vector2<f64>, pattern: Pattern) -> Vector2<f64> {
+pub(super) fn phases_from_paper(paper: Vector2<f64>, pattern: Pattern) -> Vector2<f64> {
     match pattern {
         Pattern::Lines => paper,
         Pattern::Checkerboard => Vector2::new(paper.x + paper.y, paper.x - paper.y) / 2.0,
@@ -436,7 +440,7 @@ fn follow(
             pose = fit.pose;
         }
     }
-    Some(Grid { camera_from_grid: pose, rotation_variance: fit.rotation_variance, points, rms_px: fit.rms_px })
+    Some(Grid { pattern, camera_from_grid: pose, rotation_variance: fit.rotation_variance, points, rms_px: fit.rms_px })
 }
 
 /// The printed lines themselves, followed at many places once a pose tells where to look.
@@ -665,7 +669,11 @@ pub(super) fn project_paper(lens: &Lens, camera_from_grid: &Pose, paper_mm: &Poi
 }
 
 /// The place of the paper (mm) seen at a pixel, and the gradients of its coordinates (rows), mm per px.
-fn paper_at(lens: &Lens, camera_from_grid: &Pose, pixel: &Point2<f64>) -> Option<(Point2<f64>, Matrix2<f64>)> {
+pub(super) fn paper_at(
+    lens: &Lens,
+    camera_from_grid: &Pose,
+    pixel: &Point2<f64>,
+) -> Option<(Point2<f64>, Matrix2<f64>)> {
     let grid_from_camera = camera_from_grid.inverse();
     let eye = grid_from_camera * Point3::origin();
     let hit = |p: &Point2<f64>| -> Option<Point2<f64>> {
@@ -680,7 +688,7 @@ fn paper_at(lens: &Lens, camera_from_grid: &Pose, pixel: &Point2<f64>) -> Option
 }
 
 /// The wave vectors (cycles per px) that belong to the gradients (rows, pitches per px) of the paper's coordinates.
-fn waves_from_gradient(gradient: Matrix2<f64>, pattern: Pattern) -> [Vector2<f64>; 2] {
+pub(super) fn waves_from_gradient(gradient: Matrix2<f64>, pattern: Pattern) -> [Vector2<f64>; 2] {
     let (x, y) = (gradient.row(0).transpose(), gradient.row(1).transpose());
     match pattern {
         Pattern::Lines => [x, y],

@@ -27,11 +27,14 @@ mod rig_file;
 mod search;
 mod several;
 mod solve;
+mod watch;
 
 pub use appearance::Appearance;
 pub use explain::{Explanation, Place};
 pub use eye::{Bend, Eye, Sighting};
 pub use fit::EdgeBias;
+pub use grid::Pattern;
 pub use outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 pub use rig::{Rig, RigOptions, calibrate_rig};
 pub use several::fused;
+pub use watch::Print;

@@ -10,6 +10,7 @@ use super::locate::{Holder, SnakeStart, find_start, locate_holders};
 use super::outline::{Outline, Projection};
 use super::proof::Proof;
 use super::solve::minimise;
+use super::watch::{Print, PrintWatch};
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose};
 use crate::robot::Robot;
@@ -28,6 +29,8 @@ pub struct Rig {
     pub camera_from_grid: Pose,
     /// Pitch of the grid's lines, mm.
     pub grid_pitch_mm: f64,
+    /// What is printed there.
+    pub print: Print,
     /// What tells snake from paper.
     pub appearance: Appearance,
     /// How far outside the snake's true border its edges are seen.
@@ -278,11 +281,19 @@ fn fit_base(
         pose_covariance: nudge_covariance(&placement, &covariance, options, grid),
         camera_from_grid: grid.camera_from_grid,
         grid_pitch_mm: options.grid_pitch_mm,
+        print: print_of(frame, lens, grid, options.grid_pitch_mm),
         appearance,
         edge_bias,
         grid_rms_px: grid.rms_px,
         edge_rms_px,
     })
+}
+
+/// What is printed on the paper, and the colours in which it shows.
+fn print_of(frame: &Frame, lens: &Lens, grid: &Grid, pitch_mm: f64) -> Print {
+    let print = Print { pattern: grid.pattern, ..Print::default() };
+    let watch = PrintWatch::new(lens, &grid.camera_from_grid, pitch_mm, &print);
+    Print { weights: watch.map_or(print.weights, |watch| watch.weights_in(frame)), ..print }
 }
 
 /// The snake's base and direction, carried onto the plane in which it lies.

@@ -6,6 +6,7 @@
 //! translation_mm = [x, y, z]
 //! covariance = [[…] × 6]          # of a small turn (rad) and a shift (mm) along the camera's axes
 //! [grid]                    # the camera's pose to the paper
+//! [print]                   # what is on it, and the colours in which it shows; files of older versions have none
 //! [appearance]              # what tells snake from paper
 //! [fit]                     # how well the calibration fitted
 //! ```
@@ -13,6 +14,7 @@
 use super::appearance::Appearance;
 use super::fit::EdgeBias;
 use super::rig::Rig;
+use super::watch::Print;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::record::{line_at, write_atomically};
@@ -25,6 +27,8 @@ use std::path::Path;
 struct RigFile {
     base: BaseTable,
     grid: GridTable,
+    #[serde(default)]
+    print: Print,
     appearance: Appearance,
     fit: FitTable,
 }
@@ -69,12 +73,20 @@ impl Rig {
         })?;
         let wrong = |what: &str| Error::content(path, format!("{what}; write the file anew with `calibrate rig`"));
         let base = &file.base;
-        let numbers = base.covariance.iter().flatten().chain(&file.appearance.weights).chain([&file.appearance.offset]);
+        let numbers = base
+            .covariance
+            .iter()
+            .flatten()
+            .chain(&file.appearance.weights)
+            .chain(&file.print.weights)
+            .chain([&file.appearance.offset]);
         if !numbers.chain([&file.fit.edge_bias_px]).chain(&file.fit.rim_bias_px).all(|v| v.is_finite()) {
             return Err(wrong("a number is not finite"));
         }
-        if ![1, 3].contains(&file.appearance.weights.len()) {
-            return Err(wrong("appearance.weights must have one number (grey) or three (colour)"));
+        if [&file.appearance.weights, &file.print.weights].iter().any(|weights| ![1, 3].contains(&weights.len())) {
+            return Err(wrong(
+                "the weights of [appearance] and [print] must each have one number (grey) or three (colour)",
+            ));
         }
         Ok(Self {
             camera_from_base: pose(&base.rotation, &base.translation_mm)
@@ -83,6 +95,7 @@ impl Rig {
             camera_from_grid: pose(&file.grid.rotation, &file.grid.translation_mm)
                 .ok_or_else(|| wrong("[grid] is not a pose"))?,
             grid_pitch_mm: file.grid.pitch_mm,
+            print: file.print,
             appearance: file.appearance,
             edge_bias: EdgeBias {
                 side_px: file.fit.edge_bias_px,
@@ -108,6 +121,7 @@ impl Rig {
                 covariance: std::array::from_fn(|r| std::array::from_fn(|c| covariance[(r, c)])),
             },
             grid: GridTable { pitch_mm: self.grid_pitch_mm, rotation: grid.0, translation_mm: grid.1 },
+            print: self.print.clone(),
             appearance: self.appearance.clone(),
             fit: FitTable {
                 edge_bias_px: self.edge_bias.side_px,
@@ -139,6 +153,7 @@ fn pose(rotation: &[[f64; 3]; 3], translation_mm: &[f64; 3]) -> Option<Pose> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::grid::Pattern;
     use super::*;
 
     fn rig() -> Rig {
@@ -147,6 +162,7 @@ mod tests {
             pose_covariance: Matrix6::from_diagonal_element(1e-6),
             camera_from_grid: Pose::new(Vector3::new(0.0, 0.0, 255.0), Vector3::new(0.02, 0.01, 0.03)),
             grid_pitch_mm: 1.0,
+            print: Print { pattern: Pattern::Checkerboard, weights: vec![0.5, 0.25, -0.5] },
             appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },
             edge_bias: EdgeBias { side_px: -0.05, rim_px: 0.01 },
             grid_rms_px: 0.1,
@@ -162,7 +178,7 @@ mod tests {
         let read = Rig::read(&path).unwrap();
         assert!((read.camera_from_base.rotation.angle_to(&rig().camera_from_base.rotation)) < 1e-12);
         assert_eq!(read.camera_from_base.translation, rig().camera_from_base.translation);
-        assert_eq!(read.appearance, rig().appearance);
+        assert_eq!((read.print, read.appearance), (rig().print, rig().appearance));
         assert_eq!(read.pose_covariance, rig().pose_covariance);
     }
 

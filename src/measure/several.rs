@@ -47,7 +47,14 @@ fn together(seen: &[(Bend, Quality)]) -> Quality {
     let mean = |of: &dyn Fn(&Quality) -> f64| {
         seen.iter().map(|(_, q)| of(q) * q.edges as f64).sum::<f64>() / edges.max(1) as f64
     };
-    Quality { edges, inlier_fraction: mean(&|q| q.inlier_fraction), rms_px: mean(&|q| q.rms_px.powi(2)).sqrt() }
+    let most = |of: fn(&Quality) -> Option<f64>| seen.iter().filter_map(|(_, q)| of(q)).reduce(f64::max);
+    Quality {
+        edges,
+        inlier_fraction: mean(&|q| q.inlier_fraction),
+        rms_px: mean(&|q| q.rms_px.powi(2)).sqrt(),
+        base_moved_px: most(|q| q.base_moved_px),
+        grid_moved_px: most(|q| q.grid_moved_px),
+    }
 }
 
 #[cfg(test)]
@@ -57,7 +64,7 @@ mod tests {
 
     fn sighting(x: f64, y: f64, sigma_x: f64, sigma_y: f64) -> Sighting {
         let covariance = Matrix2::new(sigma_x.powi(2), 0.0, 0.0, sigma_y.powi(2));
-        let quality = Quality { edges: 1000, inlier_fraction: 0.9, rms_px: 0.1 };
+        let quality = Quality { edges: 1000, inlier_fraction: 0.9, rms_px: 0.1, ..Quality::default() };
         Sighting::of(Bend { vector: Vector2::new(x, y), covariance }, quality)
     }
 

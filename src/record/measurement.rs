@@ -25,6 +25,12 @@ pub enum Status {
     Saturated,
     /// Too much of the snake lies outside the picture.
     OutOfFrame,
+    /// The camera is not where the rig says.
+    CameraMoved,
+    /// The snake's base is not where the rig says, though the grid is.
+    BaseMoved,
+    /// The camera was to be followed, but neither grid nor base tells where it is.
+    GridLost,
     /// Views of the same moment contradict each other.
     ViewsDisagree,
     /// The picture could not be read.
@@ -45,6 +51,9 @@ impl fmt::Display for Status {
             Self::Blurred => "blurred",
             Self::Saturated => "saturated",
             Self::OutOfFrame => "out_of_frame",
+            Self::CameraMoved => "camera_moved",
+            Self::BaseMoved => "base_moved",
+            Self::GridLost => "grid_lost",
             Self::ViewsDisagree => "views_disagree",
             Self::Unreadable => "unreadable",
             Self::WrongSize => "wrong_size",
@@ -65,6 +74,9 @@ impl FromStr for Status {
             "blurred" => Self::Blurred,
             "saturated" => Self::Saturated,
             "out_of_frame" => Self::OutOfFrame,
+            "camera_moved" => Self::CameraMoved,
+            "base_moved" => Self::BaseMoved,
+            "grid_lost" => Self::GridLost,
             "views_disagree" => Self::ViewsDisagree,
             "unreadable" => Self::Unreadable,
             "wrong_size" => Self::WrongSize,
@@ -103,6 +115,10 @@ pub struct Quality {
     pub inlier_fraction: f64,
     /// Root mean square distance of these edges from the model, px.
     pub rms_px: f64,
+    /// How far the snake's base was seen from where the rig says, px; `None` where it was not seen.
+    pub base_moved_px: Option<f64>,
+    /// How far the grid was seen from where the rig says, up to whole pitches, px; `None` where it was not seen.
+    pub grid_moved_px: Option<f64>,
 }
 
 /// One frame's row: measured, or the reason why not.
@@ -160,7 +176,10 @@ mod tests {
             Status::ViewsDisagree,
             Status::Unreadable,
             Status::WrongSize,
-            Status::Other("grid_lost".into()),
+            Status::CameraMoved,
+            Status::BaseMoved,
+            Status::GridLost,
+            Status::Other("moonlight".into()),
         ];
         for status in all {
             assert_eq!(status.to_string().parse(), Ok(status));

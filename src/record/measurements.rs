@@ -8,6 +8,7 @@
 //! | `status` | `ok`, or the reason why not |
 //! | `rho_theta_delta` | correlation of the errors of θ and δ |
 //! | `edges`, `inlier_fraction`, `rms_px` | the fit's quality: edge points used, their share, their rms distance |
+//! | `base_moved_px`, `grid_moved_px` | how far holder and grid were seen from where the rig says (the grid up to whole pitches); empty where unseen |
 //! | `view` | the view's name in experiment.toml |
 
 use super::measurement::{Measured, Measurement, Quality, Status};
@@ -23,7 +24,8 @@ const FIXED: [&str; 7] = ["index", "time_s", "theta_deg", "delta_deg", "sigma_th
 const REQUIRED: [&str; 5] = ["index", "time_s", "theta_deg", "delta_deg", "status"];
 
 /// The further columns that this program writes.
-const FURTHER: [&str; 5] = ["rho_theta_delta", "edges", "inlier_fraction", "rms_px", "view"];
+const FURTHER: [&str; 7] =
+    ["rho_theta_delta", "edges", "inlier_fraction", "rms_px", "base_moved_px", "grid_moved_px", "view"];
 
 impl Indexed for Measurement {
     fn index(&self) -> u64 {
@@ -96,7 +98,13 @@ fn quality_of(row: &Row) -> RowResult<Option<Quality>> {
     else {
         return Ok(None);
     };
-    Ok(Some(Quality { edges: row.index("edges")? as usize, inlier_fraction, rms_px }))
+    Ok(Some(Quality {
+        edges: row.index("edges")? as usize,
+        inlier_fraction,
+        rms_px,
+        base_moved_px: row.optional_number("base_moved_px")?,
+        grid_moved_px: row.optional_number("grid_moved_px")?,
+    }))
 }
 
 /// measurements.csv as text; angles and sigmas to 1e-6 degrees.
@@ -120,7 +128,13 @@ fn csv_row(row: &Measurement) -> String {
         None => Default::default(),
     };
     let quality = match &row.quality {
-        Some(q) => [q.edges.to_string(), decimals(q.inlier_fraction, 4), decimals(q.rms_px, 4)],
+        Some(q) => [
+            q.edges.to_string(),
+            decimals(q.inlier_fraction, 4),
+            decimals(q.rms_px, 4),
+            decimals_or_empty(q.base_moved_px, 3),
+            decimals_or_empty(q.grid_moved_px, 3),
+        ],
         None => Default::default(),
     };
     [
@@ -167,8 +181,8 @@ mod tests {
         assert_eq!(
             text,
             "index,time_s,theta_deg,delta_deg,sigma_theta_deg,sigma_delta_deg,status,\
-             rho_theta_delta,edges,inlier_fraction,rms_px,view\n\
-             7,1.5000,,,,,no_snake,,,,,side\n"
+             rho_theta_delta,edges,inlier_fraction,rms_px,base_moved_px,grid_moved_px,view\n\
+             7,1.5000,,,,,no_snake,,,,,,,side\n"
         );
         assert_eq!(read_text(&text).unwrap().rows, [unmeasured]);
     }
@@ -230,7 +244,13 @@ mod tests {
                     sigma_delta: f64::to_radians(sigma_delta),
                     correlation,
                 }),
-                quality: quality.map(|(edges, inlier_fraction, rms_px)| Quality { edges, inlier_fraction, rms_px }),
+                quality: quality.map(|(edges, inlier_fraction, rms_px)| Quality {
+                    edges,
+                    inlier_fraction,
+                    rms_px,
+                    base_moved_px: Some(inlier_fraction),
+                    grid_moved_px: None,
+                }),
                 view: seen.then(|| "side".to_owned()),
             },
         )

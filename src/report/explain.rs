@@ -163,6 +163,14 @@ fn meaning(status: &Status) -> &'static str {
         Status::Blurred => "The outline is too soft for its edges to be placed: focus, or a shorter exposure.",
         Status::Saturated => "Nearly all of the picture is black or white: exposure.",
         Status::OutOfFrame => "Too much of the snake lies outside the picture.",
+        Status::CameraMoved => {
+            "The holder, the grid or both are not where the rig says: the camera moved. `--follow` follows it; or calibrate \
+             the rig anew."
+        }
+        Status::BaseMoved => {
+            "The holder is not where the rig says though the grid is: the snake's base moved. Calibrate the rig anew."
+        }
+        Status::GridLost => "The camera was to be followed, but neither the grid nor the holder tells where it is.",
         Status::ViewsDisagree => {
             "The views contradict each other: did one camera move, or are its frames of another time?"
         }

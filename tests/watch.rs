@@ -1,0 +1,122 @@
+//! Cameras, bases and papers that move after the rig was calibrated, on rendered frames: the angles are right, or there are
+//! none.
+
+use image::DynamicImage;
+use nalgebra::{Translation3, Vector3};
+use snakeloop::camera::Frame;
+use snakeloop::geometry::{Configuration, Pose, wrap_degrees};
+use snakeloop::measure::{Eye, RigOptions, Sighting, calibrate_rig};
+use snakeloop::record::Status;
+use snakeloop::simulate::render::render;
+use snakeloop::simulate::scene::{Light, Pattern, Scene, Sensor, Viewpoint};
+
+const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
+
+fn frame(scene: &Scene, psi: Configuration, seed: u64) -> Frame {
+    Frame::from_image(&DynamicImage::ImageRgb8(render(scene, psi, seed))).unwrap()
+}
+
+/// A noisy lab with a tilted camera that distorts.
+fn lab() -> Scene {
+    let mut scene = Scene { sensor: Sensor { rays_per_pixel: 4, blur_px: 0.8, noise: 3.0 }, ..Scene::default() };
+    scene.lens.distortion[0] = -0.12;
+    scene.view = Viewpoint { yaw_deg: -6.0, pitch_deg: 4.0, roll_deg: -3.0, ..scene.view };
+    scene.light = Light { gradient: [0.15, -0.1], shadow: 0.3, shadow_blur_mm: 1.5, ..scene.light };
+    scene
+}
+
+fn checkered_lab() -> Scene {
+    let mut scene = lab();
+    scene.paper.pattern = Pattern::Checkerboard { square_mm: 2.0, colour: [150.0, 150.0, 155.0] };
+    scene.paper.colour = [230.0, 230.0, 226.0];
+    scene.surface.colour = [40.0, 40.0, 42.0];
+    scene
+}
+
+fn eye(scene: &Scene, grid_pitch_mm: f64) -> Eye {
+    let options = RigOptions { grid_pitch_mm, standoff_mm: scene.paper.standoff_mm, delta_offset: 0.0 };
+    let rig = calibrate_rig(&frame(scene, STRAIGHT, 7), &scene.lens, &scene.robot, &options).unwrap();
+    Eye::new(scene.lens.clone(), rig, scene.robot.clone())
+}
+
+/// The camera moved about the snake's base (degrees about its own axes) and shifted (mm along them).
+fn camera_moved(scene: &Scene, turn_deg: [f64; 3], shift_mm: [f64; 3]) -> Scene {
+    let turn = Pose::new(Vector3::zeros(), Vector3::from(turn_deg.map(f64::to_radians)));
+    let seen = scene.view.camera_from_base();
+    let mut moved = seen;
+    moved.rotation = turn.rotation * seen.rotation;
+    moved.translation.vector += Vector3::from(shift_mm);
+    Scene { view: Viewpoint::from_pose(&moved), ..scene.clone() }
+}
+
+/// The snake moved along x_b and z_b before the same paper and camera.
+fn base_moved(scene: &Scene, x_mm: f64, z_mm: f64) -> Scene {
+    let mut moved = scene.clone();
+    let shift = Translation3::new(x_mm, 0.0, z_mm);
+    moved.view = Viewpoint::from_pose(&(scene.view.camera_from_base() * shift));
+    moved.paper.origin_mm = [scene.paper.origin_mm[0] - x_mm, scene.paper.origin_mm[1] - z_mm];
+    moved
+}
+
+fn error_deg(sighting: &Sighting, psi: Configuration) -> Option<[f64; 2]> {
+    let seen = sighting.measured?.configuration;
+    Some([seen.theta_deg() - psi.theta_deg(), wrap_degrees(seen.delta_deg() - psi.delta_deg())])
+}
+
+#[test]
+fn a_camera_that_moved_is_noticed() {
+    for (scene, pitch_mm) in [(lab(), 1.0), (checkered_lab(), 2.0)] {
+        let eye = eye(&scene, pitch_mm);
+        let psi = Configuration::from_degrees(45.0, 60.0);
+        let moves = [
+            ([0.0; 3], [0.03, 0.0, 0.0]),
+            ([0.0; 3], [0.0, 0.05, 0.0]),
+            ([0.0; 3], [0.4, -0.7, 0.0]),
+            ([0.0; 3], [0.0, 0.0, 1.0]),
+            ([0.0; 3], [2.5, 0.0, 0.0]),
+            // Round the snake, which leaves the holder where it was.
+            ([0.0, 0.5, 0.0], [0.0; 3]),
+            ([0.0, -2.0, 0.0], [0.0; 3]),
+            ([0.0, 0.0, 0.5], [0.0; 3]),
+            ([0.4, 0.0, 0.0], [0.0; 3]),
+            ([3.0, 4.0, 5.0], [5.0, 3.0, 8.0]),
+        ];
+        let some = if scene.paper.pattern == lab().paper.pattern { 1 } else { 3 };
+        for (seed, (turn, shift)) in (20..).zip(moves).step_by(some) {
+            let seen = eye.measure(&frame(&camera_moved(&scene, turn, shift), psi, seed));
+            let told = format!("turn {turn:?}°, shift {shift:?} mm: {} {:?}", seen.status, seen.quality);
+            assert!(seen.measured.is_none(), "{told}");
+            assert!([Status::CameraMoved, Status::Occluded, Status::NoSnake].contains(&seen.status), "{told}");
+        }
+        let still = eye.measure(&frame(&scene, psi, 50));
+        assert_eq!(still.status, Status::Ok);
+        let quality = still.quality.unwrap();
+        assert!(quality.base_moved_px.unwrap() < 0.15 && quality.grid_moved_px.unwrap() < 0.2, "{quality:?}");
+    }
+}
+
+#[test]
+fn a_base_that_moved_is_told_from_a_camera_that_did() {
+    let scene = lab();
+    let eye = eye(&scene, 1.0);
+    for (x_mm, z_mm) in [(0.1, 0.0), (-0.3, 0.2)] {
+        let seen = eye.measure(&frame(&base_moved(&scene, x_mm, z_mm), Configuration::from_degrees(30.0, -100.0), 3));
+        assert_eq!(seen.status, Status::BaseMoved, "{x_mm} mm, {z_mm} mm: {:?}", seen.quality);
+    }
+}
+
+#[test]
+fn a_paper_that_slid_is_noticed_and_changes_no_angle() {
+    let scene = lab();
+    let eye = eye(&scene, 1.0);
+    let psi = Configuration::from_degrees(50.0, 20.0);
+    let mut slid = scene.clone();
+    slid.paper.origin_mm = [scene.paper.origin_mm[0] + 0.3, scene.paper.origin_mm[1] - 0.2];
+    let seen = eye.measure(&frame(&slid, psi, 4));
+    assert_eq!(seen.status, Status::Ok, "{:?}", seen.quality);
+    let [theta, delta] = error_deg(&seen, psi).unwrap();
+    assert!(theta.abs() < 0.2 && delta.abs() < 0.5, "{theta}° {delta}°");
+    // 0.36 mm at 250 mm through 4282 px.
+    let moved_px = seen.quality.unwrap().grid_moved_px.unwrap();
+    assert!((3.0..6.0).contains(&moved_px), "{moved_px} px");
+}
