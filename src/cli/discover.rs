@@ -139,7 +139,7 @@ impl Args {
                 let Checked { rows: readings, warnings } = encoders_of(&experiment)?;
                 console.warn(&warnings);
                 let views = open_views(&experiment, &model.robot)?;
-                let (measurements, _) = measure_frames(console, &views, &readings)?;
+                let (measurements, _) = measure_frames(console, &views, &readings, false)?;
                 self.write("measurements.csv", &measurements_csv(&measurements))?;
                 require_some_measured(&experiment, &measurements)?;
                 Ok((model, measurements, readings))

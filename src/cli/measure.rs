@@ -26,6 +26,9 @@ pub struct Args {
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
+    /// Follow a camera that moves: find it anew in every frame by grid and holder
+    #[arg(long)]
+    follow: bool,
     /// Only draw every stage of measuring this frame (its index) into OUT/explain-FRAME-VIEW/, to see why it failed
     #[arg(long, value_name = "FRAME")]
     explain: Option<u64>,
@@ -56,7 +59,7 @@ impl Args {
         if let Some(index) = self.explain {
             return self.explain(console, &experiment, &views, index);
         }
-        let (measurements, throughput) = measure_frames(console, &views, &encoders)?;
+        let (measurements, throughput) = measure_frames(console, &views, &encoders, self.follow)?;
         let path = self.output.join("measurements.csv");
         write_atomically(&path, measurements_csv(&measurements).as_bytes())?;
         require_some_measured(&experiment, &measurements)?;

@@ -45,6 +45,9 @@ pub struct Args {
     /// Which frames to draw with the model on them
     #[arg(long, value_enum, default_value_t = Overlays::Sample)]
     overlays: Overlays,
+    /// Follow a camera that moves: find it anew in every frame by grid and holder
+    #[arg(long)]
+    follow: bool,
     #[command(flatten)]
     estimator: EstimatorArgs,
 }
@@ -90,7 +93,7 @@ impl Args {
         console.warn(&warnings);
         let views = open_views(&experiment, &start.robot)?;
 
-        let (measurements, throughput) = measure_frames(console, &views, &encoders)?;
+        let (measurements, throughput) = measure_frames(console, &views, &encoders, self.follow)?;
         self.write("measurements.csv", &measurements_csv(&measurements))?;
         require_some_measured(&experiment, &measurements)?;
 

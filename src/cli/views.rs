@@ -87,10 +87,53 @@ impl OpenView {
         let (index, time_s) = (source.index, source.time_s);
         let sighting = match reading.time(|| source.read()) {
             Ok(frame) => measuring.time(|| self.eye.measure(&frame)),
-            Err(_) => Sighting { status: Status::Unreadable, measured: None, bend: None, quality: None },
+            Err(_) => without_angles(Status::Unreadable),
         };
         Seen { index, time_s, view: &self.name, sighting }
     }
+
+    /// Measures frames in order with an eye that goes with its camera: where the camera is, is found frame by frame; the
+    /// measuring itself is done in parallel.
+    fn follow(
+        &self,
+        frames: impl Iterator<Item = SourceFrame>,
+        reading: &Clock,
+        measuring: &Clock,
+        done: impl Fn() + Sync,
+    ) -> Vec<Seen<'_>> {
+        let at_once = 4 * rayon::current_num_threads();
+        let mut eye = self.eye.clone();
+        let mut frames = frames.peekable();
+        let mut seen = Vec::new();
+        while frames.peek().is_some() {
+            let mut batch = Vec::new();
+            for source in frames.by_ref().take(at_once) {
+                let (index, time_s) = (source.index, source.time_s);
+                let found = match reading.time(|| source.read()) {
+                    Err(_) => Err(Status::Unreadable),
+                    Ok(frame) => measuring.time(|| eye.following(&frame)).map(|there| (there, frame)),
+                };
+                if let Ok((there, _)) = &found {
+                    eye = there.clone();
+                }
+                batch.push((index, time_s, found));
+            }
+            let measure = |(index, time_s, found)| {
+                let sighting = match found {
+                    Ok((eye, frame)) => measuring.time(|| Eye::measure(&eye, &frame)),
+                    Err(status) => without_angles(status),
+                };
+                done();
+                Seen { index, time_s, view: &self.name, sighting }
+            };
+            seen.par_extend(batch.into_par_iter().map(measure));
+        }
+        seen
+    }
+}
+
+fn without_angles(status: Status) -> Sighting {
+    Sighting { status, measured: None, bend: None, quality: None }
 }
 
 /// One view's part of a measurement.
@@ -128,7 +171,8 @@ fn sample(source: &FrameSource) -> Result<impl ParallelIterator<Item = Frame>> {
 /// Measures every frame of every view in parallel: one row an index, in order; what several views saw under the same index
 /// is put together.
 ///
-/// A frame has the time that its source or else the encoder log tells.
+/// A frame has the time that its source or else the encoder log tells. With `follow` a camera that moves is followed from
+/// frame to frame.
 ///
 /// # Errors
 /// A video that cannot be opened any more.
@@ -136,6 +180,7 @@ pub fn measure_frames(
     console: &Console,
     views: &[OpenView],
     encoders: &[EncoderReading],
+    follow: bool,
 ) -> Result<(Vec<Measurement>, Throughput)> {
     let times: HashMap<u64, f64> = encoders.iter().map(|reading| (reading.index, reading.time_s)).collect();
     let (reading, measuring) = (Clock::default(), Clock::default());
@@ -149,7 +194,11 @@ pub fn measure_frames(
             bar.inc(1);
             seen
         };
-        let mut of_view: Vec<Seen> = frames.par_bridge().map(measure).collect();
+        let mut of_view: Vec<Seen> = if follow {
+            view.follow(frames, &reading, &measuring, || bar.inc(1))
+        } else {
+            frames.par_bridge().map(measure).collect()
+        };
         bar.finish_and_clear();
         of_view.sort_by_key(|seen| seen.index);
         seen.append(&mut of_view);

@@ -9,10 +9,11 @@ use super::rig::Rig;
 use super::search::Search;
 use super::watch::Watch;
 use crate::camera::{Frame, Lens};
-use crate::geometry::{Configuration, wrap_angle};
+use crate::geometry::{Configuration, Pose, wrap_angle};
 use crate::record::{Measured, Quality, Status};
 use crate::robot::Robot;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Matrix6, Vector2};
+use std::sync::Arc;
 
 /// What one frame says.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,13 +38,17 @@ pub struct Bend {
 }
 
 /// Measures the snake in the frames of one calibrated view.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Eye {
     pub(super) lens: Lens,
     pub(super) rig: Rig,
     pub(super) robot: Robot,
-    search: Search,
-    watch: Watch,
+    /// The coarse search, and the camera's pose that it was made for.
+    pub(super) search: Arc<Search>,
+    pub(super) search_pose: Pose,
+    pub(super) watch: Arc<Watch>,
+    /// The pose's covariance as calibrated, before a camera that moves was followed.
+    pub(super) still_covariance: Matrix6<f64>,
 }
 
 /// What led to a sighting.
@@ -91,10 +96,11 @@ const AS_CLOSE: f64 = 1.3;
 impl Eye {
     /// An eye for one view. Prepares the coarse search, which takes about as long as measuring a few frames.
     pub fn new(lens: Lens, rig: Rig, robot: Robot) -> Self {
-        let search = Search::new(&lens, rig.camera_from_base, &robot);
+        let search = Arc::new(Search::new(&lens, rig.camera_from_base, &robot));
+        let (search_pose, still_covariance) = (rig.camera_from_base, rig.pose_covariance);
         let view = Projection { lens: &lens, camera_from_base: rig.camera_from_base, robot: &robot };
-        let watch = Watch::new(&lens, &rig, &view);
-        Self { lens, rig, robot, search, watch }
+        let watch = Arc::new(Watch::new(&lens, &rig, &view));
+        Self { lens, rig, robot, search, search_pose, watch, still_covariance }
     }
 
     /// The rig that this eye measures by.
@@ -293,7 +299,7 @@ fn distinct(fits: Vec<BendFit>) -> Vec<BendFit> {
 
 /// Whether nearly all of a picture is black or white, or most of it so overexposed that the snake's edges are no longer
 /// where half the light is.
-fn is_saturated(frame: &Frame) -> bool {
+pub(super) fn is_saturated(frame: &Frame) -> bool {
     const NEARLY_ALL: f64 = 0.98;
     const MOST: f64 = 0.5;
     let pixels = || frame.data.chunks_exact(frame.channels).step_by(31);

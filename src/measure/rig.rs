@@ -5,10 +5,11 @@ use super::edges::EdgeFinder;
 use super::fit::{
     EdgeBias, LIGHT_STRAIGHT_PX, Matches, SETTLED_PX, clustered_covariance, inliers, light_covariance, robust_weights,
 };
-use super::grid::{Grid, find_grid};
+use super::grid::{Grid, Pattern, find_grid};
 use super::locate::{Holder, SnakeStart, find_start, locate_holders};
 use super::outline::{Outline, Projection};
 use super::proof::Proof;
+use super::scale::{contradiction, is_contradiction};
 use super::solve::minimise;
 use super::watch::{Print, PrintWatch};
 use crate::camera::{Frame, Lens};
@@ -48,6 +49,14 @@ impl Rig {
     pub fn looking_from(mut self, delta_offset: f64) -> Self {
         self.camera_from_base.rotation *= azimuth(delta_offset);
         self
+    }
+}
+
+impl Rig {
+    /// Distance from the snake's base back to the paper, mm.
+    pub(super) fn standoff_mm(&self) -> f64 {
+        let normal = self.camera_from_grid * Vector3::z();
+        normal.dot(&(self.camera_from_grid.translation.vector - self.camera_from_base.translation.vector))
     }
 }
 
@@ -98,13 +107,28 @@ pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOpt
         ));
     }
     let mut refused = None;
-    for holder in locate_holders(frame)? {
-        match calibrate_from(frame, lens, robot, options, &holder) {
+    let holders = locate_holders(frame)?;
+    for holder in &holders {
+        match calibrate_from(frame, lens, robot, options, holder) {
             Ok(rig) => return Ok(rig),
-            Err(message) => refused = refused.or(Some(message)),
+            Err(message) => refused = telling(refused, message),
         }
     }
+    // With another pitch it may be plain what is wrong.
+    for factor in [0.5, 2.0] {
+        if refused.as_deref().is_some_and(is_contradiction) {
+            break;
+        }
+        let other = RigOptions { grid_pitch_mm: factor * options.grid_pitch_mm, ..*options };
+        let rig = holders.iter().find_map(|holder| calibrate_from(frame, lens, robot, &other, holder).ok());
+        refused = rig.map(|rig| contradiction(robot, options, &rig)).or(refused);
+    }
     Err(refused.unwrap_or_else(|| "no holder was found".into()))
+}
+
+/// The reason to give: the first, or a contradiction, which takes a snake that was found whole.
+fn telling(first: Option<String>, message: String) -> Option<String> {
+    if is_contradiction(&message) { Some(message) } else { first.or(Some(message)) }
 }
 
 /// Calibrates the rig if this is the holder.
@@ -138,7 +162,7 @@ fn calibrate_from(
         });
         match rig {
             Ok(rig) => return Ok(rig),
-            Err(message) => refused = refused.or(Some(message)),
+            Err(message) => refused = telling(refused, message),
         }
     }
     Err(refused.unwrap_or_else(|| "no grid was found".into()))
@@ -251,14 +275,6 @@ fn fit_base(
         })
         .ok_or("the snake's edges do not determine where its base is")?;
     let (agreeing, edge_rms_px) = inliers(&matches.misfits_px(&view, straight, edge_bias), &roots);
-    let height_mm = placement.0[3];
-    if height_mm.abs() > FAR_OFF_SIGMAS * STANDOFF_SIGMA_MM {
-        return Err(format!(
-            "the snake looks {:.2} mm nearer to the grid than the standoff of {} mm says: grid_pitch_mm, standoff_mm, the \
-             camera file or the robot's dimensions are wrong, or the snake is not unbent",
-            height_mm, options.standoff_mm
-        ));
-    }
     let share = agreeing as f64 / matches.places.max(1) as f64;
     let bias_px = if edge_bias.side_px.abs() > edge_bias.rim_px.abs() { edge_bias.side_px } else { edge_bias.rim_px };
     if share < ENOUGH_INLIERS || bias_px.abs() > MOST_BIAS_PX {
@@ -276,24 +292,52 @@ fn fit_base(
     if let Some((part, _)) = ends.into_iter().find(|&(_, part)| !proof.is_there(part)) {
         return Err(format!("{part} is not where the model says; is the snake unbent, and all of it in the picture?"));
     }
-    Ok(Rig {
+    let rig = Rig {
         camera_from_base,
         pose_covariance: nudge_covariance(&placement, &covariance, options, grid),
         camera_from_grid: grid.camera_from_grid,
         grid_pitch_mm: options.grid_pitch_mm,
-        print: print_of(frame, lens, grid, options.grid_pitch_mm),
+        print: Print { pattern: grid.pattern, ..Print::default() },
         appearance,
         edge_bias,
         grid_rms_px: grid.rms_px,
         edge_rms_px,
-    })
+    };
+    if placement.0[3].abs() > FAR_OFF_SIGMAS * STANDOFF_SIGMA_MM {
+        return Err(contradiction(robot, options, &rig));
+    }
+    Ok(Rig { print: print_of(frame, lens, grid, robot, options)?, ..rig })
 }
 
 /// What is printed on the paper, and the colours in which it shows.
-fn print_of(frame: &Frame, lens: &Lens, grid: &Grid, pitch_mm: f64) -> Print {
+///
+/// # Errors
+///
+/// A sentence, if the lines are not as far apart as was said: every other one is missing, or there are as many between them.
+/// The scale is right all the same, since the snake's size says which overtone of the print was found; but not what was said.
+fn print_of(frame: &Frame, lens: &Lens, grid: &Grid, robot: &Robot, options: &RigOptions) -> Result<Print, String> {
     let print = Print { pattern: grid.pattern, ..Print::default() };
-    let watch = PrintWatch::new(lens, &grid.camera_from_grid, pitch_mm, &print);
-    Print { weights: watch.map_or(print.weights, |watch| watch.weights_in(frame)), ..print }
+    let of = |pitch_mm: f64, print: &Print| {
+        PrintWatch::new(lens, &grid.camera_from_grid, options.standoff_mm, pitch_mm, print)
+    };
+    let said_mm = options.grid_pitch_mm;
+    let Some(watch) = of(said_mm, &print) else { return Ok(print) };
+    let print = Print { weights: watch.weights_in(frame), ..print };
+    let strength = |pitch_mm: f64| of(pitch_mm, &print).map_or(0.0, |watch| watch.strength(frame));
+    let as_said = strength(said_mm);
+    // Narrow lines' overtones are about as strong as their wave, and heavier lines among them add little to longer ones.
+    const LONGER: f64 = 0.8;
+    const SHORTER: f64 = 1.8;
+    for (pitch_mm, ratio) in [(2.0 * said_mm, LONGER), (said_mm / 2.0, SHORTER)] {
+        if grid.pattern == Pattern::Lines && strength(pitch_mm) > ratio * as_said {
+            return Err(format!(
+                "the scale contradicts the snake's size: grid_pitch_mm = {said_mm}, but beside a snake {} mm thick the \
+                 paper's lines are {pitch_mm:.2} mm apart. Measure the paper, and correct grid_pitch_mm",
+                robot.body.disk_diameter_mm
+            ));
+        }
+    }
+    Ok(print)
 }
 
 /// The snake's base and direction, carried onto the plane in which it lies.

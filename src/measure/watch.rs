@@ -7,14 +7,16 @@
 
 use super::edges::EdgeFinder;
 use super::fit::{EdgeBias, robust_weights};
-use super::grid::{Pattern, paper_at, phases_from_paper, project_paper, waves_from_gradient};
-use super::outline::{Outline, OutlinePoint, Piece, Projection};
+use super::grid::{Pattern, nudged, paper_at, phases_from_paper, project_paper, waves_from_gradient};
+use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use super::plane::median;
 use super::rig::Rig;
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose};
 use crate::record::Status;
-use nalgebra::{DMatrix, DVector, Matrix3, Point2, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{
+    DMatrix, DVector, Matrix2, Matrix3, Matrix6, Point2, Translation3, UnitQuaternion, Vector2, Vector3, Vector6,
+};
 use rustfft::num_complex::Complex;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
@@ -66,6 +68,10 @@ pub(super) struct GridShift {
     /// The part that no sliding in its own plane explains, turns about the paper's axes and a lift, in units of what is
     /// allowed for.
     pub lean: f64,
+    /// Whether it may as well be the camera that turned about the snake's base, which shifts the paper behind it.
+    pub may_be_a_turn: bool,
+    /// The camera's pose to the paper where it is now.
+    pub camera_from_grid: Pose,
 }
 
 /// What is looked at in every frame, made ready once.
@@ -79,7 +85,7 @@ pub(super) struct Watch {
 }
 
 /// A holder that is found further from its place than this, px, has moved; it takes as much light and shadow less.
-const BASE_MOVED_PX: f64 = 0.3;
+const BASE_MOVED_PX: f64 = 0.4;
 /// The same for the paper.
 const GRID_MOVED_PX: f64 = 0.4;
 /// Turns (rad) and lift (mm) of the paper that may come from its own waviness.
@@ -104,7 +110,7 @@ impl Watch {
             middle: Point2::from(sum / holder.len().max(1) as f64),
             holder,
             bias: rig.edge_bias,
-            print: PrintWatch::new(lens, &rig.camera_from_grid, rig.grid_pitch_mm, &rig.print),
+            print: PrintWatch::new(lens, &rig.camera_from_grid, rig.standoff_mm(), rig.grid_pitch_mm, &rig.print),
         }
     }
 
@@ -118,53 +124,140 @@ impl Watch {
 
     /// The holder's shift and turn in the picture.
     fn base_shift(&self, finder: &mut EdgeFinder) -> Option<BaseShift> {
-        const ENOUGH: f64 = 0.5;
-        let mut moved = DVector::zeros(5);
+        let enough = (0.5 * self.holder.len() as f64).max(12.0);
+        let mut by = Vector3::zeros();
         let mut fit = None;
         for search_px in [12.0, 5.0, 4.0] {
-            let mut rows: Vec<[f64; 5]> = Vec::new();
-            let mut right: Vec<f64> = Vec::new();
-            for point in &self.holder {
-                let normal = point.normal.into_inner();
-                let arm = (point.pixel - self.middle) / BaseShift::ARM_PX;
-                let turned = normal.y * arm.x - normal.x * arm.y;
-                let shift = Vector2::new(moved[0] - moved[2] * arm.y, moved[1] + moved[2] * arm.x);
-                let there = OutlinePoint { pixel: point.pixel + shift, ..*point };
-                let Some(edge) = finder.find(&there, search_px) else { continue };
-                let is_side = matches!(point.piece, Piece::HolderSide(_));
-                let bias = if is_side { self.bias.side_px } else { self.bias.rim_px };
-                let sigma_px = edge.sigma_px.hypot(EDGE_PX);
-                let row = [normal.x, normal.y, turned, f64::from(is_side), f64::from(!is_side)];
-                rows.push(row.map(|v| v / sigma_px));
-                right.push((edge.offset_px + normal.dot(&shift) - bias) / sigma_px);
-            }
-            if (rows.len() as f64) < ENOUGH * self.holder.len() as f64 || rows.len() < 12 {
+            let edges = self.holder_edges(finder, &by, search_px);
+            if (edges.len() as f64) < enough {
                 return None;
             }
-            let jacobian = DMatrix::from_fn(rows.len(), 5, |r, c| rows[r][c]);
-            // Without the base's rim nothing tells a shift along the holder: px, px, px at 100 px, px, px.
-            let prior = [10.0, 10.0, 10.0, 0.1, 0.1];
-            let found = robust_linear(&jacobian, &DVector::from_vec(right), &prior, search_px > 10.0)?;
-            moved = found.x.clone();
+            let row = |e: &HolderEdge| {
+                let (x, y) = (e.normal.x, e.normal.y);
+                [x, y, y * e.arm.x - x * e.arm.y, f64::from(e.is_side), f64::from(!e.is_side)]
+            };
+            let jacobian = DMatrix::from_fn(edges.len(), 5, |r, c| row(&edges[r])[c] / edges[r].sigma_px);
+            let right = DVector::from_fn(edges.len(), |r, _| edges[r].distance_px / edges[r].sigma_px);
+            // Without the base's rim nothing tells a shift along the holder.
+            let prior = [10.0, 10.0, 10.0, BIAS_PX, BIAS_PX];
+            let found = robust_linear(&jacobian, &right, &prior, search_px > 10.0)?;
+            by = found.x.fixed_rows::<3>(0).into_owned();
             fit = Some(found);
         }
         let found = fit?;
-        if found.agreeing < ENOUGH * self.holder.len() as f64 {
-            return None;
-        }
-        /// Neighbouring edges err alike.
-        const ALIKE: f64 = 4.0;
-        Some(BaseShift {
-            by: found.x.fixed_rows::<3>(0).into_owned(),
-            covariance: found.covariance.fixed_view::<3, 3>(0, 0) * ALIKE,
-        })
+        let covariance = found.covariance.fixed_view::<3, 3>(0, 0) * ALIKE;
+        (found.agreeing >= enough).then_some(BaseShift { by, covariance })
     }
+
+    /// The holder's edges near their places once it is shifted.
+    fn holder_edges(&self, finder: &mut EdgeFinder, by: &Vector3<f64>, search_px: f64) -> Vec<HolderEdge> {
+        let mut edge = |point: &OutlinePoint| {
+            let normal = point.normal.into_inner();
+            let arm = (point.pixel - self.middle) / BaseShift::ARM_PX;
+            let shift = Vector2::new(by.x - by.z * arm.y, by.y + by.z * arm.x);
+            let edge = finder.find(&OutlinePoint { pixel: point.pixel + shift, ..*point }, search_px)?;
+            let is_side = matches!(point.piece, Piece::HolderSide(_));
+            let bias_px = if is_side { self.bias.side_px } else { self.bias.rim_px };
+            Some(HolderEdge {
+                body: point.body,
+                normal,
+                arm,
+                is_side,
+                distance_px: edge.offset_px + normal.dot(&shift) - bias_px,
+                sigma_px: edge.sigma_px.hypot(EDGE_PX),
+            })
+        };
+        self.holder.iter().filter_map(&mut edge).collect()
+    }
+
+    /// How the camera moved against holder and paper, which did not move against each other; `None` where they do not tell.
+    pub fn camera_motion(&self, frame: &Frame, finder: &mut EdgeFinder, view: &Projection) -> Option<CameraMotion> {
+        let print = self.print.as_ref()?;
+        let base = self.base_shift(finder);
+        let edges = base.map(|base| self.holder_edges(finder, &base.by, 4.0)).unwrap_or_default();
+        let pose = view.camera_from_base;
+        let by_camera = print.by_camera(&pose.translation.vector);
+        let phases = print.phases(frame);
+        // The holder tells which of the waves a phase belongs to; without it the nearest has to do.
+        let expected = match base {
+            Some(base) => {
+                let mm_per_px = pose.translation.vector.z / view.lens.focal_px.x;
+                let (x, y) = (base.by.x * mm_per_px, base.by.y * mm_per_px);
+                &by_camera * DVector::from_column_slice(&[0.0, 0.0, base.by.z / BaseShift::ARM_PX, x, y, 0.0])
+            }
+            None => &print.by_motion * print.start(&phases),
+        };
+        let seen = print.seen_px(&phases, &expected);
+        const STEP: f64 = 1e-4;
+        let pixel = |e: &HolderEdge, axis: usize, step: f64| {
+            let mut by = DVector::zeros(6);
+            by[axis] = step;
+            let moved = Projection { camera_from_base: nudged(&pose, &by), ..view.clone() };
+            moved.pixel(Configuration::new(0.0, 0.0), &e.body)
+        };
+        let by_step =
+            |e: &HolderEdge, axis: usize| e.normal.dot(&(pixel(e, axis, STEP) - pixel(e, axis, -STEP))) / (2.0 * STEP);
+        let (waves, count) = (seen.len(), seen.len() + edges.len());
+        let jacobian = DMatrix::from_fn(count, 8, |r, c| match (r < waves, c) {
+            (true, 0..6) => by_camera[(r, c)] / PHASE_PX,
+            (true, _) => 0.0,
+            (false, 0..6) => by_step(&edges[r - waves], c) / edges[r - waves].sigma_px,
+            (false, c) => f64::from(edges[r - waves].is_side == (c == 6)) / edges[r - waves].sigma_px,
+        });
+        let right = DVector::from_fn(count, |r, _| match r.checked_sub(waves) {
+            None => seen[r] / PHASE_PX,
+            Some(k) => edges[k].distance_px / edges[k].sigma_px,
+        });
+        // rad, mm and px.
+        let prior = [0.2, 0.2, 0.2, 20.0, 20.0, 50.0, BIAS_PX, BIAS_PX];
+        let found = robust_linear(&jacobian, &right, &prior, false)?;
+        let by = found.x.fixed_rows::<6>(0).into_owned();
+        let px = (&by_camera * found.x.rows(0, 6)).norm() / (waves as f64).sqrt();
+        let covariance = found.covariance.fixed_view::<6, 6>(0, 0) * ALIKE;
+        (found.agreeing > 0.5 * count as f64).then_some(CameraMotion { by, covariance, px })
+    }
+}
+
+/// An edge of the holder.
+struct HolderEdge {
+    body: BodyPoint,
+    normal: Vector2<f64>,
+    /// From the holder's middle, in units of [`BaseShift::ARM_PX`].
+    arm: Vector2<f64>,
+    is_side: bool,
+    /// How far outside its place it is, px.
+    distance_px: f64,
+    sigma_px: f64,
+}
+
+/// How the camera moved.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CameraMotion {
+    /// A turn about the base's origin (rad) and a shift (mm), along the camera's axes.
+    pub by: Vector6<f64>,
+    pub covariance: Matrix6<f64>,
+    /// The same as a shift of the paper in the picture, px.
+    pub px: f64,
 }
 
 /// Systematic error of an edge of the holder, px.
 const EDGE_PX: f64 = 0.06;
+/// The same of a phase, as a shift.
+const PHASE_PX: f64 = 0.05;
+/// How far the light of a frame may shift the holder's edges outwards, px (1σ).
+const BIAS_PX: f64 = 0.1;
+/// So many neighbouring edges err alike, and so many windows share the printing's errors.
+const ALIKE: f64 = 4.0;
 
 impl Watched {
+    /// Whether nothing moved by more than a hair.
+    pub fn is_still(&self) -> bool {
+        const HAIR_PX: f64 = 0.1;
+        let base = |base: BaseShift| base.by.norm() < HAIR_PX || base.distance2(&Vector3::zeros()) < 9.0;
+        let grid = |grid: GridShift| grid.px < HAIR_PX.max(3.0 * grid.sigma_px);
+        self.base.is_none_or(base) && self.grid.is_some_and(grid)
+    }
+
     /// Why angles of this frame would be wrong, if they would.
     ///
     /// A holder that is elsewhere means that camera or base moved: the camera, if the paper is elsewhere too. A paper that
@@ -174,10 +267,12 @@ impl Watched {
         let leans = self.grid.is_some_and(|grid| grid.lean > 1.0);
         match (self.base, slid) {
             (Some(base), _) if base.is_elsewhere() => {
-                Some(if slid.is_none() && self.grid.is_some() { Status::BaseMoved } else { Status::CameraMoved })
+                let stayed = slid.is_none() && self.grid.is_some_and(|grid| !base.went_with(&grid));
+                Some(if stayed { Status::BaseMoved } else { Status::CameraMoved })
             }
             (Some(base), Some(grid)) if base.went_with(&grid) => Some(Status::CameraMoved),
             (None, Some(_)) => Some(Status::CameraMoved),
+            (Some(_), Some(grid)) if grid.may_be_a_turn => Some(Status::CameraMoved),
             _ if leans => Some(Status::CameraMoved),
             _ => None,
         }
@@ -199,9 +294,9 @@ impl BaseShift {
     }
 
     /// Whether the holder moved as the paper did rather than stayed.
-    fn went_with(&self, grid: &GridShift) -> bool {
+    pub fn went_with(&self, grid: &GridShift) -> bool {
         let with = Vector3::new(grid.at_base.x, grid.at_base.y, self.by.z);
-        self.distance2(&with) < self.distance2(&Vector3::zeros())
+        self.distance2(&with) < 0.5 * self.distance2(&Vector3::zeros())
     }
 }
 
@@ -210,6 +305,7 @@ impl BaseShift {
 pub(super) struct PrintWatch {
     lens: Lens,
     camera_from_grid: Pose,
+    standoff_mm: f64,
     weights: Vec<f64>,
     windows: Vec<Window>,
     /// What each wave's phase, as a shift in px, does when the paper moves in its own frame: shift x, y, z (mm), turn about
@@ -249,7 +345,7 @@ pub(super) type Phases = Vec<[(f64, f64); 2]>;
 
 impl PrintWatch {
     /// `None` where the picture holds too few windows.
-    pub fn new(lens: &Lens, camera_from_grid: &Pose, pitch_mm: f64, print: &Print) -> Option<Self> {
+    pub fn new(lens: &Lens, camera_from_grid: &Pose, standoff_mm: f64, pitch_mm: f64, print: &Print) -> Option<Self> {
         const COLUMNS: usize = 6;
         const ROWS: usize = 4;
         let (width, height) = (f64::from(lens.width), f64::from(lens.height));
@@ -298,7 +394,7 @@ impl PrintWatch {
                 .collect::<Option<Vec<_>>>()?,
         );
         let (lens, camera_from_grid) = (lens.clone(), *camera_from_grid);
-        Some(Self { lens, camera_from_grid, weights: print.weights.clone(), windows, by_motion })
+        Some(Self { lens, camera_from_grid, standoff_mm, weights: print.weights.clone(), windows, by_motion })
     }
 
     /// The mix of channels in which the paper's waves are strongest and have their crests where the rig expects them.
@@ -313,6 +409,12 @@ impl PrintWatch {
         amplitudes.iter().map(|a| a / norm).collect()
     }
 
+    /// Median amplitude of the waves in a frame, grey levels.
+    pub fn strength(&self, frame: &Frame) -> f64 {
+        let amplitudes = self.phases(frame).into_iter().flatten().map(|(_, amplitude)| amplitude as f32);
+        f64::from(median(&mut amplitudes.collect::<Vec<_>>()))
+    }
+
     /// Measures all phases in a frame.
     pub fn phases(&self, frame: &Frame) -> Phases {
         let weights: Vec<f64> = match (self.weights.len(), frame.channels) {
@@ -325,40 +427,56 @@ impl PrintWatch {
     /// How far the paper moved, up to whole pitches; `None` where the phases do not agree on anything.
     pub fn shift(&self, phases: &Phases, base: &Point2<f64>) -> Option<GridShift> {
         let start = self.start(phases);
-        let lengths: Vec<f64> =
-            self.windows.iter().flat_map(|w| [w.waves[0].wavelength_px, w.waves[1].wavelength_px]).collect();
-        let measured: Vec<f64> = phases.iter().flatten().map(|(phase, _)| *phase).collect();
-        // The nearest whole number of waves to where the start puts each phase.
-        let expected = &self.by_motion * &start;
-        let seen = DVector::from_fn(measured.len(), |k, _| {
-            let cycles = expected[k] / lengths[k];
-            (cycles + wrap_cycles(measured[k] - cycles)) * lengths[k]
-        });
+        let seen = self.seen_px(phases, &(&self.by_motion * &start));
         /// Scatter of a phase that shows the print, cycles.
         const CLEAR_CYCLES: f64 = 0.06;
-        const PHASE_PX: f64 = 0.05;
         // mm and rad.
         let prior = [5.0, 5.0, 5.0, 0.05, 0.05, 0.05];
         let jacobian = &self.by_motion / PHASE_PX;
         let right = &seen / PHASE_PX;
         let found = robust_linear(&jacobian, &right, &prior, false)?;
         let left = &seen - &self.by_motion * &found.x;
-        let mut cycles: Vec<f32> = left.iter().zip(&lengths).map(|(l, length)| (l / length).abs() as f32).collect();
-        if 1.4826 * f64::from(median(&mut cycles)) > CLEAR_CYCLES || found.agreeing < 0.5 * lengths.len() as f64 {
+        let lengths = self.windows.iter().flat_map(|window| window.waves.iter().map(|wave| wave.wavelength_px));
+        let mut cycles: Vec<f32> = left.iter().zip(lengths).map(|(l, length)| (l / length).abs() as f32).collect();
+        let count = left.len() as f64;
+        if 1.4826 * f64::from(median(&mut cycles)) > CLEAR_CYCLES || found.agreeing < 0.5 * count {
             return None;
         }
-        let count = lengths.len() as f64;
         let px = (&self.by_motion * &found.x).norm() / count.sqrt();
-        /// Windows overlap, and share the printing's errors.
-        const ALIKE: f64 = 4.0;
         let covariance = &found.covariance * ALIKE;
         let sigma_px = ((&self.by_motion * &covariance * self.by_motion.transpose()).trace() / count).sqrt();
         let lean = |k: usize, allowed: f64| found.x[k].abs() / allowed.max(SURE * covariance[(k, k)].sqrt());
         let lean = lean(2, LIFT_MM).max(lean(3, LEAN_RAD)).max(lean(4, LEAN_RAD));
         let (paper, _) = paper_at(&self.lens, &self.camera_from_grid, base)?;
+        // Turned about the base by ω, the paper at its distance behind it shifts by (ω_y, −ω_x) times that.
+        let (turn, at) = (found.x.fixed_rows::<3>(3).into_owned(), Vector3::new(paper.x, paper.y, 0.0));
+        let slide = found.x.fixed_rows::<3>(0) + turn.cross(&at);
+        let off = turn.xy() - Vector2::new(-slide.y, slide.x) / self.standoff_mm;
+        let of_turn = covariance.fixed_view::<2, 2>(3, 3) + Matrix2::identity() * (LEAN_RAD / SURE).powi(2);
+        let may_be_a_turn = off.dot(&(of_turn.try_inverse()? * off)) < SURE * SURE;
         let moved = moved_paper(&self.camera_from_grid, &std::array::from_fn(|k| found.x[k]));
         let at_base = project_paper(&self.lens, &moved, &paper) - base;
-        Some(GridShift { px, sigma_px, at_base, lean })
+        Some(GridShift { px, sigma_px, at_base, lean, may_be_a_turn, camera_from_grid: moved })
+    }
+
+    /// The shifts, px along each wave, that the phases are, each the one nearest to what is expected.
+    fn seen_px(&self, phases: &Phases, expected_px: &DVector<f64>) -> DVector<f64> {
+        let length = |k: usize| self.windows[k / 2].waves[k % 2].wavelength_px;
+        DVector::from_fn(2 * self.windows.len(), |k, _| {
+            let cycles = expected_px[k] / length(k);
+            (cycles + wrap_cycles(phases[k / 2][k % 2].0 - cycles)) * length(k)
+        })
+    }
+
+    /// The same as `by_motion` for a camera that turns about a point (mm, its own axes) and shifts.
+    fn by_camera(&self, about: &Vector3<f64>) -> DMatrix<f64> {
+        let to_grid = self.camera_from_grid.rotation.inverse().to_rotation_matrix().into_inner();
+        let arm = self.camera_from_grid.translation.vector - about;
+        let mut paper = DMatrix::zeros(6, 6);
+        paper.view_mut((0, 0), (3, 3)).copy_from(&(-to_grid * arm.cross_matrix()));
+        paper.view_mut((0, 3), (3, 3)).copy_from(&to_grid);
+        paper.view_mut((3, 0), (3, 3)).copy_from(&to_grid);
+        &self.by_motion * paper
     }
 
     /// The motion, of a few turns and lifts and any slide, under which the phases agree best.
