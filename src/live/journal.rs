@@ -17,6 +17,8 @@ use std::path::{Path, PathBuf};
 pub const JOURNAL: &str = "journal.jsonl";
 
 /// One line of the journal.
+// Entries are written and read one at a time, so that their size costs nothing.
+#[allow(clippy::large_enum_variant)]
 #[derive(Debug, Clone, PartialEq)]
 pub enum Entry {
     /// A frame's measurement, with the encoders' reading of that moment where there is one.
@@ -93,7 +95,12 @@ impl Line {
             time_s: self.time_s,
             status: self.status.parse().unwrap_or_else(|never| match never {}),
             measured,
-            quality: self.quality.map(|(edges, inlier_fraction, rms_px)| Quality { edges, inlier_fraction, rms_px }),
+            quality: self.quality.map(|(edges, inlier_fraction, rms_px)| Quality {
+                edges,
+                inlier_fraction,
+                rms_px,
+                ..Quality::default()
+            }),
             view: self.view,
         };
         let reading = self.q_mm.zip(self.encoder_time_s.or(self.time_s)).map(|(q_mm, time_s)| EncoderReading {
@@ -217,7 +224,7 @@ mod tests {
             time_s: Some(time_s),
             status: Status::Ok,
             measured: Some(measured),
-            quality: Some(Quality { edges: 400, inlier_fraction: 0.9, rms_px: 0.2 }),
+            quality: Some(Quality { edges: 400, inlier_fraction: 0.9, rms_px: 0.2, ..Quality::default() }),
             view: Some("side".into()),
         };
         let reading = EncoderReading { index, time_s, q_mm: Vector3::new(0.1, -0.2, 0.3) };
