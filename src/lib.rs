@@ -22,12 +22,14 @@
 //! | [`measure`], [`estimate`], [`simulate`] | frames → θ, δ; measurements → η, λ; the other way round, for tests |
 //! | [`discover`] | which effect the model lacks |
 //! | [`reproduce`] | the paper's tables and figures |
+//! | [`closed_loop`] | controller and robot played together, through rendered frames |
 //! | [`report`] | overlays, plots, the HTML page |
 //! | [`live`] | the loop while the robot moves, with its dashboard |
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
 pub mod camera;
+pub mod closed_loop;
 pub mod discover;
 pub mod error;
 pub mod estimate;
@@ -44,3 +46,8 @@ pub mod simulate;
 pub mod cli;
 
 pub use error::{Error, Result};
+
+/// The examples in the book, compiled and run with the documentation's own.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/src/reference/library.md")]
+pub struct BookExamples;

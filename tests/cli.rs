@@ -195,3 +195,56 @@ fn estimate_follows_a_stem() {
     assert_eq!(fs::read_to_string(out.join("stem.csv")).unwrap().lines().count(), 1 + 36);
     assert!(fail(&[&["estimate", "--stem"], &data[..6]].concat(), 2).contains("--model"));
 }
+
+#[test]
+fn force_finds_the_load_that_the_snake_carried() {
+    let (_folder, path) = simulated();
+    let [hidden, loaded, measurements, encoders] =
+        ["hidden.toml", "loaded", "loaded/measurements.csv", "loaded/encoders.csv"].map(|name| path.join(name));
+    let load = ["--effect", "tip_load:fx_n=0.3,fy_n=-0.2,fz_n=0.1"];
+    succeed(&[&["simulate", "--model", text(&hidden), "--observe", "-o", text(&loaded)], &load[..]].concat());
+    let data = ["--measurements", text(&measurements), "--encoders", text(&encoders), "-o", text(&loaded), "--json"];
+    let found = json(&succeed(&[&["force", "--model", text(&hidden)], &data[..]].concat()));
+    for (k, truth) in [0.3, -0.2, 0.1].into_iter().enumerate() {
+        let (value, variance) = (found["force_n"][k].as_f64().unwrap(), found["covariance_n2"][k][k].as_f64().unwrap());
+        assert!((value - truth).abs() < 4.0 * variance.sqrt() && variance.sqrt() < 0.2, "{found}");
+    }
+    assert_eq!(found["unseen"].as_array().unwrap().len(), 0);
+    assert_eq!(fs::read_to_string(loaded.join("force.csv")).unwrap().lines().count(), 1 + 36);
+    // A load that the table knows of changes what it commands.
+    let angles = ["invert", "--theta-deg", "40", "--delta-deg", "10", "--json"];
+    assert_ne!(succeed(&angles), succeed(&[&angles[..], &load[..]].concat()));
+}
+
+#[test]
+fn the_table_shares_the_load_within_limits_and_speaks_c() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path();
+    succeed(&["table", "--force-limits=-90,20", "--c-header", "-o", text(out)]);
+    let csv = fs::read_to_string(out.join("compensation.csv")).unwrap();
+    let mut reader = csv::Reader::from_reader(csv.as_bytes());
+    let header = reader.headers().unwrap().clone();
+    let column = |name: &str| header.iter().position(|column| column == name).unwrap();
+    let columns = ["f1_n", "f2_n", "f3_n", "within_limits"].map(column);
+    for row in reader.records() {
+        let row = row.unwrap();
+        let [a, b, c, within] = columns.map(|column| row[column].parse::<f64>().unwrap());
+        assert!(within == 1.0 && [a, b, c].iter().all(|force| (-90.0..=20.0 + 1e-6).contains(force)), "{row:?}");
+    }
+    assert!(fs::read_to_string(out.join("compensation.h")).unwrap().contains("snakeloop_command"));
+    assert!(fail(&["table", "--force-limits=20,-90", "-o", text(out)], 2).contains("largest pull"));
+}
+
+#[test]
+fn shells_and_man_know_every_command() {
+    for shell in ["bash", "zsh", "fish"] {
+        let script = succeed(&["completions", shell]);
+        assert!(script.contains("reproduce") && script.contains("grid-pitch"), "{shell}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    succeed(&["manual", "-o", text(folder.path())]);
+    for page in ["snakeloop.1", "snakeloop-run.1", "snakeloop-calibrate-rig.1"] {
+        let page = fs::read_to_string(folder.path().join(page)).unwrap();
+        assert!(page.contains(".TH") && page.contains("Example"), "{page}");
+    }
+}

@@ -52,6 +52,11 @@ impl Console {
     }
 }
 
+/// Prints text as it is, as a shell reads it.
+pub fn print_text(text: &str) {
+    let _ = write!(std::io::stdout(), "{text}");
+}
+
 /// Prints a line; a reader that has gone away (`| head`) is no error.
 fn print_line(text: &str) {
     let _ = writeln!(std::io::stdout(), "{text}");

@@ -7,7 +7,7 @@ use crate::estimate::{estimate, estimate_stem};
 use crate::record::{
     EncoderReading, EstimateRow, Measurement, Verdict, estimates_csv, stems_csv, write_atomically, write_model,
 };
-use crate::robot::{Estimate, Model};
+use crate::robot::{Effect, Estimate, Model};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -27,6 +27,9 @@ pub struct Args {
     /// The model whose robot and friction are taken (model.toml); without it the paper's, with Table I
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
+    /// An effect that acts besides those of the model, such as tip_load:fx_n=0.2,fy_n=0,fz_n=0; may be given again
+    #[arg(long, value_name = "NAME:PARAMETER=VALUE,...", value_parser = Effect::parse)]
+    effect: Vec<Effect>,
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
@@ -64,7 +67,8 @@ pub struct Estimated {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
-        let model = model_or_paper(self.model.as_deref())?;
+        let mut model = model_or_paper(self.model.as_deref())?;
+        model.effects.extend(self.effect.iter().cloned());
         let (measurements, encoders) = measurements_and_readings(console, &self.measurements, Some(&self.encoders))?;
         if self.stem {
             return self.follow_stem(console, &model, &measurements, &encoders);

@@ -3,7 +3,7 @@
 use super::console::Console;
 use super::inputs::model_or_paper;
 use crate::geometry::Configuration;
-use crate::robot::{MAX_THETA, Model, TableRow};
+use crate::robot::{Effect, MAX_THETA, Model, TableRow};
 use crate::{Error, Result};
 use nalgebra::{Vector2, Vector3};
 use serde_json::{Map, Value};
@@ -17,6 +17,9 @@ pub struct Args {
     /// The model (model.toml); without it the paper's, with Table I
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
+    /// An effect that acts besides those of the model, such as tip_load:fx_n=0.2,fy_n=0,fz_n=0; may be given again
+    #[arg(long, value_name = "NAME:PARAMETER=VALUE,...", value_parser = Effect::parse)]
+    effect: Vec<Effect>,
     /// The wanted bend from straight, degrees
     #[arg(long, value_name = "DEGREES", required_unless_present = "qc_mm", requires = "delta_deg")]
     theta_deg: Option<f64>,
@@ -53,7 +56,8 @@ enum Sd {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
-        let model = model_or_paper(self.model.as_deref())?;
+        let mut model = model_or_paper(self.model.as_deref())?;
+        model.effects.extend(self.effect.iter().cloned());
         let pose = match (&self.qc_mm, self.theta_deg, self.delta_deg) {
             (Some(qc_mm), _, _) => {
                 let &[a, b, c] = &qc_mm[..] else {

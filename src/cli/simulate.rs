@@ -2,16 +2,21 @@
 
 use super::console::Console;
 use super::inputs::{model_or_paper, rows};
-use crate::record::{Waypoint, encoders_csv, measurements_csv, read_trajectory, truth_csv, write_atomically};
-use crate::robot::Effect;
-use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
+use crate::closed_loop::Rehearsal;
+use crate::record::{
+    Waypoint, csv_of, encoders_csv, measurements_csv, read_trajectory, truth_csv, write_atomically, write_compensation,
+    write_model,
+};
+use crate::report::learning::learning_curve;
+use crate::robot::{Effect, Grid, Model};
+use crate::simulate::{BendingExperiment, Plant, Scene, SimulatedEye};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::path::PathBuf;
 
 /// Simulate a bending experiment: writes OUT/encoders.csv and OUT/truth.csv
 ///
-/// The snake is bent up and down at each δ of the sweeps, then led once round at a fixed θ. It obeys the model, whose η
+/// With --closed-loop the whole loop is played instead. The snake is bent up and down at each δ of the sweeps, then led once round at a fixed θ. It obeys the model, whose η
 /// and λ an estimator is to find again. Or it is led along a trajectory of your own, such as `discover --next` writes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop simulate --model hidden.toml --observe -o simulated")]
@@ -53,6 +58,13 @@ pub struct Args {
     /// Also write what an eye with typical noise would measure, to OUT/measurements.csv
     #[arg(long)]
     observe: bool,
+    /// Play controller and robot: command the poses through the table of what was learned so far, render and measure where the
+    /// snake went, and learn from it. Writes OUT/closed_loop.csv, closed_loop.svg, model.toml and the table instead
+    #[arg(long, conflicts_with = "observe")]
+    closed_loop: bool,
+    /// With --closed-loop: camera, paper and light (scene.toml); without it a clean picture
+    #[arg(long, value_name = "SCENE", requires = "closed_loop")]
+    scene: Option<PathBuf>,
     /// Seed of all noise: the same seed gives the same files
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     seed: u64,
@@ -62,6 +74,18 @@ pub struct Args {
 struct Summary {
     poses: usize,
     seconds: f64,
+    output: PathBuf,
+}
+
+#[derive(Serialize)]
+struct Closed {
+    frames: usize,
+    /// Rms miss of the naive table, degrees.
+    table_error_before_deg: f64,
+    /// The same of the last one.
+    table_error_after_deg: f64,
+    eta: Option<f64>,
+    lambda_mm: Option<f64>,
     output: PathBuf,
 }
 
@@ -76,6 +100,9 @@ impl Args {
         };
         let mut model = model_or_paper(self.model.as_deref())?;
         model.effects.extend(self.effect.iter().cloned());
+        if self.closed_loop {
+            return self.close_the_loop(console, model, &trajectory);
+        }
         let plant = Plant { model, sd_encoder_mm: self.encoder_sd };
         let samples = plant.run(&trajectory, self.seed.wrapping_add(1));
 
@@ -91,6 +118,47 @@ impl Args {
         let summary = Summary { poses: samples.len(), seconds, output: self.output.clone() };
         console.result(&summary, || {
             format!("{} poses in {:.1} s\n{}", summary.poses, summary.seconds, summary.output.display())
+        });
+        Ok(())
+    }
+
+    fn close_the_loop(&self, console: &Console, plant: Model, trajectory: &[Waypoint]) -> Result<()> {
+        let scene = self.scene.as_deref().map_or_else(|| Ok(Scene::default()), Scene::read)?;
+        let rehearsal = Rehearsal {
+            plant,
+            grid_pitch_mm: scene.grid_pitch_mm()?,
+            scene,
+            sd_encoder_mm: self.encoder_sd,
+            seed: self.seed,
+        };
+        let poses: Vec<_> = trajectory.iter().map(|waypoint| waypoint.configuration).collect();
+        let bar = console.progress(Some(poses.len()), "closing the loop");
+        let (turns, model) = rehearsal.run(&poses, &|| bar.inc(1))?;
+        bar.finish_and_clear();
+        let first = rehearsal.table_error_deg(&rehearsal.naive())?;
+        self.write("closed_loop.csv", &csv_of(&turns)?)?;
+        if let Some(svg) = learning_curve(first, &turns) {
+            self.write("closed_loop.svg", &svg)?;
+        }
+        let model_path = self.output.join("model.toml");
+        write_model(&model_path, &model)?;
+        write_compensation(&self.output, &model, &model_path.display().to_string(), &Grid::default())?;
+        let summary = Closed {
+            frames: turns.len(),
+            table_error_before_deg: first,
+            table_error_after_deg: turns.last().map_or(first, |turn| turn.table_error_deg),
+            eta: model.estimate.map(|estimate| estimate.eta),
+            lambda_mm: model.estimate.map(|estimate| estimate.lambda_mm),
+            output: self.output.clone(),
+        };
+        console.result(&summary, || {
+            format!(
+                "{} frames; the table's error fell from {:.2}° to {:.3}° rms\n{}",
+                summary.frames,
+                summary.table_error_before_deg,
+                summary.table_error_after_deg,
+                summary.output.display()
+            )
         });
         Ok(())
     }

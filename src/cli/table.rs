@@ -2,9 +2,9 @@
 
 use super::console::Console;
 use super::inputs::model_or_paper;
-use crate::Result;
-use crate::record::write_compensation;
-use crate::robot::{Grid, GridAxis, TableRow};
+use crate::record::{compensation_c_header, write_atomically, write_compensation_rows};
+use crate::robot::{Effect, ForceLimits, Grid, GridAxis, TableRow, compensation_table};
+use crate::{Error, Result};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -17,6 +17,9 @@ pub struct Args {
     /// The model (model.toml); without it the paper's, with Table I
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
+    /// An effect that acts besides those of the model, such as tip_load:fx_n=0.2,fy_n=0,fz_n=0; may be given again
+    #[arg(long, value_name = "NAME:PARAMETER=VALUE,...", value_parser = Effect::parse)]
+    effect: Vec<Effect>,
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
@@ -26,6 +29,13 @@ pub struct Args {
     /// The grid's azimuths δ, degrees
     #[arg(long, value_name = "START:STOP:STEP", allow_hyphen_values = true, default_value_t = Grid::default().delta)]
     delta_deg: GridAxis,
+    /// What the actuation unit can exert on a backbone, N: its largest pull (negative) and push. The backbones then share the load
+    /// with least strain within these; without, with least strain of all (Eq. 11)
+    #[arg(long, value_name = "PULL,PUSH", value_delimiter = ',', allow_hyphen_values = true)]
+    force_limits: Option<Vec<f64>>,
+    /// Also write OUT/compensation.h, the table for a controller in C, with a lookup that interpolates it
+    #[arg(long)]
+    c_header: bool,
 }
 
 #[derive(Serialize)]
@@ -38,10 +48,23 @@ struct Summary {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
-        let model = model_or_paper(self.model.as_deref())?;
+        let mut model = model_or_paper(self.model.as_deref())?;
+        model.effects.extend(self.effect.iter().cloned());
         let source = self.model.as_deref().map_or("built in".to_owned(), |path| path.display().to_string());
         let grid = Grid { theta: self.theta_deg, delta: self.delta_deg };
-        let rows = write_compensation(&self.output, &model, &source, &grid)?;
+        let mut rows = compensation_table(&model, &grid)?;
+        if let Some(limits) = self.force_limits()? {
+            rows = rows.into_iter().map(|row| row.within(&model, &limits)).collect();
+            let outside = rows.iter().filter(|row| row.sharing.is_some_and(|sharing| !sharing.within)).count();
+            if outside > 0 {
+                console.warn([format!("{outside} of {} poses need forces beyond the limits", rows.len())]);
+            }
+        }
+        write_compensation_rows(&self.output, &model, &source, &grid, &rows)?;
+        if self.c_header {
+            let header = compensation_c_header(&grid, &rows, &source)?;
+            write_atomically(&self.output.join("compensation.h"), header.as_bytes())?;
+        }
         let summary = Summary {
             poses: rows.len(),
             largest_correction_mm: largest_correction_mm(&rows),
@@ -56,6 +79,14 @@ impl Args {
             )
         });
         Ok(())
+    }
+
+    fn force_limits(&self) -> Result<Option<ForceLimits>> {
+        match self.force_limits.as_deref() {
+            None => Ok(None),
+            Some(&[least_n, most_n]) => ForceLimits::new(least_n, most_n).map(Some),
+            Some(numbers) => Err(Error::Usage(format!("--force-limits: {} numbers, expected 2", numbers.len()))),
+        }
     }
 }
 

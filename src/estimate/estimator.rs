@@ -38,6 +38,8 @@ const AGREEING: usize = 6;
 const RECENT: usize = 51;
 /// How far the model is trusted in the part common to all backbones when outliers are sought, mm.
 const COMMON_TRUST_MM: f64 = 0.02;
+/// Rounds in which η and what effects do with it find each other.
+const ROUNDS: usize = 3;
 /// Medians of χ² with 2 and 1 degrees of freedom.
 const NOMINAL_MEDIANS: [f64; 2] = [1.386_294, 0.454_936];
 
@@ -495,6 +497,23 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 /// # Errors
 /// [`Error::Usage`] for an option out of its range.
 pub fn estimate(
+    model: &Model,
+    options: Options,
+    measurements: &[Measurement],
+    readings: &[EncoderReading],
+) -> Result<(Vec<EstimateRow>, Model)> {
+    let mut start = model.clone();
+    if start.estimate.is_none() && !start.effects.is_empty() {
+        // What effects do hangs on η, which is known only once they are taken off.
+        for _ in 0..ROUNDS {
+            start.estimate = one_round(&start, options, measurements, readings)?.1.estimate;
+        }
+    }
+    one_round(&start, options, measurements, readings)
+}
+
+/// [`estimate`], with the effects as they act under the model's own η and λ.
+fn one_round(
     model: &Model,
     options: Options,
     measurements: &[Measurement],

@@ -3,12 +3,14 @@
 //! One measurement is one [`Row`]: what it says about x = (η, λ), and how well. A [`Filter`] holds what all rows so far
 //! say, in square-root form. [`Consistency`] compares what the rows scatter with what they promise, and makes the
 //! reported standard deviations honest. The [`Estimator`] brings them together.
-//! Where η and λ are known, [`Stem`] finds how far a flexible stem is bent.
+//! Where η and λ are known, [`Stem`] finds how far a flexible stem is bent, and
+//! [`tip_force`] which force on the tip explains a deflection.
 
 mod consistency;
 mod effects;
 mod estimator;
 mod filter;
+mod load;
 mod row;
 mod sigmas;
 mod stem;
@@ -17,6 +19,7 @@ pub use consistency::Consistency;
 pub use effects::without_effects;
 pub use estimator::{Estimator, Options, Reason, Revision, Step, estimate};
 pub use filter::Filter;
+pub use load::{BLIND_SD_N, TipForce, tip_force};
 pub use row::{Row, Weighting};
 pub use sigmas::with_sigmas;
 pub use stem::{Stem, StemAngle, StemOptions, estimate_stem};

@@ -6,6 +6,9 @@
 //! | `q1_mm` … `q3_mm` | q: what the snake's backbones are to move |
 //! | `qc1_mm` … `qc3_mm` | q̃: what to command |
 //! | `sd_qc1_mm` … `sd_qc3_mm` | its standard deviation, from the covariance of η and λ |
+//! | `common_n` | with force limits: the force common to all backbones that they ask for |
+//! | `f1_n` … `f3_n` | with force limits: what the actuation unit exerts on each, positive where it pushes |
+//! | `within_limits` | with force limits: 1 where all three lie within them, else 0 |
 //!
 //! The JSON has the same rows under `rows`, the model under `model` with model.toml's keys, and under `provenance` what
 //! made them.
@@ -14,20 +17,28 @@ use super::model::ModelFile;
 use super::table::{azimuth, decimals};
 use super::write::write_atomically;
 use crate::error::{Error, Result};
-use crate::robot::{Grid, Model, TableRow, compensation_table};
+use crate::robot::{Grid, Model, Sharing, TableRow, compensation_table};
 use nalgebra::Vector3;
 use serde::Serialize;
 use std::path::Path;
 
 const COLUMNS: &str = "theta_deg,delta_deg,q1_mm,q2_mm,q3_mm,qc1_mm,qc2_mm,qc3_mm,sd_qc1_mm,sd_qc2_mm,sd_qc3_mm";
 
-/// compensation.csv as text; angles to 1e-6°, lengths to 1 nm.
+const SHARING_COLUMNS: &str = ",common_n,f1_n,f2_n,f3_n,within_limits";
+
+/// compensation.csv as text; angles to 1e-6°, lengths to 1 nm, forces to 1 µN.
 pub fn compensation_csv(rows: &[TableRow]) -> String {
-    let mut text = COLUMNS.to_owned() + "\n";
-    for TableRow { configuration, q_mm, command_mm, sd_command_mm } in rows {
+    let shared = rows.iter().any(|row| row.sharing.is_some());
+    let mut text = format!("{COLUMNS}{}\n", if shared { SHARING_COLUMNS } else { "" });
+    for TableRow { configuration, q_mm, command_mm, sd_command_mm, sharing } in rows {
         let angles = [decimals(configuration.theta_deg(), 6), azimuth(configuration.delta_deg())];
         let lengths = [q_mm, command_mm, sd_command_mm].into_iter().flatten().map(|&mm| decimals(mm, 6));
-        text += &(angles.into_iter().chain(lengths).collect::<Vec<_>>().join(",") + "\n");
+        let forces = sharing.iter().flat_map(|sharing| {
+            let [a, b, c] = sharing.actuation_n.into();
+            let forces = [sharing.common_n, a, b, c].map(|force| decimals(force, 6));
+            forces.into_iter().chain([u8::from(sharing.within).to_string()])
+        });
+        text += &(angles.into_iter().chain(lengths).chain(forces).collect::<Vec<_>>().join(",") + "\n");
     }
     text
 }
@@ -58,10 +69,24 @@ pub fn compensation_json(model: &Model, source: &str, grid: &Grid, rows: &[Table
 /// A grid of too many poses, a number that JSON cannot hold, a file that cannot be written.
 pub fn write_compensation(folder: &Path, model: &Model, source: &str, grid: &Grid) -> Result<Vec<TableRow>> {
     let rows = compensation_table(model, grid)?;
-    write_atomically(&folder.join("compensation.csv"), compensation_csv(&rows).as_bytes())?;
-    let json = compensation_json(model, source, grid, &rows)?;
-    write_atomically(&folder.join("compensation.json"), json.as_bytes())?;
+    write_compensation_rows(folder, model, source, grid, &rows)?;
     Ok(rows)
+}
+
+/// The same for rows that were computed already.
+///
+/// # Errors
+/// A number that JSON cannot hold, a file that cannot be written.
+pub fn write_compensation_rows(
+    folder: &Path,
+    model: &Model,
+    source: &str,
+    grid: &Grid,
+    rows: &[TableRow],
+) -> Result<()> {
+    write_atomically(&folder.join("compensation.csv"), compensation_csv(rows).as_bytes())?;
+    let json = compensation_json(model, source, grid, rows)?;
+    write_atomically(&folder.join("compensation.json"), json.as_bytes())
 }
 
 #[derive(Serialize)]
@@ -94,6 +119,24 @@ struct JsonRow {
     sd_qc1_mm: f64,
     sd_qc2_mm: f64,
     sd_qc3_mm: f64,
+    #[serde(flatten)]
+    sharing: Option<JsonSharing>,
+}
+
+#[derive(Serialize)]
+struct JsonSharing {
+    common_n: f64,
+    f1_n: f64,
+    f2_n: f64,
+    f3_n: f64,
+    within_limits: bool,
+}
+
+impl From<&Sharing> for JsonSharing {
+    fn from(sharing: &Sharing) -> Self {
+        let [f1_n, f2_n, f3_n] = sharing.actuation_n.into();
+        Self { common_n: sharing.common_n, f1_n, f2_n, f3_n, within_limits: sharing.within }
+    }
 }
 
 impl From<&TableRow> for JsonRow {
@@ -115,6 +158,7 @@ impl From<&TableRow> for JsonRow {
             sd_qc1_mm,
             sd_qc2_mm,
             sd_qc3_mm,
+            sharing: row.sharing.as_ref().map(JsonSharing::from),
         }
     }
 }

@@ -1,9 +1,11 @@
 //! The files of an experiment: what they hold, how they are read, checked and written.
 
+pub mod c_header;
 pub mod compensation;
 pub mod encoders;
 pub mod estimates;
 pub mod experiment;
+pub mod force;
 pub mod friction;
 pub mod measurement;
 pub mod measurements;
@@ -14,11 +16,13 @@ pub mod trajectory;
 pub mod truth;
 pub mod write;
 
-pub use compensation::{compensation_csv, compensation_json, write_compensation};
+pub use c_header::compensation_c_header;
+pub use compensation::{compensation_csv, compensation_json, write_compensation, write_compensation_rows};
 pub use encoders::{encoders_csv, read_encoders};
 pub use estimates::{EstimateRow, EtaLambda, Verdict, estimates_csv};
 pub(crate) use experiment::line_at;
 pub use experiment::{Experiment, RigSource, View};
+pub use force::{ForceRow, MeasuredForce, forces_csv};
 pub use friction::read_friction;
 pub use measurement::{EncoderReading, Measured, Measurement, Quality, Status, Truth};
 pub use measurements::{measurements_csv, read_measurements};
@@ -27,4 +31,4 @@ pub use stem::{StemRow, stems_csv};
 pub use table::{Checked, Warning};
 pub use trajectory::{Waypoint, read_trajectory, trajectory_csv};
 pub use truth::{read_truth, truth_csv};
-pub use write::{PendingFile, write_atomically};
+pub use write::{PendingFile, csv_of, write_atomically};

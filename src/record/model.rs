@@ -306,12 +306,13 @@ fn first_fault(model: &Model) -> Option<Fault> {
         checks.push((key.to_owned(), value, range, why));
     };
     check("robot.length_mm", *length_mm, 1.0..=1000.0, "");
-    // A quarter of the length keeps every L_i positive up to the largest bend.
+    // Tubes that touch cannot slide; a quarter of the length keeps every L_i positive up to the largest bend.
+    let touching_mm = 0.5 * (primary.outer_diameter_mm + secondary.outer_diameter_mm);
     check(
         "robot.backbone_circle_radius_mm",
         *backbone_circle_radius_mm,
-        0.05..=(length_mm / 4.0),
-        " (a quarter of the length at most)",
+        touching_mm.max(0.05)..=(length_mm / 4.0),
+        " (no tube within another, a quarter of the length at most)",
     );
     for (name, tube) in [("primary", primary), ("secondary", secondary)] {
         let key = |field: &str| format!("robot.{name}.{field}");
@@ -328,7 +329,8 @@ fn first_fault(model: &Model) -> Option<Fault> {
     check("robot.line.cone_bend_radius_mm", line.cone_bend_radius_mm, 0.1..=1000.0, "");
     check("robot.line.cone_bend_angle_deg", line.cone_bend_angle_deg, 0.1..=720.0, "");
     check("robot.line.cone_straight_mm", line.cone_straight_mm, 0.0..=10_000.0, "");
-    check("robot.body.disk_diameter_mm", body.disk_diameter_mm, 0.1..=100.0, "");
+    let tubes_mm = 2.0 * backbone_circle_radius_mm + secondary.outer_diameter_mm;
+    check("robot.body.disk_diameter_mm", body.disk_diameter_mm, tubes_mm..=200.0, " (all tubes within the disk)");
     check("robot.body.disk_thickness_mm", body.disk_thickness_mm, 0.001..=*length_mm, "");
     check("robot.body.spacer_disk_count", f64::from(body.spacer_disk_count), 0.0..=255.0, "");
     check("friction.mu", friction.mu, 0.0..=2.0, "");
@@ -386,6 +388,28 @@ mod tests {
     #[test]
     fn what_is_left_out_is_the_papers() {
         assert_eq!(read_text("").unwrap(), Model::default());
+    }
+
+    #[test]
+    fn another_robot_is_read_and_one_that_cannot_be_built_is_named_by_its_key() {
+        let text = model_toml(&Model::default()).unwrap();
+        let other = text
+            .replace("length_mm = 26.0", "length_mm = 35.0")
+            .replace("backbone_circle_radius_mm = 1.5", "backbone_circle_radius_mm = 2.0")
+            .replace("disk_diameter_mm = 4.2", "disk_diameter_mm = 5.4");
+        let model = read_text(&other).unwrap();
+        // Closed forms of the other robot: q_1 at θ = 90°, and the pose that its command leads back to.
+        let psi = crate::geometry::Configuration::from_degrees(90.0, 0.0);
+        assert!((model.robot.joint_displacements(psi).x + std::f64::consts::PI).abs() < 1e-12);
+        let back = model.forward(&model.command(psi)).unwrap().configuration;
+        assert!((back.theta - psi.theta).abs() < 1e-9);
+        let fat = message(&text.replace("backbone_circle_radius_mm = 1.5", "backbone_circle_radius_mm = 0.6"));
+        assert!(
+            fat.contains("robot.backbone_circle_radius_mm = 0.6") && fat.contains("no tube within another"),
+            "{fat}"
+        );
+        let small = message(&text.replace("disk_diameter_mm = 4.2", "disk_diameter_mm = 3.5"));
+        assert!(small.contains("robot.body.disk_diameter_mm = 3.5") && small.contains("all tubes"), "{small}");
     }
 
     proptest! {

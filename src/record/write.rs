@@ -4,6 +4,7 @@
 //! that is killed half-way leaves the former file, or none, never a part of one.
 
 use crate::error::{Error, Result};
+use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
@@ -72,6 +73,20 @@ fn temporary_in(folder: &Path) -> std::io::Result<NamedTempFile> {
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
     builder.tempfile_in(folder)
+}
+
+/// Rows as CSV, the columns named after the fields; a field that is `None` is empty.
+///
+/// # Errors
+/// [`Error::Domain`] for a row whose fields are not single values.
+pub fn csv_of<T: Serialize>(rows: &[T]) -> Result<String> {
+    let fault = |what: String| Error::Domain(format!("cannot write the rows: {what}"));
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    for row in rows {
+        writer.serialize(row).map_err(|e| fault(e.to_string()))?;
+    }
+    let bytes = writer.into_inner().map_err(|e| fault(e.to_string()))?;
+    String::from_utf8(bytes).map_err(|e| fault(e.to_string()))
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ pub mod bend_map;
 pub mod discovery;
 pub mod explain;
 pub mod html;
+pub mod learning;
 pub mod overlay;
 pub mod plot;
 pub mod reproduction;

@@ -16,7 +16,8 @@ pub use friction::FrictionPoint;
 pub use jacobian::JacobianEntry;
 pub use recursion::RecursionStep;
 
-use crate::error::{Error, Result};
+use crate::error::Result;
+use crate::record::csv_of;
 use crate::robot::{Model, Robot};
 use serde::Serialize;
 
@@ -115,17 +116,6 @@ impl Reproduction {
             ("equation_26.csv", csv_of(&self.jacobian)?),
         ])
     }
-}
-
-/// Rows as CSV, the columns named after the fields.
-fn csv_of<T: Serialize>(rows: &[T]) -> Result<String> {
-    let fault = |what: String| Error::Domain(format!("cannot write the rows: {what}"));
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    for row in rows {
-        writer.serialize(row).map_err(|e| fault(e.to_string()))?;
-    }
-    let bytes = writer.into_inner().map_err(|e| fault(e.to_string()))?;
-    String::from_utf8(bytes).map_err(|e| fault(e.to_string()))
 }
 
 /// What Table I and Section V's prose imply.

@@ -10,6 +10,7 @@ pub mod kinematics;
 pub mod model;
 pub mod motion;
 pub mod parameters;
+pub mod redundancy;
 pub mod statics;
 pub mod table;
 
@@ -19,4 +20,5 @@ pub use friction::{Friction, FrictionFit, FrictionSample};
 pub use model::{Estimate, Model};
 pub use motion::{Mechanics, Motion, Observation};
 pub use parameters::{Body, Robot};
+pub use redundancy::{ForceLimits, Sharing};
 pub use table::{Grid, GridAxis, TableRow, compensation_table};

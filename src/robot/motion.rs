@@ -192,6 +192,11 @@ impl<'a> Mechanics<'a> {
         self.forces_by_generalised * gradient
     }
 
+    /// τ at a bend vector, N, before η, with the effects on the snake.
+    pub fn forces_at(&self, bend: Vector2<f64>) -> Vector3<f64> {
+        self.forces(bend, self.q_by_bend * bend)
+    }
+
     /// Q b + ε: what the lines move at a bend, mm; without a motion, that of a single pose.
     fn line(&self, bend: Vector2<f64>, motion: Option<&Motion>) -> Vector3<f64> {
         let q_mm = self.q_by_bend * bend;

@@ -2,6 +2,7 @@
 
 use super::compensation::MAX_THETA;
 use super::model::Model;
+use super::redundancy::{ForceLimits, Sharing};
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use nalgebra::Vector3;
@@ -98,6 +99,8 @@ pub struct TableRow {
     pub command_mm: Vector3<f64>,
     /// Standard deviation of q̃ from the covariance of η and λ, mm.
     pub sd_command_mm: Vector3<f64>,
+    /// How the backbones share the load, where the actuation unit's limits were given; q̃ then has it in.
+    pub sharing: Option<Sharing>,
 }
 
 impl TableRow {
@@ -109,7 +112,15 @@ impl TableRow {
             command_mm: model.command(configuration),
             // A variance may come out as a rounding below zero.
             sd_command_mm: model.command_covariance(configuration).diagonal().map(|variance| variance.max(0.0).sqrt()),
+            sharing: None,
         }
+    }
+
+    /// The same pose with forces within limits.
+    pub fn within(mut self, model: &Model, limits: &ForceLimits) -> Self {
+        let sharing = model.sharing(self.configuration, limits);
+        self.command_mm.add_scalar_mut(sharing.shift_mm);
+        Self { sharing: Some(sharing), ..self }
     }
 }
 

@@ -1,7 +1,7 @@
 //! A whole experiment of rendered frames, in the files that a real one has and those that tell the truth.
 
 use super::render::render;
-use super::scene::{Pattern, Scene};
+use super::scene::Scene;
 use crate::camera::CameraFormat;
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
@@ -80,16 +80,7 @@ pub fn write_experiment(
 }
 
 fn experiment_toml(scene: &Scene, format: FrameFormat, with_encoders: bool) -> Result<String> {
-    let pitch = match &scene.paper.pattern {
-        Pattern::GraphPaper { lines } => lines.iter().map(|lines| lines.pitch_mm).reduce(f64::min),
-        Pattern::Checkerboard { square_mm, .. } => Some(*square_mm),
-        Pattern::Blank => None,
-    };
-    let Some(pitch) = pitch else {
-        return Err(Error::Domain(
-            "an experiment needs a grid: paper.pattern must be graph paper or a checkerboard".into(),
-        ));
-    };
+    let pitch = scene.grid_pitch_mm()?;
     let encoders = if with_encoders { "encoders = \"encoders.csv\"\n\n" } else { "" };
     let extension = format.extension();
     let standoff = scene.paper.standoff_mm;
@@ -119,6 +110,7 @@ mod tests {
     use super::*;
     use crate::camera::{FrameSource, Lens, read_frame};
     use crate::record::{Experiment, read_truth};
+    use crate::simulate::scene::Pattern;
     use nalgebra::{Point2, Vector2};
     use std::sync::atomic::{AtomicUsize, Ordering};
 

@@ -243,6 +243,21 @@ impl Default for Scene {
 }
 
 impl Scene {
+    /// Distance of the grid's lines, mm: the finest, or a checkerboard's squares.
+    ///
+    /// # Errors
+    /// [`Error::Domain`] for blank paper.
+    pub fn grid_pitch_mm(&self) -> Result<f64> {
+        let pitch = match &self.paper.pattern {
+            Pattern::GraphPaper { lines } => lines.iter().map(|lines| lines.pitch_mm).reduce(f64::min),
+            Pattern::Checkerboard { square_mm, .. } => Some(*square_mm),
+            Pattern::Blank => None,
+        };
+        pitch.ok_or_else(|| {
+            Error::Domain("an experiment needs a grid: paper.pattern must be graph paper or a checkerboard".into())
+        })
+    }
+
     /// Reads a scene file.
     ///
     /// # Errors

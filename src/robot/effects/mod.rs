@@ -155,9 +155,9 @@ pub static LIBRARY: [&Physics; 35] = [
     &snake::PRIMARY_COMPRESSION,
 ];
 
-/// Every physics of this name, the first form first.
+/// Every physics of this name, the first form first; those that `discover` does not search for come last.
 pub fn forms(name: &str) -> impl Iterator<Item = &'static Physics> {
-    LIBRARY.into_iter().chain([&LEARNED_CORRECTION]).filter(move |physics| physics.name == name)
+    LIBRARY.into_iter().chain([&LEARNED_CORRECTION, &snake::TIP_WRENCH]).filter(move |physics| physics.name == name)
 }
 
 /// The first form of the physics of this name.

@@ -48,6 +48,25 @@ pub(super) static TIP_LOAD: Physics = Physics {
     remembers: None,
 };
 
+const fn moment(name: &'static str) -> ParameterSpec {
+    ParameterSpec { name, unit: "N·mm", range: (-200.0, 200.0), typical: 3.0 }
+}
+
+/// A dead force and moment on the end disk, constant in {b}. It is given, not searched for: one more force explains as much as a moment.
+pub(super) static TIP_WRENCH: Physics = Physics {
+    name: "tip_load",
+    form: "with moment",
+    equation: "Qᵗτ = ∇E − J_xbᵗ (F, M)",
+    reading: "a force and a moment of constant size and direction at the tip",
+    parameters: &[force("fx_n"), force("fy_n"), force("fz_n"), moment("mx_n_mm"), moment("my_n_mm"), moment("mz_n_mm")],
+    starts: &[&[0.0; 6]],
+    acts: Acts::Snake(|snake, p| {
+        let wrench = Vector6::new(p[0], p[1], p[2], p[3], p[4], p[5]);
+        snake.wrench = Some(snake.wrench.unwrap_or_default() + wrench);
+    }),
+    remembers: None,
+};
+
 /// The circle of backbones has another radius than Table I says.
 pub(super) static BACKBONE_RADIUS: Physics = Physics {
     name: "backbone_radius",

@@ -1,0 +1,72 @@
+//! `force`: the tip force that explains measured deflections.
+
+use super::console::Console;
+use super::inputs::{measurements_and_readings, model_or_paper};
+use crate::Result;
+use crate::estimate::{Options, tip_force};
+use crate::record::{forces_csv, write_atomically};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Find the force on the tip that explains measured deflections: writes OUT/force.csv
+///
+/// Each measurement alone sees two directions of three and names the one that it cannot see. Printed is the one force that explains
+/// all of them together.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  snakeloop force --model out/model.toml --measurements loaded/measurements.csv \
+                  --encoders loaded/encoders.csv -o loaded")]
+pub struct Args {
+    /// The model with the η and λ of the unloaded snake (model.toml)
+    #[arg(long, value_name = "MODEL")]
+    model: PathBuf,
+    /// What the eye measured (measurements.csv)
+    #[arg(long, value_name = "CSV")]
+    measurements: PathBuf,
+    /// The encoder log (encoders.csv)
+    #[arg(long, value_name = "CSV")]
+    encoders: PathBuf,
+    /// The folder to write to; created where it is missing
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+    /// Standard deviation of an encoder reading, mm
+    #[arg(long, value_name = "MM", default_value_t = Options::default().sd_encoder_mm)]
+    encoder_sd: f64,
+}
+
+#[derive(Serialize)]
+struct Found {
+    /// In {b}; nothing of it lies along the unseen directions.
+    force_n: [f64; 3],
+    covariance_n2: [[f64; 3]; 3],
+    unseen: Vec<[f64; 3]>,
+    used: usize,
+    output: PathBuf,
+}
+
+impl Args {
+    pub fn run(&self, console: &Console) -> Result<()> {
+        let model = model_or_paper(Some(&self.model))?;
+        let (measurements, readings) = measurements_and_readings(console, &self.measurements, Some(&self.encoders))?;
+        let (rows, force) = tip_force(&model, self.encoder_sd, &measurements, &readings)?;
+        let output = self.output.join("force.csv");
+        write_atomically(&output, forces_csv(&rows).as_bytes())?;
+        let found = Found {
+            force_n: force.force_n.into(),
+            covariance_n2: force.covariance_n2.into(),
+            unseen: force.unseen.iter().map(|&direction| direction.into()).collect(),
+            used: rows.iter().filter(|row| row.force.is_some()).count(),
+            output,
+        };
+        console.result(&found, || {
+            let sd = force.covariance_n2.diagonal().map(|variance| variance.max(0.0).sqrt());
+            let part = |name: &str, k: usize| format!("{name}  {:+.3} ± {:.3} N\n", force.force_n[k], sd[k]);
+            let unseen = force.unseen.iter().map(|u| format!("unseen along ({:+.2}, {:+.2}, {:+.2})\n", u.x, u.y, u.z));
+            part("Fx", 0)
+                + &part("Fy", 1)
+                + &part("Fz", 2)
+                + &unseen.collect::<String>()
+                + &format!("{} measurements\n{}", found.used, found.output.display())
+        });
+        Ok(())
+    }
+}

@@ -1,0 +1,203 @@
+//! The whole loop, rehearsed without a robot: a controller commands through its table, a simulated snake obeys its own hidden model, a
+//! rendered frame shows where it went, the eye measures it, the estimator learns, and the next command uses what was learned.
+//!
+//! The controller knows the robot's constants and nothing of η and λ: it starts with Section IV's naive compensation. The camera is
+//! calibrated from a rendered straight picture, as a real one is. After each frame the table is judged over a grid of poses by where
+//! the snake would really go.
+//!
+//! λ is not learned here: it is common to all backbones, moves no bend, and what the controller leaves out of its own commands the
+//! redundancy takes up as internal force.
+
+use crate::camera::Frame;
+use crate::error::{Error, Result};
+use crate::estimate::{Estimator, Options};
+use crate::geometry::Configuration;
+use crate::measure::{Eye, RigOptions, calibrate_rig};
+use crate::record::{EncoderReading, Measured, Measurement, Status};
+use crate::robot::{Estimate, Model};
+use crate::simulate::{Scene, render};
+use image::DynamicImage;
+use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+use rand_distr::{Distribution, StandardNormal};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// What is rehearsed.
+#[derive(Debug, Clone)]
+pub struct Rehearsal {
+    /// What the snake obeys. History, as of motion-directed effects, acts as for a single pose.
+    pub plant: Model,
+    /// Camera, paper and light.
+    pub scene: Scene,
+    /// Distance of the paper's thin lines, mm.
+    pub grid_pitch_mm: f64,
+    /// Standard deviation of an encoder reading, mm.
+    pub sd_encoder_mm: f64,
+    /// Seed of all noise.
+    pub seed: u64,
+}
+
+/// One turn of the loop.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Turn {
+    /// Number of the command, from 0.
+    pub index: u64,
+    /// Where the snake was to go: θ, degrees.
+    pub desired_theta_deg: f64,
+    /// Where the snake was to go: δ, degrees.
+    pub desired_delta_deg: f64,
+    /// Where it went: θ, degrees.
+    pub reached_theta_deg: f64,
+    /// Where it went: δ, degrees.
+    pub reached_delta_deg: f64,
+    /// What the eye measured: θ, degrees.
+    pub measured_theta_deg: Option<f64>,
+    /// What the eye measured: δ, degrees.
+    pub measured_delta_deg: Option<f64>,
+    /// `ok`, or why there are no angles.
+    pub status: String,
+    /// η after the measurement.
+    pub eta: Option<f64>,
+    /// Its standard deviation.
+    pub sd_eta: Option<f64>,
+    /// λ after the measurement, mm.
+    pub lambda_mm: Option<f64>,
+    /// Its standard deviation, mm.
+    pub sd_lambda_mm: Option<f64>,
+    /// How far the snake was from where it was to go, as a bend vector, degrees.
+    pub error_deg: f64,
+    /// The same over the table of the model after this measurement, rms, degrees.
+    pub table_error_deg: f64,
+}
+
+impl Rehearsal {
+    /// Goes round once for each desired pose; `done` is called after each. Gives the turns and the controller's model at the end.
+    ///
+    /// # Errors
+    /// A scene that cannot be drawn or from which no rig can be calibrated; a pose that the plant cannot reach.
+    pub fn run(&self, poses: &[Configuration], done: &dyn Fn()) -> Result<(Vec<Turn>, Model)> {
+        self.scene.check()?;
+        let eye = self.eye()?;
+        let naive = self.naive();
+        let options = Options { sd_encoder_mm: self.sd_encoder_mm.max(1e-6), ..Options::default() };
+        let mut estimator = Estimator::new(&naive, options)?;
+        let mut random = StdRng::seed_from_u64(self.seed);
+        let mut turns = Vec::with_capacity(poses.len());
+        let mut controller = naive;
+        for (index, &desired) in (0u64..).zip(poses) {
+            let command = controller.command(desired);
+            let reached = self.plant.forward(&command)?.configuration;
+            let noise = Vector3::from_fn(|_, _| -> f64 { StandardNormal.sample(&mut random) }) * self.sd_encoder_mm;
+            let reading = EncoderReading { index, time_s: index as f64, q_mm: command + noise };
+            let sighting = eye.measure(&frame(&self.scene, reached, self.seed.wrapping_add(1 + index))?);
+            let measurement = Measurement {
+                index,
+                time_s: Some(reading.time_s),
+                status: sighting.status,
+                measured: sighting.measured,
+                quality: sighting.quality,
+                view: None,
+            };
+            estimator.update(&measurement, Some(&reading));
+            controller = estimator.model().clone();
+            turns.push(turn(desired, reached, &measurement, controller.estimate, self.table_error_deg(&controller)?));
+            done();
+        }
+        Ok((turns, controller))
+    }
+
+    /// What the controller knows at the start: the robot and its friction.
+    pub fn naive(&self) -> Model {
+        Model { estimate: None, effects: Vec::new(), ..self.plant.clone() }
+    }
+
+    /// The rms miss (degrees, as a bend vector) of a controller's table: θ 15–75°, δ once round.
+    ///
+    /// # Errors
+    /// A pose that the plant cannot reach.
+    pub fn table_error_deg(&self, controller: &Model) -> Result<f64> {
+        let grid = (1..=5).flat_map(|t| (0..8).map(move |d| (15.0 * f64::from(t), 45.0 * f64::from(d))));
+        let mut squares = Vec::new();
+        for (theta_deg, delta_deg) in grid {
+            let desired = Configuration::from_degrees(theta_deg, delta_deg);
+            let reached = self.plant.forward(&controller.command(desired))?.configuration;
+            squares.push((reached.bend_vector() - desired.bend_vector()).norm_squared());
+        }
+        Ok((squares.iter().sum::<f64>() / squares.len() as f64).sqrt().to_degrees())
+    }
+
+    /// The camera, calibrated from a straight picture.
+    fn eye(&self) -> Result<Eye> {
+        let straight = frame(&self.scene, Configuration::new(0.0, 0.0), self.seed)?;
+        let options = RigOptions {
+            grid_pitch_mm: self.grid_pitch_mm,
+            standoff_mm: self.scene.paper.standoff_mm,
+            delta_offset: 0.0,
+        };
+        let rig = calibrate_rig(&straight, &self.scene.lens, &self.plant.robot, &options)
+            .map_err(|message| Error::Rig { path: PathBuf::from("the rendered straight picture"), message })?;
+        Ok(Eye::new(self.scene.lens.clone(), rig, self.plant.robot.clone()))
+    }
+}
+
+/// A rendered picture as a camera gives it.
+fn frame(scene: &Scene, psi: Configuration, seed: u64) -> Result<Frame> {
+    Frame::from_image(&DynamicImage::ImageRgb8(render(scene, psi, seed)))
+        .ok_or_else(|| Error::Domain("the scene's camera has no pixels".into()))
+}
+
+fn turn(
+    desired: Configuration,
+    reached: Configuration,
+    measurement: &Measurement,
+    estimate: Option<Estimate>,
+    table_error_deg: f64,
+) -> Turn {
+    let ok = measurement.status == Status::Ok;
+    let measured: Option<Measured> = measurement.measured.filter(|_| ok);
+    Turn {
+        index: measurement.index,
+        desired_theta_deg: desired.theta_deg(),
+        desired_delta_deg: desired.delta_deg(),
+        reached_theta_deg: reached.theta_deg(),
+        reached_delta_deg: reached.delta_deg(),
+        measured_theta_deg: measured.map(|m| m.configuration.theta_deg()),
+        measured_delta_deg: measured.map(|m| m.configuration.delta_deg()),
+        status: measurement.status.to_string(),
+        eta: estimate.map(|e| e.eta),
+        sd_eta: estimate.map(|e| e.sd_eta()),
+        lambda_mm: estimate.map(|e| e.lambda_mm),
+        sd_lambda_mm: estimate.map(|e| e.sd_lambda_mm()),
+        error_deg: (reached.bend_vector() - desired.bend_vector()).norm().to_degrees(),
+        table_error_deg,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Matrix2;
+
+    #[test]
+    fn the_error_falls_once_the_eye_has_seen_a_few_bends() {
+        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
+        let rehearsal = Rehearsal {
+            plant: Model { estimate: Some(estimate), ..Model::default() },
+            scene: Scene::default(),
+            grid_pitch_mm: 1.0,
+            sd_encoder_mm: 0.0015,
+            seed: 3,
+        };
+        let naive = rehearsal.table_error_deg(&rehearsal.naive()).unwrap();
+        assert!(rehearsal.table_error_deg(&rehearsal.plant).unwrap() < 1e-6);
+        let poses = [(30.0, 20.0), (55.0, 160.0), (70.0, 0.0)].map(|(t, d)| Configuration::from_degrees(t, d));
+        let (turns, model) = rehearsal.run(&poses, &|| ()).unwrap();
+        assert!(turns.iter().all(|turn| turn.status == "ok"), "{turns:?}");
+        assert!((turns[0].table_error_deg - naive).abs() < 1e-9 && naive > 3.0, "one measurement pins nothing");
+        assert!(turns[2].table_error_deg < 0.1 * naive, "{naive}° at first, {}° at last", turns[2].table_error_deg);
+        assert!(turns[0].error_deg > 2.0 && turns[2].error_deg < 0.7, "{turns:?}");
+        assert!((model.estimate.unwrap().eta - 1.221).abs() < 0.03);
+    }
+}

@@ -1,0 +1,244 @@
+//! The reverse of a load in the statics: which force on the tip explains a measured deflection.
+//!
+//! With η and λ known, Eq. 18 with Eq. 9's wrench says at a measured bend b
+//!
+//! ```text
+//! q̃ − q(b) − ε(b) = −η κ Q(QᵗQ)⁻¹ J_pbᵗ F + noise,      J_pb the tip's velocity per rad of b
+//! ```
+//!
+//! linear in the force F (N, in {b}) that the environment applies at the centre of the end disk's far face. The noise is that of a
+//! [`Row`](super::Row); the errors of η and λ are common to all measurements and estimated beside F, held by their covariance.
+//!
+//! # What cannot be seen
+//!
+//! A snake of constant curvature moves its tip on a surface. A force square to that surface does no work on it and moves nothing: one
+//! measurement sees two directions of three, and a straight snake none along itself. Measurements at different bends under the same
+//! force have different blind directions and together see all three. A direction along which the force would be known to no
+//! better than [`BLIND_SD_N`] counts as unseen; the force has no part along it, and its covariance says nothing there.
+
+use super::estimator::usable;
+use super::row::bend_covariance;
+use super::without_effects;
+use crate::error::{Error, Result};
+use crate::geometry::Configuration;
+use crate::record::{EncoderReading, ForceRow, Measured, MeasuredForce, Measurement};
+use crate::robot::Model;
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
+use std::collections::HashMap;
+
+/// The standard deviation, N, from which a direction counts as unseen: more than such a snake bears.
+pub const BLIND_SD_N: f64 = 10.0;
+
+/// A force on the tip, and how well it is known.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TipForce {
+    /// F, N, in {b}; nothing of it lies along the unseen directions.
+    pub force_n: Vector3<f64>,
+    /// Covariance of F, N², within the directions that are seen.
+    pub covariance_n2: Matrix3<f64>,
+    /// Unit vectors along which a force cannot be told.
+    pub unseen: Vec<Vector3<f64>>,
+}
+
+/// What measurements say together about one force.
+#[derive(Debug, Clone)]
+struct Gathered {
+    force: (Matrix3<f64>, Vector3<f64>),
+    parameters: (Matrix2<f64>, Vector2<f64>),
+    both: Matrix3x2<f64>,
+}
+
+impl Gathered {
+    fn new(model: &Model) -> Self {
+        // η and λ that are known exactly have no covariance to invert; they are then not estimated.
+        let prior = model.parameter_covariance().try_inverse().unwrap_or_default();
+        Self { force: Default::default(), parameters: (prior, Vector2::zeros()), both: Matrix3x2::zeros() }
+    }
+
+    /// Adds one measurement; one whose covariance is not positive definite says nothing.
+    fn add(&mut self, model: &Model, sd_encoder_mm: f64, measured: &Measured, q_tilde: &Vector3<f64>) {
+        let psi = measured.configuration;
+        let bend = psi.bend_vector();
+        let slope = model.robot.displacement_by_bend() + model.epsilon_by_bend(bend);
+        let covariance =
+            slope * bend_covariance(measured, psi) * slope.transpose() + Matrix3::identity() * sd_encoder_mm.powi(2);
+        let Some(weight) = covariance.try_inverse() else { return };
+        let by_force = by_force(model, psi);
+        let by_parameters = model.epsilon_by_parameters(bend);
+        let residual = q_tilde - model.command(psi);
+        self.force.0 += by_force.transpose() * weight * by_force;
+        self.force.1 += by_force.transpose() * weight * residual;
+        self.parameters.0 += by_parameters.transpose() * weight * by_parameters;
+        self.parameters.1 += by_parameters.transpose() * weight * residual;
+        self.both += by_force.transpose() * weight * by_parameters;
+    }
+
+    /// The force, once η and λ are let go within their covariance.
+    fn solved(&self, parameters_are_known: bool) -> TipForce {
+        let inverse = if parameters_are_known { None } else { self.parameters.0.try_inverse() };
+        let through = self.both * inverse.unwrap_or_default();
+        let information = (self.force.0 - through * self.both.transpose()).symmetric_eigen();
+        let right = self.force.1 - through * self.parameters.1;
+        let mut found = TipForce { force_n: Vector3::zeros(), covariance_n2: Matrix3::zeros(), unseen: Vec::new() };
+        for (&value, direction) in information.eigenvalues.iter().zip(information.eigenvectors.column_iter()) {
+            if value > BLIND_SD_N.powi(-2) {
+                found.force_n += direction * (direction.dot(&right) / value);
+                found.covariance_n2 += direction * direction.transpose() / value;
+            } else {
+                found.unseen.push(direction.into_owned());
+            }
+        }
+        found
+    }
+}
+
+/// ∂q̃/∂F at a pose, mm/N.
+fn by_force(model: &Model, psi: Configuration) -> Matrix3<f64> {
+    let tip = model.robot.tip_jacobian_bend(psi.bend_vector());
+    let forces = model.robot.bend_by_displacement().transpose() * tip.fixed_rows::<3>(0).transpose();
+    forces * -(model.parameters().x * model.line_compliance_mm_per_n())
+}
+
+/// The force that explains each measurement, as the rows of force.csv, and the one force that explains all of them together.
+///
+/// What the model's effects do is taken off first, a `tip_load` in it among them: the force found is what comes on top.
+///
+/// # Errors
+/// [`Error::Usage`] for a model without η and λ or encoder noise that is not above 0; [`Error::Domain`] where no measurement can be used.
+pub fn tip_force(
+    model: &Model,
+    sd_encoder_mm: f64,
+    measurements: &[Measurement],
+    readings: &[EncoderReading],
+) -> Result<(Vec<ForceRow>, TipForce)> {
+    if model.estimate.is_none() {
+        return Err(Error::Usage(
+            "a force can be told only with η and λ known; give a --model that `run` or `estimate` wrote".into(),
+        ));
+    }
+    if !(sd_encoder_mm > 0.0 && sd_encoder_mm <= 10.0) {
+        return Err(Error::Usage(format!("encoder noise is {sd_encoder_mm} mm, expected above 0 and at most 10")));
+    }
+    let (measurements, readings) = without_effects(model, measurements, readings);
+    let plain = model.plain();
+    let known = plain.parameter_covariance().try_inverse().is_none();
+    let readings: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
+    let mut all = Gathered::new(&plain);
+    let mut used = 0;
+    let rows = measurements
+        .iter()
+        .map(|measurement| {
+            let usable = usable(measurement, readings.get(&measurement.index).copied());
+            let found = usable.map(|(measured, q_tilde)| {
+                used += 1;
+                all.add(&plain, sd_encoder_mm, &measured, &q_tilde);
+                let mut alone = Gathered::new(&plain);
+                alone.add(&plain, sd_encoder_mm, &measured, &q_tilde);
+                alone.solved(known)
+            });
+            ForceRow {
+                index: measurement.index,
+                time_s: measurement.time_s,
+                force: found.as_ref().ok().map(|found| MeasuredForce {
+                    force_n: found.force_n,
+                    sd_n: found.covariance_n2.diagonal().map(|variance| variance.max(0.0).sqrt()),
+                    unseen: found.unseen.first().copied(),
+                }),
+                reason: found.err().map(|reason| reason.to_string()),
+            }
+        })
+        .collect();
+    if used == 0 {
+        return Err(Error::Domain(
+            "no measurement could be used; angles with status ok and encoder readings are needed".into(),
+        ));
+    }
+    Ok((rows, all.solved(known)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::{Options, estimate};
+    use crate::robot::{Effect, Estimate};
+    use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
+
+    fn model(sd_eta: f64, sd_lambda_mm: f64) -> Model {
+        let covariance = Matrix2::new(sd_eta.powi(2), 0.0, 0.0, sd_lambda_mm.powi(2));
+        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance, samples: 36 };
+        Model { estimate: Some(estimate), ..Model::default() }
+    }
+
+    fn loaded(force_n: Vector3<f64>) -> Effect {
+        let names = ["fx_n", "fy_n", "fz_n"];
+        let values: Vec<_> = names.iter().zip(&force_n).map(|(name, f)| ((*name).to_owned(), *f)).collect();
+        Effect::new("tip_load", None, &values).unwrap()
+    }
+
+    /// Measurements of a bending experiment under a force.
+    fn ride(model: &Model, force_n: Vector3<f64>, seed: u64) -> (Vec<Measurement>, Vec<EncoderReading>) {
+        let plant = Plant { model: Model { effects: vec![loaded(force_n)], ..model.clone() }, sd_encoder_mm: 0.0015 };
+        let samples = plant.run(&BendingExperiment::default().waypoints().unwrap(), seed);
+        let readings = samples.iter().map(|sample| sample.reading).collect();
+        (SimulatedEye::default().observe(&samples, seed + 1), readings)
+    }
+
+    #[test]
+    fn one_force_over_many_bends_is_found_with_an_honest_covariance() {
+        let truth = Vector3::new(0.2, -0.1, 0.15);
+        let (mut distances, draws) = (0.0, 60);
+        for seed in 0..draws {
+            // The model's η and λ are off by what their covariance says.
+            let offset = if seed % 2 == 0 { 1.0 } else { -1.0 };
+            let mut robot = model(0.0, 0.0);
+            robot.estimate.as_mut().unwrap().eta += 0.001 * offset;
+            let (measurements, readings) = ride(&robot, truth, 10 * seed);
+            let (rows, found) = tip_force(&model(0.001, 0.001), 0.0015, &measurements, &readings).unwrap();
+            assert_eq!((rows.len(), found.unseen.len()), (36, 0));
+            let off = found.force_n - truth;
+            distances += off.dot(&(found.covariance_n2.try_inverse().unwrap() * off)) / 3.0;
+            assert!(off.norm() < 0.2, "{off}");
+        }
+        let scale = (distances / draws as f64).sqrt();
+        assert!((0.8..1.25).contains(&scale), "{scale}");
+    }
+
+    #[test]
+    fn the_unseen_direction_is_the_one_that_moves_nothing() {
+        let model = model(0.001, 0.0005);
+        let (measurements, readings) = ride(&model, Vector3::new(0.3, 0.0, 0.0), 4);
+        let (rows, _) = tip_force(&model, 0.0015, &measurements, &readings).unwrap();
+        for (row, measurement) in rows.iter().zip(&measurements) {
+            let MeasuredForce { force_n, unseen, .. } = row.force.unwrap();
+            let unseen = unseen.expect("one measurement sees two directions");
+            let psi = measurement.measured.unwrap().configuration;
+            assert!((by_force(&model, psi) * unseen).norm() < 1e-6 && (unseen.norm() - 1.0).abs() < 1e-9);
+            assert!(force_n.dot(&unseen).abs() < 1e-6 * (1.0 + force_n.norm()));
+            // The same command holds the snake with any force along it.
+            let pushed = Model { effects: vec![loaded(unseen * 3.0)], ..model.clone() };
+            assert!((pushed.command(psi) - model.command(psi)).norm() < 1e-9);
+        }
+        let straight = by_force(&model, Configuration::new(0.0, 0.0));
+        assert!((straight * Vector3::z()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_known_load_is_obeyed_by_the_estimator_and_by_the_table() {
+        let force = Vector3::new(0.3, 0.2, -0.4);
+        let (measurements, readings) = ride(&model(0.0, 0.0), force, 9);
+        let start = Model { effects: vec![loaded(force)], ..Model::default() };
+        let (_, found) = estimate(&start, Options::default(), &measurements, &readings).unwrap();
+        let x = found.estimate.unwrap();
+        assert!((x.eta - 1.221).abs() < 3.0 * x.sd_eta() && x.sd_eta() < 0.01, "{} ± {}", x.eta, x.sd_eta());
+        assert!((x.lambda_mm - 0.1765).abs() < 3.0 * x.sd_lambda_mm());
+        // The commanded forces balance the loaded snake: Eq. 9 with the corrected sign, by the energy's slope.
+        let psi = Configuration::from_degrees(40.0, 70.0);
+        let moment = Effect::parse("tip_load:fx_n=0.3,fy_n=0.2,fz_n=-0.4,mx_n_mm=2,my_n_mm=-1,mz_n_mm=0.5").unwrap();
+        let loaded = Model { effects: vec![moment], ..model(0.0, 0.0) };
+        let wrench = nalgebra::Vector6::new(0.3, 0.2, -0.4, 2.0, -1.0, 0.5);
+        let tau = loaded.robot.actuation_forces(psi.bend_vector(), Some(&wrench));
+        let expected = loaded.robot.joint_displacements(psi)
+            + (tau * (1.221 * loaded.line_compliance_mm_per_n())).add_scalar(loaded.static_friction_mm() + 0.1765);
+        assert!((loaded.command(psi) - expected).norm() < 1e-9);
+    }
+}

@@ -1,0 +1,186 @@
+//! compensation.h: the table for a controller written in C, with a lookup that interpolates it.
+//!
+//! The lookup is the product of two cubics through the four nearest angles of the grid, δ going once round. Between the angles of the
+//! default grid it is within 2 µm of the model.
+
+use crate::error::{Error, Result};
+use crate::robot::{Grid, TableRow};
+use std::fmt::Write;
+
+/// The header as text. `rows` are the table over `grid`, δ running fastest; `source` says where the model comes from.
+///
+/// # Errors
+/// [`Error::Usage`] for a grid with fewer than four angles either way, or whose δ does not go once round in even steps.
+pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str) -> Result<String> {
+    let theta: Vec<f64> = grid.theta.values_deg().collect();
+    let mut delta: Vec<f64> = grid.delta.values_deg().collect();
+    let columns = delta.len();
+    let (&[theta_0, theta_1, _, _, ..], &[delta_0, delta_1, _, _, ..]) = (&theta[..], &delta[..]) else {
+        return Err(Error::Usage(format!(
+            "a C header needs four angles of θ and four of δ at least, {} and {columns} were given",
+            theta.len()
+        )));
+    };
+    let step = delta_1 - delta_0;
+    // A grid that names its seam twice, −180° and 180°, gives up the second.
+    if (step * (columns as f64 - 1.0) - 360.0).abs() < 1e-6 {
+        delta.pop();
+    }
+    if (step * delta.len() as f64 - 360.0).abs() > 1e-6 {
+        return Err(Error::Usage(format!(
+            "a C header needs δ once round in even steps; {} gives {columns} angles, try -165:180:15",
+            grid.delta
+        )));
+    }
+    let mut values = String::new();
+    for row in rows.chunks(columns) {
+        let cells: Vec<String> = row[..delta.len()]
+            .iter()
+            .map(|pose| format!("{{{:.6}, {:.6}, {:.6}}}", pose.command_mm.x, pose.command_mm.y, pose.command_mm.z))
+            .collect();
+        let _ = writeln!(values, "    {{{}}},", cells.join(",\n     "));
+    }
+    // What could end the comment early does not belong in a file's name.
+    let source = source.replace("*/", "");
+    Ok(format!(
+        "/* The compensation table of snakeloop {version}, model: {source}.
+ *
+ * snakeloop_command(theta_deg, delta_deg, q_mm) gives what to command, mm, for a bend of theta_deg degrees from straight
+ * towards the azimuth delta_deg. It returns 0, or 1 and leaves q_mm alone where theta_deg is not within {first} to {last} or an
+ * angle is not finite.
+ */
+#ifndef SNAKELOOP_COMPENSATION_H
+#define SNAKELOOP_COMPENSATION_H
+
+#include <math.h>
+
+#define SNAKELOOP_THETAS {thetas}
+#define SNAKELOOP_DELTAS {deltas}
+
+static const double snakeloop_theta_deg[2] = {{{theta_0:?}, {theta_step:?}}}; /* first, step */
+static const double snakeloop_delta_deg[2] = {{{delta_0:?}, {step:?}}};       /* first, step; once round */
+
+/* q1, q2, q3 in mm */
+static const double snakeloop_table_mm[SNAKELOOP_THETAS][SNAKELOOP_DELTAS][3] = {{
+{values}}};
+
+/* Weights of the cubic through values at 0, 1, 2 and 3, at x. */
+static inline void snakeloop_weights(double x, double w[4])
+{{
+    w[0] = -(x - 1) * (x - 2) * (x - 3) / 6;
+    w[1] = x * (x - 2) * (x - 3) / 2;
+    w[2] = -x * (x - 1) * (x - 3) / 2;
+    w[3] = x * (x - 1) * (x - 2) / 6;
+}}
+
+static inline int snakeloop_command(double theta_deg, double delta_deg, double q_mm[3])
+{{
+    const double row = (theta_deg - snakeloop_theta_deg[0]) / snakeloop_theta_deg[1];
+    const double turn = (delta_deg - snakeloop_delta_deg[0]) / 360.0;
+    if (!(row >= -1e-9 && row <= SNAKELOOP_THETAS - 1 + 1e-9) || !isfinite(turn))
+        return 1;
+    const double column = (turn - floor(turn)) * SNAKELOOP_DELTAS;
+    int i0 = (int)floor(row) - 1;
+    if (i0 < 0)
+        i0 = 0;
+    if (i0 > SNAKELOOP_THETAS - 4)
+        i0 = SNAKELOOP_THETAS - 4;
+    const int j0 = (int)floor(column) - 1;
+    double wi[4], wj[4], sum[3] = {{0, 0, 0}};
+    snakeloop_weights(row - i0, wi);
+    snakeloop_weights(column - j0, wj);
+    for (int i = 0; i < 4; i++)
+        for (int j = 0; j < 4; j++) {{
+            const double *node = snakeloop_table_mm[i0 + i][(j0 + j + SNAKELOOP_DELTAS) % SNAKELOOP_DELTAS];
+            for (int k = 0; k < 3; k++)
+                sum[k] += wi[i] * wj[j] * node[k];
+        }}
+    for (int k = 0; k < 3; k++)
+        q_mm[k] = sum[k];
+    return 0;
+}}
+
+#endif
+",
+        version = env!("CARGO_PKG_VERSION"),
+        first = theta_0,
+        last = theta[theta.len() - 1],
+        thetas = theta.len(),
+        deltas = delta.len(),
+        theta_step = theta_1 - theta_0,
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Configuration;
+    use crate::robot::{Estimate, Model, compensation_table};
+    use nalgebra::Matrix2;
+    use std::process::Command;
+
+    fn model() -> Model {
+        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 10 };
+        Model { estimate: Some(estimate), ..Model::default() }
+    }
+
+    /// What the compiled lookup says of each pose; `None` where it refuses.
+    fn looked_up(header: &str, poses: &[(f64, f64)]) -> Vec<Option<[f64; 3]>> {
+        const MAIN: &str = "#include \"compensation.h\"\n#include <stdio.h>\nint main(void) {\n  double t, d, q[3];\n  \
+            while (scanf(\"%lf %lf\", &t, &d) == 2) {\n    if (snakeloop_command(t, d, q)) puts(\"outside\");\n    \
+            else printf(\"%.9f %.9f %.9f\\n\", q[0], q[1], q[2]);\n  }\n  return 0;\n}\n";
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("compensation.h"), header).unwrap();
+        std::fs::write(folder.path().join("main.c"), MAIN).unwrap();
+        let text: String = poses.iter().map(|(theta, delta)| format!("{theta} {delta}\n")).collect();
+        std::fs::write(folder.path().join("poses"), text).unwrap();
+        let program = folder.path().join("lookup");
+        let flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-o"];
+        let built = Command::new("cc").args(flags).arg(&program).arg(folder.path().join("main.c")).arg("-lm").output();
+        let built = built.unwrap();
+        assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+        let poses = std::fs::File::open(folder.path().join("poses")).unwrap();
+        let output = Command::new(program).stdin(poses).output().unwrap();
+        let lines = String::from_utf8(output.stdout).unwrap();
+        let numbers = |line: &str| {
+            let numbers: Vec<f64> = line.split(' ').filter_map(|n| n.parse().ok()).collect();
+            <[f64; 3]>::try_from(numbers).ok()
+        };
+        lines.lines().map(numbers).collect()
+    }
+
+    #[test]
+    fn the_compiled_lookup_is_the_table_at_its_poses_and_the_model_between_them() {
+        let grid = Grid::default();
+        let rows = compensation_table(&model(), &grid).unwrap();
+        let header = compensation_c_header(&grid, &rows, "a */ model").unwrap();
+        let nodes: Vec<(f64, f64)> =
+            rows.iter().map(|row| (row.configuration.theta_deg(), row.configuration.delta_deg())).collect();
+        for (found, row) in looked_up(&header, &nodes).iter().zip(&rows) {
+            let found = found.unwrap();
+            assert!((0..3).all(|k| (found[k] - row.command_mm[k]).abs() < 2e-6), "{found:?} {}", row.command_mm);
+        }
+        let between: Vec<(f64, f64)> =
+            (0..400).map(|k| (f64::from(k) * 0.2255, f64::from(k * 37 % 1081) - 540.0)).collect();
+        let mut worst = 0.0f64;
+        for (found, &(theta, delta)) in looked_up(&header, &between).iter().zip(&between) {
+            let wanted = model().command(Configuration::from_degrees(theta, delta));
+            worst = (0..3).map(|k| (found.unwrap()[k] - wanted[k]).abs()).fold(worst, f64::max);
+        }
+        assert!(worst < 2e-3, "{worst} mm");
+        assert_eq!(looked_up(&header, &[(91.0, 0.0), (-1.0, 0.0)]), [None, None]);
+    }
+
+    #[test]
+    fn a_seam_that_is_named_twice_is_one_and_a_sector_is_refused() {
+        let grid = |theta: &str, delta: &str| Grid { theta: theta.parse().unwrap(), delta: delta.parse().unwrap() };
+        let header =
+            |grid: &Grid| compensation_c_header(grid, &compensation_table(&model(), grid).unwrap(), "built in");
+        let twice = header(&grid("0:60:20", "-180:180:30")).unwrap();
+        assert!(twice.contains("#define SNAKELOOP_DELTAS 12"));
+        let near = looked_up(&twice, &[(40.0, 180.0), (40.0, -180.0), (40.0, 540.0)]);
+        assert!(near.iter().all(|q| (q.unwrap()[0] - near[0].unwrap()[0]).abs() < 1e-9));
+        assert_eq!(header(&grid("0:60:20", "0:90:10")).unwrap_err().exit_code(), 2);
+        assert_eq!(header(&grid("0:60:60", "-180:180:30")).unwrap_err().exit_code(), 2);
+    }
+}

@@ -1,0 +1,74 @@
+//! force.csv: the tip force that explains each measurement.
+//!
+//! | column | meaning |
+//! | --- | --- |
+//! | `index`, `time_s` | the frame |
+//! | `fx_n`, `fy_n`, `fz_n` | the force on the tip, in {b}, without any part along the unseen direction |
+//! | `sd_fx_n` … `sd_fz_n` | its standard deviations, within the directions that are seen |
+//! | `unseen_x` … `unseen_z` | the direction, a unit vector, along which a force moves nothing |
+//! | `status` | `used`, or why the measurement was not |
+
+use super::table::{decimals, decimals_or_empty};
+use nalgebra::Vector3;
+
+/// The force that explains one measurement.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MeasuredForce {
+    /// The force, N, in {b}.
+    pub force_n: Vector3<f64>,
+    /// Its standard deviations within the directions that are seen, N.
+    pub sd_n: Vector3<f64>,
+    /// The direction, a unit vector, along which a force moves nothing.
+    pub unseen: Option<Vector3<f64>>,
+}
+
+/// One row of force.csv.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ForceRow {
+    /// The frame's index.
+    pub index: u64,
+    /// Time, s.
+    pub time_s: Option<f64>,
+    /// The force, where there was a measurement.
+    pub force: Option<MeasuredForce>,
+    /// Why the measurement was not used, in snake_case; `None` where it was.
+    pub reason: Option<String>,
+}
+
+/// force.csv as text.
+pub fn forces_csv(rows: &[ForceRow]) -> String {
+    let mut text = "index,time_s,fx_n,fy_n,fz_n,sd_fx_n,sd_fy_n,sd_fz_n,unseen_x,unseen_y,unseen_z,status\n".to_owned();
+    for row in rows {
+        let numbers = |vector: Option<Vector3<f64>>| -> [String; 3] {
+            vector.map_or_else(Default::default, |v| [v.x, v.y, v.z].map(|value| decimals(value, 5)))
+        };
+        let fields = [
+            vec![row.index.to_string(), decimals_or_empty(row.time_s, 4)],
+            numbers(row.force.map(|found| found.force_n)).to_vec(),
+            numbers(row.force.map(|found| found.sd_n)).to_vec(),
+            numbers(row.force.and_then(|found| found.unseen)).to_vec(),
+            vec![row.reason.clone().unwrap_or_else(|| "used".to_owned())],
+        ];
+        text += &(fields.concat().join(",") + "\n");
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_has_all_columns() {
+        let seen = MeasuredForce {
+            force_n: Vector3::new(0.1, 0.2, 0.3),
+            sd_n: Vector3::repeat(0.01),
+            unseen: Some(Vector3::z()),
+        };
+        let row = ForceRow { index: 1, time_s: Some(0.5), force: Some(seen), reason: None };
+        let failed = ForceRow { force: None, reason: Some("no_snake".into()), ..row.clone() };
+        let text = forces_csv(&[row, failed]);
+        assert!(text.lines().all(|line| line.matches(',').count() == 11), "{text}");
+        assert!(text.contains("0.10000,0.20000,0.30000") && text.ends_with("no_snake\n"));
+    }
+}

@@ -1,0 +1,28 @@
+//! How the error of the table falls while the loop learns.
+
+use super::plot::{Plot, Point, Series, Style};
+use crate::closed_loop::Turn;
+
+/// The table's rms error and each command's own over the number of measurements, as SVG; `naive_deg` is the error before any.
+pub fn learning_curve(naive_deg: f64, turns: &[Turn]) -> Option<String> {
+    let point = |measurements: usize, error_deg: f64| Point {
+        x: measurements as f64,
+        // Below a ten-thousandth of a degree nothing is left to show.
+        y: error_deg.max(1e-4).log10(),
+        sd: 0.0,
+    };
+    let after = turns.iter().enumerate().map(|(k, turn)| point(k + 1, turn.table_error_deg));
+    let table = [point(0, naive_deg)].into_iter().chain(after).collect();
+    let own = turns.iter().enumerate().map(|(k, turn)| point(k, turn.error_deg)).collect();
+    let series = vec![
+        Series { name: "table, rms over the workspace".into(), style: Style::Band, points: table },
+        Series { name: "each command".into(), style: Style::Dots, points: own },
+    ];
+    let plot = Plot {
+        x_label: "measurements".into(),
+        y_label: "log₁₀ of the bending error (°)".into(),
+        series,
+        y_shown: vec![-2.0, 1.0],
+    };
+    plot.svg()
+}
