@@ -36,6 +36,13 @@ impl Console {
         }
     }
 
+    /// Tells a person something on the way, unless quiet.
+    pub fn say(&self, text: impl Display) {
+        if !self.quiet {
+            eprintln!("{text}");
+        }
+    }
+
     /// A progress bar over so many steps, or an unknown number; it shows only on a terminal, and not when quiet.
     pub fn progress(&self, steps: Option<usize>, doing: &'static str) -> ProgressBar {
         let visible = !self.quiet && std::io::stderr().is_terminal();

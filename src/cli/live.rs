@@ -5,13 +5,17 @@ use super::estimator::EstimatorArgs;
 use super::inputs::{encoders_of, model_of, rows};
 use super::views::rig_of;
 use crate::camera::{CaptureSettings, CaptureTarget, FrameSource, Lens};
-use crate::live::{EncoderInput, EncoderSource, Histogram, Live, Setup, Source, State, View};
+use crate::live::server::{self, Exhibits};
+use crate::live::{Door, EncoderInput, EncoderSource, Histogram, Live, Setup, Source, State, View, tui};
 use crate::measure::{Eye, Rig, RigOptions};
 use crate::record::{self, Experiment, RigSource, read_model};
 use crate::robot::Robot;
 use crate::{Error, Result};
 use serde::Serialize;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 /// Run the loop while the robot moves: camera and encoders in; η, λ, a fresh table and a dashboard out
@@ -22,7 +26,7 @@ use std::time::Duration;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  snakeloop live EXPERIMENT --camera 0 --size 1280x720 --encoders tcp://robot:5000 -o out\n  \
-                  snakeloop live fixtures/bending --rate 2 -o out"
+                  snakeloop live fixtures/bending --rate 2 --serve -o out"
 )]
 pub struct Args {
     /// The experiment: a folder with an experiment.toml, or that file
@@ -66,6 +70,18 @@ pub struct Args {
     /// How often model and table are written
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = positive)]
     save_every: f64,
+    /// Serve the dashboard and the machine interface at this address; goes on when a recording has ended, until Ctrl-C
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
+    serve: Option<SocketAddr>,
+    /// A file with the token that visitors must know; needed where other machines can reach the address
+    #[arg(long, value_name = "FILE", requires = "serve")]
+    token_file: Option<PathBuf>,
+    /// A host name that the dashboard may be called by, besides addresses and localhost; may be given again
+    #[arg(long, value_name = "NAME", requires = "serve")]
+    allow_host: Vec<String>,
+    /// Show the figures in the terminal
+    #[arg(long)]
+    tui: bool,
     /// Go on with the run that OUT holds, with all its measurements
     #[arg(long)]
     resume: bool,
@@ -102,15 +118,50 @@ struct Summary {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
+        // Before the long work of calibrating the rig.
+        let door = self.door()?;
         let live = Live::start(self.setup(console)?)?;
-        while !live.is_over() {
-            std::thread::sleep(Duration::from_millis(50));
+        if let Some(door) = door {
+            let has_token = self.token_file.is_some();
+            let (board, pictures) = (Arc::clone(&live.board), Arc::clone(&live.pictures));
+            let address = server::start(door, Exhibits { board, pictures, commands: live.commands() })?;
+            if !self.tui {
+                console.say(format!("dashboard: http://{address}/{}", if has_token { "?token=TOKEN" } else { "" }));
+            }
         }
-        let state = live.board.state();
+        self.wait(&live)?;
+        live.stop();
+        let board = Arc::clone(&live.board);
         let latencies = live.finish()?;
-        let summary = Summary::new(&state, &latencies, self.output.clone());
+        let summary = Summary::new(&board.state(), &latencies, self.output.clone());
         console.result(&summary, || summary.text());
         Ok(())
+    }
+
+    /// Until the person has had enough; without a dashboard also until a recording has ended.
+    fn wait(&self, live: &Live) -> Result<()> {
+        let asked = Arc::new(AtomicBool::new(false));
+        let theirs = Arc::clone(&asked);
+        ctrlc::set_handler(move || theirs.store(true, Ordering::Relaxed))
+            .map_err(|e| Error::Domain(format!("cannot listen for Ctrl-C: {e}")))?;
+        let failed = || live.is_over() && !live.board.lock().state.ended;
+        let over = || asked.load(Ordering::Relaxed) || failed() || (live.is_over() && self.serve.is_none());
+        if self.tui {
+            return tui::show(&live.board, &live.commands(), over);
+        }
+        while !over() {
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        Ok(())
+    }
+
+    fn door(&self) -> Result<Option<Door>> {
+        let Some(address) = self.serve else { return Ok(None) };
+        let token = match &self.token_file {
+            Some(path) => Some(std::fs::read_to_string(path).map_err(Error::io(path, "read"))?.trim().to_owned()),
+            None => None,
+        };
+        Door::new(address, token, self.allow_host.clone()).map(Some)
     }
 
     fn setup(&self, console: &Console) -> Result<Setup> {

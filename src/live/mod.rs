@@ -11,21 +11,26 @@
 
 mod board;
 mod clock;
+mod door;
 mod encoders;
 mod finder;
 mod gap;
 mod journal;
 mod latency;
 mod learner;
+mod metrics;
 mod outcome;
 mod pictures;
 mod pipeline;
 mod quiet;
 mod saver;
+pub mod server;
 mod source;
+pub mod tui;
 
 pub use board::{Board, DiscoveryStatus, EstimateStatus, Row, State};
 pub use clock::{ClockState, Lag};
+pub use door::Door;
 pub use encoders::{EncoderSource, EncoderStatus};
 pub use gap::{GapState, GapStatus};
 pub use journal::JOURNAL;

@@ -1,0 +1,195 @@
+//! Who may come in: the address, the token, and the checks that every request passes.
+//!
+//! A web page from elsewhere must not command the robot's loop through its reader's browser. So the `Host` must be an address or a
+//! known name (a foreign name that leads here is somebody's trick), an `Origin` must be our own, and beyond the loopback
+//! interface a token is needed as well.
+
+use crate::error::{Error, Result};
+use axum::body::Body;
+use axum::extract::{Request, State};
+use axum::http::header::{AUTHORIZATION, COOKIE, HOST, LOCATION, ORIGIN, SET_COOKIE};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
+
+/// The cookie that holds the token.
+const TOKEN_COOKIE: &str = "snakeloop_token";
+/// Shorter tokens can be guessed.
+const SHORTEST_TOKEN: usize = 16;
+
+/// Where to listen, and whom to let in.
+#[derive(Debug, Clone)]
+pub struct Door {
+    address: SocketAddr,
+    token: Option<String>,
+    names: Vec<String>,
+}
+
+impl Door {
+    /// A door at an address. `names` are host names, besides addresses and localhost, that the page may be called by.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for an address beyond loopback without a token, or a token that can be guessed or not be sent.
+    pub fn new(address: SocketAddr, token: Option<String>, names: Vec<String>) -> Result<Self> {
+        match &token {
+            None if !address.ip().is_loopback() => Err(Error::Usage(format!(
+                "--serve {address} can be reached from other machines: give a token (--token-file), or serve on 127.0.0.1"
+            ))),
+            Some(token) if token.len() < SHORTEST_TOKEN || !token.chars().all(|c| c.is_ascii_alphanumeric()) => {
+                Err(Error::Usage(format!("the token must be {SHORTEST_TOKEN} or more letters and digits")))
+            }
+            _ => Ok(Self { address, token, names }),
+        }
+    }
+
+    /// The address to listen at.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Whether a `Host` (with or without port) is one of ours.
+    fn knows(&self, host: &str) -> bool {
+        let name = match host.rsplit_once(':') {
+            Some((name, port)) if port.bytes().all(|b| b.is_ascii_digit()) => name,
+            _ => host,
+        };
+        let address = name.trim_start_matches('[').trim_end_matches(']');
+        address.parse::<IpAddr>().is_ok()
+            || name.eq_ignore_ascii_case("localhost")
+            || self.names.iter().any(|known| known.eq_ignore_ascii_case(name))
+    }
+
+    fn has_token(&self, headers: &HeaderMap) -> bool {
+        let Some(token) = &self.token else { return true };
+        let text = |name: &HeaderName| headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
+        let in_cookie = || {
+            let pairs = text(&COOKIE).split(';').filter_map(|pair| pair.trim().split_once('='));
+            pairs.filter(|(name, _)| *name == TOKEN_COOKIE).any(|(_, value)| same(value, token))
+        };
+        text(&AUTHORIZATION).strip_prefix("Bearer ").is_some_and(|given| same(given, token)) || in_cookie()
+    }
+}
+
+/// Whether two texts are the same, in a time that does not tell how much of them is.
+fn same(a: &str, b: &str) -> bool {
+    let differences = a.bytes().zip(b.bytes()).fold(0, |sum, (a, b)| sum | (a ^ b));
+    a.len() == b.len() && differences == 0
+}
+
+fn refused(status: StatusCode, why: &'static str) -> Response {
+    (status, format!("{why}\n")).into_response()
+}
+
+/// Lets a request pass, or says why not; adds to every answer what a browser should be told.
+pub async fn guard(State(door): State<Arc<Door>>, request: Request, next: Next) -> Response {
+    let mut response = match check(&door, &request) {
+        Ok(()) => next.run(request).await,
+        Err(response) => response,
+    };
+    let policy = "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; \
+                  frame-ancestors 'none'; form-action 'none'; base-uri 'none'";
+    let told = [
+        ("content-security-policy", policy),
+        ("x-content-type-options", "nosniff"),
+        ("referrer-policy", "no-referrer"),
+        ("cross-origin-resource-policy", "same-origin"),
+    ];
+    for (name, value) in told {
+        response.headers_mut().insert(HeaderName::from_static(name), HeaderValue::from_static(value));
+    }
+    response
+}
+
+fn check(door: &Door, request: &Request) -> std::result::Result<(), Response> {
+    let headers = request.headers();
+    let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
+    if !door.knows(host) {
+        return Err(refused(
+            StatusCode::FORBIDDEN,
+            "this name is not known here; call it by its address, or --allow-host",
+        ));
+    }
+    if let Some(origin) = headers.get(ORIGIN) {
+        let ours =
+            origin.to_str().ok().and_then(|origin| origin.split_once("://")).is_some_and(|(_, from)| from == host);
+        if !ours {
+            return Err(refused(StatusCode::FORBIDDEN, "requests from other pages are not taken"));
+        }
+    }
+    if door.has_token(headers) {
+        return Ok(());
+    }
+    // The link with the token in it: keep it as a cookie, and take it out of the address.
+    let given = request.uri().query().and_then(|query| query.strip_prefix("token="));
+    if request.method() == Method::GET
+        && request.uri().path() == "/"
+        && let (Some(given), Some(token)) = (given, &door.token)
+        && same(given, token)
+    {
+        let cookie = format!("{TOKEN_COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/");
+        let answer = (StatusCode::SEE_OTHER, [(LOCATION, "/".to_owned()), (SET_COOKIE, cookie)], Body::empty());
+        return Err(answer.into_response());
+    }
+    Err(refused(StatusCode::UNAUTHORIZED, "a token is needed: open /?token=TOKEN, or send Authorization: Bearer TOKEN"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn door(token: Option<&str>) -> Door {
+        Door::new("127.0.0.1:8080".parse().unwrap(), token.map(str::to_owned), vec!["bench.lab".into()]).unwrap()
+    }
+
+    fn status(door: &Door, uri: &str, headers: &[(&str, &str)]) -> u16 {
+        let request =
+            headers.iter().fold(Request::builder().uri(uri), |request, (name, value)| request.header(*name, *value));
+        check(door, &request.body(Body::empty()).unwrap()).map_or_else(|refused| refused.status().as_u16(), |()| 200)
+    }
+
+    #[test]
+    fn other_machines_need_a_token() {
+        for address in ["0.0.0.0:80", "192.168.1.5:80", "[::]:80"] {
+            assert!(Door::new(address.parse().unwrap(), None, vec![]).is_err());
+            assert!(Door::new(address.parse().unwrap(), Some("0123456789abcdef".into()), vec![]).is_ok());
+        }
+        assert!(Door::new("[::1]:80".parse().unwrap(), None, vec![]).is_ok());
+        assert!(Door::new("[::1]:80".parse().unwrap(), Some("short".into()), vec![]).is_err());
+        assert!(Door::new("[::1]:80".parse().unwrap(), Some("0123456789 abcdef".into()), vec![]).is_err());
+    }
+
+    #[test]
+    fn names_that_only_lead_here_and_pages_from_elsewhere_are_refused() {
+        let door = door(None);
+        for host in ["127.0.0.1:8080", "localhost:8080", "[::1]:8080", "[::1]", "10.0.0.3", "Bench.lab:8080"] {
+            assert_eq!(status(&door, "/", &[("host", host)]), 200, "{host}");
+        }
+        for host in ["evil.example:8080", "localhost.evil.example", "", "127.0.0.1.evil.example"] {
+            assert_eq!(status(&door, "/", &[("host", host)]), 403, "{host}");
+        }
+        assert_eq!(status(&door, "/", &[]), 403);
+        let from = |origin| status(&door, "/api/reset", &[("host", "localhost:8080"), ("origin", origin)]);
+        assert_eq!(from("http://localhost:8080"), 200);
+        for origin in ["http://evil.example", "null", "http://localhost:9999", "http://127.0.0.1:8080"] {
+            assert_eq!(from(origin), 403, "{origin}");
+        }
+    }
+
+    #[test]
+    fn a_token_comes_by_header_cookie_or_once_by_link() {
+        let door = door(Some("0123456789abcdef"));
+        let with = |uri: &str, header: Option<(&str, &str)>| {
+            status(&door, uri, &[&[("host", "localhost")], header.as_slice()].concat())
+        };
+        assert_eq!(with("/api/state", None), 401);
+        assert_eq!(with("/api/state", Some(("authorization", "Bearer 0123456789abcdef"))), 200);
+        assert_eq!(with("/api/state", Some(("authorization", "Bearer 0123456789abcdeX"))), 401);
+        assert_eq!(with("/api/state", Some(("cookie", "a=b; snakeloop_token=0123456789abcdef"))), 200);
+        assert_eq!(with("/api/state", Some(("cookie", "snakeloop_token="))), 401);
+        assert_eq!(with("/?token=0123456789abcdef", None), 303);
+        assert_eq!(with("/?token=wrong", None), 401);
+        assert_eq!(with("/api/state?token=0123456789abcdef", None), 401);
+    }
+}

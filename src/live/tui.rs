@@ -1,0 +1,199 @@
+//! The terminal view: the dashboard's figures without a browser.
+
+use super::board::{Board, State};
+use super::gap::GapState;
+use super::pipeline::{Command, Commands};
+use super::source::SourceState;
+use crate::error::{Error, Result};
+use ratatui::Frame;
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use ratatui::layout::{Constraint, Layout};
+use ratatui::style::{Color, Style, Stylize};
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Block, Paragraph, Sparkline, Wrap};
+use std::time::Duration;
+
+/// How often it is drawn.
+const EVERY: Duration = Duration::from_millis(200);
+/// Rows of θ that are drawn as a line.
+const HISTORY: usize = 300;
+
+/// Shows the figures until the person leaves (q) or `is_over`.
+///
+/// # Errors
+/// No terminal to draw on.
+pub fn show(board: &Board, commands: &Commands, is_over: impl Fn() -> bool) -> Result<()> {
+    let failed = |e: std::io::Error| Error::Usage(format!("--tui needs a terminal: {e}"));
+    let mut terminal = ratatui::try_init().map_err(failed)?;
+    let mut answer =
+        "p pause/continue   s save the table   r reset   t take the straight reference   q quit".to_owned();
+    let result = loop {
+        let state = board.state();
+        let theta: Vec<f64> = board.rows_after(None, HISTORY).iter().filter_map(|row| row.theta_deg).collect();
+        if let Err(e) = terminal.draw(|frame| draw(frame, &state, &theta, &answer)) {
+            break Err(failed(e));
+        }
+        if is_over() {
+            break Ok(());
+        }
+        match key() {
+            Err(e) => break Err(failed(e)),
+            Ok(Some('q')) => break Ok(()),
+            Ok(Some(key)) => {
+                let command = match key {
+                    'p' => Command::Pause(!state.paused),
+                    's' => Command::Save,
+                    'r' => Command::Reset,
+                    't' => Command::Reference,
+                    _ => continue,
+                };
+                answer = match commands.send(command).blocking_recv() {
+                    Ok(Ok(said) | Err(said)) => said,
+                    Err(_) => "the run is over".to_owned(),
+                };
+            }
+            Ok(None) => {}
+        }
+    };
+    ratatui::restore();
+    result
+}
+
+/// The key that was pressed within a moment; Ctrl-C is q.
+fn key() -> std::io::Result<Option<char>> {
+    if !event::poll(EVERY)? {
+        return Ok(None);
+    }
+    let Event::Key(key) = event::read()? else { return Ok(None) };
+    if key.kind != KeyEventKind::Press {
+        return Ok(None);
+    }
+    Ok(match key.code {
+        KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => Some('q'),
+        KeyCode::Char(letter) => Some(letter),
+        _ => None,
+    })
+}
+
+fn draw(frame: &mut Frame, state: &State, theta_deg: &[f64], answer: &str) {
+    let [top, middle, line, foot] =
+        Layout::vertical([Constraint::Length(5), Constraint::Length(9), Constraint::Min(4), Constraint::Length(4)])
+            .areas(frame.area());
+    let [measured, learned] = Layout::horizontal([Constraint::Percentage(50); 2]).areas(middle);
+    let boxed = |title: &'static str, lines: Vec<Line<'static>>| {
+        Paragraph::new(lines).wrap(Wrap { trim: true }).block(Block::bordered().title(title))
+    };
+    frame.render_widget(boxed(" source and encoders ", sources(state)), top);
+    frame.render_widget(boxed(" measured ", measurements(state)), measured);
+    frame.render_widget(boxed(" learned ", estimates(state)), learned);
+    let largest = theta_deg.iter().copied().fold(1.0, f64::max);
+    // The latest, as many as there are columns.
+    let columns = usize::from(line.width.saturating_sub(2));
+    let shown = &theta_deg[theta_deg.len().saturating_sub(columns)..];
+    let heights: Vec<u64> = shown.iter().map(|theta| (1000.0 * theta / largest) as u64).collect();
+    let title = format!(" θ, up to {largest:.0}° ");
+    frame.render_widget(Sparkline::default().block(Block::bordered().title(title)).data(&heights).max(1000), line);
+    let notice = state.notices.last().cloned().unwrap_or_default();
+    frame.render_widget(boxed(" ", vec![Line::from(notice), Line::from(answer.to_owned()).dim()]), foot);
+}
+
+fn sources(state: &State) -> Vec<Line<'static>> {
+    let source = &state.source;
+    let (word, colour) = match source.state {
+        _ if state.paused => ("paused", Color::Yellow),
+        SourceState::Running => ("running", Color::Green),
+        SourceState::Waiting => ("waiting", Color::Yellow),
+        SourceState::Lost => ("lost", Color::Red),
+        SourceState::Ended => ("ended", Color::Yellow),
+    };
+    let encoders = &state.encoders;
+    vec![
+        Line::from(vec![
+            Span::from(state.source_name.clone()),
+            Span::from("  "),
+            Span::styled(word, Style::new().fg(colour).bold()),
+            Span::from(source.trouble.as_ref().map(|why| format!("  {why}")).unwrap_or_default()),
+        ]),
+        Line::from(format!(
+            "{:.1} frames/s, {} frames, {} dropped; latency p50 {:.1} ms, p99 {:.1} ms",
+            source.rate_fps, source.frames, source.dropped, state.latency.p50_ms, state.latency.p99_ms
+        )),
+        Line::from(format!(
+            "encoders {}, {} readings, {} bad lines, clock {:?}, offset {:.3} s",
+            encoders.state, encoders.readings, encoders.bad_lines, encoders.clock, encoders.offset_s
+        )),
+    ]
+}
+
+fn measurements(state: &State) -> Vec<Line<'static>> {
+    let counts = format!("{} measured of {}, {} rejected", state.measured, state.measurements, state.rejected);
+    let Some(row) = &state.latest else { return vec![Line::from("nothing measured yet"), Line::from(counts)] };
+    let angle = |name: &str, value: Option<f64>, sigma: Option<f64>, expected: Option<f64>| {
+        let value = value.zip(sigma).map_or("–".to_owned(), |(value, sigma)| format!("{value:8.2}° ± {sigma:.2}°"));
+        let expected = expected.map(|expected| format!("   expected {expected:.2}°")).unwrap_or_default();
+        Line::from(format!("{name} {value}{expected}"))
+    };
+    vec![
+        Line::from(format!("frame {} at {:.3} s: {} {}", row.index, row.time_s, row.status, row.reason)),
+        angle("θ", row.theta_deg, row.sigma_theta_deg, row.expected_theta_deg).bold(),
+        angle("δ", row.delta_deg, row.sigma_delta_deg, row.expected_delta_deg).bold(),
+        Line::from(match row.residual_mm {
+            Some([a, b, c]) => format!("residuals {:+.1} {:+.1} {:+.1} µm", 1e3 * a, 1e3 * b, 1e3 * c),
+            None => "residuals –".to_owned(),
+        }),
+        Line::from(counts),
+    ]
+}
+
+fn estimates(state: &State) -> Vec<Line<'static>> {
+    let mut lines = match &state.estimate {
+        Some(estimate) => vec![
+            Line::from(format!("η {:.4} ± {:.4}", estimate.eta, estimate.sd_eta)).bold(),
+            Line::from(format!("λ {:.4} ± {:.4} mm", estimate.lambda_mm, estimate.sd_lambda_mm)).bold(),
+        ],
+        None => vec![Line::from("η and λ are not known yet")],
+    };
+    let gap = &state.gap;
+    let (word, colour) = match gap.state {
+        GapState::Unknown => ("not known yet", Color::Reset),
+        GapState::Noise => ("noise", Color::Green),
+        GapState::Above => ("above noise", Color::Red),
+    };
+    lines.push(Line::from(vec![
+        Span::from("gap: "),
+        Span::styled(word, Style::new().fg(colour).bold()),
+        Span::from(format!(" (bending {:.1}, common {:.1}; 1 is noise)", gap.bending, gap.common)),
+    ]));
+    lines.extend(state.discovery.as_ref().map(|discovery| Line::from(discovery.sentence.clone())));
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::live::board::EstimateStatus;
+    use crate::live::encoders::Encoders;
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+
+    #[test]
+    fn the_figures_are_on_the_screen_however_small_it_is() {
+        let mut state = State::at_start("camera 0".into(), Encoders::None.status());
+        let screen = |state: &State, width, height| {
+            let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+            terminal.draw(|frame| draw(frame, state, &[1.0, 30.0, 20.0], "p pause")).unwrap();
+            terminal.backend().to_string()
+        };
+        assert!(screen(&state, 80, 24).contains("nothing measured yet"));
+        state.estimate =
+            Some(EstimateStatus { eta: 1.2211, sd_eta: 0.001, lambda_mm: 0.1767, sd_lambda_mm: 0.0005, samples: 36 });
+        state.gap.state = GapState::Above;
+        let text = screen(&state, 100, 24);
+        for expected in
+            ["camera 0", "waiting", "η 1.2211 ± 0.0010", "λ 0.1767", "above noise", "θ, up to 30°", "p pause"]
+        {
+            assert!(text.contains(expected), "{expected}: {text}");
+        }
+        screen(&state, 12, 4);
+    }
+}
