@@ -337,6 +337,7 @@ impl Readings {
         let stamp_s = time_s - self.offset.estimate().1;
         match self.stamped.back() {
             Some(&(last_s, _)) if last_s >= stamp_s => {}
+            _ if self.is_silent() => return Lookup::Never,
             _ => return Lookup::NotYet,
         }
         let after = self.stamped.partition_point(|&(s, _)| s < stamp_s);
@@ -357,13 +358,17 @@ impl Readings {
         self.stamped.range(from..to).map(|&(s, q)| (s + offset_s, q)).collect()
     }
 
+    /// Whether nothing has come for a while, so that nothing need be waited for.
+    fn is_silent(&self) -> bool {
+        self.last_unix_s.is_none_or(|last| super::source::unix_time_s() - last > SILENT.as_secs_f64())
+    }
+
     fn status(&self) -> EncoderStatus {
-        let silent = |last: f64| super::source::unix_time_s() - last > SILENT.as_secs_f64();
         let (clock, offset_s) = self.offset.estimate();
         EncoderStatus {
             state: match self.last_unix_s {
                 None => "waiting",
-                Some(last) if silent(last) => "lost",
+                Some(_) if self.is_silent() => "lost",
                 Some(_) => "running",
             },
             trouble: self.trouble.clone(),

@@ -25,7 +25,7 @@ pub fn text(content: &Content) -> String {
     metric(
         "frames_dropped_total",
         "counter",
-        "Frames replaced before they were measured.",
+        "Frames that gave way to newer ones before they were measured.",
         &[("", state.source.dropped as f64)],
     );
     metric("reconnects_total", "counter", "How often the source came back.", &[("", state.source.reconnects as f64)]);

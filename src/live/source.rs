@@ -1,14 +1,15 @@
-//! Where live frames come from: a thread that keeps the newest one.
+//! Where live frames come from: a thread that keeps the newest.
 //!
 //! Recordings (picture sequences and videos) are played at their rate, as a camera would deliver them; their clock is the
 //! recording's own, from 0. Cameras and streams are read as fast as they deliver, so that nothing stale queues up before
-//! us, and opened again when they fall silent; their clock is Unix time. A frame that is not fetched before the next one
-//! arrives is dropped and counted.
+//! us, and opened again when they fall silent; their clock is Unix time. A few frames may
+//! wait, so that one that takes longer to measure costs none; where they pile up, all but the newest are dropped and counted.
 
 use super::clock::FrameClock;
 use crate::Result;
 use crate::camera::{Capture, CaptureSettings, CaptureTarget, Frame, FrameSource};
 use serde::Serialize;
+use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -41,6 +42,8 @@ impl Source {
 
 /// Pictures without a rate are played at this many frames per second.
 const USUAL_FPS: f64 = 30.0;
+/// Frames that may wait to be measured: at 60 frames/s, 67 ms.
+const MOST_WAITING: usize = 4;
 /// How long to wait before a silent camera is tried again.
 const RETRY: Duration = Duration::from_millis(250);
 
@@ -80,7 +83,7 @@ pub struct SourceStatus {
     pub trouble: Option<String>,
     /// Frames that came.
     pub frames: u64,
-    /// Frames that were replaced by a newer one before they were fetched.
+    /// Frames that gave way to newer ones before they were fetched.
     pub dropped: u64,
     /// How often it came back.
     pub reconnects: u64,
@@ -121,7 +124,7 @@ struct Shared {
 
 #[derive(Debug)]
 struct Slot {
-    newest: Option<Captured>,
+    waiting: VecDeque<Captured>,
     status: SourceStatus,
     last_at: Option<Instant>,
     stop: bool,
@@ -139,7 +142,8 @@ impl Reader {
         {
             Capture::open(target, settings)?;
         }
-        let slot = Mutex::new(Slot { newest: None, status: SourceStatus::waiting(), last_at: None, stop: false });
+        let slot =
+            Mutex::new(Slot { waiting: VecDeque::new(), status: SourceStatus::waiting(), last_at: None, stop: false });
         let shared = Arc::new(Shared { slot, changed: Condvar::new(), clock });
         let theirs = Arc::clone(&shared);
         let thread = std::thread::spawn(move || match source {
@@ -149,13 +153,13 @@ impl Reader {
         Ok(Self { shared, thread: Some(thread) })
     }
 
-    /// The newest frame, once; waits for it so long. `None` where none came, or none will.
+    /// The next frame, once; waits for it so long. `None` where none came, or none will.
     pub fn next(&self, wait: Duration) -> Option<Captured> {
         let slot = self.shared.lock();
-        let idle = |slot: &mut Slot| slot.newest.is_none() && slot.status.state != SourceState::Ended && !slot.stop;
+        let idle = |slot: &mut Slot| slot.waiting.is_empty() && slot.status.state != SourceState::Ended && !slot.stop;
         let (mut slot, _) =
             self.shared.changed.wait_timeout_while(slot, wait, idle).unwrap_or_else(PoisonError::into_inner);
-        slot.newest.take()
+        slot.waiting.pop_front()
     }
 
     /// The figures so far.
@@ -166,7 +170,7 @@ impl Reader {
     /// Whether a recording is over and its last frame fetched.
     pub fn is_over(&self) -> bool {
         let slot = self.shared.lock();
-        slot.status.state == SourceState::Ended && slot.newest.is_none()
+        slot.status.state == SourceState::Ended && slot.waiting.is_empty()
     }
 }
 
@@ -199,7 +203,7 @@ impl Shared {
         !waited.unwrap_or_else(PoisonError::into_inner).0.stop
     }
 
-    /// Puts a frame in the place of the one before; says whether to go on.
+    /// Puts a frame behind those that wait, or in their place; says whether to go on.
     fn offer(&self, captured: Captured) -> bool {
         // Rates are smoothed over about so many frames.
         const SMOOTHING: f64 = 20.0;
@@ -213,9 +217,11 @@ impl Shared {
             let mean_seconds = if slot.status.rate_fps > 0.0 { 1.0 / slot.status.rate_fps } else { seconds };
             slot.status.rate_fps = 1.0 / (mean_seconds * (1.0 - weight) + seconds * weight);
         }
-        if slot.newest.replace(captured).is_some() {
-            slot.status.dropped += 1;
+        if slot.waiting.len() == MOST_WAITING {
+            slot.status.dropped += MOST_WAITING as u64;
+            slot.waiting.clear();
         }
+        slot.waiting.push_back(captured);
         self.changed.notify_all();
         !slot.stop
     }

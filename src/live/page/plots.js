@@ -43,7 +43,18 @@ const plots = (() => {
       x: times(), y: column((row) => (of(row) === null ? null : of(row) + sign * 2 * sigma(row)), wraps),
       type: "scatter", mode: "lines", line: { width: 0 }, hoverinfo: "skip",
     });
-    return [edge(-1), { ...edge(1), fill: "tonexty", fillcolor: faint(colour(name)) }];
+    // A band for each unbroken stretch, since a filled one must not lead across a gap.
+    const [low, high] = [edge(-1), edge(1)];
+    const bands = [];
+    for (let from = 0; from < low.y.length; from++) {
+      if (low.y[from] === null) continue;
+      let to = from;
+      while (to < low.y.length && low.y[to] !== null && high.y[to] !== null) to++;
+      const part = (edge) => ({ ...edge, x: edge.x.slice(from, to), y: edge.y.slice(from, to) });
+      bands.push(part(low), { ...part(high), fill: "tonexty", fillcolor: faint(colour(name)) });
+      from = to;
+    }
+    return bands;
   }
 
   // Seconds before now.

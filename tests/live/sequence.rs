@@ -1,0 +1,159 @@
+//! A numbered sequence of pictures: what is written, what survives a kill, who is let in.
+
+use super::lab::{self, Live, assert_learned, experiment};
+use snakeloop::record::{read_encoders, read_measurements, read_model};
+use std::collections::BTreeSet;
+use std::fs;
+use std::io::Write;
+use std::net::TcpStream;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+/// The indices in a journal, which must be in order.
+fn journaled(output: &std::path::Path) -> Vec<u64> {
+    let text = fs::read_to_string(output.join("journal.jsonl")).unwrap();
+    let whole = text.split_inclusive('\n').filter(|line| line.ends_with('\n'));
+    let entries = whole.map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+    let indices: Vec<u64> = entries.filter_map(|entry| entry["index"].as_u64()).collect();
+    assert!(indices.windows(2).all(|pair| pair[0] < pair[1]), "{indices:?}");
+    indices
+}
+
+#[test]
+fn a_killed_run_goes_on_with_all_but_the_frame_in_hand() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("out");
+    let mut live = Live::start(&output, &["--rate", "4"]);
+    let before = live.until("eight measurements", |state| state["measurements"].as_u64() >= Some(8));
+    live.kill();
+    let kept = journaled(&output);
+    let shown = before["latest"]["index"].as_u64().unwrap();
+    assert!(kept.contains(&shown) && kept.len() as u64 >= before["measurements"].as_u64().unwrap());
+
+    let again = Command::new(env!("CARGO_BIN_EXE_snakeloop"))
+        .args(["live", experiment().to_str().unwrap(), "-o", output.to_str().unwrap()])
+        .output()
+        .unwrap();
+    assert_eq!(again.status.code(), Some(1), "a journal in the way is not overwritten");
+    assert!(String::from_utf8_lossy(&again.stderr).contains("--resume"));
+
+    // What a kill in the middle of a write leaves.
+    let mut journal = fs::OpenOptions::new().append(true).open(output.join("journal.jsonl")).unwrap();
+    journal.write_all(b"{\"index\":999,\"time_s\":3.").unwrap();
+    let live = Live::start(&output, &["--rate", "4", "--resume"]);
+    let state = live.until("the end", |state| state["ended"] == true);
+    assert_eq!(state["resumed"].as_u64().unwrap(), kept.len() as u64);
+    assert_learned(&state);
+    assert!(live.finish().success());
+    let all = journaled(&output);
+    assert_eq!(all[..kept.len()], kept);
+    assert!(all.len() > kept.len() && all.last() < Some(&lab::FRAMES));
+    let written = read_measurements(&output.join("measurements.csv")).unwrap().rows;
+    assert_eq!(written.iter().map(|m| m.index).collect::<Vec<_>>(), all);
+    assert_eq!(read_encoders(&output.join("encoders.csv")).unwrap().rows.len(), all.len());
+    assert!(read_model(&output.join("model.toml")).unwrap().estimate.is_some());
+    assert!(output.join("compensation.json").exists());
+}
+
+#[test]
+fn readings_from_a_file_are_matched_by_time_and_the_machine_interface_tells() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = folder.path().join("readings.jsonl");
+    let rate = 4.0;
+    let reading = |k: u32| {
+        let time_s = f64::from(k) / 50.0;
+        let q = lab::encoders(time_s * rate / lab::FRAMES as f64);
+        format!("{{\"time_s\":{time_s},\"q_mm\":[{},{},{}]}}\n", q.x, q.y, q.z)
+    };
+    fs::write(&lines, (0..500).map(reading).collect::<String>()).unwrap();
+    let out = folder.path().join("out");
+    let live = Live::start(&out, &["--rate", "4", "--save-every", "1", "--encoders", lines.to_str().unwrap()]);
+    live.until("measurements", |state| state["measurements"].as_u64() >= Some(3));
+
+    let (status, _) = live.ask("POST", "/api/command/pause", "Origin: http://localhost\r\n", "");
+    assert_eq!((status, &live.get("/api/state")["paused"]), (200, &true.into()));
+    let paused = live.get("/api/state")["measurements"].clone();
+    std::thread::sleep(Duration::from_millis(600));
+    let later = live.get("/api/state")["measurements"].clone();
+    assert!(later.as_u64().unwrap() <= paused.as_u64().unwrap() + 1, "paused");
+    live.ask("POST", "/api/command/continue", "", "");
+
+    let state = live.until("the end", |state| state["ended"] == true);
+    assert_learned(&state);
+    assert_eq!(state["encoders"]["clock"], "shared");
+    assert_eq!(state["encoders"]["readings"], 500);
+    let all = live.get("/api/measurements");
+    let rows = all["measurements"].as_array().unwrap();
+    assert_eq!(rows.len() as u64, state["measurements"].as_u64().unwrap());
+    let third = rows[2]["index"].as_u64().unwrap();
+    let rest = live.get(&format!("/api/measurements?since={third}"));
+    assert_eq!(rest["measurements"].as_array().unwrap().len(), rows.len() - 3);
+    for row in rows {
+        let (seen, expected) = (&row["theta_deg"], &row["expected_theta_deg"]);
+        assert_eq!(row["status"], "ok");
+        assert!(row["verdict"] != "used" || seen.is_number() && expected.is_number(), "{row}");
+    }
+    let model = live.get("/api/model");
+    assert_eq!(model["estimate"]["eta"], state["estimate"]["eta"]);
+    let table = live.get("/api/table?theta=30&delta=-15");
+    let truth = lab::robot().command(snakeloop::geometry::Configuration::from_degrees(30.0, -15.0));
+    for (k, truth) in truth.iter().enumerate() {
+        assert!((table["qc_mm"][k].as_f64().unwrap() - truth).abs() < 0.05, "{table}");
+    }
+    assert_eq!(live.ask("GET", "/api/table?theta=300&delta=0", "", "").0, 400);
+    let (status, metrics) = live.ask("GET", "/metrics", "", "");
+    assert_eq!(status, 200);
+    for line in metrics.lines().filter(|line| !line.starts_with('#')) {
+        let (name, value) = line.rsplit_once(' ').unwrap();
+        assert!(name.starts_with("snakeloop_") && value.parse::<f64>().is_ok(), "{line}");
+    }
+    assert!(metrics.contains(&format!("snakeloop_latency_seconds_count {}", rows.len())));
+    assert!(live.finish().success());
+}
+
+#[test]
+fn idle_and_slow_clients_hold_up_nobody_and_strangers_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let live = Live::start(&folder.path().join("out"), &["--rate", "2"]);
+    let mut guests = Vec::new();
+    for k in 0..50 {
+        let mut stream = TcpStream::connect(live.address).unwrap();
+        // Silent ones, half a request, and streams that are asked for and never read.
+        let said = match k % 4 {
+            0 => "",
+            1 => "GET / HTTP/1.1\r\nHost: local",
+            2 => "GET /api/events HTTP/1.1\r\nHost: localhost\r\n\r\n",
+            _ => "GET /video.mjpg HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        };
+        stream.write_all(said.as_bytes()).unwrap();
+        guests.push(stream);
+    }
+    let first = live.get("/api/state")["measurements"].as_u64();
+    let mut slowest = Duration::ZERO;
+    let mut seen = BTreeSet::new();
+    for _ in 0..20 {
+        let asked = Instant::now();
+        seen.insert(live.get("/api/state")["measurements"].as_u64());
+        slowest = slowest.max(asked.elapsed());
+        std::thread::sleep(Duration::from_millis(150));
+    }
+    assert!(slowest < Duration::from_secs(2), "an answer took {slowest:?}");
+    assert!(seen.last().unwrap() > &first, "measuring goes on: {seen:?}");
+
+    let status = |method: &str, target: &str, headers: &str, body: &str| live.ask(method, target, headers, body).0;
+    assert_eq!(status("GET", "/", "Host: evil.example\r\n", ""), 403);
+    assert_eq!(status("POST", "/api/command/reset", "Origin: http://evil.example\r\n", ""), 403);
+    assert_eq!(status("POST", "/api/command/dance", "", ""), 404);
+    assert_eq!(status("GET", "/api/command/reset", "", ""), 405);
+    assert_eq!(status("GET", "/nowhere", "", ""), 404);
+    let long = format!("X-Long: {}\r\n", "a".repeat(100_000));
+    assert!((400..500).contains(&status("GET", "/", &long, "")));
+
+    // Beyond loopback a token is needed, and nothing is done before that is settled.
+    let open = Command::new(env!("CARGO_BIN_EXE_snakeloop"))
+        .args(["live", experiment().to_str().unwrap(), "-o", "nowhere", "--serve", "0.0.0.0:0"])
+        .output()
+        .unwrap();
+    assert_eq!(open.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&open.stderr).contains("--token-file"));
+}
