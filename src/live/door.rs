@@ -84,9 +84,9 @@ fn refused(status: StatusCode, why: &'static str) -> Response {
 
 /// Lets a request pass, or says why not; adds to every answer what a browser should be told.
 pub async fn guard(State(door): State<Arc<Door>>, request: Request, next: Next) -> Response {
-    let mut response = match check(&door, &request) {
-        Ok(()) => next.run(request).await,
-        Err(response) => response,
+    let mut response = match refusal(&door, &request) {
+        None => next.run(request).await,
+        Some(response) => response,
     };
     let policy = "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; \
                   frame-ancestors 'none'; form-action 'none'; base-uri 'none'";
@@ -102,11 +102,12 @@ pub async fn guard(State(door): State<Arc<Door>>, request: Request, next: Next) 
     response
 }
 
-fn check(door: &Door, request: &Request) -> std::result::Result<(), Response> {
+/// What a request that may not pass is answered instead; `None` for one that may.
+fn refusal(door: &Door, request: &Request) -> Option<Response> {
     let headers = request.headers();
     let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
     if !door.knows(host) {
-        return Err(refused(
+        return Some(refused(
             StatusCode::FORBIDDEN,
             "this name is not known here; call it by its address, or --allow-host",
         ));
@@ -115,11 +116,11 @@ fn check(door: &Door, request: &Request) -> std::result::Result<(), Response> {
         let ours =
             origin.to_str().ok().and_then(|origin| origin.split_once("://")).is_some_and(|(_, from)| from == host);
         if !ours {
-            return Err(refused(StatusCode::FORBIDDEN, "requests from other pages are not taken"));
+            return Some(refused(StatusCode::FORBIDDEN, "requests from other pages are not taken"));
         }
     }
     if door.has_token(headers) {
-        return Ok(());
+        return None;
     }
     // The link with the token in it: keep it as a cookie, and take it out of the address.
     let given = request.uri().query().and_then(|query| query.strip_prefix("token="));
@@ -130,9 +131,12 @@ fn check(door: &Door, request: &Request) -> std::result::Result<(), Response> {
     {
         let cookie = format!("{TOKEN_COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/");
         let answer = (StatusCode::SEE_OTHER, [(LOCATION, "/".to_owned()), (SET_COOKIE, cookie)], Body::empty());
-        return Err(answer.into_response());
+        return Some(answer.into_response());
     }
-    Err(refused(StatusCode::UNAUTHORIZED, "a token is needed: open /?token=TOKEN, or send Authorization: Bearer TOKEN"))
+    Some(refused(
+        StatusCode::UNAUTHORIZED,
+        "a token is needed: open /?token=TOKEN, or send Authorization: Bearer TOKEN",
+    ))
 }
 
 #[cfg(test)]
@@ -146,7 +150,7 @@ mod tests {
     fn status(door: &Door, uri: &str, headers: &[(&str, &str)]) -> u16 {
         let request =
             headers.iter().fold(Request::builder().uri(uri), |request, (name, value)| request.header(*name, *value));
-        check(door, &request.body(Body::empty()).unwrap()).map_or_else(|refused| refused.status().as_u16(), |()| 200)
+        refusal(door, &request.body(Body::empty()).unwrap()).map_or(200, |refused| refused.status().as_u16())
     }
 
     #[test]

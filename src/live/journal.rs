@@ -45,6 +45,9 @@ struct Line {
     /// Edges, inlier fraction, rms in px.
     #[serde(skip_serializing_if = "Option::is_none")]
     quality: Option<(usize, f64, f64)>,
+    /// By how much base and grid were seen to have moved, px.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    moved_px: Option<(Option<f64>, Option<f64>)>,
     #[serde(skip_serializing_if = "Option::is_none")]
     q_mm: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -70,6 +73,7 @@ impl From<&Entry> for Line {
             status: measurement.status.to_string(),
             angles,
             quality: measurement.quality.map(|q| (q.edges, q.inlier_fraction, q.rms_px)),
+            moved_px: measurement.quality.map(|q| (q.base_moved_px, q.grid_moved_px)),
             q_mm: reading.map(|reading| reading.q_mm.into()),
             encoder_time_s: reading.map(|reading| reading.time_s),
             view: measurement.view.clone(),
@@ -90,6 +94,7 @@ impl Line {
             sigma_delta: sigma_delta.to_radians(),
             correlation,
         });
+        let (base_moved_px, grid_moved_px) = self.moved_px.unwrap_or_default();
         let measurement = Measurement {
             index,
             time_s: self.time_s,
@@ -99,7 +104,8 @@ impl Line {
                 edges,
                 inlier_fraction,
                 rms_px,
-                ..Quality::default()
+                base_moved_px,
+                grid_moved_px,
             }),
             view: self.view,
         };
@@ -224,7 +230,13 @@ mod tests {
             time_s: Some(time_s),
             status: Status::Ok,
             measured: Some(measured),
-            quality: Some(Quality { edges: 400, inlier_fraction: 0.9, rms_px: 0.2, ..Quality::default() }),
+            quality: Some(Quality {
+                edges: 400,
+                inlier_fraction: 0.9,
+                rms_px: 0.2,
+                base_moved_px: Some(0.1),
+                grid_moved_px: None,
+            }),
             view: Some("side".into()),
         };
         let reading = EncoderReading { index, time_s, q_mm: Vector3::new(0.1, -0.2, 0.3) };

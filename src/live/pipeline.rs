@@ -454,8 +454,8 @@ impl Loop {
 }
 
 /// What a frame shows, near the bend that the one before it showed.
-fn look(eye: &Eye, frame: &Frame, _last: Option<Vector2<f64>>) -> Sighting {
-    eye.measure(frame)
+fn look(eye: &Eye, frame: &Frame, last: Option<Vector2<f64>>) -> Sighting {
+    last.map_or_else(|| eye.measure(frame), |last| eye.track(frame, last))
 }
 
 /// What a new straight reference needs.

@@ -10,7 +10,7 @@ use snakeloop::simulate::scene::{Scene, Sensor};
 use snakeloop::simulate::{FrameFormat, write_experiment};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
@@ -67,7 +67,6 @@ pub fn experiment() -> &'static Path {
 pub struct Live {
     child: Child,
     pub address: SocketAddr,
-    pub output: PathBuf,
 }
 
 impl Live {
@@ -91,7 +90,7 @@ impl Live {
         };
         // Whatever else it says goes where the test's own words go.
         std::thread::spawn(move || lines.lines().map_while(Result::ok).for_each(|line| eprintln!("live: {line}")));
-        Self { child, address, output: output.to_owned() }
+        Self { child, address }
     }
 
     /// The status and body of an answer.

@@ -92,7 +92,8 @@ impl Page {
 fn figures_change_buttons_work_and_the_console_is_silent() {
     experiment();
     let folder = tempfile::tempdir().unwrap();
-    let live = Live::start(&folder.path().join("out"), &["--rate", "2"]);
+    let output = folder.path().join("out");
+    let live = Live::start(&output, &["--rate", "2"]);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let (_driver, client) = browser().await;
@@ -105,7 +106,7 @@ fn figures_change_buttons_work_and_the_console_is_silent() {
     });
     let state = live.get("/api/state");
     assert!(state["notices"].to_string().contains("reset"), "{state:#}");
-    assert!(live.output.join("compensation.csv").exists());
+    assert!(output.join("compensation.csv").exists());
 }
 
 async fn visit(page: &Page) {
