@@ -1,6 +1,6 @@
 //! What tells snake from paper: the mix of colour channels that separates them best.
 
-use super::plane::{Plane, Region};
+use super::plane::{Plane, Region, median};
 use crate::camera::Frame;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -76,7 +76,7 @@ impl Appearance {
     /// The snakeness of every pixel. A grey frame seen with a colour appearance counts as neutral colours, and a colour
     /// frame seen with a grey appearance is averaged.
     pub fn plane(&self, frame: &Frame) -> Plane {
-        self.plane_within(frame, &Region { x: 0..frame.width as usize, y: 0..frame.height as usize })
+        self.plane_within(frame, &Region::whole(frame.width, frame.height))
     }
 
     /// The same within a region of the frame, with zeros elsewhere.
@@ -103,6 +103,37 @@ impl Appearance {
             }
         }
         Plane { width, height, data }
+    }
+}
+
+impl Appearance {
+    /// The same as if the frame had been exposed like the picture that was learned from: in it the paper, which is most of
+    /// a picture, was at 0. A background that is as much snake as paper, or one that differs from the snake in colour
+    /// alone, does not tell, and is left as it is.
+    pub fn exposed_alike(&self, mut plane: Plane, region: &Region) -> Plane {
+        const STRIDE: usize = 7;
+        const TELLS: f64 = 0.5;
+        if self.two_sided || self.offset.abs() < TELLS {
+            return plane;
+        }
+        let columns = || region.x.clone().step_by(STRIDE);
+        let mut levels: Vec<f32> = region
+            .y
+            .clone()
+            .step_by(STRIDE)
+            .flat_map(|y| columns().map(move |x| (x, y)))
+            .map(|(x, y)| plane.data[y * plane.width + x])
+            .collect();
+        // Without light the plane would be at the offset.
+        let dark = self.offset as f32;
+        let exposure = (1.0 - median(&mut levels) / dark).clamp(0.02, 5.0);
+        for y in region.y.clone() {
+            let row = y * plane.width;
+            plane.data[row + region.x.start..row + region.x.end]
+                .iter_mut()
+                .for_each(|v| *v = dark + (*v - dark) / exposure);
+        }
+        plane
     }
 }
 

@@ -40,7 +40,7 @@ const DRAWN_PX: f64 = 1.0;
 impl<'a> EdgeFinder<'a> {
     /// A finder for a picture in which the snake is brighter than its background or, if `two_sided`, different from it.
     pub fn new(plane: &'a Plane, two_sided: bool) -> Self {
-        Self::within(plane, two_sided, &plane.whole())
+        Self::within(plane, two_sided, &Region::whole(plane.width as u32, plane.height as u32))
     }
 
     /// The same for a picture of which only a region is known.

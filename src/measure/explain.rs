@@ -5,6 +5,7 @@ use super::eye::{Eye, Sighting};
 use super::fit::{SETTLED_PX, robust_weights};
 use super::grid::project_paper;
 use super::outline::Outline;
+use super::plane::Region;
 use super::proof::Proof;
 use crate::camera::Frame;
 use crate::geometry::Configuration;
@@ -43,7 +44,7 @@ impl Eye {
     /// Measures one frame and tells every stage of it.
     pub fn explain(&self, frame: &Frame) -> Explanation {
         let look = self.look(frame);
-        let plane = self.rig.appearance.plane(frame);
+        let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
         let fits: Vec<Configuration> = look.fits.iter().map(|fit| Configuration::from_bend_vector(fit.bend)).collect();
         let outline = fits.first().map(|&psi| Outline::new(&self.projection(), psi));
         let mut finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);

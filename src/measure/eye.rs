@@ -3,7 +3,7 @@
 use super::edges::EdgeFinder;
 use super::fit::{AS_GOOD, BendFit, BiasPrior, Effort, Start, State, fit_bend};
 use super::outline::{Outline, Projection};
-use super::plane::Region;
+use super::plane::{Plane, Region};
 use super::proof::Proof;
 use super::rig::Rig;
 use super::search::Search;
@@ -130,7 +130,7 @@ impl Eye {
         if let Some(status) = self.unfit(frame) {
             return Look { sighting: failed(status, None), ..look };
         }
-        let plane = self.rig.appearance.plane(frame);
+        let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
         let view = self.projection();
         let mut finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
         let mut fit = |start: Start, effort: &Effort| fit_bend(&view, &mut finder, start, self.prior(), effort);
@@ -169,7 +169,7 @@ impl Eye {
         let bounds = |bend| Outline::spaced(&view, Configuration::from_bend_vector(bend), SPARSE_PX).bounds();
         let size = (frame.width, frame.height);
         let region = Region::around(bounds(last), NEARBY_PX, size);
-        let plane = self.rig.appearance.plane_within(frame, &region);
+        let plane = self.plane(frame, &region);
         let mut finder = EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region);
         let mut fit = |start: Start| fit_bend(&view, &mut finder, start, self.prior(), &FIRST_LOOK);
         let near = fit(self.start(last))?;
@@ -182,6 +182,12 @@ impl Eye {
         let (_, sighting) = self.judge(&looks, &mut finder);
         let sighting = self.watched(sighting, frame, &mut finder);
         (sighting.status == Status::Ok).then_some(sighting)
+    }
+
+    /// The snakeness of a region of a frame, however it is exposed.
+    pub(super) fn plane(&self, frame: &Frame, region: &Region) -> Plane {
+        let plane = self.rig.appearance.plane_within(frame, region);
+        self.rig.appearance.exposed_alike(plane, region)
     }
 
     /// Why a frame is not worth looking at.

@@ -24,6 +24,11 @@ pub struct Region {
 }
 
 impl Region {
+    /// All of a picture.
+    pub fn whole(width: u32, height: u32) -> Self {
+        Self { x: 0..width as usize, y: 0..height as usize }
+    }
+
     /// What lies within bounds (x0, y0, x1, y1; px) grown by a margin, of a picture this large.
     pub fn around((x0, y0, x1, y1): (f64, f64, f64, f64), margin_px: f64, size: (u32, u32)) -> Self {
         let range = |from: f64, to: f64, most: u32| {
@@ -105,11 +110,6 @@ impl Plane {
             }
         }
         Self { width, height, data }
-    }
-
-    /// All of it.
-    pub fn whole(&self) -> Region {
-        Region { x: 0..self.width, y: 0..self.height }
     }
 
     /// An estimate of the pixel noise σ within a region, robust against everything that is not noise.

@@ -10,7 +10,7 @@ use super::fit::{
 };
 use super::grid::nudged;
 use super::outline::{Outline, Piece, Projection};
-use super::plane::Plane;
+use super::plane::{Plane, Region};
 use super::rig::Rig;
 use crate::camera::Frame;
 use crate::record::Status;
@@ -41,7 +41,7 @@ impl Eye {
         let find = |frame: Frame| {
             let Look { sighting, fits, .. } = self.look(&frame);
             let fit = fits.first().filter(|_| sighting.status == Status::Ok)?;
-            Some((self.rig.appearance.plane(&frame), fit.start()))
+            Some((self.plane(&frame, &Region::whole(frame.width, frame.height)), fit.start()))
         };
         let (planes, mut starts): (Vec<Plane>, Vec<Start>) = frames.filter_map(find).unzip();
         let mut rig = self.rig.clone();

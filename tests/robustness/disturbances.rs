@@ -244,7 +244,7 @@ fn gain(picture: &mut RgbImage, factor: f64) {
     picture.iter_mut().for_each(|v| *v = (f64::from(*v) * factor).round().min(255.0) as u8);
 }
 
-fn through_jpeg(picture: &RgbImage, quality: u8) -> RgbImage {
+pub fn through_jpeg(picture: &RgbImage, quality: u8) -> RgbImage {
     let mut bytes = Vec::new();
     picture.write_with_encoder(JpegEncoder::new_with_quality(&mut bytes, quality)).unwrap();
     image::load_from_memory(&bytes).unwrap().to_rgb8()

@@ -17,6 +17,11 @@ fn sized(scale: f64, focal_px: f64) -> Scene {
 /// A rig that nobody has seen.
 pub fn varied(random: &mut Random) -> Scene {
     let scale = if random.chance(0.7) { 0.5 } else { 1.0 };
+    at_scale(scale, random)
+}
+
+/// The same in a picture `scale` times 1280×720.
+pub fn at_scale(scale: f64, random: &mut Random) -> Scene {
     let distance_mm = random.between(120.0, 300.0);
     let mut scene = sized(scale, random.between(17.0, 21.0) * distance_mm);
     if random.chance(0.5) {
