@@ -65,8 +65,6 @@ pub struct Args {
     /// The model to start from (model.toml); its effects are obeyed. Without it the experiment's, or the paper's
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    #[command(flatten)]
-    estimator: EstimatorArgs,
     /// How often model and table are written
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = positive)]
     save_every: f64,
@@ -85,6 +83,8 @@ pub struct Args {
     /// Go on with the run that OUT holds, with all its measurements
     #[arg(long)]
     resume: bool,
+    #[command(flatten)]
+    estimator: EstimatorArgs,
 }
 
 /// Share of earlier information kept at each measurement: at 60 frames/s, half a minute.
