@@ -22,7 +22,10 @@ struct Server {
 }
 
 impl Server {
-    fn start(address: &str, serve: impl Fn(&mut TcpStream) -> std::io::Result<()> + Send + Sync + 'static) -> Self {
+    fn start(
+        address: &str,
+        serve: impl Fn(&mut TcpStream, &AtomicBool) -> std::io::Result<()> + Send + Sync + 'static,
+    ) -> Self {
         // A port that was just in use may need a moment.
         let deadline = Instant::now() + Duration::from_secs(10);
         let listener = loop {
@@ -42,7 +45,7 @@ impl Server {
                 if let Ok((mut stream, _)) = listener.accept() {
                     let (stop, serve) = (Arc::clone(&theirs), Arc::clone(&serve));
                     visitors.push(std::thread::spawn(move || {
-                        while !stop.load(Ordering::Relaxed) && serve(&mut stream).is_ok() {}
+                        while !stop.load(Ordering::Relaxed) && serve(&mut stream, &stop).is_ok() {}
                     }));
                 }
                 std::thread::sleep(Duration::from_millis(2));
@@ -69,12 +72,12 @@ fn share(began: Instant) -> f64 {
 fn camera(address: &str, began: Instant) -> Server {
     let read = |index| std::fs::read(experiment().join(format!("frames/{index:05}.jpg"))).unwrap();
     let pictures: Vec<Vec<u8>> = (0..FRAMES).map(read).collect();
-    Server::start(address, move |stream| {
+    Server::start(address, move |stream, stop| {
         stream.set_nonblocking(false)?;
         stream.set_read_timeout(Some(Duration::from_secs(2)))?;
         let _ = stream.read(&mut [0; 4096])?;
         stream.write_all(b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n")?;
-        loop {
+        while !stop.load(Ordering::Relaxed) {
             // Where the path's frames lie.
             let picture = &pictures[(share(began) * FRAMES as f64) as usize % FRAMES as usize];
             write!(stream, "--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", picture.len())?;
@@ -82,13 +85,14 @@ fn camera(address: &str, began: Instant) -> Server {
             stream.write_all(b"\r\n")?;
             std::thread::sleep(Duration::from_secs_f64(1.0 / FPS));
         }
+        Ok(())
     })
 }
 
 /// Encoder lines at 100 Hz, by a clock of their own that began 5000 s before the test. The frames stand still between
 /// their instants, and so do the readings.
 fn encoder_lines(began: Instant) -> Server {
-    Server::start("127.0.0.1:0", move |stream| {
+    Server::start("127.0.0.1:0", move |stream, _| {
         stream.set_nonblocking(false)?;
         let frame = (share(began) * FRAMES as f64).floor() / FRAMES as f64;
         let q = lab::encoders(frame);
