@@ -106,6 +106,8 @@ impl Line {
                 rms_px,
                 base_moved_px,
                 grid_moved_px,
+                // The journal is for the loop, which does not ask.
+                shape: None,
             }),
             view: self.view,
         };
@@ -236,6 +238,7 @@ mod tests {
                 rms_px: 0.2,
                 base_moved_px: Some(0.1),
                 grid_moved_px: None,
+                shape: None,
             }),
             view: Some("side".into()),
         };

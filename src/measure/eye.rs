@@ -265,6 +265,8 @@ impl Eye {
         if status != Status::Ok {
             return failed(status, Some(quality));
         }
+        let shape = fit.departure.as_ref().and_then(|departure| departure.measured(&self.rig.pose_covariance));
+        let quality = Quality { shape, ..quality };
         let from_rig = fit.by_pose * self.rig.pose_covariance * fit.by_pose.transpose();
         Sighting::of(Bend { vector: fit.bend, covariance: fit.covariance + from_rig }, quality)
     }

@@ -3,6 +3,7 @@
 use super::edges::EdgeFinder;
 use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use super::plane::median;
+use super::shape::{Departure, departure};
 use super::solve::covariance;
 use crate::geometry::{Configuration, Pose};
 use crate::robot::Robot;
@@ -57,7 +58,7 @@ pub(super) struct Matches {
 /// What light from one side does to all rims of a straight snake alike, px (1σ): see [`Matches::light_patterns`].
 pub(super) const LIGHT_STRAIGHT_PX: f64 = 0.05;
 /// The same for a bent snake, whose disks turn in the light.
-const LIGHT_BENT_PX: f64 = 0.02;
+pub(super) const LIGHT_BENT_PX: f64 = 0.02;
 /// Edges come in runs of about as many that err alike; what is known beforehand weighs against one of a run.
 const ALIKE: f64 = 10.0;
 /// The furthest that softness may displace an edge of the model, px.
@@ -116,8 +117,12 @@ impl Matches {
 
     /// How far outside the model's border each edge lies, px.
     pub fn distances_px(&self, view: &Projection, psi: Configuration) -> Vec<f64> {
-        let frames: Vec<Pose> =
-            self.sections_mm.iter().map(|&s| view.camera_from_base * view.robot.frame_at(psi, s)).collect();
+        self.distances_along(view, |s_mm| view.robot.frame_at(psi, s_mm))
+    }
+
+    /// The same for a snake whose sections have these frames by their arc length, mm.
+    fn distances_along(&self, view: &Projection, frame_at: impl Fn(f64) -> Pose) -> Vec<f64> {
+        let frames: Vec<Pose> = self.sections_mm.iter().map(|&s| view.camera_from_base * frame_at(s)).collect();
         let points = self.matches.iter().zip(&self.section_of);
         points
             .map(|(m, &section)| {
@@ -136,6 +141,12 @@ impl Matches {
     /// The same in units of σ.
     pub fn residuals(&self, view: &Projection, psi: Configuration, bias: EdgeBias) -> Vec<f64> {
         self.misfits_px(view, psi, bias).iter().zip(&self.matches).map(|(d, m)| d / m.sigma_px).collect()
+    }
+
+    /// [`residuals`](Self::residuals) for a snake whose sections have these frames by their arc length, mm.
+    pub fn residuals_along(&self, view: &Projection, frame_at: impl Fn(f64) -> Pose, bias: EdgeBias) -> Vec<f64> {
+        let distances = self.distances_along(view, frame_at);
+        distances.iter().zip(&self.matches).map(|(d, m)| (d - bias.of(m.piece)) / m.sigma_px).collect()
     }
 
     /// The piece of the body of every edge.
@@ -210,6 +221,7 @@ impl Matches {
 }
 
 /// Residuals of matched edges, in units of σ, and how they follow what may be fitted (rows: edges).
+#[derive(Debug, Clone)]
 pub(super) struct Linearised {
     pub residuals: DVector<f64>,
     /// By bend vector (rad) and edge bias (sides, rims; px): the components of [`State`].
@@ -220,7 +232,7 @@ pub(super) struct Linearised {
 
 impl Linearised {
     /// With two rows more: what is known of the bias beforehand.
-    fn with_prior(self, prior: &BiasPrior, state: &State) -> Self {
+    pub fn with_prior(self, prior: &BiasPrior, state: &State) -> Self {
         let edges = self.residuals.len();
         let root = ALIKE.sqrt() / prior.sigma_px;
         let mut residuals = self.residuals.insert_rows(edges, 2, 0.0);
@@ -233,7 +245,7 @@ impl Linearised {
     }
 
     /// With every row times the square root of its weight.
-    fn weighted(mut self, roots: &[f64]) -> Self {
+    pub fn weighted(mut self, roots: &[f64]) -> Self {
         for (row, root) in roots.iter().enumerate() {
             self.residuals[row] *= root;
             self.by_state.row_mut(row).scale_mut(*root);
@@ -317,6 +329,8 @@ pub(super) struct BendFit {
     pub bias: EdgeBias,
     /// Covariance of the bend vector from this picture alone, rad².
     pub covariance: Matrix2<f64>,
+    /// How it departs from a circle; `None` where the edges do not tell.
+    pub departure: Option<Departure>,
     /// Change of the bend vector with the camera's pose (see [`nudged`]).
     pub by_pose: Matrix2x6<f64>,
     /// Places of the outline in view.
@@ -472,6 +486,7 @@ pub(super) fn fit_bend(
     let clustered = clustered_covariance(&linear.by_state, &linear.residuals, &matches.pieces())?;
     let light = light_covariance(&matches, &linear.by_state, &independent, view.robot, LIGHT_BENT_PX, &roots);
     let gain = &independent * linear.by_state.tr_mul(&linear.by_pose);
+    let departure = if effort.settled { departure(view, &matches, &state, &bias) } else { None };
     let misfits = matches.misfits_px(view, psi, state.bias);
     let (inliers, rms_px) = inliers(&misfits, &roots);
     let near: f64 = misfits.iter().map(|d| 1.0 - (d / search_px).powi(2).min(1.0)).sum();
@@ -480,6 +495,7 @@ pub(super) fn fit_bend(
         bend: state.bend,
         bias: state.bias,
         covariance: block(&clustered) + block(&independent) + block(&light),
+        departure,
         by_pose: Matrix2x6::from_fn(|row, column| -gain[(row, column)]),
         places: matches.places,
         inliers,

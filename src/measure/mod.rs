@@ -28,6 +28,7 @@ mod rig_file;
 mod scale;
 mod search;
 mod several;
+mod shape;
 mod solve;
 mod watch;
 

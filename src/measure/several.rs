@@ -54,6 +54,8 @@ fn together(seen: &[(Bend, Quality)]) -> Quality {
         rms_px: mean(&|q| q.rms_px.powi(2)).sqrt(),
         base_moved_px: most(|q| q.base_moved_px),
         grid_moved_px: most(|q| q.grid_moved_px),
+        // Of the view that sees the tip best.
+        shape: seen.iter().filter_map(|(_, q)| q.shape).min_by(|a, b| a.sigma_tip_theta.total_cmp(&b.sigma_tip_theta)),
     }
 }
 

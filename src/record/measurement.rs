@@ -119,6 +119,28 @@ pub struct Quality {
     pub base_moved_px: Option<f64>,
     /// How far the grid was seen from where the rig says, up to whole pitches, px; `None` where it was not seen.
     pub grid_moved_px: Option<f64>,
+    /// How the snake departs from a circle.
+    pub shape: Option<Shape>,
+}
+
+/// How the snake departs from a circular arc: its bend rate is (b + e (2s/L − 1))/L, b being the bend from base to tip. All
+/// in rad; sigmas are 1σ.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shape {
+    /// The angle that the tip's tangent turned by, which need not be that of the circle that fits best.
+    pub tip_theta: f64,
+    /// Its standard deviation.
+    pub sigma_tip_theta: f64,
+    /// e along the bend: above zero the snake bends more towards its tip.
+    pub along: f64,
+    /// Its standard deviation.
+    pub sigma_along: f64,
+    /// e across the bend, towards growing δ: the snake leaves its plane.
+    pub across: f64,
+    /// Its standard deviation.
+    pub sigma_across: f64,
+    /// The squared departure in units of its covariance: 2 on the average for a circle, above 9.2 once in a hundred.
+    pub chi2: f64,
 }
 
 /// One frame's row: measured, or the reason why not.

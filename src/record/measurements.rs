@@ -10,8 +10,11 @@
 //! | `edges`, `inlier_fraction`, `rms_px` | the fit's quality: edge points used, their share, their rms distance |
 //! | `base_moved_px`, `grid_moved_px` | how far holder and grid were seen from where the rig says (the grid up to whole pitches); empty where unseen |
 //! | `view` | the view's name in experiment.toml |
+//! | `tip_theta_deg` | the tip tangent's angle, where the snake need not be a circle; with its sigma |
+//! | `shape_along_deg`, `shape_across_deg` | departure from the circle in the bend's plane and out of it (see [`Shape`]); with sigmas |
+//! | `shape_chi2` | the departure's square in units of its covariance: 2 on the average for a circle |
 
-use super::measurement::{Measured, Measurement, Quality, Status};
+use super::measurement::{Measured, Measurement, Quality, Shape, Status};
 use super::table::{self, Checked, Indexed, Row, RowResult, azimuth, decimals, decimals_or_empty};
 use crate::error::Result;
 use crate::geometry::Configuration;
@@ -24,8 +27,22 @@ const FIXED: [&str; 7] = ["index", "time_s", "theta_deg", "delta_deg", "sigma_th
 const REQUIRED: [&str; 5] = ["index", "time_s", "theta_deg", "delta_deg", "status"];
 
 /// The further columns that this program writes.
-const FURTHER: [&str; 7] =
-    ["rho_theta_delta", "edges", "inlier_fraction", "rms_px", "base_moved_px", "grid_moved_px", "view"];
+const FURTHER: [&str; 14] = [
+    "rho_theta_delta",
+    "edges",
+    "inlier_fraction",
+    "rms_px",
+    "base_moved_px",
+    "grid_moved_px",
+    "view",
+    "tip_theta_deg",
+    "sigma_tip_theta_deg",
+    "shape_along_deg",
+    "sigma_shape_along_deg",
+    "shape_across_deg",
+    "sigma_shape_across_deg",
+    "shape_chi2",
+];
 
 impl Indexed for Measurement {
     fn index(&self) -> u64 {
@@ -104,6 +121,21 @@ fn quality_of(row: &Row) -> RowResult<Option<Quality>> {
         rms_px,
         base_moved_px: row.optional_number("base_moved_px")?,
         grid_moved_px: row.optional_number("grid_moved_px")?,
+        shape: shape_of(row)?,
+    }))
+}
+
+fn shape_of(row: &Row) -> RowResult<Option<Shape>> {
+    let Some(chi2) = row.optional_number("shape_chi2")? else { return Ok(None) };
+    let angle = |column| Ok::<_, String>(row.optional_number(column)?.unwrap_or(f64::NAN).to_radians());
+    Ok(Some(Shape {
+        tip_theta: angle("tip_theta_deg")?,
+        sigma_tip_theta: angle("sigma_tip_theta_deg")?,
+        along: angle("shape_along_deg")?,
+        sigma_along: angle("sigma_shape_along_deg")?,
+        across: angle("shape_across_deg")?,
+        sigma_across: angle("sigma_shape_across_deg")?,
+        chi2,
     }))
 }
 
@@ -137,12 +169,25 @@ fn csv_row(row: &Measurement) -> String {
         ],
         None => Default::default(),
     };
+    let shape = match row.quality.and_then(|q| q.shape) {
+        Some(s) => [
+            decimals(s.tip_theta.to_degrees(), 6),
+            sigma_deg(s.sigma_tip_theta),
+            decimals(s.along.to_degrees(), 6),
+            sigma_deg(s.sigma_along),
+            decimals(s.across.to_degrees(), 6),
+            sigma_deg(s.sigma_across),
+            decimals(s.chi2, 3),
+        ],
+        None => Default::default(),
+    };
     [
         &[row.index.to_string(), decimals_or_empty(row.time_s, 4)],
         &angles[..],
         &[row.status.to_string(), decimals_or_empty(row.measured.map(|m| m.correlation), 4)],
         &quality[..],
         &[row.view.clone().unwrap_or_default()],
+        &shape[..],
     ]
     .concat()
     .join(",")
@@ -181,8 +226,10 @@ mod tests {
         assert_eq!(
             text,
             "index,time_s,theta_deg,delta_deg,sigma_theta_deg,sigma_delta_deg,status,\
-             rho_theta_delta,edges,inlier_fraction,rms_px,base_moved_px,grid_moved_px,view\n\
-             7,1.5000,,,,,no_snake,,,,,,,side\n"
+             rho_theta_delta,edges,inlier_fraction,rms_px,base_moved_px,grid_moved_px,view,\
+             tip_theta_deg,sigma_tip_theta_deg,shape_along_deg,sigma_shape_along_deg,shape_across_deg,\
+             sigma_shape_across_deg,shape_chi2\n\
+             7,1.5000,,,,,no_snake,,,,,,,side,,,,,,,\n"
         );
         assert_eq!(read_text(&text).unwrap().rows, [unmeasured]);
     }
@@ -250,6 +297,7 @@ mod tests {
                     rms_px,
                     base_moved_px: Some(inlier_fraction),
                     grid_moved_px: None,
+                    shape: None,
                 }),
                 view: seen.then(|| "side".to_owned()),
             },

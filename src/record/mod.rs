@@ -24,7 +24,7 @@ pub(crate) use experiment::line_at;
 pub use experiment::{Experiment, RigSource, View};
 pub use force::{ForceRow, MeasuredForce, forces_csv};
 pub use friction::read_friction;
-pub use measurement::{EncoderReading, Measured, Measurement, Quality, Status, Truth};
+pub use measurement::{EncoderReading, Measured, Measurement, Quality, Shape, Status, Truth};
 pub use measurements::{measurements_csv, read_measurements};
 pub use model::{model_json, model_toml, read_model, write_model};
 pub use stem::{StemRow, stems_csv};

@@ -103,11 +103,7 @@ impl Robot {
     pub fn frame_at(&self, psi: Configuration, s_mm: f64) -> Pose {
         let on_arc = s_mm.clamp(0.0, self.length_mm);
         let bend = psi.bend_vector() * (on_arc / self.length_mm);
-        let arc = Pose::from_parts(
-            Translation3::from(arc_point(bend) * on_arc),
-            UnitQuaternion::from_scaled_axis(rotation_vector(bend)),
-        );
-        arc * Translation3::new(0.0, 0.0, s_mm - on_arc)
+        arc(bend, on_arc) * Translation3::new(0.0, 0.0, s_mm - on_arc)
     }
 
     /// The twist of the section at arc length `s_mm` (velocity of the centreline's point in mm, then angular velocity, both
@@ -139,6 +135,14 @@ impl Robot {
     pub fn tip_jacobian(&self, psi: Configuration) -> Matrix6x2<f64> {
         self.tip_jacobian_bend(psi.bend_vector()) * bend_by_configuration(psi)
     }
+}
+
+/// The frame at the end of an arc of this bend and length, mm, from the one at its start.
+pub(super) fn arc(bend: Vector2<f64>, length_mm: f64) -> Pose {
+    Pose::from_parts(
+        Translation3::from(arc_point(bend) * length_mm),
+        UnitQuaternion::from_scaled_axis(rotation_vector(bend)),
+    )
 }
 
 /// The rotation vector of a bend: the axis across the bend plane, times θ.

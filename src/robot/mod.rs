@@ -4,6 +4,7 @@
 //! being backbone 1.
 
 pub mod compensation;
+pub mod curve;
 pub mod effects;
 pub mod friction;
 pub mod kinematics;
@@ -15,6 +16,7 @@ pub mod statics;
 pub mod table;
 
 pub use compensation::{MAX_THETA, Response};
+pub use curve::Curve;
 pub use effects::{Effect, LIBRARY, Physics};
 pub use friction::{Friction, FrictionFit, FrictionSample};
 pub use model::{Estimate, Model};

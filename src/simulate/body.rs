@@ -4,8 +4,8 @@
 //! distance is known in closed form, straight or bent, and a ray is followed along it by Newton steps.
 
 use crate::geometry::{Configuration, Pose};
-use crate::robot::Robot;
-use nalgebra::{Point3, Translation3, Unit, Vector3};
+use crate::robot::{Curve, Robot};
+use nalgebra::{Point3, Rotation2, Translation3, Unit, Vector2, Vector3};
 
 /// A half-line in {b}.
 #[derive(Debug, Clone, Copy)]
@@ -51,19 +51,21 @@ pub struct Cylinder {
 #[derive(Debug, Clone)]
 pub struct TubePiece {
     tube: Tube,
+    /// Where the tube's first section is in {b}.
+    start: Pose,
     /// The sphere; together those of a tube's pieces hold all of it.
     centre: Point3<f64>,
     sphere_radius: f64,
 }
 
-/// A tube of round section along a circular arc that starts at s = 0 along z_b.
+/// A tube of round section along a circular arc that starts at s = 0 along z, in the frame of its first section.
 #[derive(Debug, Clone, Copy)]
 struct Tube {
     /// Curvature κ = θ/L of the snake's own axis, 1/mm.
     curvature: f64,
-    /// The direction that the snake bends towards, in the base's x–y plane.
+    /// The direction that the arc bends towards, in the x–y plane.
     bend: Vector3<f64>,
-    /// z_b × bend.
+    /// z × bend.
     side: Vector3<f64>,
     /// Offset Δ of this tube's axis along the bend, mm.
     bend_offset: f64,
@@ -75,8 +77,11 @@ struct Tube {
     end: f64,
 }
 
-/// All parts of a bent snake.
-pub fn body(robot: &Robot, psi: Configuration) -> Vec<Shape> {
+/// All parts of a snake with this bend and departure from the circle (see [`Curve`]), rad along the bend and across it.
+pub fn body(robot: &Robot, psi: Configuration, departure: Vector2<f64>) -> Vec<Shape> {
+    let curve = Curve::new(robot, psi.bend_vector(), Rotation2::new(psi.delta) * departure);
+    let is_circle = departure == Vector2::zeros();
+    let frame_at = |s_mm: f64| if is_circle { robot.frame_at(psi, s_mm) } else { curve.frame_at(s_mm) };
     let disk_radius = robot.body.disk_diameter_mm / 2.0;
     // In short pieces, so that the renderer has few rays to try against each.
     let count = (robot.line.holder_length_mm / (4.0 * disk_radius)).ceil().clamp(1.0, 1000.0);
@@ -97,28 +102,33 @@ pub fn body(robot: &Robot, psi: Configuration) -> Vec<Shape> {
         }
     };
     // A spacer disk stands square on the axis at its middle; the end disk does so at its far face, where the axis ends.
-    let spacers = robot.spacer_middles_mm().into_iter().map(|middle| disk(robot.frame_at(psi, middle)));
-    let tip = robot.frame_at(psi, robot.length_mm);
+    let spacers = robot.spacer_middles_mm().into_iter().map(|middle| disk(frame_at(middle)));
+    let tip = frame_at(robot.length_mm);
     let end_disk = disk(tip * Translation3::new(0.0, 0.0, -robot.body.disk_thickness_mm / 2.0));
     let cylinders = holder.chain(spacers).chain([end_disk]).map(Shape::Cylinder);
 
-    let centre = [(0.0, 0.0, robot.primary.outer_diameter_mm)];
-    let circle = robot.backbone_azimuths();
-    let circle = circle
-        .iter()
-        .map(|&azimuth| (robot.backbone_circle_radius_mm, azimuth - psi.delta, robot.secondary.outer_diameter_mm));
-    let tubes = centre.into_iter().chain(circle).flat_map(|(offset, angle_to_bend, diameter)| {
-        Tube {
-            curvature: psi.theta / robot.length_mm,
-            bend: Vector3::new(psi.delta.cos(), psi.delta.sin(), 0.0),
-            side: Vector3::new(-psi.delta.sin(), psi.delta.cos(), 0.0),
+    // The tubes end within the end disk, so that no end shows.
+    let end = robot.length_mm - robot.body.disk_thickness_mm / 2.0;
+    let arcs: Vec<_> =
+        if is_circle { vec![(Pose::identity(), psi.bend_vector(), robot.length_mm)] } else { curve.arcs().collect() };
+    let last = arcs.len() - 1;
+    let tubes = arcs.into_iter().enumerate().flat_map(|(k, (start, bend, length_mm))| {
+        let length_to_end = if k == last { length_mm - (robot.length_mm - end) } else { length_mm };
+        let arc = Configuration::from_bend_vector(bend);
+        let azimuths: [f64; 3] = robot.backbone_azimuths().into();
+        let circle = azimuths
+            .map(|azimuth| (robot.backbone_circle_radius_mm, azimuth - arc.delta, robot.secondary.outer_diameter_mm));
+        let centre = [(0.0, 0.0, robot.primary.outer_diameter_mm)];
+        let tube = move |(offset, angle_to_bend, diameter): (f64, f64, f64)| Tube {
+            curvature: arc.theta / length_mm,
+            bend: Vector3::new(arc.delta.cos(), arc.delta.sin(), 0.0),
+            side: Vector3::new(-arc.delta.sin(), arc.delta.cos(), 0.0),
             bend_offset: offset * angle_to_bend.cos(),
             side_offset: offset * angle_to_bend.sin(),
             radius: diameter / 2.0,
-            // Within the end disk, so that no end shows.
-            end: robot.length_mm - robot.body.disk_thickness_mm / 2.0,
-        }
-        .pieces()
+            end: length_to_end,
+        };
+        centre.into_iter().chain(circle).flat_map(move |tube_of| tube(tube_of).pieces(start))
     });
     cylinders.chain(tubes.map(Shape::Tube)).collect()
 }
@@ -143,7 +153,7 @@ impl Shape {
     pub fn bounds(&self) -> Vec<(Point3<f64>, f64)> {
         match self {
             Self::Cylinder(c) => vec![(c.top, c.radius), (c.top - c.length * c.axis.into_inner(), c.radius)],
-            Self::Tube(piece) => vec![(piece.centre, piece.sphere_radius)],
+            Self::Tube(piece) => vec![(piece.start * piece.centre, piece.sphere_radius)],
         }
     }
 }
@@ -175,12 +185,13 @@ impl Cylinder {
 
 impl Tube {
     /// Pieces of about two diameters' length: within one the axis hardly bends.
-    fn pieces(self) -> impl Iterator<Item = TubePiece> {
+    fn pieces(self, start: Pose) -> impl Iterator<Item = TubePiece> {
         let count = (self.end / (6.0 * self.radius)).ceil().clamp(1.0, 1000.0);
         // The tube's own axis is longer than the snake's on the outside of the bend.
         let half_length = self.end / count / 2.0 * (1.0 + (self.curvature * self.bend_offset).abs());
         (0..count as usize).map(move |k| TubePiece {
             tube: self,
+            start,
             centre: self.axis_at((k as f64 + 0.5) * self.end / count),
             sphere_radius: half_length.hypot(self.radius) + self.radius,
         })
@@ -224,6 +235,16 @@ impl Tube {
 
 impl TubePiece {
     fn meet(&self, ray: &Ray) -> Option<Hit> {
+        if self.start == Pose::identity() {
+            return self.meet_here(ray);
+        }
+        let (origin, direction) = (self.start.inverse() * ray.origin, self.start.inverse() * ray.direction);
+        let hit = self.meet_here(&Ray { origin, direction })?;
+        Some(Hit { normal: self.start * hit.normal, ..hit })
+    }
+
+    /// The same in the frame of the tube's first section.
+    fn meet_here(&self, ray: &Ray) -> Option<Hit> {
         let from_centre = ray.origin - self.centre;
         let middle = -from_centre.dot(&ray.direction);
         let half_chord2 = self.sphere_radius.powi(2) - from_centre.norm_squared() + middle * middle;
@@ -267,7 +288,7 @@ mod tests {
 
     #[test]
     fn a_straight_snake_has_its_drawing_s_measures() {
-        let shapes = body(&Robot::default(), Configuration::new(0.0, 0.0));
+        let shapes = body(&Robot::default(), Configuration::new(0.0, 0.0), Vector2::zeros());
         let from_camera = |x: f64, z: f64| {
             let ray = Ray { origin: Point3::new(x, -100.0, z), direction: Vector3::y() };
             nearest(&shapes, &ray).map(|hit| -100.0 + hit.distance)
@@ -291,7 +312,7 @@ mod tests {
     #[test]
     fn a_bent_snake_s_end_disk_is_where_eq_2_puts_it() {
         // A quarter circle towards +y: tip at L/θ (0, 1, 1), its end face looking along y.
-        let shapes = body(&Robot::default(), Configuration::from_degrees(90.0, 90.0));
+        let shapes = body(&Robot::default(), Configuration::from_degrees(90.0, 90.0), Vector2::zeros());
         let rho = 26.0 / (std::f64::consts::PI / 2.0);
         let ray = Ray { origin: Point3::new(0.5, 200.0, rho + 1.0), direction: -Vector3::y() };
         let hit = nearest(&shapes, &ray).unwrap();
@@ -308,7 +329,7 @@ mod tests {
         ) {
             let robot = Robot::default();
             let psi = Configuration::from_degrees(theta_deg, delta_deg);
-            let shapes = body(&robot, psi);
+            let shapes = body(&robot, psi, Vector2::zeros());
             // Aimed at a point on or near one of the tubes.
             let tubes: Vec<Tube> =
                 shapes.iter().filter_map(|s| if let Shape::Tube(p) = s { Some(p.tube) } else { None }).collect();
@@ -342,7 +363,7 @@ mod tests {
             let robot = Robot::default();
             let psi = Configuration::from_degrees(theta_deg, delta_deg);
             let frame = robot.frame_at(psi, s);
-            for shape in body(&robot, psi) {
+            for shape in body(&robot, psi, Vector2::zeros()) {
                 let Shape::Tube(piece) = shape else { continue };
                 // A point in the cross-section at s, offset from the tube's axis.
                 let axis = piece.tube.axis_at(s);

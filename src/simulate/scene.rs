@@ -24,6 +24,10 @@ pub struct Scene {
     pub view: Viewpoint,
     /// The snake.
     pub robot: Robot,
+    /// How the snake's bend departs from the circle (see [`Curve`](crate::robot::Curve)), degrees along the bend and
+    /// across it.
+    #[serde(default, skip_serializing_if = "is_circle")]
+    pub departure_deg: [f64; 2],
     /// What the snake's surface looks like.
     pub surface: Surface,
     /// The paper behind the snake.
@@ -213,6 +217,7 @@ impl Default for Scene {
             },
             view: Viewpoint { yaw_deg: 3.0, pitch_deg: 5.0, roll_deg: 2.0, base_mm: [-0.35, 9.96, 225.87] },
             robot: Robot::default(),
+            departure_deg: [0.0; 2],
             surface: Surface { colour: [140.0, 140.0, 146.0], highlight: 0.3, shininess: 30.0 },
             paper: Paper {
                 standoff_mm: 25.0,
@@ -292,6 +297,7 @@ impl Scene {
             (self.lens.focal_px.min() > 0.0, "lens.focal_px must be positive"),
             (self.robot.length_mm > 0.0, "robot.length_mm must be positive"),
             (self.robot.body.disk_thickness_mm > 0.0, "robot.body.disk_thickness_mm must be positive"),
+            (self.departure_deg.iter().all(|e| e.abs() <= 90.0), "departure_deg must be −90 to 90"),
             (self.paper.standoff_mm > 0.0, "paper.standoff_mm must be positive"),
             (
                 self.sensor.rays_per_pixel.is_power_of_two() && self.sensor.rays_per_pixel <= 4096,
@@ -307,6 +313,10 @@ impl Scene {
             None => Ok(()),
         }
     }
+}
+
+fn is_circle(departure_deg: &[f64; 2]) -> bool {
+    *departure_deg == [0.0; 2]
 }
 
 /// A lens as a table of plain numbers.

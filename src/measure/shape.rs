@@ -1,0 +1,96 @@
+//! Whether the snake is bent to a circle: a score test on the fit of one.
+//!
+//! The departure that is asked for is the simplest there is, [`Curve`]'s: two more parameters beside bend and edge bias. Where
+//! the fit of the circle stands, a Gauss-Newton step in all of them says how far the picture would go if it might, and the
+//! bend after that step is the tip's own.
+
+use super::fit::{
+    BiasPrior, LIGHT_BENT_PX, Linearised, Matches, State, clustered_covariance, light_covariance, robust_weights,
+};
+use super::outline::Projection;
+use super::solve::covariance;
+use crate::record::Shape;
+use crate::robot::Curve;
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix4, Matrix6, SMatrix, Vector2, Vector4};
+
+/// How the snake departs from the circle in one picture.
+#[derive(Debug, Clone)]
+pub(super) struct Departure {
+    /// The bend from base to tip and the departure, rad along x_b and y_b each.
+    found: Vector4<f64>,
+    /// Covariance from this picture alone.
+    covariance: Matrix4<f64>,
+    /// Change with the camera's pose (see [`nudged`](super::grid::nudged)).
+    by_pose: SMatrix<f64, 4, 6>,
+}
+
+/// The step from the circle of a state, fitted to these edges, to the curve that they would rather have. `None` where they
+/// do not tell.
+pub(super) fn departure(view: &Projection, matches: &Matches, state: &State, prior: &BiasPrior) -> Option<Departure> {
+    /// Rounds in which edges that the circle took for outliers may come back.
+    const ROUNDS: usize = 5;
+    const STEP_RAD: f64 = 1e-4;
+    let column = |e: Vector2<f64>| {
+        let residuals = |sign: f64| {
+            let curve = Curve::new(view.robot, state.bend, e * (sign * STEP_RAD));
+            matches.residuals_along(view, |s_mm| curve.frame_at(s_mm), state.bias)
+        };
+        let slopes = residuals(1.0).into_iter().zip(residuals(-1.0));
+        slopes.map(|(ahead, behind)| (ahead - behind) / (2.0 * STEP_RAD)).collect::<Vec<f64>>()
+    };
+    let columns = [column(Vector2::x()), column(Vector2::y())];
+    let edges = matches.linearised(view, state);
+    let curve = |circle: &Linearised, roots: &[f64]| {
+        DMatrix::from_fn(circle.by_state.nrows(), 6, |r, c| match c {
+            0..4 => circle.by_state[(r, c)],
+            // Rows beyond the edges are what is known beforehand of the bias.
+            _ => roots.get(r).map_or(0.0, |root| root * columns[c - 4][r]),
+        })
+    };
+    let all = curve(&edges, &vec![1.0; matches.len()]);
+    let mut step = DVector::zeros(6);
+    let mut roots = Vec::new();
+    for _ in 0..ROUNDS {
+        roots = robust_weights((&edges.residuals + &all * &step).as_slice(), false);
+        let circle = edges.clone().weighted(&roots).with_prior(prior, state);
+        let jacobian = curve(&circle, &roots);
+        step = -(covariance(&jacobian)? * jacobian.tr_mul(&circle.residuals));
+    }
+    let circle = edges.weighted(&roots).with_prior(prior, state);
+    let jacobian = curve(&circle, &roots);
+    let independent = covariance(&jacobian)?;
+    let residuals = &circle.residuals + &jacobian * &step;
+    let clustered = clustered_covariance(&jacobian, &residuals, &matches.pieces())?;
+    let light = light_covariance(matches, &jacobian, &independent, view.robot, LIGHT_BENT_PX, &roots);
+    let gain = &independent * jacobian.tr_mul(&circle.by_pose);
+    let covariance = clustered + independent + light;
+    const KEPT: [usize; 4] = [0, 1, 4, 5];
+    Some(Departure {
+        found: Vector4::new(state.bend.x + step[0], state.bend.y + step[1], step[4], step[5]),
+        covariance: Matrix4::from_fn(|r, c| covariance[(KEPT[r], KEPT[c])]),
+        by_pose: SMatrix::from_fn(|r, c| -gain[(KEPT[r], c)]),
+    })
+}
+
+impl Departure {
+    /// The departure along and across the bend and what the tip's tangent turns by, with what the rig's pose adds to their
+    /// errors.
+    pub fn measured(&self, pose_covariance: &Matrix6<f64>) -> Option<Shape> {
+        let covariance = self.covariance + self.by_pose * pose_covariance * self.by_pose.transpose();
+        let (bend, departure) = (self.found.fixed_rows::<2>(0), self.found.fixed_rows::<2>(2));
+        let of_bend: Matrix2<f64> = covariance.fixed_view::<2, 2>(0, 0).into_owned();
+        let of_departure: Matrix2<f64> = covariance.fixed_view::<2, 2>(2, 2).into_owned();
+        let along = if bend.norm() > 0.0 { bend.normalize() } else { Vector2::x() };
+        let across = Vector2::new(-along.y, along.x);
+        let sigma = |of: &Matrix2<f64>, direction: &Vector2<f64>| direction.dot(&(of * direction)).max(0.0).sqrt();
+        Some(Shape {
+            tip_theta: bend.norm(),
+            sigma_tip_theta: sigma(&of_bend, &along),
+            along: departure.dot(&along),
+            sigma_along: sigma(&of_departure, &along),
+            across: departure.dot(&across),
+            sigma_across: sigma(&of_departure, &across),
+            chi2: departure.dot(&(of_departure.cholesky()?.solve(&departure))),
+        })
+    }
+}

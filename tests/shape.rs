@@ -1,0 +1,62 @@
+//! Snakes that are not bent to a circle, on rendered frames: the departure that was put in comes out, and a circle is one.
+
+use image::DynamicImage;
+use snakeloop::camera::Frame;
+use snakeloop::geometry::Configuration;
+use snakeloop::measure::{Eye, RigOptions, calibrate_rig};
+use snakeloop::record::{Shape, Status};
+use snakeloop::simulate::render::render;
+use snakeloop::simulate::scene::{Light, Scene, Sensor, Viewpoint};
+
+fn frame(scene: &Scene, psi: Configuration, seed: u64) -> Frame {
+    Frame::from_image(&DynamicImage::ImageRgb8(render(scene, psi, seed))).unwrap()
+}
+
+fn lab() -> Scene {
+    let mut scene = Scene { sensor: Sensor { rays_per_pixel: 4, blur_px: 0.8, noise: 3.0 }, ..Scene::default() };
+    scene.lens.distortion[0] = -0.12;
+    scene.view = Viewpoint { yaw_deg: -6.0, pitch_deg: 4.0, roll_deg: -3.0, ..scene.view };
+    scene.light = Light { gradient: [0.15, -0.1], shadow: 0.3, shadow_blur_mm: 1.5, ..scene.light };
+    scene
+}
+
+#[test]
+fn a_departure_from_the_circle_is_found_and_a_circle_is_one() {
+    let scene = lab();
+    let options = RigOptions { grid_pitch_mm: 1.0, standoff_mm: scene.paper.standoff_mm, delta_offset: 0.0 };
+    let straight = frame(&scene, Configuration::new(0.0, 0.0), 7);
+    let rig = calibrate_rig(&straight, &scene.lens, &scene.robot, &options).unwrap();
+    let eye = Eye::new(scene.lens.clone(), rig, scene.robot.clone());
+
+    let shape = |theta_deg, delta_deg, departure_deg: [f64; 2], seed| -> Shape {
+        let bent = Scene { departure_deg, ..scene.clone() };
+        let psi = Configuration::from_degrees(theta_deg, delta_deg);
+        let seen = eye.measure(&frame(&bent, psi, seed));
+        assert_eq!(seen.status, Status::Ok, "{departure_deg:?}: {:?}", seen.quality);
+        let shape = seen.quality.and_then(|quality| quality.shape).unwrap();
+        let told =
+            [shape.tip_theta, shape.sigma_tip_theta, shape.along, shape.sigma_along, shape.across, shape.sigma_across];
+        let told = told.map(|v| format!("{:.3}", v.to_degrees()));
+        println!("θ {theta_deg} δ {delta_deg} departure {departure_deg:?}: {told:?} χ² {:.2}", shape.chi2);
+        let off = [
+            (shape.tip_theta.to_degrees() - theta_deg) / shape.sigma_tip_theta.to_degrees(),
+            (shape.along.to_degrees() - departure_deg[0]) / shape.sigma_along.to_degrees(),
+            (shape.across.to_degrees() - departure_deg[1]) / shape.sigma_across.to_degrees(),
+        ];
+        assert!(off.iter().all(|off| off.abs() < 4.0), "{departure_deg:?}: off by {off:.2?} σ: {told:?}");
+        shape
+    };
+
+    let mut sum = 0.0;
+    let circles = [(20.0, 0.0), (40.0, 80.0), (60.0, -150.0), (30.0, -60.0), (75.0, 20.0), (50.0, 140.0)];
+    for (seed, (theta_deg, delta_deg)) in (10..).zip(circles) {
+        sum += shape(theta_deg, delta_deg, [0.0, 0.0], seed).chi2;
+    }
+    // χ² of two degrees of freedom: 2 on the average, 12 in six draws, above 26 once in a hundred times.
+    assert!(sum < 26.0, "Σ χ² {sum:.1}");
+
+    for (seed, departure_deg) in (20..).zip([[3.0, 0.0], [-2.0, 2.5], [0.0, -4.0]]) {
+        let shape = shape(50.0, 30.0, departure_deg, seed);
+        assert!(shape.chi2 > 20.0, "{departure_deg:?}: χ² {:.1}", shape.chi2);
+    }
+}

@@ -1,0 +1,225 @@
+//! Whether the sigmas are honest: errors over many rigs, lights and noises, each divided by the covariance that came with it.
+//! What is drawn at random is drawn as in `tests/robustness`; none of it is known to the eye.
+//!
+//! ```sh
+//! cargo test --release --no-default-features --test uncertainty -- --ignored --nocapture
+//! ```
+//!
+//! measures two bends before each of a hundred rigs, by the straight picture's rig alone and by a refined one, and prints the
+//! normalised errors' covariance, how many lie within their 95 % intervals, and beside the errors' rms the Cramér–Rao bound
+//! of the picture's noise.
+
+#[path = "../robustness/rigs.rs"]
+mod rigs;
+
+use image::{DynamicImage, RgbImage};
+use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, UnitQuaternion, Vector2, Vector3};
+use rand::{RngExt, SeedableRng, rngs::StdRng};
+use rayon::prelude::*;
+use snakeloop::camera::Frame;
+use snakeloop::geometry::{Configuration, Pose};
+use snakeloop::measure::{Eye, RigOptions, calibrate_rig};
+use snakeloop::simulate::render::render;
+use snakeloop::simulate::scene::{Scene, Sensor, Viewpoint};
+
+/// Uniform random numbers.
+struct Random(StdRng);
+
+impl Random {
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        self.0.random_range(low..high)
+    }
+
+    fn chance(&mut self, probability: f64) -> bool {
+        self.0.random_bool(probability)
+    }
+}
+
+/// One bend's error.
+struct Outcome {
+    /// Of the bend vector, rad: along the bend and across it.
+    error: Vector2<f64>,
+    /// In units of the covariance.
+    normalised: Vector2<f64>,
+    /// 1σ bounds along and across: the camera's pose known, and unknown but for what the frame itself shows.
+    bounds: Option<[Vector2<f64>; 2]>,
+}
+
+fn frame(picture: &RgbImage) -> Frame {
+    Frame::from_image(&DynamicImage::ImageRgb8(picture.clone())).unwrap()
+}
+
+fn bends(random: &mut Random, count: usize) -> Vec<Configuration> {
+    (0..count).map(|_| Configuration::from_degrees(random.between(15.0, 85.0), random.between(-180.0, 180.0))).collect()
+}
+
+/// The errors of some bends before one rig, refined by `refining` frames; none if it cannot be calibrated.
+fn outcomes(seed: u64, count: usize, refining: usize, with_bounds: bool) -> Vec<Outcome> {
+    let mut random = Random(StdRng::seed_from_u64(seed));
+    let scene = rigs::varied(&mut random);
+    let options = RigOptions {
+        grid_pitch_mm: rigs::finest_pitch_mm(&scene.paper),
+        standoff_mm: scene.paper.standoff_mm,
+        delta_offset: 0.0,
+    };
+    let straight = frame(&render(&scene, Configuration::new(0.0, 0.0), seed));
+    let Ok(rig) = calibrate_rig(&straight, &scene.lens, &scene.robot, &options) else { return Vec::new() };
+    let mut eye = Eye::new(scene.lens.clone(), rig, scene.robot.clone());
+    if refining > 0 {
+        let frames: Vec<Frame> = (0..)
+            .zip(bends(&mut random, refining))
+            .map(|(k, psi)| frame(&render(&scene, psi, 1000 * seed + 500 + k)))
+            .collect();
+        eye = eye.refined(frames.into_par_iter());
+    }
+    let outcome = |(k, psi): (u64, Configuration)| {
+        let seen = eye.measure(&frame(&render(&scene, psi, 1000 * seed + k))).bend?;
+        let along = Rotation2::new(-psi.delta);
+        let error = seen.vector - psi.bend_vector();
+        let normalised = seen.covariance.cholesky()?.l().solve_lower_triangular(&error)?;
+        let bounds = if with_bounds { bounds(&scene, psi) } else { None };
+        Some(Outcome { error: along * error, normalised, bounds })
+    };
+    (0..).zip(bends(&mut random, count)).filter_map(outcome).collect()
+}
+
+/// The Cramér–Rao bounds of the bend, rad along and across it, from the renderer's own derivatives: pixels' noise is known,
+/// independent and Gaussian, and so is everything else about the picture but the bend, or but the bend and the camera's pose.
+fn bounds(scene: &Scene, psi: Configuration) -> Option<[Vector2<f64>; 2]> {
+    let sharp = Scene { sensor: Sensor { rays_per_pixel: 64, noise: 0.0, ..scene.sensor }, ..scene.clone() };
+    // Steps that move edges by a fraction of a pixel: rad, rad, mm.
+    const STEPS: [f64; 8] = [2e-3, 2e-3, 5e-4, 5e-4, 5e-4, 0.01, 0.01, 0.2];
+    let picture = |axis: usize, sign: f64| {
+        let mut by = [0.0; 8];
+        by[axis] = sign * STEPS[axis];
+        let along = Rotation2::new(psi.delta);
+        let bend = psi.bend_vector() + along * Vector2::new(by[0], by[1]);
+        let seen = scene.view.camera_from_base();
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(by[2], by[3], by[4]));
+        let shift = seen.translation.vector + Vector3::new(by[5], by[6], by[7]);
+        let view = Viewpoint::from_pose(&Pose::from_parts(shift.into(), turn * seen.rotation));
+        render(&Scene { view, ..sharp.clone() }, Configuration::from_bend_vector(bend), 0).into_raw()
+    };
+    let slopes: Vec<Vec<f32>> = (0..8)
+        .map(|axis| {
+            let (ahead, behind) = (picture(axis, 1.0), picture(axis, -1.0));
+            let slope = |(a, b): (&u8, &u8)| (f32::from(*a) - f32::from(*b)) / (2.0 * STEPS[axis] as f32);
+            ahead.iter().zip(&behind).map(slope).collect()
+        })
+        .collect();
+    // Rounding to whole levels adds a twelfth.
+    let variance = scene.sensor.noise.powi(2) + 1.0 / 12.0;
+    let information = DMatrix::from_fn(8, 8, |r, c| {
+        slopes[r].iter().zip(&slopes[c]).map(|(a, b)| f64::from(a * b)).sum::<f64>() / variance
+    });
+    let sigmas = |covariance: DMatrix<f64>| Vector2::new(covariance[(0, 0)].sqrt(), covariance[(1, 1)].sqrt());
+    let known = information.view((0, 0), (2, 2)).into_owned().cholesky()?.inverse();
+    Some([sigmas(known), sigmas(information.cholesky()?.inverse())])
+}
+
+/// What the normalised errors say: the eigenvalues of their covariance, and the share within 95 % intervals.
+struct Honesty {
+    count: usize,
+    eigenvalues: Vector2<f64>,
+    within: f64,
+}
+
+fn honesty(outcomes: &[Outcome]) -> Honesty {
+    let count = outcomes.len();
+    let second: Matrix2<f64> = outcomes.iter().map(|o| o.normalised * o.normalised.transpose()).sum();
+    let inside: usize = outcomes.iter().flat_map(|o| o.normalised.iter()).filter(|z| z.abs() < 1.96).count();
+    Honesty {
+        count,
+        eigenvalues: (second / count.max(1) as f64).symmetric_eigenvalues(),
+        within: inside as f64 / (2 * count).max(1) as f64,
+    }
+}
+
+fn survey(seeds: std::ops::Range<u64>, count: usize, refining: usize, with_bounds: u64) -> Honesty {
+    let first = seeds.start;
+    let all: Vec<Outcome> = seeds
+        .into_par_iter()
+        .flat_map_iter(|seed| outcomes(seed, count, refining, seed < first + with_bounds))
+        .collect();
+    let honesty = honesty(&all);
+    println!(
+        "{} bends, rig refined by {refining} frames: eigenvalues of the normalised covariance {:.2} and {:.2}, {:.1} % within 95 %",
+        honesty.count,
+        honesty.eigenvalues.min(),
+        honesty.eigenvalues.max(),
+        100.0 * honesty.within
+    );
+    let rms_deg = |errors: &[Vector2<f64>]| {
+        let sum = errors.iter().fold(Vector2::zeros(), |sum, e| sum + e.component_mul(e));
+        (sum / errors.len().max(1) as f64).map(|v| v.sqrt().to_degrees())
+    };
+    let errors: Vec<_> = all.iter().map(|o| o.error).collect();
+    let mut sizes: Vec<f64> = all.iter().map(|o| o.normalised.norm()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let worst: Vec<String> = sizes.iter().rev().take(5).map(|size| format!("{size:.1}")).collect();
+    println!(
+        "  rms error along the bend {:.4}°, across {:.4}°; largest in σ: {}",
+        rms_deg(&errors).x,
+        rms_deg(&errors).y,
+        worst.join(", ")
+    );
+    let bounded: Vec<(&Outcome, [Vector2<f64>; 2])> = all.iter().filter_map(|o| Some((o, o.bounds?))).collect();
+    if !bounded.is_empty() {
+        let seen = rms_deg(&bounded.iter().map(|(o, _)| o.error).collect::<Vec<_>>());
+        for (k, what) in ["camera's pose known", "camera's pose from this frame alone"].into_iter().enumerate() {
+            let bound = rms_deg(&bounded.iter().map(|(_, bounds)| bounds[k]).collect::<Vec<_>>());
+            println!(
+                "  Cramér–Rao bound of {} of them, {what}: {:.4}° and {:.4}°; rms error {:.4}° ({:.1} times) and {:.4}° ({:.1} times)",
+                bounded.len(),
+                bound.x,
+                bound.y,
+                seen.x,
+                seen.x / bound.x,
+                seen.y,
+                seen.y / bound.y
+            );
+        }
+    }
+    honesty
+}
+
+#[test]
+#[ignore = "takes a quarter of an hour; the next test is a slice of it"]
+fn over_two_hundred_renders_the_sigmas_are_those_of_the_errors() {
+    for refining in [0, 8] {
+        let Honesty { count, eigenvalues, within } = survey(5000..5100, 2, refining, 6);
+        assert!(count >= 150, "{count} bends measured");
+        assert!(
+            (0.85..1.15).contains(&eigenvalues.min()) && (0.85..1.15).contains(&eigenvalues.max()),
+            "{eigenvalues}"
+        );
+        assert!((0.92..0.98).contains(&within), "{within}");
+    }
+}
+
+/// A dozen errors before three rigs: sigmas that are twice or half what they should be would show.
+#[test]
+fn a_slice_of_them_has_no_sigma_that_is_far_off() {
+    let Honesty { count, eigenvalues, within } = survey(5000..5003, 4, 0, 0);
+    assert!(count >= 8, "{count} bends measured");
+    assert!(eigenvalues.min() > 0.05 && eigenvalues.max() < 5.0, "{eigenvalues}");
+    assert!(within > 0.7, "{within}");
+}
+
+/// The bound itself, where it is known: a picture's noise twice as large doubles it.
+#[test]
+fn the_bound_goes_with_the_noise() {
+    let mut scene = Scene::default();
+    scene.lens.width = 320;
+    scene.lens.height = 180;
+    scene.lens.focal_px /= 4.0;
+    scene.lens.centre_px = [159.5, 89.5].into();
+    scene.sensor = Sensor { rays_per_pixel: 4, blur_px: 0.5, noise: 4.0 };
+    let psi = Configuration::from_degrees(40.0, 20.0);
+    let [once, free] = bounds(&scene, psi).unwrap();
+    scene.sensor.noise = 8.0;
+    let [twice, _] = bounds(&scene, psi).unwrap();
+    let ratios = DVector::from_vec(vec![twice.x / once.x, twice.y / once.y]);
+    assert!(ratios.iter().all(|ratio| (ratio - 2.0).abs() < 0.02), "{ratios}");
+    assert!(free.x >= once.x && free.y >= once.y, "{free} {once}");
+}
