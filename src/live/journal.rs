@@ -1,7 +1,7 @@
 //! The journal: every measurement, written down before anything else is done with it.
 //!
 //! One line of JSON a measurement or event, appended with a single write. A process that is killed leaves all of them but
-//! the one in hand; the system writes them to the disk at once every few seconds ([`Journal::sync`]), which is what a loss
+//! the one in hand; the system writes them to the disk at once every few seconds ([`Journal::sync_handle`]), which is what a loss
 //! of power can cost. A last line that is torn is cut off when the journal is opened again.
 
 use crate::error::{Error, Result};
