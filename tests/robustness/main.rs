@@ -151,8 +151,8 @@ fn no_angle_of_a_thousand_frames_is_false() {
     assert!(false_ones.is_empty(), "{} false:\n{}", false_ones.len(), false_ones.join("\n"));
 }
 
-/// The eye is not there yet: about one frame in 150 is still false, all of them blurred, far too bright or too dark, coarse
-/// JPEG or several faults at once. More than that is a step back.
+/// The eye is not there yet: about one frame in a thousand is still false, by little, with several faults at once. More
+/// than one in this slice is a step back.
 #[test]
 fn hardly_an_angle_of_a_slice_of_them_is_false() {
     let (measured, false_ones) = survey(2001..2005, 19);
