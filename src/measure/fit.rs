@@ -181,7 +181,9 @@ impl Matches {
     /// The residuals at a state and what they do nearby.
     pub fn linearised(&self, view: &Projection, state: &State) -> Linearised {
         let psi = state.psi();
-        let sections: Vec<(Pose, [(Vector3<f64>, Vector3<f64>); 2])> = self
+        // In the camera's axes, and what a rad of either component of the bend does there: shift (mm) and turn (rad).
+        type Section = (Pose, [(Vector3<f64>, Vector3<f64>); 2]);
+        let sections: Vec<Section> = self
             .sections_mm
             .iter()
             .map(|&s_mm| {
