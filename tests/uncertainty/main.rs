@@ -86,7 +86,7 @@ fn outcomes(seed: u64, count: usize, refining: usize, with_bounds: bool) -> Vec<
 /// The Cramér–Rao bounds of the bend, rad along and across it, from the renderer's own derivatives: pixels' noise is known,
 /// independent and Gaussian, and so is everything else about the picture but the bend, or but the bend and the camera's pose.
 fn bounds(scene: &Scene, psi: Configuration) -> Option<[Vector2<f64>; 2]> {
-    let sharp = Scene { sensor: Sensor { rays_per_pixel: 64, noise: 0.0, ..scene.sensor }, ..scene.clone() };
+    let sharp = Scene { sensor: Sensor { rays_per_pixel: 16, noise: 0.0, ..scene.sensor }, ..scene.clone() };
     // Steps that move edges by a fraction of a pixel: rad, rad, mm.
     const STEPS: [f64; 8] = [2e-3, 2e-3, 5e-4, 5e-4, 5e-4, 0.01, 0.01, 0.2];
     let picture = |axis: usize, sign: f64| {
@@ -183,11 +183,13 @@ fn survey(seeds: std::ops::Range<u64>, count: usize, refining: usize, with_bound
     honesty
 }
 
+/// The eye is not there yet: with the straight picture's rig alone the eigenvalues are 1.2 and 1.6 and 91 % lie within 95 %,
+/// of 177 bends, a few of them 4 to 7σ off; errors are rigs', and far above the bound of the noise.
 #[test]
 #[ignore = "takes a quarter of an hour; the next test is a slice of it"]
 fn over_two_hundred_renders_the_sigmas_are_those_of_the_errors() {
     for refining in [0, 8] {
-        let Honesty { count, eigenvalues, within } = survey(5000..5100, 2, refining, 6);
+        let Honesty { count, eigenvalues, within } = survey(5000..5100, 2, refining, if refining == 0 { 2 } else { 0 });
         assert!(count >= 150, "{count} bends measured");
         assert!(
             (0.85..1.15).contains(&eigenvalues.min()) && (0.85..1.15).contains(&eigenvalues.max()),
