@@ -1,21 +1,18 @@
 //! The eye against rendered pictures whose truth is known. The renderer casts rays at the body's surfaces and shares no
 //! code with the outlines that the eye fits.
 
-use image::DynamicImage;
+mod lab;
+
+use lab::{frame, lab};
 use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use snakeloop::camera::Frame;
 use snakeloop::geometry::{Configuration, wrap_degrees};
 use snakeloop::measure::{Eye, Rig, RigOptions, calibrate_rig};
 use snakeloop::record::Status;
-use snakeloop::simulate::render::render;
-use snakeloop::simulate::scene::{Light, Pattern, Scene, Sensor, Surface, Viewpoint, Wire};
+use snakeloop::simulate::scene::{Pattern, Scene, Surface, Wire};
 
 const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
-
-fn frame(scene: &Scene, psi: Configuration, seed: u64) -> Frame {
-    Frame::from_image(&DynamicImage::ImageRgb8(render(scene, psi, seed))).unwrap()
-}
 
 fn rig(scene: &Scene, grid_pitch_mm: f64) -> Result<Rig, String> {
     let options = RigOptions { grid_pitch_mm, standoff_mm: scene.paper.standoff_mm, delta_offset: 0.0 };
@@ -24,15 +21,6 @@ fn rig(scene: &Scene, grid_pitch_mm: f64) -> Result<Rig, String> {
 
 fn eye(scene: &Scene, rig: Rig) -> Eye {
     Eye::new(scene.lens.clone(), rig, scene.robot.clone())
-}
-
-/// A noisy lab: a tilted camera with distortion, a gradient, a shadow, some blur.
-fn lab() -> Scene {
-    let mut scene = Scene { sensor: Sensor { rays_per_pixel: 4, blur_px: 0.8, noise: 3.0 }, ..Scene::default() };
-    scene.lens.distortion[0] = -0.12;
-    scene.view = Viewpoint { yaw_deg: -6.0, pitch_deg: 4.0, roll_deg: -3.0, ..scene.view };
-    scene.light = Light { gradient: [0.15, -0.1], shadow: 0.3, shadow_blur_mm: 1.5, ..scene.light };
-    scene
 }
 
 /// Measures some poses and checks errors against the bounds and against the sigmas that come with them.

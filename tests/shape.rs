@@ -1,24 +1,12 @@
 //! Snakes that are not bent to a circle, on rendered frames: the departure that was put in comes out, and a circle is one.
 
-use image::DynamicImage;
-use snakeloop::camera::Frame;
+mod lab;
+
+use lab::{frame, lab};
 use snakeloop::geometry::Configuration;
 use snakeloop::measure::{Eye, RigOptions, calibrate_rig};
 use snakeloop::record::{Shape, Status};
-use snakeloop::simulate::render::render;
-use snakeloop::simulate::scene::{Light, Scene, Sensor, Viewpoint};
-
-fn frame(scene: &Scene, psi: Configuration, seed: u64) -> Frame {
-    Frame::from_image(&DynamicImage::ImageRgb8(render(scene, psi, seed))).unwrap()
-}
-
-fn lab() -> Scene {
-    let mut scene = Scene { sensor: Sensor { rays_per_pixel: 4, blur_px: 0.8, noise: 3.0 }, ..Scene::default() };
-    scene.lens.distortion[0] = -0.12;
-    scene.view = Viewpoint { yaw_deg: -6.0, pitch_deg: 4.0, roll_deg: -3.0, ..scene.view };
-    scene.light = Light { gradient: [0.15, -0.1], shadow: 0.3, shadow_blur_mm: 1.5, ..scene.light };
-    scene
-}
+use snakeloop::simulate::scene::Scene;
 
 #[test]
 fn a_departure_from_the_circle_is_found_and_a_circle_is_one() {

@@ -1,29 +1,17 @@
 //! Cameras, bases and papers that move after the rig was calibrated, on rendered frames: the angles are right, or there are
 //! none.
 
-use image::DynamicImage;
+mod lab;
+
+use lab::{frame, lab};
 use nalgebra::{Translation3, Vector3};
 use snakeloop::camera::Frame;
 use snakeloop::geometry::{Configuration, Pose, wrap_degrees};
 use snakeloop::measure::{Eye, Rig, RigOptions, Sighting, calibrate_rig};
 use snakeloop::record::Status;
-use snakeloop::simulate::render::render;
-use snakeloop::simulate::scene::{Light, Pattern, Scene, Sensor, Viewpoint};
+use snakeloop::simulate::scene::{Pattern, Scene, Viewpoint};
 
 const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
-
-fn frame(scene: &Scene, psi: Configuration, seed: u64) -> Frame {
-    Frame::from_image(&DynamicImage::ImageRgb8(render(scene, psi, seed))).unwrap()
-}
-
-/// A noisy lab with a tilted camera that distorts.
-fn lab() -> Scene {
-    let mut scene = Scene { sensor: Sensor { rays_per_pixel: 4, blur_px: 0.8, noise: 3.0 }, ..Scene::default() };
-    scene.lens.distortion[0] = -0.12;
-    scene.view = Viewpoint { yaw_deg: -6.0, pitch_deg: 4.0, roll_deg: -3.0, ..scene.view };
-    scene.light = Light { gradient: [0.15, -0.1], shadow: 0.3, shadow_blur_mm: 1.5, ..scene.light };
-    scene
-}
 
 fn checkered_lab() -> Scene {
     let mut scene = lab();
