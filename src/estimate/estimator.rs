@@ -420,10 +420,12 @@ impl Estimator {
     /// Makes a filter's estimate the model's, with its honest covariance.
     fn publish(&mut self, filter: &Filter, consistency: &Consistency) {
         let Some((x, covariance)) = filter.solution() else { return };
+        let covariance = consistency.inflate(&covariance) + friction_covariance(&self.model, x.x);
         self.model.estimate = Some(Estimate {
             eta: x.x,
             lambda_mm: x.y,
-            covariance: consistency.inflate(&covariance) + friction_covariance(&self.model, x.x),
+            // Rounding leaves the last digits of the two halves apart.
+            covariance: (covariance + covariance.transpose()) / 2.0,
             samples: filter.rows(),
         });
     }

@@ -19,6 +19,9 @@
 //! (1 + η) σ²/θ², in the mean over the measurements; at small bends that is much. Once there is an estimate, the encoders
 //! tell b too, by the forward problem, and far better than the camera along what η does not change. b* is the weighted
 //! mean of both, so H soon depends on the quiet encoders alone, and the bias dies away with the number of measurements.
+//!
+//! **Standing straight.** A bend that cannot be told from none has an H that is noise alone, and a long time of that would,
+//! with fading memory, pull η to where the noise is. Such a row takes b* = 0, where H says nothing of η and λ alone is learnt.
 
 use crate::geometry::Configuration;
 use crate::record::Measured;
@@ -85,8 +88,12 @@ impl Row {
     }
 }
 
-/// The mean of the measured bend vector and the one the encoders imply, weighted by their covariances, and the covariance
-/// of the measured one; `None` where the encoders imply none, and before the first estimate.
+/// A bend of fewer standard deviations than this counts as straight: what noise adds to |H|² is then 1 % at most.
+const TOLD_FROM_STRAIGHT_SD: f64 = 10.0;
+
+/// The mean of the measured bend vector and the one the encoders imply, weighted by their covariances (none where that
+/// cannot be told from straight), and the covariance of the measured one; `None` where the encoders imply none, and before
+/// the first estimate.
 fn smoothed(
     model: &Model,
     sd_encoder_mm: f64,
@@ -101,7 +108,11 @@ fn smoothed(
     // Taken at the implied bend, too: weights that followed the noise would favour one sign of it.
     let bend_covariance = bend_covariance(measured, Configuration::from_bend_vector(implied));
     let gain = implied_covariance * (implied_covariance + bend_covariance).try_inverse()?;
-    Some((implied + gain * (measured.configuration.bend_vector() - implied), bend_covariance))
+    let mean = implied + gain * (measured.configuration.bend_vector() - implied);
+    let mean_covariance = implied_covariance - gain * implied_covariance;
+    let squared_distance = mean.dot(&(mean_covariance.try_inverse()? * mean));
+    let bent = squared_distance >= TOLD_FROM_STRAIGHT_SD.powi(2);
+    Some((if bent { mean } else { Vector2::zeros() }, bend_covariance))
 }
 
 /// Covariance of the measured bend vector, rad², from that of (θ, δ) by moments to second order at a bend `at`.
