@@ -25,7 +25,6 @@
 //! | [`closed_loop`] | controller and robot played together, through rendered frames |
 //! | [`report`] | overlays, plots, the HTML page |
 //! | [`live`] | the loop while the robot moves, with its dashboard |
-#![deny(unsafe_code)]
 #![warn(missing_docs)]
 
 pub mod camera;
@@ -34,6 +33,7 @@ pub mod discover;
 pub mod error;
 pub mod estimate;
 pub mod geometry;
+mod input;
 pub mod live;
 pub mod measure;
 pub mod record;

@@ -1,12 +1,17 @@
 //! One picture in memory, and how it is read from a file.
 
 use crate::error::{Error, Result};
+use crate::input::{PICTURE_BYTES, read_bytes};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use std::io::Cursor;
 use std::path::Path;
 
 /// The largest picture that is read, in pixels; larger ones are taken for a mistake or an attack.
 const MAX_PIXELS: u64 = 100_000_000;
+/// The longest side, px.
+const MAX_SIDE: u32 = 65_535;
+/// The most that a decoder may allocate: four channels of 16 bits.
+const MAX_BYTES: u64 = 8 * MAX_PIXELS;
 
 /// A picture: grey or RGB, as the file's numbers (gamma-encoded) on the scale 0 to 255 whatever the file's depth.
 #[derive(Debug, Clone, PartialEq)]
@@ -66,9 +71,10 @@ fn keep<T: Copy>(samples: &[T], stride: usize, kept: usize, scale: fn(T) -> f32)
 /// sensor's own rows and columns.
 ///
 /// # Errors
-/// A file that cannot be read, is none of these formats, is damaged or cut short, or has more than 100 megapixels.
+/// A file that cannot be read, is none of these formats, is damaged or cut short, has more than 100 megapixels or 65,535 px
+/// in a row or column, or would take more memory than such a picture does.
 pub fn read_frame(path: &Path) -> Result<Frame> {
-    let bytes = std::fs::read(path).map_err(Error::io(path, "read"))?;
+    let bytes = read_bytes(path, PICTURE_BYTES)?;
     decode(&bytes).map_err(|message| Error::content(path, message))
 }
 
@@ -76,21 +82,33 @@ fn decode(bytes: &[u8]) -> std::result::Result<Frame, String> {
     if bytes.is_empty() {
         return Err("empty file, expected a picture".to_owned());
     }
-    let unreadable = |e: image::ImageError| format!("unreadable picture (expected PNG, JPEG or TIFF): {e}");
+    let expected = format!("expected at most {} megapixels and {MAX_SIDE} px a side", MAX_PIXELS / 1_000_000);
+    let unreadable = |e: image::ImageError| match e {
+        image::ImageError::Limits(_) => format!("takes more than {MAX_BYTES} bytes to decode, {expected}"),
+        e => format!("unreadable picture (expected PNG, JPEG or TIFF): {e}"),
+    };
     let mut reader =
         ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| format!("unreadable picture: {e}"))?;
-    let mut limits = Limits::default();
-    limits.max_alloc = Some(8 * MAX_PIXELS);
-    reader.limits(limits);
+    let mut limits = Limits::no_limits();
+    limits.max_alloc = Some(MAX_BYTES);
+    reader.limits(limits.clone());
     if reader.format() == Some(ImageFormat::Jpeg) && !jpeg_ends(bytes) {
         return Err("the JPEG file is cut short".to_owned());
     }
 
-    let decoder = reader.into_decoder().map_err(unreadable)?;
+    // The header alone is read so far. Sizes are checked here, and not by the decoder, so that the message can name them.
+    let mut decoder = reader.into_decoder().map_err(unreadable)?;
     let (width, height) = decoder.dimensions();
-    if u64::from(width) * u64::from(height) > MAX_PIXELS {
-        return Err(format!("{width}×{height} px is more than {} megapixels", MAX_PIXELS / 1_000_000));
+    if u64::from(width) * u64::from(height) > MAX_PIXELS || width.max(height) > MAX_SIDE {
+        return Err(format!("{width}×{height} px, {expected}"));
     }
+    if decoder.total_bytes() > MAX_BYTES {
+        let (found, kind) = (decoder.total_bytes(), decoder.color_type());
+        return Err(format!("{width}×{height} px of {kind:?} take {found} bytes, expected at most {MAX_BYTES}"));
+    }
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    decoder.set_limits(limits).map_err(unreadable)?;
     let colour: ColorType = decoder.color_type();
     let image = DynamicImage::from_decoder(decoder).map_err(unreadable)?;
     Frame::from_image(&image).ok_or_else(|| format!("{colour:?} pixels; expected 8 or 16 bits, grey or colour"))
@@ -172,13 +190,49 @@ mod tests {
 
     #[test]
     fn a_picture_bomb_is_refused_before_it_is_decoded() {
-        // A PNG header that claims 60000 × 60000 pixels, its checksum computed as PNG wants it.
-        let mut bytes = encoded(&DynamicImage::from(GrayImage::new(1, 1)), ImageFormat::Png);
-        bytes[16..24].copy_from_slice(&[0, 0, 0xea, 0x60, 0, 0, 0xea, 0x60]);
-        let crc = crc32(&bytes[12..29]);
-        bytes[29..33].copy_from_slice(&crc.to_be_bytes());
+        for (width, height) in [(60_000u32, 60_000u32), (1, 70_000), (70_000, 1)] {
+            // A PNG header that claims so many pixels, its checksum computed as PNG wants it.
+            let mut bytes = encoded(&DynamicImage::from(GrayImage::new(1, 1)), ImageFormat::Png);
+            bytes[16..20].copy_from_slice(&width.to_be_bytes());
+            bytes[20..24].copy_from_slice(&height.to_be_bytes());
+            let crc = crc32(&bytes[12..29]);
+            bytes[29..33].copy_from_slice(&crc.to_be_bytes());
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("bomb.png");
+            std::fs::write(&path, &bytes).unwrap();
+            let message = read_frame(&path).unwrap_err().to_string();
+            for part in ["bomb.png: ", &format!("{width}×{height} px"), "at most 100 megapixels and 65535 px"] {
+                assert!(message.contains(part), "{message}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_picture_inflates_to_is_limited_too() {
+        // 90 megapixels of four 32-bit channels pass as pixels and not as memory. TIFF: a header of ten tags, no pixels.
+        let tag = |id: u16, kind: u16, count: u32, value: u32| {
+            [&id.to_le_bytes()[..], &kind.to_le_bytes(), &count.to_le_bytes(), &value.to_le_bytes()].concat()
+        };
+        let (bits, end) = (8 + 2 + 10 * 12 + 4, 8 + 2 + 10 * 12 + 4 + 16);
+        let mut bytes = [&b"II"[..], &42u16.to_le_bytes(), &8u32.to_le_bytes(), &10u16.to_le_bytes()].concat();
+        for (id, kind, count, value) in [
+            (256, 4, 1, 9_000),
+            (257, 4, 1, 10_000),
+            (258, 3, 4, bits),
+            (259, 3, 1, 1),
+            (262, 3, 1, 2),
+            (273, 4, 1, end),
+            (277, 3, 1, 4),
+            (278, 4, 1, 10_000),
+            (279, 4, 1, 1_440_000_000),
+            (339, 3, 4, bits + 8),
+        ] {
+            bytes.extend(tag(id, kind, count, value));
+        }
+        bytes.extend(0u32.to_le_bytes());
+        bytes.extend([32u16, 32, 32, 32, 3, 3, 3, 3].iter().flat_map(|value| value.to_le_bytes()));
         let message = decode(&bytes).unwrap_err();
-        assert!(message.contains("megapixels"), "{message}");
+        assert!(message.contains("1440000000 bytes, expected at most 800000000"), "{message}");
     }
 
     fn crc32(bytes: &[u8]) -> u32 {

@@ -6,6 +6,7 @@
 
 use super::clock::{ClockState, FrameClock, Lag, Offset, motion_lag};
 use crate::error::{Error, Result};
+use crate::input::read_line;
 use crate::record::EncoderReading;
 use nalgebra::{Matrix2x3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -89,7 +90,7 @@ pub enum Lookup {
 const MOST_GAP_S: f64 = 0.5;
 /// Readings that are kept: some minutes of a fast bus.
 const MOST_READINGS: usize = 120_000;
-/// Lines longer than this are cut to pieces, and refused.
+/// Lines longer than this are refused, and no more of them is kept.
 const LONGEST_LINE: usize = 4096;
 /// Encoders silent for so long are lost.
 const SILENT: Duration = Duration::from_secs(2);
@@ -158,7 +159,7 @@ impl Feed {
     /// Starts to read. What is not there yet is waited for.
     pub fn start(source: EncoderSource, clock: Arc<FrameClock>, given_offset_s: Option<f64>) -> Self {
         let readings = Readings {
-            parser: Parser::default(),
+            parser: LineParser::default(),
             stamped: VecDeque::new(),
             offset: Offset::new(given_offset_s),
             lag: None,
@@ -211,7 +212,7 @@ impl Shared {
                 EncoderSource::File(path) => self.follow(path),
             };
             self.trouble(ended.err());
-            self.lock().parser = Parser::default();
+            self.lock().parser = LineParser::default();
             std::thread::sleep(RETRY);
         }
     }
@@ -241,8 +242,8 @@ impl Shared {
     fn lines(&self, mut from: impl BufRead) -> std::io::Result<()> {
         let mut line = Vec::new();
         while !self.stopped() {
-            line.clear();
-            if from.by_ref().take(LONGEST_LINE as u64).read_until(b'\n', &mut line)? == 0 {
+            // A last line without its end may have lost digits.
+            if !read_line(&mut from, LONGEST_LINE + 1, &mut line)?.ended {
                 return Ok(());
             }
             self.take(&line);
@@ -272,9 +273,8 @@ impl Shared {
                 self.take(line);
             }
             pending.drain(..end);
-            if pending.len() > LONGEST_LINE {
-                self.take(&std::mem::take(&mut pending));
-            }
+            // The beginning is kept, by which the line is seen to be too long once it ends.
+            pending.truncate(LONGEST_LINE + 1);
         }
         Ok(())
     }
@@ -282,8 +282,7 @@ impl Shared {
     fn take(&self, line: &[u8]) {
         let arrival_s = self.clock.now_s();
         let mut readings = self.lock();
-        let line = String::from_utf8_lossy(line);
-        match readings.parser.parse(line.trim()) {
+        match readings.parser.parse(line) {
             Ok(Some((stamp_s, q_mm))) => readings.add(stamp_s, q_mm, arrival_s),
             Ok(None) => {}
             Err(why) => {
@@ -297,7 +296,7 @@ impl Shared {
 /// The readings so far, by the encoders' own stamps.
 #[derive(Debug)]
 struct Readings {
-    parser: Parser,
+    parser: LineParser,
     stamped: VecDeque<(f64, Vector3<f64>)>,
     offset: Offset,
     lag: Option<Lag>,
@@ -397,16 +396,17 @@ fn between(earlier: (f64, Vector3<f64>), later: (f64, Vector3<f64>), time_s: f64
     Some(earlier.1.lerp(&later.1, share))
 }
 
-/// Reads lines, and remembers the header that it met.
+/// Reads lines of encoder readings, CSV or JSON, and remembers the header that it met.
 #[derive(Debug, Default)]
-struct Parser {
+pub struct LineParser {
     /// Where time_s, q1_mm, q2_mm, q3_mm stand.
     columns: Option<[usize; 4]>,
 }
 
 const NAMES: [&str; 4] = ["time_s", "q1_mm", "q2_mm", "q3_mm"];
 
-type Parsed = std::result::Result<Option<(f64, Vector3<f64>)>, String>;
+/// A stamp, s, and q̃, mm; `None` for a header, a comment or an empty line; else what is wrong with the line.
+pub type Parsed = std::result::Result<Option<(f64, Vector3<f64>)>, String>;
 
 #[derive(Deserialize)]
 struct JsonReading {
@@ -417,9 +417,17 @@ struct JsonReading {
     q3_mm: Option<f64>,
 }
 
-impl Parser {
-    /// A stamp and its reading; `None` for a header, a comment or an empty line; else what is wrong.
-    fn parse(&mut self, line: &str) -> Parsed {
+impl LineParser {
+    /// What a line says.
+    ///
+    /// # Errors
+    /// A line that is no reading, in words that show its beginning.
+    pub fn parse(&mut self, line: &[u8]) -> Parsed {
+        if line.len() > LONGEST_LINE {
+            return Err(format!("more than {LONGEST_LINE} bytes in a line, expected time_s,q1_mm,q2_mm,q3_mm"));
+        }
+        let line = String::from_utf8_lossy(line);
+        let line = line.trim();
         if line.is_empty() || line.starts_with('#') {
             return Ok(None);
         }
@@ -477,8 +485,8 @@ mod tests {
     use std::time::Instant;
 
     fn parsed(lines: &[&str]) -> Vec<Parsed> {
-        let mut parser = Parser::default();
-        lines.iter().map(|line| parser.parse(line)).collect()
+        let mut parser = LineParser::default();
+        lines.iter().map(|line| parser.parse(line.as_bytes())).collect()
     }
 
     #[test]
@@ -502,12 +510,33 @@ mod tests {
     proptest! {
         #[test]
         fn any_line_is_read_or_refused(lines in proptest::collection::vec(".{0,60}|[-0-9.,eE{}\":a-z_]{0,60}", 0..6)) {
-            let mut parser = Parser::default();
+            let mut parser = LineParser::default();
             for line in lines {
-                if let Ok(Some((time_s, q))) = parser.parse(line.trim()) {
+                if let Ok(Some((time_s, q))) = parser.parse(line.as_bytes()) {
                     prop_assert!(time_s.is_finite() && q.iter().all(|q| q.is_finite()));
                 }
             }
+        }
+    }
+
+    #[test]
+    fn no_part_of_a_line_is_taken_for_a_reading() {
+        let readings = format!("0.0,0,0,0\n{}1.0,7,7,7\n0.1,1,1,1\n2.0,9,9,9", "x".repeat(3 * LONGEST_LINE));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("encoders.csv");
+        std::fs::write(&path, &readings).unwrap();
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap().to_string();
+        for source in [EncoderSource::File(path), EncoderSource::Tcp(address)] {
+            let tcp = matches!(source, EncoderSource::Tcp(_));
+            let encoders = Encoders::Feed(Feed::start(source, clock(), None));
+            if tcp {
+                listener.accept().unwrap().0.write_all(readings.as_bytes()).unwrap();
+            }
+            assert_eq!(found(&encoders, 0.05).x, 0.5);
+            let status = encoders.status();
+            assert_eq!((status.readings, status.bad_lines), (2, 1), "{status:?}");
+            assert!(status.last_bad.unwrap().contains("more than 4096 bytes"));
         }
     }
 

@@ -6,15 +6,19 @@
 
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
+use crate::input::{LineRead, read_line};
 use crate::record::{EncoderReading, Measured, Measurement, Quality};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufReader, Write};
 use std::path::{Path, PathBuf};
 
 /// The journal's name in the output folder.
 pub const JOURNAL: &str = "journal.jsonl";
+
+/// A longer line is no entry: some twenty times what one has.
+const LONGEST_LINE: usize = 16_384;
 
 /// One line of the journal.
 // Entries are written and read one at a time, so that their size costs nothing.
@@ -190,17 +194,18 @@ pub fn read(path: &Path, mut each: impl FnMut(Entry)) -> Result<(u64, Option<Str
     let (mut whole, mut bad, mut torn) = (0, 0, false);
     let mut line = Vec::new();
     loop {
-        line.clear();
-        let length = lines.read_until(b'\n', &mut line).map_err(Error::io(path, "read"))?;
+        let LineRead { length, ended } =
+            read_line(&mut lines, LONGEST_LINE, &mut line).map_err(Error::io(path, "read"))?;
         if length == 0 {
             break;
         }
-        if line.last() != Some(&b'\n') {
+        if !ended {
             torn = true;
             break;
         }
-        whole += length as u64;
-        match serde_json::from_slice::<Line>(&line).ok().and_then(Line::entry) {
+        whole += length;
+        let entry = || serde_json::from_slice::<Line>(&line).ok().and_then(Line::entry);
+        match if length > LONGEST_LINE as u64 { None } else { entry() } {
             Some(entry) => each(entry),
             None => bad += 1,
         }
@@ -311,6 +316,21 @@ mod tests {
             journal.append(&entry(99, 0.2, false)).unwrap();
             prop_assert_eq!(entries_in(folder.path()).len(), whole + 1);
         }
+    }
+
+    #[test]
+    fn a_line_too_long_to_be_an_entry_is_left_out() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut journal = Journal::create(folder.path()).unwrap();
+        journal.append(&failed(1)).unwrap();
+        journal.file.write_all(&[b"[".repeat(5_000_000), b"\n".to_vec()].concat()).unwrap();
+        // Too long even where it would be an entry, were it cut.
+        journal.file.write_all(format!("{{\"event\":\"reset\"}}{}\n", " ".repeat(LONGEST_LINE)).as_bytes()).unwrap();
+        journal.append(&failed(2)).unwrap();
+        let mut count = 0;
+        let (_, remark) = Journal::resume(folder.path(), |_| count += 1).unwrap();
+        assert_eq!(count, 2);
+        assert!(remark.unwrap().contains("2 lines cannot be read"));
     }
 
     #[test]

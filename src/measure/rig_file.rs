@@ -17,6 +17,7 @@ use super::rig::Rig;
 use super::watch::Print;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
+use crate::input::read_text;
 use crate::record::{line_at, write_atomically};
 use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -66,7 +67,7 @@ impl Rig {
     ///
     /// If the file cannot be read, is not such a file, or holds a pose that is none.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
+        let text = read_text(path)?;
         let file: RigFile = toml::from_str(&text).map_err(|e| {
             let line = e.span().map(|span| line_at(&text, span.start));
             Error::Content { path: path.to_owned(), line, message: e.message().to_owned() }

@@ -1,6 +1,7 @@
 //! experiment.toml: what belongs to one experiment and where it lies.
 
 use crate::error::{Error, Result};
+use crate::input::read_text;
 use serde::Deserialize;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -83,7 +84,7 @@ impl Experiment {
     /// each with its line.
     pub fn read(path: &Path) -> Result<Self> {
         let path = if path.is_dir() { path.join("experiment.toml") } else { path.to_owned() };
-        let text = std::fs::read_to_string(&path).map_err(Error::io(&path, "read"))?;
+        let text = read_text(&path)?;
         Self::parse(&path, &text)
     }
 

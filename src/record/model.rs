@@ -28,6 +28,7 @@
 use super::experiment::line_at;
 use super::write::write_atomically;
 use crate::error::{Error, Result};
+use crate::input::read_text;
 use crate::robot::effects::ParameterSpec;
 use crate::robot::{Effect, Estimate, Friction, Model, Robot};
 use nalgebra::Matrix2;
@@ -163,7 +164,7 @@ impl From<EstimateTable> for Estimate {
 /// A file that cannot be read or is not TOML, an unknown or missing key, an effect that this version does not know, a
 /// number out of its physical range; each with its line and key.
 pub fn read_model(path: &Path) -> Result<Model> {
-    let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
+    let text = read_text(path)?;
     parse(path, &text)
 }
 

@@ -4,6 +4,7 @@
 //! [`Warning`] that says where and why, and the other rows are used.
 
 use crate::error::{Error, Result};
+use crate::input::{TABLE_BYTES, read_bytes};
 use std::collections::HashMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -110,7 +111,7 @@ pub(super) fn read<T: Indexed>(
     required: &[&str],
     parse: impl Fn(&Row) -> RowResult<T>,
 ) -> Result<Checked<T>> {
-    let bytes = std::fs::read(path).map_err(Error::io(path, "read"))?;
+    let bytes = read_bytes(path, TABLE_BYTES)?;
     parse_table(path, &bytes, required, parse)
 }
 
@@ -127,7 +128,7 @@ pub(super) fn parse_table<T: Indexed>(
     let columns = columns_of(path, &header, required)?;
 
     let mut numbered = Vec::new();
-    let mut warnings = Vec::new();
+    let mut warnings = Warnings { path, first: Vec::new(), others: 0 };
     let mut record = csv::ByteRecord::new();
     loop {
         match reader.read_byte_record(&mut record) {
@@ -138,10 +139,11 @@ pub(super) fn parse_table<T: Indexed>(
         let line = record.position().map_or(0, csv::Position::line);
         match usable_row(&columns, header.len(), &record).and_then(|row| parse(&row)) {
             Ok(value) => numbered.push((line, value)),
-            Err(why) => warnings.push(Warning { path: path.to_owned(), line, message: format!("{why}; row skipped") }),
+            Err(why) => warnings.push(line, format!("{why}; row skipped")),
         }
     }
-    let rows = in_order_once(path, numbered, &mut warnings);
+    let rows = in_order_once(numbered, &mut warnings);
+    let warnings = warnings.in_order();
     if rows.is_empty() {
         let message = match warnings.first() {
             Some(first) => format!("no usable row; the first fault, in line {}: {}", first.line, first.message),
@@ -149,7 +151,6 @@ pub(super) fn parse_table<T: Indexed>(
         };
         return Err(Error::content(path, message));
     }
-    warnings.sort_by_key(|warning| warning.line);
     Ok(Checked { rows, warnings })
 }
 
@@ -185,8 +186,37 @@ fn usable_row<'a>(columns: &'a HashMap<String, usize>, width: usize, record: &cs
     Ok(Row { columns, fields })
 }
 
-fn in_order_once<T: Indexed>(path: &Path, mut numbered: Vec<(u64, T)>, warnings: &mut Vec<Warning>) -> Vec<T> {
-    let mut warn = |line, message| warnings.push(Warning { path: path.to_owned(), line, message });
+/// The warnings about one file, of which only so many are kept: a file of nothing but faults is soon known for what it is.
+struct Warnings<'a> {
+    path: &'a Path,
+    first: Vec<Warning>,
+    others: u64,
+}
+
+impl Warnings<'_> {
+    const MOST: usize = 1000;
+
+    fn push(&mut self, line: u64, message: String) {
+        if self.first.len() < Self::MOST {
+            self.first.push(Warning { path: self.path.to_owned(), line, message });
+        } else {
+            self.others += 1;
+        }
+    }
+
+    /// In order of their lines; the last tells how many more there were.
+    fn in_order(mut self) -> Vec<Warning> {
+        self.first.sort_by_key(|warning| warning.line);
+        if let (true, Some(last)) = (self.others > 0, self.first.last()) {
+            let message = format!("and {} more rows with faults", self.others);
+            self.first.push(Warning { message, ..last.clone() });
+        }
+        self.first
+    }
+}
+
+fn in_order_once<T: Indexed>(mut numbered: Vec<(u64, T)>, warnings: &mut Warnings) -> Vec<T> {
+    let mut warn = |line, message| warnings.push(line, message);
     if let Some(pair) = numbered.windows(2).find(|pair| pair[1].1.index() < pair[0].1.index()) {
         let (line, before, after) = (pair[1].0, pair[0].1.index(), pair[1].1.index());
         warn(line, format!("index {after} follows {before}; the rows were put in order of their index"));
@@ -281,6 +311,15 @@ mod tests {
                 "a.csv:8: x_mm is empty, expected a number; row skipped",
             ]
         );
+    }
+
+    #[test]
+    fn of_faults_without_end_the_first_are_told_and_the_others_counted() {
+        let text = format!("index,x_mm\n0,1\n{}", "7\n".repeat(50_000));
+        let (rows, warnings) = rows_and_warnings(&text);
+        assert_eq!((rows.len(), warnings.len()), (1, 1001));
+        assert_eq!(warnings[999], "a.csv:1002: 1 fields, expected 2; row skipped");
+        assert_eq!(warnings[1000], "a.csv:1002: and 49000 more rows with faults");
     }
 
     #[test]

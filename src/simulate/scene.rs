@@ -5,6 +5,7 @@
 use crate::camera::Lens;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
+use crate::input::read_text;
 use crate::robot::Robot;
 use nalgebra::{Matrix3, Point2, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -268,7 +269,7 @@ impl Scene {
     /// # Errors
     /// A file that cannot be read, is no scene, or describes one that cannot be drawn ([`check`](Self::check)).
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
+        let text = read_text(path)?;
         let scene: Self = toml::from_str(&text).map_err(|e| {
             let before = e.span().map_or(0, |span| span.start.min(text.len()));
             let line = 1 + text.bytes().take(before).filter(|&b| b == b'\n').count() as u64;

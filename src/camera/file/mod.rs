@@ -8,6 +8,7 @@ mod yaml;
 
 use super::Lens;
 use crate::error::{Error, Result};
+use crate::input::read_text;
 use nalgebra::{Point2, Vector2};
 use std::path::Path;
 
@@ -29,7 +30,7 @@ impl Lens {
     /// A file that cannot be read, is neither YAML nor XML, lacks one of the four keys, or holds something in them that is
     /// no camera of this model: another shape, a skewed or non-finite matrix, a fisheye `distortion_model`.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
+        let text = read_text(path)?;
         Self::parse(path, &text)
     }
 
@@ -337,6 +338,29 @@ rectification_matrix:
         }
         let indented: String = (0..3000).map(|k| format!("{}a:\n", " ".repeat(k))).collect();
         parse(&indented).unwrap_err();
+    }
+
+    #[test]
+    fn what_stands_for_more_than_it_is_long_is_refused_in_peace() {
+        // Each line stands for nine of the line above it; each entity for ten of the one before.
+        let laughs = |k: usize| format!("l{k}: &l{k} [{}]\n", vec![format!("*l{}", k - 1); 9].join(","));
+        let yaml = format!("l0: &l0 [x]\n{}", (1..12).map(laughs).collect::<String>());
+        let message = parse(&yaml).unwrap_err().to_string();
+        assert!(message.contains("camera.yaml:") && message.contains("alias"), "{message}");
+
+        let entity = |k: usize| format!("<!ENTITY l{k} \"{}\">", format!("&l{};", k - 1).repeat(10));
+        let entities: String = (1..12).map(entity).collect();
+        let xml = format!(
+            "<?xml version=\"1.0\"?>\n<!DOCTYPE o [<!ENTITY l0 \"x\">{entities}]>\n<opencv_storage>&l11;</opencv_storage>"
+        );
+        let message = parse(&xml).unwrap_err().to_string();
+        assert!(message.contains("DTD"), "{message}");
+
+        let many = format!("<opencv_storage>{}</opencv_storage>", "<a/>".repeat(200_000));
+        let message = parse(&many).unwrap_err().to_string();
+        assert!(message.contains("nodes limit"), "{message}");
+        let deep = "<opencv_storage>".to_owned() + &"<a>".repeat(90_000) + &"</a>".repeat(90_000) + "</opencv_storage>";
+        assert!(parse(&deep).is_err());
     }
 
     proptest! {

@@ -2,12 +2,17 @@
 
 use super::{Entry, NotAFile, Value, joined};
 use crate::camera::Lens;
-use roxmltree::{Document, Node};
+use roxmltree::{Document, Node, ParsingOptions};
 use std::fmt::Write as _;
+
+/// More elements and texts than this are no camera file.
+const MOST_NODES: u32 = 100_000;
 
 /// What stands at the top level of a file, below `<opencv_storage>`.
 pub fn entries(text: &str) -> Result<Vec<Entry>, NotAFile> {
-    let document = Document::parse(text).map_err(|e| NotAFile {
+    // Without a DTD there are no entities, which could stand for more text than there is memory.
+    let options = ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..ParsingOptions::default() };
+    let document = Document::parse_with_options(text, options).map_err(|e| NotAFile {
         line: u64::from(e.pos().row),
         message: format!("neither a YAML nor an XML camera file: {e}"),
     })?;
