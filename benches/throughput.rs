@@ -34,8 +34,28 @@ fn decode_a_frame() -> Frame {
     read_frame(&frame()).unwrap()
 }
 
+/// One pass of reading a decoded frame's pixels: what the measurement is compared with.
+#[divan::bench(max_time = 2)]
+fn read_every_pixel(bencher: Bencher) {
+    let frame = read_frame(&frame()).unwrap();
+    bencher.bench_local(|| divan::black_box(&frame).data.iter().sum::<f32>());
+}
+
 #[divan::bench(max_time = 15)]
 fn measure_a_decoded_frame(bencher: Bencher) {
+    let (eye, frame) = eye_and_frame();
+    bencher.bench_local(|| eye.measure(&frame));
+}
+
+/// As `live` does: the frame before, 1.5° away, is known.
+#[divan::bench(max_time = 15)]
+fn track_a_decoded_frame(bencher: Bencher) {
+    let (eye, frame) = eye_and_frame();
+    let last = eye.measure(&frame).bend.unwrap().vector * 0.97;
+    bencher.bench_local(|| eye.track(&frame, last));
+}
+
+fn eye_and_frame() -> (Eye, Frame) {
     let lens = Lens::read(&bundled("camera.yaml")).unwrap();
     let robot = Model::default().robot;
     let options = RigOptions { grid_pitch_mm: 1.0, standoff_mm: 25.0, delta_offset: 0.0 };
@@ -43,7 +63,7 @@ fn measure_a_decoded_frame(bencher: Bencher) {
     let eye = Eye::new(lens, rig, robot);
     let frame = read_frame(&frame()).unwrap();
     assert_eq!(eye.measure(&frame).status, Status::Ok);
-    bencher.bench_local(|| eye.measure(&frame));
+    (eye, frame)
 }
 
 #[divan::bench(max_time = 2)]
