@@ -18,10 +18,11 @@ pub struct Edge {
 #[derive(Debug)]
 pub struct EdgeFinder<'a> {
     plane: &'a Plane,
-    noise: f64,
     two_sided: bool,
-    kernel: Vec<f64>,
-    profile: Vec<f64>,
+    /// The filter's weights for the samples 1, 2, … steps away; those on the other side have the opposite sign.
+    kernel: [f32; REACH],
+    /// What the picture's noise leaves of noise in the filtered slope.
+    slope_noise: f64,
 }
 
 /// Distance between samples of a profile, px.
@@ -29,6 +30,8 @@ const STEP_PX: f64 = 0.5;
 /// σ of the Gaussian whose derivative finds the edge, px: about a lens' own blur, the best filter for a step in noise
 /// (J. Canny, 1986).
 const FILTER_PX: f64 = 1.2;
+/// Steps to either side that the filter reaches: three σ.
+const REACH: usize = 8;
 
 /// The least slope that counts as an edge, of the contrast between snake and paper, per px: a sharp step of 6 % of it.
 const FAINTEST: f64 = 0.02;
@@ -36,6 +39,10 @@ const FAINTEST: f64 = 0.02;
 const NEIGHBOURHOOD_PX: f64 = 5.0;
 /// How far an edge is displaced by a neighbour as steep as itself, px (1σ).
 const DRAWN_PX: f64 = 1.0;
+/// The furthest that edges are searched for, px.
+const FURTHEST_PX: f64 = 14.0;
+/// Slopes along a profile at most, to either side of its middle.
+const MOST: usize = ((FURTHEST_PX + NEIGHBOURHOOD_PX) / STEP_PX) as usize + 1;
 
 impl<'a> EdgeFinder<'a> {
     /// A finder for a picture in which the snake is brighter than its background or, if `two_sided`, different from it.
@@ -45,66 +52,77 @@ impl<'a> EdgeFinder<'a> {
 
     /// The same for a picture of which only a region is known.
     pub fn within(plane: &'a Plane, two_sided: bool, region: &Region) -> Self {
-        Self { noise: plane.noise(region), two_sided, ..Self::noiseless(plane) }
+        let finder = Self::noiseless(plane);
+        let norm2: f64 = finder.kernel.iter().map(|w| 2.0 * f64::from(*w).powi(2)).sum();
+        Self { slope_noise: plane.noise(region) * norm2.sqrt(), two_sided, ..finder }
     }
 
     /// A finder for a picture without noise.
     pub fn noiseless(plane: &'a Plane) -> Self {
-        let reach = (3.0 * FILTER_PX / STEP_PX).ceil() as i32;
-        let gaussian = |k: i32| (-0.5 * (f64::from(k) * STEP_PX / FILTER_PX).powi(2)).exp();
-        let mut kernel: Vec<f64> = (-reach..=reach).map(|k| f64::from(k) * gaussian(k)).collect();
+        let away = |k: usize| (k + 1) as f64 * STEP_PX;
+        let weight = |k: usize| away(k) * (-0.5 * (away(k) / FILTER_PX).powi(2)).exp();
         // Normalised so that a ramp of one level per px answers 1.
-        let ramp: f64 = kernel.iter().zip(-reach..=reach).map(|(w, k)| w * f64::from(k) * STEP_PX).sum();
-        kernel.iter_mut().for_each(|w| *w /= ramp);
-        Self { plane, noise: 0.0, two_sided: false, kernel, profile: Vec::new() }
+        let ramp: f64 = (0..REACH).map(|k| 2.0 * weight(k) * away(k)).sum();
+        Self { plane, slope_noise: 0.0, two_sided: false, kernel: std::array::from_fn(|k| (weight(k) / ramp) as f32) }
     }
 
-    /// The most likely edge within `search_px` of a border point: the picture must fall from snake to background there,
-    /// steeply enough to stand out of the noise. The search ends where other parts of the snake begin.
-    pub fn find(&mut self, point: &OutlinePoint, search_px: f64) -> Option<Edge> {
-        let reach = self.kernel.len() / 2;
-        let count = ((search_px + NEIGHBOURHOOD_PX) / STEP_PX).ceil() as usize + 1;
-        let mut profile = std::mem::take(&mut self.profile);
-        self.plane.profile(&point.pixel, point.normal.into_inner(), STEP_PX, count + reach, &mut profile);
-        let mut fall: Vec<f64> = profile
-            .windows(self.kernel.len())
-            .map(|window| -window.iter().zip(&self.kernel).map(|(v, w)| v * w).sum::<f64>())
-            .collect();
-        self.profile = profile;
-
-        let position = |k: usize| (k as f64 - count as f64) * STEP_PX;
+    /// The most likely edge within `search_px` (at most 14) of a border point: the picture must fall from snake to
+    /// background there, steeply enough to stand out of the noise. The search ends where other parts of the snake begin.
+    pub fn find(&self, point: &OutlinePoint, search_px: f64) -> Option<Edge> {
+        let search_px = search_px.min(FURTHEST_PX);
         let outward = search_px.min(point.gap_px);
         let inward = search_px.min(point.depth_px);
-        let steepness = |k: usize| if self.two_sided { fall[k].abs() } else { fall[k] };
-        let is_peak = |k: usize| steepness(k) >= steepness(k - 1) && steepness(k) > steepness(k + 1);
-        let best = (1..fall.len() - 1).filter(|&k| is_peak(k) && (-inward..=outward).contains(&position(k))).max_by(
-            |&a, &b| {
-                let likelihood = |k: usize| steepness(k) * (-0.5 * (position(k) / search_px).powi(2)).exp();
-                likelihood(a).total_cmp(&likelihood(b))
-            },
-        )?;
+        let steps = |px: f64| ((px + NEIGHBOURHOOD_PX) / STEP_PX).ceil() as usize;
+        let (inside, outside) = (steps(inward).min(MOST), steps(outward).min(MOST));
+        let mut slopes = [0.0; 2 * MOST + 1];
+        let fall = &mut slopes[..inside + outside + 1];
+        self.falls(point, inside, fall);
 
+        let position = |k: usize| (k as f64 - inside as f64) * STEP_PX;
+        let steepness = |k: usize| if self.two_sided { fall[k].abs() } else { fall[k] };
+        let is_peak = |k: &usize| steepness(*k) >= steepness(k - 1) && steepness(*k) > steepness(k + 1);
+        let likelihood = |k: usize| f64::from(steepness(k)) * (-0.5 * (position(k) / search_px).powi(2)).exp();
+        let searched = (1..fall.len() - 1).filter(|&k| (-inward..=outward).contains(&position(k)));
+        let (best, _) = searched
+            .filter(is_peak)
+            .map(|k| (k, likelihood(k)))
+            .fold(None, |best: Option<(usize, f64)>, peak| best.filter(|best| best.1 > peak.1).or(Some(peak)))?;
         if fall[best] < 0.0 {
             fall.iter_mut().for_each(|f| *f = -*f);
         }
 
         // A step of height h blurred to σ has slope h / (σ√2π) and, filtered, curvature slope / (σ² + FILTER²).
-        let curvature = (2.0 * fall[best] - fall[best - 1] - fall[best + 1]) / (STEP_PX * STEP_PX);
-        let slope_noise = self.noise * self.kernel.iter().map(|w| w * w).sum::<f64>().sqrt();
-        if fall[best] < FAINTEST.max(5.0 * slope_noise) || curvature <= 0.0 {
+        let [before, peak, after] = [best - 1, best, best + 1].map(|k| f64::from(fall[k]));
+        let curvature = (2.0 * peak - before - after) / (STEP_PX * STEP_PX);
+        if peak < FAINTEST.max(5.0 * self.slope_noise) || curvature <= 0.0 {
             return None;
         }
-        let vertex = 0.5 * (fall[best + 1] - fall[best - 1]) / (STEP_PX * STEP_PX * curvature) * STEP_PX;
+        let vertex = 0.5 * (after - before) / (STEP_PX * curvature);
         // Noise of the slope's derivative over the curvature; the derivative's filter is narrower by one order.
-        let noise_px = slope_noise / FILTER_PX / curvature;
+        let noise_px = self.slope_noise / FILTER_PX / curvature;
         // A highlight along the rim or a printed line along the border rises where a clean edge is flat, and draws the
         // edge towards itself or away.
         let near = (NEIGHBOURHOOD_PX / STEP_PX) as usize;
         let around = fall[best.saturating_sub(near)..=(best + near).min(fall.len() - 1)].iter();
-        let rise = around.fold(0.0_f64, |most, f| most.max(-f)) - 2.0 * slope_noise;
-        let drawn_px = DRAWN_PX * (rise.max(0.0) / fall[best]).min(1.0);
+        let rise = f64::from(around.fold(0.0_f32, |most, f| most.max(-f))) - 2.0 * self.slope_noise;
+        let drawn_px = DRAWN_PX * (rise.max(0.0) / peak).min(1.0);
         let sigma_px = (noise_px.powi(2) + drawn_px.powi(2)).sqrt();
-        let blur_px = (fall[best] / curvature - FILTER_PX * FILTER_PX).max(0.0).sqrt();
+        let blur_px = (peak / curvature - FILTER_PX * FILTER_PX).max(0.0).sqrt();
         Some(Edge { offset_px: position(best) + vertex.clamp(-STEP_PX, STEP_PX), sigma_px, blur_px })
+    }
+
+    /// The picture's filtered slope along a border point's normal, falling outwards counted positive; the first is `inside`
+    /// steps on the snake.
+    fn falls(&self, point: &OutlinePoint, inside: usize, fall: &mut [f32]) {
+        let mut samples = [0.0; 2 * (MOST + REACH) + 1];
+        let profile = &mut samples[..fall.len() + 2 * REACH];
+        let step = point.normal.into_inner() * STEP_PX;
+        self.plane.profile(&(point.pixel - step * (inside + REACH) as f64), step, profile);
+        for (k, weight) in self.kernel.iter().enumerate() {
+            let (towards, away) = (&profile[REACH - 1 - k..], &profile[REACH + 1 + k..]);
+            for ((fall, inner), outer) in fall.iter_mut().zip(towards).zip(away) {
+                *fall += weight * (inner - outer);
+            }
+        }
     }
 }

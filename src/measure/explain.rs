@@ -47,9 +47,9 @@ impl Eye {
         let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
         let fits: Vec<Configuration> = look.fits.iter().map(|fit| Configuration::from_bend_vector(fit.bend)).collect();
         let outline = fits.first().map(|&psi| Outline::new(&self.projection(), psi));
-        let mut finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
-        let disks = outline.as_ref().map(|outline| Proof::new(outline, &mut finder).disks().collect());
-        let places = outline.as_ref().map(|outline| places(outline, &mut finder));
+        let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
+        let disks = outline.as_ref().map(|outline| Proof::new(outline, &finder).disks().collect());
+        let places = outline.as_ref().map(|outline| places(outline, &finder));
         Explanation {
             disks: disks.unwrap_or_default(),
             snakeness: Frame {
@@ -84,7 +84,7 @@ impl Eye {
     }
 }
 
-fn places(outline: &Outline, finder: &mut EdgeFinder) -> Vec<Place> {
+fn places(outline: &Outline, finder: &EdgeFinder) -> Vec<Place> {
     let edges: Vec<_> = outline.points.iter().map(|point| (point, finder.find(point, SETTLED_PX))).collect();
     let misfits: Vec<f64> = edges.iter().filter_map(|(_, edge)| edge.map(|e| e.offset_px / e.sigma_px)).collect();
     let mut told = misfits.iter().zip(robust_weights(&misfits, false));

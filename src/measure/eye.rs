@@ -4,7 +4,6 @@ use super::edges::EdgeFinder;
 use super::fit::{AS_GOOD, BendFit, BiasPrior, Effort, Start, State, fit_bend};
 use super::outline::{Outline, Projection};
 use super::plane::{Plane, Region};
-use super::proof::Proof;
 use super::rig::Rig;
 use super::search::Search;
 use super::watch::Watch;
@@ -64,18 +63,20 @@ pub(super) struct Look {
 const CANDIDATES: usize = 6;
 /// Distance between the places of the outline that decide which bend it is, px.
 const SPARSE_PX: f64 = 6.0;
+/// After a bend that moves the tip by less than about 0.3 px, the same edges would be found again, rad.
+const STILL_RAD: f64 = 5e-4;
 /// The first look at a candidate, a closer one at the best of them, and the measurement itself.
-const FIRST_LOOK: Effort =
-    Effort { searches_px: &[14.0, 10.0, 8.0], rounds: 3, spacing_px: SPARSE_PX, settled: false, converged_rad: 1e-4 };
-const CLOSE_LOOK: Effort = Effort {
-    searches_px: &[6.0, 5.0, 4.0, 3.0],
-    rounds: 20,
+const FIRST_LOOK: Effort = Effort {
+    searches_px: &[14.0, 10.0, 8.0],
+    rounds: 3,
     spacing_px: SPARSE_PX,
     settled: false,
-    converged_rad: 2e-4,
+    converged_rad: STILL_RAD,
 };
+const CLOSE_LOOK: Effort =
+    Effort { searches_px: &[6.0, 3.0], rounds: 20, spacing_px: SPARSE_PX, settled: false, converged_rad: STILL_RAD };
 const MEASUREMENT: Effort =
-    Effort { searches_px: &[3.0], rounds: 9, spacing_px: Outline::SPACING_PX, settled: true, converged_rad: 1e-4 };
+    Effort { searches_px: &[3.0], rounds: 9, spacing_px: Outline::SPACING_PX, settled: true, converged_rad: STILL_RAD };
 /// A closer look is worth while at candidates whose cost is within this factor of the best one's.
 const WORTH_A_LOOK: f64 = 3.0;
 /// A bend this near to its twin is seen edge-on.
@@ -132,23 +133,21 @@ impl Eye {
         }
         let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
         let view = self.projection();
-        let mut finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
-        let mut fit = |start: Start, effort: &Effort| fit_bend(&view, &mut finder, start, self.prior(), effort);
+        let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
+        let fit = |start: Start, effort: &Effort| fit_bend(&view, &finder, start, self.prior(), effort);
 
         look.candidates = self.search.candidates(&plane, self.rig.appearance.two_sided, CANDIDATES);
         let starts = look.candidates.iter().map(|&bend| self.start(bend));
-        let mut looks: Vec<BendFit> = starts.filter_map(|start| fit(start, &FIRST_LOOK)).collect();
-        looks.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        let mut looks = distinct(looks);
+        let mut looks = distinct(starts.filter_map(|start| fit(start, &FIRST_LOOK)).collect());
         looks.truncate(2);
         // The search may have passed over the best bend's twin, which leans the other way along the line of sight.
         looks.extend(looks.first().and_then(|best| fit(self.start(self.twin(best.bend)), &FIRST_LOOK)));
-        let (fits, sighting) = self.judge(&looks, &mut finder);
-        Look { fits, sighting: self.watched(sighting, frame, &mut finder), ..look }
+        let (fits, sighting) = self.judge(looks, &finder);
+        Look { fits, sighting: self.watched(sighting, frame, &finder), ..look }
     }
 
     /// What may be said of a frame once it is known where camera, base and paper are.
-    fn watched(&self, mut sighting: Sighting, frame: &Frame, finder: &mut EdgeFinder) -> Sighting {
+    fn watched(&self, mut sighting: Sighting, frame: &Frame, finder: &EdgeFinder) -> Sighting {
         let watched = self.watch.look(frame, finder);
         if let Some(quality) = &mut sighting.quality {
             quality.base_moved_px = watched.base.map(|base| base.by.norm());
@@ -170,8 +169,8 @@ impl Eye {
         let size = (frame.width, frame.height);
         let region = Region::around(bounds(last), NEARBY_PX, size);
         let plane = self.plane(frame, &region);
-        let mut finder = EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region);
-        let mut fit = |start: Start| fit_bend(&view, &mut finder, start, self.prior(), &FIRST_LOOK);
+        let finder = EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region);
+        let fit = |start: Start| fit_bend(&view, &finder, start, self.prior(), &FIRST_LOOK);
         let near = fit(self.start(last))?;
         let twin = fit(self.start(self.twin(near.bend)));
         // What is not in the region was not looked at.
@@ -179,8 +178,8 @@ impl Eye {
             return None;
         }
         let looks: Vec<BendFit> = std::iter::once(near).chain(twin).collect();
-        let (_, sighting) = self.judge(&looks, &mut finder);
-        let sighting = self.watched(sighting, frame, &mut finder);
+        let (_, sighting) = self.judge(looks, &finder);
+        let sighting = self.watched(sighting, frame, &finder);
         (sighting.status == Status::Ok).then_some(sighting)
     }
 
@@ -207,28 +206,30 @@ impl Eye {
     }
 
     /// The fits that first looks lead to, best first, and the verdict on the best.
-    fn judge(&self, looks: &[BendFit], finder: &mut EdgeFinder) -> (Vec<BendFit>, Sighting) {
+    fn judge(&self, looks: Vec<BendFit>, finder: &EdgeFinder) -> (Vec<BendFit>, Sighting) {
         let view = self.projection();
-        let mut fit = |start: Start, effort: &Effort| fit_bend(&view, finder, start, self.prior(), effort);
-        let least = looks.iter().map(|look| look.cost).fold(f64::INFINITY, f64::min);
+        let fit = |start: Start, effort: &Effort| fit_bend(&view, finder, start, self.prior(), effort);
+        let looks = distinct(looks);
+        let least = looks.first().map_or(f64::INFINITY, |best| best.cost);
         let worth = looks.iter().filter(|look| look.cost <= WORTH_A_LOOK * least);
-        let mut close: Vec<BendFit> = worth.filter_map(|look| fit(look.start(), &CLOSE_LOOK)).collect();
-        close.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        let mut fits = distinct(close);
-        let Some(best) = fits.first() else { return (fits, failed(Status::NoSnake, None)) };
-        let as_good =
-            fits.get(1).is_some_and(|other| other.cost < AS_GOOD * best.cost && other.rms_px < AS_CLOSE * best.rms_px);
-        let Some(mut best) = fit(best.start(), &MEASUREMENT) else { return (fits, failed(Status::NoSnake, None)) };
+        let mut fits = distinct(worth.filter_map(|look| fit(look.start(), &CLOSE_LOOK)).collect());
+        let Some(close) = fits.first() else { return (fits, failed(Status::NoSnake, None)) };
+        let as_good = fits
+            .get(1)
+            .is_some_and(|other| other.cost < AS_GOOD * close.cost && other.rms_px < AS_CLOSE * close.rms_px);
+        let Some(mut best) = fit(close.start(), &MEASUREMENT) else { return (fits, failed(Status::NoSnake, None)) };
         // Disks seen edge-on look alike tilted either way, and edges pull to the side on which the fit began.
-        let twin = self.twin(best.bend);
-        if (twin - best.bend).norm() < EDGE_ON_RAD {
-            let start = Start { state: State { bend: twin, bias: best.bias }, ..best.start() };
-            best = fit(start, &MEASUREMENT).map_or(best.clone(), |other| best.or(other));
+        let twin = self.twin(close.bend);
+        if (twin - close.bend).norm() < EDGE_ON_RAD {
+            let start = Start { state: State { bend: twin, bias: close.bias }, ..close.start() };
+            let elsewhere = fit(start, &CLOSE_LOOK).filter(|other| (other.bend - close.bend).norm() > 2.0 * STILL_RAD);
+            if let Some(other) = elsewhere.and_then(|other| fit(other.start(), &MEASUREMENT)) {
+                best = best.or(other);
+            }
         }
         let mut sighting = self.verdict(&best);
         if sighting.status == Status::Ok {
-            let outline = Outline::new(&view, Configuration::from_bend_vector(best.bend));
-            if Proof::new(&outline, finder).disks_there() < ENOUGH_DISKS {
+            if best.proof.as_ref().is_none_or(|proof| proof.disks_there() < ENOUGH_DISKS) {
                 sighting = failed(Status::Occluded, sighting.quality);
             } else if as_good {
                 sighting = failed(Status::Ambiguous, sighting.quality);
@@ -293,9 +294,10 @@ fn quality(fit: &BendFit) -> Quality {
     }
 }
 
-/// Keeps the best of fits that ended at the same bend; they come best first.
-fn distinct(fits: Vec<BendFit>) -> Vec<BendFit> {
+/// Fits, best first; of those that ended at the same bend the best.
+fn distinct(mut fits: Vec<BendFit>) -> Vec<BendFit> {
     const SAME_RAD: f64 = 0.035;
+    fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let mut kept: Vec<BendFit> = Vec::new();
     for fit in fits {
         if kept.iter().all(|k| (k.bend - fit.bend).norm() > SAME_RAD) {
@@ -310,7 +312,7 @@ fn distinct(fits: Vec<BendFit>) -> Vec<BendFit> {
 pub(super) fn is_saturated(frame: &Frame) -> bool {
     const NEARLY_ALL: f64 = 0.98;
     const MOST: f64 = 0.5;
-    let pixels = || frame.data.chunks_exact(frame.channels).step_by(31);
+    let pixels = || frame.data.chunks_exact(frame.channels).step_by(101);
     let share = |is_so: fn(f32) -> bool| {
         pixels().filter(|pixel| pixel.iter().all(|v| is_so(*v))).count() as f64 / pixels().count().max(1) as f64
     };

@@ -3,6 +3,7 @@
 use super::edges::EdgeFinder;
 use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use super::plane::median;
+use super::proof::Proof;
 use super::shape::{Departure, departure};
 use super::solve::covariance;
 use crate::geometry::{Configuration, Pose};
@@ -72,7 +73,7 @@ impl Matches {
     /// off, are rounded in both.
     pub fn find(
         outline: &Outline,
-        finder: &mut EdgeFinder,
+        finder: &EdgeFinder,
         search_px: f64,
         blur_px: Option<f64>,
         is_wanted: impl Fn(Piece) -> bool,
@@ -233,6 +234,33 @@ pub(super) struct Linearised {
 }
 
 impl Linearised {
+    /// The step of the state after which the edges agree best, as far as they follow it as they do nearby, and the square
+    /// roots of the weights that they then have.
+    fn step(&self, prior: &BiasPrior, state: &State, settling: bool) -> Option<(Vector4<f64>, Vec<f64>)> {
+        const ROUNDS: usize = 10;
+        const SETTLED: f64 = 1e-5;
+        let known = ALIKE / prior.sigma_px.powi(2);
+        let (side, rim) = (state.bias.side_px - prior.mean.side_px, state.bias.rim_px - prior.mean.rim_px);
+        let (mut step, mut roots) = (Vector4::zeros(), Vec::new());
+        for _ in 0..ROUNDS {
+            roots = robust_weights((&self.residuals + &self.by_state * step).as_slice(), settling);
+            let mut information = Matrix4::from_diagonal(&Vector4::new(0.0, 0.0, known, known));
+            let mut slope = Vector4::new(0.0, 0.0, known * side, known * rim);
+            for (row, root) in roots.iter().enumerate() {
+                let along = self.by_state.fixed_view::<1, 4>(row, 0).transpose();
+                information.syger(root * root, &along, &along, 1.0);
+                slope += along * (root * root * self.residuals[row]);
+            }
+            information.fill_upper_triangle_with_lower_triangle();
+            let before = step;
+            step = -information.cholesky()?.solve(&slope);
+            if (step - before).norm() < SETTLED {
+                break;
+            }
+        }
+        Some((step, roots))
+    }
+
     /// With two rows more: what is known of the bias beforehand.
     pub fn with_prior(self, prior: &BiasPrior, state: &State) -> Self {
         let edges = self.residuals.len();
@@ -335,6 +363,8 @@ pub(super) struct BendFit {
     pub departure: Option<Departure>,
     /// Change of the bend vector with the camera's pose (see [`nudged`]).
     pub by_pose: Matrix2x6<f64>,
+    /// What of the snake is there to be seen; `None` where the start was not as good as the answer.
+    pub proof: Option<Proof>,
     /// Places of the outline in view.
     pub places: usize,
     /// Edges that agree with the model.
@@ -391,27 +421,32 @@ impl State {
     }
 }
 
-/// Moves a state to where matched edges, each with its weight, agree with it best: Gauss and Newton's method.
-fn moved_to_edges(matches: &Matches, view: &Projection, start: State, bias: BiasPrior, roots: &[f64]) -> Option<State> {
-    const STEPS: usize = 4;
+/// Moves a state to where matched edges agree with it best, and the square roots of the weights that they have there.
+fn moved_to_edges(
+    matches: &Matches,
+    view: &Projection,
+    start: State,
+    bias: BiasPrior,
+    settling: bool,
+) -> Option<(State, Vec<f64>)> {
+    const LINEARISATIONS: usize = 4;
     const FURTHEST_RAD: f64 = 0.2;
-    const SETTLED: f64 = 1e-6;
-    let mut state = start;
-    for _ in 0..STEPS {
-        let linear = matches.linearised(view, &state).weighted(roots).with_prior(&bias, &state);
-        let information: Matrix4<f64> = linear.by_state.tr_mul(&linear.by_state).fixed_view::<4, 4>(0, 0).into();
-        let slope: Vector4<f64> = linear.by_state.tr_mul(&linear.residuals).fixed_rows::<4>(0).into();
-        let step = -information.cholesky()?.solve(&slope);
+    /// Steps this short leave nothing of what is not linear.
+    const SHORT: f64 = 1e-3;
+    let (mut state, mut roots) = (start, Vec::new());
+    for _ in 0..LINEARISATIONS {
+        let step;
+        (step, roots) = matches.linearised(view, &state).step(&bias, &state, settling)?;
         let step = step * (FURTHEST_RAD / step.xy().norm()).min(1.0);
         if step.iter().any(|v| !v.is_finite()) {
             return None;
         }
         state = state.moved(&step);
-        if step.norm() < SETTLED {
+        if step.norm() < SHORT {
             break;
         }
     }
-    Some(state)
+    Some((state, roots))
 }
 
 /// How thoroughly a picture is looked at.
@@ -442,7 +477,7 @@ pub(super) struct Start {
 /// `None` where too little of the outline has edges, or the bend leaves what a snake can do.
 pub(super) fn fit_bend(
     view: &Projection,
-    finder: &mut EdgeFinder,
+    finder: &EdgeFinder,
     start: Start,
     bias: BiasPrior,
     effort: &Effort,
@@ -458,16 +493,16 @@ pub(super) fn fit_bend(
     for (round, &search_px) in searches.take(effort.rounds).enumerate() {
         let psi = state.psi();
         let outline = Outline::spaced(view, psi, effort.spacing_px);
-        let soft = blur_px.filter(|_| search_px <= SETTLED_PX);
+        let soft = blur_px.filter(|_| effort.settled);
         // The holder and the base disk do not bend.
         let matches =
             Matches::find(&outline, finder, search_px, soft, |p| !matches!(p, Piece::HolderSide(_) | Piece::BaseRim));
         if matches.len() as f64 * effort.spacing_px < LEAST_OUTLINE_PX {
             return None;
         }
-        let roots = robust_weights(&matches.residuals(view, psi, state.bias), settling || search_px > SETTLED_PX);
         let before = state.bend;
-        state = moved_to_edges(&matches, view, state, bias, &roots)?;
+        let roots;
+        (state, roots) = moved_to_edges(&matches, view, state, bias, settling || search_px > SETTLED_PX)?;
         if state.bend.norm() > FURTHEST_RAD {
             return None;
         }
@@ -475,13 +510,13 @@ pub(super) fn fit_bend(
         let done = !settling && round + 1 >= effort.searches_px.len() && moved_rad < effort.converged_rad;
         settling &= moved_rad > SETTLING_RAD;
         blur_px = Some(matches.blur_px());
-        last = Some((matches, roots, outline.out_of_frame, search_px));
+        last = Some((matches, roots, outline, search_px));
         if done {
             break;
         }
     }
 
-    let (matches, roots, out_of_frame, search_px) = last?;
+    let (matches, roots, outline, search_px) = last?;
     let psi = state.psi();
     let linear = matches.linearised(view, &state).weighted(&roots).with_prior(&bias, &state);
     let independent = covariance(&linear.by_state)?;
@@ -499,11 +534,12 @@ pub(super) fn fit_bend(
         covariance: block(&clustered) + block(&independent) + block(&light),
         departure,
         by_pose: Matrix2x6::from_fn(|row, column| -gain[(row, column)]),
+        proof: effort.settled.then(|| Proof::new(&outline, finder)),
         places: matches.places,
         inliers,
         rms_px,
         blur_px: matches.blur_px(),
-        out_of_frame,
+        out_of_frame: outline.out_of_frame,
         cost: 1.0 - near / matches.places as f64,
     })
 }
@@ -527,7 +563,7 @@ pub(super) struct SharedEvidence {
 /// `None` where the edges do not determine the bend.
 pub(super) fn shared_evidence(
     view: &Projection,
-    finder: &mut EdgeFinder,
+    finder: &EdgeFinder,
     state: &State,
     blur_px: f64,
 ) -> Option<SharedEvidence> {

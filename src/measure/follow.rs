@@ -37,8 +37,8 @@ impl Eye {
             return Err(Status::Saturated);
         }
         let plane = self.rig.appearance.plane(frame);
-        let mut finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
-        let watched = self.watch.look(frame, &mut finder);
+        let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
+        let watched = self.watch.look(frame, &finder);
         if watched.is_still() {
             return Ok(self.clone());
         }
@@ -49,14 +49,14 @@ impl Eye {
             (Some(_), None) if watched.status().is_none() => return Ok(self.clone()),
             _ => {}
         }
-        self.settled(self.rig.clone(), frame, &mut finder).or_else(|status| {
-            let again = self.found_again(frame).and_then(|rig| self.settled(rig, frame, &mut finder).ok());
+        self.settled(self.rig.clone(), frame, &finder).or_else(|status| {
+            let again = self.found_again(frame).and_then(|rig| self.settled(rig, frame, &finder).ok());
             again.ok_or(status)
         })
     }
 
     /// The eye of the rig to which holder and paper lead from one that is nearly right.
-    fn settled(&self, mut rig: Rig, frame: &Frame, finder: &mut EdgeFinder) -> Result<Self, Status> {
+    fn settled(&self, mut rig: Rig, frame: &Frame, finder: &EdgeFinder) -> Result<Self, Status> {
         const ROUNDS: usize = 5;
         const SETTLED_PX: f64 = 0.03;
         for _ in 0..ROUNDS {

@@ -552,7 +552,8 @@ impl<F: Fn(&Point2<f64>) -> bool> Lines<'_, F> {
         let profile: Vec<f64> = (-reach..=reach)
             .map(|k| {
                 let centre = pixel + normal * (k as f64 * STEP_PX);
-                let sum: f64 = (-rows..=rows).map(|r| self.plane.sample(&(centre + direction * r as f64))).sum();
+                let sum: f64 =
+                    (-rows..=rows).map(|r| f64::from(self.plane.sample(&(centre + direction * r as f64)))).sum();
                 sum / (2 * rows + 1) as f64
             })
             .collect();

@@ -340,7 +340,7 @@ impl Strip<'_> {
         let rows = (along.end - along.start).max(1.0).ceil() as i32;
         let mean = |plane: &Plane, t: i32| {
             let places = (0..rows).map(|row| self.root + axis * (along.start + f64::from(row)) + across * f64::from(t));
-            places.map(|p| plane.sample(&p)).sum::<f64>() / f64::from(rows)
+            places.map(|p| f64::from(plane.sample(&p))).sum::<f64>() / f64::from(rows)
         };
         across_px.map(|t| self.channels.iter().map(|plane| mean(plane, t)).collect()).collect()
     }

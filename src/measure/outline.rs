@@ -85,12 +85,14 @@ pub struct Outline {
     mask: Mask,
 }
 
-/// The body's silhouette over the part of the picture that it covers: the share of every pixel that is snake.
+/// The body's silhouette over the part of the picture that it covers: the share of every cell that is snake.
 #[derive(Debug, Clone)]
 struct Mask {
     coverage: Plane,
-    /// The pixel of the picture that is the mask's first.
+    /// The place in the picture, px, where the middle of the mask's first cell is.
     first: Vector2<f64>,
+    /// Side of a cell, px.
+    cell_px: f64,
 }
 
 /// What is needed to project the body: where the camera is and what it looks at.
@@ -175,6 +177,8 @@ impl<'a> Section<'a> {
 impl Outline {
     /// Distance between neighbouring border points, px.
     pub const SPACING_PX: f64 = 2.0;
+    /// From this distance of border points on, what hides what is looked at in cells of two by two pixels.
+    const SPARSE_PX: f64 = 4.0;
     /// How far gap and depth are looked for, px.
     pub const REACH_PX: f64 = 12.0;
 
@@ -192,7 +196,7 @@ impl Outline {
         cylinders(view, psi, spacing_px * mm_per_px, &mut candidates, &mut polygons);
         tubes(view, psi, spacing_px, mm_per_px, &mut candidates, &mut polygons);
 
-        let mask = Mask::new(view.lens, &polygons);
+        let mask = Mask::new(view.lens, &polygons, if spacing_px < Self::SPARSE_PX { 1.0 } else { 2.0 });
         let points = candidates.iter().filter_map(|c| border_point(&mask, view.lens, c)).collect();
         let outside = candidates.iter().filter(|c| c.body.s_mm > 0.0 && !view.lens.contains(&c.pixel, 1.0));
         Self { points, out_of_frame: outside.count() as f64 / candidates.len().max(1) as f64, mask }
@@ -204,7 +208,8 @@ impl Outline {
     }
 
     /// How an ideal camera would see the silhouette, 1 on the snake and 0 elsewhere, with edges as soft as a blur of
-    /// σ = `blur_px` makes them; and the pixel of the picture that is that plane's first.
+    /// σ = `blur_px` makes them; and the pixel of the picture that is that plane's first. For border points closer than
+    /// 4 px, whose silhouette is kept by the pixel.
     pub(super) fn seen_through(&self, blur_px: f64) -> (Plane, Vector2<f64>) {
         /// What pixels and the interpolation between them do to a step, px.
         const PIXELS_PX: f64 = 0.54;
@@ -218,8 +223,8 @@ impl Outline {
 
     /// The part of the picture the body may cover: x0, y0, x1, y1, px.
     pub fn bounds(&self) -> (f64, f64, f64, f64) {
-        let Mask { coverage, first } = &self.mask;
-        (first.x, first.y, first.x + coverage.width as f64, first.y + coverage.height as f64)
+        let Mask { coverage, first, cell_px } = &self.mask;
+        (first.x, first.y, first.x + cell_px * coverage.width as f64, first.y + cell_px * coverage.height as f64)
     }
 }
 
@@ -362,7 +367,7 @@ impl Mask {
     const STEP_PX: f64 = 1.0;
 
     /// Draws the union of the polygons (px of the picture), on what they cover and [`Outline::REACH_PX`] around it.
-    fn new(lens: &Lens, polygons: &[Vec<Point2<f64>>]) -> Self {
+    fn new(lens: &Lens, polygons: &[Vec<Point2<f64>>], cell_px: f64) -> Self {
         /// The snake may leave the picture by this much, px, before it cannot be drawn.
         const FURTHEST_PX: f64 = 2048.0;
         const MARGIN_PX: f64 = Outline::REACH_PX + 2.0;
@@ -374,20 +379,23 @@ impl Mask {
         let Some((least, most)) = drawable().flatten().fold(None, |bounds: Option<(Point2<f64>, Point2<f64>)>, p| {
             bounds.map_or(Some((*p, *p)), |(least, most)| Some((least.inf(p), most.sup(p))))
         }) else {
-            return Self { coverage: Plane { width: 1, height: 1, data: vec![0.0] }, first: Vector2::zeros() };
+            return Self { coverage: Plane { width: 1, height: 1, data: vec![0.0] }, first: Vector2::zeros(), cell_px };
         };
         let first = (least.coords - Vector2::repeat(MARGIN_PX)).map(f64::floor);
-        let size = (most.coords - first + Vector2::repeat(MARGIN_PX)).map(|v| v.ceil() as usize + 1);
+        let size = (most.coords - first + Vector2::repeat(MARGIN_PX)).map(|v| (v / cell_px).ceil() as usize + 1);
         let mut coverage = Plane { width: size.x, height: size.y, data: vec![0.0; size.x * size.y] };
         let mut rasterizer = Rasterizer::new(0, 0);
+        let mut in_cells = Vec::new();
         for polygon in drawable() {
-            coverage.cover(polygon, &first, &mut rasterizer);
+            in_cells.clear();
+            in_cells.extend(polygon.iter().map(|p| Point2::from((p.coords - first) / cell_px)));
+            coverage.cover(&in_cells, &mut rasterizer);
         }
-        Self { coverage, first }
+        Self { coverage, first, cell_px }
     }
 
     fn covers(&self, pixel: &Point2<f64>) -> bool {
-        self.coverage.sample(&(pixel - self.first)) > 0.5
+        self.coverage.sample(&Point2::from((pixel.coords - self.first) / self.cell_px)) > 0.5
     }
 
     /// How far, px, one can go from a border pixel before the mask is no longer `inside`; `None` where that is at once, and
@@ -396,10 +404,10 @@ impl Mask {
         if self.covers(&(from + direction * Self::FIRST_STEP_PX)) != inside {
             return None;
         }
-        // A pixel is exact enough further on.
-        let corner = self.first - Vector2::repeat(0.5);
+        // A cell is exact enough further on.
+        let corner = self.first - Vector2::repeat(0.5 * self.cell_px);
         let covers = |p: Point2<f64>| {
-            let at = p - corner;
+            let at = (p.coords - corner) / self.cell_px;
             self.coverage.get(at.x as i64, at.y as i64) > 0.5
         };
         let mut distance = Self::FIRST_STEP_PX + Self::STEP_PX;
@@ -411,14 +419,13 @@ impl Mask {
 }
 
 impl Plane {
-    /// Raises every pixel to the share of it that a polygon covers; the polygon's pixels count from `first`, and it lies
-    /// within the plane.
-    fn cover(&mut self, polygon: &[Point2<f64>], first: &Vector2<f64>, rasterizer: &mut Rasterizer) {
+    /// Raises every pixel to the share of it that a polygon (in this plane's pixels, and within it) covers.
+    fn cover(&mut self, polygon: &[Point2<f64>], rasterizer: &mut Rasterizer) {
         let (least, most) = polygon.iter().fold((polygon[0], polygon[0]), |(a, b), p| (a.inf(p), b.sup(p)));
         // Pixel centres are at integers; the rasterizer has pixel corners there.
-        let corner = (least - first).map(|v| (v + 0.5).floor() as usize);
-        let from = corner.map(|v| v as f64 - 0.5) + first;
-        let size = (most - Point2::from(from)).map(|v| v.ceil() as usize + 1);
+        let corner = least.map(|v| (v + 0.5).floor() as usize);
+        let from = corner.map(|v| v as f64 - 0.5);
+        let size = (most - from).map(|v| v.ceil() as usize + 1);
         rasterizer.reset(size.x, size.y);
         let place = |p: &Point2<f64>| point((p.x - from.x) as f32, (p.y - from.y) as f32);
         for (a, b) in polygon.iter().zip(polygon.iter().cycle().skip(1)) {

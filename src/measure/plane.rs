@@ -54,7 +54,7 @@ impl Plane {
     }
 
     /// Bilinear interpolation; pixel centres are at integers.
-    pub fn sample(&self, at: &Point2<f64>) -> f64 {
+    pub fn sample(&self, at: &Point2<f64>) -> f32 {
         if self.surrounds(at) {
             return self.sample_inside(at);
         }
@@ -63,18 +63,16 @@ impl Plane {
         let (x, y) = (x as i64, y as i64);
         let top = self.get(x, y) * (1.0 - fx) + self.get(x + 1, y) * fx;
         let bottom = self.get(x, y + 1) * (1.0 - fx) + self.get(x + 1, y + 1) * fx;
-        f64::from(top * (1.0 - fy) + bottom * fy)
+        top * (1.0 - fy) + bottom * fy
     }
 
-    /// Values along a line through `centre`, `step` px apart, `count` on each side of it.
-    pub fn profile(&self, centre: &Point2<f64>, direction: Vector2<f64>, step: f64, count: usize, into: &mut Vec<f64>) {
-        into.clear();
-        let reach = count as f64 * step;
-        let at = |k: usize| centre + direction * (k as f64 * step - reach);
-        if self.surrounds(&at(0)) && self.surrounds(&at(2 * count)) {
-            into.extend((0..=2 * count).map(|k| self.sample_inside(&at(k))));
-        } else {
-            into.extend((0..=2 * count).map(|k| self.sample(&at(k))));
+    /// Values along a line, the first at `start` and each `step` further than the one before.
+    pub fn profile(&self, start: &Point2<f64>, step: Vector2<f64>, into: &mut [f32]) {
+        let at = |k: usize| start + step * k as f64;
+        let last = into.len().saturating_sub(1);
+        let inside = self.surrounds(start) && self.surrounds(&at(last));
+        for (k, value) in into.iter_mut().enumerate() {
+            *value = if inside { self.sample_inside(&at(k)) } else { self.sample(&at(k)) };
         }
     }
 
@@ -84,14 +82,15 @@ impl Plane {
     }
 
     /// [`sample`](Self::sample) where all four pixels around are known to be there.
-    fn sample_inside(&self, at: &Point2<f64>) -> f64 {
+    #[inline]
+    fn sample_inside(&self, at: &Point2<f64>) -> f32 {
         let (x, y) = (at.x as usize, at.y as usize);
         let (fx, fy) = ((at.x - x as f64) as f32, (at.y - y as f64) as f32);
         let first = y * self.width + x;
         let (above, below) = (&self.data[first..first + 2], &self.data[first + self.width..first + self.width + 2]);
         let top = above[0] * (1.0 - fx) + above[1] * fx;
         let bottom = below[0] * (1.0 - fx) + below[1] * fx;
-        f64::from(top * (1.0 - fy) + bottom * fy)
+        top * (1.0 - fy) + bottom * fy
     }
 
     /// The picture made `factor` times smaller, each pixel the mean of a block.

@@ -19,7 +19,7 @@ pub struct Proof {
 impl Proof {
     /// Looks for the edges of an outline in a picture. Where all of them lie to one side of it, as overexposed or soft
     /// ones do, that is not held against them.
-    pub fn new(outline: &Outline, finder: &mut EdgeFinder) -> Self {
+    pub fn new(outline: &Outline, finder: &EdgeFinder) -> Self {
         // Nearer to another part the edge's surroundings are not what the edge filter assumes.
         const CLEAR_PX: f64 = 3.0;
         const SEARCH_PX: f64 = 4.0;

@@ -50,11 +50,11 @@ impl Eye {
             let view = Projection { lens: &self.lens, camera_from_base: rig.camera_from_base, robot: &self.robot };
             let prior = BiasPrior { mean: rig.edge_bias, sigma_px: BIAS_SIGMA_PX };
             let look = |(plane, start): (&Plane, &mut Start)| {
-                let mut finder = EdgeFinder::new(plane, rig.appearance.two_sided);
+                let finder = EdgeFinder::new(plane, rig.appearance.two_sided);
                 let state = State { bend: start.state.bend, bias: rig.edge_bias };
-                let fit = fit_bend(&view, &mut finder, Start { state, ..*start }, prior, &FOLLOW)?;
+                let fit = fit_bend(&view, &finder, Start { state, ..*start }, prior, &FOLLOW)?;
                 *start = fit.start();
-                shared_evidence(&view, &mut finder, &State { bend: fit.bend, bias: rig.edge_bias }, fit.blur_px)
+                shared_evidence(&view, &finder, &State { bend: fit.bend, bias: rig.edge_bias }, fit.blur_px)
             };
             let seen: Vec<SharedEvidence> = planes.par_iter().zip(&mut starts).filter_map(look).collect();
             if seen.len() < FEWEST_FRAMES {

@@ -234,12 +234,12 @@ fn fit_base(
         }
         let known = appearance.as_ref().ok_or("the snake does not stand out from the paper")?;
         let plane = known.plane(frame);
-        let mut finder = EdgeFinder::new(&plane, known.two_sided);
+        let finder = EdgeFinder::new(&plane, known.two_sided);
         let soft = outcome
             .as_ref()
             .filter(|_| search_px <= SETTLED_PX)
             .map(|(matches, ..): &(Matches, _, _)| matches.blur_px());
-        let matches = Matches::find(&outline, &mut finder, search_px, soft, |_| true);
+        let matches = Matches::find(&outline, &finder, search_px, soft, |_| true);
         if matches.len() < 40 || matches.len() * 3 < matches.places {
             return Err(format!(
                 "only {} of {} places on the straight snake's outline show an edge; is the snake unbent, in focus and \
@@ -286,8 +286,8 @@ fn fit_base(
     }
     let appearance = appearance.ok_or("no appearance was learned")?;
     let plane = appearance.plane(frame);
-    let mut finder = EdgeFinder::new(&plane, appearance.two_sided);
-    let proof = Proof::new(&Outline::new(&view, straight), &mut finder);
+    let finder = EdgeFinder::new(&plane, appearance.two_sided);
+    let proof = Proof::new(&Outline::new(&view, straight), &finder);
     let ends = [("the holder", 0), ("the first disk", 1), ("the end disk", robot.body.spacer_disk_count + 1)];
     if let Some((part, _)) = ends.into_iter().find(|&(_, part)| !proof.is_there(part)) {
         return Err(format!("{part} is not where the model says; is the snake unbent, and all of it in the picture?"));

@@ -48,7 +48,7 @@ impl Search {
     /// The bends that stand out, best first, by how much more snake-like their inside is than their outside.
     pub fn candidates(&self, plane: &Plane, two_sided: bool, most: usize) -> Vec<Vector2<f64>> {
         let small = plane.shrunk(SHRINK);
-        let look = |p: &Point2<f32>| small.get(p.x.round() as i64, p.y.round() as i64).clamp(-0.25, 1.25);
+        let look = |p: &Point2<f32>| small.get((p.x + 0.5) as i64, (p.y + 0.5) as i64).clamp(-0.25, 1.25);
         let contrast = |step: f32| if two_sided { step.abs() } else { step };
         let mut scored: Vec<(f64, Vector2<f64>)> = self
             .bends

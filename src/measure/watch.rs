@@ -115,7 +115,7 @@ impl Watch {
     }
 
     /// Looks at holder and paper in one frame, whose edges the finder finds.
-    pub fn look(&self, frame: &Frame, finder: &mut EdgeFinder) -> Watched {
+    pub fn look(&self, frame: &Frame, finder: &EdgeFinder) -> Watched {
         Watched {
             base: self.base_shift(finder),
             grid: self.print.as_ref().and_then(|print| print.shift(&print.phases(frame), &self.middle)),
@@ -123,7 +123,7 @@ impl Watch {
     }
 
     /// The holder's shift and turn in the picture.
-    fn base_shift(&self, finder: &mut EdgeFinder) -> Option<BaseShift> {
+    fn base_shift(&self, finder: &EdgeFinder) -> Option<BaseShift> {
         let enough = (0.5 * self.holder.len() as f64).max(12.0);
         let mut by = Vector3::zeros();
         let mut fit = None;
@@ -150,7 +150,7 @@ impl Watch {
     }
 
     /// The holder's edges near their places once it is shifted.
-    fn holder_edges(&self, finder: &mut EdgeFinder, by: &Vector3<f64>, search_px: f64) -> Vec<HolderEdge> {
+    fn holder_edges(&self, finder: &EdgeFinder, by: &Vector3<f64>, search_px: f64) -> Vec<HolderEdge> {
         let mut edge = |point: &OutlinePoint| {
             let normal = point.normal.into_inner();
             let arm = (point.pixel - self.middle) / BaseShift::ARM_PX;
@@ -171,7 +171,7 @@ impl Watch {
     }
 
     /// How the camera moved against holder and paper, which did not move against each other; `None` where they do not tell.
-    pub fn camera_motion(&self, frame: &Frame, finder: &mut EdgeFinder, view: &Projection) -> Option<CameraMotion> {
+    pub fn camera_motion(&self, frame: &Frame, finder: &EdgeFinder, view: &Projection) -> Option<CameraMotion> {
         let print = self.print.as_ref()?;
         let base = self.base_shift(finder);
         let edges = base.map(|base| self.holder_edges(finder, &base.by, 4.0)).unwrap_or_default();
