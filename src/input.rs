@@ -13,6 +13,9 @@ pub const TABLE_BYTES: u64 = 1 << 30;
 /// The largest file of a picture, bytes: a hundred megapixels of 16 bits, not compressed.
 pub const PICTURE_BYTES: u64 = 1 << 30;
 
+/// The longest line of a file of rows that this program itself wrote, bytes.
+pub const LINE_BYTES: usize = 16 << 10;
+
 /// The whole of a file.
 ///
 /// # Errors

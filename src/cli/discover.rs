@@ -1,8 +1,10 @@
 //! `discover`: which effect the model lacks.
 
 use super::console::Console;
+use super::flow::{Flow, Shard};
 use super::inputs::{encoders_of, model_of, model_or_paper, rows};
-use super::views::{measure_frames, open_views, require_some_measured};
+use super::measuring::Count;
+use super::views::open_views;
 use crate::discover::{
     Correction, Data, Discovery, Next, Whereabouts, discover, discover_in_frames, learn_correction, next_experiment,
 };
@@ -139,9 +141,18 @@ impl Args {
                 let Checked { rows: readings, warnings } = encoders_of(&experiment)?;
                 console.warn(&warnings);
                 let views = open_views(&experiment, &model.robot)?;
-                let (measurements, _) = measure_frames(console, &views, &readings, false)?;
+                let flow = Flow { views: &views, encoders: &readings, follow: false, shard: Shard::WHOLE, after: None };
+                let mut measurements = Vec::new();
+                flow.run(
+                    console,
+                    |_| Ok(()),
+                    |measurement| {
+                        measurements.push(measurement);
+                        Ok(())
+                    },
+                )?;
                 self.write("measurements.csv", &measurements_csv(&measurements))?;
-                require_some_measured(&experiment, &measurements)?;
+                Count::of(&self.output.join("measurements.csv"))?.require_some_measured(&experiment)?;
                 Ok((model, measurements, readings))
             }
             (None, Some(measurements), Some(encoders)) => Ok((

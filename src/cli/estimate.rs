@@ -75,7 +75,9 @@ impl Args {
         }
         let (steps, model) = estimate(&model, self.estimator.options(1.0), &measurements, &encoders)?;
         write_atomically(&self.output.join("estimate.csv"), estimates_csv(&steps).as_bytes())?;
-        let estimated = Estimated::of(&steps, model.estimate, &self.measurements)?;
+        let mut verdicts = Verdicts::default();
+        steps.iter().for_each(|step| verdicts.add(step));
+        let estimated = Estimated::of(verdicts, model.estimate, &self.measurements)?;
         write_model(&self.output.join("model.toml"), &model)?;
         console.result(&estimated, || estimated.text());
         Ok(())
@@ -117,21 +119,40 @@ impl Args {
     }
 }
 
-impl Estimated {
-    /// Counts verdicts; an error where the measurements pinned no estimate, since a model without one would pass for an
-    /// estimated one. `source` is named in it.
-    pub fn of(steps: &[EstimateRow], estimate: Option<Estimate>, source: &Path) -> Result<Self> {
-        let count = |verdict| steps.iter().filter(|step| step.verdict == verdict).count();
-        let mut reasons = BTreeMap::new();
-        for step in steps.iter().filter(|step| step.verdict != Verdict::Used) {
-            *reasons.entry(step.reason.clone()).or_default() += 1;
+/// How often each verdict was passed.
+#[derive(Debug, Default)]
+pub struct Verdicts {
+    used: usize,
+    rejected: usize,
+    skipped: usize,
+    reasons: BTreeMap<String, usize>,
+}
+
+impl Verdicts {
+    /// Adds a row's.
+    pub fn add(&mut self, row: &EstimateRow) {
+        match row.verdict {
+            Verdict::Used => self.used += 1,
+            Verdict::Rejected => self.rejected += 1,
+            Verdict::Skipped => self.skipped += 1,
         }
+        if row.verdict != Verdict::Used {
+            *self.reasons.entry(row.reason.clone()).or_default() += 1;
+        }
+    }
+}
+
+impl Estimated {
+    /// What became of the rows; an error where the measurements pinned no estimate, since a model without one would pass for an
+    /// estimated one. `source` is named in it.
+    pub fn of(verdicts: Verdicts, estimate: Option<Estimate>, source: &Path) -> Result<Self> {
+        let Verdicts { used, rejected, skipped, reasons } = verdicts;
         let Some(estimate) = estimate else {
             let why: Vec<_> = reasons.iter().map(|(reason, count)| format!("{reason} {count}")).collect();
             let message = format!(
                 "{} measurements give no estimate of η and λ; at least two that differ in bend and have encoder \
                  readings are needed (not used: {})",
-                steps.len(),
+                used + rejected + skipped,
                 if why.is_empty() { "none".to_owned() } else { why.join(", ") }
             );
             return Err(Error::content(source, message));
@@ -141,9 +162,9 @@ impl Estimated {
             sd_eta: estimate.sd_eta(),
             lambda_mm: estimate.lambda_mm,
             sd_lambda_mm: estimate.sd_lambda_mm(),
-            used: count(Verdict::Used),
-            rejected: count(Verdict::Rejected),
-            skipped: count(Verdict::Skipped),
+            used,
+            rejected,
+            skipped,
             reasons,
         })
     }

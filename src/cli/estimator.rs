@@ -1,9 +1,10 @@
 //! The estimator's settings, as `run`, `estimate` and `live` take them.
 
 use crate::estimate::{Options, StemOptions, Weighting};
+use serde::{Deserialize, Serialize};
 
 /// The estimator's settings.
-#[derive(Debug, Clone, Copy, clap::Args)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, clap::Args)]
 #[command(next_help_heading = "Estimator")]
 pub struct EstimatorArgs {
     /// Weight all measurements alike, as the paper does (it takes 1°), instead of by their own sigmas

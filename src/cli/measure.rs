@@ -2,16 +2,15 @@
 
 use super::console::Console;
 use super::inputs::{encoders_of, model_of, rows};
-use super::views::{OpenView, Throughput, count_by_status, measure_frames, open_views, require_some_measured};
+use super::measuring::{Count, Measured, MeasuringArgs, Summary};
+use super::views::{OpenView, open_views};
 use crate::camera::Frame;
 use crate::measure::Sighting;
-use crate::record::{Experiment, Measurement, measurements_csv, write_atomically};
+use crate::record::{Experiment, Measurement, write_atomically};
 use crate::report::explain::{page, stages};
 use crate::{Error, Result};
 use image::{ImageFormat, RgbImage};
-use rayon::prelude::*;
 use serde::Serialize;
-use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::PathBuf;
 
@@ -26,21 +25,11 @@ pub struct Args {
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
-    /// Follow a camera that moves: find it anew in every frame by grid and holder
-    #[arg(long)]
-    follow: bool,
     /// Only draw every stage of measuring this frame (its index) into OUT/explain-FRAME-VIEW/, to see why it failed
     #[arg(long, value_name = "FRAME")]
     explain: Option<u64>,
-}
-
-#[derive(Serialize)]
-struct Summary {
-    frames: usize,
-    statuses: BTreeMap<String, usize>,
-    #[serde(flatten)]
-    throughput: Throughput,
-    measurements: PathBuf,
+    #[command(flatten)]
+    measuring: MeasuringArgs,
 }
 
 #[derive(Serialize)]
@@ -52,6 +41,7 @@ struct Explained {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
+        self.measuring.start_threads()?;
         let experiment = Experiment::read(&self.experiment)?;
         let model = model_of(&experiment)?;
         let encoders = rows(console, encoders_of(&experiment)?);
@@ -59,12 +49,16 @@ impl Args {
         if let Some(index) = self.explain {
             return self.explain(console, &experiment, &views, index);
         }
-        let (measurements, throughput) = measure_frames(console, &views, &encoders, self.follow)?;
-        let path = self.output.join("measurements.csv");
-        write_atomically(&path, measurements_csv(&measurements).as_bytes())?;
-        require_some_measured(&experiment, &measurements)?;
-        let statuses = count_by_status(&measurements);
-        let summary = Summary { frames: measurements.len(), statuses, throughput, measurements: path };
+        let inputs = (self.experiment.as_path(), &experiment, &views[..], &encoders[..]);
+        let throughput = match self.measuring.measure(console, inputs, None, &self.output, |_| Ok(()))? {
+            Measured::Shard(throughput) => throughput,
+            Measured::Whole(journal, throughput) => {
+                journal.remove()?;
+                Count::of(&self.output.join("measurements.csv"))?.require_some_measured(&experiment)?;
+                Some(throughput)
+            }
+        };
+        let summary = Summary::of(&self.output, throughput)?;
         console.result(&summary, || summary.text());
         Ok(())
     }
@@ -73,7 +67,7 @@ impl Args {
     fn explain(&self, console: &Console, experiment: &Experiment, views: &[OpenView], index: u64) -> Result<()> {
         let mut explained = Vec::new();
         for view in views {
-            for source in view.frames(|i| i == index)?.collect::<Vec<_>>() {
+            for source in view.source().frames()?.filter(|frame| frame.index == index) {
                 explained.push(self.explain_one(view, index, &source.read()?)?);
             }
         }
@@ -107,18 +101,4 @@ fn png(picture: &RgbImage) -> Result<Vec<u8>> {
     let wrong = |e| Error::Domain(format!("cannot encode a picture: {e}"));
     picture.write_to(&mut bytes, ImageFormat::Png).map_err(wrong)?;
     Ok(bytes.into_inner())
-}
-
-impl Summary {
-    fn text(&self) -> String {
-        let statuses: Vec<_> = self.statuses.iter().map(|(status, count)| format!("{count} {status}")).collect();
-        format!(
-            "{} frames: {}\n{:.1} frames/s, {:.0} % of it decoding\n{}",
-            self.frames,
-            statuses.join(", "),
-            self.throughput.frames_per_second,
-            100.0 * self.throughput.decoding_share,
-            self.measurements.display()
-        )
-    }
 }

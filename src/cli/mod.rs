@@ -3,17 +3,21 @@
 //! Each command is one file: what it may be told (a clap structure) and what it does, top to bottom.
 
 mod calibrate;
+mod checksum;
 mod completions;
 mod console;
 mod discover;
 mod estimate;
 mod estimator;
 mod evaluate;
+mod flow;
 mod force;
 mod inputs;
 mod invert;
 mod live;
 mod measure;
+mod measuring;
+mod merge;
 mod render;
 mod reproduce;
 mod run;
@@ -47,6 +51,7 @@ enum Command {
     Run(run::Args),
     Live(live::Args),
     Measure(measure::Args),
+    Merge(merge::Args),
     Estimate(estimate::Args),
     Table(table::Args),
     Invert(invert::Args),
@@ -67,6 +72,7 @@ impl Command {
             Self::Run(args) => args.run(console),
             Self::Live(args) => args.run(console),
             Self::Measure(args) => args.run(console),
+            Self::Merge(args) => args.run(console),
             Self::Estimate(args) => args.run(console),
             Self::Table(args) => args.run(console),
             Self::Invert(args) => args.run(console),

@@ -1,17 +1,19 @@
 //! `run`: the main job, from frames and encoders to a compensation table and a report.
 
 use super::console::Console;
-use super::estimate::Estimated;
+use super::estimate::{Estimated, Verdicts};
 use super::estimator::EstimatorArgs;
+use super::flow::{Look, Throughput};
 use super::inputs::{encoders_of, model_of};
+use super::measuring::{self, Count, Measured, MeasuringArgs};
 use super::table::largest_correction_mm;
-use super::views::{OpenView, Throughput, count_by_status, measure_frames, open_views, require_some_measured};
-use crate::camera::SourceFrame;
-use crate::estimate::estimate;
+use super::views::open_views;
+use crate::estimate::estimate_each;
 use crate::record::{
-    Checked, Experiment, Measurement, Status, estimates_csv, measurements_csv, write_atomically, write_compensation,
-    write_model,
+    Checked, EncoderReading, Experiment, Measurement, MeasurementRows, PendingFile, Warning, estimate_line,
+    estimates_header, write_atomically, write_compensation, write_model,
 };
+use crate::report::course::{Course, worth_drawing};
 use crate::report::html::{Picture, Report};
 use crate::report::overlay::{angles, overlay};
 use crate::robot::{Grid, Model};
@@ -20,13 +22,11 @@ use crate::{Error, Result};
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::FilterType;
 use image::{RgbImage, imageops};
-use rayon::prelude::*;
-use serde::Serialize;
-use std::collections::{BTreeMap, HashMap};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Measured frames that `--overlays sample` draws, besides the frames that failed.
-const SAMPLE: usize = 24;
 /// Width of the pictures in the report, px.
 const THUMBNAIL_WIDTH: u32 = 640;
 
@@ -42,18 +42,26 @@ pub struct Args {
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
+    #[command(flatten)]
+    measuring: MeasuringArgs,
+    #[command(flatten)]
+    settings: Settings,
+}
+
+/// What of the call the results hang on, besides the measuring.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, clap::Args)]
+pub struct Settings {
     /// Which frames to draw with the model on them
     #[arg(long, value_enum, default_value_t = Overlays::Sample)]
-    overlays: Overlays,
-    /// Follow a camera that moves: find it anew in every frame by grid and holder
-    #[arg(long)]
-    follow: bool,
+    pub overlays: Overlays,
     #[command(flatten)]
     estimator: EstimatorArgs,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Overlays {
+/// Which frames are drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+pub enum Overlays {
     /// Every frame
     All,
     /// The frames that failed and about two dozen spread over the run
@@ -62,8 +70,9 @@ enum Overlays {
     None,
 }
 
+/// The result, as it is printed.
 #[derive(Serialize)]
-struct Summary {
+pub struct Summary {
     frames: usize,
     statuses: BTreeMap<String, usize>,
     #[serde(flatten)]
@@ -77,92 +86,162 @@ struct Summary {
     /// The largest correction |q̃ − q| in it, mm.
     largest_correction_mm: f64,
     #[serde(flatten)]
-    throughput: Throughput,
+    throughput: Option<Throughput>,
     output: PathBuf,
 }
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
+        self.measuring.start_threads()?;
         let experiment = Experiment::read(&self.experiment)?;
+        let inputs = Inputs::read(console, &experiment)?;
+        let views = open_views(&experiment, &inputs.start.robot)?;
+
+        let sources = (self.experiment.as_path(), &experiment, &views[..], &inputs.encoders[..]);
+        let folder = self.output.join("overlays");
+        let draw = |look: &Look| draw(self.settings.overlays, &folder, look);
+        match self.measuring.measure(console, sources, Some(self.settings), &self.output, draw)? {
+            Measured::Shard(throughput) => {
+                let summary = measuring::Summary::of(&self.output, throughput)?;
+                console.result(&summary, || summary.text());
+            }
+            Measured::Whole(journal, throughput) => {
+                let summary = finish(&experiment, &inputs, self.settings, &self.output, Some(throughput))?;
+                journal.remove()?;
+                console.result(&summary, || summary.text());
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What an experiment gives besides its frames.
+pub struct Inputs {
+    start: Model,
+    encoders: Vec<EncoderReading>,
+    warnings: Vec<Warning>,
+}
+
+impl Inputs {
+    /// Reads starting model and encoder log, and shows what was passed over in the log.
+    pub fn read(console: &Console, experiment: &Experiment) -> Result<Self> {
         if experiment.encoders.is_none() {
             let message = "encoders is missing; `run` needs an encoder log, `measure` does without";
             return Err(Error::content(&experiment.path, message));
         }
-        let start = model_of(&experiment)?;
-        let Checked { rows: encoders, warnings } = encoders_of(&experiment)?;
+        let start = model_of(experiment)?;
+        let Checked { rows: encoders, warnings } = encoders_of(experiment)?;
         console.warn(&warnings);
-        let views = open_views(&experiment, &start.robot)?;
-
-        let (measurements, throughput) = measure_frames(console, &views, &encoders, self.follow)?;
-        self.write("measurements.csv", &measurements_csv(&measurements))?;
-        require_some_measured(&experiment, &measurements)?;
-
-        let (steps, model) = estimate(&start, self.estimator.options(1.0), &measurements, &encoders)?;
-        self.write("estimate.csv", &estimates_csv(&steps))?;
-        let pictures = self.draw(console, &views, &measurements)?;
-
-        let estimated = Estimated::of(&steps, model.estimate, &experiment.path)?;
-        let model_path = self.output.join("model.toml");
-        write_model(&model_path, &model)?;
-        let table = write_compensation(&self.output, &model, &model_path.display().to_string(), &Grid::default())?;
-        let naive = Model { estimate: None, ..model.clone() };
-        let summary = Summary {
-            frames: measurements.len(),
-            statuses: count_by_status(&measurements),
-            estimated,
-            gap: score::gap(&model, &measurements, &encoders),
-            naive_gap: score::gap(&naive, &measurements, &encoders),
-            poses: table.len(),
-            largest_correction_mm: largest_correction_mm(&table),
-            throughput,
-            output: self.output.clone(),
-        };
-        let report = Report {
-            title: format!("snakeloop: {}", name_of(&experiment)),
-            summary: summary.lines(),
-            measurements: &measurements,
-            estimates: &steps,
-            pictures,
-            warnings: warnings.iter().map(ToString::to_string).collect(),
-            provenance: provenance(&experiment),
-        };
-        self.write("report.html", &report.html())?;
-        console.result(&summary, || summary.text());
-        Ok(())
+        Ok(Self { start, encoders, warnings })
     }
+}
 
-    fn write(&self, name: &str, text: &str) -> Result<()> {
-        write_atomically(&self.output.join(name), text.as_bytes())
-    }
+/// All that a run makes of the measurements.csv in its folder: estimate, model, table and report. The rows are gone through on the
+/// disk, so that memory does not grow with them.
+pub fn finish(
+    experiment: &Experiment,
+    inputs: &Inputs,
+    settings: Settings,
+    output: &Path,
+    throughput: Option<Throughput>,
+) -> Result<Summary> {
+    let Inputs { start, encoders, warnings } = inputs;
+    let path = output.join("measurements.csv");
+    let count = Count::of(&path)?;
+    count.require_some_measured(experiment)?;
 
-    /// Draws the chosen frames into overlays/ and gives the sample of them, smaller, for the report.
-    fn draw(&self, console: &Console, views: &[OpenView], measurements: &[Measurement]) -> Result<Vec<Picture>> {
-        let sample = match self.overlays {
-            Overlays::None => return Ok(Vec::new()),
-            Overlays::All | Overlays::Sample => sample_of(measurements),
-        };
-        let chosen = match self.overlays {
-            Overlays::All => measurements.iter().collect(),
-            _ => sample.clone(),
-        };
-        let bar = console.progress(Some(chosen.len() * views.len()), "drawing");
-        let mut pictures = Vec::new();
-        for view in views {
-            let by_index: HashMap<u64, &Measurement> = chosen.iter().map(|m| (m.index, *m)).collect();
-            let drawn: Result<Vec<_>> = view
-                .frames(|index| by_index.contains_key(&index))?
-                .filter_map(|frame| by_index.get(&frame.index).map(|measurement| (frame, *measurement)))
-                .map(|(frame, measurement)| {
-                    let picture = draw_one(&self.output.join("overlays"), view, frame, measurement)?;
-                    bar.inc(1);
-                    Ok(picture.filter(|_| sample.contains(&measurement)).map(|picture| (measurement.index, picture)))
-                })
-                .collect();
-            pictures.extend(drawn?.into_iter().flatten());
+    let rows = || MeasurementRows::open(&path);
+    let mut course = Course::new(count.frames);
+    let mut verdicts = Verdicts::default();
+    let estimate_path = output.join("estimate.csv");
+    let mut estimates = PendingFile::create(&estimate_path)?;
+    let mut write = |line: String| writeln!(estimates, "{line}").map_err(Error::io(&estimate_path, "write"));
+    write(estimates_header())?;
+    let mut measured = rows()?;
+    let model = estimate_each(start, settings.estimator.options(1.0), rows, encoders, |row| {
+        write(estimate_line(&row))?;
+        verdicts.add(&row);
+        if let Some(measurement) = measured.next() {
+            course.add(&measurement?, &row);
         }
-        bar.finish_and_clear();
-        pictures.sort_by_key(|(index, _)| *index);
-        Ok(pictures.into_iter().map(|(_, picture)| picture).collect())
+        Ok(())
+    })?;
+    estimates.commit()?;
+
+    let estimated = Estimated::of(verdicts, model.estimate, &experiment.path)?;
+    write_model(&output.join("model.toml"), &model)?;
+    let table = write_compensation(output, &model, "model.toml", &Grid::default())?;
+    let naive = Model { estimate: None, ..model.clone() };
+    let summary = Summary {
+        frames: count.frames,
+        statuses: count.statuses,
+        estimated,
+        gap: score::gap_of(&model, rows()?, encoders)?,
+        naive_gap: score::gap_of(&naive, rows()?, encoders)?,
+        poses: table.len(),
+        largest_correction_mm: largest_correction_mm(&table),
+        throughput,
+        output: output.to_owned(),
+    };
+    let pictures = match settings.overlays {
+        Overlays::None => Vec::new(),
+        Overlays::All | Overlays::Sample => pictures(experiment, &output.join("overlays"), &course.pictured)?,
+    };
+    let report = Report {
+        title: format!("snakeloop: {}", name_of(experiment)),
+        summary: summary.lines(),
+        course: &course,
+        pictures,
+        warnings: warnings.iter().map(ToString::to_string).collect(),
+        provenance: provenance(experiment),
+    };
+    write_atomically(&output.join("report.html"), report.html().as_bytes())?;
+    Ok(summary)
+}
+
+/// Draws what was measured into the folder, where it is to be drawn.
+fn draw(overlays: Overlays, folder: &Path, look: &Look) -> Result<()> {
+    let wanted = match overlays {
+        Overlays::None => false,
+        Overlays::All => true,
+        Overlays::Sample => worth_drawing(look.measurement, look.rank, look.count),
+    };
+    for (view, frame) in look.frames.iter().filter(|_| wanted) {
+        let shape = look.measurement.measured.map(|measured| view.shape(measured.configuration));
+        let picture = overlay(frame, look.measurement, shape.as_ref());
+        write_atomically(&picture_path(folder, view.name(), look.measurement.index), &jpeg(&picture, 90)?)?;
+    }
+    Ok(())
+}
+
+/// Where an overlay stands.
+fn picture_path(folder: &Path, view: &str, index: u64) -> PathBuf {
+    folder.join(format!("{view}_{index:05}.jpg"))
+}
+
+/// What was drawn of these frames, smaller, for the report. A frame that could not be read was not drawn.
+fn pictures(experiment: &Experiment, folder: &Path, of: &[Measurement]) -> Result<Vec<Picture>> {
+    let mut pictures = Vec::new();
+    for measurement in of {
+        for view in &experiment.views {
+            let path = picture_path(folder, &view.name, measurement.index);
+            if path.exists() {
+                let drawn = image::open(&path).map_err(|e| Error::content(&path, e.to_string()))?;
+                let jpeg = jpeg(&thumbnail(&drawn.into_rgb8()), 80)?;
+                pictures.push(Picture { caption: caption(measurement), jpeg });
+            }
+        }
+    }
+    Ok(pictures)
+}
+
+fn caption(measurement: &Measurement) -> String {
+    match &measurement.measured {
+        Some(measured) => {
+            let (theta, delta) = angles(measured);
+            format!("frame {}: θ {theta}, δ {delta}", measurement.index)
+        }
+        None => format!("frame {}: {}", measurement.index, measurement.status),
     }
 }
 
@@ -191,7 +270,7 @@ fn provenance(experiment: &Experiment) -> Vec<(String, String)> {
 }
 
 impl Summary {
-    /// The figures that matter, by name.
+    /// The figures that matter, by name; the same whenever the run is made again.
     fn lines(&self) -> Vec<(String, String)> {
         let measured = self.statuses.get("ok").copied().unwrap_or(0);
         let failed: Vec<_> = self
@@ -211,55 +290,20 @@ impl Summary {
             ("θ left (rms)", format!("{:.3}°, naive model {:.3}°", gap.rms_theta_deg, naive.rms_theta_deg)),
             ("δ left (rms)", format!("{:.3}°, naive model {:.3}°", gap.rms_delta_deg, naive.rms_delta_deg)),
             ("compensation", format!("{} poses, largest correction {:.3} mm", self.poses, self.largest_correction_mm)),
-            (
-                "speed",
-                format!(
-                    "{:.1} frames/s, {:.0} % of it decoding",
-                    self.throughput.frames_per_second,
-                    100.0 * self.throughput.decoding_share
-                ),
-            ),
         ];
         lines.map(|(name, value)| (name.to_owned(), value)).to_vec()
     }
 
-    fn text(&self) -> String {
-        let lines = self.lines().into_iter().map(|(name, value)| format!("{name:<16} {value}\n"));
-        lines.collect::<String>() + &format!("{:<16} {}", "written", self.output.join("report.html").display())
+    /// Lines for people.
+    pub fn text(&self) -> String {
+        let speed = self.throughput.map(|Throughput { frames_per_second, decoding_share, .. }| {
+            ("speed", format!("{frames_per_second:.1} frames/s, {:.0} % of it decoding", 100.0 * decoding_share))
+        });
+        let written = ("written", self.output.join("report.html").display().to_string());
+        let last = speed.into_iter().chain([written]).map(|(name, value)| (name.to_owned(), value));
+        let lines = self.lines().into_iter().chain(last).map(|(name, value)| format!("{name:<16} {value}\n"));
+        lines.collect()
     }
-}
-
-/// The frames that failed, and [`SAMPLE`] of the others spread over the run.
-fn sample_of(measurements: &[Measurement]) -> Vec<&Measurement> {
-    let good = measurements.iter().filter(|m| m.status == Status::Ok).count();
-    let mut seen = 0;
-    let mut wanted = |measurement: &Measurement| {
-        if measurement.status != Status::Ok {
-            return true;
-        }
-        seen += 1;
-        // As many multiples of good/SAMPLE are reached as pictures are wanted.
-        good <= SAMPLE || seen * SAMPLE / good > (seen - 1) * SAMPLE / good
-    };
-    measurements.iter().filter(|m| wanted(m)).collect()
-}
-
-/// Draws one frame into the folder and gives it, smaller, for the report; `None` where it cannot be read.
-fn draw_one(folder: &Path, view: &OpenView, frame: SourceFrame, measurement: &Measurement) -> Result<Option<Picture>> {
-    let Ok(frame) = frame.read() else { return Ok(None) };
-    let shape = measurement.measured.map(|measured| view.shape(measured.configuration));
-    let picture = overlay(&frame, measurement, shape.as_ref());
-    let path = folder.join(format!("{}_{:05}.jpg", view.name(), measurement.index));
-    write_atomically(&path, &jpeg(&picture, 90)?)?;
-
-    let caption = match &measurement.measured {
-        Some(measured) => {
-            let (theta, delta) = angles(measured);
-            format!("frame {}: θ {theta}, δ {delta}", measurement.index)
-        }
-        None => format!("frame {}: {}", measurement.index, measurement.status),
-    };
-    Ok(Some(Picture { caption, jpeg: jpeg(&thumbnail(&picture), 80)? }))
 }
 
 fn thumbnail(picture: &RgbImage) -> RgbImage {

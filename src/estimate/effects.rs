@@ -4,6 +4,37 @@ use crate::record::{EncoderReading, Measured, Measurement};
 use crate::robot::{Model, Observation};
 use std::collections::HashMap;
 
+/// A measurement with the encoder reading of its index, where there is one.
+pub type Pair = (Measurement, Option<EncoderReading>);
+
+/// Measurements, each with its reading, as they would have been without a model's effects.
+///
+/// A model without effects lets them through one by one. What effects do hangs on the whole path, which is then held in memory.
+///
+/// # Errors
+/// What `measurements` gives.
+pub fn pairs_without_effects<'a, E: 'a>(
+    model: &Model,
+    measurements: impl Iterator<Item = Result<Measurement, E>> + 'a,
+    readings: &'a [EncoderReading],
+) -> Result<Box<dyn Iterator<Item = Result<Pair, E>> + 'a>, E> {
+    if model.effects.is_empty() {
+        let by_index: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
+        return Ok(Box::new(measurements.map(move |measurement| {
+            let measurement = measurement?;
+            let reading = by_index.get(&measurement.index).copied().copied();
+            Ok((measurement, reading))
+        })));
+    }
+    let measurements: Vec<Measurement> = measurements.collect::<Result<_, E>>()?;
+    let (measurements, readings) = without_effects(model, &measurements, readings);
+    let by_index: HashMap<u64, EncoderReading> = readings.into_iter().map(|reading| (reading.index, reading)).collect();
+    Ok(Box::new(measurements.into_iter().map(move |measurement| {
+        let reading = by_index.get(&measurement.index).copied();
+        Ok((measurement, reading))
+    })))
+}
+
 /// Takes off what the model's effects did to the encoders and to the eye
 /// ([`Model::without_effects`]). What has no angles or no reading stays as it is.
 pub fn without_effects(

@@ -22,12 +22,12 @@
 //! a wrong μ scales η, and no number of measurements averages that away.
 
 use super::consistency::Whitened;
-use super::{Consistency, Filter, Row, Weighting, without_effects};
+use super::{Consistency, Filter, Row, Weighting, pairs_without_effects};
 use crate::error::{Error, Result};
 use crate::record::{EncoderReading, EstimateRow, EtaLambda, Measured, Measurement, Status, Verdict};
 use crate::robot::{Estimate, MAX_THETA, Model};
 use nalgebra::{Matrix2, Vector2, Vector3};
-use std::collections::HashMap;
+use std::collections::VecDeque;
 use std::fmt;
 
 /// Measurements that are judged together, at the start and before a fresh start.
@@ -196,6 +196,11 @@ impl Estimator {
     /// How residuals compare with their promised covariances; `None` while the first measurements are being judged.
     pub fn consistency(&self) -> Option<&Consistency> {
         self.running.as_ref().map(|(_, consistency)| consistency)
+    }
+
+    /// How many of the first measurements have a verdict that no later one can change.
+    pub fn settled(&self) -> usize {
+        self.jury.first().map_or(self.updates, |sample| sample.update)
     }
 
     /// Takes one measurement and the encoder reading of the same index.
@@ -504,35 +509,57 @@ pub fn estimate(
     measurements: &[Measurement],
     readings: &[EncoderReading],
 ) -> Result<(Vec<EstimateRow>, Model)> {
+    let mut rows = Vec::with_capacity(measurements.len());
+    let all = || Ok(measurements.iter().cloned().map(Ok));
+    let model = estimate_each(model, options, all, readings, |row| {
+        rows.push(row);
+        Ok(())
+    })?;
+    Ok((rows, model))
+}
+
+/// [`estimate`] of measurements that need not be in memory: `measurements` goes through them, more than once where the model has
+/// effects, and `each` is given the rows of estimate.csv, in order, as soon as no later measurement can change their verdict.
+///
+/// # Errors
+/// [`Error::Usage`] for an option out of its range; what `measurements` and `each` give.
+pub fn estimate_each<I: Iterator<Item = Result<Measurement>>>(
+    model: &Model,
+    options: Options,
+    measurements: impl Fn() -> Result<I>,
+    readings: &[EncoderReading],
+    each: impl FnMut(EstimateRow) -> Result<()>,
+) -> Result<Model> {
     let mut start = model.clone();
     if start.estimate.is_none() && !start.effects.is_empty() {
         // What effects do hangs on η, which is known only once they are taken off.
         for _ in 0..ROUNDS {
-            start.estimate = one_round(&start, options, measurements, readings)?.1.estimate;
+            start.estimate = one_round(&start, options, measurements()?, readings, |_| Ok(()))?.estimate;
         }
     }
-    one_round(&start, options, measurements, readings)
+    one_round(&start, options, measurements()?, readings, each)
 }
 
-/// [`estimate`], with the effects as they act under the model's own η and λ.
+/// [`estimate_each`], with the effects as they act under the model's own η and λ.
 fn one_round(
     model: &Model,
     options: Options,
-    measurements: &[Measurement],
+    measurements: impl Iterator<Item = Result<Measurement>>,
     readings: &[EncoderReading],
-) -> Result<(Vec<EstimateRow>, Model)> {
-    let effects = &model.effects;
-    let (measurements, readings) = without_effects(model, measurements, readings);
-    let readings: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
+    mut each: impl FnMut(EstimateRow) -> Result<()>,
+) -> Result<Model> {
     let mut estimator = Estimator::new(&model.plain(), options)?;
-    let mut rows: Vec<EstimateRow> = Vec::with_capacity(measurements.len());
-    for measurement in &measurements {
-        let step = estimator.update(measurement, readings.get(&measurement.index).copied());
+    // The rows whose verdict may still change, and how many came before them.
+    let (mut open, mut settled) = (VecDeque::new(), 0);
+    for pair in pairs_without_effects(model, measurements, readings)? {
+        let (measurement, reading) = pair?;
+        let step = estimator.update(&measurement, reading.as_ref());
         for Revision { update, reason } in step.revisions {
-            rows[update].verdict = if reason.is_none() { Verdict::Used } else { Verdict::Rejected };
-            rows[update].reason = reason.map(|reason| reason.to_string()).unwrap_or_default();
+            let row: &mut EstimateRow = &mut open[update - settled];
+            row.verdict = if reason.is_none() { Verdict::Used } else { Verdict::Rejected };
+            row.reason = reason.map(|reason| reason.to_string()).unwrap_or_default();
         }
-        rows.push(EstimateRow {
+        open.push_back(EstimateRow {
             index: measurement.index,
             time_s: measurement.time_s,
             estimate: step.estimate.map(|estimate| EtaLambda {
@@ -544,8 +571,13 @@ fn one_round(
             verdict: step.verdict,
             reason: step.reason.map(|reason| reason.to_string()).unwrap_or_default(),
             residual_mm: step.residual_mm,
-            view: measurement.view.clone(),
+            view: measurement.view,
         });
+        for row in open.drain(..estimator.settled() - settled) {
+            each(row)?;
+        }
+        settled = estimator.settled();
     }
-    Ok((rows, Model { effects: effects.clone(), ..estimator.model }))
+    open.into_iter().try_for_each(each)?;
+    Ok(Model { effects: model.effects.clone(), ..estimator.model })
 }

@@ -6,7 +6,7 @@
 //! construction, and x̂ = U⁻¹y is what Eq. 19 arrives at. There is no prior: the first rows alone make the first estimate.
 
 use super::Row;
-use nalgebra::{Matrix2, Matrix2x3, SMatrix, Vector2};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2};
 
 /// The largest standard deviation of η, and of λ in mm, that counts as knowing them: an estimate with more is none.
 const KNOWN_SD: f64 = 1.0;
@@ -52,10 +52,25 @@ impl Filter {
         stacked.fixed_view_mut::<2, 1>(0, 2).copy_from(&self.y);
         stacked.fixed_view_mut::<3, 2>(2, 0).copy_from(&h);
         stacked.fixed_view_mut::<3, 1>(2, 2).copy_from(&z);
-        let triangle = stacked.qr().r();
+        self.restore(stacked.qr().r());
+        self.rows += 1;
+    }
+
+    /// Adds what other rows say: UᵗU and Uᵗy of both are summed, so that the order of rows and of parts makes no difference but
+    /// rounding.
+    pub fn join(&mut self, other: &Self) {
+        let mut stacked = SMatrix::<f64, 4, 3>::zeros();
+        for (at, part) in [(0, &*self), (2, other)] {
+            stacked.fixed_view_mut::<2, 2>(at, 0).copy_from(&part.upper);
+            stacked.fixed_view_mut::<2, 1>(at, 2).copy_from(&part.y);
+        }
+        self.restore(stacked.qr().r());
+        self.rows += other.rows;
+    }
+
+    fn restore(&mut self, triangle: Matrix3<f64>) {
         self.upper = triangle.fixed_view::<2, 2>(0, 0).into();
         self.y = triangle.fixed_view::<2, 1>(0, 2).into();
-        self.rows += 1;
     }
 
     /// Fading memory: scales all information so far by `keep` in (0, 1], except along directions where so little is known
@@ -92,7 +107,7 @@ impl Filter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Matrix3, Matrix3x2, Vector3};
+    use nalgebra::{Matrix3x2, Vector3};
     use proptest::prelude::*;
 
     fn any_row() -> impl Strategy<Value = Row> {
@@ -126,6 +141,23 @@ mod tests {
             let (ours, p) = Filter::of(&rows).solution().unwrap();
             prop_assert!((ours - x).norm() <= 1e-9 * x.norm(), "{ours} {x}");
             prop_assert!((p - covariance).norm() <= 1e-9 * covariance.norm());
+        }
+
+        #[test]
+        fn parts_joined_in_any_order_are_the_recursion_over_all(
+            rows in proptest::collection::vec(any_row(), 4..60), parts in 1..9usize
+        ) {
+            let whole = Filter::of(&rows);
+            let Some((x, covariance)) = whole.solution() else { return Ok(()) };
+            prop_assume!(covariance.diagonal().max() < 0.9);
+            let mut joined = Filter::default();
+            for part in (0..parts).rev() {
+                joined.join(&Filter::of(rows.iter().skip(part).step_by(parts)));
+            }
+            let (ours, p) = joined.solution().unwrap();
+            prop_assert!((ours - x).norm() <= 1e-9 * x.norm(), "{ours} {x}");
+            prop_assert!((p - covariance).norm() <= 1e-9 * covariance.norm());
+            prop_assert_eq!(joined.rows(), whole.rows());
         }
 
         #[test]

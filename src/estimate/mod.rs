@@ -16,8 +16,8 @@ mod sigmas;
 mod stem;
 
 pub use consistency::Consistency;
-pub use effects::without_effects;
-pub use estimator::{Estimator, Options, Reason, Revision, Step, estimate};
+pub use effects::{Pair, pairs_without_effects, without_effects};
+pub use estimator::{Estimator, Options, Reason, Revision, Step, estimate, estimate_each};
 pub use filter::Filter;
 pub use load::{BLIND_SD_N, TipForce, tip_force};
 pub use row::{Row, Weighting};

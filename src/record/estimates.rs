@@ -68,24 +68,30 @@ pub struct EstimateRow {
 
 /// estimate.csv as text; lengths to 1 nm.
 pub fn estimates_csv(rows: &[EstimateRow]) -> String {
-    let mut text = "index,time_s,eta,lambda_mm,sd_eta,sd_lambda_mm,status,reason,\
-                    residual1_mm,residual2_mm,residual3_mm,view\n"
-        .to_owned();
-    for row in rows {
-        let estimate = row.estimate.map_or_else(Default::default, |e| {
-            [e.eta, e.lambda_mm, e.sd_eta, e.sd_lambda_mm].map(|value| decimals(value, 6))
-        });
-        let residual = row.residual_mm.map_or_else(Default::default, |r| [r.x, r.y, r.z].map(|mm| decimals(mm, 6)));
-        let fields = [
-            &[row.index.to_string(), decimals_or_empty(row.time_s, 4)],
-            &estimate[..],
-            &[row.verdict.to_string(), row.reason.clone()],
-            &residual[..],
-            &[row.view.clone().unwrap_or_default()],
-        ];
-        text += &(fields.concat().join(",") + "\n");
-    }
-    text
+    let lines = rows.iter().map(|row| estimate_line(row) + "\n");
+    estimates_header() + "\n" + &lines.collect::<String>()
+}
+
+/// The first line of estimate.csv, without its end.
+pub fn estimates_header() -> String {
+    "index,time_s,eta,lambda_mm,sd_eta,sd_lambda_mm,status,reason,residual1_mm,residual2_mm,residual3_mm,view"
+        .to_owned()
+}
+
+/// One line of estimate.csv, without its end.
+pub fn estimate_line(row: &EstimateRow) -> String {
+    let estimate = row.estimate.map_or_else(Default::default, |e| {
+        [e.eta, e.lambda_mm, e.sd_eta, e.sd_lambda_mm].map(|value| decimals(value, 6))
+    });
+    let residual = row.residual_mm.map_or_else(Default::default, |r| [r.x, r.y, r.z].map(|mm| decimals(mm, 6)));
+    let fields = [
+        &[row.index.to_string(), decimals_or_empty(row.time_s, 4)],
+        &estimate[..],
+        &[row.verdict.to_string(), row.reason.clone()],
+        &residual[..],
+        &[row.view.clone().unwrap_or_default()],
+    ];
+    fields.concat().join(",")
 }
 
 #[cfg(test)]

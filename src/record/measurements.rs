@@ -15,10 +15,13 @@
 //! | `shape_chi2` | the departure's square in units of its covariance: 2 on the average for a circle |
 
 use super::measurement::{Measured, Measurement, Quality, Shape, Status};
-use super::table::{self, Checked, Indexed, Row, RowResult, azimuth, decimals, decimals_or_empty};
-use crate::error::Result;
+use super::table::{self, Checked, Indexed, OwnColumns, Row, RowResult, azimuth, decimals, decimals_or_empty};
+use crate::error::{Error, Result};
 use crate::geometry::Configuration;
-use std::path::Path;
+use crate::input::{LINE_BYTES, read_line};
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
 
 /// The columns that the design fixes.
 const FIXED: [&str; 7] = ["index", "time_s", "theta_deg", "delta_deg", "sigma_theta_deg", "sigma_delta_deg", "status"];
@@ -139,17 +142,87 @@ fn shape_of(row: &Row) -> RowResult<Option<Shape>> {
     }))
 }
 
-/// measurements.csv as text; angles and sigmas to 1e-6 degrees.
-pub fn measurements_csv(measurements: &[Measurement]) -> String {
-    let mut text = [&FIXED[..], &FURTHER[..]].concat().join(",") + "\n";
-    for measurement in measurements {
-        text += &csv_row(measurement);
-        text.push('\n');
-    }
-    text
+/// A measurements.csv of this program, row by row: what is in memory does not grow with the file.
+#[derive(Debug)]
+pub struct MeasurementRows {
+    path: PathBuf,
+    lines: BufReader<File>,
+    line: u64,
+    reader: RowReader,
 }
 
-fn csv_row(row: &Measurement) -> String {
+impl MeasurementRows {
+    /// Opens a file that was written as [`measurements_csv`] writes it.
+    ///
+    /// # Errors
+    /// A file that cannot be read or has another header.
+    pub fn open(path: &Path) -> Result<Self> {
+        let file = File::open(path).map_err(Error::io(path, "read"))?;
+        let mut rows =
+            Self { path: path.to_owned(), lines: BufReader::new(file), line: 0, reader: RowReader::default() };
+        let header = measurements_header();
+        match rows.next_line()? {
+            Some(line) if line == header => Ok(rows),
+            _ => Err(Error::at_line(path, 1, format!("not a header of this version's, which is {header}"))),
+        }
+    }
+
+    fn next_line(&mut self) -> Result<Option<String>> {
+        let mut text = Vec::new();
+        self.line += 1;
+        let read = read_line(&mut self.lines, LINE_BYTES, &mut text).map_err(Error::io(&self.path, "read"))?;
+        if read.length == 0 {
+            return Ok(None);
+        }
+        let wrong = |why| Error::at_line(&self.path, self.line, why);
+        if read.ended && text.pop() != Some(b'\n') {
+            return Err(wrong("the line is too long for a row"));
+        }
+        String::from_utf8(text).map(Some).map_err(|_| wrong("not UTF-8 text, as this file must be"))
+    }
+}
+
+impl Iterator for MeasurementRows {
+    type Item = Result<Measurement>;
+
+    fn next(&mut self) -> Option<Result<Measurement>> {
+        let line = match self.next_line() {
+            Ok(line) => line?,
+            Err(e) => return Some(Err(e)),
+        };
+        Some(self.reader.read(&line).map_err(|why| Error::at_line(&self.path, self.line, why)))
+    }
+}
+
+/// Takes single lines apart that [`measurement_line`] made.
+#[derive(Debug)]
+pub(super) struct RowReader(OwnColumns);
+
+impl Default for RowReader {
+    fn default() -> Self {
+        Self(OwnColumns::new(FIXED.into_iter().chain(FURTHER)))
+    }
+}
+
+impl RowReader {
+    pub fn read(&self, line: &str) -> RowResult<Measurement> {
+        measurement_of(&self.0.row(line)?)
+    }
+}
+
+/// measurements.csv as text; angles and sigmas to 1e-6 degrees.
+pub fn measurements_csv(measurements: &[Measurement]) -> String {
+    let lines = measurements.iter().map(|measurement| measurement_line(measurement) + "\n");
+    measurements_header() + "\n" + &lines.collect::<String>()
+}
+
+/// The first line of measurements.csv, without its end.
+pub fn measurements_header() -> String {
+    [&FIXED[..], &FURTHER[..]].concat().join(",")
+}
+
+/// One line of measurements.csv, without its end.
+pub fn measurement_line(row: &Measurement) -> String {
     let angles = match &row.measured {
         Some(m) => [
             decimals(m.configuration.theta_deg(), 6),
@@ -184,7 +257,7 @@ fn csv_row(row: &Measurement) -> String {
     [
         &[row.index.to_string(), decimals_or_empty(row.time_s, 4)],
         &angles[..],
-        &[row.status.to_string(), decimals_or_empty(row.measured.map(|m| m.correlation), 4)],
+        &[row.status.to_string(), decimals_or_empty(row.measured.map(|m| m.correlation.clamp(-0.9999, 0.9999)), 4)],
         &quality[..],
         &[row.view.clone().unwrap_or_default()],
         &shape[..],
@@ -193,9 +266,9 @@ fn csv_row(row: &Measurement) -> String {
     .join(",")
 }
 
-/// A sigma in degrees that stays above zero when rounded, or it could not be read back.
+/// A sigma in degrees that stays above zero when rounded, and finite, or it could not be read back.
 fn sigma_deg(sigma: f64) -> String {
-    decimals(sigma.to_degrees().max(1e-6), 6)
+    decimals(sigma.to_degrees().clamp(1e-6, 1e6), 6)
 }
 
 #[cfg(test)]
@@ -314,6 +387,7 @@ mod tests {
             let checked = read_text(&measurements_csv(&rows)).unwrap();
             prop_assert!(checked.warnings.is_empty(), "{:?}", checked.warnings);
             prop_assert_eq!(checked.rows.len(), rows.len());
+            prop_assert_eq!(measurements_csv(&checked.rows), measurements_csv(&rows));
             for (read, written) in checked.rows.iter().zip(&rows) {
                 prop_assert_eq!((read.index, &read.status, &read.view), (written.index, &written.status, &written.view));
                 prop_assert_eq!(read.measured.is_some(), written.measured.is_some());

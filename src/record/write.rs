@@ -9,6 +9,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
+/// How temporary names begin and end.
+const PREFIX: &str = ".snakeloop-";
+const SUFFIX: &str = ".tmp";
+
 /// A file being written. It appears under its name with [`commit`](Self::commit); dropped before that, it leaves no trace.
 #[derive(Debug)]
 pub struct PendingFile {
@@ -66,13 +70,29 @@ pub fn write_atomically(path: &Path, contents: &[u8]) -> Result<()> {
 /// A temporary file with the permissions that any new file gets; `tempfile`'s own default would hide it from others.
 fn temporary_in(folder: &Path) -> std::io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".snakeloop-").suffix(".tmp");
+    builder.prefix(PREFIX).suffix(SUFFIX);
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
     builder.tempfile_in(folder)
+}
+
+/// Removes what runs that were killed left in a folder under temporary names. Nobody else may be writing there.
+///
+/// # Errors
+/// A folder that does not let it go.
+pub fn remove_abandoned(folder: &Path) -> Result<()> {
+    // A folder that is not there has nothing in it.
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        if name.starts_with(PREFIX) && name.ends_with(SUFFIX) {
+            std::fs::remove_file(entry.path()).map_err(Error::io(&entry.path(), "remove"))?;
+        }
+    }
+    Ok(())
 }
 
 /// Rows as CSV, the columns named after the fields; a field that is `None` is empty.
@@ -118,6 +138,10 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"former");
         drop(pending);
         assert_eq!(fs::read(&path).unwrap(), b"former");
+        assert_eq!(names_in(folder.path()), ["a.csv"]);
+        // A process that is killed drops nothing.
+        fs::write(folder.path().join(".snakeloop-abc.tmp"), b"half").unwrap();
+        remove_abandoned(folder.path()).unwrap();
         assert_eq!(names_in(folder.path()), ["a.csv"]);
     }
 

@@ -1,9 +1,10 @@
 //! report.html: one page that explains a run to a person. It holds its plots and pictures itself and asks no other
 //! address for anything.
 
+use super::course::Course;
 use super::overlay::angles;
 use super::plot::{GRID, INK, Plot, Point, Series, Style};
-use crate::record::{EstimateRow, Measurement, Status, Verdict};
+use crate::record::{EstimateRow, Measurement, Verdict};
 use base64::prelude::{BASE64_STANDARD, Engine};
 use std::fmt::Write;
 
@@ -23,10 +24,8 @@ pub struct Report<'a> {
     pub title: String,
     /// The figures that matter, by name.
     pub summary: Vec<(String, String)>,
-    /// Every frame's measurement.
-    pub measurements: &'a [Measurement],
-    /// The estimate after each of them.
-    pub estimates: &'a [EstimateRow],
+    /// The rows that are shown.
+    pub course: &'a Course,
     /// Frames with the model drawn on them.
     pub pictures: Vec<Picture>,
     /// What was passed over in the input.
@@ -73,7 +72,7 @@ impl Report<'_> {
     }
 
     fn all_plots(&self) -> Vec<(&'static str, &'static str, Plot)> {
-        let axis = Axis::of(self.measurements);
+        let axis = Axis::of(&self.course.plotted);
         let plot = |y_label: &str, series| Plot {
             x_label: axis.label().into(),
             y_label: y_label.into(),
@@ -93,7 +92,7 @@ impl Report<'_> {
             ),
         ];
         let estimates = |value: fn(&crate::record::EtaLambda) -> (f64, f64)| {
-            let points = self.estimates.iter().filter_map(|row| {
+            let points = self.course.plotted.iter().filter_map(|(_, row)| {
                 let (y, sd) = value(row.estimate.as_ref()?);
                 Some(Point { x: axis.place(row.index, row.time_s), y, sd })
             });
@@ -113,9 +112,12 @@ impl Report<'_> {
             name: format!("backbone {}", i + 1),
             style: Style::Dots,
             points: self
-                .estimates
+                .course
+                .plotted
                 .iter()
-                .filter_map(|row| Some(Point { x: axis.place(row.index, row.time_s), y: row.residual_mm?[i], sd: 0.0 }))
+                .filter_map(|(_, row)| {
+                    Some(Point { x: axis.place(row.index, row.time_s), y: row.residual_mm?[i], sd: 0.0 })
+                })
                 .collect(),
         });
         plots.push((
@@ -128,18 +130,15 @@ impl Report<'_> {
 
     /// The measured angles, those apart that the estimator rejected.
     fn angle_series(&self, axis: &Axis, angle: impl Fn(&crate::record::Measured) -> (f64, f64)) -> Vec<Series> {
-        let rejected = |m: &Measurement| {
-            let same = |row: &&EstimateRow| (row.index, &row.view) == (m.index, &m.view);
-            self.estimates.iter().find(same).is_some_and(|row| row.verdict == Verdict::Rejected)
-        };
         let series = |name: &str, wanted: bool| Series {
             name: name.to_owned(),
             style: Style::Dots,
             points: self
-                .measurements
+                .course
+                .plotted
                 .iter()
-                .filter(|m| rejected(m) == wanted)
-                .filter_map(|m| {
+                .filter(|(_, row)| (row.verdict == Verdict::Rejected) == wanted)
+                .filter_map(|(m, _)| {
                     let (y, sd) = angle(m.measured.as_ref()?);
                     Some(Point { x: axis.place(m.index, m.time_s), y, sd })
                 })
@@ -151,26 +150,20 @@ impl Report<'_> {
     }
 
     fn frames_not_measured(&self) -> String {
-        let failed = self.measurements.iter().filter(|m| m.status != Status::Ok);
+        let failed = self.course.unmeasured.iter();
         let rows: Vec<_> = failed.map(|m| [frame_name(m.index, &m.view), m.status.to_string()]).collect();
         if rows.is_empty() {
             return "<h2>Frames not measured</h2>\n<p>None: every frame was measured.</p>\n".to_owned();
         }
-        table("Frames not measured", ["frame", "reason"], &rows)
+        let more = self.course.unmeasured_count - rows.len();
+        table("Frames not measured", ["frame", "reason"], &rows) + &others(more, "measurements.csv")
     }
 
     fn measurements_not_used(&self) -> String {
-        let unused = self.estimates.iter().filter(|row| row.verdict != Verdict::Used);
-        let measured = |row: &EstimateRow| {
-            self.measurements
-                .iter()
-                .find(|m| (m.index, &m.view) == (row.index, &row.view))
-                .and_then(|m| m.measured.as_ref())
-                .map(angles)
-        };
+        let unused = self.course.unused.iter();
         let rows: Vec<_> = unused
-            .filter_map(|row| {
-                let (theta, delta) = measured(row)?;
+            .filter_map(|(m, row)| {
+                let (theta, delta) = angles(m.measured.as_ref()?);
                 let why = format!("{}: {}", row.verdict, row.reason.replace('_', " "));
                 Some([frame_name(row.index, &row.view), theta, delta, why])
             })
@@ -178,7 +171,8 @@ impl Report<'_> {
         if rows.is_empty() {
             return String::new();
         }
-        table("Measurements not used", ["frame", "θ", "δ", "why"], &rows)
+        let more = self.course.unused_count - rows.len();
+        table("Measurements not used", ["frame", "θ", "δ", "why"], &rows) + &others(more, "estimate.csv")
     }
 
     fn pictures(&self) -> String {
@@ -209,8 +203,8 @@ enum Axis {
 }
 
 impl Axis {
-    fn of(measurements: &[Measurement]) -> Self {
-        if measurements.iter().all(|m| m.time_s.is_some()) { Self::Time } else { Self::Index }
+    fn of(rows: &[(Measurement, EstimateRow)]) -> Self {
+        if rows.iter().all(|(m, _)| m.time_s.is_some()) { Self::Time } else { Self::Index }
     }
 
     fn label(&self) -> &'static str {
@@ -226,6 +220,11 @@ impl Axis {
             Self::Index => index as f64,
         }
     }
+}
+
+/// What a list that was cut says of the rest.
+fn others(more: usize, file: &str) -> String {
+    if more == 0 { String::new() } else { format!("<p>And {more} more: see {file}.</p>\n") }
 }
 
 fn frame_name(index: u64, view: &Option<String>) -> String {
@@ -308,7 +307,7 @@ li {{ overflow-wrap: anywhere; }}
 mod tests {
     use super::*;
     use crate::geometry::Configuration;
-    use crate::record::{EtaLambda, Measured};
+    use crate::record::{EtaLambda, Measured, Status};
     use nalgebra::Vector3;
 
     fn measurement(index: u64, status: Status) -> Measurement {
@@ -341,11 +340,12 @@ mod tests {
             estimate(2, Verdict::Skipped, "no_snake"),
             estimate(3, Verdict::Rejected, "outlier"),
         ];
+        let mut course = Course::new(measurements.len());
+        measurements.iter().zip(&estimates).for_each(|(measurement, row)| course.add(measurement, row));
         let page = Report {
             title: "bending <1>".into(),
             summary: vec![("η".into(), "1.200 ± 0.010".into())],
-            measurements: &measurements,
-            estimates: &estimates,
+            course: &course,
             pictures: vec![Picture { caption: "frame 1".into(), jpeg: vec![0xff, 0xd8] }],
             warnings: vec!["a.csv:3: row skipped".into()],
             provenance: vec![("encoders".into(), "a & b.csv".into())],
@@ -368,12 +368,13 @@ mod tests {
 
     #[test]
     fn a_run_without_a_single_measurement_has_its_page_too() {
-        let measurements = [measurement(1, Status::Unreadable)];
+        let mut course = Course::new(1);
+        let skipped = EstimateRow { estimate: None, residual_mm: None, ..estimate(1, Verdict::Skipped, "unreadable") };
+        course.add(&measurement(1, Status::Unreadable), &skipped);
         let page = Report {
             title: "nothing".into(),
             summary: vec![],
-            measurements: &measurements,
-            estimates: &[],
+            course: &course,
             pictures: vec![],
             warnings: vec![],
             provenance: vec![],

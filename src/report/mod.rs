@@ -1,6 +1,7 @@
 //! What a person looks at: overlays on frames, plots, the HTML page.
 
 pub mod bend_map;
+pub mod course;
 pub mod discovery;
 pub mod explain;
 pub mod html;

@@ -1,12 +1,12 @@
 //! Scores: how far measurements are from the truth, and how far a model is from measurements.
 
-use crate::estimate::without_effects;
+use crate::estimate::pairs_without_effects;
 use crate::geometry::{Configuration, wrap_angle};
 use crate::record::{EncoderReading, Measurement, Truth};
 use crate::robot::Model;
 use nalgebra::Matrix3x2;
 use serde::Serialize;
-use std::collections::HashMap;
+use std::convert::Infallible;
 
 /// Below this bend δ means too little to be scored, rad (15°).
 pub const LEAST_THETA_FOR_DELTA: f64 = 15.0 * std::f64::consts::PI / 180.0;
@@ -110,42 +110,71 @@ pub struct Gap {
 /// Measures the gap between a model and data: every measurement that has angles and an encoder reading counts. What the
 /// model's effects do along the path is taken off first.
 pub fn gap(model: &Model, measurements: &[Measurement], encoders: &[EncoderReading]) -> Gap {
-    let (measurements, encoders) = without_effects(model, measurements, encoders);
-    let (model, measurements, encoders) = (&model.plain(), &measurements[..], &encoders[..]);
-    let mut eps = Vec::new();
-    let mut noise = Vec::new();
-    let mut theta = Vec::new();
-    let mut delta = Vec::new();
+    match gap_of(model, measurements.iter().cloned().map(Ok::<_, Infallible>), encoders) {
+        Ok(gap) => gap,
+        Err(never) => match never {},
+    }
+}
+
+/// [`gap`] of measurements that need not be in memory.
+///
+/// # Errors
+/// What `measurements` gives.
+pub fn gap_of<E>(
+    model: &Model,
+    measurements: impl Iterator<Item = std::result::Result<Measurement, E>>,
+    encoders: &[EncoderReading],
+) -> std::result::Result<Gap, E> {
+    let pairs = pairs_without_effects(model, measurements, encoders)?;
+    let model = &model.plain();
+    let [mut eps, mut noise, mut theta, mut delta] = [Squares::default(); 4];
     let (mut samples, mut unpredicted) = (0, 0);
-    let by_index: HashMap<u64, &EncoderReading> = encoders.iter().map(|reading| (reading.index, reading)).collect();
-    for measurement in measurements {
-        let Some(measured) = &measurement.measured else { continue };
-        let Some(reading) = by_index.get(&measurement.index) else { continue };
+    for pair in pairs {
+        let (Measurement { measured: Some(measured), .. }, Some(reading)) = pair? else { continue };
         let psi = measured.configuration;
         samples += 1;
-        eps.extend((reading.q_mm - model.command(psi)).iter().copied());
+        (reading.q_mm - model.command(psi)).iter().for_each(|&left| eps.add(left));
         let command_by_angles = command_by_configuration(model, psi);
         let covariance = command_by_angles * measured.covariance() * command_by_angles.transpose();
-        noise.extend((0..3).map(|i| covariance[(i, i)].max(0.0).sqrt()));
+        (0..3).for_each(|i| noise.add(covariance[(i, i)].max(0.0).sqrt()));
         match model.forward(&reading.q_mm) {
             Ok(response) => {
                 let predicted = response.configuration;
-                theta.push(psi.theta - predicted.theta);
+                theta.add(psi.theta - predicted.theta);
                 if psi.theta >= LEAST_THETA_FOR_DELTA {
-                    delta.push(wrap_angle(psi.delta - predicted.delta));
+                    delta.add(wrap_angle(psi.delta - predicted.delta));
                 }
             }
             Err(_) => unpredicted += 1,
         }
     }
-    Gap {
+    Ok(Gap {
         samples,
-        rms_eps_mm: rms(eps.into_iter()),
-        noise_floor_mm: rms(noise.into_iter()),
-        rms_theta_deg: rms(theta.into_iter()).to_degrees(),
-        delta_samples: delta.len(),
-        rms_delta_deg: rms(delta.into_iter()).to_degrees(),
+        rms_eps_mm: eps.rms(),
+        noise_floor_mm: noise.rms(),
+        rms_theta_deg: theta.rms().to_degrees(),
+        delta_samples: delta.count,
+        rms_delta_deg: delta.rms().to_degrees(),
         unpredicted,
+    })
+}
+
+/// Sum of squares, and of how many.
+#[derive(Clone, Copy, Default)]
+struct Squares {
+    sum: f64,
+    count: usize,
+}
+
+impl Squares {
+    fn add(&mut self, value: f64) {
+        self.sum += value * value;
+        self.count += 1;
+    }
+
+    /// 0 of nothing.
+    fn rms(&self) -> f64 {
+        if self.count > 0 { (self.sum / self.count as f64).sqrt() } else { 0.0 }
     }
 }
 

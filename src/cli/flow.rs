@@ -1,0 +1,414 @@
+//! The flow of frames: read and measured on all cores, handed on in order, only a few in memory at a time.
+
+use super::console::Console;
+use super::views::OpenView;
+use crate::camera::{Frame, FrameSource, SourceFrame};
+use crate::measure::{Eye, Sighting, fused};
+use crate::record::{EncoderReading, Measurement, Status};
+use crate::{Error, Result};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+use std::fmt;
+use std::iter::Peekable;
+use std::path::Path;
+use std::str::FromStr;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+
+/// One part of several that the frames are shared out to: every `of`-th, from the `part`-th (counted from 1) on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Shard {
+    /// Which, from 1.
+    pub part: usize,
+    /// Of how many.
+    pub of: usize,
+}
+
+impl Shard {
+    /// All frames.
+    pub const WHOLE: Self = Self { part: 1, of: 1 };
+
+    fn has(self, rank: usize) -> bool {
+        rank % self.of == self.part - 1
+    }
+}
+
+impl FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let numbers = text.split_once('/').map(|(part, of)| (part.parse(), of.parse()));
+        match numbers {
+            Some((Ok(part), Ok(of))) if 1 <= part && part <= of => Ok(Self { part, of }),
+            _ => Err(format!("{text:?} is no part of the frames, expected I/N with I from 1 to N, such as 2/8")),
+        }
+    }
+}
+
+impl TryFrom<String> for Shard {
+    type Error = String;
+
+    fn try_from(text: String) -> std::result::Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<Shard> for String {
+    fn from(shard: Shard) -> Self {
+        shard.to_string()
+    }
+}
+
+impl fmt::Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.part, self.of)
+    }
+}
+
+/// How long measuring took, and what for.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Throughput {
+    /// Wall time, s.
+    pub seconds: f64,
+    /// Frames per second of wall time, end to end.
+    pub frames_per_second: f64,
+    /// Share of the computing time that reading and decoding the pictures took, 0 to 1.
+    pub decoding_share: f64,
+}
+
+/// Which frames are measured, and how.
+pub struct Flow<'a> {
+    /// The views.
+    pub views: &'a [OpenView],
+    /// The encoder log in order of its index, which tells times that the frames do not; empty where there is none.
+    pub encoders: &'a [EncoderReading],
+    /// Whether a camera that moves is followed from frame to frame.
+    pub follow: bool,
+    /// The part of the frames that is measured.
+    pub shard: Shard,
+    /// Frames up to this index are measured already.
+    pub after: Option<u64>,
+}
+
+/// A measured index, while its frames are still in memory.
+pub struct Look<'a> {
+    /// Which one of the whole sequence, from 0.
+    pub rank: usize,
+    /// How many there are in the whole sequence; `None` where only reading a video to its end would tell.
+    pub count: Option<usize>,
+    /// What was measured.
+    pub measurement: &'a Measurement,
+    /// The frames of this index that could be read.
+    pub frames: Vec<(&'a OpenView, &'a Frame)>,
+}
+
+/// What came through.
+pub struct Flowed {
+    /// Indices in the whole sequence.
+    pub count: usize,
+    /// How fast those were measured that had to be.
+    pub throughput: Throughput,
+}
+
+impl Flow<'_> {
+    /// Measures every frame of every view, a few at a time in parallel: one row an index, handed to `each` in order; what
+    /// several views saw under the same index is put together. `look` is called before that, in parallel, while the frames are
+    /// still there.
+    ///
+    /// A frame has the time that its source or else the encoder log tells.
+    ///
+    /// # Errors
+    /// A folder of frames that went away, a video that cannot be opened any more; what `look` and `each` say.
+    pub fn run(
+        &self,
+        console: &Console,
+        look: impl Fn(&Look) -> Result<()> + Sync,
+        mut each: impl FnMut(Measurement) -> Result<()>,
+    ) -> Result<Flowed> {
+        let (reading, measuring) = (Clock::default(), Clock::default());
+        let start = Instant::now();
+        let expected = self.count()?;
+        let bar = console.progress(expected, "measuring");
+        let (mut count, mut measured) = (0, 0_usize);
+        let mut eyes: Vec<Eye> = self.views.iter().map(|view| view.eye().clone()).collect();
+        let moments = Moments::open(self.views)?.filter_map(|Moment { index, frames }| {
+            let rank = count;
+            count += 1;
+            let wanted = self.shard.has(rank) && self.after.is_none_or(|last| index > last);
+            if !wanted {
+                bar.inc(1);
+            }
+            // Where a camera is followed to hangs on all frames before.
+            if !wanted && !self.follow {
+                return None;
+            }
+            let ready = frames.into_iter().map(|(view, source)| match self.follow {
+                false => Ok((view, source.time_s, Ready::Unread(source))),
+                true => {
+                    let time_s = source.time_s;
+                    Ok((view, time_s, followed(&mut eyes[view], source, &reading, &measuring)?))
+                }
+            });
+            let ready: Result<Vec<_>> = ready.collect();
+            wanted.then_some((rank, index, ready))
+        });
+        let work = |(rank, index, ready): (usize, u64, Result<Vec<_>>)| {
+            let seen: Result<Vec<Seen>> = ready?
+                .into_iter()
+                .map(|(view, time_s, ready)| self.see(view, time_s, ready, &reading, &measuring))
+                .collect();
+            let seen = seen?;
+            let measurement = self.row(index, &seen);
+            let frames = seen.iter().filter_map(|seen| Some((seen.view, seen.frame.as_ref()?))).collect();
+            look(&Look { rank, count: expected, measurement: &measurement, frames })?;
+            Ok((measurement, seen.len()))
+        };
+        in_order(moments, work, |(measurement, frames)| {
+            measured += frames;
+            bar.inc(1);
+            each(measurement)
+        })?;
+        bar.finish_and_clear();
+        let seconds = start.elapsed().as_secs_f64();
+        let busy = reading.seconds() + measuring.seconds();
+        let throughput = Throughput {
+            seconds,
+            frames_per_second: measured as f64 / seconds,
+            decoding_share: if busy > 0.0 { reading.seconds() / busy } else { 0.0 },
+        };
+        Ok(Flowed { count, throughput })
+    }
+
+    /// How many indices there are; `None` where a video does not tell.
+    fn count(&self) -> Result<Option<usize>> {
+        if self.views.iter().all(|view| matches!(view.source(), FrameSource::Pictures(_))) {
+            return Ok(Some(Moments::open(self.views)?.count()));
+        }
+        let counts: Result<Vec<_>> = self.views.iter().map(|view| view.source().count()).collect();
+        Ok(counts?.into_iter().max().flatten())
+    }
+
+    /// What one view saw: reads and measures its frame.
+    fn see(
+        &self,
+        view: usize,
+        time_s: Option<f64>,
+        ready: Ready,
+        reading: &Clock,
+        measuring: &Clock,
+    ) -> Result<Seen<'_>> {
+        let view = &self.views[view];
+        let (frame, sighting) = match ready {
+            Ready::Unread(source) => match reading.time(|| read(source))? {
+                Some(frame) => {
+                    let sighting = measuring.time(|| view.eye().measure(&frame));
+                    (Some(frame), sighting)
+                }
+                None => (None, without_angles(Status::Unreadable)),
+            },
+            Ready::Found(eye, frame) => {
+                let sighting = measuring.time(|| eye.measure(&frame));
+                (Some(frame), sighting)
+            }
+            Ready::Lost(status, frame) => (frame, without_angles(status)),
+        };
+        Ok(Seen { view, time_s, frame, sighting })
+    }
+
+    /// The row of one index from what its views saw.
+    fn row(&self, index: u64, seen: &[Seen]) -> Measurement {
+        let sightings: Vec<Sighting> = seen.iter().map(|s| s.sighting.clone()).collect();
+        let Sighting { status, measured, quality, .. } = fused(&sightings);
+        let answered = |s: &&Seen| measured.is_none() || s.sighting.measured.is_some();
+        let names: Vec<&str> = seen.iter().filter(answered).map(|s| s.view.name()).collect();
+        let logged = || {
+            let place = self.encoders.binary_search_by_key(&index, |reading| reading.index).ok()?;
+            Some(self.encoders[place].time_s)
+        };
+        let time_s = seen.iter().find_map(|s| s.time_s).or_else(logged);
+        Measurement { index, time_s, status, measured, quality, view: Some(names.join("+")) }
+    }
+}
+
+/// A frame on its way to be measured.
+enum Ready {
+    /// Not read yet.
+    Unread(SourceFrame),
+    /// Read, and the camera was followed to it.
+    Found(Box<Eye>, Frame),
+    /// Followed in vain, with the frame if it could be read.
+    Lost(Status, Option<Frame>),
+}
+
+/// One view's part of a measurement.
+struct Seen<'a> {
+    view: &'a OpenView,
+    time_s: Option<f64>,
+    frame: Option<Frame>,
+    sighting: Sighting,
+}
+
+fn without_angles(status: Status) -> Sighting {
+    Sighting { status, measured: None, bend: None, quality: None }
+}
+
+/// Finds the camera in a view's next frame, from where it was in the last one in which it was found.
+fn followed(eye: &mut Eye, source: SourceFrame, reading: &Clock, measuring: &Clock) -> Result<Ready> {
+    let Some(frame) = reading.time(|| read(source))? else { return Ok(Ready::Lost(Status::Unreadable, None)) };
+    Ok(match measuring.time(|| eye.following(&frame)) {
+        Ok(there) => {
+            *eye = there.clone();
+            Ready::Found(Box::new(there), frame)
+        }
+        Err(status) => Ready::Lost(status, Some(frame)),
+    })
+}
+
+/// The frame; `None` where it cannot be read, which costs its row only.
+///
+/// # Errors
+/// The folder that it was in is gone: then all frames to come would be lost with it.
+fn read(source: SourceFrame) -> Result<Option<Frame>> {
+    let folder = match source.path.parent() {
+        Some(parent) if parent != Path::new("") => parent.to_owned(),
+        _ => Path::new(".").to_owned(),
+    };
+    match source.read() {
+        Ok(frame) => Ok(Some(frame)),
+        Err(Error::Io { .. }) => match std::fs::read_dir(&folder) {
+            Ok(_) => Ok(None),
+            Err(e) => Err(Error::io(&folder, "read any more frames, the folder is gone:")(e)),
+        },
+        Err(_) => Ok(None),
+    }
+}
+
+/// The frames of one index, each with the number of its view.
+struct Moment {
+    index: u64,
+    frames: Vec<(usize, SourceFrame)>,
+}
+
+/// The frames of all views, index by index.
+struct Moments<'a> {
+    views: Vec<Peekable<Box<dyn Iterator<Item = SourceFrame> + Send + 'a>>>,
+}
+
+impl<'a> Moments<'a> {
+    fn open(views: &'a [OpenView]) -> Result<Self> {
+        let views: Result<Vec<_>> = views.iter().map(|view| Ok(view.source().frames()?.peekable())).collect();
+        Ok(Self { views: views? })
+    }
+}
+
+impl Iterator for Moments<'_> {
+    type Item = Moment;
+
+    fn next(&mut self) -> Option<Moment> {
+        let index = self.views.iter_mut().filter_map(|frames| Some(frames.peek()?.index)).min()?;
+        let of_this = |(view, frames): (usize, &mut Peekable<_>)| {
+            Some((view, frames.next_if(|frame: &SourceFrame| frame.index == index)?))
+        };
+        Some(Moment { index, frames: self.views.iter_mut().enumerate().filter_map(of_this).collect() })
+    }
+}
+
+/// Works on items in parallel and hands the results on in order. Two items a thread are in flight, no more, so that memory does
+/// not grow and a slow one keeps nobody waiting.
+///
+/// # Errors
+/// The first that `work` or `each` gives; items in flight then are finished and forgotten.
+fn in_order<T: Send, R: Send>(
+    mut items: impl Iterator<Item = T>,
+    work: impl Fn(T) -> Result<R> + Sync,
+    mut each: impl FnMut(R) -> Result<()>,
+) -> Result<()> {
+    let in_flight = 2 * rayon::current_num_threads();
+    rayon::in_place_scope(|scope| {
+        let mut waiting = VecDeque::new();
+        loop {
+            while waiting.len() < in_flight
+                && let Some(item) = items.next()
+            {
+                let (sender, receiver) = mpsc::sync_channel(1);
+                let work = &work;
+                // Nobody waits for it any more after an error.
+                scope.spawn(move |_| drop(sender.send(work(item))));
+                waiting.push_back(receiver);
+            }
+            // A task that panicked sends nothing; the scope hands its panic on.
+            let Some(Ok(result)) = waiting.pop_front().map(|receiver| receiver.recv()) else { return Ok(()) };
+            each(result?)?;
+        }
+    })
+}
+
+/// Adds up time over threads.
+#[derive(Default)]
+struct Clock {
+    nanoseconds: AtomicU64,
+}
+
+impl Clock {
+    fn time<T>(&self, work: impl FnOnce() -> T) -> T {
+        let start = Instant::now();
+        let result = work();
+        let nanoseconds = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        self.nanoseconds.fetch_add(nanoseconds, Ordering::Relaxed);
+        result
+    }
+
+    fn seconds(&self) -> f64 {
+        Duration::from_nanos(self.nanoseconds.load(Ordering::Relaxed)).as_secs_f64()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::AtomicUsize;
+
+    #[test]
+    fn results_come_in_order_and_only_a_few_are_begun_ahead() {
+        let (begun, mut handed_on) = (AtomicUsize::new(0), 0);
+        let work = |i: u64| {
+            begun.fetch_add(1, Ordering::SeqCst);
+            // Later ones are done sooner.
+            std::thread::sleep(Duration::from_micros(3000 / (1 + i % 5)));
+            Ok(i)
+        };
+        in_order(0..50, work, |i| {
+            assert_eq!(i, handed_on);
+            handed_on += 1;
+            assert!(begun.load(Ordering::SeqCst) <= handed_on as usize + 2 * rayon::current_num_threads());
+            Ok(())
+        })
+        .unwrap();
+        assert_eq!(handed_on, 50);
+    }
+
+    #[test]
+    fn the_first_error_ends_the_flow_and_what_came_before_it_is_handed_on() {
+        let mut handed_on = Vec::new();
+        let work = |i: u64| if i == 7 { Err(Error::Domain("seven".into())) } else { Ok(i) };
+        let error = in_order(0.., work, |i| {
+            handed_on.push(i);
+            Ok(())
+        });
+        assert_eq!((error.unwrap_err().to_string(), handed_on), ("seven".to_owned(), (0..7).collect()));
+    }
+
+    #[test]
+    fn shards_are_told_apart_and_have_every_frame_once() {
+        let shards: Vec<Shard> = ["1/3", "2/3", "3/3"].map(|text| text.parse().unwrap()).to_vec();
+        for rank in 0..20 {
+            assert_eq!(shards.iter().filter(|shard| shard.has(rank)).count(), 1);
+        }
+        assert_eq!(shards[1].to_string(), "2/3");
+        for wrong in ["", "3", "0/3", "4/3", "1/0", "-1/2", "1/2/3", "a/b"] {
+            assert!(wrong.parse::<Shard>().is_err(), "{wrong}");
+        }
+    }
+}

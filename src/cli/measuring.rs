@@ -1,0 +1,297 @@
+//! Measuring an experiment into a folder: row by row into a journal, at the end measurements.csv.
+//!
+//! What a journal or a shard was made from is its [`Origin`]: only what has the same one belongs together.
+
+use super::checksum::Checksum;
+use super::console::Console;
+use super::flow::{Flow, Look, Shard, Throughput};
+use super::run::Settings;
+use super::views::OpenView;
+use crate::input::{PICTURE_BYTES, read_bytes, read_text};
+use crate::record::{
+    EncoderReading, Experiment, MeasurementJournal, MeasurementRows, RigSource, difference, remove_abandoned,
+    write_atomically,
+};
+use crate::{Error, Result};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// What the rows of a finished shard are made from, and how many they are; its presence says that the shard is whole.
+pub const SHARD: &str = "shard.toml";
+
+/// How frames are gone through.
+#[derive(Debug, clap::Args)]
+pub struct MeasuringArgs {
+    /// Follow a camera that moves: find it anew in every frame by grid and holder
+    #[arg(long)]
+    follow: bool,
+    /// Go on with a run that was cut off: what it measured stands in OUT/measurements.journal
+    #[arg(long)]
+    resume: bool,
+    /// Threads to work with [default: one a core]
+    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..))]
+    jobs: Option<u16>,
+    /// Measure only the I-th of N parts of the frames: every N-th, from the I-th on. `merge` puts the parts together
+    #[arg(long, value_name = "I/N")]
+    shard: Option<Shard>,
+}
+
+/// All that the rows of measurements.csv, and what is made of them, hang on.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Origin {
+    /// The program's version.
+    snakeloop: String,
+    /// The experiment as it was named in the call.
+    pub experiment: PathBuf,
+    /// The part of the frames.
+    pub shard: Shard,
+    follow: bool,
+    /// What `run` does with the rows; `measure` leaves it at them.
+    pub run: Option<Settings>,
+    /// Checksums of the files read, by their path.
+    inputs: BTreeMap<String, String>,
+    /// Checksums of which frames there are and of those that the rig was refined from, by view.
+    frames: BTreeMap<String, String>,
+    /// In a shard that is done: its rows, and the rows of all shards.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub done: Option<Done>,
+}
+
+/// What a finished shard holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Done {
+    /// Its own rows.
+    pub rows: usize,
+    /// Rows of all shards together.
+    pub of: usize,
+}
+
+/// What became of measuring.
+pub enum Measured {
+    /// measurements.csv has every frame; the journal is to be removed when all that is made from it is written.
+    Whole(MeasurementJournal, Throughput),
+    /// One shard of several is done.
+    Shard(Option<Throughput>),
+}
+
+impl MeasuringArgs {
+    /// Sets how many threads work.
+    ///
+    /// # Errors
+    /// A system that has no more threads to give.
+    pub fn start_threads(&self) -> Result<()> {
+        let Some(jobs) = self.jobs else { return Ok(()) };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(jobs)).build_global();
+        pool.map_err(|e| Error::Usage(format!("--jobs {jobs}: {e}")))
+    }
+
+    /// Measures what is not measured yet into the folder `output`, and writes measurements.csv there. `draw` sees every
+    /// measured frame.
+    ///
+    /// # Errors
+    /// A journal of another run, a folder of frames that went away, a disk that is full. What was measured is kept then.
+    pub fn measure(
+        &self,
+        console: &Console,
+        inputs: (&Path, &Experiment, &[OpenView], &[EncoderReading]),
+        run: Option<Settings>,
+        output: &Path,
+        draw: impl Fn(&Look) -> Result<()> + Sync,
+    ) -> Result<Measured> {
+        let (named, experiment, views, encoders) = inputs;
+        let shard = self.shard.unwrap_or(Shard::WHOLE);
+        let origin = Origin::new(named, experiment, views, shard, self.follow, run)?;
+        let marker = output.join(SHARD);
+        if self.resume && marker.exists() {
+            let former = Origin { done: None, ..Origin::read(&marker)? };
+            return match former.difference(&origin)? {
+                None => Ok(Measured::Shard(None)),
+                Some(difference) => {
+                    let message = format!(
+                        "this shard is of another run: {difference}; choose another folder or leave --resume out"
+                    );
+                    Err(Error::content(&marker, message))
+                }
+            };
+        }
+        remove_if_there(&marker)?;
+        let mut journal = match self.resume {
+            true => MeasurementJournal::resume(output, &origin.table()?)?,
+            false => MeasurementJournal::create(output, &origin.table()?)?,
+        };
+        // The journal keeps others out.
+        [output, &output.join("overlays")].into_iter().try_for_each(remove_abandoned)?;
+        if journal.rows() > 0 {
+            console.say(format!("{} frames were measured before", journal.rows()));
+        }
+        let flow = Flow { views, encoders, follow: self.follow, shard, after: journal.last() };
+        let flowed = flow.run(console, draw, |measurement| journal.append(&measurement)).inspect_err(|_| {
+            console.say(format!("{} rows are kept in {}; --resume goes on", journal.rows(), journal.path().display()));
+        })?;
+        journal.publish(&output.join("measurements.csv"))?;
+        if shard == Shard::WHOLE {
+            return Ok(Measured::Whole(journal, flowed.throughput));
+        }
+        let done = Done { rows: journal.rows(), of: flowed.count };
+        let text = Origin { done: Some(done), ..origin }.table()?.to_string();
+        write_atomically(&marker, text.as_bytes())?;
+        journal.remove()?;
+        Ok(Measured::Shard(Some(flowed.throughput)))
+    }
+}
+
+impl Origin {
+    fn new(
+        named: &Path,
+        experiment: &Experiment,
+        views: &[OpenView],
+        shard: Shard,
+        follow: bool,
+        run: Option<Settings>,
+    ) -> Result<Self> {
+        Ok(Self {
+            snakeloop: env!("CARGO_PKG_VERSION").to_owned(),
+            experiment: named.to_owned(),
+            shard,
+            follow,
+            run,
+            inputs: checksums(experiment)?,
+            frames: views.iter().map(|view| (view.name().to_owned(), view.checksum().to_owned())).collect(),
+            done: None,
+        })
+    }
+
+    /// That of a finished shard.
+    ///
+    /// # Errors
+    /// A file that cannot be read or is none of this version's.
+    pub fn read(path: &Path) -> Result<Self> {
+        toml::from_str(&read_text(path)?).map_err(|e| Error::content(path, e.message()))
+    }
+
+    /// In words, the first thing in which two differ.
+    pub fn difference(&self, other: &Self) -> Result<Option<String>> {
+        Ok(difference(&self.table()?, &other.table()?))
+    }
+
+    /// An error where files of the experiment are no longer what the rows were made from.
+    pub fn check(&self, experiment: &Experiment) -> Result<()> {
+        let now = checksums(experiment)?;
+        match self.inputs.iter().find(|(path, checksum)| now.get(*path) != Some(*checksum)) {
+            None => Ok(()),
+            Some((path, _)) => {
+                Err(Error::content(Path::new(path), "the file has changed since the shards were measured"))
+            }
+        }
+    }
+
+    fn table(&self) -> Result<toml::Table> {
+        toml::Table::try_from(self).map_err(|e| Error::Domain(format!("cannot write what the run is made from: {e}")))
+    }
+}
+
+/// How many frames ended how.
+#[derive(Debug, Default)]
+pub struct Count {
+    /// All rows.
+    pub frames: usize,
+    /// By status, `ok` among them.
+    pub statuses: BTreeMap<String, usize>,
+}
+
+impl Count {
+    /// Of a measurements.csv.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn of(path: &Path) -> Result<Self> {
+        let mut count = Self::default();
+        for measurement in MeasurementRows::open(path)? {
+            count.frames += 1;
+            *count.statuses.entry(measurement?.status.to_string()).or_default() += 1;
+        }
+        Ok(count)
+    }
+
+    /// An error where not a single frame has angles.
+    pub fn require_some_measured(&self, experiment: &Experiment) -> Result<()> {
+        if self.statuses.contains_key("ok") {
+            return Ok(());
+        }
+        let reasons: Vec<_> = self.statuses.iter().map(|(status, count)| format!("{status} {count}")).collect();
+        let message = format!(
+            "none of the {} frames could be measured ({}); look at one beside the straight picture: same camera, same place?",
+            self.frames,
+            reasons.join(", ")
+        );
+        Err(Error::content(&experiment.path, message))
+    }
+}
+
+/// The result of measuring, as it is printed.
+#[derive(Serialize)]
+pub struct Summary {
+    frames: usize,
+    statuses: BTreeMap<String, usize>,
+    #[serde(flatten)]
+    throughput: Option<Throughput>,
+    measurements: PathBuf,
+}
+
+impl Summary {
+    /// Of the measurements.csv in a folder.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn of(output: &Path, throughput: Option<Throughput>) -> Result<Self> {
+        let measurements = output.join("measurements.csv");
+        let Count { frames, statuses } = Count::of(&measurements)?;
+        Ok(Self { frames, statuses, throughput, measurements })
+    }
+
+    /// Lines for people.
+    pub fn text(&self) -> String {
+        let statuses: Vec<_> = self.statuses.iter().map(|(status, count)| format!("{count} {status}")).collect();
+        let speed = self.throughput.map(|throughput| {
+            format!(
+                "{:.1} frames/s, {:.0} % of it decoding\n",
+                throughput.frames_per_second,
+                100.0 * throughput.decoding_share
+            )
+        });
+        format!(
+            "{} frames: {}\n{}{}",
+            self.frames,
+            statuses.join(", "),
+            speed.unwrap_or_default(),
+            self.measurements.display()
+        )
+    }
+}
+
+/// Removes a file of an earlier run.
+fn remove_if_there(path: &Path) -> Result<()> {
+    match fs::remove_file(path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(path, "remove")(e)),
+        _ => Ok(()),
+    }
+}
+
+/// The files that an experiment names, but for the frames, each with its checksum.
+fn checksums(experiment: &Experiment) -> Result<BTreeMap<String, String>> {
+    let rig = |rig: &'_ RigSource| match rig {
+        RigSource::File(path) | RigSource::Straight { picture: path, .. } => path.clone(),
+    };
+    let of_views = experiment.views.iter().flat_map(|view| [view.camera.clone(), rig(&view.rig)]);
+    let named = [&experiment.robot, &experiment.model, &experiment.encoders].into_iter().flatten().cloned();
+    let files = std::iter::once(experiment.path.clone()).chain(named).chain(of_views);
+    files
+        .map(|path| {
+            let mut checksum = Checksum::default();
+            checksum.add(&read_bytes(&path, PICTURE_BYTES)?);
+            Ok((path.display().to_string(), checksum.to_string()))
+        })
+        .collect()
+}

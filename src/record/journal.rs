@@ -1,0 +1,283 @@
+//! The rows of measurements.csv while frames are being measured: one line a row, in order, written as soon as it is known.
+//!
+//! The file begins with what the rows are made from (TOML, each line behind `# `); a run may go on with it only if it would make
+//! the same rows. Then come header and rows as in measurements.csv. A row is one write, so that a process that is killed
+//! leaves all of them but the one in hand, and once a second they are brought to the disk, which is what a loss of power can
+//! cost. From the first line on that is torn or makes no sense the journal is cut off when it is opened again.
+
+use super::measurement::Measurement;
+use super::measurements::{RowReader, measurement_line, measurements_header};
+use super::write::{PendingFile, write_atomically};
+use crate::error::{Error, Result};
+use crate::input::{LINE_BYTES, read_line};
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{BufReader, Read, Seek, SeekFrom, Write, copy};
+use std::path::{Path, PathBuf};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+/// The journal's name in the output folder.
+pub const JOURNAL: &str = "measurements.journal";
+
+/// The longest time that a row waits to be brought to the disk.
+const SYNC_EVERY: Duration = Duration::from_secs(1);
+
+/// A journal of measurements that is being written.
+#[derive(Debug)]
+pub struct MeasurementJournal {
+    path: PathBuf,
+    file: File,
+    /// Where the header begins.
+    head: u64,
+    last: Option<u64>,
+    rows: usize,
+    synced: Instant,
+}
+
+impl MeasurementJournal {
+    /// Begins a journal in a folder, which is created where it is missing; one that an earlier run left is replaced.
+    ///
+    /// # Errors
+    /// A folder that cannot be written to, or in which another run is at work.
+    pub fn create(folder: &Path, origin: &toml::Table) -> Result<Self> {
+        let path = folder.join(JOURNAL);
+        if let Ok(former) = File::open(&path) {
+            lock(&former, &path)?;
+        }
+        let head: String = origin.to_string().lines().map(|line| format!("# {line}\n")).collect();
+        write_atomically(&path, (head.clone() + &measurements_header() + "\n").as_bytes())?;
+        let file = open(&path)?;
+        Ok(Self { path, file, head: head.len() as u64, last: None, rows: 0, synced: Instant::now() })
+    }
+
+    /// Opens the journal that an earlier run left, to go on with it; begins one where there is none.
+    ///
+    /// # Errors
+    /// A journal that was made from something else (the message names it), in which another run is at work, or that cannot be
+    /// read or written.
+    pub fn resume(folder: &Path, origin: &toml::Table) -> Result<Self> {
+        let path = folder.join(JOURNAL);
+        if !path.exists() {
+            return Self::create(folder, origin);
+        }
+        let file = open(&path)?;
+        let mut lines = Lines { reader: BufReader::new(&file), path: &path, at: 0 };
+        let mut former = String::new();
+        let mut head = 0;
+        while let Some(line) = lines.next()? {
+            let Some(line) = line.strip_prefix("# ") else { break };
+            former += &(line.to_owned() + "\n");
+            head = lines.at;
+        }
+        let former: toml::Table = toml::from_str(&former).map_err(|e| not_ours(&path, e.message()))?;
+        compare(&path, &former, origin)?;
+        let (mut whole, mut last, mut rows) = (lines.at, None, 0);
+        let reader = RowReader::default();
+        while let Some(line) = lines.next()? {
+            let Some(row) = reader.read(&line).ok().filter(|row| last.is_none_or(|last| row.index > last)) else {
+                break;
+            };
+            (whole, last, rows) = (lines.at, Some(row.index), rows + 1);
+        }
+        file.set_len(whole).map_err(Error::io(&path, "write"))?;
+        Ok(Self { path, file, head, last, rows, synced: Instant::now() })
+    }
+
+    /// The index of the last row.
+    pub fn last(&self) -> Option<u64> {
+        self.last
+    }
+
+    /// How many rows there are.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Appends a row; its index must be above all before.
+    ///
+    /// # Errors
+    /// A disk that is full or gone.
+    pub fn append(&mut self, measurement: &Measurement) -> Result<()> {
+        let line = measurement_line(measurement) + "\n";
+        self.file.write_all(line.as_bytes()).map_err(Error::io(&self.path, "write"))?;
+        (self.last, self.rows) = (Some(measurement.index), self.rows + 1);
+        if self.synced.elapsed() >= SYNC_EVERY {
+            self.file.sync_data().map_err(Error::io(&self.path, "write"))?;
+            self.synced = Instant::now();
+        }
+        Ok(())
+    }
+
+    /// Writes header and rows as a file of their own: measurements.csv. The journal stays until it is [removed](Self::remove).
+    ///
+    /// # Errors
+    /// A disk that is full or gone.
+    pub fn publish(&mut self, path: &Path) -> Result<()> {
+        let mut file = PendingFile::create(path)?;
+        self.file.seek(SeekFrom::Start(self.head)).map_err(Error::io(&self.path, "read"))?;
+        // Appending goes on at the end wherever was read from.
+        copy(&mut self.file, &mut file).map_err(Error::io(path, "write"))?;
+        file.commit()
+    }
+
+    /// Removes the journal, once all that is made from it is written.
+    ///
+    /// # Errors
+    /// A folder that does not let it go.
+    pub fn remove(self) -> Result<()> {
+        std::fs::remove_file(&self.path).map_err(Error::io(&self.path, "remove"))
+    }
+}
+
+fn open(path: &Path) -> Result<File> {
+    let file = OpenOptions::new().read(true).append(true).open(path).map_err(Error::io(path, "write"))?;
+    lock(&file, path)?;
+    Ok(file)
+}
+
+/// Keeps other runs out. One that was just killed may take a moment to let go. Where a file system knows no locks there is no harm
+/// in going without.
+fn lock(file: &File, path: &Path) -> Result<()> {
+    for _ in 0..20 {
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => sleep(Duration::from_millis(20)),
+            _ => return Ok(()),
+        }
+    }
+    Err(Error::content(path, "another run is at work here; wait for it, or choose another folder"))
+}
+
+/// Whole lines, and where they end.
+struct Lines<'a, R> {
+    reader: BufReader<R>,
+    path: &'a Path,
+    at: u64,
+}
+
+impl<R: Read> Lines<'_, R> {
+    /// The next line without its end; `None` at the end, or where it is torn, too long or no text.
+    fn next(&mut self) -> Result<Option<String>> {
+        let mut line = Vec::new();
+        let read = read_line(&mut self.reader, LINE_BYTES, &mut line).map_err(Error::io(self.path, "read"))?;
+        if line.pop() != Some(b'\n') {
+            return Ok(None);
+        }
+        self.at += read.length;
+        Ok(String::from_utf8(line).ok())
+    }
+}
+
+fn not_ours(path: &Path, why: &str) -> Error {
+    Error::content(path, format!("its head cannot be read ({why}); remove it, or begin anew without --resume"))
+}
+
+/// An error that names the first thing in which what the rows were made from differs from what they would be made from now.
+fn compare(path: &Path, former: &toml::Table, now: &toml::Table) -> Result<()> {
+    match difference(former, now) {
+        None => Ok(()),
+        Some(difference) => Err(Error::content(
+            path,
+            format!(
+                "the run that left this journal was another: {difference}. Call it as then to go on, or without --resume to \
+                 begin anew"
+            ),
+        )),
+    }
+}
+
+/// In words, the first key in which two tables differ.
+pub fn difference(former: &toml::Table, now: &toml::Table) -> Option<String> {
+    let keys = former.keys().chain(now.keys().filter(|key| !former.contains_key(*key)));
+    keys.filter(|key| former.get(*key) != now.get(*key)).find_map(|key| match (former.get(key), now.get(key)) {
+        (Some(toml::Value::Table(former)), Some(toml::Value::Table(now))) => difference(former, now),
+        (former, now) => {
+            let shown = |value: Option<&toml::Value>| value.map_or("not there".to_owned(), ToString::to_string);
+            Some(format!("{key} was {} then and is {} now", shown(former), shown(now)))
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::{MeasurementRows, Status};
+
+    fn origin(text: &str) -> toml::Table {
+        toml::from_str(text).unwrap()
+    }
+
+    fn row(index: u64) -> Measurement {
+        let status = if index.is_multiple_of(2) { Status::Unreadable } else { Status::NoSnake };
+        Measurement { index, time_s: Some(0.5), status, measured: None, quality: None, view: Some("side".into()) }
+    }
+
+    fn published(journal: &mut MeasurementJournal) -> Vec<u64> {
+        let path = journal.path().with_file_name("measurements.csv");
+        journal.publish(&path).unwrap();
+        MeasurementRows::open(&path).unwrap().map(|row| row.unwrap().index).collect()
+    }
+
+    #[test]
+    fn wherever_a_journal_is_cut_all_whole_rows_remain_and_it_goes_on() {
+        let origin = origin("a = 1\n[b]\nc = 'x'");
+        let folder = tempfile::tempdir().unwrap();
+        let mut journal = MeasurementJournal::create(folder.path(), &origin).unwrap();
+        let head = std::fs::metadata(journal.path()).unwrap().len() as usize;
+        (0..5).for_each(|index| journal.append(&row(index)).unwrap());
+        let path = journal.path().to_owned();
+        drop(journal);
+        let bytes = std::fs::read(&path).unwrap();
+        for cut in head..=bytes.len() {
+            std::fs::write(&path, &bytes[..cut]).unwrap();
+            let whole = bytes[head..cut].iter().filter(|&&byte| byte == b'\n').count();
+            let mut journal = MeasurementJournal::resume(folder.path(), &origin).unwrap();
+            assert_eq!((journal.rows(), journal.last()), (whole, (whole as u64).checked_sub(1)), "{cut}");
+            journal.append(&row(77)).unwrap();
+            let expected: Vec<u64> = (0..whole as u64).chain([77]).collect();
+            assert_eq!(published(&mut journal), expected);
+        }
+    }
+
+    #[test]
+    fn what_follows_a_line_that_makes_no_sense_is_measured_again() {
+        let folder = tempfile::tempdir().unwrap();
+        for nonsense in ["\0\0\0\0\n", "1,2,3\n", &(measurement_line(&row(0)) + "\n"), "\u{fffd}\n"] {
+            let mut journal = MeasurementJournal::create(folder.path(), &origin("")).unwrap();
+            journal.append(&row(0)).unwrap();
+            journal.file.write_all(nonsense.as_bytes()).unwrap();
+            journal.append(&row(2)).unwrap();
+            drop(journal);
+            let mut journal = MeasurementJournal::resume(folder.path(), &origin("")).unwrap();
+            assert_eq!(published(&mut journal), [0], "{nonsense:?}");
+        }
+    }
+
+    #[test]
+    fn a_journal_of_something_else_is_refused_and_the_difference_named() {
+        let folder = tempfile::tempdir().unwrap();
+        drop(MeasurementJournal::create(folder.path(), &origin("follow = false\n[inputs]\n'a.csv' = '12'")).unwrap());
+        let refused = |text: &str| MeasurementJournal::resume(folder.path(), &origin(text)).unwrap_err().to_string();
+        let message = refused("follow = false\n[inputs]\n'a.csv' = '13'");
+        assert!(message.contains("a.csv was \"12\" then and is \"13\" now"), "{message}");
+        assert!(message.contains(JOURNAL) && message.contains("without --resume"), "{message}");
+        assert!(refused("follow = true\n[inputs]\n'a.csv' = '12'").contains("follow was false then and is true now"));
+        assert!(refused("[inputs]\n'a.csv' = '12'").contains("follow was false then and is not there now"));
+        std::fs::write(folder.path().join(JOURNAL), "# a = = 1\n").unwrap();
+        assert!(refused("").contains("its head cannot be read"));
+    }
+
+    #[test]
+    fn two_runs_do_not_write_to_one_journal() {
+        let folder = tempfile::tempdir().unwrap();
+        let _journal = MeasurementJournal::create(folder.path(), &origin("")).unwrap();
+        for second in [MeasurementJournal::create, MeasurementJournal::resume] {
+            let message = second(folder.path(), &origin("")).unwrap_err().to_string();
+            assert!(message.contains("another run is at work here"), "{message}");
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! What of a run's rows its report shows: all of a short run; of a long one a part that does not grow with it.
+
+use crate::record::{EstimateRow, Measurement, Status, Verdict};
+
+/// Rows whose points are plotted.
+const PLOTTED: usize = 1000;
+/// Rows in each of the lists.
+const LISTED: usize = 500;
+/// Measured frames that are pictured, and as many at most of those that failed.
+const PICTURED: usize = 24;
+
+/// The rows of a run that its report shows.
+#[derive(Debug, Clone)]
+pub struct Course {
+    count: usize,
+    seen: usize,
+    /// Rows spread over the run: the measurement, and what it did to the estimate.
+    pub plotted: Vec<(Measurement, EstimateRow)>,
+    /// The first frames that could not be measured.
+    pub unmeasured: Vec<Measurement>,
+    /// How many there were of them.
+    pub unmeasured_count: usize,
+    /// The first measurements that the estimator did not use.
+    pub unused: Vec<(Measurement, EstimateRow)>,
+    /// How many there were of them.
+    pub unused_count: usize,
+    /// Frames to be pictured: some that are spread over the run, and the first that failed.
+    pub pictured: Vec<Measurement>,
+}
+
+impl Course {
+    /// Nothing yet of a run of `count` rows.
+    pub fn new(count: usize) -> Self {
+        let (plotted, unmeasured, unused, pictured) = Default::default();
+        Self { count, seen: 0, plotted, unmeasured, unmeasured_count: 0, unused, unused_count: 0, pictured }
+    }
+
+    /// Adds the next row.
+    pub fn add(&mut self, measurement: &Measurement, row: &EstimateRow) {
+        let rank = self.seen;
+        self.seen += 1;
+        let both = || (measurement.clone(), row.clone());
+        if spread(rank, PLOTTED, self.count) {
+            self.plotted.push(both());
+        }
+        if measurement.status != Status::Ok {
+            if self.unmeasured_count < LISTED {
+                self.unmeasured.push(measurement.clone());
+            }
+            self.unmeasured_count += 1;
+        }
+        if row.verdict != Verdict::Used && measurement.measured.is_some() {
+            if self.unused_count < LISTED {
+                self.unused.push(both());
+            }
+            self.unused_count += 1;
+        }
+        let failed_first = measurement.status != Status::Ok && self.unmeasured_count <= PICTURED;
+        if failed_first || spread(rank, PICTURED, self.count) {
+            self.pictured.push(measurement.clone());
+        }
+    }
+}
+
+/// Whether a frame is drawn by which the report might picture the run: those that failed, and some spread over the run. Of a run
+/// whose length nobody knows beforehand, the first.
+pub fn worth_drawing(measurement: &Measurement, rank: usize, count: Option<usize>) -> bool {
+    let sampled = count.map_or(rank < PICTURED, |count| spread(rank, PICTURED, count));
+    sampled || measurement.status != Status::Ok
+}
+
+/// Whether the i-th (from 0) of `count` things is among `wanted` of them that are spread evenly; all are if there are no more.
+pub fn spread(i: usize, wanted: usize, count: usize) -> bool {
+    count <= wanted || (i + 1) * wanted / count > i * wanted / count
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rows(count: usize) -> Course {
+        let mut course = Course::new(count);
+        for index in 0..count as u64 {
+            let status = if index % 3 == 0 { Status::NoSnake } else { Status::Ok };
+            let row = EstimateRow {
+                index,
+                time_s: None,
+                estimate: None,
+                verdict: Verdict::Skipped,
+                reason: String::new(),
+                residual_mm: None,
+                view: None,
+            };
+            let measurement = Measurement { index, time_s: None, status, measured: None, quality: None, view: None };
+            course.add(&measurement, &row);
+        }
+        course
+    }
+
+    #[test]
+    fn a_short_run_is_shown_whole_and_a_long_one_in_part() {
+        let short = rows(20);
+        assert_eq!((short.plotted.len(), short.unmeasured.len(), short.pictured.len()), (20, 7, 20));
+        let long = rows(30_000);
+        assert_eq!((long.plotted.len(), long.unmeasured.len(), long.unmeasured_count), (PLOTTED, LISTED, 10_000));
+        assert!(long.pictured.len() <= 2 * PICTURED && long.pictured.len() >= PICTURED);
+        assert!(long.pictured.iter().all(|m| worth_drawing(m, m.index as usize, Some(30_000))));
+        let gaps: Vec<u64> = long.plotted.windows(2).map(|pair| pair[1].0.index - pair[0].0.index).collect();
+        assert!(gaps.iter().all(|&gap| gap == 30));
+    }
+}
