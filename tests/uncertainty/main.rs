@@ -37,6 +37,8 @@ impl Random {
 
 /// One bend's error.
 struct Outcome {
+    seed: u64,
+    psi: Configuration,
     /// Of the bend vector, rad: along the bend and across it.
     error: Vector2<f64>,
     /// In units of the covariance.
@@ -78,7 +80,7 @@ fn outcomes(seed: u64, count: usize, refining: usize, with_bounds: bool) -> Vec<
         let error = seen.vector - psi.bend_vector();
         let normalised = seen.covariance.cholesky()?.l().solve_lower_triangular(&error)?;
         let bounds = if with_bounds { bounds(&scene, psi) } else { None };
-        Some(Outcome { error: along * error, normalised, bounds })
+        Some(Outcome { seed, psi, error: along * error, normalised, bounds })
     };
     (0..).zip(bends(&mut random, count)).filter_map(outcome).collect()
 }
@@ -154,15 +156,20 @@ fn survey(seeds: std::ops::Range<u64>, count: usize, refining: usize, with_bound
         (sum / errors.len().max(1) as f64).map(|v| v.sqrt().to_degrees())
     };
     let errors: Vec<_> = all.iter().map(|o| o.error).collect();
-    let mut sizes: Vec<f64> = all.iter().map(|o| o.normalised.norm()).collect();
-    sizes.sort_by(f64::total_cmp);
-    let worst: Vec<String> = sizes.iter().rev().take(5).map(|size| format!("{size:.1}")).collect();
-    println!(
-        "  rms error along the bend {:.4}°, across {:.4}°; largest in σ: {}",
-        rms_deg(&errors).x,
-        rms_deg(&errors).y,
-        worst.join(", ")
-    );
+    println!("  rms error along the bend {:.4}°, across {:.4}°; the furthest off:", rms_deg(&errors).x, rms_deg(&errors).y);
+    let mut furthest: Vec<&Outcome> = all.iter().collect();
+    furthest.sort_by(|a, b| b.normalised.norm().total_cmp(&a.normalised.norm()));
+    for o in furthest.iter().take(10) {
+        println!(
+            "  rig {}: {:.1}σ, {:.3}° along and {:.3}° across, at θ {:.1}°, δ {:.1}°",
+            o.seed,
+            o.normalised.norm(),
+            o.error.x.to_degrees(),
+            o.error.y.to_degrees(),
+            o.psi.theta.to_degrees(),
+            o.psi.delta.to_degrees()
+        );
+    }
     let bounded: Vec<(&Outcome, [Vector2<f64>; 2])> = all.iter().filter_map(|o| Some((o, o.bounds?))).collect();
     if !bounded.is_empty() {
         let seen = rms_deg(&bounded.iter().map(|(o, _)| o.error).collect::<Vec<_>>());
