@@ -4,6 +4,7 @@ use super::plane::{Plane, Region, median};
 use crate::camera::Frame;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
+use std::sync::LazyLock;
 
 /// A linear map from colour to "snakeness": about 1 on the snake and 0 on the paper, with the printed grid suppressed.
 ///
@@ -85,7 +86,7 @@ impl Appearance {
             (a, b) if a == b => self.weights.iter().map(|&w| w as f32).collect(),
             (_, channels) => vec![self.weights.iter().sum::<f64>() as f32 / channels as f32; channels],
         };
-        let lut = LightTable::new();
+        let lut = &*LIGHT;
         let offset = self.offset as f32;
         let (width, height) = (frame.width as usize, frame.height as usize);
         let mut data = vec![0.0; width * height];
@@ -148,6 +149,8 @@ pub fn linear_light(encoded: f32) -> f64 {
 
 /// [`linear_light`] by table, exact enough (1/16 of a grey level) for 16-bit pictures as well.
 struct LightTable(Vec<f32>);
+
+static LIGHT: LazyLock<LightTable> = LazyLock::new(LightTable::new);
 
 impl LightTable {
     const PER_LEVEL: f32 = 16.0;

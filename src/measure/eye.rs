@@ -63,8 +63,8 @@ pub(super) struct Look {
 const CANDIDATES: usize = 6;
 /// Distance between the places of the outline that decide which bend it is, px.
 const SPARSE_PX: f64 = 6.0;
-/// After a bend that moves the tip by less than about 0.3 px, the same edges would be found again, rad.
-const STILL_RAD: f64 = 5e-4;
+/// After a bend that moves the tip by less than about half a pixel, the same edges would be found again, rad.
+const STILL_RAD: f64 = 1e-3;
 /// The first look at a candidate, a closer one at the best of them, and the measurement itself.
 const FIRST_LOOK: Effort = Effort {
     searches_px: &[14.0, 10.0, 8.0],
@@ -75,6 +75,9 @@ const FIRST_LOOK: Effort = Effort {
 };
 const CLOSE_LOOK: Effort =
     Effort { searches_px: &[6.0, 3.0], rounds: 20, spacing_px: SPARSE_PX, settled: false, converged_rad: STILL_RAD };
+/// A look near the last frame's bend that is close at once.
+const TRACKED_LOOK: Effort =
+    Effort { searches_px: &[14.0, 6.0, 3.0], rounds: 20, spacing_px: 10.0, settled: false, converged_rad: STILL_RAD };
 const MEASUREMENT: Effort =
     Effort { searches_px: &[3.0], rounds: 9, spacing_px: Outline::SPACING_PX, settled: true, converged_rad: STILL_RAD };
 /// A closer look is worth while at candidates whose cost is within this factor of the best one's.
@@ -142,7 +145,10 @@ impl Eye {
         looks.truncate(2);
         // The search may have passed over the best bend's twin, which leans the other way along the line of sight.
         looks.extend(looks.first().and_then(|best| fit(self.start(self.twin(best.bend)), &FIRST_LOOK)));
-        let (fits, sighting) = self.judge(looks, &finder);
+        let least = looks.iter().map(|look| look.cost).fold(f64::INFINITY, f64::min);
+        let worth = looks.iter().filter(|look| look.cost <= WORTH_A_LOOK * least);
+        let close = distinct(worth.filter_map(|look| fit(look.start(), &CLOSE_LOOK)).collect());
+        let (fits, sighting) = self.judge(close, &finder);
         Look { fits, sighting: self.watched(sighting, frame, &finder), ..look }
     }
 
@@ -170,15 +176,14 @@ impl Eye {
         let region = Region::around(bounds(last), NEARBY_PX, size);
         let plane = self.plane(frame, &region);
         let finder = EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region);
-        let fit = |start: Start| fit_bend(&view, &finder, start, self.prior(), &FIRST_LOOK);
-        let near = fit(self.start(last))?;
-        let twin = fit(self.start(self.twin(near.bend)));
+        let fit = |bend| fit_bend(&view, &finder, self.start(bend), self.prior(), &TRACKED_LOOK);
+        let (near, twin) = rayon::join(|| fit(last), || fit(self.twin(last)));
+        let near = near?;
         // What is not in the region was not looked at.
         if !region.contains(&Region::around(bounds(near.bend), 0.0, size)) {
             return None;
         }
-        let looks: Vec<BendFit> = std::iter::once(near).chain(twin).collect();
-        let (_, sighting) = self.judge(looks, &finder);
+        let (_, sighting) = self.judge(distinct(std::iter::once(near).chain(twin).collect()), &finder);
         let sighting = self.watched(sighting, frame, &finder);
         (sighting.status == Status::Ok).then_some(sighting)
     }
@@ -205,14 +210,10 @@ impl Eye {
         Start { state: State { bend, bias: self.rig.edge_bias }, blur_px: None }
     }
 
-    /// The fits that first looks lead to, best first, and the verdict on the best.
-    fn judge(&self, looks: Vec<BendFit>, finder: &EdgeFinder) -> (Vec<BendFit>, Sighting) {
+    /// Close looks, best first, of which the best is measured, and the verdict on it.
+    fn judge(&self, mut fits: Vec<BendFit>, finder: &EdgeFinder) -> (Vec<BendFit>, Sighting) {
         let view = self.projection();
         let fit = |start: Start, effort: &Effort| fit_bend(&view, finder, start, self.prior(), effort);
-        let looks = distinct(looks);
-        let least = looks.first().map_or(f64::INFINITY, |best| best.cost);
-        let worth = looks.iter().filter(|look| look.cost <= WORTH_A_LOOK * least);
-        let mut fits = distinct(worth.filter_map(|look| fit(look.start(), &CLOSE_LOOK)).collect());
         let Some(close) = fits.first() else { return (fits, failed(Status::NoSnake, None)) };
         let as_good = fits
             .get(1)

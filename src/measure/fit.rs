@@ -317,7 +317,7 @@ pub(super) fn clustered_covariance(
     for row in 0..jacobian.nrows() {
         let cluster = pieces.get(row).copied().ok_or(row);
         let score = scores.entry(cluster).or_insert_with(|| DVector::zeros(parameters));
-        *score += jacobian.row(row).transpose() * residuals[row];
+        score.iter_mut().zip(jacobian.row(row).iter()).for_each(|(sum, slope)| *sum += slope * residuals[row]);
     }
     let clusters = scores.len() as f64;
     if clusters <= parameters as f64 {

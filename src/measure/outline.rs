@@ -237,8 +237,11 @@ fn border_point(mask: &Mask, lens: &Lens, candidate: &Candidate) -> Option<Outli
     if normal.dot(&outward) < 0.0 {
         normal = -normal;
     }
-    let depth_px = mask.run_length(&pixel, -normal.into_inner(), true)?;
-    let gap_px = mask.run_length(&pixel, normal.into_inner(), false)?;
+    if !mask.has_border_at(&pixel, &normal) {
+        return None;
+    }
+    let depth_px = mask.run_length(&pixel, -normal.into_inner(), true);
+    let gap_px = mask.run_length(&pixel, normal.into_inner(), false);
     Some(OutlinePoint { body, piece, lateral, pixel, normal, gap_px, depth_px })
 }
 
@@ -364,7 +367,6 @@ fn tangent_directions(eye: Vector2<f64>, radius: f64) -> impl Iterator<Item = (i
 impl Mask {
     /// The first step from a border pixel, px: what ends sooner is not the border.
     const FIRST_STEP_PX: f64 = 0.4;
-    const STEP_PX: f64 = 1.0;
 
     /// Draws the union of the polygons (px of the picture), on what they cover and [`Outline::REACH_PX`] around it.
     fn new(lens: &Lens, polygons: &[Vec<Point2<f64>>], cell_px: f64) -> Self {
@@ -398,23 +400,25 @@ impl Mask {
         self.coverage.sample(&Point2::from((pixel.coords - self.first) / self.cell_px)) > 0.5
     }
 
-    /// How far, px, one can go from a border pixel before the mask is no longer `inside`; `None` where that is at once, and
-    /// the pixel is not on the mask's border.
-    fn run_length(&self, from: &Point2<f64>, direction: Vector2<f64>, inside: bool) -> Option<f64> {
-        if self.covers(&(from + direction * Self::FIRST_STEP_PX)) != inside {
-            return None;
-        }
+    /// Whether a pixel is on the mask's border, which faces this way.
+    fn has_border_at(&self, pixel: &Point2<f64>, normal: &Vector2<f64>) -> bool {
+        let step = normal * Self::FIRST_STEP_PX;
+        self.covers(&(pixel - step)) && !self.covers(&(pixel + step))
+    }
+
+    /// How far, px, one can go from a border pixel before the mask is no longer `inside`.
+    fn run_length(&self, from: &Point2<f64>, direction: Vector2<f64>, inside: bool) -> f64 {
         // A cell is exact enough further on.
         let corner = self.first - Vector2::repeat(0.5 * self.cell_px);
         let covers = |p: Point2<f64>| {
             let at = (p.coords - corner) / self.cell_px;
             self.coverage.get(at.x as i64, at.y as i64) > 0.5
         };
-        let mut distance = Self::FIRST_STEP_PX + Self::STEP_PX;
+        let mut distance = Self::FIRST_STEP_PX + self.cell_px;
         while distance < Outline::REACH_PX && covers(from + direction * distance) == inside {
-            distance += Self::STEP_PX;
+            distance += self.cell_px;
         }
-        Some(distance.min(Outline::REACH_PX))
+        distance.min(Outline::REACH_PX)
     }
 }
 

@@ -116,9 +116,10 @@ impl Plane {
     /// Source: J. Immerkær, "Fast Noise Variance Estimation", 1996: the difference of two Laplacians kills all structure
     /// that is locally linear; the median instead of the mean survives the edges.
     pub fn noise(&self, within: &Region) -> f64 {
+        const STRIDE: usize = 5;
         let mut responses: Vec<f32> = Vec::new();
-        for y in (within.y.start.max(1)..within.y.end.min(self.height.saturating_sub(1))).step_by(3) {
-            for x in (within.x.start.max(1)..within.x.end.min(self.width.saturating_sub(1))).step_by(3) {
+        for y in (within.y.start.max(1)..within.y.end.min(self.height.saturating_sub(1))).step_by(STRIDE) {
+            for x in (within.x.start.max(1)..within.x.end.min(self.width.saturating_sub(1))).step_by(STRIDE) {
                 let at = |dx: i64, dy: i64| self.data[(y as i64 + dy) as usize * self.width + (x as i64 + dx) as usize];
                 let laplacians = at(-1, -1) + at(1, -1) + at(-1, 1) + at(1, 1)
                     - 2.0 * (at(0, -1) + at(-1, 0) + at(1, 0) + at(0, 1))
