@@ -63,7 +63,13 @@ impl Configuration {
 
     /// The configuration whose bend vector this is; a zero vector is straight with δ = 0.
     pub fn from_bend_vector(bend: Vector2<f64>) -> Self {
-        Self { theta: bend.norm(), delta: if bend == Vector2::zeros() { 0.0 } else { bend.y.atan2(bend.x) } }
+        let delta = match bend.y.atan2(bend.x) {
+            _ if bend == Vector2::zeros() => 0.0,
+            // Of a bend along −x whose y is −0.
+            delta if delta == -PI => PI,
+            delta => delta,
+        };
+        Self { theta: bend.norm(), delta }
     }
 
     /// θ (cos δ, sin δ), rad: the same configuration without the polar singularity at θ = 0.

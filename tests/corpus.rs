@@ -3,6 +3,7 @@
 #[path = "fuzz/targets.rs"]
 mod targets;
 
+use proptest::prelude::*;
 use std::path::Path;
 use targets::Outcomes;
 
@@ -69,4 +70,12 @@ fn picture() {
 fn measure() {
     let faults = ["wrong_size", "camera_moved", "occluded", "saturated"];
     replay("measure", targets::measure, &["eye"], &faults);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 48, failure_persistence: None, ..ProptestConfig::default() })]
+    #[test]
+    fn no_pixels_break_the_eye(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+        targets::measure(&bytes);
+    }
 }

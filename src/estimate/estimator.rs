@@ -36,6 +36,8 @@ const JURY: usize = 8;
 const AGREEING: usize = 6;
 /// Measurements over which the gate takes its typical distance.
 const RECENT: usize = 51;
+/// No snake's encoders read more, mm: a slip of units, or a broken file.
+const MOST_Q_MM: f64 = 1e3;
 /// How far the model is trusted in the part common to all backbones when outliers are sought, mm.
 const COMMON_TRUST_MM: f64 = 0.02;
 /// Rounds in which η and what effects do with it find each other.
@@ -73,7 +75,7 @@ pub enum Reason {
     NoEncoderReading,
     /// An angle, a sigma or an encoder value is not a finite number, or a sigma is negative.
     NotFinite,
-    /// θ lies beyond [`MAX_THETA`].
+    /// θ lies below 0 or beyond [`MAX_THETA`], or a q̃ beyond a metre.
     OutsideWorkspace,
     /// θ or δ do not fit the encoders; by so many (scaled) standard deviations.
     BendOutlier(f64),
@@ -471,7 +473,7 @@ pub(super) fn usable(
     if !(finite && sigma_theta.is_finite() && sigma_theta >= 0.0 && sigma_delta >= 0.0 && correlation.abs() <= 1.0) {
         return Err(Reason::NotFinite);
     }
-    if configuration.theta > MAX_THETA {
+    if !(0.0..=MAX_THETA).contains(&configuration.theta) || reading.q_mm.amax() > MOST_Q_MM {
         return Err(Reason::OutsideWorkspace);
     }
     Ok((measured, reading.q_mm))

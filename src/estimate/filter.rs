@@ -37,22 +37,24 @@ impl Filter {
         })
     }
 
-    /// Adds a row. One whose covariance is not positive definite, or whose numbers are not all finite, says nothing and
-    /// changes nothing.
+    /// Adds a row. One whose covariance is not positive definite, or whose numbers or their squares are not all finite, says
+    /// nothing and changes nothing.
     pub fn absorb(&mut self, row: &Row) {
         let Some(factor) = row.covariance.cholesky() else { return };
         let whitened_h = factor.l_dirty().solve_lower_triangular(&row.h);
         let whitened_z = factor.l_dirty().solve_lower_triangular(&row.z);
         let (Some(h), Some(z)) = (whitened_h, whitened_z) else { return };
-        if !h.iter().chain(z.iter()).all(|value| value.is_finite()) {
-            return;
-        }
         let mut stacked = SMatrix::<f64, 5, 3>::zeros();
         stacked.fixed_view_mut::<2, 2>(0, 0).copy_from(&self.upper);
         stacked.fixed_view_mut::<2, 1>(0, 2).copy_from(&self.y);
         stacked.fixed_view_mut::<3, 2>(2, 0).copy_from(&h);
         stacked.fixed_view_mut::<3, 1>(2, 2).copy_from(&z);
-        self.restore(stacked.qr().r());
+        let triangle = stacked.qr().r();
+        // Where the row, or the square of a number in it, is not finite.
+        if !triangle.iter().all(|value| value.is_finite()) {
+            return;
+        }
+        self.restore(triangle);
         self.rows += 1;
     }
 

@@ -198,6 +198,10 @@ impl Model {
                 MAX_THETA.to_degrees()
             ))
         };
+        // Also where a square of them overflows: against a tolerance without end anything would do.
+        if !(q_tilde_mm.norm().is_finite() && target.norm().is_finite()) {
+            return Err(outside());
+        }
         let misfit = |bend: Vector2<f64>| bend + inverse * self.epsilon_at(bend) - target;
         let mut bend = Vector2::zeros();
         let mut gap = misfit(bend);
