@@ -64,10 +64,14 @@ impl MeasurementJournal {
         let mut lines = Lines { reader: BufReader::new(&file), path: &path, at: 0 };
         let mut former = String::new();
         let mut head = 0;
-        while let Some(line) = lines.next()? {
-            let Some(line) = line.strip_prefix("# ") else { break };
-            former += &(line.to_owned() + "\n");
+        let header = loop {
+            let line = lines.next()?;
+            let Some(of_head) = line.as_deref().and_then(|line| line.strip_prefix("# ")) else { break line };
+            former += &(of_head.to_owned() + "\n");
             head = lines.at;
+        };
+        if header.is_none_or(|header| header != measurements_header()) {
+            return Err(not_ours(&path, "no header of measurements.csv follows"));
         }
         let former: toml::Table = toml::from_str(&former).map_err(|e| not_ours(&path, e.message()))?;
         compare(&path, &former, origin)?;
@@ -206,6 +210,7 @@ pub fn difference(former: &toml::Table, now: &toml::Table) -> Option<String> {
 mod tests {
     use super::*;
     use crate::record::{MeasurementRows, Status};
+    use proptest::prelude::*;
 
     fn origin(text: &str) -> toml::Table {
         toml::from_str(text).unwrap()
@@ -267,8 +272,28 @@ mod tests {
         assert!(message.contains(JOURNAL) && message.contains("without --resume"), "{message}");
         assert!(refused("follow = true\n[inputs]\n'a.csv' = '12'").contains("follow was false then and is true now"));
         assert!(refused("[inputs]\n'a.csv' = '12'").contains("follow was false then and is not there now"));
-        std::fs::write(folder.path().join(JOURNAL), "# a = = 1\n").unwrap();
+        std::fs::write(folder.path().join(JOURNAL), format!("# a = = 1\n{}\n", measurements_header())).unwrap();
         assert!(refused("").contains("its head cannot be read"));
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_gone_on_with_or_refused(
+            head in prop_oneof![Just("# a = 1\n".to_owned()), "(# .{0,20}\n){0,3}"],
+            header in any::<bool>(),
+            rows in proptest::collection::vec(any::<u8>(), 0..200)
+        ) {
+            let folder = tempfile::tempdir().unwrap();
+            let header = if header { measurements_header() + "\n" } else { String::new() };
+            std::fs::write(folder.path().join(JOURNAL), [head.as_bytes(), header.as_bytes(), &rows].concat()).unwrap();
+            if let Ok(mut journal) = MeasurementJournal::resume(folder.path(), &origin("a = 1")) {
+                let (rows, next) = (journal.rows(), journal.last().map_or(0, |last| last + 1));
+                journal.append(&row(next)).unwrap();
+                drop(journal);
+                let journal = MeasurementJournal::resume(folder.path(), &origin("a = 1")).unwrap();
+                prop_assert_eq!((journal.rows(), journal.last()), (rows + 1, Some(next)));
+            }
+        }
     }
 
     #[test]
