@@ -54,6 +54,12 @@ fn journal() {
 }
 
 #[test]
+fn run_journal() {
+    let faults = ["experiment was", "head cannot be read", "no row", "cut off"];
+    replay("run_journal", targets::run_journal, &["head", "rows"], &faults);
+}
+
+#[test]
 fn encoder_lines() {
     let faults =
         ["not a reading in mm", "the header has no", "expected time_s", "expected q_mm", "more than 4096 bytes"];
@@ -68,7 +74,7 @@ fn picture() {
 
 #[test]
 fn measure() {
-    let faults = ["wrong_size", "camera_moved", "occluded", "saturated"];
+    let faults = ["wrong_size", "occluded", "saturated"];
     replay("measure", targets::measure, &["eye"], &faults);
 }
 

@@ -8,7 +8,8 @@ use snakeloop::geometry::Configuration;
 use snakeloop::live::{LineParser, journal};
 use snakeloop::measure::{Eye, Rig, RigOptions, Sighting, calibrate_rig};
 use snakeloop::record::{
-    Experiment, model_toml, read_encoders, read_friction, read_measurements, read_model, read_trajectory, read_truth,
+    Experiment, MeasurementJournal, model_toml, read_encoders, read_friction, read_measurements, read_model,
+    read_trajectory, read_truth,
 };
 use snakeloop::robot::Model;
 use snakeloop::simulate::{Scene, render};
@@ -125,6 +126,29 @@ pub fn journal(bytes: &[u8]) -> Outcomes {
     vec![("whole", read.1.map_or(Ok(()), Err)), ("entry", entry)]
 }
 
+/// The journal that `run --resume` and `measure --resume` go on with. What was cut off once is whole from then on, and nothing of
+/// what was kept was changed.
+pub fn run_journal(bytes: &[u8]) -> Outcomes {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("measurements.journal");
+    std::fs::write(&path, bytes).unwrap();
+    let origin = toml::Table::from_iter([("experiment".to_owned(), "a".into())]);
+    let resumed = MeasurementJournal::resume(folder.path(), &origin).map(|journal| (journal.rows(), journal.last()));
+    let kept = std::fs::read(&path).unwrap();
+    assert!(bytes.starts_with(&kept));
+    if let Ok(first) = resumed {
+        let again = MeasurementJournal::resume(folder.path(), &origin).unwrap();
+        assert_eq!((again.rows(), again.last()), first);
+        assert_eq!(std::fs::read(&path).unwrap(), kept);
+    }
+    let rows = match &resumed {
+        Ok((0, _)) => Err("no row".to_owned()),
+        Ok(_) if kept.len() < bytes.len() => Err("cut off".to_owned()),
+        _ => Ok(()),
+    };
+    vec![outcome("head", resumed), ("rows", rows)]
+}
+
 /// Lines of encoders as `live` takes them from a socket.
 pub fn encoder_lines(bytes: &[u8]) -> Outcomes {
     let mut parser = LineParser::default();
@@ -160,7 +184,7 @@ struct Lab {
 }
 
 static LAB: LazyLock<Lab> = LazyLock::new(|| {
-    const SHRINK: u32 = 4;
+    const SHRINK: u32 = 2;
     let mut scene = Scene::default();
     let whole = scene.lens.clone();
     scene.lens.width /= SHRINK;
