@@ -23,6 +23,8 @@ pub struct EdgeFinder<'a> {
     kernel: [f32; REACH],
     /// What the picture's noise leaves of noise in the filtered slope.
     slope_noise: f64,
+    /// How far around an edge its surroundings are judged, px.
+    neighbourhood_px: f64,
 }
 
 /// Distance between samples of a profile, px.
@@ -54,16 +56,18 @@ impl<'a> EdgeFinder<'a> {
     pub fn within(plane: &'a Plane, two_sided: bool, region: &Region) -> Self {
         let finder = Self::noiseless(plane);
         let norm2: f64 = finder.kernel.iter().map(|w| 2.0 * f64::from(*w).powi(2)).sum();
-        Self { slope_noise: plane.noise(region) * norm2.sqrt(), two_sided, ..finder }
+        let slope_noise = plane.noise(region) * norm2.sqrt();
+        Self { slope_noise, two_sided, neighbourhood_px: NEIGHBOURHOOD_PX, ..finder }
     }
 
-    /// A finder for a picture without noise.
+    /// A finder for a picture of the model, without noise and with nothing around its edges that is not its own.
     pub fn noiseless(plane: &'a Plane) -> Self {
         let away = |k: usize| (k + 1) as f64 * STEP_PX;
         let weight = |k: usize| away(k) * (-0.5 * (away(k) / FILTER_PX).powi(2)).exp();
         // Normalised so that a ramp of one level per px answers 1.
         let ramp: f64 = (0..REACH).map(|k| 2.0 * weight(k) * away(k)).sum();
-        Self { plane, slope_noise: 0.0, two_sided: false, kernel: std::array::from_fn(|k| (weight(k) / ramp) as f32) }
+        let kernel = std::array::from_fn(|k| (weight(k) / ramp) as f32);
+        Self { plane, slope_noise: 0.0, two_sided: false, kernel, neighbourhood_px: STEP_PX }
     }
 
     /// The most likely edge within `search_px` (at most 14) of a border point: the picture must fall from snake to
@@ -72,7 +76,7 @@ impl<'a> EdgeFinder<'a> {
         let search_px = search_px.min(FURTHEST_PX);
         let outward = search_px.min(point.gap_px);
         let inward = search_px.min(point.depth_px);
-        let steps = |px: f64| ((px + NEIGHBOURHOOD_PX) / STEP_PX).ceil() as usize;
+        let steps = |px: f64| ((px + self.neighbourhood_px) / STEP_PX).ceil() as usize;
         let (inside, outside) = (steps(inward).min(MOST), steps(outward).min(MOST));
         let mut slopes = [0.0; 2 * MOST + 1];
         let fall = &mut slopes[..inside + outside + 1];
@@ -102,7 +106,7 @@ impl<'a> EdgeFinder<'a> {
         let noise_px = self.slope_noise / FILTER_PX / curvature;
         // A highlight along the rim or a printed line along the border rises where a clean edge is flat, and draws the
         // edge towards itself or away.
-        let near = (NEIGHBOURHOOD_PX / STEP_PX) as usize;
+        let near = (self.neighbourhood_px / STEP_PX) as usize;
         let around = fall[best.saturating_sub(near)..=(best + near).min(fall.len() - 1)].iter();
         let rise = f64::from(around.fold(0.0_f32, |most, f| most.max(-f))) - 2.0 * self.slope_noise;
         let drawn_px = DRAWN_PX * (rise.max(0.0) / peak).min(1.0);

@@ -82,6 +82,10 @@ const MEASUREMENT: Effort =
     Effort { searches_px: &[3.0], rounds: 9, spacing_px: Outline::SPACING_PX, settled: true, converged_rad: STILL_RAD };
 /// A closer look is worth while at candidates whose cost is within this factor of the best one's.
 const WORTH_A_LOOK: f64 = 3.0;
+/// The same beside a camera that does not wait: what another round would change is a hundredth of a degree.
+const TRACKED_MEASUREMENT: Effort = Effort { rounds: 1, ..MEASUREMENT };
+/// Two looks that end closer together than this, rad, ended at one place.
+const ONE_PLACE_RAD: f64 = 5e-3;
 /// A bend this near to its twin is seen edge-on.
 const EDGE_ON_RAD: f64 = 0.1;
 /// How far the snake's outline may move between two frames of a tracked sequence, px.
@@ -123,7 +127,7 @@ impl Eye {
     }
 
     /// Measures a frame of a sequence whose `last` bend vector is known: looks nearby first, and everywhere only where
-    /// that does not convince. Says the same as [`measure`](Self::measure), sooner.
+    /// that does not convince. Says the same as [`measure`](Self::measure) to about a hundredth of a degree, sooner.
     pub fn track(&self, frame: &Frame, last: Vector2<f64>) -> Sighting {
         self.tracked(frame, last).unwrap_or_else(|| self.measure(frame))
     }
@@ -148,7 +152,7 @@ impl Eye {
         let least = looks.iter().map(|look| look.cost).fold(f64::INFINITY, f64::min);
         let worth = looks.iter().filter(|look| look.cost <= WORTH_A_LOOK * least);
         let close = distinct(worth.filter_map(|look| fit(look.start(), &CLOSE_LOOK)).collect());
-        let (fits, sighting) = self.judge(close, &finder);
+        let (fits, sighting) = self.judge(close, &finder, &MEASUREMENT);
         Look { fits, sighting: self.watched(sighting, frame, &finder), ..look }
     }
 
@@ -183,7 +187,8 @@ impl Eye {
         if !region.contains(&Region::around(bounds(near.bend), 0.0, size)) {
             return None;
         }
-        let (_, sighting) = self.judge(distinct(std::iter::once(near).chain(twin).collect()), &finder);
+        let (_, sighting) =
+            self.judge(distinct(std::iter::once(near).chain(twin).collect()), &finder, &TRACKED_MEASUREMENT);
         let sighting = self.watched(sighting, frame, &finder);
         (sighting.status == Status::Ok).then_some(sighting)
     }
@@ -211,20 +216,20 @@ impl Eye {
     }
 
     /// Close looks, best first, of which the best is measured, and the verdict on it.
-    fn judge(&self, mut fits: Vec<BendFit>, finder: &EdgeFinder) -> (Vec<BendFit>, Sighting) {
+    fn judge(&self, mut fits: Vec<BendFit>, finder: &EdgeFinder, measurement: &Effort) -> (Vec<BendFit>, Sighting) {
         let view = self.projection();
         let fit = |start: Start, effort: &Effort| fit_bend(&view, finder, start, self.prior(), effort);
         let Some(close) = fits.first() else { return (fits, failed(Status::NoSnake, None)) };
         let as_good = fits
             .get(1)
             .is_some_and(|other| other.cost < AS_GOOD * close.cost && other.rms_px < AS_CLOSE * close.rms_px);
-        let Some(mut best) = fit(close.start(), &MEASUREMENT) else { return (fits, failed(Status::NoSnake, None)) };
+        let Some(mut best) = fit(close.start(), measurement) else { return (fits, failed(Status::NoSnake, None)) };
         // Disks seen edge-on look alike tilted either way, and edges pull to the side on which the fit began.
         let twin = self.twin(close.bend);
         if (twin - close.bend).norm() < EDGE_ON_RAD {
             let start = Start { state: State { bend: twin, bias: close.bias }, ..close.start() };
-            let elsewhere = fit(start, &CLOSE_LOOK).filter(|other| (other.bend - close.bend).norm() > 2.0 * STILL_RAD);
-            if let Some(other) = elsewhere.and_then(|other| fit(other.start(), &MEASUREMENT)) {
+            let elsewhere = fit(start, &CLOSE_LOOK).filter(|other| (other.bend - close.bend).norm() > ONE_PLACE_RAD);
+            if let Some(other) = elsewhere.and_then(|other| fit(other.start(), measurement)) {
                 best = best.or(other);
             }
         }
