@@ -211,7 +211,9 @@ fn over_two_hundred_renders_the_sigmas_are_those_of_the_errors() {
     survey(5000..5100, 2, 0, 2).assert_honest();
 }
 
-/// The same with the rigs that a sequence leads to.
+/// The same with the rigs that a sequence leads to: errors are smaller then, but sigmas even more so. Eigenvalues 1.62 and
+/// 2.63, 81 % within 95 %, of 185 bends. A shift of all rims alike of 0.85 of the scatter of the sides would make them 0.9 to
+/// 1.0 here, and three to ten times too cautious before another renderer's frames; which of the two is like a lab is not known.
 #[test]
 #[ignore = "takes minutes"]
 fn with_refined_rigs_the_sigmas_are_those_of_the_errors() {
