@@ -222,7 +222,7 @@ fn a_run_is_not_continued_with_other_inputs_or_options() {
     assert!(resume(&[]).contains("encoders.csv was "));
     fs::write(&encoders, log).unwrap();
     let frame = lab.experiment.join("frames/00002.png");
-    fs::copy(lab.experiment.join("frames/00001.png"), &frame).unwrap();
+    fs::copy(lab.experiment.join("frames/00000.png"), &frame).unwrap();
     assert!(resume(&[]).contains("side was "));
     // Without --resume it begins anew.
     lab.run(&out, &[]);
