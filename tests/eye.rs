@@ -147,3 +147,15 @@ fn a_wrong_standoff_or_a_bent_snake_is_refused_with_a_reason() {
     let wrong = RigOptions { grid_pitch_mm: 5.0, ..options };
     assert!(calibrate_rig(&straight, &scene.lens, &scene.robot, &wrong).is_err());
 }
+
+/// A small picture tells less, to a degree or a few, but not nothing: bends in the view's plane and askew.
+#[test]
+fn a_picture_of_a_quarter_of_the_size_is_measured() {
+    let mut scene = Scene::default();
+    scene.lens.width /= 4;
+    scene.lens.height /= 4;
+    scene.lens.focal_px /= 4.0;
+    scene.lens.centre_px = scene.lens.centre_px.map(|c| (c - 1.5) / 4.0);
+    let eye = eye(&scene, rig(&scene, 1.0).unwrap());
+    check_poses(&eye, &scene, &[(40.0, 0.0), (60.0, 180.0), (50.0, 60.0), (35.0, -120.0)], 1.5, 4.0);
+}

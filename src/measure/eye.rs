@@ -84,9 +84,11 @@ const MEASUREMENT: Effort =
 const WORTH_A_LOOK: f64 = 3.0;
 /// The same beside a camera that does not wait: what another round would change is a hundredth of a degree.
 const TRACKED_MEASUREMENT: Effort = Effort { rounds: 1, ..MEASUREMENT };
+/// Looks that end closer together than this, rad, are worth only one closer look.
+const SAME_RAD: f64 = 0.035;
 /// Two looks that end closer together than this, rad, ended at one place.
 const ONE_PLACE_RAD: f64 = 5e-3;
-/// A bend this near to its twin is seen edge-on.
+/// A bend this near to its twin, rad, is seen edge-on: which of the two it is makes its sigma wide, no more.
 const EDGE_ON_RAD: f64 = 0.1;
 /// How far the snake's outline may move between two frames of a tracked sequence, px.
 const NEARBY_PX: f64 = 40.0;
@@ -220,10 +222,19 @@ impl Eye {
         let view = self.projection();
         let fit = |start: Start, effort: &Effort| fit_bend(&view, finder, start, self.prior(), effort);
         let Some(close) = fits.first() else { return (fits, failed(Status::NoSnake, None)) };
-        let as_good = fits
-            .get(1)
-            .is_some_and(|other| other.cost < AS_GOOD * close.cost && other.rms_px < AS_CLOSE * close.rms_px);
+        let as_good =
+            |other: &BendFit, best: &BendFit| other.cost < AS_GOOD * best.cost && other.rms_px < AS_CLOSE * best.rms_px;
         let Some(mut best) = fit(close.start(), measurement) else { return (fits, failed(Status::NoSnake, None)) };
+        // What looks as good may end near the same bend once it is measured as thoroughly.
+        let mut is_ambiguous = false;
+        let rival = fits.get(1).filter(|rival| as_good(rival, close));
+        if let Some(other) = rival.and_then(|rival| fit(rival.start(), &MEASUREMENT)) {
+            if (other.bend - best.bend).norm() < EDGE_ON_RAD {
+                best = best.or(other);
+            } else {
+                is_ambiguous = as_good(&other, &best);
+            }
+        }
         // Disks seen edge-on look alike tilted either way, and edges pull to the side on which the fit began.
         let twin = self.twin(close.bend);
         if (twin - close.bend).norm() < EDGE_ON_RAD {
@@ -237,7 +248,7 @@ impl Eye {
         if sighting.status == Status::Ok {
             if best.proof.as_ref().is_none_or(|proof| proof.disks_there() < ENOUGH_DISKS) {
                 sighting = failed(Status::Occluded, sighting.quality);
-            } else if as_good {
+            } else if is_ambiguous {
                 sighting = failed(Status::Ambiguous, sighting.quality);
             }
         }
@@ -302,7 +313,6 @@ fn quality(fit: &BendFit) -> Quality {
 
 /// Fits, best first; of those that ended at the same bend the best.
 fn distinct(mut fits: Vec<BendFit>) -> Vec<BendFit> {
-    const SAME_RAD: f64 = 0.035;
     fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let mut kept: Vec<BendFit> = Vec::new();
     for fit in fits {
