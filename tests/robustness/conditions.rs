@@ -1,6 +1,7 @@
 //! Frames as a lab takes them on a bad day: the same fault in the straight picture and in every frame of a sequence.
 
-use super::{Random, disturbances::through_jpeg, frame, rigs};
+use super::rigs::{self, Random};
+use super::{disturbances::through_jpeg, frame};
 use image::RgbImage;
 use nalgebra::{Point3, Vector2};
 use rayon::prelude::*;

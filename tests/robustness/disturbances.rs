@@ -1,6 +1,6 @@
 //! What may go wrong in one frame after the rig was calibrated.
 
-use super::{Random, rigs};
+use super::rigs::{self, Random};
 use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
 use nalgebra::{Translation3, Vector2};

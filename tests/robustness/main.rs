@@ -15,8 +15,8 @@ mod rigs;
 use conditions::{Condition, Survey};
 use disturbances::{Disturbance, disturbed};
 use image::{DynamicImage, RgbImage};
-use rand::{RngExt, SeedableRng, rngs::StdRng};
 use rayon::prelude::*;
+use rigs::Random;
 use snakeloop::camera::Frame;
 use snakeloop::geometry::{Configuration, wrap_degrees};
 use snakeloop::measure::{Eye, RigOptions, Sighting, calibrate_rig};
@@ -25,23 +25,6 @@ use snakeloop::simulate::render::render;
 use snakeloop::simulate::scene::Scene;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-
-/// Uniform random numbers.
-struct Random(StdRng);
-
-impl Random {
-    fn new(seed: u64) -> Self {
-        Self(StdRng::seed_from_u64(seed))
-    }
-
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.0.random_range(low..high)
-    }
-
-    fn chance(&mut self, probability: f64) -> bool {
-        self.0.random_bool(probability)
-    }
-}
 
 /// What became of one frame.
 struct Outcome {

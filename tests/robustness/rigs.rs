@@ -1,8 +1,25 @@
 //! Rigs as labs may have them: any camera, paper, snake and light within reason.
 
-use super::Random;
 use nalgebra::Vector2;
+use rand::{RngExt, SeedableRng, rngs::StdRng};
 use snakeloop::simulate::scene::{Light, Lines, Paper, Pattern, Scene, Sensor, Surface, Viewpoint};
+
+/// Uniform random numbers, the same for the same seed.
+pub struct Random(StdRng);
+
+impl Random {
+    pub fn new(seed: u64) -> Self {
+        Self(StdRng::seed_from_u64(seed))
+    }
+
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        self.0.random_range(low..high)
+    }
+
+    pub fn chance(&mut self, probability: f64) -> bool {
+        self.0.random_bool(probability)
+    }
+}
 
 /// A clean, upright view through a lens of `focal_px`, in a picture `scale` times 1280×720.
 fn sized(scale: f64, focal_px: f64) -> Scene {

@@ -14,26 +14,13 @@ mod rigs;
 
 use image::{DynamicImage, RgbImage};
 use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, UnitQuaternion, Vector2, Vector3};
-use rand::{RngExt, SeedableRng, rngs::StdRng};
 use rayon::prelude::*;
+use rigs::Random;
 use snakeloop::camera::Frame;
 use snakeloop::geometry::{Configuration, Pose};
 use snakeloop::measure::{Eye, RigOptions, calibrate_rig};
 use snakeloop::simulate::render::render;
 use snakeloop::simulate::scene::{Scene, Sensor, Viewpoint};
-
-/// Uniform random numbers.
-struct Random(StdRng);
-
-impl Random {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.0.random_range(low..high)
-    }
-
-    fn chance(&mut self, probability: f64) -> bool {
-        self.0.random_bool(probability)
-    }
-}
 
 /// One bend's error.
 struct Outcome {
@@ -57,7 +44,7 @@ fn bends(random: &mut Random, count: usize) -> Vec<Configuration> {
 
 /// The errors of some bends before one rig, refined by `refining` frames; none if it cannot be calibrated.
 fn outcomes(seed: u64, count: usize, refining: usize, with_bounds: bool) -> Vec<Outcome> {
-    let mut random = Random(StdRng::seed_from_u64(seed));
+    let mut random = Random::new(seed);
     let scene = rigs::varied(&mut random);
     let options = RigOptions {
         grid_pitch_mm: rigs::finest_pitch_mm(&scene.paper),
