@@ -7,7 +7,7 @@
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::input::{LineRead, read_line};
-use crate::record::{EncoderReading, Measured, Measurement, Quality};
+use crate::record::{EncoderReading, Measured, Measurement, Quality, Shape};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
@@ -52,6 +52,9 @@ struct Line {
     /// By how much base and grid were seen to have moved, px.
     #[serde(skip_serializing_if = "Option::is_none")]
     moved_px: Option<(Option<f64>, Option<f64>)>,
+    /// The tip's tangent, the departure from a circle along and across the bend, each with its σ, in degrees; and χ².
+    #[serde(skip_serializing_if = "Option::is_none")]
+    shape: Option<[f64; 7]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     q_mm: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -70,6 +73,11 @@ impl From<&Entry> for Line {
             let [theta, delta, sigma_theta, sigma_delta] = degrees.map(f64::to_degrees);
             [theta, delta, sigma_theta, sigma_delta, m.correlation]
         });
+        let shape = measurement.quality.and_then(|quality| quality.shape).map(|s| {
+            let radians = [s.tip_theta, s.sigma_tip_theta, s.along, s.sigma_along, s.across, s.sigma_across];
+            let [tip, sigma_tip, along, sigma_along, across, sigma_across] = radians.map(f64::to_degrees);
+            [tip, sigma_tip, along, sigma_along, across, sigma_across, s.chi2]
+        });
         Self {
             event: None,
             index: Some(measurement.index),
@@ -78,6 +86,8 @@ impl From<&Entry> for Line {
             angles,
             quality: measurement.quality.map(|q| (q.edges, q.inlier_fraction, q.rms_px)),
             moved_px: measurement.quality.map(|q| (q.base_moved_px, q.grid_moved_px)),
+            // What is no number would make the line one that cannot be read.
+            shape: shape.filter(|shape| shape.iter().all(|value| value.is_finite())),
             q_mm: reading.map(|reading| reading.q_mm.into()),
             encoder_time_s: reading.map(|reading| reading.time_s),
             view: measurement.view.clone(),
@@ -99,6 +109,15 @@ impl Line {
             correlation,
         });
         let (base_moved_px, grid_moved_px) = self.moved_px.unwrap_or_default();
+        let shape = self.shape.map(|[tip, sigma_tip, along, sigma_along, across, sigma_across, chi2]| Shape {
+            tip_theta: tip.to_radians(),
+            sigma_tip_theta: sigma_tip.to_radians(),
+            along: along.to_radians(),
+            sigma_along: sigma_along.to_radians(),
+            across: across.to_radians(),
+            sigma_across: sigma_across.to_radians(),
+            chi2,
+        });
         let measurement = Measurement {
             index,
             time_s: self.time_s,
@@ -110,8 +129,7 @@ impl Line {
                 rms_px,
                 base_moved_px,
                 grid_moved_px,
-                // The journal is for the loop, which does not ask.
-                shape: None,
+                shape,
             }),
             view: self.view,
         };
@@ -221,7 +239,7 @@ pub fn read(path: &Path, mut each: impl FnMut(Entry)) -> Result<(u64, Option<Str
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::Status;
+    use crate::record::{Status, measurement_line};
     use proptest::prelude::*;
 
     fn entry(index: u64, theta: f64, with_reading: bool) -> Entry {
@@ -243,7 +261,15 @@ mod tests {
                 rms_px: 0.2,
                 base_moved_px: Some(0.1),
                 grid_moved_px: None,
-                shape: None,
+                shape: Some(Shape {
+                    tip_theta: theta + 0.01,
+                    sigma_tip_theta: 0.002,
+                    along: 0.03,
+                    sigma_along: 0.004,
+                    across: -0.05,
+                    sigma_across: 0.006,
+                    chi2: 7.5,
+                }),
             }),
             view: Some("side".into()),
         };
@@ -280,10 +306,9 @@ mod tests {
         for (read, written) in entries_in(folder.path()).iter().zip(&written) {
             match (read, written) {
                 (Entry::Measured(a, q), Entry::Measured(b, p)) => {
-                    assert_eq!(
-                        (a.index, &a.status, a.time_s, a.quality, q),
-                        (b.index, &b.status, b.time_s, b.quality, p)
-                    );
+                    // Every column of measurements.csv, to its last digit.
+                    assert_eq!(measurement_line(a), measurement_line(b));
+                    assert_eq!((a.time_s, q), (b.time_s, p));
                     let bend = |m: &Measurement| m.measured.map(|m| m.configuration.bend_vector());
                     if let (Some(a), Some(b)) = (bend(a), bend(b)) {
                         assert!((a - b).norm() < 1e-14);
@@ -331,6 +356,16 @@ mod tests {
         let (_, remark) = Journal::resume(folder.path(), |_| count += 1).unwrap();
         assert_eq!(count, 2);
         assert!(remark.unwrap().contains("2 lines cannot be read"));
+    }
+
+    #[test]
+    fn a_line_of_an_earlier_version_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let line = r#"{"index":3,"time_s":0.5,"status":"ok","angles":[30.0,-20.0,0.1,0.2,0.0],"quality":[400,0.9,0.2],"q_mm":[0.1,0.2,0.3]}"#;
+        std::fs::write(folder.path().join(JOURNAL), format!("{line}\n")).unwrap();
+        let entries = entries_in(folder.path());
+        let [Entry::Measured(measurement, Some(reading))] = &entries[..] else { panic!("{entries:?}") };
+        assert_eq!((measurement.index, measurement.quality.unwrap().shape, reading.time_s), (3, None, 0.5));
     }
 
     #[test]
