@@ -75,10 +75,14 @@ fn keep<T: Copy>(samples: &[T], stride: usize, kept: usize, scale: fn(T) -> f32)
 /// in a row or column, or would take more memory than such a picture does.
 pub fn read_frame(path: &Path) -> Result<Frame> {
     let bytes = read_bytes(path, PICTURE_BYTES)?;
-    decode(&bytes).map_err(|message| Error::content(path, message))
+    decode_frame(&bytes).map_err(|message| Error::content(path, message))
 }
 
-fn decode(bytes: &[u8]) -> std::result::Result<Frame, String> {
+/// A picture from the bytes of its file; see [`read_frame`].
+///
+/// # Errors
+/// Bytes that are no such picture, in words.
+pub fn decode_frame(bytes: &[u8]) -> std::result::Result<Frame, String> {
     if bytes.is_empty() {
         return Err("empty file, expected a picture".to_owned());
     }
@@ -154,7 +158,7 @@ mod tests {
                 if format == ImageFormat::Tiff && picture.color() == ColorType::La8 {
                     continue; // the encoder does not write it
                 }
-                let frame = decode(&encoded(picture, format)).unwrap();
+                let frame = decode_frame(&encoded(picture, format)).unwrap();
                 assert_eq!((frame.width, frame.height, frame.channels), (5, 4, *channels));
                 for (x, y) in [(0, 0), (4, 0), (3, 2), (4, 3)] {
                     for c in 0..*channels {
@@ -168,7 +172,7 @@ mod tests {
     #[test]
     fn jpeg_is_read() {
         let picture = DynamicImage::from(RgbImage::from_pixel(16, 8, Rgb([200, 100, 50])));
-        let frame = decode(&encoded(&picture, ImageFormat::Jpeg)).unwrap();
+        let frame = decode_frame(&encoded(&picture, ImageFormat::Jpeg)).unwrap();
         assert_eq!((frame.width, frame.height, frame.channels), (16, 8, 3));
         for (c, level) in [200.0, 100.0, 50.0].into_iter().enumerate() {
             assert!((frame.get(7, 7, c) - level).abs() < 4.0);
@@ -180,12 +184,12 @@ mod tests {
         let picture = DynamicImage::from(RgbImage::from_fn(64, 64, |x, y| Rgb([(x * y) as u8, x as u8, y as u8])));
         for format in [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::Tiff] {
             let whole = encoded(&picture, format);
-            decode(&whole).unwrap();
+            decode_frame(&whole).unwrap();
             for kept in [0, 1, 10, whole.len() / 4, whole.len() / 2, whole.len() * 9 / 10] {
-                assert!(decode(&whole[..kept]).is_err(), "{format:?} cut to {kept} of {} bytes", whole.len());
+                assert!(decode_frame(&whole[..kept]).is_err(), "{format:?} cut to {kept} of {} bytes", whole.len());
             }
         }
-        assert!(decode(b"this is no picture").unwrap_err().contains("expected PNG, JPEG or TIFF"));
+        assert!(decode_frame(b"this is no picture").unwrap_err().contains("expected PNG, JPEG or TIFF"));
     }
 
     #[test]
@@ -231,7 +235,7 @@ mod tests {
         }
         bytes.extend(0u32.to_le_bytes());
         bytes.extend([32u16, 32, 32, 32, 3, 3, 3, 3].iter().flat_map(|value| value.to_le_bytes()));
-        let message = decode(&bytes).unwrap_err();
+        let message = decode_frame(&bytes).unwrap_err();
         assert!(message.contains("1440000000 bytes, expected at most 800000000"), "{message}");
     }
 

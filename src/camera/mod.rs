@@ -5,6 +5,7 @@ pub mod capture;
 mod file;
 pub mod frame;
 pub mod lens;
+mod mjpeg;
 #[cfg(feature = "opencv")]
 mod opencv;
 #[cfg(not(feature = "opencv"))]
@@ -14,7 +15,8 @@ pub mod source;
 pub use calibrate::{Board, CameraCalibration, calibrate_camera};
 pub use capture::{CaptureSettings, CaptureTarget};
 pub use file::CameraFormat;
-pub use frame::{Frame, read_frame};
+pub use frame::{Frame, decode_frame, read_frame};
 pub use lens::Lens;
+pub use mjpeg::MotionJpeg;
 pub use opencv::Capture;
 pub use source::{FrameSource, SourceFrame};

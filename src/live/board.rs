@@ -3,6 +3,7 @@
 use super::encoders::EncoderStatus;
 use super::gap::{GapState, GapStatus};
 use super::latency::{Histogram, LatencyStatus};
+use super::pace::PaceStatus;
 use super::source::SourceStatus;
 use crate::record::{Measurement, Verdict};
 use crate::robot::Model;
@@ -118,6 +119,8 @@ pub struct State {
     pub encoders: EncoderStatus,
     /// From the frame's arrival to the estimate.
     pub latency: LatencyStatus,
+    /// Whether frames come when they are due and are measured while they are fresh.
+    pub pace: PaceStatus,
     /// The latest measurement.
     pub latest: Option<Row>,
     /// η and λ.
@@ -148,6 +151,7 @@ impl State {
             source: SourceStatus::waiting(),
             encoders,
             latency: LatencyStatus::default(),
+            pace: PaceStatus::at_start(),
             latest: None,
             estimate: None,
             gap: GapStatus { state: GapState::Unknown, bending: 1.0, common: 1.0, rejected: 0.0 },

@@ -1,6 +1,7 @@
 //! The figures in the text form that Prometheus reads.
 
 use super::board::Content;
+use super::pace::PaceState;
 use super::source::SourceState;
 use std::fmt::Write;
 
@@ -30,6 +31,18 @@ pub fn text(content: &Content) -> String {
     );
     metric("reconnects_total", "counter", "How often the source came back.", &[("", state.source.reconnects as f64)]);
     metric("frame_rate_hertz", "gauge", "Frames per second.", &[("", state.source.rate_fps)]);
+    let pace = &state.pace;
+    let age_s = pace.age_ms / 1000.0;
+    metric("frame_age_seconds", "gauge", "How old frames are when they are measured.", &[("", age_s)]);
+    let kept_up = [("{state=\"behind\"}", PaceState::Behind), ("{state=\"late\"}", PaceState::Late)];
+    let kept_up = kept_up.map(|(labels, of)| (labels, flag(pace.state == of)));
+    metric("pace", "gauge", "Whether frames are measured too late, or come too late.", &kept_up);
+    metric(
+        "frames_late_total",
+        "counter",
+        "Frames that came late and were not learned from.",
+        &[("", pace.late as f64)],
+    );
     let by_status: Vec<(String, f64)> = content
         .by_status
         .iter()

@@ -8,6 +8,7 @@ use super::gap::GapState;
 use super::journal::{Entry, Journal};
 use super::latency::Histogram;
 use super::learner::{Learned, Learner};
+use super::pace::{LATE_S, Pace, PaceState};
 use super::pictures::Pictures;
 use super::saver::{Bends, Saver, Saving, save};
 use super::source::{Captured, Reader, Source};
@@ -208,6 +209,7 @@ impl Live {
             bends,
             last_bend: None,
             paused: false,
+            pace: Pace::new(Instant::now()),
             began: Instant::now(),
         };
         let thread = std::thread::spawn(move || {
@@ -250,6 +252,7 @@ struct Waiting {
     measurement: Measurement,
     time_s: f64,
     arrived: Instant,
+    late_s: f64,
 }
 
 struct Loop {
@@ -271,6 +274,7 @@ struct Loop {
     bends: Bends,
     last_bend: Option<Vector2<f64>>,
     paused: bool,
+    pace: Pace,
     began: Instant,
 }
 
@@ -297,7 +301,7 @@ impl Loop {
     }
 
     /// What a frame shows; the measurement then waits for its reading.
-    fn measure(&mut self, Captured { index, time_s, at, frame }: Captured) {
+    fn measure(&mut self, Captured { index, time_s, at, late_s, frame }: Captured) {
         let eye = Arc::clone(&self.eye.lock().unwrap_or_else(PoisonError::into_inner));
         let sighting = match &frame {
             Some(frame) => look(&eye, frame, self.last_bend),
@@ -310,10 +314,10 @@ impl Loop {
         if let Some(frame) = &frame {
             self.pictures.offer(frame, &measurement, &eye);
         }
-        if let Some(bend) = bend {
+        if let Some(bend) = bend.filter(|_| late_s <= LATE_S) {
             self.remember(time_s, bend.vector);
         }
-        self.waiting.push_back(Waiting { measurement, time_s, arrived: at });
+        self.waiting.push_back(Waiting { measurement, time_s, arrived: at, late_s });
     }
 
     /// Keeps bends for the lag, not too close together.
@@ -331,6 +335,8 @@ impl Loop {
     fn learn(&mut self) -> Result<()> {
         while let Some(first) = self.waiting.front() {
             let reading = match self.encoders.at(first.measurement.index, first.time_s) {
+                // At which moment it was taken nobody knows.
+                _ if first.late_s > LATE_S => None,
                 Lookup::Found(reading) => Some(reading),
                 Lookup::Never => None,
                 Lookup::NotYet if first.arrived.elapsed() > WAIT_FOR_READING || self.stop.load(Ordering::Relaxed) => {
@@ -347,7 +353,7 @@ impl Loop {
 
     /// One measurement: into the journal, the estimator, and onto the board.
     fn take(&mut self, waiting: Waiting, reading: Option<EncoderReading>) -> Result<()> {
-        let Waiting { mut measurement, mut time_s, arrived } = waiting;
+        let Waiting { mut measurement, mut time_s, arrived, late_s } = waiting;
         if let (Encoders::Log(_), Some(reading)) = (&*self.encoders, &reading) {
             // The log knows better than the rate at which the recording is played.
             time_s = reading.time_s;
@@ -357,8 +363,12 @@ impl Loop {
         self.journal.append(&entry)?;
         let learned = self.learner.take(&measurement, reading.as_ref());
         let model = self.learner.model();
-        let latency_ms = 1000.0 * arrived.elapsed().as_secs_f64();
-        let row = row(&measurement, time_s, reading.as_ref(), &learned, &model, latency_ms);
+        let latency_s = arrived.elapsed().as_secs_f64();
+        self.pace.took(Instant::now(), latency_s, late_s);
+        let mut row = row(&measurement, time_s, reading.as_ref(), &learned, &model, 1000.0 * latency_s);
+        if late_s > LATE_S {
+            row.reason = format!("came {:.0} ms late: its time is not certain", 1000.0 * late_s);
+        }
         let mut content = self.board.lock();
         if learned.gap.state == GapState::Above && content.state.gap.state != GapState::Above {
             content.notice("the gap between model and measurements has left the noise: discover is asked for its name");
@@ -380,9 +390,14 @@ impl Loop {
     }
 
     /// Brings the figures that change by themselves up to date.
-    fn show(&self) {
+    fn show(&mut self) {
         let (source, encoders) = (self.reader.status(), self.encoders.status());
+        let pace = self.pace.status(Instant::now(), &source);
         let mut content = self.board.lock();
+        if pace.state != PaceState::Fresh && pace.state != content.state.pace.state {
+            content.notice(pace.sentence.clone().unwrap_or_default());
+        }
+        content.state.pace = pace;
         content.state.elapsed_s = self.began.elapsed().as_secs_f64();
         content.state.source = source;
         content.state.encoders = encoders;

@@ -4,12 +4,15 @@
 //! recording's own, from 0. Cameras and streams are read as fast as they deliver, so that nothing stale queues up before
 //! us, and opened again when they fall silent; their clock is Unix time. A few frames may
 //! wait, so that one that takes longer to measure costs none; where they pile up, all but the newest are dropped and counted.
+//! Those of a stream of JPEGs wait undecoded: one thread notes when each came, another decodes what is wanted.
 
 use super::clock::FrameClock;
+use super::pace::Schedule;
 use crate::Result;
-use crate::camera::{Capture, CaptureSettings, CaptureTarget, Frame, FrameSource};
+use crate::camera::{Capture, CaptureSettings, CaptureTarget, Frame, FrameSource, MotionJpeg, decode_frame};
 use serde::Serialize;
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -42,8 +45,9 @@ impl Source {
 
 /// Pictures without a rate are played at this many frames per second.
 const USUAL_FPS: f64 = 30.0;
-/// Frames that may wait to be measured: at 60 frames/s, 67 ms.
+/// Frames that may wait to be measured: at 60 frames/s, 67 ms. Of JPEGs as many may wait undecoded, and these decoded.
 const MOST_WAITING: usize = 4;
+const MOST_DECODED: usize = 2;
 /// How long to wait before a silent camera is tried again.
 const RETRY: Duration = Duration::from_millis(250);
 
@@ -56,6 +60,8 @@ pub struct Captured {
     pub time_s: f64,
     /// When it was there.
     pub at: Instant,
+    /// By how much that was later than it was due, s.
+    pub late_s: f64,
     /// The picture; `None` where it could not be read.
     pub frame: Option<Arc<Frame>>,
 }
@@ -125,30 +131,59 @@ struct Shared {
 #[derive(Debug)]
 struct Slot {
     waiting: VecDeque<Captured>,
+    /// JPEGs, before they are decoded.
+    undecoded: VecDeque<(Arrival, Vec<u8>)>,
     status: SourceStatus,
     last_at: Option<Instant>,
+    schedule: Schedule,
+    /// The number of the next frame of a camera or stream.
+    next_index: u64,
     stop: bool,
+}
+
+/// A frame of a camera or stream has come.
+#[derive(Debug, Clone, Copy)]
+struct Arrival {
+    index: u64,
+    time_s: f64,
+    at: Instant,
+    late_s: f64,
+}
+
+impl Arrival {
+    fn with(self, frame: Option<Frame>) -> Captured {
+        let Self { index, time_s, at, late_s } = self;
+        Captured { index, time_s, at, late_s, frame: frame.map(Arc::new) }
+    }
 }
 
 impl Reader {
     /// Starts to read, and sets the clock once frames have times. Frames get running numbers from `first_index`; of a recording, earlier ones are passed over.
     ///
     /// # Errors
-    /// A video that cannot be opened any more; any camera or stream in a build without OpenCV. One that merely is not there
-    /// (yet) is waited for.
+    /// A video that cannot be opened any more; in a build without OpenCV any camera, and any stream but one of JPEGs. What
+    /// merely is not there (yet) is waited for.
     pub fn start(source: Source, first_index: u64, clock: Arc<FrameClock>) -> Result<Self> {
         if let Source::Device { target, settings } = &source
             && cfg!(not(feature = "opencv"))
+            && !matches!(target, CaptureTarget::Stream(address) if address.starts_with("http://"))
         {
             Capture::open(target, settings)?;
         }
-        let slot =
-            Mutex::new(Slot { waiting: VecDeque::new(), status: SourceStatus::waiting(), last_at: None, stop: false });
+        let slot = Mutex::new(Slot {
+            waiting: VecDeque::new(),
+            undecoded: VecDeque::new(),
+            status: SourceStatus::waiting(),
+            last_at: None,
+            schedule: Schedule::default(),
+            next_index: first_index,
+            stop: false,
+        });
         let shared = Arc::new(Shared { slot, changed: Condvar::new(), clock });
         let theirs = Arc::clone(&shared);
         let thread = std::thread::spawn(move || match source {
             Source::Recording { frames, rate_fps } => theirs.play(&frames, rate_fps, first_index),
-            Source::Device { target, settings } => theirs.watch(&target, &settings, first_index),
+            Source::Device { target, settings } => theirs.watch(&target, &settings),
         });
         Ok(Self { shared, thread: Some(thread) })
     }
@@ -159,7 +194,10 @@ impl Reader {
         let idle = |slot: &mut Slot| slot.waiting.is_empty() && slot.status.state != SourceState::Ended && !slot.stop;
         let (mut slot, _) =
             self.shared.changed.wait_timeout_while(slot, wait, idle).unwrap_or_else(PoisonError::into_inner);
-        slot.waiting.pop_front()
+        let next = slot.waiting.pop_front();
+        // There is room for another.
+        self.shared.changed.notify_all();
+        next
     }
 
     /// The figures so far.
@@ -203,20 +241,34 @@ impl Shared {
         !waited.unwrap_or_else(PoisonError::into_inner).0.stop
     }
 
-    /// Puts a frame behind those that wait, or in their place; says whether to go on.
-    fn offer(&self, captured: Captured) -> bool {
+    /// Notes that a frame has come.
+    fn count(&self, slot: &mut Slot, at: Instant) {
         // Rates are smoothed over about so many frames.
         const SMOOTHING: f64 = 20.0;
-        let mut slot = self.lock();
-        slot.status.frames += 1;
-        slot.status.state = SourceState::Running;
-        slot.status.trouble = None;
-        if let Some(last) = slot.last_at.replace(captured.at) {
-            let seconds = (captured.at - last).as_secs_f64().max(1e-4);
-            let weight = if slot.status.rate_fps == 0.0 { 1.0 } else { 1.0 / SMOOTHING };
-            let mean_seconds = if slot.status.rate_fps > 0.0 { 1.0 / slot.status.rate_fps } else { seconds };
-            slot.status.rate_fps = 1.0 / (mean_seconds * (1.0 - weight) + seconds * weight);
+        let status = &mut slot.status;
+        status.frames += 1;
+        status.reconnects += u64::from(status.state == SourceState::Lost);
+        status.state = SourceState::Running;
+        status.trouble = None;
+        if let Some(last) = slot.last_at.replace(at) {
+            let seconds = (at - last).as_secs_f64().max(1e-4);
+            let weight = if status.rate_fps == 0.0 { 1.0 } else { 1.0 / SMOOTHING };
+            let mean_seconds = if status.rate_fps > 0.0 { 1.0 / status.rate_fps } else { seconds };
+            status.rate_fps = 1.0 / (mean_seconds * (1.0 - weight) + seconds * weight);
         }
+    }
+
+    /// Notes that a frame of a camera or stream has come now.
+    fn arrival(&self, slot: &mut Slot) -> Arrival {
+        let (at, time_s) = (Instant::now(), unix_time_s());
+        self.count(slot, at);
+        let index = slot.next_index;
+        slot.next_index += 1;
+        Arrival { index, time_s, at, late_s: slot.schedule.came(at) }
+    }
+
+    /// Puts a frame behind those that wait, or in their place; says whether to go on.
+    fn offer(&self, slot: &mut Slot, captured: Captured) -> bool {
         if slot.waiting.len() == MOST_WAITING {
             slot.status.dropped += MOST_WAITING as u64;
             slot.waiting.clear();
@@ -249,47 +301,123 @@ impl Shared {
             if !self.sleep(due.saturating_duration_since(Instant::now())) {
                 return;
             }
-            if !self.offer(Captured { index, time_s, at: Instant::now(), frame: picture }) {
+            let at = Instant::now();
+            let mut slot = self.lock();
+            self.count(&mut slot, at);
+            if !self.offer(&mut slot, Captured { index, time_s, at, late_s: 0.0, frame: picture }) {
                 return;
             }
         }
         self.set(SourceState::Ended, None);
     }
 
-    fn watch(&self, target: &CaptureTarget, settings: &CaptureSettings, first_index: u64) {
+    fn watch(&self, target: &CaptureTarget, settings: &CaptureSettings) {
         self.clock.set(unix_time_s());
-        let mut index = first_index;
-        let mut was_there = false;
         loop {
-            match Capture::open(target, settings) {
-                Ok(mut capture) => {
-                    self.lock().status.settings = Some(capture.settings());
-                    let mut first = true;
-                    while let Some(frame) = capture.read() {
-                        if first && was_there {
-                            self.lock().status.reconnects += 1;
-                        }
-                        (first, was_there) = (false, true);
-                        let frame = Some(Arc::new(frame));
-                        if !self.offer(Captured { index, time_s: unix_time_s(), at: Instant::now(), frame }) {
-                            return;
-                        }
-                        index += 1;
+            let trouble = match Opened::open(target, settings) {
+                Ok(opened) => {
+                    {
+                        let mut slot = self.lock();
+                        slot.schedule = Schedule::default();
+                        slot.status.settings = opened.settings();
                     }
-                    self.set(lost(was_there), Some("no more frames come; trying again".into()));
+                    match opened {
+                        Opened::Jpegs(stream) => self.jpegs(*stream),
+                        Opened::Capture(capture) => self.pictures(capture),
+                    }
+                    "no more frames come; trying again".to_owned()
                 }
-                Err(error) => self.set(lost(was_there), Some(error.to_string())),
-            }
+                Err(error) => error.to_string(),
+            };
+            let was_there = self.lock().status.frames > 0;
+            self.set(if was_there { SourceState::Lost } else { SourceState::Waiting }, Some(trouble));
             self.lock().last_at = None;
             if !self.sleep(RETRY) {
                 return;
             }
         }
     }
+
+    /// Frames that OpenCV decodes.
+    fn pictures(&self, mut capture: Capture) {
+        while let Some(frame) = capture.read() {
+            let mut slot = self.lock();
+            let arrival = self.arrival(&mut slot);
+            if !self.offer(&mut slot, arrival.with(Some(frame))) {
+                return;
+            }
+        }
+    }
+
+    /// A stream of JPEGs: another thread reads them, so that what they are decoded for holds up none on its way.
+    fn jpegs(&self, mut stream: MotionJpeg) {
+        let over = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while let Some(jpeg) = stream.read() {
+                    let mut slot = self.lock();
+                    let arrival = self.arrival(&mut slot);
+                    if slot.undecoded.len() == MOST_WAITING {
+                        slot.status.dropped += MOST_WAITING as u64;
+                        slot.undecoded.clear();
+                    }
+                    slot.undecoded.push_back((arrival, jpeg));
+                    self.changed.notify_all();
+                    if slot.stop {
+                        break;
+                    }
+                }
+                over.store(true, Ordering::Relaxed);
+                let _slot = self.lock();
+                self.changed.notify_all();
+            });
+            while let Some((arrival, jpeg)) = self.wanted(&over) {
+                let frame = decode_frame(&jpeg).ok();
+                let mut slot = self.lock();
+                if let (None, Some(frame)) = (slot.status.settings, &frame) {
+                    let size = Some((frame.width, frame.height));
+                    slot.status.settings = Some(CaptureSettings { size, ..CaptureSettings::default() });
+                }
+                self.offer(&mut slot, arrival.with(frame));
+            }
+        });
+    }
+
+    /// The next JPEG to decode, once there is room for its picture; `None` where none will come.
+    fn wanted(&self, over: &AtomicBool) -> Option<(Arrival, Vec<u8>)> {
+        let slot = self.lock();
+        let idle = |slot: &mut Slot| {
+            let ready = !slot.undecoded.is_empty() && slot.waiting.len() < MOST_DECODED;
+            !ready && !slot.stop && !(over.load(Ordering::Relaxed) && slot.undecoded.is_empty())
+        };
+        let mut slot = self.changed.wait_while(slot, idle).unwrap_or_else(PoisonError::into_inner);
+        if slot.stop { None } else { slot.undecoded.pop_front() }
+    }
 }
 
-fn lost(was_there: bool) -> SourceState {
-    if was_there { SourceState::Lost } else { SourceState::Waiting }
+/// A camera or stream that is open.
+enum Opened {
+    Jpegs(Box<MotionJpeg>),
+    Capture(Capture),
+}
+
+impl Opened {
+    fn open(target: &CaptureTarget, settings: &CaptureSettings) -> Result<Self> {
+        if let CaptureTarget::Stream(address) = target
+            && let Some(stream) = MotionJpeg::open(address)?
+        {
+            return Ok(Self::Jpegs(Box::new(stream)));
+        }
+        Capture::open(target, settings).map(Self::Capture)
+    }
+
+    /// What it says of itself.
+    fn settings(&self) -> Option<CaptureSettings> {
+        match self {
+            Self::Jpegs(_) => None,
+            Self::Capture(capture) => Some(capture.settings()),
+        }
+    }
 }
 
 /// Seconds since 1970.

@@ -2,6 +2,7 @@
 
 use super::board::{Board, State};
 use super::gap::GapState;
+use super::pace::PaceState;
 use super::pipeline::{Command, Commands};
 use super::source::SourceState;
 use crate::error::{Error, Result};
@@ -101,6 +102,8 @@ fn sources(state: &State) -> Vec<Line<'static>> {
     let source = &state.source;
     let (word, colour) = match source.state {
         _ if state.paused => ("paused", Color::Yellow),
+        SourceState::Running if state.pace.state == PaceState::Behind => ("behind", Color::Yellow),
+        SourceState::Running if state.pace.state == PaceState::Late => ("late", Color::Red),
         SourceState::Running => ("running", Color::Green),
         SourceState::Waiting => ("waiting", Color::Yellow),
         SourceState::Lost => ("lost", Color::Red),
@@ -112,7 +115,14 @@ fn sources(state: &State) -> Vec<Line<'static>> {
             Span::from(state.source_name.clone()),
             Span::from("  "),
             Span::styled(word, Style::new().fg(colour).bold()),
-            Span::from(source.trouble.as_ref().map(|why| format!("  {why}")).unwrap_or_default()),
+            Span::from(
+                source
+                    .trouble
+                    .as_ref()
+                    .or(state.pace.sentence.as_ref())
+                    .map(|why| format!("  {why}"))
+                    .unwrap_or_default(),
+            ),
         ]),
         Line::from(format!(
             "{:.1} frames/s, {} frames, {} dropped; latency p50 {:.1} ms, p99 {:.1} ms",
@@ -194,6 +204,11 @@ mod tests {
         {
             assert!(text.contains(expected), "{expected}: {text}");
         }
+        state.source.state = SourceState::Running;
+        state.pace.state = PaceState::Behind;
+        state.pace.sentence = Some("frames are 143 ms old".into());
+        let text = screen(&state, 100, 24);
+        assert!(text.contains("behind  frames are 143 ms old"), "{text}");
         screen(&state, 12, 4);
     }
 }

@@ -4,5 +4,6 @@ mod lab;
 #[cfg(feature = "opencv")]
 mod page;
 mod sequence;
-#[cfg(feature = "opencv")]
 mod streams;
+#[cfg(feature = "opencv")]
+mod video;

@@ -1,8 +1,7 @@
-//! A network camera and a video file, both made here.
+//! A network camera, made here, that goes away, is too fast, or holds frames up.
 
 use super::lab::{self, FRAMES, Live, assert_learned, experiment};
-use opencv::core::{Mat, Size, Vec3b};
-use opencv::videoio::{VideoWriter, VideoWriterTrait};
+use serde_json::Value;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
@@ -10,7 +9,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-const FPS: f64 = 30.0;
 /// How long one round of the path takes: slowly enough that neighbouring frames show nearly the same.
 const ROUND_S: f64 = FRAMES as f64 / 3.0;
 
@@ -68,8 +66,9 @@ fn share(began: Instant) -> f64 {
     began.elapsed().as_secs_f64() / ROUND_S
 }
 
-/// A network camera: the frame that shows where the snake is, 30 times a second.
-fn camera(address: &str, began: Instant) -> Server {
+/// A network camera: the frame that shows where the snake is, so many times a second. In `held` of the seconds frames wait, and
+/// are sent all at once afterwards.
+fn camera(address: &str, began: Instant, fps: f64, held: fn(f64) -> bool) -> Server {
     let read = |index| std::fs::read(experiment().join(format!("frames/{index:05}.jpg"))).unwrap();
     let pictures: Vec<Vec<u8>> = (0..FRAMES).map(read).collect();
     Server::start(address, move |stream, stop| {
@@ -77,16 +76,24 @@ fn camera(address: &str, began: Instant) -> Server {
         stream.set_read_timeout(Some(Duration::from_secs(2)))?;
         let _ = stream.read(&mut [0; 4096])?;
         stream.write_all(b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n")?;
+        let mut waiting = Vec::new();
         while !stop.load(Ordering::Relaxed) {
             // Where the path's frames lie.
             let picture = &pictures[(share(began) * FRAMES as f64) as usize % FRAMES as usize];
-            write!(stream, "--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", picture.len())?;
-            stream.write_all(picture)?;
-            stream.write_all(b"\r\n")?;
-            std::thread::sleep(Duration::from_secs_f64(1.0 / FPS));
+            write!(waiting, "--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", picture.len())?;
+            waiting.extend([picture, &b"\r\n"[..]].concat());
+            if !held(began.elapsed().as_secs_f64()) {
+                stream.write_all(&waiting)?;
+                waiting.clear();
+            }
+            std::thread::sleep(Duration::from_secs_f64(1.0 / fps));
         }
         Ok(())
     })
+}
+
+fn never(_: f64) -> bool {
+    false
 }
 
 /// Encoder lines at 100 Hz, by a clock of their own that began 5000 s before the test. The frames stand still between
@@ -106,7 +113,7 @@ fn encoder_lines(began: Instant) -> Server {
 fn a_network_camera_that_goes_away_is_met_again() {
     experiment();
     let began = Instant::now();
-    let first = camera("127.0.0.1:0", began);
+    let first = camera("127.0.0.1:0", began, 30.0, never);
     let address = first.address;
     let encoders = encoder_lines(began);
     let folder = tempfile::tempdir().unwrap();
@@ -127,7 +134,7 @@ fn a_network_camera_that_goes_away_is_met_again() {
     assert!(state["source"]["trouble"].is_string());
     let frames = state["source"]["frames"].clone();
     let returned = Instant::now();
-    let again = camera(&address.to_string(), began);
+    let again = camera(&address.to_string(), began, 30.0, never);
     let state = live.until("the return", |state| state["source"]["state"] == "running");
     let took = returned.elapsed();
     println!("frames came again after {:.2} s", took.as_secs_f64());
@@ -138,22 +145,57 @@ fn a_network_camera_that_goes_away_is_met_again() {
     assert!(live.finish().success());
 }
 
+/// `live` on a camera and encoders.
+fn start(output: &std::path::Path, camera: &Server, encoders: &Server) -> Live {
+    let stream = format!("http://{}/stream.mjpg", camera.address);
+    let lines = format!("tcp://{}", encoders.address);
+    Live::start(output, &["--source", &stream, "--encoders", &lines])
+}
+
 #[test]
-fn a_video_file_is_played_to_its_end() {
+fn frames_faster_than_they_can_be_measured_are_noticed_and_what_is_learned_is_right() {
+    experiment();
+    let began = Instant::now();
+    let (camera, encoders) = (camera("127.0.0.1:0", began, 400.0, never), encoder_lines(began));
     let folder = tempfile::tempdir().unwrap();
-    let video = folder.path().join("ride.avi");
-    let fourcc = VideoWriter::fourcc('M', 'J', 'P', 'G').unwrap();
-    let mut writer = VideoWriter::new(video.to_str().unwrap(), fourcc, 4.0, Size::new(640, 360), true).unwrap();
-    for index in 0..FRAMES {
-        let picture = image::open(experiment().join(format!("frames/{index:05}.jpg"))).unwrap().to_rgb8();
-        let bgr: Vec<Vec3b> = picture.pixels().map(|pixel| Vec3b::from([pixel[2], pixel[1], pixel[0]])).collect();
-        writer.write(&Mat::new_rows_cols_with_data(360, 640, &bgr).unwrap()).unwrap();
-    }
-    writer.release().unwrap();
-    // The experiment's log is by index, and so is a video.
-    let live = Live::start(&folder.path().join("out"), &["--source", video.to_str().unwrap()]);
-    let state = live.until("the end", |state| state["ended"] == true);
-    assert_eq!(state["source"]["frames"], FRAMES);
+    let live = start(&folder.path().join("out"), &camera, &encoders);
+    let state = live.until("being behind", |state| state["pace"]["state"] == "behind");
+    let sentence = state["pace"]["sentence"].as_str().unwrap();
+    assert!(sentence.contains("ms old when they are measured"), "{sentence}");
+    assert!(state["notices"].to_string().contains("ms old when they are measured"), "{state:#}");
+    assert!(
+        state["pace"]["dropped"].as_f64() > Some(0.1) || state["pace"]["age_ms"].as_f64() > Some(100.0),
+        "{state:#}"
+    );
+    // The whole path, once.
+    let state = live.until("a round", |state| state["elapsed_s"].as_f64() > Some(1.5 * ROUND_S));
     assert_learned(&state);
+    assert!(live.ask("GET", "/metrics", "", "").1.contains("snakeloop_pace{state=\"behind\"} "));
+    drop((camera, encoders));
+}
+
+#[test]
+fn nothing_is_learned_from_frames_that_were_held_up() {
+    experiment();
+    let began = Instant::now();
+    // At the rate at which the pictures change.
+    let (camera, encoders) = (camera("127.0.0.1:0", began, 20.0, |s| s % 3.0 > 2.2), encoder_lines(began));
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("out");
+    let live = start(&output, &camera, &encoders);
+    let state = live.until("late frames", |state| state["pace"]["state"] == "late");
+    assert!(state["pace"]["sentence"].as_str().unwrap().contains("after they are due"), "{state:#}");
+    let state = live.until("a round", |state| state["elapsed_s"].as_f64() > Some(1.5 * ROUND_S));
+    assert_learned(&state);
+    let late = state["pace"]["late"].as_u64().unwrap();
+    assert!(late > 20, "{late}");
+    let rows = live.get("/api/measurements");
+    let late: Vec<&Value> = rows["measurements"].as_array().unwrap().iter().filter(|row| is_late(row)).collect();
+    assert!(!late.is_empty() && late.iter().all(|row| row["verdict"] == "skipped" && row["q_mm"].is_null()));
+    drop((camera, encoders));
     assert!(live.finish().success());
+}
+
+fn is_late(row: &Value) -> bool {
+    row["reason"].as_str().unwrap().contains("its time is not certain")
 }

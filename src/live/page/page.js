@@ -35,6 +35,14 @@ function showSource(s) {
   by("pause").setAttribute("aria-pressed", String(s.paused));
 }
 
+function showPace(pace) {
+  const words = { fresh: ["", ""], behind: ["warn", "behind"], late: ["bad", "frames late"] };
+  by("chip-pace").hidden = by("pace").hidden = pace.state === "fresh";
+  chip("chip-pace", ...words[pace.state]);
+  by("pace").className = "trouble " + words[pace.state][0];
+  put("pace", pace.sentence || "");
+}
+
 function showEncoders(e) {
   const kinds = { none: ["", "no encoders"], log: ["good", "encoders: log"], waiting: ["warn", "encoders: waiting"], running: ["good", "encoders: running"], lost: ["bad", "encoders: lost"] };
   chip("chip-encoders", ...kinds[e.state]);
@@ -93,6 +101,7 @@ function showGap(s) {
 function show(s) {
   state = s;
   showSource(s);
+  showPace(s.pace);
   showEncoders(s.encoders);
   showMeasured(s);
   showGap(s);
