@@ -42,25 +42,34 @@ pub fn experiment() -> &'static Path {
     static LAB: OnceLock<tempfile::TempDir> = OnceLock::new();
     LAB.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
-        let share = |index: u64| index as f64 / FRAMES as f64;
-        let readings: Vec<EncoderReading> = (0..FRAMES)
-            .map(|index| EncoderReading { index, time_s: 0.1 * index as f64, q_mm: encoders(share(index)) })
-            .collect();
-        write_atomically(&folder.path().join("encoders.csv"), encoders_csv(&readings).as_bytes()).unwrap();
-        let whole = Scene::default();
-        let lens = Lens {
-            width: 640,
-            height: 360,
-            focal_px: whole.lens.focal_px / 2.0,
-            centre_px: Point2::new(319.5, 179.5),
-            distortion: [0.0; 12],
-        };
-        let scene = Scene { lens, sensor: Sensor { rays_per_pixel: 2, blur_px: 0.5, noise: 1.0 }, ..whole };
-        let truths: Vec<Truth> = (0..FRAMES).map(|index| Truth { index, configuration: path(share(index)) }).collect();
-        write_experiment(folder.path(), &scene, &truths, FrameFormat::Jpeg(92), 1, &|| ()).unwrap();
+        let bends: Vec<Configuration> = (0..FRAMES).map(|index| path(index as f64 / FRAMES as f64)).collect();
+        write(folder.path(), &robot(), &bends);
         folder
     })
     .path()
+}
+
+/// Renders an experiment of a robot that is seen in these bends, and commanded to them.
+pub fn write(folder: &Path, robot: &Model, bends: &[Configuration]) {
+    let truths = bends.iter().zip(0..).map(|(&configuration, index)| Truth { index, configuration });
+    let truths: Vec<Truth> = truths.collect();
+    let reading = |truth: &Truth| EncoderReading {
+        index: truth.index,
+        time_s: 0.1 * truth.index as f64,
+        q_mm: robot.command(truth.configuration),
+    };
+    let readings: Vec<EncoderReading> = truths.iter().map(reading).collect();
+    write_atomically(&folder.join("encoders.csv"), encoders_csv(&readings).as_bytes()).unwrap();
+    let whole = Scene::default();
+    let lens = Lens {
+        width: 640,
+        height: 360,
+        focal_px: whole.lens.focal_px / 2.0,
+        centre_px: Point2::new(319.5, 179.5),
+        distortion: [0.0; 12],
+    };
+    let scene = Scene { lens, sensor: Sensor { rays_per_pixel: 2, blur_px: 0.5, noise: 1.0 }, ..whole };
+    write_experiment(folder, &scene, &truths, FrameFormat::Jpeg(92), 1, &|| ()).unwrap();
 }
 
 /// A running `snakeloop live` that serves at a port of its own; killed when dropped.
@@ -72,8 +81,13 @@ pub struct Live {
 impl Live {
     /// Starts it on the experiment and waits until it serves.
     pub fn start(output: &Path, arguments: &[&str]) -> Self {
+        Self::start_on(experiment(), output, arguments)
+    }
+
+    /// Starts it on another experiment.
+    pub fn start_on(experiment: &Path, output: &Path, arguments: &[&str]) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_snakeloop"))
-            .args(["live", experiment().to_str().unwrap(), "--serve", "127.0.0.1:0", "-o", output.to_str().unwrap()])
+            .args(["live", experiment.to_str().unwrap(), "--serve", "127.0.0.1:0", "-o", output.to_str().unwrap()])
             .args(arguments)
             .stdout(Stdio::null())
             .stderr(Stdio::piped())

@@ -1,8 +1,11 @@
 //! A numbered sequence of pictures: what is written, what survives a kill, who is let in.
 
 use super::lab::{self, Live, assert_learned, experiment};
+use snakeloop::geometry::Configuration;
 use snakeloop::record::{read_encoders, read_measurements, read_model};
+use snakeloop::robot::{Effect, Model};
 use std::collections::BTreeSet;
+use std::f64::consts::TAU;
 use std::fs;
 use std::io::Write;
 use std::net::TcpStream;
@@ -157,4 +160,35 @@ fn idle_and_slow_clients_hold_up_nobody_and_strangers_are_refused() {
         .unwrap();
     assert_eq!(open.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&open.stderr).contains("--token-file"));
+}
+
+#[test]
+fn an_effect_that_the_model_lacks_raises_the_watch_and_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let (experiment, output) = (folder.path().join("experiment"), folder.path().join("out"));
+    fs::create_dir(&experiment).unwrap();
+    let hidden = Effect::parse("load_directed_backlash:play_mm=0.15").unwrap();
+    let robot = Model { effects: vec![hidden], ..lab::robot() };
+    // Round and round, and meanwhile out and back.
+    let bend = |k: usize| {
+        let (turn, out) = (k as f64 / 20.0 * TAU, k as f64 / 33.0 * TAU);
+        Configuration::new(0.75 - 0.5 * out.cos(), turn)
+    };
+    lab::write(&experiment, &robot, &(0..90).map(bend).collect::<Vec<_>>());
+    let live = Live::start_on(&experiment, &output, &["--rate", "6"]);
+    let state = live.until("the gap", |state| state["gap"]["state"] == "above");
+    assert!(
+        state["gap"]["bending"].as_f64().unwrap().max(state["gap"]["rejected"].as_f64().unwrap()) > 0.3,
+        "{state:#}"
+    );
+    assert!(state["notices"].to_string().contains("has left the noise"), "{state:#}");
+    let state = live.until("a name", |state| state["discovery"]["verdict"] == "named");
+    let found = &state["discovery"];
+    assert_eq!(found["details"]["effects"][0]["name"], "load_directed_backlash", "{found:#}");
+    assert!(found["sentence"].as_str().unwrap().contains("load_directed_backlash"), "{found:#}");
+    let play = found["details"]["effects"][0]["parameters"]["play_mm"]["value"].as_f64().unwrap();
+    assert!((play - 0.15).abs() < 0.05, "{found:#}");
+    // The model with it is offered as a file.
+    let model = read_model(&output.join("discovered.toml")).unwrap();
+    assert_eq!(model.effects.len(), 1);
 }
