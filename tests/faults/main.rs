@@ -264,3 +264,16 @@ fn shards_are_merged_to_what_one_run_writes() {
     // A shard that is done is not measured again.
     assert!(said(&lab.run(&two, &["--shard", "2/3", "--resume"])).contains("3 frames"));
 }
+
+#[test]
+fn shards_that_follow_the_camera_go_through_all_frames_and_merge_to_what_one_run_writes() {
+    let lab = Lab::new();
+    let [whole, one, two, merged] = ["whole", "one", "two", "merged"].map(|name| lab.folder.path().join(name));
+    lab.run(&whole, &["--follow"]);
+    lab.run(&one, &["--follow", "--shard", "1/2", "--jobs", "1"]);
+    lab.run(&two, &["--follow", "--shard", "2/2"]);
+    let done = lab.snakeloop(&["merge", text(&two), text(&one), "-o", text(&merged)]);
+    assert!(done.status.success(), "{}", said(&done));
+    assert!(bytes_below(&merged) == bytes_below(&whole));
+    assert!(bytes_below(&whole)["measurements.csv"] != outputs()["measurements.csv"], "following makes a difference");
+}
