@@ -388,7 +388,8 @@ impl Shared {
         let slot = self.lock();
         let idle = |slot: &mut Slot| {
             let ready = !slot.undecoded.is_empty() && slot.waiting.len() < MOST_DECODED;
-            !ready && !slot.stop && !(over.load(Ordering::Relaxed) && slot.undecoded.is_empty())
+            let over = over.load(Ordering::Relaxed) && slot.undecoded.is_empty();
+            !(ready || over || slot.stop)
         };
         let mut slot = self.changed.wait_while(slot, idle).unwrap_or_else(PoisonError::into_inner);
         if slot.stop { None } else { slot.undecoded.pop_front() }
