@@ -77,7 +77,7 @@ fn steps(frame: &Path) {
 /// One update of η and λ, over the rows of a run.
 fn updates(out: &Path, encoders: &Path) {
     let measurements = read_measurements(&out.join("measurements.csv")).unwrap().rows;
-    let readings = read_encoders(encoders).unwrap().rows;
+    let readings = read_encoders(encoders, 3).unwrap().rows;
     let rows: Vec<_> = measurements.iter().zip(&readings).collect();
     let seconds = median(|| {
         let mut estimator = Estimator::new(&Model::default(), Options::default()).unwrap();
@@ -91,7 +91,7 @@ fn updates(out: &Path, encoders: &Path) {
 
 /// An experiment of so many frames: the same pictures under other numbers.
 fn experiment(folder: &Path, pictures: &[PathBuf], count: usize) -> Vec<PathBuf> {
-    let readings = read_encoders(&bundled("encoders.csv")).unwrap().rows;
+    let readings = read_encoders(&bundled("encoders.csv"), 3).unwrap().rows;
     std::fs::create_dir_all(folder.join("frames")).unwrap();
     let suffix = pictures[0].extension().unwrap().to_str().unwrap();
     for name in ["camera.yaml", "straight.jpg"] {
@@ -106,7 +106,7 @@ fn experiment(folder: &Path, pictures: &[PathBuf], count: usize) -> Vec<PathBuf>
         ..readings[index % pictures.len()]
     };
     let log: Vec<EncoderReading> = (0..count).map(of).collect();
-    std::fs::write(folder.join("encoders.csv"), encoders_csv(&log)).unwrap();
+    std::fs::write(folder.join("encoders.csv"), encoders_csv(&log, 3)).unwrap();
     let frames: Vec<PathBuf> = (0..count).map(|index| folder.join(format!("frames/{index:06}.{suffix}"))).collect();
     for (index, frame) in frames.iter().enumerate() {
         std::fs::hard_link(&pictures[index % pictures.len()], frame).unwrap();
@@ -151,7 +151,7 @@ fn main() {
     let counts = std::env::var("BENCH_FRAMES").unwrap_or_else(|_| "100 1000".into());
     let counts: Vec<usize> = counts.split_whitespace().map(|count| count.parse().unwrap()).collect();
     let lab = tempfile::tempdir().unwrap();
-    let jpeg: Vec<PathBuf> = read_encoders(&bundled("encoders.csv"))
+    let jpeg: Vec<PathBuf> = read_encoders(&bundled("encoders.csv"), 3)
         .unwrap()
         .rows
         .iter()

@@ -76,7 +76,7 @@ fn solve_the_forward_problem(bencher: Bencher) {
 /// The last measurement of the bundled experiment, after all the others.
 #[divan::bench(max_time = 2)]
 fn update_the_estimate(bencher: Bencher) {
-    let encoders = read_encoders(&bundled("encoders.csv")).unwrap().rows;
+    let encoders = read_encoders(&bundled("encoders.csv"), 3).unwrap().rows;
     let sigma = 0.1_f64.to_radians();
     let measurements = read_truth(&bundled("truth.csv")).unwrap().rows.into_iter().map(|truth| Measurement {
         index: truth.index,

@@ -17,7 +17,6 @@ use crate::record::{EncoderReading, Measured, Measurement, Status};
 use crate::robot::{Estimate, Model};
 use crate::simulate::{Scene, render};
 use image::DynamicImage;
-use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -89,7 +88,7 @@ impl Rehearsal {
         for (index, &desired) in (0u64..).zip(poses) {
             let command = controller.command(desired);
             let reached = self.plant.forward(&command)?.configuration;
-            let noise = Vector3::from_fn(|_, _| -> f64 { StandardNormal.sample(&mut random) }) * self.sd_encoder_mm;
+            let noise = command.map(|_| StandardNormal.sample(&mut random)) * self.sd_encoder_mm;
             let reading = EncoderReading { index, time_s: index as f64, q_mm: command + noise };
             let sighting = eye.measure(&frame(&self.scene, reached, self.seed.wrapping_add(1 + index))?);
             let measurement = Measurement {

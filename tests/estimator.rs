@@ -1,10 +1,10 @@
 //! The estimator on simulated experiments whose η and λ are known, and on the bundled one.
 
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2};
 use snakeloop::estimate::{Estimator, Options, Reason, Weighting, estimate};
 use snakeloop::geometry::Configuration;
 use snakeloop::record::{EncoderReading, Measured, Measurement, Status, Verdict, read_encoders, read_truth};
-use snakeloop::robot::{Estimate, Friction, Model};
+use snakeloop::robot::{Estimate, Friction, Model, PerBackbone};
 use snakeloop::simulate::{BendingExperiment, Plant, Sample, SimulatedEye};
 use std::path::Path;
 
@@ -59,7 +59,7 @@ fn share_within(values: &[f64], limit: f64) -> f64 {
 #[test]
 fn the_bundled_experiment_with_true_angles_leaves_the_encoders_noise_alone() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/bending");
-    let encoders = read_encoders(&folder.join("encoders.csv")).unwrap().rows;
+    let encoders = read_encoders(&folder.join("encoders.csv"), 3).unwrap().rows;
     let truth = read_truth(&folder.join("truth.csv")).unwrap().rows;
     let measurements: Vec<_> = truth.iter().map(|t| measurement(t.index, t.configuration, 1e-6)).collect();
 
@@ -301,7 +301,8 @@ fn what_cannot_be_used_is_skipped_with_its_reason() {
     assert_eq!(blurred, "blurred");
     assert_eq!(reason(&|_, e| *e = None), "no_encoder_reading");
     assert_eq!(reason(&|_, e| e.as_mut().unwrap().index = 77), "no_encoder_reading");
-    assert_eq!(reason(&|_, e| e.as_mut().unwrap().q_mm.x = f64::NAN), "not_finite");
+    assert_eq!(reason(&|_, e| e.as_mut().unwrap().q_mm[0] = f64::NAN), "not_finite");
+    assert_eq!(reason(&|_, e| e.as_mut().unwrap().q_mm = PerBackbone::repeat(4, 0.1)), "other_backbones");
     assert_eq!(reason(&|m, _| m.measured.as_mut().unwrap().sigma_theta = f64::NAN), "not_finite");
     assert_eq!(reason(&|m, _| m.measured.as_mut().unwrap().configuration.theta = 3.0), "outside_workspace");
     assert!(estimator.model().estimate.is_none());
@@ -310,7 +311,7 @@ fn what_cannot_be_used_is_skipped_with_its_reason() {
 #[test]
 fn a_snake_that_never_bends_tells_no_eta() {
     let straight: Vec<_> = (0..30).map(|k| measurement(k, Configuration::new(0.0, 0.0), 0.1)).collect();
-    let q_mm = Vector3::repeat(0.2);
+    let q_mm = PerBackbone::repeat(3, 0.2);
     let readings: Vec<_> = (0..30).map(|index| EncoderReading { index, time_s: 0.0, q_mm }).collect();
     let (rows, model) = estimate(&Model::default(), Options::default(), &straight, &readings).unwrap();
     assert!(model.estimate.is_none() && rows.iter().all(|row| row.estimate.is_none()));

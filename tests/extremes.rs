@@ -1,6 +1,6 @@
 //! Numbers at the edge of what can be written, angles at the seam of the circle, and pictures of next to nothing.
 
-use nalgebra::{Point2, Vector2, Vector3};
+use nalgebra::{Point2, Vector2};
 use proptest::prelude::*;
 use snakeloop::camera::{Frame, Lens};
 use snakeloop::estimate::{Estimator, Options};
@@ -10,7 +10,7 @@ use snakeloop::record::{
     Checked, EncoderReading, Measured, Measurement, Status, read_encoders, read_friction, read_measurements,
     read_trajectory, read_truth,
 };
-use snakeloop::robot::{MAX_THETA, Model, Robot};
+use snakeloop::robot::{MAX_THETA, Model, PerBackbone, Robot};
 use std::f64::consts::PI;
 use std::path::Path;
 
@@ -103,8 +103,8 @@ proptest! {
     #[test]
     fn no_table_lets_through_what_is_not_finite(fields in prop::collection::vec(field(), 5)) {
         let angles = |psi: Configuration| vec![psi.theta, psi.delta];
-        second_row("index,time_s,q1_mm,q2_mm,q3_mm", "0,0,0,0,0", &fields[..4], read_encoders, |row| {
-            vec![row.time_s, row.q_mm.x, row.q_mm.y, row.q_mm.z]
+        second_row("index,time_s,q1_mm,q2_mm,q3_mm", "0,0,0,0,0", &fields[..4], |path| read_encoders(path, 3), |row| {
+            [&[row.time_s], &row.q_mm[..]].concat()
         })?;
         second_row("index,theta_deg,delta_deg", "0,1,1", &fields[..2], read_truth, |row| angles(row.configuration))?;
         second_row("index,time_s,theta_deg,delta_deg", "0,-1e308,1,1", &fields[..3], read_trajectory, |row| {
@@ -161,14 +161,14 @@ proptest! {
     #[test]
     fn both_ways_through_the_model_answer_anything(q in prop::array::uniform3(extreme()), theta in extreme(), delta in extreme()) {
         let model = Model::default();
-        if let Ok(response) = model.forward(&Vector3::from(q)) {
+        if let Ok(response) = model.forward(&PerBackbone::from(q)) {
             let psi = response.configuration;
             prop_assert!(psi.theta <= MAX_THETA && psi.delta.is_finite(), "{psi:?} of {q:?}");
             prop_assert!(response.common_mm.is_finite());
         }
         let psi = Configuration::new(theta, delta);
         model.command(psi);
-        model.command_covariance(psi);
+        model.command_sds(psi);
         let _ = model.updated_jacobian(psi);
         let _ = model.response_covariance(psi);
         model.robot.frame_at(psi, delta);
@@ -188,7 +188,7 @@ proptest! {
                 (measured, Model::default().command(psi))
             } else {
                 let configuration = Configuration { theta, delta };
-                (Measured { configuration, sigma_theta, sigma_delta, correlation }, Vector3::new(q1, q2, q3))
+                (Measured { configuration, sigma_theta, sigma_delta, correlation }, PerBackbone::from([q1, q2, q3]))
             };
             let index = k as u64;
             let (status, measured) = (Status::Ok, Some(measured));

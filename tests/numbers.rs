@@ -118,8 +118,8 @@ fn estimator_against_batch(updates: usize) {
         let psi = measurement.measured.unwrap().configuration;
         let z = sample.reading.q_mm - start.robot.joint_displacements(psi) - start.epsilon_fixed();
         let elastic = start.robot.actuation_forces(psi.bend_vector(), None) * start.line_compliance_mm_per_n();
-        let h = Matrix3x2::from_columns(&[elastic, Vector3::repeat(1.0)]);
-        batch.add(&h, &weight, rows, &(z * rows as f64));
+        let h = Matrix3x2::from_columns(&[Vector3::from_column_slice(&elastic), Vector3::repeat(1.0)]);
+        batch.add(&h, &weight, rows, &(Vector3::from_column_slice(&z) * rows as f64));
     }
     let found = estimator.model().estimate.unwrap();
     // What is published is P inflated by what the residuals show; x̂ is as it is.

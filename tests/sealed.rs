@@ -5,7 +5,7 @@
 
 use rayon::prelude::*;
 use snakeloop::discover::{Data, Discovery, Verdict, discover};
-use snakeloop::robot::{LIBRARY, Model, Physics};
+use snakeloop::robot::{LIBRARY, Model, PerBackbone, Physics};
 use snakeloop::simulate::{Sealed, score};
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -124,21 +124,21 @@ fn two(seeds: u64) {
 
 /// Effects that no library has: each a change of the readings.
 fn outside(seeds: u64) {
-    type Change = fn(usize, f64, &mut nalgebra::Vector3<f64>, f64);
+    type Change = fn(usize, f64, &mut PerBackbone, f64);
     let changes: [(&str, Change); 5] = [
         ("a slip of all actuators halfway", |k, _, q, size| {
             if k > 150 {
-                q.add_scalar_mut(size)
+                *q = q.add_scalar(size)
             }
         }),
         ("a slip of one actuator halfway", |k, _, q, size| {
             if k > 150 {
-                q.x += size
+                q[0] += size
             }
         }),
-        ("a thermal swing", |_, t, q, size| q.add_scalar_mut(size * (t / 9.0).sin())),
-        ("a pull of one actuator on the next", |_, _, q, size| q.x += 0.5 * size * q.y.abs().powi(3)),
-        ("a hum of one actuator", |_, t, q, size| q.y += size * (t * 2.1).sin()),
+        ("a thermal swing", |_, t, q, size| *q = q.add_scalar(size * (t / 9.0).sin())),
+        ("a pull of one actuator on the next", |_, _, q, size| q[0] += 0.5 * size * q[1].abs().powi(3)),
+        ("a hum of one actuator", |_, t, q, size| q[1] += size * (t * 2.1).sin()),
     ];
     for (title, change) in changes {
         let outcomes: Vec<Outcome> = (0..seeds)

@@ -20,7 +20,7 @@ fn discover(hidden: &'static Physics, seed: u64, sweep: usize, round: usize) -> 
     let sealed = Sealed::of_poses(&[hidden], seed, sweep, round).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let experiment = folder.path().join("experiment");
-    write_atomically(&experiment.join("encoders.csv"), encoders_csv(&sealed.readings).as_bytes()).unwrap();
+    write_atomically(&experiment.join("encoders.csv"), encoders_csv(&sealed.readings, 3).as_bytes()).unwrap();
     write_experiment(&experiment, &lab(), &sealed.shown, FrameFormat::Jpeg(92), seed, &|| ()).unwrap();
     for told in ["truth.csv", "rig_truth.json", "scene.toml"] {
         std::fs::remove_file(experiment.join(told)).unwrap();

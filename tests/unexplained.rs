@@ -1,10 +1,9 @@
 //! A gap that no effect explains: where it lives is said, and a smooth correction is learned where it helps.
 
-use nalgebra::Vector3;
 use serde_json::Value;
 use snakeloop::geometry::Configuration;
 use snakeloop::record::{encoders_csv, read_encoders};
-use snakeloop::robot::Model;
+use snakeloop::robot::{Model, PerBackbone};
 use std::path::Path;
 use std::process::Command;
 
@@ -15,16 +14,16 @@ fn snakeloop(folder: &Path, arguments: &[&str]) -> Value {
 }
 
 /// An experiment of 320 samples whose readings (time, q̃) no library knows.
-fn experiment(folder: &Path, name: &str, seed: &str, change: impl Fn(f64, &mut Vector3<f64>)) {
+fn experiment(folder: &Path, name: &str, seed: &str, change: impl Fn(f64, &mut PerBackbone)) {
     let planes = if seed == "1" { "--sweeps=0,80,160,-110" } else { "--sweeps=40,-60,120,-150" };
     let arguments = ["simulate", "--observe", planes, "--sweep-poses", "34", "--round-poses", "48", "--seed", seed];
     snakeloop(folder, &[&arguments[..], &["-o", name, "--json"]].concat());
     let path = folder.join(name).join("encoders.csv");
-    let mut readings = read_encoders(&path).unwrap().rows;
+    let mut readings = read_encoders(&path, 3).unwrap().rows;
     for reading in &mut readings {
         change(reading.time_s, &mut reading.q_mm);
     }
-    std::fs::write(path, encoders_csv(&readings)).unwrap();
+    std::fs::write(path, encoders_csv(&readings, 3)).unwrap();
 }
 
 fn discover(folder: &Path, name: &str, out: &str) -> Value {
@@ -38,7 +37,7 @@ fn a_correction_learned_on_one_experiment_helps_on_another_in_every_command() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     // One actuator pulls on the next.
-    let pull = |_: f64, q: &mut Vector3<f64>| q.x += 0.02 * q.y.abs().powi(3);
+    let pull = |_: f64, q: &mut PerBackbone| q[0] += 0.02 * q[1].abs().powi(3);
     experiment(folder, "one", "1", pull);
     experiment(folder, "two", "9", pull);
     let found = discover(folder, "one", "found");
@@ -68,7 +67,7 @@ fn a_correction_learned_on_one_experiment_helps_on_another_in_every_command() {
         for [theta, delta, qc @ ..] in columns(&folder.join("table/compensation.csv")) {
             let mut truth = Model::default().command(Configuration::from_degrees(theta, delta));
             pull(0.0, &mut truth);
-            squares.push((Vector3::from(qc) - truth).norm_squared());
+            squares.push((PerBackbone::from(qc) - truth).norm_squared());
         }
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
@@ -102,7 +101,7 @@ fn columns(path: &Path) -> Vec<[f64; 5]> {
 fn where_nothing_is_gained_it_is_said() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    experiment(folder, "hum", "1", |time_s, q| q.y += 0.06 * (2.1 * time_s).sin());
+    experiment(folder, "hum", "1", |time_s, q| q[1] += 0.06 * (2.1 * time_s).sin());
     let found = discover(folder, "hum", "found");
     assert_eq!(found["verdict"], "unexplained", "{found:#}");
     assert_eq!(found["where"]["backbone"], 2, "{found:#}");
@@ -115,7 +114,7 @@ fn where_nothing_is_gained_it_is_said() {
 fn a_slip_is_told_with_its_time() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    experiment(folder, "slip", "1", |time_s, q| q.add_scalar_mut(if time_s > 50.0 { 0.08 } else { 0.0 }));
+    experiment(folder, "slip", "1", |time_s, q| *q = q.add_scalar(if time_s > 50.0 { 0.08 } else { 0.0 }));
     let found = discover(folder, "slip", "found");
     let gap = &found["where"];
     assert_eq!(gap["backbone"], "common", "{found:#}");

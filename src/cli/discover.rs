@@ -138,7 +138,7 @@ impl Args {
                     Some(path) => read_model(path)?,
                     None => model_of(&experiment)?,
                 };
-                let Checked { rows: readings, warnings } = encoders_of(&experiment)?;
+                let Checked { rows: readings, warnings } = encoders_of(&experiment, &model)?;
                 console.warn(&warnings);
                 let views = open_views(&experiment, &model.robot)?;
                 let flow = Flow { views: &views, encoders: &readings, follow: false, shard: Shard::WHOLE, after: None };
@@ -155,11 +155,11 @@ impl Args {
                 Count::of(&self.output.join("measurements.csv"))?.require_some_measured(&experiment)?;
                 Ok((model, measurements, readings))
             }
-            (None, Some(measurements), Some(encoders)) => Ok((
-                model_or_paper(self.model.as_deref())?,
-                rows(console, read_measurements(measurements)?),
-                rows(console, read_encoders(encoders)?),
-            )),
+            (None, Some(measurements), Some(encoders)) => {
+                let model = model_or_paper(self.model.as_deref())?;
+                let readings = rows(console, read_encoders(encoders, model.robot.backbone_count())?);
+                Ok((model, rows(console, read_measurements(measurements)?), readings))
+            }
             _ => Err(Error::Usage("give an experiment, or --measurements and --encoders".to_owned())),
         }
     }

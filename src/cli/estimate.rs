@@ -2,7 +2,7 @@
 
 use super::console::Console;
 use super::estimator::EstimatorArgs;
-use super::inputs::{measurements_and_readings, model_or_paper};
+use super::inputs::{measurements_and_readings, model_or_paper, with_effects};
 use crate::estimate::{estimate, estimate_stem};
 use crate::record::{
     EncoderReading, EstimateRow, Measurement, Verdict, estimates_csv, stems_csv, write_atomically, write_model,
@@ -67,14 +67,17 @@ pub struct Estimated {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
-        let mut model = model_or_paper(self.model.as_deref())?;
-        model.effects.extend(self.effect.iter().cloned());
-        let (measurements, encoders) = measurements_and_readings(console, &self.measurements, Some(&self.encoders))?;
+        let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
+        let (measurements, encoders) =
+            measurements_and_readings(console, &model, &self.measurements, Some(&self.encoders))?;
         if self.stem {
             return self.follow_stem(console, &model, &measurements, &encoders);
         }
         let (steps, model) = estimate(&model, self.estimator.options(1.0), &measurements, &encoders)?;
-        write_atomically(&self.output.join("estimate.csv"), estimates_csv(&steps).as_bytes())?;
+        write_atomically(
+            &self.output.join("estimate.csv"),
+            estimates_csv(&steps, model.robot.backbone_count()).as_bytes(),
+        )?;
         let mut verdicts = Verdicts::default();
         steps.iter().for_each(|step| verdicts.add(step));
         let estimated = Estimated::of(verdicts, model.estimate, &self.measurements)?;

@@ -41,12 +41,12 @@ struct Evaluation {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
+        let model = model_or_paper(self.model.as_deref())?;
         let (measurements, readings) =
-            measurements_and_readings(console, &self.measurements, self.encoders.as_deref())?;
+            measurements_and_readings(console, &model, &self.measurements, self.encoders.as_deref())?;
         let gap = match &self.encoders {
             None => None,
             Some(path) => {
-                let model = model_or_paper(self.model.as_deref())?;
                 let gap = score::gap(&model, &measurements, &readings);
                 if gap.samples == 0 {
                     let message = "no measurement with angles has an encoder reading of the same index in this file";

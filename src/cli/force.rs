@@ -46,7 +46,8 @@ struct Found {
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
         let model = model_or_paper(Some(&self.model))?;
-        let (measurements, readings) = measurements_and_readings(console, &self.measurements, Some(&self.encoders))?;
+        let (measurements, readings) =
+            measurements_and_readings(console, &model, &self.measurements, Some(&self.encoders))?;
         let (rows, force) = tip_force(&model, self.encoder_sd, &measurements, &readings)?;
         let output = self.output.join("force.csv");
         write_atomically(&output, forces_csv(&rows).as_bytes())?;

@@ -1,15 +1,33 @@
 //! Reading what several commands are told, with warnings shown.
 
 use super::console::Console;
-use crate::Result;
 use crate::estimate::with_sigmas;
 use crate::record::{Checked, EncoderReading, Experiment, Measurement, read_encoders, read_measurements, read_model};
-use crate::robot::Model;
+use crate::robot::{Effect, Model};
+use crate::{Error, Result};
 use std::path::Path;
 
 /// The model in a file; without one the paper's, with Table I.
 pub fn model_or_paper(path: Option<&Path>) -> Result<Model> {
     path.map_or_else(|| Ok(Model::default()), read_model)
+}
+
+/// A model with further effects, as they are given on the command line.
+pub fn with_effects(mut model: Model, effects: &[Effect]) -> Result<Model> {
+    let backbones = model.robot.backbone_count();
+    for effect in effects {
+        let (given, expected) = (effect.parameters(), (effect.physics.parameters)(backbones));
+        if given != expected {
+            return Err(Error::Usage(format!(
+                "--effect {}: {} parameters were given, and on a robot of {backbones} backbones it takes {}",
+                effect.physics.name,
+                given.len(),
+                expected.iter().map(|spec| spec.name).collect::<Vec<_>>().join(", ")
+            )));
+        }
+        model.effects.push(effect.clone());
+    }
+    Ok(model)
 }
 
 /// The rows of a file, once its warnings were shown.
@@ -18,15 +36,16 @@ pub fn rows<T>(console: &Console, checked: Checked<T>) -> Vec<T> {
     checked.rows
 }
 
-/// Measurements and, where there is a file, encoder readings; measurements without sigmas are given those that they show.
+/// Measurements and, where there is a file, encoder readings of the model's robot; measurements without sigmas are given those that they show.
 pub fn measurements_and_readings(
     console: &Console,
+    model: &Model,
     measurements: &Path,
     encoders: Option<&Path>,
 ) -> Result<(Vec<Measurement>, Vec<EncoderReading>)> {
     let measurements = rows(console, read_measurements(measurements)?);
     let readings = match encoders {
-        Some(path) => rows(console, read_encoders(path)?),
+        Some(path) => rows(console, read_encoders(path, model.robot.backbone_count())?),
         None => Vec::new(),
     };
     let (measurements, remark) = with_sigmas(&measurements, &readings);
@@ -47,10 +66,10 @@ pub fn model_of(experiment: &Experiment) -> Result<Model> {
     Ok(model)
 }
 
-/// An experiment's encoder log; empty where it has none.
-pub fn encoders_of(experiment: &Experiment) -> Result<Checked<EncoderReading>> {
+/// An experiment's encoder log, of the model's robot; empty where it has none.
+pub fn encoders_of(experiment: &Experiment, model: &Model) -> Result<Checked<EncoderReading>> {
     match &experiment.encoders {
-        Some(path) => read_encoders(path),
+        Some(path) => read_encoders(path, model.robot.backbone_count()),
         None => Ok(Checked { rows: Vec::new(), warnings: Vec::new() }),
     }
 }

@@ -1,11 +1,11 @@
 //! `invert`: the compensation for one pose, either way round.
 
 use super::console::Console;
-use super::inputs::model_or_paper;
+use super::inputs::{model_or_paper, with_effects};
 use crate::geometry::Configuration;
-use crate::robot::{Effect, MAX_THETA, Model, TableRow};
+use crate::robot::{Effect, MAX_THETA, Model, PerBackbone, TableRow};
 use crate::{Error, Result};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector2;
 use serde_json::{Map, Value};
 use std::path::PathBuf;
 
@@ -26,10 +26,10 @@ pub struct Args {
     /// The wanted azimuth of the bend, degrees
     #[arg(long, value_name = "DEGREES", allow_negative_numbers = true, requires = "theta_deg")]
     delta_deg: Option<f64>,
-    /// The other way round: the three commands q̃ in mm, separated by commas
+    /// The other way round: the commands q̃ in mm, one for each backbone, separated by commas
     #[arg(
         long,
-        value_name = "Q1,Q2,Q3",
+        value_name = "Q1,Q2,...",
         value_delimiter = ',',
         allow_hyphen_values = true,
         conflicts_with_all = ["theta_deg", "delta_deg"]
@@ -41,29 +41,33 @@ pub struct Args {
 struct Pose {
     theta_deg: f64,
     delta_deg: f64,
-    q_mm: Vector3<f64>,
-    qc_mm: Vector3<f64>,
+    q_mm: PerBackbone,
+    qc_mm: PerBackbone,
     sd: Option<Sd>,
 }
 
 /// What the uncertainty of η and λ does to the answer; nothing is known of it where nothing was estimated.
 enum Sd {
     /// To q̃, where the pose was given.
-    CommandMm(Vector3<f64>),
+    CommandMm(PerBackbone),
     /// To θ and δ, where q̃ was given.
     PoseDeg(Vector2<f64>),
 }
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
-        let mut model = model_or_paper(self.model.as_deref())?;
-        model.effects.extend(self.effect.iter().cloned());
+        let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
         let pose = match (&self.qc_mm, self.theta_deg, self.delta_deg) {
             (Some(qc_mm), _, _) => {
-                let &[a, b, c] = &qc_mm[..] else {
-                    return Err(Error::Usage(format!("--qc-mm: {} numbers, expected 3", qc_mm.len())));
-                };
-                Pose::reached(&model, Vector3::new(a, b, c))?
+                let backbones = model.robot.backbone_count();
+                let fitting = PerBackbone::of(qc_mm).filter(|qc_mm| qc_mm.len() == backbones);
+                let qc_mm = fitting.ok_or_else(|| {
+                    Error::Usage(format!(
+                        "--qc-mm: {} numbers, expected {backbones}, one for each backbone",
+                        qc_mm.len()
+                    ))
+                })?;
+                Pose::reached(&model, qc_mm)?
             }
             (None, Some(theta_deg), Some(delta_deg)) => Pose::wanted(&model, theta_deg, delta_deg)?,
             _ => return Err(Error::Usage("give --theta-deg and --delta-deg, or --qc-mm".to_owned())),
@@ -91,7 +95,7 @@ impl Pose {
         })
     }
 
-    fn reached(model: &Model, qc_mm: Vector3<f64>) -> Result<Self> {
+    fn reached(model: &Model, qc_mm: PerBackbone) -> Result<Self> {
         let psi = model.forward(&qc_mm)?.configuration;
         // Exactly straight, δ means nothing and has no sd.
         let covariance = model.estimate.and_then(|_| model.response_covariance(psi).ok());
@@ -108,7 +112,7 @@ impl Pose {
     /// Names as in compensation.csv.
     fn json(&self) -> Map<String, Value> {
         let mut fields = vec![("theta_deg".to_owned(), self.theta_deg), ("delta_deg".to_owned(), self.delta_deg)];
-        let mut backbones = |name: &str, values: &Vector3<f64>| {
+        let mut backbones = |name: &str, values: &PerBackbone| {
             fields.extend((1..).zip(values).map(|(i, &value)| (format!("{name}{i}_mm"), value)));
         };
         backbones("q", &self.q_mm);
@@ -139,7 +143,7 @@ impl Pose {
             with_sd(self.theta_deg, sd_pose.map(|sd| sd.x), 3),
             with_sd(self.delta_deg, sd_pose.map(|sd| sd.y), 3)
         );
-        for i in 0..3 {
+        for i in 0..self.q_mm.len() {
             let command = with_sd(self.qc_mm[i], sd_command.map(|sd| sd[i]), 5);
             text += &format!("{:>8}   {:>14.5}   {command}\n", i + 1, self.q_mm[i]);
         }

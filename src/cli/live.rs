@@ -175,7 +175,7 @@ impl Args {
         let encoders = match &self.encoders {
             Some(from) => EncoderInput::Lines { source: from.clone(), offset_s: self.encoder_offset },
             None if source.is_recording() && experiment.encoders.is_some() => {
-                EncoderInput::Log(rows(console, encoders_of(&experiment)?))
+                EncoderInput::Log(rows(console, encoders_of(&experiment, &model)?))
             }
             None => EncoderInput::None,
         };

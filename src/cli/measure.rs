@@ -44,7 +44,7 @@ impl Args {
         self.measuring.start_threads()?;
         let experiment = Experiment::read(&self.experiment)?;
         let model = model_of(&experiment)?;
-        let encoders = rows(console, encoders_of(&experiment)?);
+        let encoders = rows(console, encoders_of(&experiment, &model)?);
         let views = open_views(&experiment, &model.robot)?;
         if let Some(index) = self.explain {
             return self.explain(console, &experiment, &views, index);

@@ -130,7 +130,7 @@ impl Inputs {
             return Err(Error::content(&experiment.path, message));
         }
         let start = model_of(experiment)?;
-        let Checked { rows: encoders, warnings } = encoders_of(experiment)?;
+        let Checked { rows: encoders, warnings } = encoders_of(experiment, &start)?;
         console.warn(&warnings);
         Ok(Self { start, encoders, warnings })
     }
@@ -156,10 +156,11 @@ pub fn finish(
     let estimate_path = output.join("estimate.csv");
     let mut estimates = PendingFile::create(&estimate_path)?;
     let mut write = |line: String| writeln!(estimates, "{line}").map_err(Error::io(&estimate_path, "write"));
-    write(estimates_header())?;
+    let backbones = start.robot.backbone_count();
+    write(estimates_header(backbones))?;
     let mut measured = rows()?;
     let model = estimate_each(start, settings.estimator.options(1.0), rows, encoders, |row| {
-        write(estimate_line(&row))?;
+        write(estimate_line(&row, backbones))?;
         verdicts.add(&row);
         if let Some(measurement) = measured.next() {
             course.add(&measurement?, &row);

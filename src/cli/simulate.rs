@@ -1,7 +1,7 @@
 //! `simulate`: what the encoders of a robot with hidden η and λ read during a bending experiment.
 
 use super::console::Console;
-use super::inputs::{model_or_paper, rows};
+use super::inputs::{model_or_paper, rows, with_effects};
 use crate::closed_loop::Rehearsal;
 use crate::record::{
     Waypoint, csv_of, encoders_csv, measurements_csv, read_trajectory, truth_csv, write_atomically, write_compensation,
@@ -98,8 +98,7 @@ impl Args {
             Some(path) => rows(console, read_trajectory(path)?),
             None => self.bending_experiment()?,
         };
-        let mut model = model_or_paper(self.model.as_deref())?;
-        model.effects.extend(self.effect.iter().cloned());
+        let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
         if self.closed_loop {
             return self.close_the_loop(console, model, &trajectory);
         }
@@ -108,7 +107,7 @@ impl Args {
 
         let readings: Vec<_> = samples.iter().map(|sample| sample.reading).collect();
         let truths: Vec<_> = samples.iter().map(|sample| sample.truth).collect();
-        self.write("encoders.csv", &encoders_csv(&readings))?;
+        self.write("encoders.csv", &encoders_csv(&readings, plant.model.robot.backbone_count()))?;
         self.write("truth.csv", &truth_csv(&truths))?;
         if self.observe {
             let measurements = SimulatedEye::default().observe(&samples, self.seed.wrapping_add(2));

@@ -1,7 +1,7 @@
 //! `table`: the compensation table on any grid.
 
 use super::console::Console;
-use super::inputs::model_or_paper;
+use super::inputs::{model_or_paper, with_effects};
 use crate::record::{compensation_c_header, write_atomically, write_compensation_rows};
 use crate::robot::{Effect, ForceLimits, Grid, GridAxis, TableRow, compensation_table};
 use crate::{Error, Result};
@@ -48,8 +48,7 @@ struct Summary {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
-        let mut model = model_or_paper(self.model.as_deref())?;
-        model.effects.extend(self.effect.iter().cloned());
+        let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
         let source = self.model.as_deref().map_or("built in".to_owned(), |path| path.display().to_string());
         let grid = Grid { theta: self.theta_deg, delta: self.delta_deg };
         let mut rows = compensation_table(&model, &grid)?;

@@ -1,7 +1,7 @@
 //! What chance alone would make of this data: the null distribution of the search, and what η and λ hide.
 
 use super::fit::{Fit, Problem};
-use super::search::{screw_frequencies, screw_waves, starts};
+use super::search::{common_waves, screw_frequencies, screw_waves, starts};
 use crate::robot::Physics;
 use nalgebra::DMatrix;
 use rand::rngs::StdRng;
@@ -29,11 +29,11 @@ pub struct Chance {
 impl Chance {
     /// Draws noise on the poses of a fit, and lets every effect that it lacks take what it can of it.
     pub fn of(problem: &Problem, fit: &Fit) -> Self {
-        let rows = 3 * problem.data.len();
+        let (n, rows) = (problem.data.backbones(), problem.data.numbers());
         let stride = rows.div_ceil(MOST_ROWS);
         let thin = |columns: DMatrix<f64>| -> DMatrix<f64> {
             let samples = problem.data.len().div_ceil(stride);
-            DMatrix::from_fn(3 * samples, columns.ncols(), |r, c| columns[(3 * (r / 3 * stride) + r % 3, c)])
+            DMatrix::from_fn(n * samples, columns.ncols(), |r, c| columns[(n * (r / n * stride) + r % n, c)])
         };
         let base = thin(fit.jacobian.clone());
         let p = base.ncols();
@@ -51,15 +51,13 @@ impl Chance {
             if is_hidden(&own, &free) && !hidden.contains(&physics) {
                 hidden.push(physics);
             }
-            families.push((price * physics.parameters.len() as f64, orthonormal(free)));
+            families.push((price * (physics.parameters)(n).len() as f64, orthonormal(free)));
         }
         let screws: Vec<(f64, DMatrix<f64>)> = screw_frequencies(problem.data)
             .into_par_iter()
             .flat_map_iter(|frequency| {
                 let waves = thin(screw_waves(problem, frequency));
-                let common =
-                    DMatrix::from_columns(&[0, 1].map(|c| waves.column(c) + waves.column(c + 2) + waves.column(c + 4)));
-                [(3.0 * price, common), (5.0 * price, waves)]
+                [(3.0 * price, common_waves(&waves)), ((2 + n) as f64 * price, waves)]
                     .map(|(price, own)| (price, orthonormal(beyond(&base, &own))))
             })
             .collect();

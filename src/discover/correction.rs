@@ -2,12 +2,12 @@
 //! it did not see.
 
 use super::data::Data;
-use super::fit::{Fit, Problem};
+use super::fit::{Fit, Problem, Residual};
 use super::search::held_out;
 use super::verdict::{Discovery, Verdict};
 use crate::robot::effects::{LEARNED_CORRECTION, POWERS, TERMS, basis};
-use crate::robot::{Effect, Mechanics, Model};
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use crate::robot::{Effect, Mechanics, Model, PerBackbone};
+use nalgebra::{DMatrix, DVector};
 use serde_json::{Value, json};
 
 /// Weights on the coefficients' squares that are tried.
@@ -47,12 +47,12 @@ pub fn learn_correction(found: &Discovery, data: &Data) -> Correction {
     let (fits, _) = held_out(&problem, &fit);
 
     let gap = |k: usize| problem.eps_gap_mm(&fits[data.fold(k)], k);
-    let before: Vec<f64> = (0..data.len()).map(|k| gap(k).norm_squared() / 3.0).collect();
+    let before: Vec<f64> = (0..data.len()).map(|k| mean_square(&gap(k))).collect();
     let trial = |ridge: f64| -> Option<(f64, Vec<f64>)> {
         let answers: Option<Vec<DVector<f64>>> =
             fits.iter().enumerate().map(|(fold, fit)| lesson.learn(&problem, fit, ridge, Some(fold))).collect();
         let answers = answers?;
-        let left = |k: usize| (gap(k) - lesson.summand(k, &answers[data.fold(k)])).norm_squared() / 3.0;
+        let left = |k: usize| mean_square(&(gap(k) - lesson.summand(k, &answers[data.fold(k)])));
         Some((ridge, (0..data.len()).map(left).collect()))
     };
     let best =
@@ -87,6 +87,11 @@ pub fn learn_correction(found: &Discovery, data: &Data) -> Correction {
     Correction { model: Some(model), before_mm, after_mm, words }
 }
 
+/// Over the backbones.
+fn mean_square(gap_mm: &PerBackbone) -> f64 {
+    gap_mm.norm_squared() / gap_mm.len() as f64
+}
+
 /// How much each sweep gains, mm².
 fn gains_by_sweep(data: &Data, before: &[f64], after: &[f64]) -> Vec<f64> {
     let mut gains = vec![0.0; data.sweeps.last().map_or(1, |last| last + 1)];
@@ -101,9 +106,9 @@ struct Lesson<'a> {
     data: &'a Data,
     largest_theta: f64,
     /// The functions for each backbone.
-    basis: Vec<[[f64; TERMS]; 3]>,
-    /// Response of the residuals to ε of each backbone, a column each.
-    response: Vec<Matrix3<f64>>,
+    basis: Vec<PerBackbone<[f64; TERMS]>>,
+    /// Response of the residuals to ε of each backbone.
+    response: Vec<PerBackbone<Residual>>,
 }
 
 impl<'a> Lesson<'a> {
@@ -111,29 +116,30 @@ impl<'a> Lesson<'a> {
         let data = problem.data;
         let motions = Mechanics::new(&fit.model).motions_read(&data.times_s, &fit.path, &data.q_mm);
         let largest_theta = fit.path.iter().map(|bend| bend.norm()).fold(0.0, f64::max);
-        let at = |k: usize| [0, 1, 2].map(|i| basis(fit.path[k], motions[k].direction[i], largest_theta));
-        let response = |k: usize| Matrix3::from_columns(&[0, 1, 2].map(|i| problem.response(k, &Vector3::ith(i, 1.0))));
+        let n = data.backbones();
+        let at = |k: usize| motions[k].direction.map(|direction| basis(fit.path[k], direction, largest_theta));
+        let response = |k: usize| PerBackbone::from_fn(n, |i| problem.response(k, &PerBackbone::ith(n, i)));
         let all = 0..data.len();
         Self { data, largest_theta, basis: all.clone().map(at).collect(), response: all.map(response).collect() }
     }
 
     /// The weights that leave least of a fit's residuals, those of the fold `without` apart.
     fn learn(&self, problem: &Problem, fit: &Fit, ridge: f64, without: Option<usize>) -> Option<DVector<f64>> {
-        let mut information = DMatrix::zeros(3 * TERMS, 3 * TERMS);
-        let mut right = DVector::zeros(3 * TERMS);
-        for j in 0..3 * TERMS {
+        let weights = self.data.backbones() * TERMS;
+        let mut information = DMatrix::zeros(weights, weights);
+        let mut right = DVector::zeros(weights);
+        for j in 0..weights {
             information[(j, j)] = ridge * (2f64.powi(POWERS[j % TERMS]) / SIZE_MM).powi(2);
         }
         for k in (0..self.data.len()).filter(|&k| without != Some(problem.data.fold(k))) {
             let r = fit.residuals[k];
-            let normal = self.response[k].transpose() * self.response[k];
-            let pull = self.response[k].transpose() * r;
+            let response = &self.response[k];
             for (i, own) in self.basis[k].iter().enumerate() {
                 for (a, left) in own.iter().enumerate() {
-                    right[i * TERMS + a] -= left * pull[i];
+                    right[i * TERMS + a] -= left * response[i].dot(&r);
                     for (j, other) in self.basis[k].iter().enumerate() {
                         for (b, value) in other.iter().enumerate() {
-                            information[(i * TERMS + a, j * TERMS + b)] += left * value * normal[(i, j)];
+                            information[(i * TERMS + a, j * TERMS + b)] += left * value * response[i].dot(&response[j]);
                         }
                     }
                 }
@@ -143,15 +149,15 @@ impl<'a> Lesson<'a> {
     }
 
     /// The correction of ε at sample k, mm.
-    fn summand(&self, k: usize, weights: &DVector<f64>) -> Vector3<f64> {
-        Vector3::from_fn(|i, _| {
+    fn summand(&self, k: usize, weights: &DVector<f64>) -> PerBackbone {
+        PerBackbone::from_fn(self.data.backbones(), |i| {
             self.basis[k][i].iter().enumerate().map(|(j, value)| value * weights[i * TERMS + j]).sum()
         })
     }
 
     fn effect(&self, weights: &DVector<f64>, samples: usize) -> Effect {
-        let mut values: Vec<f64> = weights.iter().map(|weight| weight.clamp(-50.0, 50.0)).collect();
-        values.push(self.largest_theta.to_degrees().clamp(1.0, 120.0));
+        let mut values = vec![self.largest_theta.to_degrees().clamp(1.0, 120.0)];
+        values.extend(weights.iter().map(|weight| weight.clamp(-50.0, 50.0)));
         let found = format!("discover --correction, {samples} samples");
         Effect { found, ..Effect::of(&LEARNED_CORRECTION, values) }
     }

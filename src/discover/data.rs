@@ -3,8 +3,7 @@
 use crate::error::{Error, Result};
 use crate::estimate::with_sigmas;
 use crate::record::{EncoderReading, Measured, Measurement, Status};
-use crate::robot::MAX_THETA;
-use nalgebra::Vector3;
+use crate::robot::{MAX_THETA, PerBackbone};
 use std::collections::HashMap;
 
 /// Fewer samples than this decide nothing.
@@ -25,7 +24,7 @@ pub struct Data {
     /// Time, s.
     pub times_s: Vec<f64>,
     /// q̃, mm.
-    pub q_mm: Vec<Vector3<f64>>,
+    pub q_mm: Vec<PerBackbone>,
     /// What the eye measured.
     pub measured: Vec<Measured>,
     /// The sweep that each sample belongs to, counted from 0.
@@ -69,11 +68,12 @@ impl Data {
         let (times_s, about_times) = clock(&pairs.iter().map(|(reading, _)| reading.time_s).collect::<Vec<_>>());
         remarks.extend(about_times);
         let thetas: Vec<f64> = pairs.iter().map(|(_, m)| m.configuration.theta).collect();
-        let range = |of: &dyn Fn(&Vector3<f64>) -> f64| {
+        let range = |of: &dyn Fn(&PerBackbone) -> f64| {
             let values = || pairs.iter().map(|(reading, _)| of(&reading.q_mm));
             values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
         };
-        if (0..3).all(|i| range(&|q| q[i]) < 0.02) {
+        let backbones = pairs[0].0.q_mm.len();
+        if (0..backbones).all(|i| range(&|q| q[i]) < 0.02) {
             return Err(Error::Domain(
                 "the encoders hardly move (less than 0.02 mm); lead the snake along sweeps".into(),
             ));
@@ -85,7 +85,7 @@ impl Data {
                     .into(),
             );
         }
-        for i in (0..3).filter(|&i| range(&|q| q[i]) == 0.0) {
+        for i in (0..backbones).filter(|&i| range(&|q| q[i]) == 0.0) {
             remarks.push(format!(
                 "q{}_mm is the same in every reading: its encoder is stuck, or no bend moved its backbone",
                 i + 1
@@ -117,6 +117,16 @@ impl Data {
     /// Whether there are none; never, after [`new`](Self::new).
     pub fn is_empty(&self) -> bool {
         self.times_s.is_empty()
+    }
+
+    /// How many backbones the robot has.
+    pub fn backbones(&self) -> usize {
+        self.q_mm.first().map_or(0, |q| q.len())
+    }
+
+    /// How many numbers were measured that a model has to explain: two of the bend, the others of what bends nothing.
+    pub fn numbers(&self) -> usize {
+        self.backbones() * self.len()
     }
 
     /// The fold of each sample: whole sweeps, dealt in turn.
@@ -234,8 +244,9 @@ mod tests {
 
     #[test]
     fn too_little_is_said_plainly() {
-        let readings: Vec<_> =
-            (0..30).map(|index| EncoderReading { index, time_s: index as f64, q_mm: Vector3::zeros() }).collect();
+        let readings: Vec<_> = (0..30)
+            .map(|index| EncoderReading { index, time_s: index as f64, q_mm: PerBackbone::repeat(3, 0.0) })
+            .collect();
         let error = Data::new(&[], &readings, 0.0015).unwrap_err().to_string();
         assert!(error.contains("0 usable samples"), "{error}");
     }

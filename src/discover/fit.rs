@@ -2,17 +2,17 @@
 //!
 //! q̃ stands on both sides of ε = q̃ − q(ψ), and a column that holds q̃ would explain any data. So the gap is taken where
 //! something was measured: the forward problem leads from q̃ to a bend, and from there to what the eye should have seen;
-//! the residual is the eye's answer less that, whitened by the eye's covariance and the encoders' through the forward problem. A
-//! third component is the part of q̃ common to all backbones, which no bend changes and encoders alone tell. The two are
-//! independent, since Q⁺1 = 0.
+//! the residual is the eye's answer less that, whitened by the eye's covariance and the encoders' through the forward problem. Its
+//! further components are the parts of q̃ that no bend changes and encoders alone tell: with three backbones the one that is common to
+//! all, with n of them n − 2. They are independent of the bend, since Q⁺ takes nothing from them.
 //!
 //! Directions of loads and motions are taken from the bend that the encoders imply, not from the eye's, which is noisy.
 
 use super::data::Data;
 use crate::record::Measured;
 use crate::robot::motion::{Led, Slope};
-use crate::robot::{Effect, Estimate, Mechanics, Model, Motion};
-use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2, Vector3};
+use crate::robot::{Effect, Estimate, Mechanics, Model, Motion, PerBackbone};
+use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2};
 use std::f64::consts::PI;
 
 /// Whitened residuals beyond this count linearly (Huber): a few samples at a sign's edge must not name an effect.
@@ -23,6 +23,9 @@ const MOST_STEPS: usize = 16;
 const SETTLED: f64 = 0.02;
 /// The same, as a share of the cost: of no use where a model is far off.
 const SETTLED_SHARE: f64 = 1e-4;
+
+/// A sample's whitened residuals, as many as there are backbones: two of the bend, then the internal parts, the common one first.
+pub type Residual = PerBackbone;
 
 /// One sample's noise.
 #[derive(Debug, Clone)]
@@ -41,7 +44,9 @@ pub struct Problem<'a> {
     /// The samples.
     pub data: &'a Data,
     noise: Vec<Noise>,
-    sd_common_mm: f64,
+    sd_internal_mm: f64,
+    /// What bends nothing.
+    internal: Vec<PerBackbone>,
     /// The path that the model without anything new implies: where every forward problem starts.
     start: Vec<Vector2<f64>>,
 }
@@ -51,7 +56,7 @@ pub struct Problem<'a> {
 struct Run {
     led: Vec<Led>,
     motions: Vec<Motion>,
-    residuals: Vec<Vector3<f64>>,
+    residuals: Vec<Residual>,
 }
 
 impl Run {
@@ -65,8 +70,8 @@ impl Run {
 }
 
 /// Residuals in a row.
-pub fn stacked(residuals: &[Vector3<f64>]) -> DVector<f64> {
-    DVector::from_iterator(3 * residuals.len(), residuals.iter().flat_map(|r| [r.x, r.y, r.z]))
+pub fn stacked(residuals: &[Residual]) -> DVector<f64> {
+    DVector::from_vec(residuals.iter().flat_map(|r| r.iter().copied()).collect())
 }
 
 /// A model fitted to the data.
@@ -74,8 +79,8 @@ pub fn stacked(residuals: &[Vector3<f64>]) -> DVector<f64> {
 pub struct Fit {
     /// The model, with η, λ and its effects at their best.
     pub model: Model,
-    /// Whitened residuals of each sample: bend (2) and common part.
-    pub residuals: Vec<Vector3<f64>>,
+    /// Whitened residuals of each sample.
+    pub residuals: Vec<Residual>,
     /// The bends that the encoders imply.
     pub path: Vec<Vector2<f64>>,
     /// Sum of the robust squares.
@@ -90,7 +95,7 @@ impl Fit {
     /// Schwarz's criterion: less is better.
     pub fn bic(&self) -> f64 {
         let price: f64 = self.model.effects.iter().map(|effect| effect.physics.price()).sum();
-        self.cost + self.parameters as f64 * (3.0 * self.residuals.len() as f64).ln() + price
+        self.cost + self.parameters as f64 * (self.jacobian.nrows() as f64).ln() + price
     }
 
     /// The robust square of one sample.
@@ -102,12 +107,12 @@ impl Fit {
 /// JᵗWJ and JᵗWr, each sample weighted by how far out it is and by `share`.
 pub fn normal_equations(
     jacobian: &DMatrix<f64>,
-    residuals: &[Vector3<f64>],
+    residuals: &[Residual],
     share: impl Fn(usize) -> f64,
 ) -> (DMatrix<f64>, DVector<f64>) {
     let mut weighted = jacobian.clone();
-    let weights = residuals.iter().enumerate().flat_map(|(k, r)| [r.x, r.y, r.z].map(|r| weight(r) * share(k)));
-    let weights = DVector::from_iterator(3 * residuals.len(), weights);
+    let weights = residuals.iter().enumerate().map(|(k, r)| r.map(|r| weight(r) * share(k)));
+    let weights = stacked(&weights.collect::<Vec<_>>());
     for mut column in weighted.column_iter_mut() {
         column.component_mul_assign(&weights);
     }
@@ -132,22 +137,28 @@ impl<'a> Problem<'a> {
         let noise = data.measured.iter().zip(start.iter().zip(&motions)).map(|(measured, (&bend, motion))| {
             let slope = mechanics.slope(bend, motion);
             let eye = bend_covariance(measured, bend);
-            let covariance = eye + slope.bend_by_line * slope.bend_by_line.transpose() * variance;
+            let covariance = eye + slope.bend_by_line.squared_with(&slope.bend_by_line) * variance;
             let whitening = covariance.cholesky().and_then(|factor| factor.l().try_inverse());
-            let floor = (slope.line_by_bend * eye * slope.line_by_bend.transpose()).trace() / 3.0 + variance;
+            let floor = slope.line_by_bend.map(|by| by.dot(&(eye * by))).mean() + variance;
             Noise { whitening: whitening.unwrap_or_else(Matrix2::zeros), slope, floor_mm2: floor }
         });
-        Self { data, noise: noise.collect(), sd_common_mm: data.sd_encoder_mm.max(1e-5) / 3f64.sqrt(), start }
+        let internal = model.robot.internal_parts().collect();
+        Self { data, noise: noise.collect(), sd_internal_mm: data.sd_encoder_mm.max(1e-5), internal, start }
     }
 
-    /// Whitened residuals of predicted bends and common parts.
-    fn whitened(&self, mechanics: &Mechanics, led: &[Led]) -> Vec<Vector3<f64>> {
+    /// A residual of whitened bend and internal parts, mm.
+    fn residual(&self, bend: Vector2<f64>, left_mm: &PerBackbone) -> Residual {
+        let internal = |part: usize| self.internal[part].dot(left_mm) / self.sd_internal_mm;
+        Residual::from_fn(left_mm.len(), |c| if c < 2 { bend[c] } else { internal(c - 2) })
+    }
+
+    /// Whitened residuals of predicted bends and internal parts.
+    fn whitened(&self, mechanics: &Mechanics, led: &[Led]) -> Vec<Residual> {
         let path: Vec<_> = led.iter().map(|led| led.bend).collect();
         let pictured = mechanics.pictured(&self.data.times_s, &path);
         let residuals = (0..path.len()).map(|k| {
             let gap = self.data.measured[k].configuration.bend_vector() - mechanics.seen(pictured[k]);
-            let bend = self.noise[k].whitening * gap;
-            Vector3::new(bend.x, bend.y, led[k].common_mm / self.sd_common_mm)
+            self.residual(self.noise[k].whitening * gap, &led[k].left_mm)
         });
         residuals.collect()
     }
@@ -168,7 +179,8 @@ impl<'a> Problem<'a> {
         let data = (&self.data.times_s[..], &self.data.q_mm[..]);
         let (scales, ranges) = scales_and_ranges(model);
         let x = vector(model);
-        let mut jacobian = DMatrix::zeros(3 * run.led.len(), x.len());
+        let n = self.data.backbones();
+        let mut jacobian = DMatrix::zeros(self.data.numbers(), x.len());
         for j in 0..x.len() {
             // Inwards, where the range ends.
             let h = 1e-3 * if x[j] + 1e-3 * scales[j] > ranges[j].1 { -1.0 } else { 1.0 };
@@ -179,7 +191,9 @@ impl<'a> Problem<'a> {
             let led = mechanics.changed(&changed, data, (&run.led, &run.motions, &slopes));
             let moved = self.whitened(&changed, &led);
             for (k, (after, before)) in moved.iter().zip(&run.residuals).enumerate() {
-                jacobian.fixed_view_mut::<3, 1>(3 * k, j).copy_from(&((after - before) / h));
+                for c in 0..n {
+                    jacobian[(n * k + c, j)] = (after[c] - before[c]) / h;
+                }
             }
         }
         jacobian
@@ -189,7 +203,7 @@ impl<'a> Problem<'a> {
     /// no part in it.
     pub fn fit(&self, start: &Model, guess: Option<&[Vector2<f64>]>, without: Option<usize>) -> Fit {
         let counts = |k: usize| without != Some(self.data.fold(k));
-        let total = |residuals: &[Vector3<f64>]| -> f64 {
+        let total = |residuals: &[Residual]| -> f64 {
             let counted = residuals.iter().enumerate().filter(|(k, _)| counts(*k));
             counted.map(|(_, r)| r.iter().map(|&r| rho(r)).sum::<f64>()).sum()
         };
@@ -198,7 +212,7 @@ impl<'a> Problem<'a> {
         let mut model = start.clone();
         let mut run = self.run(&model, guess.unwrap_or(&self.start));
         let mut cost = total(&run.residuals);
-        let mut jacobian = DMatrix::zeros(3 * run.led.len(), x.len());
+        let mut jacobian = DMatrix::zeros(self.data.numbers(), x.len());
         let mut damping = 1e-6;
         for _ in 0..MOST_STEPS {
             jacobian = self.jacobian(&model, &run);
@@ -275,25 +289,26 @@ impl<'a> Problem<'a> {
     }
 
     /// What a summand of q̃ (mm, at each sample) would do to the whitened residuals, to first order.
-    pub fn response(&self, k: usize, summand: &Vector3<f64>) -> Vector3<f64> {
+    pub fn response(&self, k: usize, summand: &PerBackbone) -> Residual {
         let noise = &self.noise[k];
-        let bend = noise.whitening * (noise.slope.bend_by_line * summand);
-        Vector3::new(bend.x, bend.y, -summand.mean() / self.sd_common_mm)
+        self.residual(noise.whitening * noise.slope.bend_by_line.weighted(summand), &-*summand)
     }
 
     /// The gap of ε at sample k, mm: what is left between q̃ and the model at the measured bend.
-    pub fn eps_gap_mm(&self, fit: &Fit, k: usize) -> Vector3<f64> {
+    pub fn eps_gap_mm(&self, fit: &Fit, k: usize) -> PerBackbone {
         let noise = &self.noise[k];
         let r = fit.residuals[k];
-        let unwhitened = noise.whitening.try_inverse().unwrap_or_else(Matrix2::zeros) * Vector2::new(r.x, r.y);
-        (-noise.slope.line_by_bend * unwhitened).add_scalar(r.z * self.sd_common_mm)
+        let unwhitened = noise.whitening.try_inverse().unwrap_or_else(Matrix2::zeros) * Vector2::new(r[0], r[1]);
+        let by_bend = -noise.slope.line_by_bend * unwhitened;
+        let internal = self.internal.iter().zip(&r[2..]);
+        internal.fold(by_bend, |sum, (part, r)| sum + *part * (r * self.sd_internal_mm))
     }
 
     /// The gap of the bend at sample k, rad, along and across the bend.
     pub fn bend_gap(&self, fit: &Fit, k: usize) -> Vector2<f64> {
         let r = fit.residuals[k];
         let whitening = &self.noise[k].whitening;
-        let gap = whitening.try_inverse().unwrap_or_else(Matrix2::zeros) * Vector2::new(r.x, r.y);
+        let gap = whitening.try_inverse().unwrap_or_else(Matrix2::zeros) * Vector2::new(r[0], r[1]);
         Rotation2::new(-self.data.measured[k].configuration.delta) * gap
     }
 
@@ -339,7 +354,7 @@ fn with_vector(model: &Model, x: &[f64]) -> Model {
 
 /// The size of each parameter that matters, and its range.
 fn scales_and_ranges(model: &Model) -> (Vec<f64>, Vec<(f64, f64)>) {
-    let specs = fitted(model).flat_map(|effect| effect.physics.parameters);
+    let specs = fitted(model).flat_map(Effect::parameters);
     let of_effects = specs.map(|spec| (spec.typical, spec.range));
     [(0.03, (0.05, 10.0)), (0.02, (-2.0, 2.0))].into_iter().chain(of_effects).unzip()
 }

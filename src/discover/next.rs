@@ -11,9 +11,8 @@ use super::search::{Named, with_effect, without_effect};
 use super::verdict::{Discovery, Verdict};
 use crate::record::{Measured, Measurement, Status, Waypoint};
 use crate::robot::effects::physics;
-use crate::robot::{Effect, LIBRARY, Model, Physics};
+use crate::robot::{Effect, LIBRARY, Model, PerBackbone, Physics};
 use crate::simulate::Plant;
-use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::f64::consts::PI;
@@ -57,7 +56,7 @@ pub struct Next {
     /// The poses.
     pub waypoints: Vec<Waypoint>,
     /// The q̃ that the model as found would command at each, mm.
-    pub commands_mm: Vec<Vector3<f64>>,
+    pub commands_mm: Vec<PerBackbone>,
     /// By how many squares of the noise the wrong answer to the hardest question is expected to miss.
     pub noncentrality: f64,
     /// The candidates, with the least noncentrality per sample of each; the best first.
@@ -133,7 +132,9 @@ fn rivals(found: &Discovery, data: &Data) -> Vec<Question> {
         .named
         .iter()
         .enumerate()
-        .flat_map(|(k, named)| open_rivals(named, data.len()).into_iter().map(move |rival| (given + k, rival)))
+        .flat_map(|(k, named)| {
+            open_rivals(named, &found.model, data.len()).into_iter().map(move |rival| (given + k, rival))
+        })
         .collect();
     let question = |(k, rival): (usize, &str)| {
         let physics = physics(rival)?;
@@ -148,11 +149,12 @@ fn rivals(found: &Discovery, data: &Data) -> Vec<Question> {
 
 /// The rivals that were not ruled out, and those that only their number of parameters rules out: what is simpler is likelier, but
 /// a ride may show otherwise.
-fn open_rivals(named: &Named, samples: usize) -> Vec<&'static str> {
-    let parameters = |physics: &Physics| physics.parameters.len() as f64;
+fn open_rivals(named: &Named, model: &Model, samples: usize) -> Vec<&'static str> {
+    let backbones = model.robot.backbone_count();
+    let parameters = |physics: &Physics| (physics.parameters)(backbones).len() as f64;
     let fits_as_well = |&&(rival, worse): &&(&'static str, f64)| {
         let more = physics(rival).map_or(0.0, parameters) - parameters(named.physics);
-        worse - more.max(0.0) * (3.0 * samples as f64).ln() < FITS_AS_WELL
+        worse - more.max(0.0) * ((backbones * samples) as f64).ln() < FITS_AS_WELL
     };
     let mut open = named.indistinguishable_from.clone();
     open.extend(named.rivals.iter().filter(fits_as_well).map(|(rival, _)| *rival));
@@ -166,7 +168,7 @@ fn open_rivals(named: &Named, samples: usize) -> Vec<&'static str> {
 fn values(found: &Discovery) -> Vec<Question> {
     let mut questions = Vec::new();
     for (k, effect) in found.model.effects.iter().enumerate() {
-        for (j, (spec, sd)) in effect.physics.parameters.iter().zip(&effect.sds).enumerate() {
+        for (j, (spec, sd)) in effect.parameters().iter().zip(&effect.sds).enumerate() {
             if sd / spec.typical > 1.0 / 3.0 && effect.sds[j] > 0.1 * effect.values[j].abs() {
                 let words = format!(
                     "the data hardly pin {} of {}: {:.3} ± {sd:.3} {}",
@@ -182,8 +184,9 @@ fn values(found: &Discovery) -> Vec<Question> {
 /// Every effect that neither the model has nor another question is about, at a size that matters.
 fn unseen(found: &Discovery) -> Vec<Question> {
     let model = &found.model;
-    let asked =
-        |physics: &Physics| found.named.iter().any(|named| open_rivals(named, found.samples).contains(&physics.name));
+    let asked = |physics: &Physics| {
+        found.named.iter().any(|named| open_rivals(named, model, found.samples).contains(&physics.name))
+    };
     let question = |physics: &'static Physics| {
         let words = format!("{} could hide in these data", physics.name);
         Some(Question { words, asks: Asks::Whether(Box::new(with_typical(model, physics)?)) })
@@ -203,18 +206,21 @@ fn alike_on_one_plane(model: &Model) -> Option<Question> {
 
 /// The model with an effect of the size that matters besides; none where it has the effect.
 fn with_typical(model: &Model, physics: &'static Physics) -> Option<Model> {
-    let values = typical(physics);
+    let values = typical(physics, model.robot.backbone_count());
     let effect = Effect::of(physics, values);
     let absent = model.effects.iter().all(|effect| effect.physics != physics);
     absent.then(|| Model { effects: [&model.effects[..], &[effect]].concat(), ..model.clone() })
 }
 
 /// An effect's parameters at a size that matters; the backbones differ, since what they share η and λ hide.
-fn typical(physics: &Physics) -> Vec<f64> {
+fn typical(physics: &Physics, backbones: usize) -> Vec<f64> {
     match physics.name {
         "creep" => vec![0.05, 3.0],
         "screw_periodic" => vec![0.03, 1.0, 30.0],
-        _ => physics.parameters.iter().zip([1.0, -0.7, 0.4]).map(|(spec, share)| share * spec.typical).collect(),
+        _ => {
+            let shares = [1.0, -0.7, 0.4, -0.9, 0.6, -0.3, 0.8, -0.5];
+            (physics.parameters)(backbones).iter().zip(shares).map(|(spec, share)| share * spec.typical).collect()
+        }
     }
 }
 
@@ -256,7 +262,7 @@ impl Eye {
                 let Some(data) = self.data(model, waypoints) else { return 0.0 };
                 let problem = Problem::new(&data, model);
                 let fitted = problem.with_covariance(&problem.fit(model, None, None));
-                let (sd, typical) = (fitted.effects[*k].sds[*j], model.effects[*k].physics.parameters[*j].typical);
+                let (sd, typical) = (fitted.effects[*k].sds[*j], model.effects[*k].parameters()[*j].typical);
                 if sd > 0.0 { (typical / sd).powi(2) } else { 0.0 }
             }
         }

@@ -3,8 +3,8 @@
 use super::chance::Chance;
 use super::data::{Data, FOLDS};
 use super::fit::{Fit, Problem, normal_equations};
-use crate::robot::{Effect, LIBRARY, Model, Physics};
-use nalgebra::{DMatrix, DVector, Vector3};
+use crate::robot::{Effect, LIBRARY, Model, PerBackbone, Physics};
+use nalgebra::{DMatrix, DVector};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
@@ -138,7 +138,7 @@ impl Search<'_> {
     /// by its share of the gap, on sweeps left out, and on sweeps drawn anew.
     fn worth(&self, lesser: &Fit, fit: &Fit) -> bool {
         let data = self.problem.data;
-        let excess = (self.before.cost - 3.0 * data.len() as f64).max(0.0);
+        let excess = (self.before.cost - data.numbers() as f64).max(0.0);
         if lesser.bic() - fit.bic() < self.chance.least_gain || lesser.cost - fit.cost < LEAST_SHARE * excess {
             return false;
         }
@@ -199,13 +199,13 @@ fn added(fit: &Fit) -> &'static Physics {
 /// The fits with one effect more that promise most, each followed to its end. Those that promise less than `least` in Schwarz's
 /// criterion are left out.
 fn one_more(problem: &Problem, fit: &Fit, followed: usize, least: f64) -> Vec<Fit> {
-    let price = (3.0 * problem.data.len() as f64).ln();
+    let price = (problem.data.numbers() as f64).ln();
     let squares: f64 = fit.residuals.iter().map(|r| r.norm_squared()).sum();
     let mut starts: Vec<(f64, &Physics, Model)> = starts(problem, fit)
         .into_par_iter()
         .map(|(physics, model)| {
             let (_, left) = problem.prospect(&model, &fit.path);
-            (squares - left - physics.parameters.len() as f64 * price, physics, model)
+            (squares - left - (physics.parameters)(problem.data.backbones()).len() as f64 * price, physics, model)
         })
         .filter(|(gain, _, _)| *gain > least)
         .collect();
@@ -230,9 +230,10 @@ pub fn starts(problem: &Problem, fit: &Fit) -> Vec<(&'static Physics, Model)> {
     };
     new.flat_map(|physics| {
         let starts: Vec<Vec<f64>> = if physics.name == "screw_periodic" {
-            screws.iter().filter(|start| start.len() == physics.parameters.len()).cloned().collect()
+            let count = (physics.parameters)(problem.data.backbones()).len();
+            screws.iter().filter(|start| start.len() == count).cloned().collect()
         } else {
-            physics.starts.iter().map(|start| start.to_vec()).collect()
+            physics.starts(problem.data.backbones()).collect()
         };
         starts.into_iter().map(move |values| {
             let mut model = fit.model.clone();
@@ -257,22 +258,29 @@ pub fn screw_frequencies(data: &Data) -> Vec<f64> {
     std::iter::successors(Some(0.2), |frequency| Some(frequency + step)).take_while(|f| *f < 4.0).collect()
 }
 
-/// What waves of q̃ of one frequency do to the residuals: sine and cosine of each backbone, six columns.
+/// What waves of q̃ of one frequency do to the residuals: sine and cosine of each backbone.
 pub fn screw_waves(problem: &Problem, frequency: f64) -> DMatrix<f64> {
-    let mut waves = DMatrix::zeros(3 * problem.data.len(), 6);
+    let n = problem.data.backbones();
+    let mut waves = DMatrix::zeros(problem.data.numbers(), 2 * n);
     for (k, q) in problem.data.q_mm.iter().enumerate() {
-        for i in 0..3 {
+        for i in 0..n {
             let (sin, cos) = (TAU * frequency * q[i]).sin_cos();
-            let unit = problem.response(k, &Vector3::ith(i, 1.0));
-            waves.fixed_view_mut::<3, 1>(3 * k, 2 * i).copy_from(&(unit * sin));
-            waves.fixed_view_mut::<3, 1>(3 * k, 2 * i + 1).copy_from(&(unit * cos));
+            for (c, unit) in problem.response(k, &PerBackbone::ith(n, i)).iter().enumerate() {
+                waves[(n * k + c, 2 * i)] = unit * sin;
+                waves[(n * k + c, 2 * i + 1)] = unit * cos;
+            }
         }
     }
     waves
 }
 
+/// The same waves in all backbones: one sine and one cosine.
+pub fn common_waves(waves: &DMatrix<f64>) -> DMatrix<f64> {
+    DMatrix::from_fn(waves.nrows(), 2, |row, c| waves.row(row).iter().skip(c).step_by(2).sum())
+}
+
 /// Where to look for a screw's pitch: the best of a periodogram of the residuals over q̃, with η, λ and the other
-/// parameters free; two starts with one phase, two with three.
+/// parameters free; two starts with one phase, two with one for each backbone.
 fn screw_starts(problem: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
     let residual = super::fit::stacked(&fit.residuals);
     let p = fit.jacobian.ncols();
@@ -298,15 +306,15 @@ fn screw_starts(problem: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
     let mut powers: [Vec<(f64, Vec<f64>)>; 2] = Default::default();
     for frequency in screw_frequencies(problem.data) {
         let waves = screw_waves(problem, frequency);
-        let common =
-            DMatrix::from_columns(&[0, 1].map(|c| waves.column(c) + waves.column(c + 2) + waves.column(c + 4)));
-        for (phases, waves) in [(1, &common), (3, &waves)] {
+        let common = common_waves(&waves);
+        for (powers, waves) in powers.iter_mut().zip([&common, &waves]) {
+            let phases = waves.ncols() / 2;
             let Some((power, solution)) = solve(waves) else { continue };
             let parts = (0..phases).map(|i| (solution[2 * i], solution[2 * i + 1]));
             let amplitude = parts.clone().map(|(a, b)| a.hypot(b)).sum::<f64>() / phases as f64;
             let angles = parts.map(|(a, b)| b.atan2(a).to_degrees());
             let start = [amplitude.min(0.4), 1.0 / frequency].into_iter().chain(angles).collect();
-            powers[phases / 2].push((power, start));
+            powers.push((power, start));
         }
     }
     powers
@@ -344,7 +352,8 @@ impl Left {
         let mut first = 0;
         for sweep in 0..sweeps {
             let count = data.sweeps[first..].iter().take_while(|s| **s == sweep).count();
-            let rows = fit.jacobian.rows(3 * first, 3 * count).into_owned();
+            let n = data.backbones();
+            let rows = fit.jacobian.rows(n * first, n * count).into_owned();
             let (information, gradient) = normal_equations(&rows, &fit.residuals[first..first + count], |_| 1.0);
             left.information.push(information);
             left.gradient.push(gradient);
@@ -394,7 +403,7 @@ impl Left {
 /// them, to first order.
 fn resampled_wins(data: &Data, fits: &[Left]) -> Vec<usize> {
     let sweeps = fits[0].cost.len();
-    let price = (3.0 * data.len() as f64).ln();
+    let price = (data.numbers() as f64).ln();
     let mut wins = vec![0; fits.len()];
     let mut random = StdRng::seed_from_u64(1);
     for _ in 0..RESAMPLINGS {

@@ -2,13 +2,13 @@
 
 use super::chance::Chance;
 use super::data::Data;
-use super::fit::{Fit, Problem};
+use super::fit::{Fit, Problem, Residual};
 use super::search::{Found, Named, held_out, search};
 use crate::error::Result;
 use crate::robot::effects::RIG_ERROR;
-use crate::robot::{Effect, Estimate, Mechanics, Model, Physics};
+use crate::robot::{Effect, Estimate, Mechanics, Model, PerBackbone, Physics};
 use crate::simulate::score::LEAST_THETA_FOR_DELTA;
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector};
 use serde_json::{Map, Value, json};
 
 /// A gap whose mean square exceeds noise by more than this many standard errors is not noise.
@@ -52,22 +52,20 @@ pub struct Gap {
 /// What residuals still follow.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Structure {
-    /// Mean square of the whitened residuals of bend and of the common part; 1 is noise.
+    /// Mean square of the whitened residuals of the bend and of what bends nothing; 1 is noise.
     pub mean_square: [f64; 2],
-    /// Correlation of successive residuals, in standard errors: bend along and across, common part.
-    pub successive: [f64; 3],
+    /// Correlation of successive residuals, in standard errors: bend along and across, common part, further internal parts.
+    pub successive: Vec<f64>,
     /// What the residuals follow most, in words, with the F-like statistic in standard errors.
     pub follows: Vec<(&'static str, f64)>,
 }
 
 impl Structure {
-    /// Whether a part (0 bend, 1 common) exceeds noise, and not only because sigmas are too small: it has an order.
+    /// Whether a part (0 bend, 1 what bends nothing) exceeds noise, and not only because sigmas are too small: it has an order.
     fn exceeds(&self, part: usize, samples: usize) -> bool {
-        let freedom = samples as f64 * if part == 0 { 2.0 } else { 1.0 };
-        let ordered = match part {
-            0 => self.successive[0].abs().max(self.successive[1].abs()),
-            _ => self.successive[2].abs(),
-        };
+        let own = if part == 0 { &self.successive[..2] } else { &self.successive[2..] };
+        let freedom = (samples * own.len()) as f64;
+        let ordered = own.iter().fold(0.0f64, |most, correlation| most.max(correlation.abs()));
         let follows = self.follows.iter().map(|(_, z)| *z).fold(0.0, f64::max);
         self.mean_square[part] > 1.0 + SIGNIFICANT * (2.0 / freedom).sqrt() && (ordered > 3.5 || follows > 5.0)
     }
@@ -97,7 +95,7 @@ pub struct Discovery {
     /// What they follow after.
     pub structure_after: Structure,
     /// Gap of ε at every sample before and after, mm, on sweeps left out.
-    pub residuals_mm: Vec<[Vector3<f64>; 2]>,
+    pub residuals_mm: Vec<[PerBackbone; 2]>,
     /// Samples used.
     pub samples: usize,
     /// What was passed over or could not be decided.
@@ -137,7 +135,7 @@ pub fn discover(model: &Model, data: &Data) -> Result<Discovery> {
     }
     let mut remarks = data.remarks.clone();
     remarks.extend(unpinned(&fitted));
-    remarks.extend(chance.hidden.iter().map(|physics| hidden(physics)));
+    remarks.extend(chance.hidden.iter().map(|physics| hidden(physics, data.backbones())));
     let unseen_kept = if verdict == Verdict::Named { &unseen_after } else { &unseen_before };
     let residuals_mm = unseen_before.eps.iter().zip(&unseen_kept.eps).map(|(a, b)| [*a, *b]).collect();
     Ok(Discovery {
@@ -161,7 +159,7 @@ pub fn discover(model: &Model, data: &Data) -> Result<Discovery> {
 /// # Errors
 /// As [`discover`].
 pub fn discover_in_frames(mut model: Model, data: &Data) -> Result<Discovery> {
-    model.effects.push(Effect::of(&RIG_ERROR, vec![0.0; RIG_ERROR.parameters.len()]));
+    model.effects.push(Effect::of(&RIG_ERROR, vec![0.0; (RIG_ERROR.parameters)(data.backbones()).len()]));
     let mut found = discover(&model, data)?;
     if let Some(k) = found.model.effects.iter().position(|effect| effect.physics == &RIG_ERROR) {
         let effect = found.model.effects.remove(k);
@@ -172,7 +170,7 @@ pub fn discover_in_frames(mut model: Model, data: &Data) -> Result<Discovery> {
                 row.drain(2 + before..2 + before + effect.values.len());
             }
         }
-        let texts = effect.physics.parameters.iter().zip(effect.values.iter().zip(&effect.sds));
+        let texts = effect.parameters().iter().zip(effect.values.iter().zip(&effect.sds));
         let texts: Vec<String> =
             texts.map(|(spec, (value, sd))| format!("{} = {value:.3} ± {sd:.3}°", spec.name)).collect();
         found.remarks.push(format!("the rig's own error, the same in all frames, was left free: {}", texts.join(", ")));
@@ -191,7 +189,7 @@ fn with_estimate(model: &Model) -> Model {
 fn unpinned(model: &Model) -> Vec<String> {
     let mut remarks = Vec::new();
     for effect in &model.effects {
-        for ((spec, value), sd) in effect.physics.parameters.iter().zip(&effect.values).zip(&effect.sds) {
+        for ((spec, value), sd) in effect.parameters().iter().zip(&effect.values).zip(&effect.sds) {
             if *sd > 10.0 * spec.typical && *sd > value.abs() {
                 remarks.push(format!("{}: the data do not pin {}", effect.physics.name, spec.name));
             }
@@ -201,15 +199,15 @@ fn unpinned(model: &Model) -> Vec<String> {
 }
 
 /// An effect, or a part of it, that η and λ hide.
-fn hidden(physics: &Physics) -> String {
+fn hidden(physics: &Physics, backbones: usize) -> String {
     let form = if physics.form.is_empty() { String::new() } else { format!(" ({})", physics.form) };
-    let part = if physics.parameters.len() > 1 { "a part of " } else { "" };
+    let part = if (physics.parameters)(backbones).len() > 1 { "a part of " } else { "" };
     format!("{part}{}{form} could hide in η and λ: these data cannot tell it from them", physics.name)
 }
 
 /// The gap of every sample under a fit that it had no part in.
 struct Unseen {
-    eps: Vec<Vector3<f64>>,
+    eps: Vec<PerBackbone>,
     gap: Gap,
 }
 
@@ -223,7 +221,7 @@ impl Unseen {
         let theta = |k: usize| data.measured[k].configuration.theta;
         let far = || (0..data.len()).filter(|&k| theta(k) >= LEAST_THETA_FOR_DELTA);
         let gap = Gap {
-            eps_mm: mean(eps.iter().map(|e| e.norm_squared() / 3.0)).sqrt(),
+            eps_mm: mean(eps.iter().map(|e| e.norm_squared() / e.len() as f64)).sqrt(),
             theta_deg: mean(bend.iter().map(|b| b.x.powi(2))).sqrt().to_degrees(),
             delta_deg: mean(far().map(|k| (bend[k].y / theta(k)).powi(2))).sqrt().to_degrees(),
         };
@@ -238,19 +236,22 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
 
 /// What a fit's residuals still follow. Single samples far out count as six sigma.
 fn structure(data: &Data, fit: &Fit) -> Structure {
-    let clipped: Vec<Vector3<f64>> = fit.residuals.iter().map(|r| r.map(|r| r.clamp(-6.0, 6.0))).collect();
+    let clipped: Vec<Residual> = fit.residuals.iter().map(|r| r.map(|r| r.clamp(-6.0, 6.0))).collect();
     let n = clipped.len() as f64;
     // The parameters have taken their share of the freedom.
-    let freedom = 3.0 * n / (3.0 * n - fit.parameters as f64);
+    let numbers = data.numbers() as f64;
+    let freedom = numbers / (numbers - fit.parameters as f64);
+    let square = |of: &[f64]| of.iter().map(|r| r * r).sum::<f64>() / of.len() as f64;
     let mean_square = [
-        mean(clipped.iter().map(|r| (r.x * r.x + r.y * r.y) / 2.0)) * freedom,
-        mean(clipped.iter().map(|r| r.z * r.z)) * freedom,
+        mean(clipped.iter().map(|r| square(&r[..2]))) * freedom,
+        mean(clipped.iter().map(|r| square(&r[2..]))) * freedom,
     ];
-    let successive = [0, 1, 2].map(|c| {
+    let successive = (0..data.backbones()).map(|c| {
         let squares: f64 = clipped.iter().map(|r| r[c] * r[c]).sum();
         let products: f64 = clipped.windows(2).map(|pair| pair[0][c] * pair[1][c]).sum();
         if squares > 0.0 { products / squares * n.sqrt() } else { 0.0 }
     });
+    let successive = successive.collect();
     let mut follows: Vec<(&'static str, f64)> =
         regressors(data, fit).into_iter().map(|(name, columns)| (name, follows(&clipped, &columns))).collect();
     follows.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -293,8 +294,8 @@ fn regressors(data: &Data, fit: &Fit) -> Vec<(&'static str, Vec<Vec<f64>>)> {
     ]
 }
 
-/// How much of the three residuals a family takes, in standard errors of what it would take of noise.
-fn follows(residuals: &[Vector3<f64>], columns: &[Vec<f64>]) -> f64 {
+/// How much of the residuals a family takes, in standard errors of what it would take of noise.
+fn follows(residuals: &[Residual], columns: &[Vec<f64>]) -> f64 {
     let n = residuals.len();
     let mut design = DMatrix::from_fn(n, columns.len() + 1, |k, c| if c == 0 { 1.0 } else { columns[c - 1][k] });
     for mut column in design.column_iter_mut() {
@@ -305,7 +306,7 @@ fn follows(residuals: &[Vector3<f64>], columns: &[Vec<f64>]) -> f64 {
     }
     let information = design.transpose() * &design + DMatrix::identity(columns.len() + 1, columns.len() + 1) * 1e-9;
     let Some(factor) = information.cholesky() else { return 0.0 };
-    let worst = (0..3).map(|c| {
+    let worst = (0..residuals[0].len()).map(|c| {
         let r = DVector::from_iterator(n, residuals.iter().map(|r| r[c]));
         let right = design.transpose() * &r;
         let taken = right.dot(&factor.solve(&right));
@@ -324,7 +325,7 @@ impl Discovery {
             let effect = self.model.effects.get(given + k).filter(|effect| effect.physics == named.physics);
             let mut parameters = Map::new();
             if let Some(effect) = effect {
-                for ((spec, value), sd) in named.physics.parameters.iter().zip(&effect.values).zip(&effect.sds) {
+                for ((spec, value), sd) in effect.parameters().iter().zip(&effect.values).zip(&effect.sds) {
                     parameters.insert(spec.name.into(), json!({"value": value, "sd": sd, "unit": spec.unit}));
                 }
             }

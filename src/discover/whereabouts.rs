@@ -2,7 +2,7 @@
 
 use super::data::Data;
 use super::verdict::{Discovery, Verdict};
-use nalgebra::Vector3;
+use crate::robot::PerBackbone;
 use serde_json::{Value, json};
 
 /// The share of the gap that a range must hold to be named,
@@ -19,7 +19,7 @@ const DEAD_BAND_MM: f64 = 0.01;
 pub enum Part {
     /// One backbone, counted from 1.
     Backbone(usize),
-    /// The same in all three.
+    /// The same in all.
     Common,
     /// Several, each its own.
     Several,
@@ -31,7 +31,7 @@ pub struct Whereabouts {
     /// The part of ε that has most of it.
     pub part: Part,
     /// The share of each backbone.
-    pub shares: [f64; 3],
+    pub shares: PerBackbone,
     /// The bends that hold most of it, degrees, where they are a small part of all.
     pub theta_deg: Option<[f64; 2]>,
     /// The azimuths, from the first up through the second, degrees.
@@ -52,20 +52,21 @@ impl Whereabouts {
         if found.verdict == Verdict::None {
             return None;
         }
-        let gaps: Vec<Vector3<f64>> = found.residuals_mm.iter().map(|[before, _]| *before).collect();
+        let gaps: Vec<PerBackbone> = found.residuals_mm.iter().map(|[before, _]| *before).collect();
         let floor = found.noise_floor_mm.powi(2);
         let total: f64 = gaps.iter().map(|gap| gap.norm_squared()).sum();
-        if total <= 1.2 * 3.0 * floor * gaps.len() as f64 {
+        let n = data.backbones() as f64;
+        if total <= 1.2 * n * floor * gaps.len() as f64 {
             return None;
         }
         let (part, shares) = part_of(&gaps, floor);
-        let shown = |gap: &Vector3<f64>| match part {
+        let shown = |gap: &PerBackbone| match part {
             Part::Common => gap.mean(),
             Part::Backbone(i) => gap[i - 1],
             Part::Several => gap[largest(&shares)],
         };
         let gap_mm: Vec<f64> = gaps.iter().map(shown).collect();
-        let excess: Vec<f64> = gaps.iter().map(|gap| gap.norm_squared() - 3.0 * floor).collect();
+        let excess: Vec<f64> = gaps.iter().map(|gap| gap.norm_squared() - n * floor).collect();
         let theta: Vec<f64> = data.measured.iter().map(|m| m.configuration.theta_deg()).collect();
         let delta: Vec<f64> = data.measured.iter().map(|m| m.configuration.delta_deg()).collect();
         Some(Self {
@@ -85,10 +86,11 @@ impl Whereabouts {
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);
         let mut places = vec![match self.part {
             Part::Backbone(i) => format!("in backbone {i} ({} of it)", percent(self.shares[i - 1])),
-            Part::Common => "in what all three backbones have in common".to_owned(),
+            Part::Common => "in what all backbones have in common".to_owned(),
             Part::Several => {
-                let [a, b, c] = self.shares.map(percent);
-                format!("in backbones 1, 2 and 3 ({a}, {b}, {c})")
+                let numbers: Vec<_> = (1..self.shares.len()).map(|i| i.to_string()).collect();
+                let shares: Vec<_> = self.shares.iter().map(|&share| percent(share)).collect();
+                format!("in backbones {} and {} ({})", numbers.join(", "), self.shares.len(), shares.join(", "))
             }
         }];
         let range = |name: &str, range: Option<[f64; 2]>, unit: &str| {
@@ -132,11 +134,12 @@ impl Whereabouts {
 }
 
 /// The part that has most of the gap, and each backbone's share of what exceeds noise.
-fn part_of(gaps: &[Vector3<f64>], floor: f64) -> (Part, [f64; 3]) {
-    let excess = [0, 1, 2].map(|i| gaps.iter().map(|gap| gap[i].powi(2) - floor).sum::<f64>().max(0.0));
-    let total = excess.iter().sum::<f64>().max(1e-12);
+fn part_of(gaps: &[PerBackbone], floor: f64) -> (Part, PerBackbone) {
+    let n = gaps.first().map_or(0, |gap| gap.len());
+    let excess = PerBackbone::from_fn(n, |i| gaps.iter().map(|gap| gap[i].powi(2) - floor).sum::<f64>().max(0.0));
+    let total = excess.sum().max(1e-12);
     let shares = excess.map(|excess| excess / total);
-    let common: f64 = gaps.iter().map(|gap| 3.0 * gap.mean().powi(2)).sum();
+    let common: f64 = gaps.iter().map(|gap| n as f64 * gap.mean().powi(2)).sum();
     let all: f64 = gaps.iter().map(|gap| gap.norm_squared()).sum();
     let most = largest(&shares);
     let part = if common > 0.75 * all {
@@ -149,8 +152,8 @@ fn part_of(gaps: &[Vector3<f64>], floor: f64) -> (Part, [f64; 3]) {
     (part, shares)
 }
 
-fn largest(shares: &[f64; 3]) -> usize {
-    (0..3).max_by(|&a, &b| shares[a].total_cmp(&shares[b])).unwrap_or(0)
+fn largest(shares: &PerBackbone) -> usize {
+    (0..shares.len()).max_by(|&a, &b| shares[a].total_cmp(&shares[b])).unwrap_or(0)
 }
 
 /// The shortest range of values that holds most of the excess, where that is a small part of the samples. Values with a
@@ -253,9 +256,9 @@ mod tests {
 
     #[test]
     fn the_part_is_that_which_moves() {
-        let of = |gap: Vector3<f64>| part_of(&[gap; 30], 1e-8).0;
-        assert_eq!(of(Vector3::new(0.001, 0.05, -0.002)), Part::Backbone(2));
-        assert_eq!(of(Vector3::repeat(0.03)), Part::Common);
-        assert_eq!(of(Vector3::new(0.05, -0.05, 0.04)), Part::Several);
+        let of = |gap: PerBackbone| part_of(&[gap; 30], 1e-8).0;
+        assert_eq!(of(PerBackbone::from([0.001, 0.05, -0.002])), Part::Backbone(2));
+        assert_eq!(of(PerBackbone::repeat(3, 0.03)), Part::Common);
+        assert_eq!(of(PerBackbone::from([0.05, -0.05, 0.04])), Part::Several);
     }
 }

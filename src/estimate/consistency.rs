@@ -1,7 +1,7 @@
 //! Whether measurements scatter as much as their covariances promise.
 //!
-//! Residuals of ε have two parts that live apart: the *bending* part Q⁺r (two numbers, rad), where the camera's noise is
-//! and which pins η, and the *common* part (one number, mm), where only the encoders' noise is and which pins λ. In the
+//! Residuals of ε have two parts that live apart: the *bending* part (two numbers), where the camera's noise is
+//! and which pins η, and the *common* part (one number), where only the encoders' noise is and which pins λ. In the
 //! paper's model neither part says anything about the other's parameter. Each part's scatter is compared with its own
 //! promise, so that a model that is wrong in one, by microns that matter only against the encoders' noise, leaves the other's
 //! sigma alone.
@@ -10,7 +10,6 @@
 //! of one residual with the next: errors that last from frame to frame average out more slowly than independent ones.
 
 use super::Row;
-use crate::robot::Robot;
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector1, Vector2, Vector3};
 
 /// One residual, split into its parts and divided by what their covariances promise.
@@ -23,14 +22,12 @@ pub(super) struct Whitened {
 }
 
 impl Whitened {
-    /// Splits and whitens a residual (mm) of a given covariance (mm²); `None` where that is not positive definite.
-    pub fn new(robot: &Robot, residual: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<Self> {
-        let to_bend = robot.bend_by_displacement();
-        let bending = to_bend * covariance * to_bend.transpose();
-        let lower = bending.cholesky()?.l();
+    /// Splits and whitens a row's residual (mm) of a given covariance (mm²); `None` where that is not positive definite.
+    pub fn new(residual: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<Self> {
+        let lower = covariance.fixed_view::<2, 2>(0, 0).into_owned().cholesky()?.l();
         Some(Self {
-            bending: lower.solve_lower_triangular(&(to_bend * residual))?,
-            common: residual.mean() / (covariance.sum() / 9.0).sqrt(),
+            bending: lower.solve_lower_triangular(&residual.xy())?,
+            common: residual.z / covariance[(2, 2)].sqrt(),
         })
     }
 }
@@ -81,10 +78,10 @@ pub struct Consistency {
 
 impl Consistency {
     /// Of the residuals that a fit of η and λ leaves of its own rows.
-    pub(super) fn of_fit<'a>(robot: &Robot, x: &Vector2<f64>, rows: impl IntoIterator<Item = &'a Row>) -> Self {
+    pub(super) fn of_fit<'a>(x: &Vector2<f64>, rows: impl IntoIterator<Item = &'a Row>) -> Self {
         let mut consistency = Self { bending: Scatter::new(1), common: Scatter::new(1) };
         for row in rows {
-            if let Some(whitened) = Whitened::new(robot, &row.residual(x), &row.covariance) {
+            if let Some(whitened) = Whitened::new(&row.residual(x), &row.covariance) {
                 consistency.add(&whitened);
             }
         }
@@ -129,7 +126,6 @@ mod tests {
 
     #[test]
     fn parts_of_a_drawn_residual_are_standard_normal() {
-        let robot = Robot::default();
         let covariance = Matrix3::new(4.0, 1.0, 0.5, 1.0, 3.0, -0.5, 0.5, -0.5, 2.0);
         let lower = covariance.cholesky().unwrap().l();
         let mut random = rand::rngs::StdRng::seed_from_u64(5);
@@ -137,7 +133,7 @@ mod tests {
         let draws = 20_000;
         for _ in 0..draws {
             let residual = lower * Vector3::from_fn(|_, _| StandardNormal.sample(&mut random));
-            let whitened = Whitened::new(&robot, &residual, &covariance).unwrap();
+            let whitened = Whitened::new(&residual, &covariance).unwrap();
             sums[0] += whitened.bending.x.powi(2);
             sums[1] += whitened.bending.y.powi(2);
             sums[2] += whitened.common.powi(2);

@@ -25,8 +25,8 @@ use super::consistency::Whitened;
 use super::{Consistency, Filter, Row, Weighting, pairs_without_effects};
 use crate::error::{Error, Result};
 use crate::record::{EncoderReading, EstimateRow, EtaLambda, Measured, Measurement, Status, Verdict};
-use crate::robot::{Estimate, MAX_THETA, Model};
-use nalgebra::{Matrix2, Vector2, Vector3};
+use crate::robot::{Estimate, MAX_THETA, Model, PerBackbone};
+use nalgebra::{Matrix2, Vector2};
 use std::collections::VecDeque;
 use std::fmt;
 
@@ -73,6 +73,8 @@ pub enum Reason {
     NotMeasured(Status),
     /// There is no encoder reading of this index.
     NoEncoderReading,
+    /// The reading is that of a robot with more or fewer backbones.
+    OtherBackbones,
     /// An angle, a sigma or an encoder value is not a finite number, or a sigma is negative.
     NotFinite,
     /// θ lies below 0 or beyond [`MAX_THETA`], or a q̃ beyond a metre.
@@ -88,6 +90,7 @@ impl fmt::Display for Reason {
         match self {
             Self::NotMeasured(status) => write!(f, "{status}"),
             Self::NoEncoderReading => f.write_str("no_encoder_reading"),
+            Self::OtherBackbones => f.write_str("other_backbones"),
             Self::NotFinite => f.write_str("not_finite"),
             Self::OutsideWorkspace => f.write_str("outside_workspace"),
             Self::BendOutlier(_) => f.write_str("bend_outlier"),
@@ -115,7 +118,7 @@ pub struct Step {
     /// The estimate after it; `None` while measurements do not pin both parameters.
     pub estimate: Option<Estimate>,
     /// Measured ε less what the estimate before it predicted, per backbone, mm; `None` before the first estimate.
-    pub residual_mm: Option<Vector3<f64>>,
+    pub residual_mm: Option<PerBackbone>,
     /// Earlier verdicts that this measurement changed.
     pub revisions: Vec<Revision>,
     /// Whether the estimate started afresh, leaving all measurements before the last eight behind.
@@ -127,7 +130,7 @@ pub struct Step {
 struct Sample {
     update: usize,
     measured: Measured,
-    q_tilde: Vector3<f64>,
+    q_tilde: PerBackbone,
     reported_used: bool,
 }
 
@@ -209,7 +212,7 @@ impl Estimator {
     pub fn update(&mut self, measurement: &Measurement, reading: Option<&EncoderReading>) -> Step {
         let update = self.updates;
         self.updates += 1;
-        match usable(measurement, reading) {
+        match usable(self.model.robot.backbone_count(), measurement, reading) {
             Ok((measured, q_tilde)) => self.judge(Sample { update, measured, q_tilde, reported_used: true }),
             Err(reason) => Step {
                 verdict: Verdict::Skipped,
@@ -227,7 +230,7 @@ impl Estimator {
             verdict: Verdict::Used,
             reason: None,
             estimate: None,
-            residual_mm: self.model.estimate.map(|_| self.row(&self.model, &sample).residual(&self.model.parameters())),
+            residual_mm: self.model.estimate.map(|_| self.residual_mm(&sample)),
             revisions: Vec::new(),
             restarted: false,
         };
@@ -251,7 +254,7 @@ impl Estimator {
         if self.jury.len() == JURY {
             self.run_from(judgement);
         } else {
-            let consistency = Consistency::of_fit(&self.model.robot, &judgement.x, judgement.agreeing());
+            let consistency = Consistency::of_fit(&judgement.x, judgement.agreeing());
             self.publish(&judgement.filter, &consistency);
         }
         own
@@ -318,7 +321,7 @@ impl Estimator {
 
     /// Begins the recursion with what a jury found.
     fn run_from(&mut self, judgement: Judgement) {
-        let consistency = Consistency::of_fit(&self.model.robot, &judgement.x, judgement.agreeing());
+        let consistency = Consistency::of_fit(&judgement.x, judgement.agreeing());
         self.jury.clear();
         self.recent.clear();
         for row in &judgement.rows {
@@ -410,13 +413,21 @@ impl Estimator {
     /// The residual of a row that had no part in x, whitened by its predicted covariance.
     fn whitened(&self, row: &Row, x: &Vector2<f64>, covariance: &Matrix2<f64>) -> Option<Whitened> {
         let predicted = row.h * covariance * row.h.transpose() + row.covariance;
-        Whitened::new(&self.model.robot, &row.residual(x), &predicted)
+        Whitened::new(&row.residual(x), &predicted)
     }
 
     /// Squared distances (bending, common) of a row from its prediction, as the gate sees them.
     fn distances(&self, row: &Row, x: &Vector2<f64>, covariance: &Matrix2<f64>) -> Option<[f64; 2]> {
         let whitened = self.whitened(&trusted(row), x, covariance)?;
         Some([whitened.bending.norm_squared(), whitened.common.powi(2)])
+    }
+
+    /// Measured ε less what the estimate predicts, per backbone, mm.
+    fn residual_mm(&self, sample: &Sample) -> PerBackbone {
+        let (robot, row) = (&self.model.robot, self.row(&self.model, sample));
+        let told = row.residual(&self.model.parameters());
+        // What a row leaves out of the readings, and what it says of them.
+        robot.from_bend_and_common(&(told - robot.bend_and_common(&sample.q_tilde))) + sample.q_tilde
     }
 
     fn row(&self, model: &Model, sample: &Sample) -> Row {
@@ -454,16 +465,20 @@ pub(super) fn parameters_by_friction(model: &Model, eta: f64) -> Matrix2<f64> {
     Matrix2::new(-eta * 2.0 * phi * capstan / model.line_compliance_mm_per_n(), 0.0, -2.0 * phi * static_mm, -capstan)
 }
 
-/// What a measurement and its reading hold, if all of it can be used.
+/// What a measurement and its reading hold, on a robot of so many backbones, if all of it can be used.
 pub(super) fn usable(
+    backbones: usize,
     measurement: &Measurement,
     reading: Option<&EncoderReading>,
-) -> std::result::Result<(Measured, Vector3<f64>), Reason> {
+) -> std::result::Result<(Measured, PerBackbone), Reason> {
     let measured = match (&measurement.status, &measurement.measured) {
         (Status::Ok, Some(measured)) => *measured,
         (status, _) => return Err(Reason::NotMeasured(status.clone())),
     };
     let reading = reading.filter(|reading| reading.index == measurement.index).ok_or(Reason::NoEncoderReading)?;
+    if reading.q_mm.len() != backbones {
+        return Err(Reason::OtherBackbones);
+    }
     let Measured { configuration, sigma_theta, sigma_delta, correlation } = measured;
     let finite = [configuration.theta, configuration.delta, correlation]
         .iter()
@@ -481,7 +496,9 @@ pub(super) fn usable(
 
 /// A row with no more trust in the model's common part than it deserves.
 fn trusted(row: &Row) -> Row {
-    Row { covariance: row.covariance.add_scalar(COMMON_TRUST_MM.powi(2)), ..*row }
+    // λ's column of H: a mm in every backbone.
+    let common = row.h.column(1) * COMMON_TRUST_MM;
+    Row { covariance: row.covariance + common * common.transpose(), ..*row }
 }
 
 /// rᵗR⁻¹r of a row at x; infinite where R is not positive definite.

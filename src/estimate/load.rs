@@ -17,12 +17,12 @@
 //! better than [`BLIND_SD_N`] counts as unseen; the force has no part along it, and its covariance says nothing there.
 
 use super::estimator::usable;
-use super::row::bend_covariance;
+use super::row::{bend_covariance, by_parameters};
 use super::without_effects;
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::record::{EncoderReading, ForceRow, Measured, MeasuredForce, Measurement};
-use crate::robot::Model;
+use crate::robot::{Model, PerBackbone};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
 use std::collections::HashMap;
 
@@ -56,16 +56,19 @@ impl Gathered {
     }
 
     /// Adds one measurement; one whose covariance is not positive definite says nothing.
-    fn add(&mut self, model: &Model, sd_encoder_mm: f64, measured: &Measured, q_tilde: &Vector3<f64>) {
+    fn add(&mut self, model: &Model, sd_encoder_mm: f64, measured: &Measured, q_tilde: &PerBackbone) {
         let psi = measured.configuration;
         let bend = psi.bend_vector();
         let slope = model.robot.displacement_by_bend() + model.epsilon_by_bend(bend);
+        // As in a row, the bend and the common part hold all that there is.
+        let parts = |q_mm: PerBackbone| model.robot.bend_and_common(&q_mm);
+        let slope = Matrix3x2::from_columns(&[0, 1].map(|axis| parts(slope.column(axis))));
         let covariance =
             slope * bend_covariance(measured, psi) * slope.transpose() + Matrix3::identity() * sd_encoder_mm.powi(2);
         let Some(weight) = covariance.try_inverse() else { return };
         let by_force = by_force(model, psi);
-        let by_parameters = model.epsilon_by_parameters(bend);
-        let residual = q_tilde - model.command(psi);
+        let by_parameters = by_parameters(model, bend);
+        let residual = parts(*q_tilde - model.command(psi));
         self.force.0 += by_force.transpose() * weight * by_force;
         self.force.1 += by_force.transpose() * weight * residual;
         self.parameters.0 += by_parameters.transpose() * weight * by_parameters;
@@ -92,11 +95,15 @@ impl Gathered {
     }
 }
 
-/// ∂q̃/∂F at a pose, mm/N.
+/// ∂q̃/∂F at a pose, mm/N, as bend and common part.
 fn by_force(model: &Model, psi: Configuration) -> Matrix3<f64> {
     let tip = model.robot.tip_jacobian_bend(psi.bend_vector());
-    let forces = model.robot.bend_by_displacement().transpose() * tip.fixed_rows::<3>(0).transpose();
-    forces * -(model.parameters().x * model.line_compliance_mm_per_n())
+    let scale = -(model.parameters().x * model.line_compliance_mm_per_n());
+    let columns = [0, 1, 2].map(|axis| {
+        let on_bend = tip.fixed_view::<1, 2>(axis, 0).transpose();
+        model.robot.bend_and_common(&(model.robot.bend_by_displacement() * on_bend)) * scale
+    });
+    Matrix3::from_columns(&columns)
 }
 
 /// The force that explains each measurement, as the rows of force.csv, and the one force that explains all of them together.
@@ -128,7 +135,7 @@ pub fn tip_force(
     let rows = measurements
         .iter()
         .map(|measurement| {
-            let usable = usable(measurement, readings.get(&measurement.index).copied());
+            let usable = usable(plain.robot.backbone_count(), measurement, readings.get(&measurement.index).copied());
             let found = usable.map(|(measured, q_tilde)| {
                 used += 1;
                 all.add(&plain, sd_encoder_mm, &measured, &q_tilde);
@@ -172,7 +179,7 @@ mod tests {
     fn loaded(force_n: Vector3<f64>) -> Effect {
         let names = ["fx_n", "fy_n", "fz_n"];
         let values: Vec<_> = names.iter().zip(&force_n).map(|(name, f)| ((*name).to_owned(), *f)).collect();
-        Effect::new("tip_load", None, &values).unwrap()
+        Effect::new("tip_load", None, &values, 3).unwrap()
     }
 
     /// Measurements of a bending experiment under a force.

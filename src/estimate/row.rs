@@ -10,10 +10,15 @@
 //!
 //! to first order about any b* near b. Two things follow.
 //!
+//! **Three numbers, however many backbones.** Q, A and H's first column lie in the span of Q's two columns, ε_0 and H's second
+//! along (1, …, 1): of n equations two tell the bend, one the common part, and n − 3 hold the encoders' noise alone and nothing of
+//! x. A row keeps the three, in coordinates that keep lengths ([`bend_and_common`](crate::robot::Robot::bend_and_common)), so
+//! that the encoders' noise stays σ_q² I.
+//!
 //! **Weights.** The covariance of a row is A Σ_b Aᵗ + σ_q² I: the camera's through the kinematics *and* through ε, and the
-//! encoders'. A has rank 2. Along its missing direction, the part common to all backbones, only the encoders' noise is
-//! left, and rightly so: a common part of q̃ moves neither θ nor δ, so the camera's noise cannot reach it. Where the model
-//! is wrong there by more than the encoders' noise, the [`Consistency`](super::Consistency) of that part shows it.
+//! encoders'. A has rank 2. In the common part only the encoders' noise is left, and rightly so: a common part of q̃ moves neither
+//! θ nor δ, so the camera's noise cannot reach it. Where the model is wrong there by more than the encoders' noise, the
+//! [`Consistency`](super::Consistency) of that part shows it.
 //!
 //! **Where to evaluate H.** At b* = b_m the noise stands in H as well as in z and pulls η towards smaller values by
 //! (1 + η) σ²/θ², in the mean over the measurements; at small bends that is much. Once there is an estimate, the encoders
@@ -25,7 +30,7 @@
 
 use crate::geometry::Configuration;
 use crate::record::Measured;
-use crate::robot::Model;
+use crate::robot::{Model, PerBackbone};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Rotation2, Vector2, Vector3};
 use std::f64::consts::PI;
 
@@ -42,7 +47,7 @@ pub enum Weighting {
     },
 }
 
-/// One measurement's equations z = H x + noise, over the three backbones.
+/// One measurement's equations z = H x + noise: two for the bend, one for the common part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Row {
     /// z, mm.
@@ -65,27 +70,36 @@ impl Row {
         weighting: Weighting,
         sd_encoder_mm: f64,
         measured: &Measured,
-        q_tilde: &Vector3<f64>,
+        q_tilde: &PerBackbone,
     ) -> Self {
         let bend = measured.configuration.bend_vector();
         let q = model.robot.displacement_by_bend();
+        let parts = |q_mm: PerBackbone| model.robot.bend_and_common(&q_mm);
         if let Weighting::Flat { sigma_deg } = weighting {
             let sigma = model.robot.backbone_circle_radius_mm * sigma_deg.to_radians();
             return Self {
-                z: q_tilde - q * bend - model.epsilon_fixed(),
-                h: model.epsilon_by_parameters(bend),
+                z: parts(*q_tilde - q * bend - model.epsilon_fixed()),
+                h: by_parameters(model, bend),
                 covariance: Matrix3::identity() * sigma.powi(2),
             };
         }
         let (at, bend_covariance) = smoothed(model, sd_encoder_mm, measured, q_tilde)
             .unwrap_or_else(|| (bend, bend_covariance(measured, measured.configuration)));
         let slope = q + model.epsilon_by_bend(at);
+        let z = parts(*q_tilde - q * at - slope * (bend - at) - model.epsilon_fixed());
+        let slope = Matrix3x2::from_columns(&[0, 1].map(|axis| parts(slope.column(axis))));
         Self {
-            z: q_tilde - q * at - slope * (bend - at) - model.epsilon_fixed(),
-            h: model.epsilon_by_parameters(at),
+            z,
+            h: by_parameters(model, at),
             covariance: slope * bend_covariance * slope.transpose() + Matrix3::identity() * sd_encoder_mm.powi(2),
         }
     }
+}
+
+/// H at a bend.
+pub(super) fn by_parameters(model: &Model, bend: Vector2<f64>) -> Matrix3x2<f64> {
+    let h = model.epsilon_by_parameters(bend);
+    Matrix3x2::from_columns(&[0, 1].map(|axis| model.robot.bend_and_common(&h.column(axis))))
 }
 
 /// A bend of fewer standard deviations than this counts as straight: what noise adds to |H|² is then 1 % at most.
@@ -98,13 +112,13 @@ fn smoothed(
     model: &Model,
     sd_encoder_mm: f64,
     measured: &Measured,
-    q_tilde: &Vector3<f64>,
+    q_tilde: &PerBackbone,
 ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     model.estimate?;
     let implied = model.forward_bend(q_tilde).ok()?;
     let by_encoders = model.updated_jacobian_bend(implied).ok()?;
     let implied_covariance =
-        model.response_covariance_bend(implied).ok()? + by_encoders * by_encoders.transpose() * sd_encoder_mm.powi(2);
+        model.response_covariance_bend(implied).ok()? + by_encoders.squared_with(&by_encoders) * sd_encoder_mm.powi(2);
     // Taken at the implied bend, too: weights that followed the noise would favour one sign of it.
     let bend_covariance = bend_covariance(measured, Configuration::from_bend_vector(implied));
     let gain = implied_covariance * (implied_covariance + bend_covariance).try_inverse()?;
@@ -207,7 +221,7 @@ mod tests {
         let measured = measured(50.0, 20.0, 2.0, 3.0, 0.2);
         let q_tilde = Model::default().command(measured.configuration);
         let row = Row::new(&Model::default(), Weighting::Measured, 1.5e-3, &measured, &q_tilde);
-        let common = row.covariance.sum() / 9.0;
-        assert!((common - 1.5e-3f64.powi(2) / 3.0).abs() < 1e-15);
+        assert!((row.covariance[(2, 2)] - 1.5e-3f64.powi(2)).abs() < 1e-15);
+        assert!(row.covariance.fixed_view::<2, 1>(0, 2).norm() < 1e-15);
     }
 }

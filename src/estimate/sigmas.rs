@@ -47,11 +47,12 @@ pub fn with_sigmas(measurements: &[Measurement], readings: &[EncoderReading]) ->
 /// Standard deviations along the bend and across it, rad.
 fn scatter(measurements: &[Measurement], readings: &[EncoderReading]) -> Option<(f64, f64)> {
     let by_index: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
+    let robot = Robot { backbones: readings.first().map_or(0, |reading| reading.q_mm.len() as u8), ..Robot::default() };
     let mut pairs: Vec<(f64, Vector3<f64>, Vector2<f64>, Configuration)> = measurements
         .iter()
         .filter_map(|m| {
             let (reading, psi) = (by_index.get(&m.index)?, m.measured?.configuration);
-            let implied = Robot::default().bend_by_displacement() * reading.q_mm;
+            let implied = robot.bend_by_displacement().weighted(&reading.q_mm);
             let finite = implied.iter().chain([&psi.theta, &psi.delta, &reading.time_s]).all(|x| x.is_finite());
             finite.then(|| (reading.time_s, implied.push(1.0), psi.bend_vector(), psi))
         })

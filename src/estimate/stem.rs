@@ -131,15 +131,15 @@ impl Stem {
         measurement: &Measurement,
         reading: Option<&EncoderReading>,
     ) -> std::result::Result<StemAngle, Reason> {
-        let (measured, q_tilde) = usable(measurement, reading)?;
+        let (measured, q_tilde) = usable(self.model.robot.backbone_count(), measurement, reading)?;
         let bent = self.model();
         let row = Row::new(&bent, Weighting::Measured, self.options.sd_encoder_mm, &measured, &q_tilde);
         let eta = bent.parameters().x;
         // The columns of a row's H are κτ and 1.
-        let stretch = row.h.column(0).into_owned();
+        let [stretch, ones] = [0, 1].map(|axis| row.h.column(axis).into_owned());
         let cone_compliance = bent.robot.cone_compliance_mm_per_n();
         let tau = stretch / bent.line_compliance_mm_per_n();
-        let by_factor = (tau * eta).add_scalar(bent.friction.static_force_n) * cone_compliance;
+        let by_factor = (tau * eta + ones * bent.friction.static_force_n) * cone_compliance;
         let Some(weight) = row.covariance.try_inverse() else { return Err(Reason::NotFinite) };
 
         self.fade();
@@ -152,8 +152,8 @@ impl Stem {
         let share = (CLIP / distance.abs()).min(1.0);
         self.noise += gained * share.powi(2);
         gained *= share;
-        let static_part = Vector3::repeat(self.factor * cone_compliance);
-        let by_errors = [stretch, Vector3::repeat(1.0), static_part].map(|by| by_factor.dot(&(weight * by)) * share);
+        let static_part = ones * (self.factor * cone_compliance);
+        let by_errors = [stretch, ones, static_part].map(|by| by_factor.dot(&(weight * by)) * share);
         self.by_parameters -= Vector3::from(by_errors);
         self.scatter.0 += distance.powi(2).min(CLIP.powi(2));
         self.scatter.1 += 1.0;
@@ -248,7 +248,7 @@ mod tests {
     use super::*;
     use crate::geometry::Configuration;
     use crate::record::Truth;
-    use crate::robot::{Estimate, Friction};
+    use crate::robot::{Estimate, Friction, PerBackbone};
     use crate::simulate::{Sample, SimulatedEye};
     use rand::SeedableRng;
     use rand::rngs::StdRng;
@@ -273,7 +273,7 @@ mod tests {
                 let psi = Configuration::from_degrees(50.0 + 30.0 * (0.7 * at).sin(), 40.0 * at);
                 let mut bent = model.clone();
                 bent.robot.line = bent.robot.line.bent_through(phi.to_radians());
-                let noise = Vector3::from_fn(|_, _| -> f64 { StandardNormal.sample(&mut random) }) * 0.0015;
+                let noise = PerBackbone::from_fn(3, |_| StandardNormal.sample(&mut random)) * 0.0015;
                 let reading = EncoderReading { index, time_s, q_mm: bent.command(psi) + noise };
                 Sample { reading, truth: Truth { index, configuration: psi }, seen: psi }
             })

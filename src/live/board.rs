@@ -6,7 +6,7 @@ use super::latency::{Histogram, LatencyStatus};
 use super::pace::PaceStatus;
 use super::source::SourceStatus;
 use crate::record::{Measurement, Verdict};
-use crate::robot::Model;
+use crate::robot::{Model, PerBackbone};
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -34,7 +34,7 @@ pub struct Row {
     /// See `theta_deg`.
     pub sigma_delta_deg: Option<f64>,
     /// What the encoders read, mm.
-    pub q_mm: Option<[f64; 3]>,
+    pub q_mm: Option<PerBackbone>,
     /// θ and δ that the model expects from that, degrees.
     pub expected_theta_deg: Option<f64>,
     /// See `expected_theta_deg`.
@@ -44,7 +44,7 @@ pub struct Row {
     /// Why not used.
     pub reason: String,
     /// Measured ε less predicted ε per backbone, mm.
-    pub residual_mm: Option<[f64; 3]>,
+    pub residual_mm: Option<PerBackbone>,
     /// The estimate after it.
     pub estimate: Option<EstimateStatus>,
     /// From the frame's arrival to the estimate, ms.

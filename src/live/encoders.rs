@@ -1,6 +1,6 @@
 //! Encoder readings as they come: lines of CSV or JSON from standard input, a socket or a growing file.
 //!
-//! A line is `time_s,q1_mm,q2_mm,q3_mm`, with or without a header that names these columns in another order (encoders.csv's
+//! A line is `time_s,q1_mm,q2_mm,q3_mm` (a number for each backbone), with or without a header that names these columns in another order (encoders.csv's
 //! own works), or JSON: `{"time_s": 1.5, "q_mm": [0.1, -0.2, 0.1]}`, or with `q1_mm` … `q3_mm`. Readings are matched to frames
 //! by time, interpolated linearly between neighbours.
 
@@ -8,8 +8,10 @@ use super::clock::{ClockState, FrameClock, Lag, Offset, motion_lag};
 use crate::error::{Error, Result};
 use crate::input::read_line;
 use crate::record::EncoderReading;
-use nalgebra::{Matrix2x3, Vector2, Vector3};
+use crate::robot::PerBackbone;
+use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Seek};
@@ -139,10 +141,10 @@ impl Encoders {
     }
 
     /// Estimates the lag between picture and encoders anew from the last measured bends and their times.
-    pub fn estimate_lag(&self, bends: &[(f64, Vector2<f64>)], to_bend: &Matrix2x3<f64>) {
+    pub fn estimate_lag(&self, bends: &[(f64, Vector2<f64>)], to_bend: &PerBackbone<Vector2<f64>>) {
         let Self::Feed(feed) = self else { return };
         let readings = feed.shared.lock().in_frames_time(bends);
-        let lag = motion_lag(bends, |time_s| interpolate(&readings, time_s).map(|q| to_bend * q));
+        let lag = motion_lag(bends, |time_s| interpolate(&readings, time_s).map(|q| to_bend.weighted(&q)));
         if lag.is_some() {
             feed.shared.lock().lag = lag;
         }
@@ -156,10 +158,10 @@ pub struct Feed {
 }
 
 impl Feed {
-    /// Starts to read. What is not there yet is waited for.
-    pub fn start(source: EncoderSource, clock: Arc<FrameClock>, given_offset_s: Option<f64>) -> Self {
+    /// Starts to read the encoders of so many backbones. What is not there yet is waited for.
+    pub fn start(source: EncoderSource, backbones: usize, clock: Arc<FrameClock>, given_offset_s: Option<f64>) -> Self {
         let readings = Readings {
-            parser: LineParser::default(),
+            parser: LineParser::new(backbones),
             stamped: VecDeque::new(),
             offset: Offset::new(given_offset_s),
             lag: None,
@@ -212,7 +214,7 @@ impl Shared {
                 EncoderSource::File(path) => self.follow(path),
             };
             self.trouble(ended.err());
-            self.lock().parser = LineParser::default();
+            self.lock().parser.columns = None;
             std::thread::sleep(RETRY);
         }
     }
@@ -297,7 +299,7 @@ impl Shared {
 #[derive(Debug)]
 struct Readings {
     parser: LineParser,
-    stamped: VecDeque<(f64, Vector3<f64>)>,
+    stamped: VecDeque<(f64, PerBackbone)>,
     offset: Offset,
     lag: Option<Lag>,
     count: u64,
@@ -308,7 +310,7 @@ struct Readings {
 }
 
 impl Readings {
-    fn add(&mut self, stamp_s: f64, q_mm: Vector3<f64>, arrival_s: Option<f64>) {
+    fn add(&mut self, stamp_s: f64, q_mm: PerBackbone, arrival_s: Option<f64>) {
         if let Some(&(last_s, _)) = self.stamped.back()
             && stamp_s <= last_s
         {
@@ -348,7 +350,7 @@ impl Readings {
     }
 
     /// Those readings, in the frames' time, that surround the times of some bends.
-    fn in_frames_time(&self, bends: &[(f64, Vector2<f64>)]) -> Vec<(f64, Vector3<f64>)> {
+    fn in_frames_time(&self, bends: &[(f64, Vector2<f64>)]) -> Vec<(f64, PerBackbone)> {
         const AROUND_S: f64 = 1.0;
         let (Some(first), Some(last)) = (bends.first(), bends.last()) else { return Vec::new() };
         let offset_s = self.offset.estimate().1;
@@ -382,94 +384,115 @@ impl Readings {
 }
 
 /// The reading at a time, of readings in order.
-fn interpolate(readings: &[(f64, Vector3<f64>)], time_s: f64) -> Option<Vector3<f64>> {
+fn interpolate(readings: &[(f64, PerBackbone)], time_s: f64) -> Option<PerBackbone> {
     let after = readings.partition_point(|&(s, _)| s < time_s);
     between(*readings.get(after.checked_sub(1)?)?, *readings.get(after)?, time_s)
 }
 
-fn between(earlier: (f64, Vector3<f64>), later: (f64, Vector3<f64>), time_s: f64) -> Option<Vector3<f64>> {
+fn between(earlier: (f64, PerBackbone), later: (f64, PerBackbone), time_s: f64) -> Option<PerBackbone> {
     let step = later.0 - earlier.0;
     if step > MOST_GAP_S || later.0 < time_s || earlier.0 > time_s {
         return None;
     }
     let share = if step > 0.0 { (time_s - earlier.0) / step } else { 1.0 };
-    Some(earlier.1.lerp(&later.1, share))
+    Some(earlier.1 + (later.1 - earlier.1) * share)
 }
 
 /// Reads lines of encoder readings, CSV or JSON, and remembers the header that it met.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct LineParser {
-    /// Where time_s, q1_mm, q2_mm, q3_mm stand.
-    columns: Option<[usize; 4]>,
+    /// time_s, q1_mm, q2_mm, ...: one for each backbone.
+    names: Vec<String>,
+    /// Where they stand.
+    columns: Option<Vec<usize>>,
 }
 
-const NAMES: [&str; 4] = ["time_s", "q1_mm", "q2_mm", "q3_mm"];
-
 /// A stamp, s, and q̃, mm; `None` for a header, a comment or an empty line; else what is wrong with the line.
-pub type Parsed = std::result::Result<Option<(f64, Vector3<f64>)>, String>;
+pub type Parsed = std::result::Result<Option<(f64, PerBackbone)>, String>;
 
 #[derive(Deserialize)]
 struct JsonReading {
     time_s: f64,
-    q_mm: Option<[f64; 3]>,
-    q1_mm: Option<f64>,
-    q2_mm: Option<f64>,
-    q3_mm: Option<f64>,
+    q_mm: Option<PerBackbone>,
+    /// q1_mm, q2_mm, ... among others.
+    #[serde(flatten)]
+    others: HashMap<String, Value>,
 }
 
 impl LineParser {
+    /// For the lines of a robot of so many backbones.
+    pub fn new(backbones: usize) -> Self {
+        let q = (1..=backbones).map(|i| format!("q{i}_mm"));
+        Self { names: ["time_s".to_owned()].into_iter().chain(q).collect(), columns: None }
+    }
+
     /// What a line says.
     ///
     /// # Errors
     /// A line that is no reading, in words that show its beginning.
     pub fn parse(&mut self, line: &[u8]) -> Parsed {
         if line.len() > LONGEST_LINE {
-            return Err(format!("more than {LONGEST_LINE} bytes in a line, expected time_s,q1_mm,q2_mm,q3_mm"));
+            return Err(format!("more than {LONGEST_LINE} bytes in a line, expected {}", self.names.join(",")));
         }
         let line = String::from_utf8_lossy(line);
         let line = line.trim();
         if line.is_empty() || line.starts_with('#') {
             return Ok(None);
         }
-        let values = if line.starts_with('{') { json(line)? } else { self.csv(line)? };
-        let Some([time_s, q1, q2, q3]) = values else { return Ok(None) };
-        // Beyond these a number is a slip of units or a broken line.
-        if ![time_s, q1, q2, q3].iter().all(|value| value.is_finite()) || [q1, q2, q3].iter().any(|q| q.abs() > 1e3) {
+        let values = if line.starts_with('{') { self.json(line)? } else { self.csv(line)? };
+        let Some((time_s, q_mm)) = values else { return Ok(None) };
+        // Beyond these a number is a slip of units or a broken line. Written so that what is not finite fails.
+        if !(time_s.is_finite() && q_mm.iter().all(|q| q.abs() <= 1e3)) {
             return Err(format!("{}: not a reading in mm", start_of(line)));
         }
-        Ok(Some((time_s, Vector3::new(q1, q2, q3))))
+        Ok(Some((time_s, q_mm)))
     }
 
-    fn csv(&mut self, line: &str) -> std::result::Result<Option<[f64; 4]>, String> {
+    fn csv(&mut self, line: &str) -> Parsed {
         let fields: Vec<&str> = line.split(',').map(str::trim).collect();
-        if fields.iter().any(|field| NAMES.contains(field)) {
-            let place = |name: &str| {
-                fields.iter().position(|field| *field == name).ok_or_else(|| format!("the header has no {name}"))
+        if fields.iter().any(|field| self.names.iter().any(|name| name == field)) {
+            let place = |name: &String| {
+                fields.iter().position(|field| field == name).ok_or_else(|| format!("the header has no {name}"))
             };
-            self.columns = Some([place(NAMES[0])?, place(NAMES[1])?, place(NAMES[2])?, place(NAMES[3])?]);
+            let columns = self.names.iter().map(place).collect::<std::result::Result<_, _>>()?;
+            let further = format!("q{}_mm", self.names.len());
+            if fields.contains(&further.as_str()) {
+                return Err(format!("the header has {further}, expected {}", self.names.join(",")));
+            }
+            self.columns = Some(columns);
             return Ok(None);
         }
-        let expected = || format!("{}: expected time_s,q1_mm,q2_mm,q3_mm", start_of(line));
-        let columns = match self.columns {
+        let expected = || format!("{}: expected {}", start_of(line), self.names.join(","));
+        let in_order: Vec<usize>;
+        let columns = match &self.columns {
             Some(columns) => columns,
-            None if fields.len() == 4 => [0, 1, 2, 3],
+            None if fields.len() == self.names.len() => {
+                in_order = (0..fields.len()).collect();
+                &in_order
+            }
             None => return Err(expected()),
         };
-        let mut values = [0.0; 4];
-        for (value, column) in values.iter_mut().zip(columns) {
-            *value = fields.get(column).and_then(|field| field.parse().ok()).ok_or_else(expected)?;
-        }
-        Ok(Some(values))
+        let number = |column: &usize| fields.get(*column).and_then(|field| field.parse::<f64>().ok());
+        let values: Option<Vec<f64>> = columns.iter().map(number).collect();
+        let values = values.ok_or_else(expected)?;
+        Ok(PerBackbone::of(&values[1..]).map(|q_mm| (values[0], q_mm)))
     }
-}
 
-fn json(line: &str) -> std::result::Result<Option<[f64; 4]>, String> {
-    let wrong = |why: String| format!("{}: {why}", start_of(line));
-    let reading: JsonReading = serde_json::from_str(line).map_err(|e| wrong(e.to_string()))?;
-    let JsonReading { time_s, q_mm, q1_mm, q2_mm, q3_mm } = reading;
-    let single = || Some([q1_mm?, q2_mm?, q3_mm?]);
-    let [q1, q2, q3] = q_mm.or_else(single).ok_or_else(|| wrong("expected q_mm, or q1_mm to q3_mm".into()))?;
-    Ok(Some([time_s, q1, q2, q3]))
+    fn json(&self, line: &str) -> Parsed {
+        let wrong = |why: String| format!("{}: {why}", start_of(line));
+        let JsonReading { time_s, q_mm, others } = serde_json::from_str(line).map_err(|e| wrong(e.to_string()))?;
+        let backbones = self.names.len() - 1;
+        let single = || -> Option<PerBackbone> {
+            let numbers: Option<Vec<f64>> = self.names[1..].iter().map(|name| others.get(name)?.as_f64()).collect();
+            PerBackbone::of(&numbers?)
+        };
+        let q_mm = q_mm.or_else(single).filter(|q_mm| q_mm.len() == backbones);
+        let further = format!("q{}_mm", backbones + 1);
+        match q_mm {
+            Some(q_mm) if !others.contains_key(&further) => Ok(Some((time_s, q_mm))),
+            _ => Err(wrong(format!("expected q_mm of {backbones} numbers, or q1_mm to q{backbones}_mm"))),
+        }
+    }
 }
 
 /// The beginning of a line, to be shown.
@@ -485,13 +508,13 @@ mod tests {
     use std::time::Instant;
 
     fn parsed(lines: &[&str]) -> Vec<Parsed> {
-        let mut parser = LineParser::default();
+        let mut parser = LineParser::new(3);
         lines.iter().map(|line| parser.parse(line.as_bytes())).collect()
     }
 
     #[test]
     fn lines_of_every_kind_are_understood() {
-        let expected = Ok(Some((1.5, Vector3::new(0.1, -0.2, 0.3))));
+        let expected = Ok(Some((1.5, PerBackbone::from([0.1, -0.2, 0.3]))));
         for lines in [
             &["1.5,0.1,-0.2,0.3"][..],
             &["time_s,q1_mm,q2_mm,q3_mm", "1.5, 0.1, -0.2, 0.3"],
@@ -507,10 +530,30 @@ mod tests {
         }
     }
 
+    #[test]
+    fn lines_of_another_robot_are_refused() {
+        let said = |backbones: usize, line: &str| LineParser::new(backbones).parse(line.as_bytes());
+        let four = Ok(Some((1.5, PerBackbone::from([0.1, -0.2, 0.3, 0.4]))));
+        assert_eq!(said(4, "1.5,0.1,-0.2,0.3,0.4"), four);
+        assert_eq!(said(4, r#"{"time_s":1.5,"q_mm":[0.1,-0.2,0.3,0.4]}"#), four);
+        assert_eq!(said(4, r#"{"time_s":1.5,"q1_mm":0.1,"q2_mm":-0.2,"q3_mm":0.3,"q4_mm":0.4}"#), four);
+        for (backbones, line, expected) in [
+            (4, "1.5,0.1,-0.2,0.3", "expected time_s,q1_mm,q2_mm,q3_mm,q4_mm"),
+            (3, "1.5,0.1,-0.2,0.3,0.4", "expected time_s,q1_mm,q2_mm,q3_mm"),
+            (4, "time_s,q1_mm,q2_mm,q3_mm", "the header has no q4_mm"),
+            (3, "time_s,q1_mm,q2_mm,q3_mm,q4_mm", "the header has q4_mm"),
+            (4, r#"{"time_s":1.5,"q_mm":[0.1,-0.2,0.3]}"#, "expected q_mm of 4 numbers"),
+            (3, r#"{"time_s":1.5,"q1_mm":0.1,"q2_mm":-0.2,"q3_mm":0.3,"q4_mm":0.4}"#, "q1_mm to q3_mm"),
+        ] {
+            let said = said(backbones, line).unwrap_err();
+            assert!(said.contains(expected), "{line}: {said}");
+        }
+    }
+
     proptest! {
         #[test]
         fn any_line_is_read_or_refused(lines in proptest::collection::vec(".{0,60}|[-0-9.,eE{}\":a-z_]{0,60}", 0..6)) {
-            let mut parser = LineParser::default();
+            let mut parser = LineParser::new(3);
             for line in lines {
                 if let Ok(Some((time_s, q))) = parser.parse(line.as_bytes()) {
                     prop_assert!(time_s.is_finite() && q.iter().all(|q| q.is_finite()));
@@ -529,11 +572,11 @@ mod tests {
         let address = listener.local_addr().unwrap().to_string();
         for source in [EncoderSource::File(path), EncoderSource::Tcp(address)] {
             let tcp = matches!(source, EncoderSource::Tcp(_));
-            let encoders = Encoders::Feed(Feed::start(source, clock(), None));
+            let encoders = Encoders::Feed(Feed::start(source, 3, clock(), None));
             if tcp {
                 listener.accept().unwrap().0.write_all(readings.as_bytes()).unwrap();
             }
-            assert_eq!(found(&encoders, 0.05).x, 0.5);
+            assert_eq!(found(&encoders, 0.05)[0], 0.5);
             let status = encoders.status();
             assert_eq!((status.readings, status.bad_lines), (2, 1), "{status:?}");
             assert!(status.last_bad.unwrap().contains("more than 4096 bytes"));
@@ -547,7 +590,7 @@ mod tests {
     }
 
     /// Waits until there is an answer.
-    fn found(encoders: &Encoders, time_s: f64) -> Vector3<f64> {
+    fn found(encoders: &Encoders, time_s: f64) -> PerBackbone {
         let deadline = Instant::now() + Duration::from_secs(5);
         loop {
             match encoders.at(0, time_s) {
@@ -562,14 +605,14 @@ mod tests {
     fn a_growing_file_is_followed_and_interpolated() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("encoders.csv");
-        let encoders = Encoders::Feed(Feed::start(EncoderSource::File(path.clone()), clock(), None));
+        let encoders = Encoders::Feed(Feed::start(EncoderSource::File(path.clone()), 3, clock(), None));
         assert_eq!(encoders.status().state, "waiting");
         let mut file = File::create(&path).unwrap();
         file.write_all(b"time_s,q1_mm,q2_mm,q3_mm\n0.0,0,0,0\n0.2,1,2,-1\n0.3,1,").unwrap();
-        assert!((found(&encoders, 0.05) - Vector3::new(0.25, 0.5, -0.25)).norm() < 1e-12);
+        assert!((found(&encoders, 0.05) - PerBackbone::from([0.25, 0.5, -0.25])).norm() < 1e-12);
         assert_eq!(encoders.at(0, 0.25), Lookup::NotYet);
         file.write_all(b"3,-1\n9,0,0,0\n").unwrap();
-        assert!((found(&encoders, 0.25) - Vector3::new(1.0, 2.5, -1.0)).norm() < 1e-12);
+        assert!((found(&encoders, 0.25) - PerBackbone::from([1.0, 2.5, -1.0])).norm() < 1e-12);
         assert_eq!(encoders.at(0, 5.0), Lookup::Never, "too far from any reading");
         assert_eq!(encoders.status().state, "running");
     }
@@ -578,12 +621,12 @@ mod tests {
     fn sockets_that_close_are_opened_again() {
         let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let source: EncoderSource = format!("tcp://{}", listener.local_addr().unwrap()).parse().unwrap();
-        let encoders = Encoders::Feed(Feed::start(source, clock(), None));
+        let encoders = Encoders::Feed(Feed::start(source, 3, clock(), None));
         for k in 0..2 {
             let (mut stream, _) = listener.accept().unwrap();
             let t = f64::from(k);
             writeln!(stream, "garbage\n{t},{k},0,0\n{},{k},0,0", t + 0.1).unwrap();
-            assert_eq!(found(&encoders, t + 0.05).x, t);
+            assert_eq!(found(&encoders, t + 0.05)[0], t);
         }
         assert_eq!(encoders.status().bad_lines, 2);
     }
@@ -595,10 +638,10 @@ mod tests {
         let path = folder.path().join("encoders.sock");
         let listener = std::os::unix::net::UnixListener::bind(&path).unwrap();
         let source: EncoderSource = format!("unix:{}", path.display()).parse().unwrap();
-        let encoders = Encoders::Feed(Feed::start(source, clock(), Some(0.5)));
+        let encoders = Encoders::Feed(Feed::start(source, 3, clock(), Some(0.5)));
         let (mut stream, _) = listener.accept().unwrap();
         writeln!(stream, "{{\"time_s\": 1.0, \"q_mm\": [1, 2, 3]}}").unwrap();
-        assert_eq!(found(&encoders, 1.5), Vector3::new(1.0, 2.0, 3.0));
+        assert_eq!(found(&encoders, 1.5), PerBackbone::from([1.0, 2.0, 3.0]));
         assert_eq!(encoders.status().clock, ClockState::Given);
     }
 

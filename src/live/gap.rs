@@ -118,7 +118,7 @@ impl Gathered {
 mod tests {
     use super::*;
     use crate::record::Status;
-    use nalgebra::Vector3;
+    use crate::robot::PerBackbone;
 
     #[test]
     fn however_many_come_a_bounded_number_spread_over_all_is_kept() {
@@ -126,7 +126,8 @@ mod tests {
         for index in 0..20_000 {
             let measurement =
                 Measurement { index, time_s: None, status: Status::Ok, measured: None, quality: None, view: None };
-            gathered.take(&measurement, &EncoderReading { index, time_s: index as f64, q_mm: Vector3::zeros() });
+            gathered
+                .take(&measurement, &EncoderReading { index, time_s: index as f64, q_mm: PerBackbone::repeat(3, 0.0) });
         }
         let (kept, _) = gathered.samples();
         assert!(kept.len() >= SPREAD && kept.len() < 2 * SPREAD);

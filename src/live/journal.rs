@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::input::{LineRead, read_line};
 use crate::record::{EncoderReading, Measured, Measurement, Quality, Shape};
-use nalgebra::Vector3;
+use crate::robot::PerBackbone;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
 use std::io::{BufReader, Write};
@@ -56,7 +56,7 @@ struct Line {
     #[serde(skip_serializing_if = "Option::is_none")]
     shape: Option<[f64; 7]>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    q_mm: Option<[f64; 3]>,
+    q_mm: Option<PerBackbone>,
     #[serde(skip_serializing_if = "Option::is_none")]
     encoder_time_s: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -88,7 +88,7 @@ impl From<&Entry> for Line {
             moved_px: measurement.quality.map(|q| (q.base_moved_px, q.grid_moved_px)),
             // What is no number would make the line one that cannot be read.
             shape: shape.filter(|shape| shape.iter().all(|value| value.is_finite())),
-            q_mm: reading.map(|reading| reading.q_mm.into()),
+            q_mm: reading.map(|reading| reading.q_mm),
             encoder_time_s: reading.map(|reading| reading.time_s),
             view: measurement.view.clone(),
         }
@@ -136,7 +136,7 @@ impl Line {
         let reading = self.q_mm.zip(self.encoder_time_s.or(self.time_s)).map(|(q_mm, time_s)| EncoderReading {
             index,
             time_s,
-            q_mm: Vector3::from(q_mm),
+            q_mm,
         });
         Some(Entry::Measured(measurement, reading))
     }
@@ -273,7 +273,7 @@ mod tests {
             }),
             view: Some("side".into()),
         };
-        let reading = EncoderReading { index, time_s, q_mm: Vector3::new(0.1, -0.2, 0.3) };
+        let reading = EncoderReading { index, time_s, q_mm: PerBackbone::from([0.1, -0.2, 0.3, 0.4]) };
         Entry::Measured(measurement, with_reading.then_some(reading))
     }
 

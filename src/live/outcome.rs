@@ -9,14 +9,14 @@ use std::path::Path;
 /// Rows that are written at a time, so that a long run needs no memory.
 const AT_ONCE: usize = 1000;
 
-/// Writes measurements.csv and encoders.csv from the journal of a folder.
+/// Writes measurements.csv and the encoders.csv of so many backbones from the journal of a folder.
 ///
 /// # Errors
 /// A journal that cannot be read, a file that cannot be written.
-pub fn write(output: &Path) -> Result<()> {
+pub fn write(output: &Path, backbones: usize) -> Result<()> {
     let [measurements_path, readings_path] = ["measurements.csv", "encoders.csv"].map(|name| output.join(name));
     let mut measurements = Csv::create(&measurements_path, measurements_csv)?;
-    let mut readings = Csv::create(&readings_path, encoders_csv)?;
+    let mut readings = Csv::create(&readings_path, |rows| encoders_csv(rows, backbones))?;
     let mut failed = None;
     read(&output.join(JOURNAL), |entry| {
         if let Entry::Measured(measurement, reading) = entry {
@@ -30,16 +30,16 @@ pub fn write(output: &Path) -> Result<()> {
 }
 
 /// A CSV file that is written piece by piece.
-struct Csv<'a, T> {
+struct Csv<'a, T, F> {
     path: &'a Path,
     file: PendingFile,
-    text_of: fn(&[T]) -> String,
+    text_of: F,
     rows: Vec<T>,
     begun: bool,
 }
 
-impl<'a, T> Csv<'a, T> {
-    fn create(path: &'a Path, text_of: fn(&[T]) -> String) -> Result<Self> {
+impl<'a, T, F: Fn(&[T]) -> String> Csv<'a, T, F> {
+    fn create(path: &'a Path, text_of: F) -> Result<Self> {
         Ok(Self { path, file: PendingFile::create(path)?, text_of, rows: Vec::new(), begun: false })
     }
 

@@ -147,7 +147,8 @@ impl Live {
                 Encoders::Log(readings.into_iter().map(|reading| (reading.index, reading)).collect::<HashMap<_, _>>())
             }
             EncoderInput::Lines { source, offset_s } => {
-                Encoders::Feed(Feed::start(source, Arc::clone(&clock), offset_s))
+                let backbones = model.robot.backbone_count();
+                Encoders::Feed(Feed::start(source, backbones, Arc::clone(&clock), offset_s))
             }
         });
         let board = Arc::new(Board::new(State::at_start(source_name, encoders.status()), model.clone()));
@@ -462,7 +463,7 @@ impl Loop {
         self.learn()?;
         self.show();
         let result = if self.board.lock().model.estimate.is_some() { save(&self.board, &self.output) } else { Ok(()) };
-        super::outcome::write(&self.output)?;
+        super::outcome::write(&self.output, self.reference.robot.backbone_count())?;
         self.board.lock().state.ended = true;
         result
     }
@@ -507,12 +508,12 @@ fn row(
         delta_deg: measured.map(|m| m.configuration.delta_deg()),
         sigma_theta_deg: measured.map(|m| m.sigma_theta.to_degrees()),
         sigma_delta_deg: measured.map(|m| m.sigma_delta.to_degrees()),
-        q_mm: reading.map(|reading| reading.q_mm.into()),
+        q_mm: reading.map(|reading| reading.q_mm),
         expected_theta_deg: learned.expected.map(|psi| psi.theta_deg()),
         expected_delta_deg: learned.expected.map(|psi| psi.delta_deg()),
         verdict: learned.step.verdict.to_string(),
         reason: learned.step.reason.as_ref().map(ToString::to_string).unwrap_or_default(),
-        residual_mm: learned.step.residual_mm.map(Into::into),
+        residual_mm: learned.step.residual_mm,
         estimate: EstimateStatus::of(model),
         latency_ms,
     }

@@ -6,8 +6,8 @@ use super::quiet::be_quiet;
 use super::source::unix_time_s;
 use crate::error::{Error, Result};
 use crate::record::{write_compensation, write_model};
-use crate::robot::Grid;
-use nalgebra::{Matrix2x3, Vector2};
+use crate::robot::{Grid, PerBackbone};
+use nalgebra::Vector2;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -43,8 +43,8 @@ pub struct Saving {
     pub encoders: Arc<Encoders>,
     /// See `encoders`.
     pub bends: Bends,
-    /// Q⁺.
-    pub to_bend: Matrix2x3<f64>,
+    /// Q⁺, by columns.
+    pub to_bend: PerBackbone<Vector2<f64>>,
 }
 
 impl Saver {

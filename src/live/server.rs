@@ -184,13 +184,12 @@ async fn table(State(exhibits): State<Exhibits>, Query(Pose { theta, delta }): Q
     }
     let model = exhibits.board.lock().model.clone();
     let row = TableRow::new(&model, Configuration::from_degrees(theta, delta));
-    let three = |values: nalgebra::Vector3<f64>| <[f64; 3]>::from(values);
     Json(json!({
         "theta_deg": row.configuration.theta_deg(),
         "delta_deg": row.configuration.delta_deg(),
-        "q_mm": three(row.q_mm),
-        "qc_mm": three(row.command_mm),
-        "sd_qc_mm": three(row.sd_command_mm),
+        "q_mm": row.q_mm,
+        "qc_mm": row.command_mm,
+        "sd_qc_mm": row.sd_command_mm,
         "estimated": model.estimate.is_some(),
     }))
     .into_response()

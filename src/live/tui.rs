@@ -148,7 +148,10 @@ fn measurements(state: &State) -> Vec<Line<'static>> {
         angle("θ", row.theta_deg, row.sigma_theta_deg, row.expected_theta_deg).bold(),
         angle("δ", row.delta_deg, row.sigma_delta_deg, row.expected_delta_deg).bold(),
         Line::from(match row.residual_mm {
-            Some([a, b, c]) => format!("residuals {:+.1} {:+.1} {:+.1} µm", 1e3 * a, 1e3 * b, 1e3 * c),
+            Some(residuals) => {
+                let micrometres: Vec<_> = residuals.iter().map(|mm| format!("{:+.1}", 1e3 * mm)).collect();
+                format!("residuals {} µm", micrometres.join(" "))
+            }
             None => "residuals –".to_owned(),
         }),
         Line::from(counts),

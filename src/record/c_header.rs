@@ -3,6 +3,7 @@
 //! The lookup is the product of two cubics through the four nearest angles of the grid, δ going once round. Between the angles of the
 //! default grid it is within 2 µm of the model.
 
+use super::table::backbone_columns;
 use crate::error::{Error, Result};
 use crate::robot::{Grid, TableRow};
 use std::fmt::Write;
@@ -32,11 +33,16 @@ pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str) -> Re
             grid.delta
         )));
     }
+    let backbones = rows.first().map_or(0, |row| row.command_mm.len());
+    let q: Vec<_> = backbone_columns("q", "mm", backbones).map(|name| name.replace("_mm", "")).collect();
     let mut values = String::new();
     for row in rows.chunks(columns) {
         let cells: Vec<String> = row[..delta.len()]
             .iter()
-            .map(|pose| format!("{{{:.6}, {:.6}, {:.6}}}", pose.command_mm.x, pose.command_mm.y, pose.command_mm.z))
+            .map(|pose| {
+                let numbers: Vec<_> = pose.command_mm.iter().map(|q| format!("{q:.6}")).collect();
+                format!("{{{}}}", numbers.join(", "))
+            })
             .collect();
         let _ = writeln!(values, "    {{{}}},", cells.join(",\n     "));
     }
@@ -60,8 +66,8 @@ pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str) -> Re
 static const double snakeloop_theta_deg[2] = {{{theta_0:?}, {theta_step:?}}}; /* first, step */
 static const double snakeloop_delta_deg[2] = {{{delta_0:?}, {step:?}}};       /* first, step; once round */
 
-/* q1, q2, q3 in mm */
-static const double snakeloop_table_mm[SNAKELOOP_THETAS][SNAKELOOP_DELTAS][3] = {{
+/* {q} in mm */
+static const double snakeloop_table_mm[SNAKELOOP_THETAS][SNAKELOOP_DELTAS][{backbones}] = {{
 {values}}};
 
 /* Weights of the cubic through values at 0, 1, 2 and 3, at x. */
@@ -73,7 +79,7 @@ static inline void snakeloop_weights(double x, double w[4])
     w[3] = x * (x - 1) * (x - 2) / 6;
 }}
 
-static inline int snakeloop_command(double theta_deg, double delta_deg, double q_mm[3])
+static inline int snakeloop_command(double theta_deg, double delta_deg, double q_mm[{backbones}])
 {{
     const double row = (theta_deg - snakeloop_theta_deg[0]) / snakeloop_theta_deg[1];
     const double turn = (delta_deg - snakeloop_delta_deg[0]) / 360.0;
@@ -86,22 +92,24 @@ static inline int snakeloop_command(double theta_deg, double delta_deg, double q
     if (i0 > SNAKELOOP_THETAS - 4)
         i0 = SNAKELOOP_THETAS - 4;
     const int j0 = (int)floor(column) - 1;
-    double wi[4], wj[4], sum[3] = {{0, 0, 0}};
+    double wi[4], wj[4], sum[{backbones}] = {{{zeros}}};
     snakeloop_weights(row - i0, wi);
     snakeloop_weights(column - j0, wj);
     for (int i = 0; i < 4; i++)
         for (int j = 0; j < 4; j++) {{
             const double *node = snakeloop_table_mm[i0 + i][(j0 + j + SNAKELOOP_DELTAS) % SNAKELOOP_DELTAS];
-            for (int k = 0; k < 3; k++)
+            for (int k = 0; k < {backbones}; k++)
                 sum[k] += wi[i] * wj[j] * node[k];
         }}
-    for (int k = 0; k < 3; k++)
+    for (int k = 0; k < {backbones}; k++)
         q_mm[k] = sum[k];
     return 0;
 }}
 
 #endif
 ",
+        zeros = vec!["0"; backbones].join(", "),
+        q = q.join(", "),
         version = env!("CARGO_PKG_VERSION"),
         first = theta_0,
         last = theta[theta.len() - 1],
@@ -158,7 +166,7 @@ mod tests {
             rows.iter().map(|row| (row.configuration.theta_deg(), row.configuration.delta_deg())).collect();
         for (found, row) in looked_up(&header, &nodes).iter().zip(&rows) {
             let found = found.unwrap();
-            assert!((0..3).all(|k| (found[k] - row.command_mm[k]).abs() < 2e-6), "{found:?} {}", row.command_mm);
+            assert!((0..3).all(|k| (found[k] - row.command_mm[k]).abs() < 2e-6), "{found:?} {:?}", row.command_mm);
         }
         let between: Vec<(f64, f64)> =
             (0..400).map(|k| (f64::from(k) * 0.2255, f64::from(k * 37 % 1081) - 540.0)).collect();

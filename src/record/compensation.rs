@@ -3,42 +3,48 @@
 //! | column | meaning |
 //! | --- | --- |
 //! | `theta_deg`, `delta_deg` | the desired pose |
-//! | `q1_mm` … `q3_mm` | q: what the snake's backbones are to move |
-//! | `qc1_mm` … `qc3_mm` | q̃: what to command |
-//! | `sd_qc1_mm` … `sd_qc3_mm` | its standard deviation, from the covariance of η and λ |
+//! | `q1_mm` … `qn_mm` | q: what the snake's backbones are to move |
+//! | `qc1_mm` … `qcn_mm` | q̃: what to command |
+//! | `sd_qc1_mm` … `sd_qcn_mm` | its standard deviation, from the covariance of η and λ |
 //! | `common_n` | with force limits: the force common to all backbones that they ask for |
-//! | `f1_n` … `f3_n` | with force limits: what the actuation unit exerts on each, positive where it pushes |
-//! | `within_limits` | with force limits: 1 where all three lie within them, else 0 |
+//! | `f1_n` … `fn_n` | with force limits: what the actuation unit exerts on each, positive where it pushes |
+//! | `within_limits` | with force limits: 1 where all lie within them, else 0 |
 //!
 //! The JSON has the same rows under `rows`, the model under `model` with model.toml's keys, and under `provenance` what
 //! made them.
 
 use super::model::ModelFile;
-use super::table::{azimuth, decimals};
+use super::table::{azimuth, backbone_columns, backbone_decimals, decimals};
 use super::write::write_atomically;
 use crate::error::{Error, Result};
 use crate::robot::{Grid, Model, Sharing, TableRow, compensation_table};
-use nalgebra::Vector3;
-use serde::Serialize;
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
 use std::path::Path;
 
-const COLUMNS: &str = "theta_deg,delta_deg,q1_mm,q2_mm,q3_mm,qc1_mm,qc2_mm,qc3_mm,sd_qc1_mm,sd_qc2_mm,sd_qc3_mm";
-
-const SHARING_COLUMNS: &str = ",common_n,f1_n,f2_n,f3_n,within_limits";
+/// The columns of lengths.
+const LENGTHS: [&str; 3] = ["q", "qc", "sd_qc"];
 
 /// compensation.csv as text; angles to 1e-6°, lengths to 1 nm, forces to 1 µN.
 pub fn compensation_csv(rows: &[TableRow]) -> String {
-    let shared = rows.iter().any(|row| row.sharing.is_some());
-    let mut text = format!("{COLUMNS}{}\n", if shared { SHARING_COLUMNS } else { "" });
+    let backbones = rows.first().map_or(0, |row| row.q_mm.len());
+    let mut columns = vec!["theta_deg".to_owned(), "delta_deg".to_owned()];
+    columns.extend(LENGTHS.iter().flat_map(|name| backbone_columns(name, "mm", backbones)));
+    if rows.iter().any(|row| row.sharing.is_some()) {
+        columns.push("common_n".to_owned());
+        columns.extend(backbone_columns("f", "n", backbones));
+        columns.push("within_limits".to_owned());
+    }
+    let mut text = columns.join(",") + "\n";
     for TableRow { configuration, q_mm, command_mm, sd_command_mm, sharing } in rows {
-        let angles = [decimals(configuration.theta_deg(), 6), azimuth(configuration.delta_deg())];
-        let lengths = [q_mm, command_mm, sd_command_mm].into_iter().flatten().map(|&mm| decimals(mm, 6));
-        let forces = sharing.iter().flat_map(|sharing| {
-            let [a, b, c] = sharing.actuation_n.into();
-            let forces = [sharing.common_n, a, b, c].map(|force| decimals(force, 6));
-            forces.into_iter().chain([u8::from(sharing.within).to_string()])
-        });
-        text += &(angles.into_iter().chain(lengths).chain(forces).collect::<Vec<_>>().join(",") + "\n");
+        let mut fields = vec![decimals(configuration.theta_deg(), 6), azimuth(configuration.delta_deg())];
+        fields.extend([q_mm, command_mm, sd_command_mm].into_iter().flat_map(|mm| backbone_decimals(mm, 6)));
+        if let Some(sharing) = sharing {
+            fields.push(decimals(sharing.common_n, 6));
+            fields.extend(backbone_decimals(&sharing.actuation_n, 6));
+            fields.push(u8::from(sharing.within).to_string());
+        }
+        text += &(fields.join(",") + "\n");
     }
     text
 }
@@ -57,7 +63,7 @@ pub fn compensation_json(model: &Model, source: &str, grid: &Grid, rows: &[Table
             delta_grid_deg: grid.delta.to_string(),
         },
         model: ModelFile::from(model),
-        rows: rows.iter().map(JsonRow::from).collect(),
+        rows: rows.iter().map(JsonRow).collect(),
     };
     let text = serde_json::to_string_pretty(&file);
     text.map(|text| text + "\n").map_err(|e| Error::Domain(format!("cannot write the table: {e}")))
@@ -93,7 +99,7 @@ pub fn write_compensation_rows(
 struct CompensationFile<'a> {
     provenance: Provenance<'a>,
     model: ModelFile,
-    rows: Vec<JsonRow>,
+    rows: Vec<JsonRow<'a>>,
 }
 
 #[derive(Serialize)]
@@ -106,60 +112,29 @@ struct Provenance<'a> {
     delta_grid_deg: String,
 }
 
-#[derive(Serialize)]
-struct JsonRow {
-    theta_deg: f64,
-    delta_deg: f64,
-    q1_mm: f64,
-    q2_mm: f64,
-    q3_mm: f64,
-    qc1_mm: f64,
-    qc2_mm: f64,
-    qc3_mm: f64,
-    sd_qc1_mm: f64,
-    sd_qc2_mm: f64,
-    sd_qc3_mm: f64,
-    #[serde(flatten)]
-    sharing: Option<JsonSharing>,
-}
+/// A row under the names of the CSV's columns, in their order.
+struct JsonRow<'a>(&'a TableRow);
 
-#[derive(Serialize)]
-struct JsonSharing {
-    common_n: f64,
-    f1_n: f64,
-    f2_n: f64,
-    f3_n: f64,
-    within_limits: bool,
-}
-
-impl From<&Sharing> for JsonSharing {
-    fn from(sharing: &Sharing) -> Self {
-        let [f1_n, f2_n, f3_n] = sharing.actuation_n.into();
-        Self { common_n: sharing.common_n, f1_n, f2_n, f3_n, within_limits: sharing.within }
-    }
-}
-
-impl From<&TableRow> for JsonRow {
-    fn from(row: &TableRow) -> Self {
-        let rounded = |vector: &Vector3<f64>| -> [f64; 3] { vector.map(|mm| (mm * 1e9).round() / 1e9).into() };
-        let [q1_mm, q2_mm, q3_mm] = rounded(&row.q_mm);
-        let [qc1_mm, qc2_mm, qc3_mm] = rounded(&row.command_mm);
-        let [sd_qc1_mm, sd_qc2_mm, sd_qc3_mm] = rounded(&row.sd_command_mm);
-        let degrees = |angle: f64| (angle * 1e9).round() / 1e9;
-        Self {
-            theta_deg: degrees(row.configuration.theta_deg()),
-            delta_deg: degrees(row.configuration.delta_deg()),
-            q1_mm,
-            q2_mm,
-            q3_mm,
-            qc1_mm,
-            qc2_mm,
-            qc3_mm,
-            sd_qc1_mm,
-            sd_qc2_mm,
-            sd_qc3_mm,
-            sharing: row.sharing.as_ref().map(JsonSharing::from),
+impl Serialize for JsonRow<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        let TableRow { configuration, q_mm, command_mm, sd_command_mm, sharing } = self.0;
+        let rounded = |value: f64| (value * 1e9).round() / 1e9;
+        let mut map = serializer.serialize_map(None)?;
+        map.serialize_entry("theta_deg", &rounded(configuration.theta_deg()))?;
+        map.serialize_entry("delta_deg", &rounded(configuration.delta_deg()))?;
+        for (name, lengths) in LENGTHS.iter().zip([q_mm, command_mm, sd_command_mm]) {
+            for (column, &mm) in backbone_columns(name, "mm", lengths.len()).zip(lengths) {
+                map.serialize_entry(&column, &rounded(mm))?;
+            }
         }
+        if let Some(Sharing { common_n, actuation_n, within, .. }) = sharing {
+            map.serialize_entry("common_n", common_n)?;
+            for (column, force_n) in backbone_columns("f", "n", actuation_n.len()).zip(actuation_n) {
+                map.serialize_entry(&column, force_n)?;
+            }
+            map.serialize_entry("within_limits", within)?;
+        }
+        map.end()
     }
 }
 

@@ -1,12 +1,15 @@
-//! encoders.csv: `index,time_s,q1_mm,q2_mm,q3_mm`, what the actuators' encoders read at each frame.
+//! encoders.csv: `index,time_s,q1_mm,q2_mm,q3_mm`, what the actuators' encoders read at each frame; a column for each backbone.
 
 use super::measurement::EncoderReading;
-use super::table::{self, Checked, Indexed, decimals};
+use super::table::{self, Checked, Indexed, backbone_columns, backbone_decimals, decimals};
 use crate::error::Result;
-use nalgebra::Vector3;
+use crate::robot::{BACKBONES, PerBackbone};
 use std::path::Path;
 
-const COLUMNS: [&str; 5] = ["index", "time_s", "q1_mm", "q2_mm", "q3_mm"];
+/// The columns on a robot of so many backbones.
+fn columns(backbones: usize) -> Vec<String> {
+    ["index", "time_s"].map(str::to_owned).into_iter().chain(backbone_columns("q", "mm", backbones)).collect()
+}
 
 impl Indexed for EncoderReading {
     fn index(&self) -> u64 {
@@ -14,26 +17,35 @@ impl Indexed for EncoderReading {
     }
 }
 
-/// Reads encoders.csv. The readings come in order of their index, each index once.
+/// Reads the encoders.csv of a robot of so many backbones. The readings come in order of their index, each index once.
 ///
 /// # Errors
-/// A file that cannot be read, lacks a column or has no usable row. A bad row is a warning.
-pub fn read_encoders(path: &Path) -> Result<Checked<EncoderReading>> {
-    table::read(path, &COLUMNS, |row| {
-        Ok(EncoderReading {
-            index: row.index("index")?,
-            time_s: row.number("time_s")?,
-            q_mm: Vector3::new(row.number("q1_mm")?, row.number("q2_mm")?, row.number("q3_mm")?),
-        })
+/// A file that cannot be read, lacks a column, has a column of a further backbone or no usable row. A bad row is a warning.
+pub fn read_encoders(path: &Path, backbones: usize) -> Result<Checked<EncoderReading>> {
+    let columns = columns(backbones);
+    let required: Vec<&str> = columns.iter().map(String::as_str).collect();
+    let fits = |is_there: &dyn Fn(&str) -> bool| {
+        let found = backbone_columns("q", "mm", usize::from(u8::MAX)).take_while(|name| is_there(name)).count();
+        if found < *BACKBONES.start() || found == backbones {
+            return Ok(());
+        }
+        Err(format!("q1_mm to q{found}_mm, expected q1_mm to q{backbones}_mm: the robot has {backbones} backbones"))
+    };
+    table::read_where(path, &required, fits, |row| {
+        let mut q_mm = PerBackbone::repeat(backbones, 0.0);
+        for (q, column) in q_mm.iter_mut().zip(&columns[2..]) {
+            *q = row.number(column)?;
+        }
+        Ok(EncoderReading { index: row.index("index")?, time_s: row.number("time_s")?, q_mm })
     })
 }
 
-/// encoders.csv as text: time to 0.1 ms, q̃ to 1 nm.
-pub fn encoders_csv(readings: &[EncoderReading]) -> String {
-    let mut text = COLUMNS.join(",") + "\n";
+/// The encoders.csv of a robot of so many backbones as text: time to 0.1 ms, q̃ to 1 nm.
+pub fn encoders_csv(readings: &[EncoderReading], backbones: usize) -> String {
+    let mut text = columns(backbones).join(",") + "\n";
     for reading in readings {
-        let q = reading.q_mm.map(|q| decimals(q, 6));
-        text += &format!("{},{},{},{},{}\n", reading.index, decimals(reading.time_s, 4), q.x, q.y, q.z);
+        let q: Vec<_> = backbone_decimals(&reading.q_mm, 6).collect();
+        text += &format!("{},{},{}\n", reading.index, decimals(reading.time_s, 4), q.join(","));
     }
     text
 }
@@ -49,24 +61,48 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("encoders.csv");
         write_atomically(&path, b"index,time_s,q1_mm,q2_mm,q3_mm\n0,0.25,-0.14489,0.33690,0.36236\n").unwrap();
-        let checked = read_encoders(&path).unwrap();
-        let q_mm = Vector3::new(-0.14489, 0.33690, 0.36236);
+        let checked = read_encoders(&path, 3).unwrap();
+        let q_mm = PerBackbone::from([-0.14489, 0.33690, 0.36236]);
         assert_eq!(checked.rows, [EncoderReading { index: 0, time_s: 0.25, q_mm }]);
+    }
+
+    #[test]
+    fn a_log_of_another_robot_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("encoders.csv");
+        for (columns, backbones) in [(3, 4), (4, 3), (8, 6)] {
+            let reading = EncoderReading { index: 0, time_s: 0.0, q_mm: PerBackbone::repeat(columns, 0.1) };
+            write_atomically(&path, encoders_csv(&[reading], columns).as_bytes()).unwrap();
+            let said = read_encoders(&path, backbones).unwrap_err().to_string();
+            let expected = format!(
+                "encoders.csv:1: q1_mm to q{columns}_mm, expected q1_mm to q{backbones}_mm: the robot has {backbones} backbones"
+            );
+            assert!(said.ends_with(&expected), "{said}");
+        }
+        write_atomically(&path, b"index,time_s,q1_mm,q2_mm\n0,0,1,2\n").unwrap();
+        let said = read_encoders(&path, 3).unwrap_err().to_string();
+        assert!(said.contains(":1: column q3_mm is missing"), "{said}");
     }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(32))]
         #[test]
-        fn what_was_written_is_read(values in proptest::collection::vec((0.0..1e5, -9.0..9.0, -9.0..9.0, -9.0..9.0), 1..20)) {
+        fn what_was_written_is_read(
+            backbones in BACKBONES,
+            values in proptest::collection::vec((0.0..1e5, proptest::array::uniform8(-9.0..9.0)), 1..20)
+        ) {
             let readings: Vec<_> = values
                 .iter()
                 .enumerate()
-                .map(|(i, &(time_s, a, b, c))| EncoderReading { index: 3 * i as u64, time_s, q_mm: Vector3::new(a, b, c) })
+                .map(|(i, (time_s, q))| {
+                    let q_mm = PerBackbone::from_fn(backbones, |i| q[i]);
+                    EncoderReading { index: 3 * i as u64, time_s: *time_s, q_mm }
+                })
                 .collect();
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("encoders.csv");
-            write_atomically(&path, encoders_csv(&readings).as_bytes()).unwrap();
-            let checked = read_encoders(&path).unwrap();
+            write_atomically(&path, encoders_csv(&readings, backbones).as_bytes()).unwrap();
+            let checked = read_encoders(&path, backbones).unwrap();
             prop_assert!(checked.warnings.is_empty());
             prop_assert_eq!(checked.rows.len(), readings.len());
             for (read, written) in checked.rows.iter().zip(&readings) {

@@ -6,11 +6,11 @@
 //! | `eta`, `lambda_mm`, `sd_eta`, `sd_lambda_mm` | the estimate after this measurement; empty before the first |
 //! | `status` | `used`, `rejected` (by the outlier gate) or `skipped` (there was nothing to use) |
 //! | `reason` | why it was not used |
-//! | `residual1_mm` … `residual3_mm` | measured ε less the ε that the estimate before it predicted, per backbone |
+//! | `residual1_mm` … `residualn_mm` | measured ε less the ε that the estimate before it predicted, per backbone |
 //! | `view` | the view's name in experiment.toml |
 
-use super::table::{decimals, decimals_or_empty};
-use nalgebra::Vector3;
+use super::table::{backbone_columns, backbone_decimals, decimals, decimals_or_empty};
+use crate::robot::PerBackbone;
 use std::fmt;
 
 /// What became of a measurement in the estimator.
@@ -61,29 +61,30 @@ pub struct EstimateRow {
     /// Why it was not used, in snake_case; empty where it was.
     pub reason: String,
     /// Measured ε less predicted ε per backbone, mm.
-    pub residual_mm: Option<Vector3<f64>>,
+    pub residual_mm: Option<PerBackbone>,
     /// The view's name.
     pub view: Option<String>,
 }
 
-/// estimate.csv as text; lengths to 1 nm.
-pub fn estimates_csv(rows: &[EstimateRow]) -> String {
-    let lines = rows.iter().map(|row| estimate_line(row) + "\n");
-    estimates_header() + "\n" + &lines.collect::<String>()
+/// The estimate.csv of a robot of so many backbones as text; lengths to 1 nm.
+pub fn estimates_csv(rows: &[EstimateRow], backbones: usize) -> String {
+    let lines = rows.iter().map(|row| estimate_line(row, backbones) + "\n");
+    estimates_header(backbones) + "\n" + &lines.collect::<String>()
 }
 
 /// The first line of estimate.csv, without its end.
-pub fn estimates_header() -> String {
-    "index,time_s,eta,lambda_mm,sd_eta,sd_lambda_mm,status,reason,residual1_mm,residual2_mm,residual3_mm,view"
-        .to_owned()
+pub fn estimates_header(backbones: usize) -> String {
+    let residuals: Vec<_> = backbone_columns("residual", "mm", backbones).collect();
+    format!("index,time_s,eta,lambda_mm,sd_eta,sd_lambda_mm,status,reason,{},view", residuals.join(","))
 }
 
 /// One line of estimate.csv, without its end.
-pub fn estimate_line(row: &EstimateRow) -> String {
-    let estimate = row.estimate.map_or_else(Default::default, |e| {
+pub fn estimate_line(row: &EstimateRow, backbones: usize) -> String {
+    let estimate: [String; 4] = row.estimate.map_or_else(Default::default, |e| {
         [e.eta, e.lambda_mm, e.sd_eta, e.sd_lambda_mm].map(|value| decimals(value, 6))
     });
-    let residual = row.residual_mm.map_or_else(Default::default, |r| [r.x, r.y, r.z].map(|mm| decimals(mm, 6)));
+    let empty = || vec![String::new(); backbones];
+    let residual = row.residual_mm.map_or_else(empty, |mm| backbone_decimals(&mm, 6).collect());
     let fields = [
         &[row.index.to_string(), decimals_or_empty(row.time_s, 4)],
         &estimate[..],
@@ -116,12 +117,12 @@ mod tests {
                 estimate: Some(EtaLambda { eta: 1.221, lambda_mm: 0.1765, sd_eta: 0.01, sd_lambda_mm: 0.002 }),
                 verdict: Verdict::Used,
                 reason: String::new(),
-                residual_mm: Some(Vector3::new(0.001, -0.002, 0.0)),
+                residual_mm: Some(PerBackbone::from([0.001, -0.002, 0.0])),
                 view: Some("side".into()),
             },
         ];
         assert_eq!(
-            estimates_csv(&rows),
+            estimates_csv(&rows, 3),
             "index,time_s,eta,lambda_mm,sd_eta,sd_lambda_mm,status,reason,residual1_mm,residual2_mm,residual3_mm,view\n\
              0,0.2500,,,,,skipped,no_snake,,,,\n\
              4,,1.221000,0.176500,0.010000,0.002000,used,,0.001000,-0.002000,0.000000,side\n"

@@ -1,7 +1,8 @@
 //! One row of measurements.csv and of encoders.csv.
 
 use crate::geometry::Configuration;
-use nalgebra::{Matrix2, Vector3};
+use crate::robot::PerBackbone;
+use nalgebra::Matrix2;
 use std::convert::Infallible;
 use std::fmt;
 use std::str::FromStr;
@@ -169,7 +170,7 @@ pub struct EncoderReading {
     /// Time, s.
     pub time_s: f64,
     /// q̃, mm.
-    pub q_mm: Vector3<f64>,
+    pub q_mm: PerBackbone,
 }
 
 /// One row of truth.csv: what a synthetic frame shows.

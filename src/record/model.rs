@@ -1,7 +1,7 @@
 //! model.toml: one robot's constants, its friction, and η and λ once they were estimated.
 //!
 //! ```toml
-//! [robot]              # and [robot.primary], [robot.secondary], [robot.line], [robot.body]: units in the key names
+//! [robot]              # backbones = 4 where there are not three; and [robot.primary], [robot.secondary], [robot.line], [robot.body]: units in the key names
 //! [friction]           # mu, static_force_n and how well they are known
 //! [estimate]           # absent until something was estimated
 //! eta = 1.221
@@ -30,7 +30,7 @@ use super::write::write_atomically;
 use crate::error::{Error, Result};
 use crate::input::read_text;
 use crate::robot::effects::ParameterSpec;
-use crate::robot::{Effect, Estimate, Friction, Model, Robot};
+use crate::robot::{BACKBONES, Effect, Estimate, Friction, Model, Robot};
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -96,16 +96,15 @@ fn effect_table(model: &Model, k: usize) -> EffectTable {
         found: effect.found.clone(),
         covariance_of: if effect.covariance.is_empty() { Vec::new() } else { columns(&model.effects[..=k]) },
         covariance: effect.covariance.clone(),
-        parameters: effect.physics.parameters.iter().zip(values).map(parameter).collect(),
+        parameters: effect.parameters().iter().zip(values).map(parameter).collect(),
     }
 }
 
 /// What the columns of the last effect's covariance belong to.
 fn columns(effects: &[Effect]) -> Vec<String> {
     let estimated = effects.iter().filter(|effect| effect.physics.is_fitted());
-    let of_effects = estimated.flat_map(|effect| {
-        effect.physics.parameters.iter().map(|spec| format!("{}.{}", effect.physics.name, spec.name))
-    });
+    let of_effects = estimated
+        .flat_map(|effect| effect.parameters().iter().map(|spec| format!("{}.{}", effect.physics.name, spec.name)));
     ["eta", "lambda_mm"].map(str::to_owned).into_iter().chain(of_effects).collect()
 }
 
@@ -210,7 +209,7 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
         let line = line_at(text, table.span().start);
         let at = |why: Error| Error::at_line(path, line, why.to_string());
         let (covariance_of, table) = (table.get_ref().covariance_of.clone(), table.into_inner());
-        effects.push(effect(table).map_err(at)?);
+        effects.push(effect(table, file.robot.backbone_count()).map_err(at)?);
         check_covariance(&effects, &covariance_of).map_err(at)?;
     }
     let estimate = file.estimate.map(Estimate::from);
@@ -225,10 +224,10 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
 }
 
 /// One `[[effect]]` as a model.
-fn effect(table: EffectTable) -> Result<Effect> {
+fn effect(table: EffectTable, backbones: usize) -> Result<Effect> {
     let values: Vec<(String, f64)> = table.parameters.iter().map(|(name, p)| (name.clone(), p.value)).collect();
-    let mut effect = Effect::new(&table.name, table.form.as_deref(), &values)?;
-    for (spec, sd) in effect.physics.parameters.iter().zip(&mut effect.sds) {
+    let mut effect = Effect::new(&table.name, table.form.as_deref(), &values, backbones)?;
+    for (spec, sd) in effect.parameters().iter().zip(&mut effect.sds) {
         let Some(parameter) = table.parameters.get(spec.name) else { continue };
         if parameter.unit != spec.unit || !(parameter.sd >= 0.0 && parameter.sd.is_finite()) {
             return Err(Error::Usage(format!(
@@ -300,15 +299,19 @@ impl std::fmt::Display for Fault {
 
 /// The first number of the model that is not finite or not within what such a robot can have.
 fn first_fault(model: &Model) -> Option<Fault> {
-    let Robot { length_mm, backbone_circle_radius_mm, primary, secondary, line, body } = &model.robot;
+    let Robot { length_mm, backbone_circle_radius_mm, backbones, primary, secondary, line, body } = &model.robot;
     let friction = &model.friction;
     let mut checks: Vec<(String, f64, RangeInclusive<f64>, &'static str)> = Vec::new();
     let mut check = |key: &str, value: f64, range: RangeInclusive<f64>, why| {
         checks.push((key.to_owned(), value, range, why));
     };
     check("robot.length_mm", *length_mm, 1.0..=1000.0, "");
+    let (least, most) = BACKBONES.into_inner();
+    check("robot.backbones", f64::from(*backbones), least as f64..=most as f64, " (evenly spaced on the circle)");
     // Tubes that touch cannot slide; a quarter of the length keeps every L_i positive up to the largest bend.
-    let touching_mm = 0.5 * (primary.outer_diameter_mm + secondary.outer_diameter_mm);
+    let to_primary_mm = 0.5 * (primary.outer_diameter_mm + secondary.outer_diameter_mm);
+    let to_each_other_mm = 0.5 * secondary.outer_diameter_mm / (0.5 * model.robot.beta()).sin();
+    let touching_mm = to_primary_mm.max(to_each_other_mm);
     check(
         "robot.backbone_circle_radius_mm",
         *backbone_circle_radius_mm,
@@ -401,7 +404,7 @@ mod tests {
         let model = read_text(&other).unwrap();
         // Closed forms of the other robot: q_1 at θ = 90°, and the pose that its command leads back to.
         let psi = crate::geometry::Configuration::from_degrees(90.0, 0.0);
-        assert!((model.robot.joint_displacements(psi).x + std::f64::consts::PI).abs() < 1e-12);
+        assert!((model.robot.joint_displacements(psi)[0] + std::f64::consts::PI).abs() < 1e-12);
         let back = model.forward(&model.command(psi)).unwrap().configuration;
         assert!((back.theta - psi.theta).abs() < 1e-9);
         let fat = message(&text.replace("backbone_circle_radius_mm = 1.5", "backbone_circle_radius_mm = 0.6"));
@@ -498,7 +501,7 @@ mod tests {
     fn forms_and_covariances_come_back_and_are_checked() {
         let mut model = estimated();
         let values = [("drag_n_s_per_mm".to_owned(), 0.4)];
-        let mut drag = Effect::new("viscous_drag", Some("speed since the sample before"), &values).unwrap();
+        let mut drag = Effect::new("viscous_drag", Some("speed since the sample before"), &values, 3).unwrap();
         (drag.sds, drag.covariance) = (vec![0.1], vec![vec![1e-4, -2e-5, 0.01]]);
         let mut creep = Effect::parse("creep:share=0.1,time_constant_s=4").unwrap();
         creep.sds = vec![0.01, 0.3];

@@ -5,6 +5,7 @@
 
 use crate::error::{Error, Result};
 use crate::input::{TABLE_BYTES, read_bytes};
+use crate::robot::PerBackbone;
 use std::collections::HashMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -130,20 +131,43 @@ pub(super) fn read<T: Indexed>(
     required: &[&str],
     parse: impl Fn(&Row) -> RowResult<T>,
 ) -> Result<Checked<T>> {
-    let bytes = read_bytes(path, TABLE_BYTES)?;
-    parse_table(path, &bytes, required, parse)
+    read_where(path, required, |_| Ok(()), parse)
 }
 
-/// [`read`] on bytes; `path` is for the messages.
+/// [`read`] of a file whose names of columns must also fit otherwise; what does not is an error of the first line.
+pub(super) fn read_where<T: Indexed>(
+    path: &Path,
+    required: &[&str],
+    fits: impl Fn(&dyn Fn(&str) -> bool) -> RowResult<()>,
+    parse: impl Fn(&Row) -> RowResult<T>,
+) -> Result<Checked<T>> {
+    let bytes = read_bytes(path, TABLE_BYTES)?;
+    parse_table(path, &bytes, required, fits, parse)
+}
+
+/// The names of columns that there are one of for each backbone, such as q1_mm, q2_mm, q3_mm.
+pub(super) fn backbone_columns(name: &str, unit: &str, backbones: usize) -> impl Iterator<Item = String> {
+    (1..=backbones).map(move |i| format!("{name}{i}_{unit}"))
+}
+
+/// The numbers of the backbones with a fixed count of decimals.
+pub(super) fn backbone_decimals(values: &PerBackbone, places: usize) -> impl Iterator<Item = String> {
+    values.iter().map(move |&value| decimals(value, places))
+}
+
+/// [`read_where`] on bytes; `path` is for the messages.
 pub(super) fn parse_table<T: Indexed>(
     path: &Path,
     bytes: &[u8],
     required: &[&str],
+    fits: impl Fn(&dyn Fn(&str) -> bool) -> RowResult<()>,
     parse: impl Fn(&Row) -> RowResult<T>,
 ) -> Result<Checked<T>> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(bytes);
     let header = reader.byte_headers().map_err(|e| Error::content(path, e.to_string()))?.clone();
+    let is_there = |name: &str| header.iter().any(|field| field == name.as_bytes());
+    fits(&is_there).map_err(|why| Error::at_line(path, 1, why))?;
     let columns = columns_of(path, &header, required)?;
 
     let mut numbered = Vec::new();
@@ -298,9 +322,13 @@ mod tests {
     }
 
     fn parse(text: &[u8]) -> Result<Checked<Reading>> {
-        parse_table(Path::new("a.csv"), text, &["index", "x_mm"], |row| {
-            Ok(Reading(row.index("index")?, row.number("x_mm")?))
-        })
+        parse_table(
+            Path::new("a.csv"),
+            text,
+            &["index", "x_mm"],
+            |_| Ok(()),
+            |row| Ok(Reading(row.index("index")?, row.number("x_mm")?)),
+        )
     }
 
     fn rows_and_warnings(text: &str) -> (Vec<(u64, f64)>, Vec<String>) {

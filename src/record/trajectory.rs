@@ -1,11 +1,10 @@
 //! A trajectory: `index,time_s,theta_deg,delta_deg`, the poses to lead the snake to, and when. Further columns are for whoever
-//! leads it: `qc1_mm,qc2_mm,qc3_mm` are the q̃ that a model would command.
+//! leads it: `qc1_mm,qc2_mm,qc3_mm`, one for each backbone, are the q̃ that a model would command.
 
-use super::table::{self, Checked, Indexed, azimuth, decimals};
+use super::table::{self, Checked, Indexed, azimuth, backbone_columns, backbone_decimals, decimals};
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
-use crate::robot::MAX_THETA;
-use nalgebra::Vector3;
+use crate::robot::{MAX_THETA, PerBackbone};
 use std::path::Path;
 
 const COLUMNS: [&str; 4] = ["index", "time_s", "theta_deg", "delta_deg"];
@@ -56,12 +55,17 @@ pub fn read_trajectory(path: &Path) -> Result<Checked<Waypoint>> {
 }
 
 /// A trajectory as text, with the q̃ to command at each pose, mm: time to 0.1 ms, angles to 1e-6 degrees, q̃ to 0.1 µm.
-pub fn trajectory_csv(waypoints: &[Waypoint], commands_mm: &[Vector3<f64>]) -> String {
-    let mut text = COLUMNS.join(",") + ",qc1_mm,qc2_mm,qc3_mm\n";
+pub fn trajectory_csv(waypoints: &[Waypoint], commands_mm: &[PerBackbone]) -> String {
+    let backbones = commands_mm.first().map_or(0, |q| q.len());
+    let columns: Vec<_> =
+        COLUMNS.map(str::to_owned).into_iter().chain(backbone_columns("qc", "mm", backbones)).collect();
+    let mut text = columns.join(",") + "\n";
     for (index, (waypoint, command)) in waypoints.iter().zip(commands_mm).enumerate() {
-        let (psi, q) = (waypoint.configuration, command.map(|q| decimals(q, 4)));
-        let (time, theta) = (decimals(waypoint.time_s, 4), decimals(psi.theta_deg(), 6));
-        text += &format!("{index},{time},{theta},{},{},{},{}\n", azimuth(psi.delta_deg()), q.x, q.y, q.z);
+        let psi = waypoint.configuration;
+        let angles = [decimals(psi.theta_deg(), 6), azimuth(psi.delta_deg())];
+        let fields = [index.to_string(), decimals(waypoint.time_s, 4)].into_iter().chain(angles);
+        let fields: Vec<_> = fields.chain(backbone_decimals(command, 4)).collect();
+        text += &(fields.join(",") + "\n");
     }
     text
 }
@@ -82,7 +86,7 @@ mod tests {
         let waypoints: Vec<Waypoint> = (0..5)
             .map(|k| Waypoint { time_s: 0.35 * f64::from(k), configuration: Configuration::from_degrees(10.0, 40.0) })
             .collect();
-        let back = read(&trajectory_csv(&waypoints, &[Vector3::zeros(); 5])).unwrap();
+        let back = read(&trajectory_csv(&waypoints, &[PerBackbone::repeat(4, 0.0); 5])).unwrap();
         assert!(back.warnings.is_empty());
         for (a, b) in back.rows.iter().zip(&waypoints) {
             assert!((a.time_s - b.time_s).abs() < 1e-9 && (a.configuration.theta - b.configuration.theta).abs() < 1e-8);

@@ -81,7 +81,7 @@ impl Page<'_> {
         let shown = vec![all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max)];
         for (what, x) in self.abscissae() {
             for (side, title) in titles.iter().enumerate() {
-                let series = (0..3).map(|i| Series {
+                let series = (0..self.data.backbones()).map(|i| Series {
                     name: format!("backbone {}", i + 1),
                     style: Style::Dots,
                     points: x
@@ -192,7 +192,7 @@ fn parameters(found: &Discovery, name: &str) -> Vec<String> {
     let Some(effect) = found.model.effects.iter().find(|effect| effect.physics.name == name) else {
         return Vec::new();
     };
-    let values = effect.physics.parameters.iter().zip(effect.values.iter().zip(&effect.sds));
+    let values = effect.parameters().iter().zip(effect.values.iter().zip(&effect.sds));
     values
         .map(|(spec, (value, sd))| {
             let unit = if spec.unit == "1" { "" } else { spec.unit };

@@ -108,7 +108,8 @@ impl Report<'_> {
             "The estimate after each measurement, with its band of ±1σ.",
             plot("λ (mm)", estimates(|e| (e.lambda_mm, e.sd_lambda_mm))),
         ));
-        let residuals = (0..3).map(|i| Series {
+        let backbones = self.course.plotted.iter().find_map(|(_, row)| Some(row.residual_mm?.len())).unwrap_or(0);
+        let residuals = (0..backbones).map(|i| Series {
             name: format!("backbone {}", i + 1),
             style: Style::Dots,
             points: self
@@ -308,7 +309,7 @@ mod tests {
     use super::*;
     use crate::geometry::Configuration;
     use crate::record::{EtaLambda, Measured, Status};
-    use nalgebra::Vector3;
+    use crate::robot::PerBackbone;
 
     fn measurement(index: u64, status: Status) -> Measurement {
         let measured = (status == Status::Ok).then(|| Measured {
@@ -327,7 +328,7 @@ mod tests {
             estimate: Some(EtaLambda { eta: 1.2, lambda_mm: 0.17, sd_eta: 0.01, sd_lambda_mm: 0.003 }),
             verdict,
             reason: reason.to_owned(),
-            residual_mm: Some(Vector3::new(0.001, 0.002, -0.001)),
+            residual_mm: Some(PerBackbone::from([0.001, 0.002, -0.001])),
             view: None,
         }
     }

@@ -14,8 +14,17 @@ pub const GRID: &str = "#D0D4DA";
 const SIZE_PX: (u32, u32) = (560, 300);
 /// Share of the y range that is left free above the points for each line of the legend.
 const LEGEND_ROOM: f64 = 0.115;
-const PALETTE: [RGBColor; 4] =
-    [RGBColor(47, 120, 200), RGBColor(214, 98, 30), RGBColor(46, 148, 88), RGBColor(150, 90, 190)];
+/// As many as a robot can have backbones.
+const PALETTE: [RGBColor; 8] = [
+    RGBColor(47, 120, 200),
+    RGBColor(214, 98, 30),
+    RGBColor(46, 148, 88),
+    RGBColor(150, 90, 190),
+    RGBColor(190, 60, 90),
+    RGBColor(110, 120, 40),
+    RGBColor(30, 150, 160),
+    RGBColor(130, 100, 80),
+];
 
 /// How a series is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -17,9 +17,9 @@ use crate::error::Result;
 use crate::estimate::{Options, estimate};
 use crate::geometry::{Configuration, wrap_angle};
 use crate::record::Waypoint;
-use crate::robot::{Effect, Estimate, Friction, Model};
+use crate::robot::{Effect, Estimate, Friction, Model, PerBackbone};
 use crate::simulate::{Plant, SimulatedEye};
-use nalgebra::{Matrix2, Vector3};
+use nalgebra::Matrix2;
 use serde::Serialize;
 
 /// Half of the play that the dial indicator found, mm: the middle of 0.15–0.20 mm between pushing and pulling.
@@ -107,8 +107,8 @@ pub fn figure_9() -> Vec<WorkspacePoint> {
         WorkspacePoint {
             theta_deg,
             delta_deg,
-            ideal_mm: length_mm + model.robot.joint_displacements(psi).x,
-            compensated_mm: length_mm + model.command(psi).x,
+            ideal_mm: length_mm + model.robot.joint_displacements(psi)[0],
+            compensated_mm: length_mm + model.command(psi)[0],
         }
     })
     .collect()
@@ -176,7 +176,8 @@ impl SimulatedRobot {
 }
 
 fn play() -> Result<Effect> {
-    Effect::new("load_directed_backlash", None, &[("play_mm".to_owned(), HALF_PLAY_MM)])
+    let backbones = Model::default().robot.backbone_count();
+    Effect::new("load_directed_backlash", None, &[("play_mm".to_owned(), HALF_PLAY_MM)], backbones)
 }
 
 /// The model after ten measurements of the plant.
@@ -195,7 +196,7 @@ fn missed(
     compensation: Compensation,
     plant: &Model,
     desired: Configuration,
-    command_mm: &Vector3<f64>,
+    command_mm: &PerBackbone,
 ) -> Result<BendingError> {
     let reached = plant.forward(command_mm)?.configuration;
     Ok(BendingError {

@@ -4,8 +4,8 @@ use super::Comparison;
 use super::bending::paper_model;
 use crate::error::Result;
 use crate::geometry::{Configuration, wrap_angle};
-use crate::robot::Model;
-use nalgebra::{Matrix2x3, Vector2, Vector3, Vector6};
+use crate::robot::{Model, PerBackbone};
+use nalgebra::{Vector2, Vector6};
 use serde::Serialize;
 
 /// Step of the differences of q̃, mm.
@@ -44,14 +44,14 @@ pub fn equation_26() -> Result<Vec<JacobianEntry>> {
             let differences = by_differences(&model, psi)?;
             let plain = model.robot.jacobian_psi_q(psi).unwrap_or_default();
             for (axis, angle) in ["theta", "delta"].into_iter().enumerate() {
-                rows.extend((0..3).map(|i| JacobianEntry {
+                rows.extend((0..ours.len()).map(|i| JacobianEntry {
                     theta_deg,
                     delta_deg,
                     angle,
                     backbone: i + 1,
-                    equation_26_rad_per_mm: ours[(axis, i)],
-                    differences_rad_per_mm: differences[(axis, i)],
-                    without_stretch_rad_per_mm: plain[(axis, i)],
+                    equation_26_rad_per_mm: ours[i][axis],
+                    differences_rad_per_mm: differences[i][axis],
+                    without_stretch_rad_per_mm: plain[i][axis],
                 }));
             }
         }
@@ -59,16 +59,16 @@ pub fn equation_26() -> Result<Vec<JacobianEntry>> {
     Ok(rows)
 }
 
-fn by_differences(model: &Model, psi: Configuration) -> Result<Matrix2x3<f64>> {
+fn by_differences(model: &Model, psi: Configuration) -> Result<PerBackbone<Vector2<f64>>> {
     let q_tilde = model.command(psi);
-    let mut columns = [Vector2::zeros(); 3];
+    let mut columns = PerBackbone::repeat(q_tilde.len(), Vector2::zeros());
     for (i, column) in columns.iter_mut().enumerate() {
-        let step = Vector3::ith(i, STEP_MM);
+        let step = PerBackbone::ith(q_tilde.len(), i) * STEP_MM;
         let ahead = model.forward(&(q_tilde + step))?.configuration;
         let behind = model.forward(&(q_tilde - step))?.configuration;
         *column = Vector2::new(ahead.theta - behind.theta, wrap_angle(ahead.delta - behind.delta)) / (2.0 * STEP_MM);
     }
-    Ok(Matrix2x3::from_columns(&columns))
+    Ok(columns)
 }
 
 /// What the differences say of Eq. 26, 5 and 9.

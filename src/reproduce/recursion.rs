@@ -14,8 +14,8 @@ use super::bending::{paper_model, ten_poses};
 use super::{Comparison, PAPER_ETA, PAPER_LAMBDA_MM};
 use crate::estimate::{Filter, Row};
 use crate::geometry::Configuration;
-use crate::robot::Model;
-use nalgebra::{Matrix2, Matrix3, RowVector2, Vector2, Vector3};
+use crate::robot::{Model, PerBackbone};
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, RowVector2, Vector2};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -112,11 +112,13 @@ fn experiment(seed: u64) -> AfterEach {
 }
 
 /// Eq. 20's row with the paper's flat σ.
-fn row(model: &Model, psi: Configuration, q_tilde: &Vector3<f64>) -> Row {
+fn row(model: &Model, psi: Configuration, q_tilde: &PerBackbone) -> Row {
+    let parts = |q_mm: PerBackbone| model.robot.bend_and_common(&q_mm);
+    let h = model.epsilon_by_parameters(psi.bend_vector());
     let sigma_mm = model.robot.backbone_circle_radius_mm * ASSUMED_SIGMA_DEG.to_radians();
     Row {
-        z: q_tilde - model.robot.joint_displacements(psi) - model.epsilon_fixed(),
-        h: model.epsilon_by_parameters(psi.bend_vector()),
+        z: parts(*q_tilde - model.robot.joint_displacements(psi) - model.epsilon_fixed()),
+        h: Matrix3x2::from_columns(&[0, 1].map(|axis| parts(h.column(axis)))),
         covariance: Matrix3::identity() * sigma_mm.powi(2),
     }
 }
@@ -126,7 +128,7 @@ fn correlation(sign: fn(f64) -> f64) -> f64 {
     let model = paper_model();
     let mut information = Matrix2::zeros();
     for psi in ten_poses() {
-        let elastic = model.epsilon_by_parameters(psi.bend_vector()).column(0).into_owned();
+        let elastic = model.epsilon_by_parameters(psi.bend_vector()).column(0);
         for value in &elastic {
             let row = RowVector2::new(*value, sign(*value));
             information += row.transpose() * row;
@@ -228,8 +230,9 @@ mod tests {
             let bend = psi.bend_vector();
             let h = model.epsilon_by_parameters(bend);
             let by_bend = model.robot.displacement_by_bend() + model.epsilon_by_bend(bend);
-            information += h.transpose() * h;
-            noise += h.transpose() * by_bend * by_bend.transpose() * h * 0.5f64.to_radians().powi(2);
+            let through = h.squared_with(&by_bend);
+            information += h.squared_with(&h);
+            noise += through * through.transpose() * 0.5f64.to_radians().powi(2);
         }
         let inverse = information.try_inverse().unwrap();
         let predicted = (inverse * noise * inverse)[(0, 0)].sqrt();

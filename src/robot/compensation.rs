@@ -23,27 +23,28 @@
 //!
 //! # The forward problem
 //!
-//! Three encoders command two angles. The snake settles where the lines' three extensions agree with one set of forces;
-//! forces may differ from the least-norm τ(ψ) by a common force, which does no work on the snake (the columns of Q sum
-//! to zero), so q̃ is met by
+//! n encoders command two angles. The snake settles where the lines' extensions agree with one set of forces; forces may
+//! differ from the least-norm τ(ψ) by any that do no work on the snake (Qᵗf = 0), so q̃ is met by
 //!
 //! ```text
-//! q̃ = q(ψ) + ε(ψ) + c 1
+//! q̃ = q(ψ) + ε(ψ) + c,     Qᵗc = 0
 //! ```
 //!
-//! in three unknowns: b and c. Q⁺ removes c and leaves b + Q⁺ε(b) = Q⁺q̃, solved by Newton's method; c is then the mean of what
-//! is left. With η > 0 the left side is the gradient of the convex ½|b|² + ηκ·2/(3r²)·E(b), so there is one solution and
-//! damped Newton finds it. c is the common stretch that the redundancy takes up as internal force c/κ in each backbone.
+//! in n unknowns: b and the n − 2 internal parts of c; with three backbones c is the same in all. Q⁺ removes c and leaves
+//! b + Q⁺ε(b) = Q⁺q̃, solved by Newton's method; c is then what is left. With η > 0 the left side is the gradient of the convex
+//! ½|b|² + ηκ·2/(n r²)·E(b), so there is one solution and damped Newton finds it. c is the stretch that the redundancy takes up as
+//! internal force c_i/κ in each backbone.
 //!
 //! The model answers up to θ = 120° ([`MAX_THETA`]). The paper's experiments end below 90°; the margin lets a command or a
 //! noisy reading near that end have an answer, and beyond it nothing was ever checked.
 
+use super::PerBackbone;
 use super::kinematics::{bend_by_configuration, configuration_by_bend};
 use super::model::Model;
 use super::motion::{Led, Mechanics};
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
-use nalgebra::{Matrix2, Matrix2x3, Matrix3, Matrix3x2, Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2};
 use std::f64::consts::PI;
 
 /// The largest bend that the model answers for, rad (120°).
@@ -54,9 +55,9 @@ pub const MAX_THETA: f64 = 2.0 * PI / 3.0;
 pub struct Response {
     /// θ and δ.
     pub configuration: Configuration,
-    /// c: the part of q̃ common to all backbones that the model does not explain, mm.
+    /// The mean of c: the part of q̃ common to all backbones that the model does not explain, mm.
     pub common_mm: f64,
-    /// The internal force c/κ that the redundancy takes up in each backbone, N; positive compresses.
+    /// The internal force that goes with it in each backbone, N; positive compresses.
     pub internal_force_n: f64,
 }
 
@@ -76,58 +77,59 @@ impl Model {
     }
 
     /// ε_0, mm: the terms of ε that x = (η, λ) does not multiply.
-    pub fn epsilon_fixed(&self) -> Vector3<f64> {
-        Vector3::repeat(self.static_friction_mm())
+    pub fn epsilon_fixed(&self) -> PerBackbone {
+        PerBackbone::repeat(self.robot.backbone_count(), self.static_friction_mm())
     }
 
     /// H = ∂ε/∂(η, λ) at a bend vector, mm: a row block of Eq. 20.
-    pub fn epsilon_by_parameters(&self, bend: Vector2<f64>) -> Matrix3x2<f64> {
+    pub fn epsilon_by_parameters(&self, bend: Vector2<f64>) -> PerBackbone<Vector2<f64>> {
         let elastic = self.robot.actuation_forces(bend, None) * self.line_compliance_mm_per_n();
-        Matrix3x2::from_columns(&[elastic, Vector3::repeat(1.0)])
+        elastic.map(|elastic| Vector2::new(elastic, 1.0))
     }
 
     /// ∂ε/∂b at a bend vector, mm per rad.
-    pub fn epsilon_by_bend(&self, bend: Vector2<f64>) -> Matrix3x2<f64> {
+    pub fn epsilon_by_bend(&self, bend: Vector2<f64>) -> PerBackbone<Vector2<f64>> {
         self.robot.actuation_forces_by_bend(bend) * (self.parameters().x * self.line_compliance_mm_per_n())
     }
 
     /// Eq. 18: ε at a bend vector, mm.
-    pub fn epsilon_at(&self, bend: Vector2<f64>) -> Vector3<f64> {
+    pub fn epsilon_at(&self, bend: Vector2<f64>) -> PerBackbone {
         self.epsilon_fixed() + self.epsilon_by_parameters(bend) * self.parameters()
     }
 
     /// Eq. 18: ε(ψ), mm.
-    pub fn epsilon(&self, psi: Configuration) -> Vector3<f64> {
+    pub fn epsilon(&self, psi: Configuration) -> PerBackbone {
         self.epsilon_at(psi.bend_vector())
     }
 
     /// Eq. 25: α(ψ) = ∂ε/∂(θ, δ), mm per rad.
-    pub fn alpha(&self, psi: Configuration) -> Matrix3x2<f64> {
+    pub fn alpha(&self, psi: Configuration) -> PerBackbone<Vector2<f64>> {
         self.epsilon_by_bend(psi.bend_vector()) * bend_by_configuration(psi)
     }
 
     /// Eq. 23: q̃ = q + ε, mm, what to command so that the snake takes a configuration. The model's effects are obeyed, as
     /// for a single pose (see [`motion`](super::motion)).
-    pub fn command(&self, psi: Configuration) -> Vector3<f64> {
+    pub fn command(&self, psi: Configuration) -> PerBackbone {
         if !self.effects.is_empty() {
             return Mechanics::new(self).command(psi.bend_vector(), None);
         }
         self.robot.joint_displacements(psi) + self.epsilon(psi)
     }
 
-    /// Covariance of [`command`](Self::command), mm², from that of (η, λ).
-    pub fn command_covariance(&self, psi: Configuration) -> Matrix3<f64> {
-        let by_parameters = self.epsilon_by_parameters(psi.bend_vector());
-        by_parameters * self.parameter_covariance() * by_parameters.transpose()
+    /// Standard deviations of [`command`](Self::command), mm, from the covariance of (η, λ).
+    pub fn command_sds(&self, psi: Configuration) -> PerBackbone {
+        let covariance = self.parameter_covariance();
+        // A variance may come out as a rounding below zero.
+        self.epsilon_by_parameters(psi.bend_vector()).map(|by| by.dot(&(covariance * by)).max(0.0).sqrt())
     }
 
-    /// Eq. 26 for the bend vector: ∂b/∂q̃, rad per mm. Smooth at θ = 0.
+    /// Eq. 26 for the bend vector: ∂b/∂q̃, by columns, rad per mm. Smooth at θ = 0.
     ///
     /// # Errors
     /// [`Error::Domain`] where the model's derivative is singular, which no η > 0 makes it.
-    pub fn updated_jacobian_bend(&self, bend: Vector2<f64>) -> Result<Matrix2x3<f64>> {
+    pub fn updated_jacobian_bend(&self, bend: Vector2<f64>) -> Result<PerBackbone<Vector2<f64>>> {
         let inverse = self.robot.bend_by_displacement();
-        let stretched = Matrix2::identity() + inverse * self.epsilon_by_bend(bend);
+        let stretched = Matrix2::identity() + inverse.squared_with(&self.epsilon_by_bend(bend));
         let relaxed = stretched.try_inverse().ok_or_else(|| {
             Error::Domain(format!(
                 "the model has no unique bend at θ = {:.2}°: η = {} makes its derivative singular; check the estimate",
@@ -135,15 +137,16 @@ impl Model {
                 self.parameters().x
             ))
         })?;
-        Ok(relaxed * inverse)
+        Ok(inverse.map(|column| relaxed * column))
     }
 
-    /// Eq. 26: J̃_ψq = (I + J_ψq α)⁻¹ J_ψq = ∂(θ, δ)/∂q̃, rad per mm.
+    /// Eq. 26: J̃_ψq = (I + J_ψq α)⁻¹ J_ψq = ∂(θ, δ)/∂q̃, by columns, rad per mm.
     ///
     /// # Errors
     /// [`Error::Domain`] at θ = 0, where δ is not defined; use [`updated_jacobian_bend`](Self::updated_jacobian_bend) there.
-    pub fn updated_jacobian(&self, psi: Configuration) -> Result<Matrix2x3<f64>> {
-        Ok(polar(psi)? * self.updated_jacobian_bend(psi.bend_vector())?)
+    pub fn updated_jacobian(&self, psi: Configuration) -> Result<PerBackbone<Vector2<f64>>> {
+        let turn = polar(psi)?;
+        Ok(self.updated_jacobian_bend(psi.bend_vector())?.map(|column| turn * column))
     }
 
     /// The configuration that a q̃ (mm) leads to, and what the redundancy takes up. The model's effects are obeyed, as in
@@ -151,12 +154,12 @@ impl Model {
     ///
     /// # Errors
     /// [`Error::Domain`] for a q̃ that is not finite, or that would bend the snake beyond [`MAX_THETA`].
-    pub fn forward(&self, q_tilde_mm: &Vector3<f64>) -> Result<Response> {
+    pub fn forward(&self, q_tilde_mm: &PerBackbone) -> Result<Response> {
         if !self.effects.is_empty() {
             return self.forward_with_effects(q_tilde_mm);
         }
         let bend = self.forward_bend(q_tilde_mm)?;
-        let left = q_tilde_mm - self.robot.displacement_by_bend() * bend - self.epsilon_at(bend);
+        let left = *q_tilde_mm - self.robot.displacement_by_bend() * bend - self.epsilon_at(bend);
         Ok(Response {
             configuration: Configuration::from_bend_vector(bend),
             common_mm: left.mean(),
@@ -164,10 +167,11 @@ impl Model {
         })
     }
 
-    fn forward_with_effects(&self, q_tilde_mm: &Vector3<f64>) -> Result<Response> {
+    fn forward_with_effects(&self, q_tilde_mm: &PerBackbone) -> Result<Response> {
         // The plain model's answer is near, and fails where there is none.
         let near = self.forward_bend(q_tilde_mm)?;
-        let Led { bend, common_mm } = Mechanics::new(self).led(q_tilde_mm, None, near);
+        let Led { bend, left_mm } = Mechanics::new(self).led(q_tilde_mm, None, near);
+        let common_mm = left_mm.mean();
         if bend.norm() > MAX_THETA {
             return Err(Error::Domain(format!(
                 "with its effects the model bends beyond {:.0}°, where it does not hold; command less",
@@ -185,16 +189,15 @@ impl Model {
     ///
     /// # Errors
     /// As [`forward`](Self::forward).
-    pub fn forward_bend(&self, q_tilde_mm: &Vector3<f64>) -> Result<Vector2<f64>> {
+    pub fn forward_bend(&self, q_tilde_mm: &PerBackbone) -> Result<Vector2<f64>> {
         let inverse = self.robot.bend_by_displacement();
-        let target = inverse * q_tilde_mm;
+        let target = inverse.weighted(q_tilde_mm);
         let outside = || {
+            let numbers: Vec<_> = q_tilde_mm.iter().map(|q| format!("{q:.3}")).collect();
             Error::Domain(format!(
-                "q̃ = ({:.3}, {:.3}, {:.3}) mm bends the snake beyond {:.0}°, where the model does not hold; command \
-                 less, or check the encoders' units and zero",
-                q_tilde_mm.x,
-                q_tilde_mm.y,
-                q_tilde_mm.z,
+                "q̃ = ({}) mm bends the snake beyond {:.0}°, where the model does not hold; command less, or check the \
+                 encoders' units and zero",
+                numbers.join(", "),
                 MAX_THETA.to_degrees()
             ))
         };
@@ -202,7 +205,7 @@ impl Model {
         if !(q_tilde_mm.norm().is_finite() && target.norm().is_finite()) {
             return Err(outside());
         }
-        let misfit = |bend: Vector2<f64>| bend + inverse * self.epsilon_at(bend) - target;
+        let misfit = |bend: Vector2<f64>| bend + inverse.weighted(&self.epsilon_at(bend)) - target;
         let mut bend = Vector2::zeros();
         let mut gap = misfit(bend);
         let tolerance = 1e-13 * (1.0 + target.norm());
@@ -210,7 +213,7 @@ impl Model {
             if gap.norm() <= tolerance {
                 return if bend.norm() <= MAX_THETA { Ok(bend) } else { Err(outside()) };
             }
-            let slope = Matrix2::identity() + inverse * self.epsilon_by_bend(bend);
+            let slope = Matrix2::identity() + inverse.squared_with(&self.epsilon_by_bend(bend));
             let Some(step) = slope.try_inverse().map(|inverted| -(inverted * gap)) else { break };
             // Full steps nearly always; a shorter one where the misfit would grow or the bend leave all reason.
             let mut share = 1.0;
@@ -237,7 +240,7 @@ impl Model {
     /// # Errors
     /// As [`updated_jacobian_bend`](Self::updated_jacobian_bend).
     pub fn response_covariance_bend(&self, bend: Vector2<f64>) -> Result<Matrix2<f64>> {
-        let by_parameters = self.updated_jacobian_bend(bend)? * self.epsilon_by_parameters(bend);
+        let by_parameters = self.updated_jacobian_bend(bend)?.squared_with(&self.epsilon_by_parameters(bend));
         Ok(by_parameters * self.parameter_covariance() * by_parameters.transpose())
     }
 
@@ -261,7 +264,6 @@ fn polar(psi: Configuration) -> Result<Matrix2<f64>> {
 mod tests {
     use super::*;
     use crate::robot::{Estimate, Friction};
-    use approx::assert_relative_eq;
     use proptest::prelude::*;
 
     fn paper() -> Model {
@@ -285,12 +287,12 @@ mod tests {
             let h = 1e-5;
             // θ − h may be negative: ε(b) with b = θ (cos δ, sin δ) continues smoothly through the straight snake.
             let epsilon = |theta: f64, delta: f64| model.epsilon_at(theta * Vector2::new(delta.cos(), delta.sin()));
-            let numeric = Matrix3x2::from_columns(&[
+            let numeric = PerBackbone::from_columns([
                 (epsilon(psi.theta + h, psi.delta) - epsilon(psi.theta - h, psi.delta)) / (2.0 * h),
                 (epsilon(psi.theta, psi.delta + h) - epsilon(psi.theta, psi.delta - h)) / (2.0 * h),
             ]);
             let alpha = model.alpha(psi);
-            prop_assert!((numeric - alpha).norm() < 1e-8, "{numeric} {alpha}");
+            prop_assert!((numeric - alpha).norm() < 1e-8, "{numeric:?} {alpha:?}");
         }
 
         #[test]
@@ -299,23 +301,27 @@ mod tests {
             let h = 1e-5;
             let bend = psi.bend_vector();
             let q_tilde = |b: Vector2<f64>| model.robot.displacement_by_bend() * b + model.epsilon_at(b);
-            let by_bend = Matrix3x2::from_columns(&[0, 1].map(|axis| {
+            let by_bend = PerBackbone::from_columns([0, 1].map(|axis| {
                 let step = Vector2::ith(axis, h);
                 (q_tilde(bend + step) - q_tilde(bend - step)) / (2.0 * h)
             }));
-            let product = model.updated_jacobian_bend(bend).unwrap() * by_bend;
+            let product = model.updated_jacobian_bend(bend).unwrap().squared_with(&by_bend);
             prop_assert!((product - Matrix2::identity()).norm() < 1e-7);
             prop_assume!(psi.theta > 1e-4);
             let j = model.robot.jacobian_psi_q(psi).unwrap();
-            let printed = (Matrix2::identity() + j * model.alpha(psi)).try_inverse().unwrap() * j;
+            let inverse = (Matrix2::identity() + j.squared_with(&model.alpha(psi))).try_inverse().unwrap();
+            let printed = j.map(|column| inverse * column);
             let ours = model.updated_jacobian(psi).unwrap();
             prop_assert!((printed - ours).norm() < 1e-9 * ours.norm());
         }
 
         #[test]
-        fn forward_undoes_the_command_and_finds_the_common_part(psi in any_configuration(), common in -0.5..0.5f64) {
+        fn forward_undoes_the_command_and_finds_the_common_part(
+            psi in any_configuration(), common in -0.5..0.5f64, backbones in 3..9u8
+        ) {
             prop_assume!(psi.theta < MAX_THETA - 1e-9);
-            let model = paper();
+            let mut model = paper();
+            model.robot.backbones = backbones;
             let response = model.forward(&model.command(psi).add_scalar(common)).unwrap();
             prop_assert!((response.configuration.bend_vector() - psi.bend_vector()).norm() < 1e-11);
             prop_assert!((response.common_mm - common).abs() < 1e-11);
@@ -325,10 +331,10 @@ mod tests {
         fn forward_answers_any_encoders_without_panic(q in proptest::array::uniform3(-1e3..1e3f64), eta in -3.0..5.0f64) {
             let mut model = paper();
             model.estimate.as_mut().unwrap().eta = eta;
-            if let Ok(response) = model.forward(&Vector3::from(q)) {
+            if let Ok(response) = model.forward(&PerBackbone::from(q)) {
                 prop_assert!(response.configuration.theta <= MAX_THETA);
                 let met = model.command(response.configuration).add_scalar(response.common_mm);
-                let along = model.robot.bend_by_displacement() * (met - Vector3::from(q));
+                let along = model.robot.bend_by_displacement().weighted(&(met - PerBackbone::from(q)));
                 prop_assert!(along.norm() < 1e-6);
             }
         }
@@ -346,7 +352,7 @@ mod tests {
             tau * 480.0 / (54_000.0 * area)
                 + model.friction.actuation_force_n(tau, phi) * 40.0 * phi / (54_000.0 * area)
         });
-        assert_relative_eq!(model.epsilon(psi), expected, epsilon = 1e-12);
+        assert!((model.epsilon(psi) - expected).amax() < 1e-12);
     }
 
     #[test]
@@ -363,8 +369,8 @@ mod tests {
         let model = paper();
         let far = model.command(Configuration::from_degrees(125.0, 40.0));
         assert!(model.forward(&far).unwrap_err().to_string().contains("120°"));
-        assert!(model.forward(&Vector3::new(f64::NAN, 0.0, 0.0)).is_err());
-        assert!(model.forward(&Vector3::new(f64::INFINITY, 0.0, 0.0)).is_err());
+        assert!(model.forward(&PerBackbone::from([f64::NAN, 0.0, 0.0])).is_err());
+        assert!(model.forward(&PerBackbone::from([f64::INFINITY, 0.0, 0.0])).is_err());
         assert!(model.updated_jacobian(Configuration::new(0.0, 0.0)).is_err());
     }
 
@@ -375,7 +381,7 @@ mod tests {
         let q_tilde = model.command(psi);
         let lower = model.parameter_covariance().cholesky().unwrap().l();
         // Points at ±√2 along both axes of the parameters' ellipse carry its covariance exactly.
-        let mut command = Matrix3::zeros();
+        let mut command = PerBackbone::repeat(3, 0.0);
         let mut response = Matrix2::zeros();
         for axis in 0..2 {
             for sign in [-1.0, 1.0] {
@@ -387,11 +393,11 @@ mod tests {
                 let by_command = moved.command(psi) - q_tilde;
                 let by_response = moved.forward(&q_tilde).unwrap().configuration;
                 let by_response = Vector2::new(by_response.theta - psi.theta, by_response.delta - psi.delta);
-                command += by_command * by_command.transpose() / 4.0;
+                command += by_command.component_mul(&by_command) / 4.0;
                 response += by_response * by_response.transpose() / 4.0;
             }
         }
-        assert_relative_eq!(command, model.command_covariance(psi), epsilon = 1e-12);
+        assert!((command.map(f64::sqrt) - model.command_sds(psi)).amax() < 1e-9);
         let predicted = model.response_covariance(psi).unwrap();
         assert!((response - predicted).norm() < 0.02 * predicted.norm(), "{response} {predicted}");
     }

@@ -21,15 +21,15 @@
 //! # Without singularities
 //!
 //! In the bend vector b = θ (cos δ, sin δ) displacement is linear: q = Q b, with row i of Q being −r (cos a_i, sin a_i)
-//! for the backbone's azimuth a_i = −(i−1)β. The columns of Q are orthogonal with QᵗQ = 3r²/2·I and sum to zero over the
-//! backbones, so that a part common to all q_i bends nothing. What must be smooth at θ = 0 is written in b; only the
+//! for the backbone's azimuth a_i = −(i−1)β. Over n evenly spaced backbones the columns of Q are orthogonal with QᵗQ = n r²/2·I and
+//! sum to zero, so that a part common to all q_i bends nothing: with three backbones that is all of q that bends nothing, with n
+//! there are n − 2 such [internal parts](Robot::internal_parts). What must be smooth at θ = 0 is written in b; only the
 //! δ-rows of the inverse Jacobians grow as 1/θ there, because δ itself loses its meaning.
 
-use super::Robot;
+use super::{PerBackbone, Robot};
 use crate::geometry::{Configuration, Pose, sinc};
-use nalgebra::{
-    Matrix2, Matrix2x3, Matrix3, Matrix3x2, Matrix6x2, Translation3, UnitQuaternion, Vector2, Vector3, Vector6,
-};
+use nalgebra::{Matrix2, Matrix3, Matrix6x2, Translation3, UnitQuaternion, Vector2, Vector3, Vector6};
+use std::f64::consts::TAU;
 
 /// ∂b/∂ψ, the bend vector's derivative by (θ, δ). Its determinant is θ.
 pub fn bend_by_configuration(psi: Configuration) -> Matrix2<f64> {
@@ -45,45 +45,83 @@ pub fn configuration_by_bend(psi: Configuration) -> Option<Matrix2<f64>> {
 
 impl Robot {
     /// Q: q = Q b, mm per rad; row i is −r (cos a_i, sin a_i).
-    pub fn displacement_by_bend(&self) -> Matrix3x2<f64> {
-        let azimuths = self.backbone_azimuths();
-        Matrix3x2::from_fn(|i, axis| {
-            let (sin, cos) = azimuths[i].sin_cos();
-            -self.backbone_circle_radius_mm * if axis == 0 { cos } else { sin }
+    pub fn displacement_by_bend(&self) -> PerBackbone<Vector2<f64>> {
+        self.backbone_azimuths().map(|azimuth| {
+            let (sin, cos) = azimuth.sin_cos();
+            Vector2::new(cos, sin) * -self.backbone_circle_radius_mm
         })
     }
 
-    /// Q⁺ = 2/(3r²)·Qᵗ: the least-squares bend vector (rad) of any three displacements (mm).
-    pub fn bend_by_displacement(&self) -> Matrix2x3<f64> {
-        self.displacement_by_bend().transpose() * (2.0 / (3.0 * self.backbone_circle_radius_mm.powi(2)))
+    /// Q⁺ = 2/(n r²)·Qᵗ, by columns: the least-squares bend vector (rad) of any displacements (mm).
+    pub fn bend_by_displacement(&self) -> PerBackbone<Vector2<f64>> {
+        let n = self.backbone_count() as f64;
+        self.displacement_by_bend() * (2.0 / (n * self.backbone_circle_radius_mm.powi(2)))
+    }
+
+    /// An orthonormal basis of all q that bend nothing (Qᵗq = 0): the common part first, then what alternates along the circle
+    /// twice, three times and so on, n − 2 in all.
+    pub fn internal_parts(&self) -> impl Iterator<Item = PerBackbone> + use<> {
+        let n = self.backbone_count();
+        let wave = move |times: usize, phase: f64| {
+            let wave = PerBackbone::from_fn(n, |i| (TAU * (times * i) as f64 / n as f64 - phase).cos());
+            wave / wave.norm()
+        };
+        let higher = (2..=n / 2).flat_map(move |times| {
+            // Half as often as there are backbones it has no sine.
+            let sine = (2 * times < n).then(|| wave(times, TAU / 4.0));
+            [wave(times, 0.0)].into_iter().chain(sine)
+        });
+        [wave(0, 0.0)].into_iter().chain(higher)
+    }
+
+    /// What the backbones' numbers say about bend and common part, in coordinates that keep lengths and angles: along the two
+    /// columns of Q, and along (1, …, 1). With three backbones that is all they say; with more it leaves the other internal parts out.
+    pub fn bend_and_common(&self, q_mm: &PerBackbone) -> Vector3<f64> {
+        let n = self.backbone_count() as f64;
+        let bend = self.bend_by_displacement().weighted(q_mm) * (self.backbone_circle_radius_mm * (n / 2.0).sqrt());
+        Vector3::new(bend.x, bend.y, q_mm.mean() * n.sqrt())
+    }
+
+    /// The backbones' numbers of which [`bend_and_common`](Self::bend_and_common) says this, without other internal parts.
+    pub fn from_bend_and_common(&self, told: &Vector3<f64>) -> PerBackbone {
+        let n = self.backbone_count() as f64;
+        let scale = 1.0 / (self.backbone_circle_radius_mm * (n / 2.0).sqrt());
+        (self.displacement_by_bend() * (told.xy() * scale)).add_scalar(told.z / n.sqrt())
+    }
+
+    /// The part of displacements that bends nothing.
+    pub fn internal_part(&self, q_mm: &PerBackbone) -> PerBackbone {
+        *q_mm - self.displacement_by_bend() * self.bend_by_displacement().weighted(q_mm)
     }
 
     /// Eq. 1: the joint displacements q (mm) of a configuration.
-    pub fn joint_displacements(&self, psi: Configuration) -> Vector3<f64> {
+    pub fn joint_displacements(&self, psi: Configuration) -> PerBackbone {
         self.displacement_by_bend() * psi.bend_vector()
     }
 
-    /// Eq. 2 and 3 over all three backbones: the configuration whose q is nearest, in the least-squares sense, to
-    /// `q_mm`. Exact for a consistent q (one that sums to zero); a common part is ignored.
-    pub fn configuration(&self, q_mm: &Vector3<f64>) -> Configuration {
-        Configuration::from_bend_vector(self.bend_by_displacement() * q_mm)
+    /// Eq. 2 and 3 over all backbones: the configuration whose q is nearest, in the least-squares sense, to
+    /// `q_mm`. Exact for a consistent q; internal parts are ignored.
+    pub fn configuration(&self, q_mm: &PerBackbone) -> Configuration {
+        Configuration::from_bend_vector(self.bend_by_displacement().weighted(q_mm))
     }
 
     /// L_i = L + q_i, mm, at a bend vector.
-    pub fn backbone_lengths(&self, bend: Vector2<f64>) -> Vector3<f64> {
+    pub fn backbone_lengths(&self, bend: Vector2<f64>) -> PerBackbone {
         (self.displacement_by_bend() * bend).add_scalar(self.length_mm)
     }
 
     /// J_qψ = ∂q/∂(θ, δ), mm per rad.
-    pub fn jacobian_q_psi(&self, psi: Configuration) -> Matrix3x2<f64> {
+    pub fn jacobian_q_psi(&self, psi: Configuration) -> PerBackbone<Vector2<f64>> {
         self.displacement_by_bend() * bend_by_configuration(psi)
     }
 
-    /// The pseudo-inverse of [`jacobian_q_psi`](Self::jacobian_q_psi), rad per mm: ψ̇ from all three q̇.
+    /// The pseudo-inverse of [`jacobian_q_psi`](Self::jacobian_q_psi), by columns, rad per mm: ψ̇ from all
+    /// q̇.
     ///
     /// `None` at θ = 0, where δ is not defined.
-    pub fn jacobian_psi_q(&self, psi: Configuration) -> Option<Matrix2x3<f64>> {
-        Some(configuration_by_bend(psi)? * self.bend_by_displacement())
+    pub fn jacobian_psi_q(&self, psi: Configuration) -> Option<PerBackbone<Vector2<f64>>> {
+        let by_bend = configuration_by_bend(psi)?;
+        Some(self.bend_by_displacement().map(|column| by_bend * column))
     }
 
     /// Eq. 5 and 7, J_ψq for (q1, q2) alone, with rows (θ, δ); free of Eq. 5's 0/0 at cos δ_1 = 0.
@@ -91,8 +129,8 @@ impl Robot {
     /// `None` at θ = 0, where δ is not defined.
     pub fn jacobian_psi_q12(&self, psi: Configuration) -> Option<Matrix2<f64>> {
         let (sin1, cos1) = psi.delta.sin_cos();
-        let (sin2, cos2) = (psi.delta + Self::BETA).sin_cos();
-        let scale = 1.0 / (self.backbone_circle_radius_mm * Self::BETA.sin());
+        let (sin2, cos2) = (psi.delta + self.beta()).sin_cos();
+        let scale = 1.0 / (self.backbone_circle_radius_mm * self.beta().sin());
         (psi.theta > 0.0).then(|| Matrix2::new(-sin2, sin1, -cos2 / psi.theta, cos1 / psi.theta) * scale)
     }
 
@@ -187,6 +225,10 @@ mod tests {
     use proptest::prelude::*;
     use std::f64::consts::{FRAC_PI_2, PI};
 
+    fn first_two(rows: &PerBackbone<Vector2<f64>>) -> Matrix2<f64> {
+        Matrix2::from_rows(&[rows[0].transpose(), rows[1].transpose()])
+    }
+
     fn any_bend() -> impl Strategy<Value = Configuration> {
         (0.0..2.1f64, -PI..PI).prop_map(|(theta, delta)| Configuration::new(theta, delta))
     }
@@ -196,10 +238,10 @@ mod tests {
         let robot = Robot::default();
         let q = robot.joint_displacements(Configuration::from_degrees(90.0, 0.0));
         let inner = -1.5 * FRAC_PI_2;
-        assert_relative_eq!(q, Vector3::new(inner, -inner / 2.0, -inner / 2.0), epsilon = 1e-12);
+        assert!((q - PerBackbone::from([inner, -inner / 2.0, -inner / 2.0])).amax() < 1e-12);
         // Leaning towards backbone 2, at azimuth −120°, shortens backbone 2.
         let q = robot.joint_displacements(Configuration::from_degrees(90.0, -120.0));
-        assert_relative_eq!(q.y, inner, epsilon = 1e-12);
+        assert_relative_eq!(q[1], inner, epsilon = 1e-12);
     }
 
     proptest! {
@@ -209,11 +251,11 @@ mod tests {
             let robot = Robot::default();
             let (theta_0, theta_l) = (FRAC_PI_2, FRAC_PI_2 - psi.theta);
             let q: Vec<f64> = (0..3)
-                .map(|i| 1.5 * (psi.delta + i as f64 * Robot::BETA).cos() * (theta_l - theta_0))
+                .map(|i| 1.5 * (psi.delta + i as f64 * robot.beta()).cos() * (theta_l - theta_0))
                 .collect();
-            let printed = (q[1] - q[0] * Robot::BETA.cos()).atan2(-q[0] * Robot::BETA.sin());
+            let printed = (q[1] - q[0] * robot.beta().cos()).atan2(-q[0] * robot.beta().sin());
             prop_assert!(wrap_angle(printed - psi.delta).abs() < 1e-9);
-            prop_assert!((robot.joint_displacements(psi) - Vector3::from_vec(q)).norm() < 1e-12);
+            prop_assert!((robot.joint_displacements(psi) - PerBackbone::of(&q).unwrap()).norm() < 1e-12);
         }
 
         #[test]
@@ -221,14 +263,14 @@ mod tests {
             prop_assume!(psi.theta > 1e-3 && psi.delta.cos().abs() > 1e-3);
             let q = Robot::default().joint_displacements(psi);
             let ours = Robot::default().jacobian_psi_q12(psi).unwrap();
-            let (r, beta, big_theta) = (1.5, Robot::BETA, -psi.theta);
+            let (r, beta, big_theta) = (1.5, Robot::default().beta(), -psi.theta);
             let ((s1, c1), (s2, c2)) = (psi.delta.sin_cos(), (psi.delta + beta).sin_cos());
-            let seven = Matrix2::new(s2, -s1, q.y / (r * big_theta * big_theta), -q.x / (r * big_theta * big_theta))
+            let seven = Matrix2::new(s2, -s1, q[1] / (r * big_theta * big_theta), -q[0] / (r * big_theta * big_theta))
                 / (r * beta.sin());
-            let common = q.y * s1 - q.x * s2;
+            let common = q[1] * s1 - q[0] * s2;
             let five = Matrix2::new(
-                (q.y * c1 * s1 - q.x * (psi.delta + psi.delta + beta).sin()) / (r * c1 * c1 * common),
-                q.x * c1 * s1 / (r * c1 * c1 * common),
+                (q[1] * c1 * s1 - q[0] * (psi.delta + psi.delta + beta).sin()) / (r * c1 * c1 * common),
+                q[0] * c1 * s1 / (r * c1 * c1 * common),
                 -c2 / common,
                 c1 / common,
             );
@@ -239,26 +281,35 @@ mod tests {
         }
 
         #[test]
-        fn configuration_inverts_joint_displacements_whatever_the_common_part(psi in any_bend(), common in -1.0..1.0f64) {
-            let robot = Robot::default();
-            let back = robot.configuration(&robot.joint_displacements(psi).add_scalar(common));
-            prop_assert!((back.bend_vector() - psi.bend_vector()).norm() < 1e-12);
+        fn configuration_inverts_joint_displacements_whatever_the_internal_parts(
+            psi in any_bend(), common in -1.0..1.0f64, backbones in 3..9u8
+        ) {
+            let robot = Robot { backbones, ..Robot::default() };
+            for part in robot.internal_parts() {
+                let q_mm = robot.joint_displacements(psi) + part * common;
+                prop_assert!((robot.configuration(&q_mm).bend_vector() - psi.bend_vector()).norm() < 1e-12);
+            }
+            // What is said of bend and common part keeps lengths, and tells all of it there is.
+            let q_mm = robot.joint_displacements(psi).add_scalar(common);
+            let told = robot.bend_and_common(&q_mm);
+            prop_assert!((told.norm() - q_mm.norm()).abs() < 1e-12);
+            prop_assert!((robot.from_bend_and_common(&told) - q_mm).norm() < 1e-12);
         }
 
         #[test]
-        fn jacobians_are_the_derivatives_and_each_others_inverse(psi in any_bend()) {
+        fn jacobians_are_the_derivatives_and_each_others_inverse(psi in any_bend(), backbones in 3..9u8) {
             prop_assume!(psi.theta > 1e-3);
-            let robot = Robot::default();
+            let robot = Robot { backbones, ..Robot::default() };
             let h = 1e-6;
             let q = |theta, delta| robot.joint_displacements(Configuration { theta, delta });
-            let numeric = Matrix3x2::from_columns(&[
+            let numeric = PerBackbone::from_columns([
                 (q(psi.theta + h, psi.delta) - q(psi.theta - h, psi.delta)) / (2.0 * h),
                 (q(psi.theta, psi.delta + h) - q(psi.theta, psi.delta - h)) / (2.0 * h),
             ]);
             let jacobian = robot.jacobian_q_psi(psi);
             prop_assert!((numeric - jacobian).norm() < 1e-8);
-            prop_assert!((robot.jacobian_psi_q(psi).unwrap() * jacobian - Matrix2::identity()).norm() < 1e-9);
-            let two = robot.jacobian_psi_q12(psi).unwrap() * jacobian.fixed_rows::<2>(0);
+            prop_assert!((robot.jacobian_psi_q(psi).unwrap().squared_with(&jacobian) - Matrix2::identity()).norm() < 1e-9);
+            let two = robot.jacobian_psi_q12(psi).unwrap() * first_two(&jacobian);
             prop_assert!((two - Matrix2::identity()).norm() < 1e-9);
         }
 
@@ -315,7 +366,7 @@ mod tests {
     fn the_inverse_jacobian_has_no_singularity_where_equation_5_divides_by_zero() {
         let psi = Configuration::from_degrees(40.0, 90.0);
         let robot = Robot::default();
-        let product = robot.jacobian_psi_q12(psi).unwrap() * robot.jacobian_q_psi(psi).fixed_rows::<2>(0);
+        let product = robot.jacobian_psi_q12(psi).unwrap() * first_two(&robot.jacobian_q_psi(psi));
         assert_relative_eq!(product, Matrix2::identity(), epsilon = 1e-9);
     }
 

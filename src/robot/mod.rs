@@ -1,8 +1,9 @@
 //! The snake and its actuation line: parameters, kinematics, statics, friction and the compensation ε.
 //!
-//! Symbols are the paper's. i = 1, 2, 3 counts the secondary backbones; vectors over them are `Vector3<f64>`, element 0
-//! being backbone 1.
+//! Symbols are the paper's. i = 1 … n counts the secondary backbones, of which the paper's robot has three; vectors over them are
+//! [`PerBackbone`], element 0 being backbone 1.
 
+pub mod backbones;
 pub mod compensation;
 pub mod curve;
 pub mod effects;
@@ -15,6 +16,7 @@ pub mod redundancy;
 pub mod statics;
 pub mod table;
 
+pub use backbones::{BACKBONES, PerBackbone};
 pub use compensation::{MAX_THETA, Response};
 pub use curve::Curve;
 pub use effects::{Effect, LIBRARY, Physics};

@@ -8,7 +8,7 @@ use nalgebra::{Matrix2, Vector2};
 pub struct Estimate {
     /// η, which scales the snake's actuation forces.
     pub eta: f64,
-    /// λ, the backlash that all three actuators share, mm.
+    /// λ, the backlash that all actuators share, mm.
     pub lambda_mm: f64,
     /// Covariance of (η, λ in mm).
     pub covariance: Matrix2<f64>,

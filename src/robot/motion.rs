@@ -11,15 +11,15 @@
 
 use super::compensation::MAX_THETA;
 use super::effects::{Acts, Effect, Instant};
-use super::{Model, Robot};
+use super::{Model, PerBackbone, Robot};
 use crate::geometry::Configuration;
-use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix2, Vector2, Vector6};
 
 /// A move of q_i below this changes no direction, mm: encoders cannot tell it.
 const DEAD_BAND_MM: f64 = 0.003;
 /// A reading's step tells its backbone's direction where it is larger than encoders' noise ever makes it, mm, ...
 const TOLD_MM: f64 = 0.01;
-/// ... and at least this share of the largest of the three: the lines' stretch mixes the backbones by less.
+/// ... and at least this share of the largest of all: the lines' stretch mixes the backbones by less.
 const TOLD_SHARE: f64 = 0.15;
 /// How far off the bend that an eye saw at the first reading may be, rad, ...
 const FIRST_BEND_RAD: f64 = 0.004;
@@ -36,15 +36,15 @@ const FEEDBACK_PASSES: usize = 5;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
     /// The direction in which each q_i last moved: −1 or 1, 0 where it never moved.
-    pub direction: Vector3<f64>,
+    pub direction: PerBackbone,
     /// q̇, mm/s, at the instant.
-    pub speed_mm_per_s: Vector3<f64>,
+    pub speed_mm_per_s: PerBackbone,
     /// q̇, mm/s, from the sample before.
-    pub speed_before_mm_per_s: Vector3<f64>,
+    pub speed_before_mm_per_s: PerBackbone,
     /// q as a play of given width follows it, mm from the play's middle.
-    pub taken_up_mm: Vector3<f64>,
+    pub taken_up_mm: PerBackbone,
     /// τ as a creeping line has followed it so far, N.
-    pub relaxed_n: Vector3<f64>,
+    pub relaxed_n: PerBackbone,
     /// Time since the first reading, s.
     pub elapsed_s: f64,
 }
@@ -57,9 +57,9 @@ pub struct Snake {
     /// λ, mm.
     pub lambda_mm: f64,
     /// Distance r_i of each backbone from the middle, mm.
-    pub radii_mm: Vector3<f64>,
+    pub radii_mm: PerBackbone,
     /// Azimuths of the backbones, rad.
-    pub azimuths: Vector3<f64>,
+    pub azimuths: PerBackbone,
     /// k in ∇E (1 − k θ²).
     pub softening_per_rad2: f64,
     /// Force (N) and moment (N·mm) on the end disk, in {b}.
@@ -104,11 +104,11 @@ pub struct Mechanics<'a> {
     snake: Snake,
     static_friction_mm: f64,
     /// Q.
-    q_by_bend: Matrix3x2<f64>,
+    q_by_bend: PerBackbone<Vector2<f64>>,
     /// Q (QᵗQ)⁻¹.
-    forces_by_generalised: Matrix3x2<f64>,
-    /// Q⁺ of the nominal geometry: what removes the common part.
-    bend_by_q: Matrix2x3<f64>,
+    forces_by_generalised: PerBackbone<Vector2<f64>>,
+    /// Q⁺ of the nominal geometry, by columns: what removes the internal parts.
+    bend_by_q: PerBackbone<Vector2<f64>>,
     /// What the effects remember of the path.
     memory: Memory,
 }
@@ -118,17 +118,17 @@ pub struct Mechanics<'a> {
 pub struct Led {
     /// The bend vector, rad.
     pub bend: Vector2<f64>,
-    /// The part of q̃ common to all backbones that the model does not explain, mm.
-    pub common_mm: f64,
+    /// The part of q̃ that the model does not explain, mm. It bends nothing: with three backbones it is the same in all of them.
+    pub left_mm: PerBackbone,
 }
 
 /// The slope of the line at one bend.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Slope {
     /// ∂(Q b + ε)/∂b, mm per rad.
-    pub line_by_bend: Matrix3x2<f64>,
-    /// ∂b/∂q̃ without the encoders' own errors, rad per mm.
-    pub bend_by_line: Matrix2x3<f64>,
+    pub line_by_bend: PerBackbone<Vector2<f64>>,
+    /// ∂b/∂q̃ without the encoders' own errors, by columns, rad per mm.
+    pub bend_by_line: PerBackbone<Vector2<f64>>,
 }
 
 impl<'a> Mechanics<'a> {
@@ -139,7 +139,7 @@ impl<'a> Mechanics<'a> {
         let mut snake = Snake {
             eta: x.x,
             lambda_mm: x.y,
-            radii_mm: Vector3::repeat(robot.backbone_circle_radius_mm),
+            radii_mm: PerBackbone::repeat(robot.backbone_count(), robot.backbone_circle_radius_mm),
             azimuths: robot.backbone_azimuths(),
             softening_per_rad2: 0.0,
             wrench: None,
@@ -153,11 +153,11 @@ impl<'a> Mechanics<'a> {
                 change(&mut snake, &effect.values);
             }
         }
-        let q_by_bend = Matrix3x2::from_fn(|i, axis| {
-            let (sin, cos) = snake.azimuths[i].sin_cos();
-            -snake.radii_mm[i] * if axis == 0 { cos } else { sin }
+        let q_by_bend = snake.azimuths.zip_map(&snake.radii_mm, |azimuth, radius_mm| {
+            let (sin, cos) = azimuth.sin_cos();
+            Vector2::new(cos, sin) * -radius_mm
         });
-        let squared = (q_by_bend.transpose() * q_by_bend).try_inverse().unwrap_or_else(Matrix2::zeros);
+        let squared = q_by_bend.squared_with(&q_by_bend).try_inverse().unwrap_or_else(Matrix2::zeros);
         let mut memory = Memory::default();
         for effect in &model.effects {
             if let Some(remembers) = effect.physics.remembers {
@@ -177,13 +177,13 @@ impl<'a> Mechanics<'a> {
     }
 
     /// τ at a bend vector, N, before η.
-    fn forces(&self, bend: Vector2<f64>, q_mm: Vector3<f64>) -> Vector3<f64> {
+    fn forces(&self, bend: Vector2<f64>, q_mm: PerBackbone) -> PerBackbone {
         let stiffness = self.robot.secondary.bending_stiffness_n_mm2();
         let squared = bend.norm_squared();
         let mut gradient = bend * (self.robot.primary.bending_stiffness_n_mm2() / self.robot.length_mm);
-        for (q, row) in q_mm.iter().zip(self.q_by_bend.row_iter()) {
+        for (q, row) in q_mm.iter().zip(&self.q_by_bend) {
             let per_length = stiffness / (self.robot.length_mm + q);
-            gradient += bend * per_length - row.transpose() * (0.5 * per_length * squared / (self.robot.length_mm + q));
+            gradient += bend * per_length - row * (0.5 * per_length * squared / (self.robot.length_mm + q));
         }
         gradient *= 1.0 - self.snake.softening_per_rad2 * squared;
         if let Some(wrench) = &self.snake.wrench {
@@ -193,12 +193,17 @@ impl<'a> Mechanics<'a> {
     }
 
     /// τ at a bend vector, N, before η, with the effects on the snake.
-    pub fn forces_at(&self, bend: Vector2<f64>) -> Vector3<f64> {
+    pub fn forces_at(&self, bend: Vector2<f64>) -> PerBackbone {
         self.forces(bend, self.q_by_bend * bend)
     }
 
+    /// The same for every backbone.
+    fn alike(&self, value: f64) -> PerBackbone {
+        PerBackbone::repeat(self.robot.backbone_count(), value)
+    }
+
     /// Q b + ε: what the lines move at a bend, mm; without a motion, that of a single pose.
-    fn line(&self, bend: Vector2<f64>, motion: Option<&Motion>) -> Vector3<f64> {
+    fn line(&self, bend: Vector2<f64>, motion: Option<&Motion>) -> PerBackbone {
         let q_mm = self.q_by_bend * bend;
         let tau_n = self.forces(bend, q_mm);
         let held;
@@ -207,8 +212,8 @@ impl<'a> Mechanics<'a> {
             None => {
                 held = Motion {
                     direction: q_mm.map(|q| if q.abs() < 1e-9 { 0.0 } else { q.signum() }),
-                    speed_mm_per_s: Vector3::zeros(),
-                    speed_before_mm_per_s: Vector3::zeros(),
+                    speed_mm_per_s: self.alike(0.0),
+                    speed_before_mm_per_s: self.alike(0.0),
                     taken_up_mm: self.memory.half_play_mm.map_or(q_mm, |half| q_mm.map(|q| q.clamp(-half, half))),
                     relaxed_n: tau_n,
                     elapsed_s: 0.0,
@@ -218,7 +223,7 @@ impl<'a> Mechanics<'a> {
         };
         let mut sum = q_mm
             + tau_n * (self.snake.eta * self.snake.line_compliance_mm_per_n)
-            + Vector3::repeat(self.static_friction_mm + self.snake.lambda_mm);
+            + self.alike(self.static_friction_mm + self.snake.lambda_mm);
         for effect in self.effects {
             if let Acts::Line(summand) = effect.physics.acts {
                 let at = Instant { snake: &self.snake, bend, q_mm, tau_n, line_mm: sum, motion };
@@ -229,8 +234,8 @@ impl<'a> Mechanics<'a> {
     }
 
     /// What the encoders read beyond the lines' motion, mm.
-    fn encoder_errors(&self, q_tilde: &Vector3<f64>) -> Vector3<f64> {
-        let mut sum = Vector3::zeros();
+    fn encoder_errors(&self, q_tilde: &PerBackbone) -> PerBackbone {
+        let mut sum = self.alike(0.0);
         for effect in self.effects {
             if let Acts::Actuator(error) = effect.physics.acts {
                 sum += error(q_tilde, &effect.values);
@@ -240,7 +245,7 @@ impl<'a> Mechanics<'a> {
     }
 
     /// q̃ of a bend, mm.
-    pub fn command(&self, bend: Vector2<f64>, motion: Option<&Motion>) -> Vector3<f64> {
+    pub fn command(&self, bend: Vector2<f64>, motion: Option<&Motion>) -> PerBackbone {
         let line = self.line(bend, motion);
         let mut q_tilde = line;
         for _ in 0..100 {
@@ -255,9 +260,9 @@ impl<'a> Mechanics<'a> {
     }
 
     /// The bend that a q̃ leads to, by damped Newton from `start`; the nearest found where the model has no answer.
-    pub fn led(&self, q_tilde: &Vector3<f64>, motion: Option<&Motion>, start: Vector2<f64>) -> Led {
-        let line = q_tilde - self.encoder_errors(q_tilde);
-        let misfit = |bend: Vector2<f64>| self.bend_by_q * (self.line(bend, motion) - line);
+    pub fn led(&self, q_tilde: &PerBackbone, motion: Option<&Motion>, start: Vector2<f64>) -> Led {
+        let line = *q_tilde - self.encoder_errors(q_tilde);
+        let misfit = |bend: Vector2<f64>| self.bend_by_q.weighted(&(self.line(bend, motion) - line));
         let (mut bend, mut gap) = (start, misfit(start));
         for _ in 0..30 {
             if gap.norm() < 1e-9 {
@@ -280,14 +285,14 @@ impl<'a> Mechanics<'a> {
             (bend, gap) = (next, next_gap);
         }
         let left = (line - self.line(bend, motion)).component_div(&self.line_by_reading(q_tilde));
-        Led { bend, common_mm: left.mean() }
+        Led { bend, left_mm: self.robot.internal_part(&left) }
     }
 
     /// By how much the line moves for each mm that an encoder reads: what is left of a reading must be told in the units of the
     /// reading, or a scale that shrinks all readings would shrink their noise and explain anything.
-    fn line_by_reading(&self, q_tilde: &Vector3<f64>) -> Vector3<f64> {
+    fn line_by_reading(&self, q_tilde: &PerBackbone) -> PerBackbone {
         if !self.effects.iter().any(|effect| matches!(effect.physics.acts, Acts::Actuator(_))) {
-            return Vector3::repeat(1.0);
+            return self.alike(1.0);
         }
         let h = 1e-6;
         let slope = (self.encoder_errors(&q_tilde.add_scalar(h)) - self.encoder_errors(q_tilde)) / h;
@@ -303,26 +308,26 @@ impl<'a> Mechanics<'a> {
     ///
     /// Directions come from the readings where they tell them: what a reversal adds to a reading has the reversal's sign,
     /// while an error of the path's bend mixes the backbones. Only a backbone that hardly moves beside the others is left to the path.
-    pub fn motions_read(&self, times_s: &[f64], bends: &[Vector2<f64>], q_tilde: &[Vector3<f64>]) -> Vec<Motion> {
-        let lines: Vec<_> = q_tilde.iter().map(|q| q - self.encoder_errors(q)).collect();
+    pub fn motions_read(&self, times_s: &[f64], bends: &[Vector2<f64>], q_tilde: &[PerBackbone]) -> Vec<Motion> {
+        let lines: Vec<_> = q_tilde.iter().map(|q| *q - self.encoder_errors(q)).collect();
         self.motions_of(times_s, bends, Some(&lines))
     }
 
-    fn motions_of(&self, times_s: &[f64], bends: &[Vector2<f64>], lines: Option<&[Vector3<f64>]>) -> Vec<Motion> {
-        let q: Vec<Vector3<f64>> = bends.iter().map(|bend| self.q_by_bend * bend).collect();
+    fn motions_of(&self, times_s: &[f64], bends: &[Vector2<f64>], lines: Option<&[PerBackbone]>) -> Vec<Motion> {
+        let q: Vec<PerBackbone> = bends.iter().map(|&bend| self.q_by_bend * bend).collect();
         let mut motions: Vec<Motion> = Vec::with_capacity(bends.len());
         let mut moved_from = q.first().copied().unwrap_or_default();
         for k in 0..bends.len() {
             let mut motion = motions.last().copied().unwrap_or(Motion {
                 direction: q[k].map(|q| if q.abs() < DEAD_BAND_MM { 0.0 } else { q.signum() }),
-                speed_mm_per_s: Vector3::zeros(),
-                speed_before_mm_per_s: Vector3::zeros(),
-                taken_up_mm: Vector3::zeros(),
-                relaxed_n: if self.memory.settled { self.forces(bends[k], q[k]) } else { Vector3::zeros() },
+                speed_mm_per_s: self.alike(0.0),
+                speed_before_mm_per_s: self.alike(0.0),
+                taken_up_mm: self.alike(0.0),
+                relaxed_n: if self.memory.settled { self.forces(bends[k], q[k]) } else { self.alike(0.0) },
                 elapsed_s: 0.0,
             });
             let read = lines.filter(|_| k > 0).map(|lines| lines[k] - lines[k - 1]);
-            for i in 0..3 {
+            for i in 0..q[k].len() {
                 let told = read.filter(|read| read[i].abs() >= TOLD_MM.max(TOLD_SHARE * read.amax()));
                 let step = told.map_or(q[k][i] - moved_from[i], |read| read[i]);
                 if step.abs() >= DEAD_BAND_MM {
@@ -349,7 +354,7 @@ impl<'a> Mechanics<'a> {
     }
 
     /// The path that readings q̃ at these times lead along. `guess` is a path near it.
-    pub fn path(&self, times_s: &[f64], q_tilde: &[Vector3<f64>], guess: Option<&[Vector2<f64>]>) -> Vec<Led> {
+    pub fn path(&self, times_s: &[f64], q_tilde: &[PerBackbone], guess: Option<&[Vector2<f64>]>) -> Vec<Led> {
         let without_history;
         let guess = match guess {
             Some(guess) => guess,
@@ -371,7 +376,7 @@ impl<'a> Mechanics<'a> {
     pub fn settled(
         &self,
         times_s: &[f64],
-        q_tilde: &[Vector3<f64>],
+        q_tilde: &[PerBackbone],
         guess: &[Vector2<f64>],
         first: Option<Vector2<f64>>,
     ) -> (Vec<Led>, Vec<Motion>) {
@@ -394,7 +399,7 @@ impl<'a> Mechanics<'a> {
     /// One pass: the bends under a given history. Where directions matter they are decided on the way, and put into the history.
     fn pass(
         &self,
-        q_tilde: &[Vector3<f64>],
+        q_tilde: &[PerBackbone],
         guess: &[Vector2<f64>],
         motions: &mut [Motion],
         first: Option<Vector2<f64>>,
@@ -403,9 +408,9 @@ impl<'a> Mechanics<'a> {
             return (0..guess.len()).map(|k| self.led(&q_tilde[k], Some(&motions[k]), guess[k])).collect();
         }
         let mut path: Vec<Led> = Vec::with_capacity(guess.len());
-        let mut turned_at = Vector3::zeros();
+        let mut turned_at = self.alike(0.0);
         for k in 0..guess.len() {
-            let led_in = |direction: Vector3<f64>| {
+            let led_in = |direction: PerBackbone| {
                 (self.led(&q_tilde[k], Some(&Motion { direction, ..motions[k] }), guess[k]), direction)
             };
             let (led, direction) = match path.last() {
@@ -415,13 +420,13 @@ impl<'a> Mechanics<'a> {
                         read: self.line_step(q_tilde, k),
                         direction: motions[k - 1].direction,
                         turned_at,
-                        common_mm: last.common_mm,
+                        left_mm: last.left_mm,
                     };
                     self.next_direction(led_in, &turning)
                 }
             };
             let q = self.q_by_bend * led.bend;
-            for i in 0..3 {
+            for i in 0..q.len() {
                 let same = k > 0 && direction[i] == motions[k - 1].direction[i];
                 let further = (q[i] - turned_at[i]) * direction[i] > 0.0;
                 if !same || further {
@@ -435,7 +440,7 @@ impl<'a> Mechanics<'a> {
     }
 
     /// What the line moved from the reading before, mm.
-    fn line_step(&self, q_tilde: &[Vector3<f64>], k: usize) -> Vector3<f64> {
+    fn line_step(&self, q_tilde: &[PerBackbone], k: usize) -> PerBackbone {
         let line = |k: usize| q_tilde[k] - self.encoder_errors(&q_tilde[k]);
         line(k) - line(k - 1)
     }
@@ -443,16 +448,16 @@ impl<'a> Mechanics<'a> {
     /// The directions before the first reading: those that lead where the eye saw the snake.
     fn first_direction(
         &self,
-        led_in: impl Fn(Vector3<f64>) -> (Led, Vector3<f64>),
-        away: Vector3<f64>,
+        led_in: impl Fn(PerBackbone) -> (Led, PerBackbone),
+        away: PerBackbone,
         first: Option<Vector2<f64>>,
-    ) -> (Led, Vector3<f64>) {
+    ) -> (Led, PerBackbone) {
         let Some(seen) = first else { return led_in(away) };
-        // The eye cannot see a direction that all three share; the common part tells it.
+        // The eye cannot see a direction that all share; the common part tells it.
         let miss =
-            |led: &Led| (self.seen(led.bend) - seen).norm() / FIRST_BEND_RAD + led.common_mm.abs() / FIRST_COMMON_MM;
+            |led: &Led| (self.seen(led.bend) - seen).norm() / FIRST_BEND_RAD + rms(&led.left_mm) / FIRST_COMMON_MM;
         let mut best = led_in(away);
-        for direction in any_direction() {
+        for direction in any_direction(away.len()) {
             let next = led_in(direction);
             if miss(&next.0) < miss(&best.0) {
                 best = next;
@@ -468,15 +473,16 @@ impl<'a> Mechanics<'a> {
     /// part common to all readings, which no bend changes, would jump, the directions that contradict themselves least are taken.
     fn next_direction(
         &self,
-        led_in: impl Fn(Vector3<f64>) -> (Led, Vector3<f64>),
+        led_in: impl Fn(PerBackbone) -> (Led, PerBackbone),
         turning: &Turning,
-    ) -> (Led, Vector3<f64>) {
+    ) -> (Led, PerBackbone) {
         let told = turning.read.map(|read| read.abs() >= TOLD_MM.max(TOLD_SHARE * turning.read.amax()));
-        let kept = Vector3::from_fn(|i, _| if told[i] { turning.read[i].signum() } else { turning.direction[i] });
-        let doubt = |(led, direction): &(Led, Vector3<f64>)| {
+        let kept =
+            PerBackbone::from_fn(told.len(), |i| if told[i] { turning.read[i].signum() } else { turning.direction[i] });
+        let doubt = |(led, direction): &(Led, PerBackbone)| {
             let q = self.q_by_bend * led.bend;
-            let jump = ((led.common_mm - turning.common_mm) / DEAD_BAND_MM).powi(2);
-            let against = (0..3).map(|i| {
+            let jump = (rms(&(led.left_mm - turning.left_mm)) / DEAD_BAND_MM).powi(2);
+            let against = (0..q.len()).map(|i| {
                 let same = direction[i] == kept[i];
                 let back = ((turning.turned_at[i] - q[i]) * direction[i]).max(0.0) / DEAD_BAND_MM;
                 let back = if direction[i] == 0.0 { (q[i] - turning.turned_at[i]).abs() / DEAD_BAND_MM } else { back };
@@ -490,7 +496,7 @@ impl<'a> Mechanics<'a> {
             return best;
         }
         // One backbone otherwise, or all that have a direction.
-        let turned = (0..3).flat_map(|i| [-1.0, 1.0].map(|sign| (i, sign))).map(|(i, sign)| {
+        let turned = (0..kept.len()).flat_map(|i| [-1.0, 1.0].map(|sign| (i, sign))).map(|(i, sign)| {
             let mut direction = kept;
             direction[i] = sign;
             direction
@@ -513,7 +519,7 @@ impl<'a> Mechanics<'a> {
     pub fn changed(
         &self,
         changed: &Mechanics,
-        data: (&[f64], &[Vector3<f64>]),
+        data: (&[f64], &[PerBackbone]),
         path: (&[Led], &[Motion], &[Slope]),
     ) -> Vec<Led> {
         let (times_s, q_tilde) = data;
@@ -531,10 +537,10 @@ impl<'a> Mechanics<'a> {
                     let motion = history.as_ref().map_or(&motions[k], |history| &history[k]);
                     let line = q_tilde[k] - changed.encoder_errors(&q_tilde[k]);
                     let left = line - changed.line(settled[k].bend, Some(motion));
-                    let step = slopes[k].bend_by_line * left;
+                    let step = slopes[k].bend_by_line.weighted(&left);
                     let left = left - slopes[k].line_by_bend * step;
-                    let common_mm = left.component_div(&changed.line_by_reading(&q_tilde[k])).mean();
-                    Led { bend: settled[k].bend + step, common_mm }
+                    let left = left.component_div(&changed.line_by_reading(&q_tilde[k]));
+                    Led { bend: settled[k].bend + step, left_mm: self.robot.internal_part(&left) }
                 })
                 .collect();
             bends = next.iter().map(|led| led.bend).collect();
@@ -547,9 +553,10 @@ impl<'a> Mechanics<'a> {
         let h = 1e-6;
         let at = self.line(bend, Some(motion));
         let columns = [0, 1].map(|axis| (self.line(bend + Vector2::ith(axis, h), Some(motion)) - at) / h);
-        let line_by_bend = Matrix3x2::from_columns(&columns);
-        let bend_by_misfit = (self.bend_by_q * line_by_bend).try_inverse().unwrap_or_else(Matrix2::identity);
-        Slope { line_by_bend, bend_by_line: bend_by_misfit * self.bend_by_q }
+        let line_by_bend = PerBackbone::from_columns(columns);
+        let misfit_by_bend = self.bend_by_q.squared_with(&line_by_bend);
+        let bend_by_misfit = misfit_by_bend.try_inverse().unwrap_or_else(Matrix2::identity);
+        Slope { line_by_bend, bend_by_line: self.bend_by_q.map(|column| bend_by_misfit * column) }
     }
 
     /// The bend that the frame shows at each instant of a path: that of some time ago, where the camera is late.
@@ -584,18 +591,25 @@ impl<'a> Mechanics<'a> {
 /// What is known of the directions when the next reading comes.
 struct Turning {
     /// The reading's step, mm.
-    read: Vector3<f64>,
+    read: PerBackbone,
     /// The directions so far.
-    direction: Vector3<f64>,
+    direction: PerBackbone,
     /// The furthest that each backbone came in its direction, mm.
-    turned_at: Vector3<f64>,
-    /// The common part that was left at the reading before, mm.
-    common_mm: f64,
+    turned_at: PerBackbone,
+    /// What was left at the reading before, mm.
+    left_mm: PerBackbone,
 }
 
-/// All directions that three backbones can have.
-fn any_direction() -> impl Iterator<Item = Vector3<f64>> {
-    (0..27).map(|n| Vector3::new(f64::from(n % 3), f64::from(n / 3 % 3), f64::from(n / 9)).add_scalar(-1.0))
+/// All directions that so many backbones can have.
+fn any_direction(backbones: usize) -> impl Iterator<Item = PerBackbone> {
+    let digit = |number: u32, place: usize| number / 3u32.pow(place as u32) % 3;
+    (0..3u32.pow(backbones as u32))
+        .map(move |number| PerBackbone::from_fn(backbones, |i| f64::from(digit(number, i)) - 1.0))
+}
+
+/// Root of the mean square.
+fn rms(values: &PerBackbone) -> f64 {
+    values.norm() / (values.len() as f64).sqrt()
 }
 
 /// The slope of a misfit, by differences.
@@ -605,7 +619,7 @@ fn slope(misfit: &impl Fn(Vector2<f64>) -> Vector2<f64>, bend: Vector2<f64>, gap
 }
 
 /// q̇ at sample k: the slope of the parabola through it and its neighbours, or of the one line at an end.
-fn speed(times_s: &[f64], q: &[Vector3<f64>], k: usize) -> Vector3<f64> {
+fn speed(times_s: &[f64], q: &[PerBackbone], k: usize) -> PerBackbone {
     let between = |a: usize, b: usize| {
         let span = times_s[b] - times_s[a];
         (span > 0.0).then(|| ((q[b] - q[a]) / span, span))
@@ -615,14 +629,14 @@ fn speed(times_s: &[f64], q: &[Vector3<f64>], k: usize) -> Vector3<f64> {
     match (before, after) {
         (Some((v, h)), Some((w, g))) => (v * g + w * h) / (g + h),
         (Some((v, _)), None) | (None, Some((v, _))) => v,
-        (None, None) => Vector3::zeros(),
+        (None, None) => q[k] * 0.0,
     }
 }
 
 /// q̇ between sample k and the one before it; 0 at the first.
-fn speed_before(times_s: &[f64], q: &[Vector3<f64>], k: usize) -> Vector3<f64> {
+fn speed_before(times_s: &[f64], q: &[PerBackbone], k: usize) -> PerBackbone {
     if k == 0 || times_s[k] <= times_s[k - 1] {
-        return Vector3::zeros();
+        return q[k] * 0.0;
     }
     (q[k] - q[k - 1]) / (times_s[k] - times_s[k - 1])
 }
@@ -648,7 +662,7 @@ pub struct Observation {
     /// Time, s.
     pub time_s: f64,
     /// q̃, mm.
-    pub q_mm: Vector3<f64>,
+    pub q_mm: PerBackbone,
     /// The measured configuration.
     pub configuration: Configuration,
 }
@@ -669,7 +683,7 @@ impl Model {
         let mechanics = Mechanics::new(self);
         let plain = self.plain();
         let times_s: Vec<f64> = observations.iter().map(|o| o.time_s).collect();
-        let q_tilde: Vec<Vector3<f64>> = observations.iter().map(|o| o.q_mm).collect();
+        let q_tilde: Vec<PerBackbone> = observations.iter().map(|o| o.q_mm).collect();
         let Some(first) = observations.first() else { return Vec::new() };
         // Where the eye saw the snake: of several bends that a steep screw error allows, the one that it had.
         let guess: Vec<_> = observations.iter().map(|o| mechanics.unseen(o.configuration.bend_vector())).collect();
@@ -678,7 +692,7 @@ impl Model {
         let pictured = mechanics.pictured(&times_s, &bends);
         let remains = observations.iter().zip(&path).zip(&pictured).map(|((observation, led), pictured)| {
             let shown = mechanics.unseen(observation.configuration.bend_vector());
-            let q_mm = plain.command(Configuration::from_bend_vector(led.bend)).add_scalar(led.common_mm);
+            let q_mm = plain.command(Configuration::from_bend_vector(led.bend)) + led.left_mm;
             let configuration = Configuration::from_bend_vector(shown + led.bend - pictured);
             Observation { q_mm, configuration, ..*observation }
         });
@@ -694,8 +708,13 @@ mod tests {
     use proptest::prelude::*;
 
     fn with(name: &str, scale: f64) -> Model {
+        on_a_robot_of(3, name, scale)
+    }
+
+    fn on_a_robot_of(backbones: u8, name: &str, scale: f64) -> Model {
         let physics = crate::robot::effects::physics(name).unwrap();
-        let mut values: Vec<f64> = physics.parameters.iter().map(|p| p.typical * scale).collect();
+        let specs = (physics.parameters)(usize::from(backbones));
+        let mut values: Vec<f64> = specs.iter().map(|p| p.typical * scale).collect();
         match name {
             "screw_periodic" => values[1] = 1.0,
             "creep" => values[1] = 3.0,
@@ -703,7 +722,8 @@ mod tests {
         }
         let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
         let effect = Effect::of(physics, values);
-        Model { estimate: Some(estimate), effects: vec![effect], ..Model::default() }
+        let robot = Robot { backbones, ..Robot::default() };
+        Model { robot, estimate: Some(estimate), effects: vec![effect], ..Model::default() }
     }
 
     fn sweep() -> (Vec<f64>, Vec<Vector2<f64>>) {
@@ -767,6 +787,20 @@ mod tests {
     }
 
     #[test]
+    fn it_is_so_with_more_backbones_as_well() {
+        let (times, bends) = sweep();
+        for physics in LIBRARY.iter().filter(|physics| physics.form.is_empty()) {
+            let model = on_a_robot_of(4, physics.name, 1.0);
+            let mechanics = Mechanics::new(&model);
+            let motions = mechanics.motions(&times, &bends);
+            let q: Vec<_> = bends.iter().zip(&motions).map(|(b, m)| mechanics.command(*b, Some(m))).collect();
+            let path = mechanics.path(&times, &q, None);
+            let worst = path.iter().zip(&bends).map(|(led, b)| (led.bend - b).norm()).fold(0.0, f64::max);
+            assert!(worst < 2e-4, "{}: {worst} rad", physics.name);
+        }
+    }
+
+    #[test]
     fn play_is_crossed_at_a_reversal_and_nowhere_else() {
         let model = with("motion_directed_backlash", 1.0);
         let mechanics = Mechanics::new(&model);
@@ -777,8 +811,8 @@ mod tests {
         for (k, sign) in [-1.0, -1.0, -1.0, 1.0, 1.0].into_iter().enumerate() {
             let added = mechanics.command(bends[k], Some(&motions[k]))
                 - plain.command(Configuration::from_bend_vector(bends[k]));
-            let expected = Vector3::new(sign, -sign, -sign) * 0.05;
-            assert!((added - expected).norm() < 1e-9, "{k}: {added}");
+            let expected = PerBackbone::from([sign, -sign, -sign]) * 0.05;
+            assert!((added - expected).norm() < 1e-9, "{k}: {added:?}");
         }
     }
 
@@ -799,9 +833,9 @@ mod tests {
     proptest! {
         #[test]
         fn a_single_pose_is_found_back_with_any_effect(
-            k in 0..LIBRARY.len(), scale in 0.2..1.5f64, theta in 2.0..100.0f64, delta in -180.0..180.0f64
+            k in 0..LIBRARY.len(), scale in 0.2..1.5f64, theta in 2.0..100.0f64, delta in -180.0..180.0f64, backbones in 3..7u8
         ) {
-            let model = with(LIBRARY[k].name, scale);
+            let model = on_a_robot_of(backbones, LIBRARY[k].name, scale);
             let psi = Configuration::from_degrees(theta, delta);
             let mechanics = Mechanics::new(&model);
             let led = mechanics.led(&mechanics.command(psi.bend_vector(), None), None, Vector2::zeros());

@@ -1,6 +1,6 @@
 //! The numbers that describe one robot: Table I, Section III-B and the body as a camera sees it.
 
-use nalgebra::Vector3;
+use super::{BACKBONES, PerBackbone};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
@@ -86,7 +86,7 @@ impl ActuationLine {
     }
 }
 
-/// The body as a camera sees it: disks on four tubes, on a holder of the disks' diameter.
+/// The body as a camera sees it: disks on the tubes, on a holder of the disks' diameter.
 ///
 /// A spacer disk is square to the backbone at its own middle; the end disk is square to it at L, where its far face is.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -108,14 +108,26 @@ pub struct Robot {
     pub length_mm: f64,
     /// Radius r of the circle of secondary backbones, mm.
     pub backbone_circle_radius_mm: f64,
+    /// Number n of secondary backbones, evenly spaced, within [`BACKBONES`]; three in the paper.
+    #[serde(default = "three", skip_serializing_if = "is_three")]
+    pub backbones: u8,
     /// The central backbone.
     pub primary: Tube,
-    /// Each of the three secondary backbones.
+    /// Each of the secondary backbones.
     pub secondary: Tube,
     /// Holder and cone.
     pub line: ActuationLine,
     /// Disks and holder.
     pub body: Body,
+}
+
+/// The paper's number of secondary backbones.
+fn three() -> u8 {
+    3
+}
+
+fn is_three(backbones: &u8) -> bool {
+    *backbones == three()
 }
 
 impl Default for Robot {
@@ -125,6 +137,7 @@ impl Default for Robot {
         Self {
             length_mm: 26.0,
             backbone_circle_radius_mm: 1.5,
+            backbones: three(),
             primary: tube,
             secondary: tube,
             line: ActuationLine {
@@ -139,8 +152,15 @@ impl Default for Robot {
 }
 
 impl Robot {
-    /// β = 2π/3, the angle between neighbouring secondary backbones.
-    pub const BETA: f64 = 2.0 * PI / 3.0;
+    /// n, the number of secondary backbones; never beyond what there can be.
+    pub fn backbone_count(&self) -> usize {
+        usize::from(self.backbones).clamp(*BACKBONES.start(), *BACKBONES.end())
+    }
+
+    /// β = 2π/n, the angle between neighbouring secondary backbones.
+    pub fn beta(&self) -> f64 {
+        2.0 * PI / self.backbone_count() as f64
+    }
 
     /// Distance between the middles of neighbouring spacer disks, mm: they divide L evenly.
     pub fn disk_pitch_mm(&self) -> f64 {
@@ -163,7 +183,7 @@ impl Robot {
     }
 
     /// Azimuths of the secondary backbones in {b}, rad: −(i−1)·β.
-    pub fn backbone_azimuths(&self) -> Vector3<f64> {
-        Vector3::new(0.0, -Self::BETA, -2.0 * Self::BETA)
+    pub fn backbone_azimuths(&self) -> PerBackbone {
+        PerBackbone::from_fn(self.backbone_count(), |i| -(i as f64) * self.beta())
     }
 }

@@ -1,8 +1,9 @@
 //! Redundancy: what to do with the force that all backbones can share.
 //!
-//! Three backbones bend two ways, so forces may differ from Eq. 11's by any N common to all of them: it does no work on the snake,
+//! n backbones bend two ways, so forces may differ from Eq. 11's by any N common to all of them: it does no work on the snake,
 //! whose base takes it up. Eq. 11 is N = 0, and with it the strain in the lines is least: Σ (η τ_i + N)² grows with N² because the
-//! η τ_i sum to zero, and the central backbone carries 3N.
+//! η τ_i sum to zero, and the central backbone carries n N. With three backbones this is all of the redundancy. More backbones have
+//! n − 3 further ways to press against each other, which are left at Eq. 11's zero.
 //!
 //! Limits of the actuation unit change that. With τ̃_i = (η τ_i + N + f_s) e^{2μφ} (Eq. 13) the least strain within them is
 //!
@@ -14,10 +15,9 @@
 //! N goes to the middle of the contradiction, by which both limits are missed alike, and the pose counts as outside them.
 //! A force N stretches every line by κN, which is added to q̃: the choice shows in the table and in the bend not at all.
 
-use super::{Mechanics, Model};
+use super::{Mechanics, Model, PerBackbone};
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
-use nalgebra::Vector3;
 
 /// What the actuation unit can do: forces τ̃, N, positive where they push.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,7 +51,7 @@ pub struct Sharing {
     /// N: the force common to all backbones, N; positive pushes.
     pub common_n: f64,
     /// τ̃: what the actuation unit must exert on each, N.
-    pub actuation_n: Vector3<f64>,
+    pub actuation_n: PerBackbone,
     /// κN: what it adds to every q̃, mm.
     pub shift_mm: f64,
     /// Whether every τ̃_i lies within the limits.

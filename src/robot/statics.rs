@@ -1,6 +1,6 @@
 //! Statics: the elastic energy of the bent backbones and the forces that hold them, Eq. 9–11.
 //!
-//! Between base and end disk the four backbones bend alike, through θ, each over its own length:
+//! Between base and end disk the backbones bend alike, through θ, each over its own length:
 //!
 //! ```text
 //! E = E_p I_p θ² / (2 L) + Σ_i E_s I_s θ² / (2 L_i),      L_i = L + q_i = L + k_i·b,   k_i = row i of Q
@@ -16,14 +16,14 @@
 //! Eq. 9 with w_e the wrench applied on the snake by its environment: when ψ changes by dψ, the actuators' work τᵗdq and
 //! the environment's w_eᵗdx together raise the elastic energy, so J_qψᵗ τ = ∇E − J_xψᵗ w_e. (The paper prints a plus,
 //! which is right for the wrench that the snake applies.) In b the constraint is Qᵗτ = ∇_b E − J_xbᵗ w_e with a constant
-//! Q, and Eq. 11's minimum-norm solution is τ = Q (QᵗQ)⁻¹ (…) = 2/(3r²) Q (…), which equals the paper's form wherever
+//! Q, and Eq. 11's minimum-norm solution is τ = Q (QᵗQ)⁻¹ (…) = 2/(n r²) Q (…), which equals the paper's form wherever
 //! that one is defined, since a change of coordinates changes neither the constraint nor the norm.
 
-use super::Robot;
-use nalgebra::{Matrix2, Matrix3x2, Vector2, Vector3, Vector6};
+use super::{PerBackbone, Robot};
+use nalgebra::{Matrix2, Vector2, Vector6};
 
 impl Robot {
-    /// E, N·mm: the bending energy of all four backbones at a bend vector (rad).
+    /// E, N·mm: the bending energy of all backbones at a bend vector (rad).
     pub fn elastic_energy(&self, bend: Vector2<f64>) -> f64 {
         let lengths = self.backbone_lengths(bend);
         let compliance: f64 = lengths.iter().map(|length| self.secondary.bending_stiffness_n_mm2() / length).sum();
@@ -33,9 +33,9 @@ impl Robot {
     /// ∇E by the bend vector, N·mm per rad.
     pub fn elastic_gradient(&self, bend: Vector2<f64>) -> Vector2<f64> {
         let mut gradient = bend * (self.primary.bending_stiffness_n_mm2() / self.length_mm);
-        for (length, row) in self.backbone_lengths(bend).iter().zip(self.displacement_by_bend().row_iter()) {
+        for (length, row) in self.backbone_lengths(bend).iter().zip(&self.displacement_by_bend()) {
             let stiffness = self.secondary.bending_stiffness_n_mm2() / length;
-            gradient += bend * stiffness - row.transpose() * (0.5 * stiffness * bend.norm_squared() / length);
+            gradient += bend * stiffness - row * (0.5 * stiffness * bend.norm_squared() / length);
         }
         gradient
     }
@@ -43,11 +43,11 @@ impl Robot {
     /// The Hessian of E by the bend vector, N·mm per rad².
     pub fn elastic_hessian(&self, bend: Vector2<f64>) -> Matrix2<f64> {
         let mut hessian = Matrix2::identity() * (self.primary.bending_stiffness_n_mm2() / self.length_mm);
-        for (length, row) in self.backbone_lengths(bend).iter().zip(self.displacement_by_bend().row_iter()) {
+        for (length, row) in self.backbone_lengths(bend).iter().zip(&self.displacement_by_bend()) {
             let stiffness = self.secondary.bending_stiffness_n_mm2() / length;
-            let mixed = bend * row;
+            let mixed = bend * row.transpose();
             hessian += Matrix2::identity() * stiffness - (mixed + mixed.transpose()) * (stiffness / length)
-                + row.transpose() * row * (stiffness * bend.norm_squared() / length.powi(2));
+                + row * row.transpose() * (stiffness * bend.norm_squared() / length.powi(2));
         }
         hessian
     }
@@ -56,7 +56,7 @@ impl Robot {
     ///
     /// `wrench` is what the environment applies on the end disk: force (N) at the centre of its far face, then moment
     /// (N·mm), both in {b}.
-    pub fn actuation_forces(&self, bend: Vector2<f64>, wrench: Option<&Vector6<f64>>) -> Vector3<f64> {
+    pub fn actuation_forces(&self, bend: Vector2<f64>, wrench: Option<&Vector6<f64>>) -> PerBackbone {
         let mut generalised = self.elastic_gradient(bend);
         if let Some(wrench) = wrench {
             generalised -= self.tip_jacobian_bend(bend).transpose() * wrench;
@@ -65,13 +65,13 @@ impl Robot {
     }
 
     /// ∂τ/∂b of the unloaded snake, N per rad.
-    pub fn actuation_forces_by_bend(&self, bend: Vector2<f64>) -> Matrix3x2<f64> {
+    pub fn actuation_forces_by_bend(&self, bend: Vector2<f64>) -> PerBackbone<Vector2<f64>> {
         self.forces_by_generalised() * self.elastic_hessian(bend)
     }
 
     /// Q (QᵗQ)⁻¹, 1/mm: from the generalised force on b to τ of least norm.
-    fn forces_by_generalised(&self) -> Matrix3x2<f64> {
-        self.bend_by_displacement().transpose()
+    fn forces_by_generalised(&self) -> PerBackbone<Vector2<f64>> {
+        self.bend_by_displacement()
     }
 }
 
@@ -80,7 +80,7 @@ mod tests {
     use super::*;
     use crate::geometry::Configuration;
     use approx::assert_relative_eq;
-    use nalgebra::Matrix3;
+    use nalgebra::Vector3;
     use proptest::prelude::*;
     use std::f64::consts::PI;
 
@@ -91,8 +91,8 @@ mod tests {
 
     proptest! {
         #[test]
-        fn gradient_and_hessian_are_the_derivatives_of_the_energy(bend in any_bend()) {
-            let robot = Robot::default();
+        fn gradient_and_hessian_are_the_derivatives_of_the_energy(bend in any_bend(), backbones in 3..9u8) {
+            let robot = Robot { backbones, ..Robot::default() };
             let h = 1e-4;
             for axis in 0..2 {
                 let step = Vector2::ith(axis, h);
@@ -105,16 +105,18 @@ mod tests {
 
         #[test]
         fn the_forces_balance_the_work_and_none_smaller_do(
-            bend in any_bend(), load in proptest::array::uniform6(-2.0..2.0f64), common in -5.0..5.0f64
+            bend in any_bend(), load in proptest::array::uniform6(-2.0..2.0f64), common in -5.0..5.0f64, backbones in 3..9u8
         ) {
-            let robot = Robot::default();
+            let robot = Robot { backbones, ..Robot::default() };
             let wrench = Vector6::from(load);
             let tau = robot.actuation_forces(bend, Some(&wrench));
-            let work = robot.displacement_by_bend().transpose() * tau;
+            let work = robot.displacement_by_bend().weighted(&tau);
             let needed = robot.elastic_gradient(bend) - robot.tip_jacobian_bend(bend).transpose() * wrench;
             prop_assert!((work - needed).norm() < 1e-9);
-            // The only freedom left is a common force, which does no work; any of it makes τ longer.
-            prop_assert!(tau.add_scalar(common).norm() + 1e-12 >= tau.norm());
+            // The only freedom left is in forces that do no work; any of them makes τ longer.
+            for part in robot.internal_parts() {
+                prop_assert!((tau + part * common).norm() + 1e-12 >= tau.norm());
+            }
         }
 
         #[test]
@@ -124,7 +126,7 @@ mod tests {
             let psi = Configuration::from_bend_vector(bend);
             let jacobian = robot.jacobian_q_psi(psi);
             let gradient = crate::robot::kinematics::bend_by_configuration(psi).transpose() * robot.elastic_gradient(bend);
-            let printed = jacobian * (jacobian.transpose() * jacobian).try_inverse().unwrap() * gradient;
+            let printed = jacobian * (jacobian.squared_with(&jacobian).try_inverse().unwrap() * gradient);
             prop_assert!((printed - robot.actuation_forces(bend, None)).norm() < 1e-8);
         }
     }
@@ -136,7 +138,29 @@ mod tests {
         let theta = 1e-6;
         let moment = 4.0 * 54_000.0 * PI / 64.0 * (0.66f64.powi(4) - 0.5f64.powi(4)) * theta / 26.0;
         let tau = robot.actuation_forces(Vector2::new(theta, 0.0), None);
-        assert_relative_eq!(tau, Vector3::new(-1.0, 0.5, 0.5) * (moment / 2.25), max_relative = 1e-6);
+        let expected = PerBackbone::from([-1.0, 0.5, 0.5]) * (moment / 2.25);
+        assert!((tau - expected).norm() < 1e-6 * expected.norm());
+    }
+
+    #[test]
+    fn the_moment_and_the_forces_of_four_five_and_six_backbones_are_the_textbooks() {
+        // n + 1 beams of length L: M = (n + 1) E I θ/L, held by τ_i = −2 M/(n r) cos(δ − a_i) with Σ τ_i q_i its work through θ.
+        for n in [4u8, 5, 6] {
+            let robot = Robot { backbones: n, ..Robot::default() };
+            let (theta, delta, count) = (1e-6, 0.7, f64::from(n));
+            let bend = Configuration::new(theta, delta).bend_vector();
+            let stiffness = 54_000.0 * PI / 64.0 * (0.66f64.powi(4) - 0.5f64.powi(4));
+            let moment = (count + 1.0) * stiffness * theta / 26.0;
+            let tau = robot.actuation_forces(bend, None);
+            let azimuth = |i: usize| -2.0 * PI * i as f64 / count;
+            let expected =
+                PerBackbone::from_fn(usize::from(n), |i| -2.0 * moment / (count * 1.5) * (delta - azimuth(i)).cos());
+            assert!((tau - expected).norm() < 1e-6 * expected.norm(), "{n}: {tau:?} {expected:?}");
+            let q = robot.displacement_by_bend() * bend;
+            assert_relative_eq!(tau.dot(&q), moment * theta, max_relative = 1e-6);
+            assert!(q.sum().abs() < 1e-20);
+            assert_relative_eq!(q.norm_squared(), count / 2.0 * (1.5 * theta).powi(2), max_relative = 1e-9);
+        }
     }
 
     #[test]
@@ -167,10 +191,22 @@ mod tests {
     }
 
     #[test]
-    fn least_norm_projection_is_a_projection() {
-        let robot = Robot::default();
-        let projection: Matrix3<f64> = robot.displacement_by_bend() * robot.bend_by_displacement();
-        assert_relative_eq!(projection * projection, projection, epsilon = 1e-12);
-        assert_relative_eq!((projection * Vector3::repeat(1.0)).norm(), 0.0, epsilon = 1e-12);
+    fn what_bends_nothing_is_spanned_by_the_internal_parts() {
+        for backbones in 3..=8 {
+            let robot = Robot { backbones, ..Robot::default() };
+            let parts: Vec<_> = robot.internal_parts().collect();
+            assert_eq!(parts.len(), usize::from(backbones) - 2);
+            for (a, part) in parts.iter().enumerate() {
+                assert!(robot.bend_by_displacement().weighted(part).norm() < 1e-12);
+                for (b, other) in parts.iter().enumerate() {
+                    assert_relative_eq!(part.dot(other), if a == b { 1.0 } else { 0.0 }, epsilon = 1e-12);
+                }
+            }
+            assert!((parts[0] - parts[0].map(|_| parts[0].mean())).norm() < 1e-12, "the first is the common part");
+            let any = PerBackbone::from_fn(parts[0].len(), |i| (1.7 * i as f64).sin());
+            let sum = parts.iter().fold(any * 0.0, |sum, part| sum + *part * part.dot(&any));
+            assert!((sum - robot.internal_part(&any)).norm() < 1e-12);
+            assert!((robot.internal_part(&sum) - sum).norm() < 1e-12);
+        }
     }
 }

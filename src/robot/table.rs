@@ -1,11 +1,11 @@
 //! The compensation table: what to command for every pose of a grid.
 
+use super::PerBackbone;
 use super::compensation::MAX_THETA;
 use super::model::Model;
 use super::redundancy::{ForceLimits, Sharing};
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
-use nalgebra::Vector3;
 use std::fmt;
 use std::str::FromStr;
 
@@ -94,11 +94,11 @@ pub struct TableRow {
     /// The desired pose.
     pub configuration: Configuration,
     /// q, what the snake's backbones are to move, mm.
-    pub q_mm: Vector3<f64>,
+    pub q_mm: PerBackbone,
     /// q̃, what to command, mm.
-    pub command_mm: Vector3<f64>,
+    pub command_mm: PerBackbone,
     /// Standard deviation of q̃ from the covariance of η and λ, mm.
-    pub sd_command_mm: Vector3<f64>,
+    pub sd_command_mm: PerBackbone,
     /// How the backbones share the load, where the actuation unit's limits were given; q̃ then has it in.
     pub sharing: Option<Sharing>,
 }
@@ -110,8 +110,7 @@ impl TableRow {
             configuration,
             q_mm: model.robot.joint_displacements(configuration),
             command_mm: model.command(configuration),
-            // A variance may come out as a rounding below zero.
-            sd_command_mm: model.command_covariance(configuration).diagonal().map(|variance| variance.max(0.0).sqrt()),
+            sd_command_mm: model.command_sds(configuration),
             sharing: None,
         }
     }
@@ -119,7 +118,7 @@ impl TableRow {
     /// The same pose with forces within limits.
     pub fn within(mut self, model: &Model, limits: &ForceLimits) -> Self {
         let sharing = model.sharing(self.configuration, limits);
-        self.command_mm.add_scalar_mut(sharing.shift_mm);
+        self.command_mm = self.command_mm.add_scalar(sharing.shift_mm);
         Self { sharing: Some(sharing), ..self }
     }
 }

@@ -115,9 +115,10 @@ pub fn body(robot: &Robot, psi: Configuration, departure: Vector2<f64>) -> Vec<S
     let tubes = arcs.into_iter().enumerate().flat_map(|(k, (start, bend, length_mm))| {
         let length_to_end = if k == last { length_mm - (robot.length_mm - end) } else { length_mm };
         let arc = Configuration::from_bend_vector(bend);
-        let azimuths: [f64; 3] = robot.backbone_azimuths().into();
-        let circle = azimuths
-            .map(|azimuth| (robot.backbone_circle_radius_mm, azimuth - arc.delta, robot.secondary.outer_diameter_mm));
+        let azimuths: Vec<f64> = robot.backbone_azimuths().to_vec();
+        let circle = azimuths.into_iter().map(move |azimuth| {
+            (robot.backbone_circle_radius_mm, azimuth - arc.delta, robot.secondary.outer_diameter_mm)
+        });
         let centre = [(0.0, 0.0, robot.primary.outer_diameter_mm)];
         let tube = move |(offset, angle_to_bend, diameter): (f64, f64, f64)| Tube {
             curvature: arc.theta / length_mm,

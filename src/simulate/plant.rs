@@ -2,8 +2,8 @@
 
 use crate::geometry::{Configuration, sinc};
 use crate::record::{EncoderReading, Measured, Measurement, Status, Truth, Waypoint};
-use crate::robot::{Mechanics, Model};
-use nalgebra::{Rotation2, Vector2, Vector3};
+use crate::robot::{Mechanics, Model, PerBackbone};
+use nalgebra::{Rotation2, Vector2};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -35,13 +35,15 @@ impl Plant {
         let mut random = StdRng::seed_from_u64(seed);
         let times_s: Vec<f64> = trajectory.iter().map(|waypoint| waypoint.time_s).collect();
         let bends: Vec<_> = trajectory.iter().map(|waypoint| waypoint.configuration.bend_vector()).collect();
+        let backbones = self.model.robot.backbone_count();
         let mechanics = Mechanics::new(&self.model);
         let motions = mechanics.motions(&times_s, &bends);
         let pictured = mechanics.pictured(&times_s, &bends);
         (0..trajectory.len())
             .map(|k| {
                 let index = k as u64;
-                let noise = Vector3::from_fn(|_, _| -> f64 { StandardNormal.sample(&mut random) }) * self.sd_encoder_mm;
+                let noise =
+                    PerBackbone::from_fn(backbones, |_| StandardNormal.sample(&mut random)) * self.sd_encoder_mm;
                 let q_mm = mechanics.command(bends[k], Some(&motions[k])) + noise;
                 Sample {
                     reading: EncoderReading { index, time_s: times_s[k], q_mm },

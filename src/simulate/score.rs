@@ -3,8 +3,8 @@
 use crate::estimate::pairs_without_effects;
 use crate::geometry::{Configuration, wrap_angle};
 use crate::record::{EncoderReading, Measurement, Truth};
-use crate::robot::Model;
-use nalgebra::Matrix3x2;
+use crate::robot::{Model, PerBackbone};
+use nalgebra::Vector2;
 use serde::Serialize;
 use std::convert::Infallible;
 
@@ -135,8 +135,8 @@ pub fn gap_of<E>(
         samples += 1;
         (reading.q_mm - model.command(psi)).iter().for_each(|&left| eps.add(left));
         let command_by_angles = command_by_configuration(model, psi);
-        let covariance = command_by_angles * measured.covariance() * command_by_angles.transpose();
-        (0..3).for_each(|i| noise.add(covariance[(i, i)].max(0.0).sqrt()));
+        let covariance = measured.covariance();
+        command_by_angles.iter().for_each(|by| noise.add(by.dot(&(covariance * by)).max(0.0).sqrt()));
         match model.forward(&reading.q_mm) {
             Ok(response) => {
                 let predicted = response.configuration;
@@ -179,7 +179,7 @@ impl Squares {
 }
 
 /// ∂(q + ε)/∂(θ, δ), mm per rad: what an error of the angles does to the ε that is inferred from them.
-fn command_by_configuration(model: &Model, psi: Configuration) -> Matrix3x2<f64> {
+fn command_by_configuration(model: &Model, psi: Configuration) -> PerBackbone<Vector2<f64>> {
     model.robot.jacobian_q_psi(psi) + model.alpha(psi)
 }
 
@@ -268,7 +268,7 @@ mod tests {
         let model = Model::default();
         let psi = Configuration::from_degrees(40.0, 10.0);
         let mut q_mm = model.command(psi);
-        q_mm.x += 0.03;
+        q_mm[0] += 0.03;
         let gap = gap(&model, &[measurement(5, 40.0, 10.0, 0.1)], &[EncoderReading { index: 5, time_s: 0.0, q_mm }]);
         assert_relative_eq!(gap.rms_eps_mm, 0.03 / 3f64.sqrt(), max_relative = 1e-9);
         assert!(gap.rms_theta_deg > 0.1);

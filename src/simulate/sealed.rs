@@ -48,15 +48,15 @@ impl Sealed {
         };
         let mut truth = Model { estimate: Some(estimate), ..Model::default() };
         for physics in hidden {
-            let mut effect = drawn(physics, &mut random);
+            let mut effect = drawn(physics, truth.robot.backbone_count(), &mut random);
             let size_mm = random.random_range(0.04..0.12);
             // Twice, since not all effects are linear in their size.
             for _ in 0..2 {
                 let alone =
                     Plant { model: Model { effects: vec![effect.clone()], ..truth.clone() }, sd_encoder_mm: 0.0 };
                 let scale = size_mm / size(&alone, &trajectory).max(1e-9);
-                for k in sizes(physics) {
-                    let (least, most) = physics.parameters[k].range;
+                for k in sizes(&effect) {
+                    let (least, most) = effect.parameters()[k].range;
                     effect.values[k] = (effect.values[k] * scale).clamp(least, most);
                 }
                 if physics.name == "screw_periodic" {
@@ -110,24 +110,24 @@ fn size(plant: &Plant, trajectory: &[Waypoint]) -> f64 {
         .iter()
         .map(|s| Observation { time_s: s.reading.time_s, q_mm: s.reading.q_mm, configuration: s.seen })
         .collect();
-    let squares: f64 = observations.iter().map(|o| (o.q_mm - plain.command(o.configuration)).norm_squared()).sum();
-    (squares / (3 * observations.len()) as f64).sqrt()
+    let left = |o: &Observation| o.q_mm - plain.command(o.configuration);
+    let squares: f64 = observations.iter().map(|o| left(o).norm_squared() / o.q_mm.len() as f64).sum();
+    (squares / observations.len() as f64).sqrt()
 }
 
 /// The parameters that an effect's size is proportional to.
-fn sizes(physics: &Physics) -> std::ops::Range<usize> {
-    match physics.name {
+fn sizes(effect: &Effect) -> std::ops::Range<usize> {
+    match effect.physics.name {
         "creep" | "screw_periodic" => 0..1,
-        _ => 0..physics.parameters.len(),
+        _ => 0..effect.values.len(),
     }
 }
 
 /// An effect with random parameters of any size; plays, softening, frictions and delays are positive, as in nature.
-fn drawn(physics: &'static Physics, random: &mut StdRng) -> Effect {
+fn drawn(physics: &'static Physics, backbones: usize, random: &mut StdRng) -> Effect {
     let signed = ["actuator", "tip", "plane", "bend", "thermal", "backbone"];
     let signed = signed.iter().any(|start| physics.name.starts_with(start));
-    let mut values: Vec<f64> = physics
-        .parameters
+    let mut values: Vec<f64> = (physics.parameters)(backbones)
         .iter()
         .map(|spec| {
             let sign = if signed && random.random_bool(0.5) { -1.0 } else { 1.0 };

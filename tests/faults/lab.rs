@@ -67,7 +67,7 @@ fn original() -> &'static Path {
         let readings: Vec<_> = samples.iter().map(|sample| sample.reading).collect();
         let truths: Vec<_> = samples.iter().map(|sample| sample.truth).collect();
         let experiment = folder.path().join("experiment");
-        write_atomically(&experiment.join("encoders.csv"), encoders_csv(&readings).as_bytes()).unwrap();
+        write_atomically(&experiment.join("encoders.csv"), encoders_csv(&readings, 3).as_bytes()).unwrap();
         let mut scene = Scene::default();
         // Half the size: pixel centres are at integers.
         (scene.lens.width, scene.lens.height) = (640, 360);

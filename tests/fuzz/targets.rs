@@ -41,7 +41,7 @@ fn outcome<T>(reader: &'static str, result: snakeloop::Result<T>) -> (&'static s
 /// Every reader of a CSV file. What they accept must be finite.
 pub fn tables(bytes: &[u8]) -> Outcomes {
     in_file(bytes, |path| {
-        let encoders = read_encoders(path);
+        let encoders = read_encoders(path, 3);
         for reading in encoders.iter().flat_map(|checked| &checked.rows) {
             assert!(reading.time_s.is_finite() && reading.q_mm.iter().all(|q| q.is_finite()));
         }
@@ -151,7 +151,7 @@ pub fn run_journal(bytes: &[u8]) -> Outcomes {
 
 /// Lines of encoders as `live` takes them from a socket.
 pub fn encoder_lines(bytes: &[u8]) -> Outcomes {
-    let mut parser = LineParser::default();
+    let mut parser = LineParser::new(3);
     let mut outcomes = Outcomes::new();
     for line in bytes.split(|&byte| byte == b'\n') {
         match parser.parse(line) {

@@ -1,11 +1,11 @@
 //! A small rendered experiment along a closed path, and a running `live` to ask.
 
-use nalgebra::{Matrix2, Point2, Vector2, Vector3};
+use nalgebra::{Matrix2, Point2, Vector2};
 use serde_json::Value;
 use snakeloop::camera::Lens;
 use snakeloop::geometry::Configuration;
 use snakeloop::record::{EncoderReading, Truth, encoders_csv, write_atomically};
-use snakeloop::robot::{Estimate, Model};
+use snakeloop::robot::{Estimate, Model, PerBackbone};
 use snakeloop::simulate::scene::{Scene, Sensor};
 use snakeloop::simulate::{FrameFormat, write_experiment};
 use std::io::{BufRead, BufReader, Read, Write};
@@ -33,7 +33,7 @@ pub fn path(share: f64) -> Configuration {
 }
 
 /// What the encoders read there.
-pub fn encoders(share: f64) -> Vector3<f64> {
+pub fn encoders(share: f64) -> PerBackbone {
     robot().command(path(share))
 }
 
@@ -59,7 +59,7 @@ pub fn write(folder: &Path, robot: &Model, bends: &[Configuration]) {
         q_mm: robot.command(truth.configuration),
     };
     let readings: Vec<EncoderReading> = truths.iter().map(reading).collect();
-    write_atomically(&folder.join("encoders.csv"), encoders_csv(&readings).as_bytes()).unwrap();
+    write_atomically(&folder.join("encoders.csv"), encoders_csv(&readings, 3).as_bytes()).unwrap();
     let whole = Scene::default();
     let lens = Lens {
         width: 640,

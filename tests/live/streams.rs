@@ -103,7 +103,7 @@ fn encoder_lines(began: Instant) -> Server {
         stream.set_nonblocking(false)?;
         let frame = (share(began) * FRAMES as f64).floor() / FRAMES as f64;
         let q = lab::encoders(frame);
-        writeln!(stream, "{:.4},{:.6},{:.6},{:.6}", 5000.0 + began.elapsed().as_secs_f64(), q.x, q.y, q.z)?;
+        writeln!(stream, "{:.4},{:.6},{:.6},{:.6}", 5000.0 + began.elapsed().as_secs_f64(), q[0], q[1], q[2])?;
         std::thread::sleep(Duration::from_millis(10));
         Ok(())
     })

@@ -63,6 +63,14 @@ const plots = (() => {
     return rows.map((row) => row.time_s - now);
   }
 
+  // Their indices, named in their colours beside the plot.
+  function backbones() {
+    const row = rows.find((r) => r.residual_mm);
+    const indices = row ? row.residual_mm.map((_, k) => k) : [];
+    document.getElementById("backbones").innerHTML = indices.map((k) => `<b class="c${k + 1}">${k + 1}</b>`).join(", ");
+    return indices;
+  }
+
   const or = (value) => (value === undefined ? null : value);
   const shown = {
     theta: () => [
@@ -82,7 +90,7 @@ const plots = (() => {
       ...band((r) => (r.estimate ? r.estimate.lambda_mm : null), (r) => r.estimate.sd_lambda_mm, "--c1"),
       line(column((r) => r.estimate && r.estimate.lambda_mm), "--c1"),
     ],
-    residual: () => [0, 1, 2].map((k) => line(column((r) => r.residual_mm && 1000 * r.residual_mm[k]), "--c" + (k + 1))),
+    residual: () => backbones().map((k) => line(column((r) => r.residual_mm && 1000 * r.residual_mm[k]), "--c" + (k + 1))),
     latency: () => [line(column((r) => r.latency_ms), "--c1")],
   };
 

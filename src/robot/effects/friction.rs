@@ -1,7 +1,7 @@
 //! Play and friction: what depends on the load's direction or the motion's.
 
 use super::{Acts, Instant, ParameterSpec, Physics, smooth_sign};
-use nalgebra::Vector3;
+use crate::robot::PerBackbone;
 use std::f64::consts::FRAC_2_PI;
 
 /// Play that the load takes up: each backbone's line sits at the end of its play that its force presses it to.
@@ -10,13 +10,13 @@ pub(super) static LOAD_DIRECTED_BACKLASH: Physics = Physics {
     form: "",
     equation: "ε_i += a tanh(τ_i / 0.3 N)",
     reading: "play in the actuators that is taken up in the direction of each backbone's load",
-    parameters: &[ParameterSpec { name: "play_mm", unit: "mm", range: (-1.0, 1.0), typical: 0.05 }],
+    parameters: |_| const { &[ParameterSpec { name: "play_mm", unit: "mm", range: (-1.0, 1.0), typical: 0.05 }] },
     starts: &[&[0.0]],
     acts: Acts::Line(|at, p| at.tau_n.map(|tau| p[0] * smooth_sign(tau))),
     remembers: None,
 };
 
-const PLAY_AND_WIDTH: &[ParameterSpec] = &[
+static PLAY_AND_WIDTH: [ParameterSpec; 2] = [
     ParameterSpec { name: "play_mm", unit: "mm", range: (-1.0, 1.0), typical: 0.05 },
     ParameterSpec { name: "width_n", unit: "N", range: (0.02, 2.0), typical: 0.1 },
 ];
@@ -27,7 +27,7 @@ const fn load_directed(form: &'static str, equation: &'static str, acts: Acts) -
         form,
         equation,
         reading: "play in the actuators that is taken up in the direction of each backbone's load",
-        parameters: PLAY_AND_WIDTH,
+        parameters: |_| &PLAY_AND_WIDTH,
         starts: &[&[0.05, 0.3]],
         acts,
         remembers: None,
@@ -54,7 +54,7 @@ pub(super) static MOTION_DIRECTED_BACKLASH: Physics = Physics {
     form: "",
     equation: "ε_i += a s_i, s_i = ±1 the direction in which q_i last moved",
     reading: "play in the actuators that is crossed whenever a backbone reverses; half the gap at a reversal",
-    parameters: &[ParameterSpec { name: "half_gap_mm", unit: "mm", range: (-1.0, 1.0), typical: 0.05 }],
+    parameters: |_| const { &[ParameterSpec { name: "half_gap_mm", unit: "mm", range: (-1.0, 1.0), typical: 0.05 }] },
     starts: &[&[0.0]],
     acts: Acts::Line(|at, p| at.motion.direction * p[0]),
     remembers: Some(|memory, _| memory.direction = true),
@@ -66,7 +66,7 @@ pub(super) static MOTION_DIRECTED_PLAY: Physics = Physics {
     form: "crossed by travel",
     equation: "ε_i += x_i, x_i follows q_i between −a and a",
     reading: "play in the actuators that a backbone has to travel through whenever it reverses",
-    parameters: &[ParameterSpec { name: "half_gap_mm", unit: "mm", range: (0.0, 1.0), typical: 0.05 }],
+    parameters: |_| const { &[ParameterSpec { name: "half_gap_mm", unit: "mm", range: (0.0, 1.0), typical: 0.05 }] },
     starts: &[&[0.06]],
     acts: Acts::Line(|at, _| at.motion.taken_up_mm),
     remembers: Some(|memory, p| memory.half_play_mm = Some(p[0])),
@@ -78,10 +78,10 @@ pub(super) static DISC_FRICTION: Physics = Physics {
     form: "",
     equation: "ε_i += κ c |τ_i| s_i",
     reading: "friction between backbones and disks: a share of each backbone's force, always against its motion",
-    parameters: &[ParameterSpec { name: "coefficient", unit: "1", range: (-2.0, 2.0), typical: 0.05 }],
+    parameters: |_| const { &[ParameterSpec { name: "coefficient", unit: "1", range: (-2.0, 2.0), typical: 0.05 }] },
     starts: &[&[0.0]],
     acts: Acts::Line(|at, p| {
-        at.tau_n.abs().component_mul(&at.motion.direction) * (p[0] * at.snake.line_compliance_mm_per_n)
+        at.tau_n.map(f64::abs).component_mul(&at.motion.direction) * (p[0] * at.snake.line_compliance_mm_per_n)
     }),
     remembers: Some(|memory, _| memory.direction = true),
 };
@@ -92,7 +92,7 @@ const fn cone(form: &'static str, equation: &'static str, acts: Acts) -> Physics
         form,
         equation,
         reading: "friction in the snake cone that turns round with the motion instead of always adding (w = 1: all of it)",
-        parameters: &[ParameterSpec { name: "share", unit: "1", range: (-10.0, 20.0), typical: 0.5 }],
+        parameters: |_| const { &[ParameterSpec { name: "share", unit: "1", range: (-10.0, 20.0), typical: 0.5 }] },
         starts: &[&[0.0]],
         acts,
         remembers: Some(|memory, _| memory.direction = true),
@@ -100,9 +100,9 @@ const fn cone(form: &'static str, equation: &'static str, acts: Acts) -> Physics
 }
 
 /// What Eq. 16's cone adds with a capstan exponent and an f_s of each backbone's own, beyond what Eq. 18 adds, mm.
-fn in_the_cone(at: &Instant, share: f64, own: impl Fn(usize) -> (f64, f64)) -> Vector3<f64> {
+fn in_the_cone(at: &Instant, share: f64, own: impl Fn(usize) -> (f64, f64)) -> PerBackbone {
     let snake = at.snake;
-    Vector3::from_fn(|i, _| {
+    PerBackbone::from_fn(at.tau_n.len(), |i| {
         let force = snake.eta * at.tau_n[i];
         let (exponent, static_force_n) = own(i);
         let paper = (force + snake.static_force_n) * snake.capstan_exponent.exp();

@@ -1,8 +1,8 @@
 //! What no physics here explains, learned as it is: a smooth function of the bend.
 
 use super::{Acts, ParameterSpec, Physics};
+use crate::robot::PerBackbone;
 use nalgebra::Vector2;
-use nalgebra::Vector3;
 
 /// Functions of the bend for each backbone: powers up to the fourth, and the direction of motion times powers up to the first.
 pub const TERMS: usize = 18;
@@ -39,12 +39,22 @@ macro_rules! terms {
     };
 }
 
-static PARAMETERS: [ParameterSpec; 3 * TERMS + 1] = {
-    let backbones = [terms!("backbone_1"), terms!("backbone_2"), terms!("backbone_3")];
-    let mut all = [EDGE; 3 * TERMS + 1];
+/// The edge, then the terms of backbone 1, of backbone 2, ...
+static PARAMETERS: [ParameterSpec; 1 + 8 * TERMS] = {
+    let backbones = [
+        terms!("backbone_1"),
+        terms!("backbone_2"),
+        terms!("backbone_3"),
+        terms!("backbone_4"),
+        terms!("backbone_5"),
+        terms!("backbone_6"),
+        terms!("backbone_7"),
+        terms!("backbone_8"),
+    ];
+    let mut all = [EDGE; 1 + 8 * TERMS];
     let mut k = 0;
-    while k < 3 * TERMS {
-        all[k] = backbones[k / TERMS][k % TERMS];
+    while k < 8 * TERMS {
+        all[1 + k] = backbones[k / TERMS][k % TERMS];
         k += 1;
     }
     all
@@ -58,12 +68,12 @@ pub static LEARNED_CORRECTION: Physics = Physics {
     equation: "ε_i += Σ a_i,mn xᵐyⁿ (m + n ≤ 4) + s_i (c_i + c_i,x x + c_i,y y), (x, y) = θ (cos δ, sin δ), θ held at the largest \
                that was learned from; s_i = ±1 the direction in which q_i last moved",
     reading: "a gap without a name, taken off by a smooth function of the bend that was learned from it",
-    parameters: &PARAMETERS,
+    parameters: |backbones| &PARAMETERS[..1 + backbones * TERMS],
     starts: &[],
     acts: Acts::Line(|at, p| {
-        Vector3::from_fn(|i, _| {
-            let basis = basis(at.bend, at.motion.direction[i], p[3 * TERMS].to_radians());
-            basis.iter().zip(&p[i * TERMS..]).map(|(basis, weight)| basis * weight).sum()
+        PerBackbone::from_fn(at.q_mm.len(), |i| {
+            let basis = basis(at.bend, at.motion.direction[i], p[0].to_radians());
+            basis.iter().zip(&p[1 + i * TERMS..]).map(|(basis, weight)| basis * weight).sum()
         })
     }),
     remembers: Some(|memory, _| memory.direction = true),
@@ -97,7 +107,7 @@ mod tests {
     #[test]
     fn it_adds_what_it_says_and_stops_growing_where_nothing_was_learned() {
         let mut values = vec![0.0; 3 * TERMS + 1];
-        (values[TERMS + 3], values[3 * TERMS]) = (0.1, 60.0);
+        (values[1 + TERMS + 3], values[0]) = (0.1, 60.0);
         let effect = Effect::of(&LEARNED_CORRECTION, values);
         let model = Model { effects: vec![effect], ..Model::default() };
         let added = |theta: f64| {
@@ -105,7 +115,7 @@ mod tests {
             model.command(psi) - Model::default().command(psi)
         };
         let expected = 0.1 * 40f64.to_radians().powi(2);
-        assert!((added(40.0) - Vector3::new(0.0, expected, 0.0)).norm() < 1e-9);
+        assert!((added(40.0) - PerBackbone::from([0.0, expected, 0.0])).norm() < 1e-9);
         assert!((added(80.0) - added(60.0)).norm() < 1e-9);
     }
 

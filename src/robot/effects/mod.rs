@@ -27,8 +27,9 @@ pub use learned::{LEARNED_CORRECTION, POWERS, TERMS, basis};
 pub use rig::RIG_ERROR;
 
 use super::motion::{Memory, Motion, Snake};
+use super::{BACKBONES, PerBackbone};
 use crate::error::{Error, Result};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector2;
 
 /// A parameter of an effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,11 +52,11 @@ pub struct Instant<'a> {
     /// The bend vector, rad.
     pub bend: Vector2<f64>,
     /// q, mm.
-    pub q_mm: Vector3<f64>,
+    pub q_mm: PerBackbone,
     /// τ of Eq. 11, N, positive towards +q, before η.
-    pub tau_n: Vector3<f64>,
+    pub tau_n: PerBackbone,
     /// q + ε of what stands before the effect in the model, mm.
-    pub line_mm: Vector3<f64>,
+    pub line_mm: PerBackbone,
     /// How the snake got there.
     pub motion: &'a Motion,
 }
@@ -64,9 +65,9 @@ pub struct Instant<'a> {
 #[derive(Debug, Clone, Copy)]
 pub enum Acts {
     /// A summand of ε, mm.
-    Line(fn(&Instant, &[f64]) -> Vector3<f64>),
+    Line(fn(&Instant, &[f64]) -> PerBackbone),
     /// What the encoders read beyond the lines' motion, mm, from q̃.
-    Actuator(fn(&Vector3<f64>, &[f64]) -> Vector3<f64>),
+    Actuator(fn(&PerBackbone, &[f64]) -> PerBackbone),
     /// A change of the snake's constants.
     Snake(fn(&mut Snake, &[f64])),
     /// The bend vector that the eye measures, from the true one.
@@ -87,9 +88,10 @@ pub struct Physics {
     pub equation: &'static str,
     /// What it means, in words that follow "the data show".
     pub reading: &'static str,
-    /// Its parameters.
-    pub parameters: &'static [ParameterSpec],
-    /// Where a search for its parameters starts; several starts where the fit is not nearly linear.
+    /// Its parameters on a robot of so many backbones.
+    pub parameters: fn(usize) -> &'static [ParameterSpec],
+    /// Where a search for its parameters starts, those that are not named here at 0; several starts where the fit is not nearly
+    /// linear.
     pub starts: &'static [&'static [f64]],
     /// How it acts.
     pub acts: Acts,
@@ -104,6 +106,16 @@ impl PartialEq for Physics {
 }
 
 impl Physics {
+    /// Its parameters' values where a search starts, on a robot of so many backbones.
+    pub fn starts(&self, backbones: usize) -> impl Iterator<Item = Vec<f64>> {
+        let count = (self.parameters)(backbones).len();
+        self.starts.iter().map(move |start| {
+            let mut values = start.to_vec();
+            values.resize(count, 0.0);
+            values
+        })
+    }
+
     /// What it must gain in Schwarz's criterion beyond its parameters' price before it is believed: a form that leaves the statics
     /// aside must be asked for by the data.
     pub fn price(&self) -> f64 {
@@ -187,14 +199,23 @@ impl Effect {
         Self { physics, sds: vec![0.0; values.len()], values, covariance: Vec::new(), found: String::new() }
     }
 
-    /// An effect with known values: in the given form, else in the first whose parameters these are.
+    /// The specifications of its values.
+    pub fn parameters(&self) -> &'static [ParameterSpec] {
+        // More backbones never mean fewer parameters, so that the number of values tells the list.
+        let lists = BACKBONES.map(|backbones| (self.physics.parameters)(backbones));
+        lists.into_iter().find(|list| list.len() >= self.values.len()).unwrap_or_default()
+    }
+
+    /// An effect on a robot of so many backbones with known values: in the given form, else in the first whose parameters these
+    /// are.
     ///
     /// # Errors
     /// [`Error::Usage`] for a name or form that is not in the library, an unknown or missing parameter, a value out of its range.
-    pub fn new(name: &str, form: Option<&str>, parameters: &[(String, f64)]) -> Result<Self> {
+    pub fn new(name: &str, form: Option<&str>, parameters: &[(String, f64)], backbones: usize) -> Result<Self> {
         let fits = |physics: &&Physics| {
-            physics.parameters.len() == parameters.len()
-                && physics.parameters.iter().all(|spec| parameters.iter().any(|(name, _)| name == spec.name))
+            let specs = (physics.parameters)(backbones);
+            specs.len() == parameters.len()
+                && specs.iter().all(|spec| parameters.iter().any(|(name, _)| name == spec.name))
         };
         let Some(first) = physics(name) else {
             let mut known: Vec<_> = LIBRARY.iter().map(|physics| physics.name).collect();
@@ -212,12 +233,13 @@ impl Effect {
                 ))
             })?,
         };
-        let names = || physics.parameters.iter().map(|p| p.name).collect::<Vec<_>>().join(", ");
-        if let Some((unknown, _)) = parameters.iter().find(|(n, _)| !physics.parameters.iter().any(|p| p.name == n)) {
+        let specs = (physics.parameters)(backbones);
+        let names = || specs.iter().map(|p| p.name).collect::<Vec<_>>().join(", ");
+        if let Some((unknown, _)) = parameters.iter().find(|(n, _)| !specs.iter().any(|p| p.name == n)) {
             return Err(Error::Usage(format!("effect {name} has no parameter {unknown:?}; it has {}", names())));
         }
         let mut values = Vec::new();
-        for spec in physics.parameters {
+        for spec in specs {
             let Some((_, value)) = parameters.iter().find(|(n, _)| n == spec.name) else {
                 return Err(Error::Usage(format!("effect {name}: {} is missing; it takes {}", spec.name, names())));
             };
@@ -233,7 +255,8 @@ impl Effect {
         Ok(Self::of(physics, values))
     }
 
-    /// An effect as it is written on a command line: `name:parameter=value,parameter=value`.
+    /// An effect as it is written on a command line: `name:parameter=value,parameter=value`, on a robot of as many backbones as
+    /// its parameters are for.
     ///
     /// # Errors
     /// As [`new`](Self::new), and [`Error::Usage`] for another form.
@@ -245,7 +268,8 @@ impl Effect {
             let (key, value) = pair.split_once('=').ok_or_else(form)?;
             parameters.push((key.trim().to_owned(), value.trim().parse().map_err(|_| form())?));
         }
-        Self::new(name.trim(), None, &parameters)
+        let on = |backbones| Self::new(name.trim(), None, &parameters, backbones);
+        BACKBONES.map(on).find(Result::is_ok).unwrap_or_else(|| on(*BACKBONES.start()))
     }
 }
 
@@ -264,9 +288,10 @@ mod tests {
             assert!(LIBRARY[..k].iter().all(|other| other != physics), "{} {}", physics.name, physics.form);
             assert_eq!(forms(physics.name).next().unwrap().form, "");
             assert!(!physics.equation.is_empty() && !physics.reading.is_empty());
-            for start in physics.starts {
-                assert_eq!(start.len(), physics.parameters.len(), "{}", physics.name);
-                for (value, spec) in start.iter().zip(physics.parameters) {
+            for (backbones, start) in BACKBONES.flat_map(|n| physics.starts(n).map(move |start| (n, start))) {
+                let specs = (physics.parameters)(backbones);
+                assert_eq!(Effect::of(physics, start.clone()).parameters(), specs, "{}", physics.name);
+                for (value, spec) in start.iter().zip(specs) {
                     assert!((spec.range.0..=spec.range.1).contains(value), "{} {}", physics.name, spec.name);
                 }
             }

@@ -15,7 +15,7 @@ pub static RIG_ERROR: Physics = Physics {
     form: "",
     equation: "measured b = R(a) b + c",
     reading: "a base that stands a little otherwise than the rig calibration says",
-    parameters: &[angle("tilt_x_deg", 0.5), angle("tilt_y_deg", 0.5), angle("turn_deg", 0.3)],
+    parameters: |_| const { &[angle("tilt_x_deg", 0.5), angle("tilt_y_deg", 0.5), angle("turn_deg", 0.3)] },
     starts: &[&[0.0; 3]],
     acts: Acts::Eye(|bend, p| Rotation2::new(p[2].to_radians()) * bend + Vector2::new(p[0], p[1]).map(f64::to_radians)),
     remembers: None,

@@ -1,7 +1,9 @@
 //! The snake itself: its geometry, its stiffness, what hangs on it.
 
+use super::actuator::summing_to_zero;
 use super::{Acts, ParameterSpec, Physics};
-use nalgebra::{Vector3, Vector6};
+use crate::robot::PerBackbone;
+use nalgebra::Vector6;
 
 /// The form of effects on the geometry that leaves the forces as they were.
 pub(super) const IN_Q_ALONE: &str = "in Eq. 1 alone";
@@ -14,8 +16,16 @@ const fn azimuth(name: &'static str) -> ParameterSpec {
     ParameterSpec { name, unit: "deg", range: (-30.0, 30.0), typical: 2.0 }
 }
 
-const AZIMUTHS: &[ParameterSpec] =
-    &[azimuth("azimuth_error_1_deg"), azimuth("azimuth_error_2_deg"), azimuth("azimuth_error_3_deg")];
+static AZIMUTHS: [ParameterSpec; 8] = [
+    azimuth("azimuth_error_1_deg"),
+    azimuth("azimuth_error_2_deg"),
+    azimuth("azimuth_error_3_deg"),
+    azimuth("azimuth_error_4_deg"),
+    azimuth("azimuth_error_5_deg"),
+    azimuth("azimuth_error_6_deg"),
+    azimuth("azimuth_error_7_deg"),
+    azimuth("azimuth_error_8_deg"),
+];
 
 const fn radius(name: &'static str) -> ParameterSpec {
     ParameterSpec { name, unit: "mm", range: (-0.4, 0.4), typical: 0.04 }
@@ -27,7 +37,9 @@ pub(super) static SUPERELASTIC_SOFTENING: Physics = Physics {
     form: "",
     equation: "∇E → (1 − k θ²) ∇E",
     reading: "backbones that soften as they bend, as super-elastic NiTi does",
-    parameters: &[ParameterSpec { name: "softening_per_rad2", unit: "1/rad²", range: (-0.5, 0.5), typical: 0.03 }],
+    parameters: |_| {
+        const { &[ParameterSpec { name: "softening_per_rad2", unit: "1/rad²", range: (-0.5, 0.5), typical: 0.03 }] }
+    },
     starts: &[&[0.0]],
     acts: Acts::Snake(|snake, p| snake.softening_per_rad2 += p[0]),
     remembers: None,
@@ -39,7 +51,7 @@ pub(super) static TIP_LOAD: Physics = Physics {
     form: "",
     equation: "Qᵗτ = ∇E − J_xbᵗ (F, 0)",
     reading: "a force of constant size and direction that pulls at the tip",
-    parameters: &[force("fx_n"), force("fy_n"), force("fz_n")],
+    parameters: |_| const { &[force("fx_n"), force("fy_n"), force("fz_n")] },
     starts: &[&[0.0; 3]],
     acts: Acts::Snake(|snake, p| {
         let wrench = Vector6::new(p[0], p[1], p[2], 0.0, 0.0, 0.0);
@@ -58,7 +70,9 @@ pub(super) static TIP_WRENCH: Physics = Physics {
     form: "with moment",
     equation: "Qᵗτ = ∇E − J_xbᵗ (F, M)",
     reading: "a force and a moment of constant size and direction at the tip",
-    parameters: &[force("fx_n"), force("fy_n"), force("fz_n"), moment("mx_n_mm"), moment("my_n_mm"), moment("mz_n_mm")],
+    parameters: |_| {
+        const { &[force("fx_n"), force("fy_n"), force("fz_n"), moment("mx_n_mm"), moment("my_n_mm"), moment("mz_n_mm")] }
+    },
     starts: &[&[0.0; 6]],
     acts: Acts::Snake(|snake, p| {
         let wrench = Vector6::new(p[0], p[1], p[2], p[3], p[4], p[5]);
@@ -73,23 +87,32 @@ pub(super) static BACKBONE_RADIUS: Physics = Physics {
     form: "common",
     equation: "r → r + Δr",
     reading: "backbones that lie on a larger or smaller circle than the model says",
-    parameters: &[radius("radius_error_mm")],
+    parameters: |_| const { &[radius("radius_error_mm")] },
     starts: &[&[0.0]],
-    acts: Acts::Snake(|snake, p| snake.radii_mm.add_scalar_mut(p[0])),
+    acts: Acts::Snake(|snake, p| snake.radii_mm = snake.radii_mm.add_scalar(p[0])),
     remembers: None,
 };
 
-const DIFFERENCES: &[ParameterSpec] = &[radius("radius_error_1_mm"), radius("radius_error_2_mm")];
+static RADII: [ParameterSpec; 8] = [
+    radius("radius_error_1_mm"),
+    radius("radius_error_2_mm"),
+    radius("radius_error_3_mm"),
+    radius("radius_error_4_mm"),
+    radius("radius_error_5_mm"),
+    radius("radius_error_6_mm"),
+    radius("radius_error_7_mm"),
+    radius("radius_error_8_mm"),
+];
 
-/// Each backbone stands at its own radius. The mean of the three is all but η, so the errors sum to zero.
+/// Each backbone stands at its own radius. Their mean is all but η, so the errors sum to zero.
 pub(super) static BACKBONE_RADII: Physics = Physics {
     name: "backbone_radius",
     form: "",
-    equation: "r_i → r + Δr_i, Δr_3 = −Δr_1 − Δr_2 (their mean is not told from η)",
+    equation: "r_i → r + Δr_i, Σ Δr_i = 0 (their mean is not told from η)",
     reading: "backbones that do not lie on one circle",
-    parameters: DIFFERENCES,
-    starts: &[&[0.0; 2]],
-    acts: Acts::Snake(|snake, p| snake.radii_mm += Vector3::new(p[0], p[1], -p[0] - p[1])),
+    parameters: |backbones| &RADII[..backbones - 1],
+    starts: &[&[]],
+    acts: Acts::Snake(|snake, p| snake.radii_mm += summing_to_zero(p)),
     remembers: None,
 };
 
@@ -99,9 +122,9 @@ pub(super) static BACKBONE_RADII_AND_MEAN: Physics = Physics {
     form: "with their mean",
     equation: "r_i → r + Δr_i",
     reading: "backbones that do not lie on one circle",
-    parameters: &[radius("radius_error_1_mm"), radius("radius_error_2_mm"), radius("radius_error_3_mm")],
-    starts: &[&[0.0; 3]],
-    acts: Acts::Snake(|snake, p| snake.radii_mm += Vector3::new(p[0], p[1], p[2])),
+    parameters: |backbones| &RADII[..backbones],
+    starts: &[&[]],
+    acts: Acts::Snake(|snake, p| snake.radii_mm += PerBackbone::from_fn(p.len(), |i| p[i])),
     remembers: None,
 };
 
@@ -109,13 +132,11 @@ pub(super) static BACKBONE_RADII_AND_MEAN: Physics = Physics {
 pub(super) static BACKBONE_RADII_IN_Q: Physics = Physics {
     name: "backbone_radius",
     form: IN_Q_ALONE,
-    equation: "q_i = −(r + Δr_i) θ cos δ_i with τ as without, Δr_3 = −Δr_1 − Δr_2",
+    equation: "q_i = −(r + Δr_i) θ cos δ_i with τ as without, Σ Δr_i = 0",
     reading: "backbones that do not lie on one circle",
-    parameters: DIFFERENCES,
-    starts: &[&[0.0; 2]],
-    acts: Acts::Line(|at, p| {
-        Vector3::new(p[0], p[1], -p[0] - p[1]).component_mul(&at.q_mm).component_div(&at.snake.radii_mm)
-    }),
+    parameters: |backbones| &RADII[..backbones - 1],
+    starts: &[&[]],
+    acts: Acts::Line(|at, p| summing_to_zero(p).component_mul(&at.q_mm).component_div(&at.snake.radii_mm)),
     remembers: None,
 };
 
@@ -124,10 +145,10 @@ pub(super) static BACKBONE_AZIMUTH: Physics = Physics {
     name: "backbone_azimuth",
     form: "",
     equation: "a_i → −(i−1)β + Δa_i",
-    reading: "backbones that are not 120° apart",
-    parameters: AZIMUTHS,
-    starts: &[&[0.0; 3]],
-    acts: Acts::Snake(|snake, p| snake.azimuths += Vector3::new(p[0], p[1], p[2]).map(f64::to_radians)),
+    reading: "backbones that are not evenly spaced",
+    parameters: |backbones| &AZIMUTHS[..backbones],
+    starts: &[&[]],
+    acts: Acts::Snake(|snake, p| snake.azimuths += PerBackbone::from_fn(p.len(), |i| p[i].to_radians())),
     remembers: None,
 };
 
@@ -136,11 +157,11 @@ pub(super) static BACKBONE_AZIMUTH_IN_Q: Physics = Physics {
     name: "backbone_azimuth",
     form: IN_Q_ALONE,
     equation: "q_i = −r θ cos(δ_i − Δa_i) with τ as without",
-    reading: "backbones that are not 120° apart",
-    parameters: AZIMUTHS,
-    starts: &[&[0.0; 3]],
+    reading: "backbones that are not evenly spaced",
+    parameters: |backbones| &AZIMUTHS[..backbones],
+    starts: &[&[]],
     acts: Acts::Line(|at, p| {
-        Vector3::from_fn(|i, _| {
+        PerBackbone::from_fn(p.len(), |i| {
             let (sin, cos) = (at.snake.azimuths[i] + p[i].to_radians()).sin_cos();
             -at.snake.radii_mm[i] * (at.bend.x * cos + at.bend.y * sin) - at.q_mm[i]
         })
@@ -154,8 +175,10 @@ pub(super) static PRIMARY_COMPRESSION: Physics = Physics {
     form: "",
     equation: "ε_i += C Σ_j |τ_j|, the same for all i",
     reading: "a central backbone that is compressed by the sum of the forces on the others",
-    parameters: &[ParameterSpec { name: "compliance_mm_per_n", unit: "mm/N", range: (-0.1, 0.1), typical: 0.002 }],
+    parameters: |_| {
+        const { &[ParameterSpec { name: "compliance_mm_per_n", unit: "mm/N", range: (-0.1, 0.1), typical: 0.002 }] }
+    },
     starts: &[&[0.0]],
-    acts: Acts::Line(|at, p| Vector3::repeat(p[0] * at.tau_n.lp_norm(1))),
+    acts: Acts::Line(|at, p| PerBackbone::repeat(at.tau_n.len(), p[0] * at.tau_n.map(f64::abs).sum())),
     remembers: None,
 };

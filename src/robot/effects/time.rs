@@ -1,7 +1,7 @@
 //! What depends on time and speed.
 
 use super::{Acts, Instant, Memory, ParameterSpec, Physics};
-use nalgebra::Vector3;
+use crate::robot::PerBackbone;
 
 /// Everything warms up: a common drift.
 pub(super) static THERMAL_DRIFT: Physics = Physics {
@@ -9,9 +9,9 @@ pub(super) static THERMAL_DRIFT: Physics = Physics {
     form: "",
     equation: "ε_i += d t, the same for all i, t from the first reading",
     reading: "a slow drift that all backbones share, as of a machine that warms up",
-    parameters: &[ParameterSpec { name: "rate_mm_per_s", unit: "mm/s", range: (-0.1, 0.1), typical: 0.0005 }],
+    parameters: |_| const { &[ParameterSpec { name: "rate_mm_per_s", unit: "mm/s", range: (-0.1, 0.1), typical: 0.0005 }] },
     starts: &[&[0.0]],
-    acts: Acts::Line(|at, p| Vector3::repeat(p[0] * at.motion.elapsed_s)),
+    acts: Acts::Line(|at, p| PerBackbone::repeat(at.q_mm.len(), p[0] * at.motion.elapsed_s)),
     remembers: None,
 };
 
@@ -31,7 +31,7 @@ const fn creep(
         form,
         equation,
         reading: "lines that go on stretching for a while under load",
-        parameters: &[SHARE, TIME_CONSTANT],
+        parameters: |_| const { &[SHARE, TIME_CONSTANT] },
         starts: SHORT_AND_LONG,
         acts,
         remembers,
@@ -39,7 +39,7 @@ const fn creep(
 }
 
 /// ε of a share of a load, mm.
-fn stretch(at: &Instant, share: f64, load_n: Vector3<f64>) -> Vector3<f64> {
+fn stretch(at: &Instant, share: f64, load_n: PerBackbone) -> PerBackbone {
     load_n * (share * at.snake.line_compliance_mm_per_n)
 }
 
@@ -81,7 +81,9 @@ const fn drag(form: &'static str, equation: &'static str, acts: Acts) -> Physics
         form,
         equation,
         reading: "a drag on the backbones that grows with their speed",
-        parameters: &[ParameterSpec { name: "drag_n_s_per_mm", unit: "N·s/mm", range: (-200.0, 200.0), typical: 0.5 }],
+        parameters: |_| {
+            const { &[ParameterSpec { name: "drag_n_s_per_mm", unit: "N·s/mm", range: (-200.0, 200.0), typical: 0.5 }] }
+        },
         starts: &[&[0.0]],
         acts,
         remembers: Some(|memory, _| memory.speed = true),
