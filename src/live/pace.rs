@@ -13,6 +13,8 @@ pub const LATE_S: f64 = 0.1;
 /// Frames that are older when they are measured are not fresh any more, s; nor are they where more than this share is dropped.
 const OLD_S: f64 = 0.1;
 const MANY_DROPPED: f64 = 0.1;
+/// They are fresh again below this part of that.
+const FRESH_AGAIN: f64 = 0.7;
 /// Over this time drops are counted, and for so long a late frame is spoken of.
 const OVER: Duration = Duration::from_secs(2);
 
@@ -91,6 +93,7 @@ pub struct Pace {
     late: u64,
     late_s: f64,
     last_late: Option<Instant>,
+    behind: bool,
     /// When drops were counted last, with the source's counts then.
     counted: (Instant, u64, u64),
 }
@@ -98,7 +101,7 @@ pub struct Pace {
 impl Pace {
     /// Before the first frame.
     pub fn new(now: Instant) -> Self {
-        Self { age_s: 0.0, dropped: 0.0, late: 0, late_s: 0.0, last_late: None, counted: (now, 0, 0) }
+        Self { age_s: 0.0, dropped: 0.0, late: 0, late_s: 0.0, last_late: None, behind: false, counted: (now, 0, 0) }
     }
 
     /// A frame that came `late_s` late was learned from `age_s` after it came.
@@ -125,6 +128,8 @@ impl Pace {
             }
         }
         let age_ms = 1000.0 * self.age_s;
+        let part = if self.behind { FRESH_AGAIN } else { 1.0 };
+        self.behind = self.age_s > part * OLD_S || self.dropped > part * MANY_DROPPED;
         let (state, sentence) = if self.last_late.is_some_and(|last| now - last < OVER) {
             let late_ms = 1000.0 * self.late_s;
             let sentence = format!(
@@ -132,11 +137,14 @@ impl Pace {
                  certain, and nothing is learned from them"
             );
             (PaceState::Late, Some(sentence))
-        } else if self.age_s > OLD_S || self.dropped > MANY_DROPPED {
+        } else if self.behind {
+            let dropped = match 100.0 * self.dropped {
+                percent if percent < 1.0 => String::new(),
+                percent => format!(", and {percent:.0} % are dropped"),
+            };
             let sentence = format!(
-                "frames are {age_ms:.0} ms old when they are measured, and {:.0} % are dropped; send fewer or smaller ones, or give \
-                 the machine less to do beside",
-                100.0 * self.dropped
+                "frames are {age_ms:.0} ms old when they are measured{dropped}; send fewer or smaller ones, or give the machine \
+                 less to do beside"
             );
             (PaceState::Behind, Some(sentence))
         } else {

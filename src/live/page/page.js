@@ -50,7 +50,7 @@ function showEncoders(e) {
   put("encoders", e.state === "none" ? "none" : e.readings.toLocaleString("en"));
   const parts = [e.trouble, clocks[e.clock]];
   if (e.clock === "foreign" || e.clock === "given") parts.push(`offset ${fixed(e.offset_s, 3)} s`);
-  if (e.lag) parts.push(`picture late by ${fixed(1000 * e.lag.seconds, 0)} ms by the motion`);
+  if (e.lag) parts.push(`by the motion the picture is ${Math.abs(1000 * e.lag.seconds).toFixed(0)} ms ${e.lag.seconds < 0 ? "ahead" : "late"}`);
   if (e.bad_lines) parts.push(`${e.bad_lines} bad lines`);
   put("encoders-more", e.state === "none" ? "" : parts.filter(Boolean).join(", "));
 }
