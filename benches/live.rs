@@ -69,7 +69,7 @@ fn encoders(model: Model, sent: Arc<Mutex<Vec<f64>>>) -> std::net::SocketAddr {
         loop {
             let frame = sent.lock().unwrap().len().saturating_sub(1);
             let q = commands[frame % ROUND];
-            if writeln!(stream, "{:.5},{:.6},{:.6},{:.6}", unix_s(), q.x, q.y, q.z).is_err() {
+            if writeln!(stream, "{:.5},{:.6},{:.6},{:.6}", unix_s(), q[0], q[1], q[2]).is_err() {
                 return;
             }
             std::thread::sleep(Duration::from_millis(5));
