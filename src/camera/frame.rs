@@ -61,7 +61,10 @@ fn from_16_bits(value: u16) -> f32 {
 }
 
 /// The first `kept` of every `stride` samples, on the scale 0 to 255.
-fn keep<T: Copy>(samples: &[T], stride: usize, kept: usize, scale: fn(T) -> f32) -> Vec<f32> {
+fn keep<T: Copy>(samples: &[T], stride: usize, kept: usize, scale: impl Fn(T) -> f32) -> Vec<f32> {
+    if kept == stride {
+        return samples.iter().map(|&v| scale(v)).collect();
+    }
     samples.chunks_exact(stride).flat_map(|pixel| &pixel[..kept]).map(|&v| scale(v)).collect()
 }
 

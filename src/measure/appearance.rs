@@ -2,7 +2,7 @@
 
 use super::plane::{Plane, Region, median};
 use crate::camera::Frame;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector2};
 use serde::{Deserialize, Serialize};
 use std::sync::LazyLock;
 
@@ -80,62 +80,60 @@ impl Appearance {
         self.plane_within(frame, &Region::whole(frame.width, frame.height))
     }
 
-    /// The same within a region of the frame, with zeros elsewhere.
+    /// The same for a region of the frame, with zeros elsewhere in the rectangle around it.
     pub fn plane_within(&self, frame: &Frame, region: &Region) -> Plane {
-        let weights: Vec<f32> = match (self.weights.len(), frame.channels) {
-            (a, b) if a == b => self.weights.iter().map(|&w| w as f32).collect(),
-            (_, channels) => vec![self.weights.iter().sum::<f64>() as f32 / channels as f32; channels],
-        };
+        let weights = self.weights_for(frame);
         let lut = &*LIGHT;
         let offset = self.offset as f32;
-        let (width, height) = (frame.width as usize, frame.height as usize);
+        let (x, y) = region.bounds();
+        let (width, height) = (x.len(), y.len());
         let mut data = vec![0.0; width * height];
-        for y in region.y.clone() {
-            let row = y * width + region.x.start..y * width + region.x.end;
-            let colours = &frame.data[row.start * frame.channels..row.end * frame.channels];
-            let pixels = data[row].iter_mut();
+        for (row, columns) in region.rows() {
+            let pixels = data[(row - y.start) * width..][columns.start - x.start..columns.end - x.start].iter_mut();
+            let line = &frame.data[row * frame.width as usize * frame.channels..];
+            let colours = &line[columns.start * frame.channels..columns.end * frame.channels];
             match weights[..] {
                 [red, green, blue] => pixels.zip(colours.as_chunks().0).for_each(|(pixel, &[r, g, b])| {
                     *pixel = offset + lut.get(r) * red + lut.get(g) * green + lut.get(b) * blue;
                 }),
-                _ => pixels.zip(colours.chunks_exact(frame.channels)).for_each(|(pixel, colour)| {
-                    *pixel = offset + colour.iter().zip(&weights).map(|(&v, w)| lut.get(v) * w).sum::<f32>();
-                }),
+                _ => pixels
+                    .zip(colours.chunks_exact(frame.channels))
+                    .for_each(|(pixel, colour)| *pixel = offset + mixed(colour, &weights)),
             }
         }
-        Plane { width, height, data }
+        Plane { width, height, first: Vector2::new(x.start as f64, y.start as f64), data }
+    }
+
+    /// The same appearance in a frame that is exposed otherwise than the picture that was learned from: in that the paper,
+    /// which is most of a picture, was at 0. A background that is as much snake as paper, or one that differs from the snake
+    /// in colour alone, does not tell, and is taken for exposed alike.
+    pub fn exposed_as(&self, frame: &Frame) -> Self {
+        const STRIDE: usize = 13;
+        const TELLS: f64 = 0.5;
+        if self.two_sided || self.offset.abs() < TELLS {
+            return self.clone();
+        }
+        let weights = self.weights_for(frame);
+        let rows = frame.data.chunks_exact(frame.width as usize * frame.channels).step_by(STRIDE);
+        let mut levels: Vec<f32> =
+            rows.flat_map(|row| row.chunks_exact(frame.channels).step_by(STRIDE)).map(|c| mixed(c, &weights)).collect();
+        // Without light the plane would be at the offset.
+        let exposure = (-f64::from(median(&mut levels)) / self.offset).clamp(0.02, 5.0);
+        Self { weights: self.weights.iter().map(|w| w / exposure).collect(), ..self.clone() }
+    }
+
+    /// The weights of a frame's own channels.
+    fn weights_for(&self, frame: &Frame) -> Vec<f32> {
+        match (self.weights.len(), frame.channels) {
+            (a, b) if a == b => self.weights.iter().map(|&w| w as f32).collect(),
+            (_, channels) => vec![self.weights.iter().sum::<f64>() as f32 / channels as f32; channels],
+        }
     }
 }
 
-impl Appearance {
-    /// The same as if the frame had been exposed like the picture that was learned from: in it the paper, which is most of
-    /// a picture, was at 0. A background that is as much snake as paper, or one that differs from the snake in colour
-    /// alone, does not tell, and is left as it is.
-    pub fn exposed_alike(&self, mut plane: Plane, region: &Region) -> Plane {
-        const STRIDE: usize = 7;
-        const TELLS: f64 = 0.5;
-        if self.two_sided || self.offset.abs() < TELLS {
-            return plane;
-        }
-        let columns = || region.x.clone().step_by(STRIDE);
-        let mut levels: Vec<f32> = region
-            .y
-            .clone()
-            .step_by(STRIDE)
-            .flat_map(|y| columns().map(move |x| (x, y)))
-            .map(|(x, y)| plane.data[y * plane.width + x])
-            .collect();
-        // Without light the plane would be at the offset.
-        let dark = self.offset as f32;
-        let exposure = (1.0 - median(&mut levels) / dark).clamp(0.02, 5.0);
-        for y in region.y.clone() {
-            let row = y * plane.width;
-            plane.data[row + region.x.start..row + region.x.end]
-                .iter_mut()
-                .for_each(|v| *v = dark + (*v - dark) / exposure);
-        }
-        plane
-    }
+/// The weighted sum of a pixel's light.
+fn mixed(colour: &[f32], weights: &[f32]) -> f32 {
+    colour.iter().zip(weights).map(|(&v, w)| LIGHT.get(v) * w).sum()
 }
 
 /// The light behind an encoded value 0–255, as 0–1, by the sRGB curve (IEC 61966-2-1).
@@ -148,20 +146,22 @@ pub fn linear_light(encoded: f32) -> f64 {
 }
 
 /// [`linear_light`] by table, exact enough (1/16 of a grey level) for 16-bit pictures as well.
-struct LightTable(Vec<f32>);
+struct LightTable([f32; LightTable::LEN]);
 
 static LIGHT: LazyLock<LightTable> = LazyLock::new(LightTable::new);
 
 impl LightTable {
     const PER_LEVEL: f32 = 16.0;
+    const LEN: usize = 1 << 12;
 
     fn new() -> Self {
-        let last = (255.0 * Self::PER_LEVEL) as u32;
-        Self((0..=last).map(|k| linear_light(k as f32 / Self::PER_LEVEL) as f32).collect())
+        Self(std::array::from_fn(|k| linear_light(k as f32 / Self::PER_LEVEL) as f32))
     }
 
+    /// The light behind a value from 0 to 255.
     fn get(&self, encoded: f32) -> f32 {
-        let index = (encoded * Self::PER_LEVEL + 0.5) as usize;
-        self.0[index.min(self.0.len() - 1)]
+        // Added to it, a number leaves its nearest whole one in the lowest bits, far sooner than a checked conversion.
+        const WHOLE: f32 = (1 << 23) as f32;
+        self.0[(encoded * Self::PER_LEVEL + WHOLE).to_bits() as usize % Self::LEN]
     }
 }

@@ -66,29 +66,24 @@ const SPARSE_PX: f64 = 6.0;
 /// After a bend that moves the tip by less than about half a pixel, the same edges would be found again, rad.
 const STILL_RAD: f64 = 1e-3;
 /// The first look at a candidate, a closer one at the best of them, and the measurement itself.
-const FIRST_LOOK: Effort = Effort {
-    searches_px: &[14.0, 10.0, 8.0],
-    rounds: 3,
-    spacing_px: SPARSE_PX,
-    settled: false,
-    converged_rad: STILL_RAD,
-};
+const FIRST_LOOK: Effort =
+    Effort { searches_px: &[14.0, 8.0], rounds: 2, spacing_px: SPARSE_PX, settled: false, converged_rad: STILL_RAD };
 const CLOSE_LOOK: Effort =
     Effort { searches_px: &[6.0, 3.0], rounds: 20, spacing_px: SPARSE_PX, settled: false, converged_rad: STILL_RAD };
-/// A look near the last frame's bend that is close at once.
-const TRACKED_LOOK: Effort =
-    Effort { searches_px: &[14.0, 6.0, 3.0], rounds: 20, spacing_px: 10.0, settled: false, converged_rad: STILL_RAD };
+/// A look at once close, near the last frame's bend or a mirror image.
+const NEAR_LOOK: Effort = Effort { searches_px: &[14.0, 6.0, 3.0], ..CLOSE_LOOK };
 const MEASUREMENT: Effort =
     Effort { searches_px: &[3.0], rounds: 9, spacing_px: Outline::SPACING_PX, settled: true, converged_rad: STILL_RAD };
 /// A closer look is worth while at candidates whose cost is within this factor of the best one's.
 const WORTH_A_LOOK: f64 = 3.0;
 /// The same beside a camera that does not wait: what another round would change is a hundredth of a degree.
 const TRACKED_MEASUREMENT: Effort = Effort { rounds: 1, ..MEASUREMENT };
-/// Looks that end closer together than this, rad, are worth only one closer look.
-const SAME_RAD: f64 = 0.035;
-/// Two looks that end closer together than this, rad, ended at one place.
+/// First looks that end closer together than this, rad, are worth only one closer look.
+const ALIKE_RAD: f64 = 0.035;
+/// Close looks that end closer together than this, rad, ended at one place.
 const ONE_PLACE_RAD: f64 = 5e-3;
-/// A bend this near to its twin, rad, is seen edge-on: which of the two it is makes its sigma wide, no more.
+/// Measurements this near to one another, rad, are of a snake seen edge-on: disks look alike tilted either way. Which of
+/// the two it is makes its sigma wide, no more.
 const EDGE_ON_RAD: f64 = 0.1;
 /// How far the snake's outline may move between two frames of a tracked sequence, px.
 const NEARBY_PX: f64 = 40.0;
@@ -147,13 +142,11 @@ impl Eye {
 
         look.candidates = self.search.candidates(&plane, self.rig.appearance.two_sided, CANDIDATES);
         let starts = look.candidates.iter().map(|&bend| self.start(bend));
-        let mut looks = distinct(starts.filter_map(|start| fit(start, &FIRST_LOOK)).collect());
+        let mut looks = distinct(starts.filter_map(|start| fit(start, &FIRST_LOOK)).collect(), ALIKE_RAD);
         looks.truncate(2);
-        // The search may have passed over the best bend's twin, which leans the other way along the line of sight.
-        looks.extend(looks.first().and_then(|best| fit(self.start(self.twin(best.bend)), &FIRST_LOOK)));
-        let least = looks.iter().map(|look| look.cost).fold(f64::INFINITY, f64::min);
+        let least = looks.first().map_or(0.0, |best| best.cost);
         let worth = looks.iter().filter(|look| look.cost <= WORTH_A_LOOK * least);
-        let close = distinct(worth.filter_map(|look| fit(look.start(), &CLOSE_LOOK)).collect());
+        let close = worth.filter_map(|look| fit(look.start(), &CLOSE_LOOK)).collect();
         let (fits, sighting) = self.judge(close, &finder, &MEASUREMENT);
         Look { fits, sighting: self.watched(sighting, frame, &finder), ..look }
     }
@@ -177,28 +170,23 @@ impl Eye {
             return None;
         }
         let view = self.projection();
-        let bounds = |bend| Outline::spaced(&view, Configuration::from_bend_vector(bend), SPARSE_PX).bounds();
-        let size = (frame.width, frame.height);
-        let region = Region::around(bounds(last), NEARBY_PX, size);
+        let around = |bend, reach_px| view.surroundings(Configuration::from_bend_vector(bend), reach_px);
+        let region = around(last, NEARBY_PX);
         let plane = self.plane(frame, &region);
         let finder = EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region);
-        let fit = |bend| fit_bend(&view, &finder, self.start(bend), self.prior(), &TRACKED_LOOK);
-        let (near, twin) = rayon::join(|| fit(last), || fit(self.twin(last)));
-        let near = near?;
+        let near = fit_bend(&view, &finder, self.start(last), self.prior(), &NEAR_LOOK)?;
         // What is not in the region was not looked at.
-        if !region.contains(&Region::around(bounds(near.bend), 0.0, size)) {
+        if !region.contains(&around(near.bend, Outline::REACH_PX)) {
             return None;
         }
-        let (_, sighting) =
-            self.judge(distinct(std::iter::once(near).chain(twin).collect()), &finder, &TRACKED_MEASUREMENT);
+        let (_, sighting) = self.judge(vec![near], &finder, &TRACKED_MEASUREMENT);
         let sighting = self.watched(sighting, frame, &finder);
         (sighting.status == Status::Ok).then_some(sighting)
     }
 
     /// The snakeness of a region of a frame, however it is exposed.
     pub(super) fn plane(&self, frame: &Frame, region: &Region) -> Plane {
-        let plane = self.rig.appearance.plane_within(frame, region);
-        self.rig.appearance.exposed_alike(plane, region)
+        self.rig.appearance.exposed_as(frame).plane_within(frame, region)
     }
 
     /// Why a frame is not worth looking at.
@@ -217,36 +205,36 @@ impl Eye {
         Start { state: State { bend, bias: self.rig.edge_bias }, blur_px: None }
     }
 
-    /// Close looks, best first, of which the best is measured, and the verdict on it.
-    fn judge(&self, mut fits: Vec<BendFit>, finder: &EdgeFinder, measurement: &Effort) -> (Vec<BendFit>, Sighting) {
+    /// Measures the best of some close looks, and judges whether anything else explains the picture as well.
+    fn judge(&self, looks: Vec<BendFit>, finder: &EdgeFinder, measurement: &Effort) -> (Vec<BendFit>, Sighting) {
         let view = self.projection();
         let fit = |start: Start, effort: &Effort| fit_bend(&view, finder, start, self.prior(), effort);
-        let Some(close) = fits.first() else { return (fits, failed(Status::NoSnake, None)) };
+        // The best bend's twin, which leans the other way along the line of sight, may have been passed over.
+        let best = looks.iter().min_by(|a, b| a.cost.total_cmp(&b.cost));
+        let twin = best.and_then(|best| {
+            let twin = self.twin(best.bend);
+            let is_close = (twin - best.bend).norm() < EDGE_ON_RAD;
+            fit(self.start(twin), if is_close { &CLOSE_LOOK } else { &NEAR_LOOK })
+        });
+        let mut fits = distinct(looks.into_iter().chain(twin).collect(), ONE_PLACE_RAD);
+        let measured = fits.first().and_then(|close| fit(close.start(), measurement));
+        let Some(mut best) = measured else { return (fits, failed(Status::NoSnake, None)) };
         let as_good =
             |other: &BendFit, best: &BendFit| other.cost < AS_GOOD * best.cost && other.rms_px < AS_CLOSE * best.rms_px;
-        let Some(mut best) = fit(close.start(), measurement) else { return (fits, failed(Status::NoSnake, None)) };
+        let is_edge_on = |other: &BendFit, best: &BendFit| (other.bend - best.bend).norm() < EDGE_ON_RAD;
         // What looks as good may end near the same bend once it is measured as thoroughly.
+        let rivals = fits[1..].iter().filter(|rival| as_good(rival, &fits[0]) || is_edge_on(rival, &fits[0]));
         let mut is_ambiguous = false;
-        let rival = fits.get(1).filter(|rival| as_good(rival, close));
-        if let Some(other) = rival.and_then(|rival| fit(rival.start(), &MEASUREMENT)) {
-            if (other.bend - best.bend).norm() < EDGE_ON_RAD {
+        for other in rivals.filter_map(|rival| fit(rival.start(), measurement)) {
+            if is_edge_on(&other, &best) {
                 best = best.or(other);
             } else {
-                is_ambiguous = as_good(&other, &best);
-            }
-        }
-        // Disks seen edge-on look alike tilted either way, and edges pull to the side on which the fit began.
-        let twin = self.twin(close.bend);
-        if (twin - close.bend).norm() < EDGE_ON_RAD {
-            let start = Start { state: State { bend: twin, bias: close.bias }, ..close.start() };
-            let elsewhere = fit(start, &CLOSE_LOOK).filter(|other| (other.bend - close.bend).norm() > ONE_PLACE_RAD);
-            if let Some(other) = elsewhere.and_then(|other| fit(other.start(), measurement)) {
-                best = best.or(other);
+                is_ambiguous |= as_good(&other, &best);
             }
         }
         let mut sighting = self.verdict(&best);
         if sighting.status == Status::Ok {
-            if best.proof.as_ref().is_none_or(|proof| proof.disks_there() < ENOUGH_DISKS) {
+            if best.proof(finder).disks_there() < ENOUGH_DISKS {
                 sighting = failed(Status::Occluded, sighting.quality);
             } else if is_ambiguous {
                 sighting = failed(Status::Ambiguous, sighting.quality);
@@ -283,7 +271,8 @@ impl Eye {
         if status != Status::Ok {
             return failed(status, Some(quality));
         }
-        let shape = fit.departure.as_ref().and_then(|departure| departure.measured(&self.rig.pose_covariance));
+        let departure = fit.departure(&self.projection(), &self.prior());
+        let shape = departure.and_then(|departure| departure.measured(&self.rig.pose_covariance));
         let quality = Quality { shape, ..quality };
         let from_rig = fit.by_pose * self.rig.pose_covariance * fit.by_pose.transpose();
         Sighting::of(Bend { vector: fit.bend, covariance: fit.covariance + from_rig }, quality)
@@ -311,12 +300,12 @@ fn quality(fit: &BendFit) -> Quality {
     }
 }
 
-/// Fits, best first; of those that ended at the same bend the best.
-fn distinct(mut fits: Vec<BendFit>) -> Vec<BendFit> {
+/// Fits, best first; of those that ended this close together the best.
+fn distinct(mut fits: Vec<BendFit>, apart_rad: f64) -> Vec<BendFit> {
     fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let mut kept: Vec<BendFit> = Vec::new();
     for fit in fits {
-        if kept.iter().all(|k| (k.bend - fit.bend).norm() > SAME_RAD) {
+        if kept.iter().all(|k| (k.bend - fit.bend).norm() > apart_rad) {
             kept.push(fit);
         }
     }

@@ -67,33 +67,29 @@ const ROUNDED_PX: f64 = 1.0;
 /// Systematic error of a single edge's place, px: what shading and print do to it however clean it looks.
 const EDGE_FLOOR_PX: f64 = 0.08;
 
+/// Whether a border point's surroundings are what the edge filter assumes, with no other part close to it.
+fn is_clear(point: &OutlinePoint) -> bool {
+    const CLEAR_PX: f64 = 4.0;
+    point.gap_px >= CLEAR_PX && point.depth_px >= CLEAR_PX
+}
+
+/// Looks at an outline's own silhouette as at a picture, with the same filter and as soft as a blur of σ = `blur_px` makes it:
+/// corners and bends of the border, which a soft picture rounds off, are then rounded in both.
+pub(super) fn soften(outline: &mut Outline, blur_px: f64) {
+    let silhouette = outline.seen_through(blur_px);
+    let finder = EdgeFinder::noiseless(&silhouette);
+    for point in outline.points.iter_mut().filter(|point| is_clear(point)) {
+        point.rounded_px = finder.find(point, ROUNDED_PX).map(|edge| edge.offset_px);
+    }
+}
+
 impl Matches {
-    /// Finds the edges within `search_px` of the model's outline. With a `blur_px`, the model's own silhouette is looked at
-    /// with the same softness and the same filter, so that corners and bends of the border, which a soft picture rounds
-    /// off, are rounded in both.
-    pub fn find(
-        outline: &Outline,
-        finder: &EdgeFinder,
-        search_px: f64,
-        blur_px: Option<f64>,
-        is_wanted: impl Fn(Piece) -> bool,
-    ) -> Self {
-        // Close to another part the edge's surroundings are not what the edge filter assumes.
-        const CLEAR_PX: f64 = 4.0;
-        let clear =
-            outline.points.iter().filter(|p| p.gap_px >= CLEAR_PX && p.depth_px >= CLEAR_PX && is_wanted(p.piece));
+    /// Finds the edges within `search_px` of the model's outline, which may be [`soften`]ed.
+    pub fn find(outline: &Outline, finder: &EdgeFinder, search_px: f64, is_wanted: impl Fn(Piece) -> bool) -> Self {
         let mut found = Self { matches: Vec::new(), sections_mm: Vec::new(), section_of: Vec::new(), places: 0 };
-        let model = blur_px.map(|blur_px| outline.seen_through(blur_px));
-        let mut model = model.as_ref().map(|(plane, first)| (EdgeFinder::noiseless(plane), first));
-        for point in clear {
+        for point in outline.points.iter().filter(|p| is_clear(p) && is_wanted(p.piece)) {
             found.places += 1;
-            let Some(edge) = finder.find(point, search_px) else { continue };
-            let mut offset_px = edge.offset_px;
-            if let Some((finder, first)) = &mut model {
-                let ideal = OutlinePoint { pixel: point.pixel - **first, ..*point };
-                let Some(rounded) = finder.find(&ideal, ROUNDED_PX) else { continue };
-                offset_px -= rounded.offset_px;
-            }
+            let (Some(edge), Some(rounded_px)) = (finder.find(point, search_px), point.rounded_px) else { continue };
             // Points come section by section.
             if found.sections_mm.last() != Some(&point.body.s_mm) {
                 found.sections_mm.push(point.body.s_mm);
@@ -103,7 +99,7 @@ impl Matches {
                 body: point.body,
                 piece: point.piece,
                 lateral: point.lateral,
-                seen: point.pixel + point.normal.into_inner() * offset_px,
+                seen: point.pixel + point.normal.into_inner() * (edge.offset_px - rounded_px),
                 normal: point.normal.into_inner(),
                 sigma_px: edge.sigma_px.hypot(EDGE_FLOOR_PX),
                 blur_px: edge.blur_px,
@@ -116,38 +112,32 @@ impl Matches {
         self.matches.len()
     }
 
-    /// How far outside the model's border each edge lies, px.
-    pub fn distances_px(&self, view: &Projection, psi: Configuration) -> Vec<f64> {
-        self.distances_along(view, |s_mm| view.robot.frame_at(psi, s_mm))
+    /// How far outside its place, which is the model's border and its bias, each edge lies, px.
+    pub fn misfits_px(&self, view: &Projection, psi: Configuration, bias: EdgeBias) -> Vec<f64> {
+        self.misfits_along(view, |s_mm| view.robot.frame_at(psi, s_mm), bias)
     }
 
     /// The same for a snake whose sections have these frames by their arc length, mm.
-    fn distances_along(&self, view: &Projection, frame_at: impl Fn(f64) -> Pose) -> Vec<f64> {
+    fn misfits_along(&self, view: &Projection, frame_at: impl Fn(f64) -> Pose, bias: EdgeBias) -> Vec<f64> {
         let frames: Vec<Pose> = self.sections_mm.iter().map(|&s| view.camera_from_base * frame_at(s)).collect();
         let points = self.matches.iter().zip(&self.section_of);
         points
             .map(|(m, &section)| {
                 let expected = view.lens.project(&(frames[section] * Point3::from(m.body.local)));
-                m.normal.dot(&(m.seen - expected))
+                m.normal.dot(&(m.seen - expected)) - bias.of(m.piece)
             })
             .collect()
     }
 
-    /// How far outside its place, which is the model's border and its bias, each edge lies, px.
-    pub fn misfits_px(&self, view: &Projection, psi: Configuration, bias: EdgeBias) -> Vec<f64> {
-        let distances = self.distances_px(view, psi);
-        distances.iter().zip(&self.matches).map(|(d, m)| d - bias.of(m.piece)).collect()
-    }
-
-    /// The same in units of σ.
+    /// The misfits in units of σ.
     pub fn residuals(&self, view: &Projection, psi: Configuration, bias: EdgeBias) -> Vec<f64> {
-        self.misfits_px(view, psi, bias).iter().zip(&self.matches).map(|(d, m)| d / m.sigma_px).collect()
+        self.residuals_along(view, |s_mm| view.robot.frame_at(psi, s_mm), bias)
     }
 
-    /// [`residuals`](Self::residuals) for a snake whose sections have these frames by their arc length, mm.
+    /// The same for a snake whose sections have these frames by their arc length, mm.
     pub fn residuals_along(&self, view: &Projection, frame_at: impl Fn(f64) -> Pose, bias: EdgeBias) -> Vec<f64> {
-        let distances = self.distances_along(view, frame_at);
-        distances.iter().zip(&self.matches).map(|(d, m)| (d - bias.of(m.piece)) / m.sigma_px).collect()
+        let misfits = self.misfits_along(view, frame_at, bias);
+        misfits.iter().zip(&self.matches).map(|(d, m)| d / m.sigma_px).collect()
     }
 
     /// The piece of the body of every edge.
@@ -359,12 +349,8 @@ pub(super) struct BendFit {
     pub bias: EdgeBias,
     /// Covariance of the bend vector from this picture alone, rad².
     pub covariance: Matrix2<f64>,
-    /// How it departs from a circle; `None` where the edges do not tell.
-    pub departure: Option<Departure>,
     /// Change of the bend vector with the camera's pose (see [`nudged`]).
     pub by_pose: Matrix2x6<f64>,
-    /// What of the snake is there to be seen; `None` where the start was not as good as the answer.
-    pub proof: Option<Proof>,
     /// Places of the outline in view.
     pub places: usize,
     /// Edges that agree with the model.
@@ -376,9 +362,23 @@ pub(super) struct BendFit {
     /// Mean over all places of the squared distance, cut off at the last search distance, in units of that: 0 if every
     /// place has its edge where the model says, 1 if none has.
     pub cost: f64,
+    /// The edges that were matched last.
+    matches: Matches,
+    /// The outline that they were looked for at.
+    outline: Outline,
 }
 
 impl BendFit {
+    /// How the snake departs from a circle; `None` where the edges do not tell.
+    pub fn departure(&self, view: &Projection, bias: &BiasPrior) -> Option<Departure> {
+        departure(view, &self.matches, &self.start().state, bias)
+    }
+
+    /// What of the snake is there to be seen.
+    pub fn proof(&self, finder: &EdgeFinder) -> Proof {
+        Proof::new(&self.outline, finder)
+    }
+
     /// The better of two that end close together, with the doubt which of them is right.
     pub fn or(self, other: Self) -> Self {
         let apart = self.bend - other.bend;
@@ -431,8 +431,8 @@ fn moved_to_edges(
 ) -> Option<(State, Vec<f64>)> {
     const LINEARISATIONS: usize = 4;
     const FURTHEST_RAD: f64 = 0.2;
-    /// Steps this short leave nothing of what is not linear.
-    const SHORT: f64 = 1e-3;
+    /// Steps of the bend this short, rad, leave nothing of what is not linear; the bias is.
+    const SHORT: f64 = 5e-3;
     let (mut state, mut roots) = (start, Vec::new());
     for _ in 0..LINEARISATIONS {
         let step;
@@ -442,7 +442,7 @@ fn moved_to_edges(
             return None;
         }
         state = state.moved(&step);
-        if step.norm() < SHORT {
+        if step.xy().norm() < SHORT {
             break;
         }
     }
@@ -486,17 +486,32 @@ pub(super) fn fit_bend(
     const LEAST_OUTLINE_PX: f64 = 60.0;
     /// While the bend moves by more, what disagrees with it may be right.
     const SETTLING_RAD: f64 = 2e-3;
-    let Start { mut state, mut blur_px } = start;
+    /// A bend that differs by less leaves the border on the same points of the body, near enough for a look. A measurement
+    /// draws it anew: which rims of disks seen edge-on are on the border hangs on every hundredth of a degree.
+    const CARRIED_RAD: f64 = 0.03;
+    let Start { mut state, blur_px } = start;
     let mut settling = !effort.settled;
+    let mut drawn: Option<(Vector2<f64>, Outline)> = None;
     let mut last = None;
     let searches = effort.searches_px.iter().chain(std::iter::repeat(effort.searches_px.last()?));
     for (round, &search_px) in searches.take(effort.rounds).enumerate() {
-        let psi = state.psi();
-        let outline = Outline::spaced(view, psi, effort.spacing_px);
-        let soft = blur_px.filter(|_| effort.settled);
+        let before = drawn.take();
+        let (_, outline) = drawn.insert(match before {
+            Some((at, mut outline)) if !effort.settled && (state.bend - at).norm() < CARRIED_RAD => {
+                outline.carry(view, state.psi());
+                (at, outline)
+            }
+            _ => {
+                let mut outline = Outline::spaced(view, state.psi(), effort.spacing_px);
+                if let Some(blur_px) = blur_px.filter(|_| effort.settled) {
+                    soften(&mut outline, blur_px);
+                }
+                (state.bend, outline)
+            }
+        });
         // The holder and the base disk do not bend.
         let matches =
-            Matches::find(&outline, finder, search_px, soft, |p| !matches!(p, Piece::HolderSide(_) | Piece::BaseRim));
+            Matches::find(outline, finder, search_px, |p| !matches!(p, Piece::HolderSide(_) | Piece::BaseRim));
         if matches.len() as f64 * effort.spacing_px < LEAST_OUTLINE_PX {
             return None;
         }
@@ -509,21 +524,20 @@ pub(super) fn fit_bend(
         let moved_rad = (state.bend - before).norm();
         let done = !settling && round + 1 >= effort.searches_px.len() && moved_rad < effort.converged_rad;
         settling &= moved_rad > SETTLING_RAD;
-        blur_px = Some(matches.blur_px());
-        last = Some((matches, roots, outline, search_px));
+        last = Some((matches, roots, search_px));
         if done {
             break;
         }
     }
 
-    let (matches, roots, outline, search_px) = last?;
+    let (matches, roots, search_px) = last?;
+    let (_, outline) = drawn?;
     let psi = state.psi();
     let linear = matches.linearised(view, &state).weighted(&roots).with_prior(&bias, &state);
     let independent = covariance(&linear.by_state)?;
     let clustered = clustered_covariance(&linear.by_state, &linear.residuals, &matches.pieces())?;
     let light = light_covariance(&matches, &linear.by_state, &independent, view.robot, LIGHT_BENT_PX, &roots);
     let gain = &independent * linear.by_state.tr_mul(&linear.by_pose);
-    let departure = if effort.settled { departure(view, &matches, &state, &bias) } else { None };
     let misfits = matches.misfits_px(view, psi, state.bias);
     let (inliers, rms_px) = inliers(&misfits, &roots);
     let near: f64 = misfits.iter().map(|d| 1.0 - (d / search_px).powi(2).min(1.0)).sum();
@@ -532,15 +546,15 @@ pub(super) fn fit_bend(
         bend: state.bend,
         bias: state.bias,
         covariance: block(&clustered) + block(&independent) + block(&light),
-        departure,
         by_pose: Matrix2x6::from_fn(|row, column| -gain[(row, column)]),
-        proof: effort.settled.then(|| Proof::new(&outline, finder)),
         places: matches.places,
         inliers,
         rms_px,
         blur_px: matches.blur_px(),
         out_of_frame: outline.out_of_frame,
         cost: 1.0 - near / matches.places as f64,
+        matches,
+        outline,
     })
 }
 
@@ -568,7 +582,9 @@ pub(super) fn shared_evidence(
     blur_px: f64,
 ) -> Option<SharedEvidence> {
     let psi = state.psi();
-    let matches = Matches::find(&Outline::new(view, psi), finder, 3.0, Some(blur_px), |_| true);
+    let mut outline = Outline::new(view, psi);
+    soften(&mut outline, blur_px);
+    let matches = Matches::find(&outline, finder, 3.0, |_| true);
     let residuals = matches.residuals(view, psi, state.bias);
     let roots = robust_weights(&residuals, false);
     let Linearised { by_state, by_pose: pose, .. } = matches.linearised(view, state).weighted(&roots);

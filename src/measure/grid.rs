@@ -136,7 +136,7 @@ fn strongest_pattern(frame: &Frame, is_snake: &impl Fn(&Point2<f64>) -> bool) ->
     let weights = eigen.eigenvectors.column(eigen.eigenvalues.imax()).map(|w| w as f32);
     let data =
         frame.data.chunks_exact(channels).map(|p| p.iter().zip(weights.iter()).map(|(v, w)| v * w).sum()).collect();
-    Plane { width: frame.width as usize, height: frame.height as usize, data }
+    Plane::new(frame.width as usize, frame.height as usize, data)
 }
 
 /// Where the grid was first recognised: a window's centre and its two wave vectors, cycles per px.

@@ -119,7 +119,7 @@ fn unlike_paper(frame: &Frame, reach: i64) -> GrayImage {
 
 fn channel(frame: &Frame, c: usize) -> Plane {
     let data = frame.data.iter().skip(c).step_by(frame.channels).copied().collect();
-    Plane { width: frame.width as usize, height: frame.height as usize, data }
+    Plane::new(frame.width as usize, frame.height as usize, data)
 }
 
 /// The mean over (2 reach + 1)² blocks.
@@ -129,7 +129,7 @@ fn smoothed(plane: &Plane, reach: i64) -> Plane {
         let mean = |x: i64, y: i64| (-reach..=reach).map(|k| plane.get(x + k * dx, y + k * dy)).sum::<f32>();
         let scale = 1.0 / (2 * reach + 1) as f32;
         let data = (0..w * h).map(|k| mean(k % w, k / w) * scale).collect();
-        Plane { width: plane.width, height: plane.height, data }
+        Plane::new(plane.width, plane.height, data)
     };
     pass(&pass(plane, 1, 0), 0, 1)
 }

@@ -6,14 +6,12 @@
 //! first order: moving along the surface slides the point *along* the border, so only the motion of the material point
 //! moves the border across itself. A border point is therefore kept as a material point, [`BodyPoint`].
 
-use super::plane::Plane;
+use super::plane::{Plane, Region};
 use crate::camera::Lens;
 use crate::geometry::{Configuration, Pose};
 use crate::robot::Robot;
 use ab_glyph_rasterizer::{Rasterizer, point};
-use image::{ImageBuffer, Luma};
-use imageproc::filter::gaussian_blur_f32;
-use nalgebra::{Point2, Point3, Unit, Vector2, Vector3};
+use nalgebra::{Matrix3, Point2, Point3, Unit, Vector2, Vector3};
 
 /// A point fixed to the snake's body: `local` (mm) in the frame of the section at arc length `s_mm`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -73,6 +71,8 @@ pub struct OutlinePoint {
     pub gap_px: f64,
     /// Snake behind the border against the normal, px (up to [`Outline::REACH_PX`]).
     pub depth_px: f64,
+    /// How far outside the border a soft picture shows its edge, px, `None` if it does not; 0 where that was not asked.
+    pub rounded_px: Option<f64>,
 }
 
 /// The snake's outline for one configuration and one view.
@@ -114,6 +114,20 @@ impl<'a> Projection<'a> {
     pub fn pixel(&self, psi: Configuration, point: &BodyPoint) -> Point2<f64> {
         self.lens.project(&(self.camera_from_base * point.in_base(self.robot, psi)))
     }
+
+    /// The part of the picture that is the body or near it.
+    pub(super) fn surroundings(&self, psi: Configuration, reach_px: f64) -> Region {
+        const STEP_MM: f64 = 0.5;
+        let (robot, lens) = (self.robot, self.lens);
+        let steps = ((robot.length_mm + HOLDER_MM) / STEP_MM).ceil() as usize;
+        let middle = |k: usize| {
+            let s_mm = robot.length_mm - k as f64 * STEP_MM;
+            self.pixel(psi, &BodyPoint { s_mm, local: Vector3::zeros() })
+        };
+        let depth_mm = self.camera_from_base.translation.vector.z.max(1.0);
+        let radius_px = 0.5 * robot.body.disk_diameter_mm * lens.focal_px.max() / depth_mm;
+        Region::along((0..=steps).map(middle), radius_px + reach_px, (lens.width, lens.height))
+    }
 }
 
 /// A point of a surface that may be on the border, before the rest of the body is taken into account.
@@ -134,22 +148,35 @@ struct Candidate {
 struct Section<'a> {
     lens: &'a Lens,
     s_mm: f64,
-    camera_from_section: Pose,
+    /// The pose of the section's frame to the camera.
+    rotation: Matrix3<f64>,
+    place_mm: Vector3<f64>,
 }
 
 impl<'a> Section<'a> {
     fn new(view: &Projection<'a>, psi: Configuration, s_mm: f64) -> Self {
         let camera_from_section = view.camera_from_base * view.robot.frame_at(psi, s_mm);
-        Self { lens: view.lens, s_mm, camera_from_section }
+        let rotation = camera_from_section.rotation.to_rotation_matrix().into_inner();
+        Self { lens: view.lens, s_mm, rotation, place_mm: camera_from_section.translation.vector }
     }
 
     /// The camera's centre of projection, mm.
     fn eye(&self) -> Point3<f64> {
-        self.camera_from_section.inverse() * Point3::origin()
+        Point3::from(-self.rotation.tr_mul(&self.place_mm))
+    }
+
+    fn in_camera(&self, local: Vector3<f64>) -> Point3<f64> {
+        Point3::from(self.rotation * local + self.place_mm)
     }
 
     fn pixel(&self, local: Vector3<f64>) -> Point2<f64> {
-        self.lens.project(&(self.camera_from_section * Point3::from(local)))
+        self.lens.project(&self.in_camera(local))
+    }
+
+    /// Where a place is seen, and a direction there.
+    fn seen(&self, local: Vector3<f64>, direction: Vector3<f64>) -> (Point2<f64>, Vector2<f64>) {
+        let in_camera = self.in_camera(local);
+        (self.lens.project(&in_camera), self.lens.project_jacobian(&in_camera) * (self.rotation * direction))
     }
 
     /// A candidate, from vectors in the section's frame.
@@ -161,8 +188,8 @@ impl<'a> Section<'a> {
         outward: Vector3<f64>,
         along: Vector3<f64>,
     ) -> Candidate {
-        let in_camera = self.camera_from_section * Point3::from(local);
-        let seen = self.lens.project_jacobian(&in_camera) * self.camera_from_section.rotation.to_rotation_matrix();
+        let in_camera = self.in_camera(local);
+        let seen = self.lens.project_jacobian(&in_camera) * self.rotation;
         Candidate {
             body: BodyPoint { s_mm: self.s_mm, local },
             piece,
@@ -202,23 +229,36 @@ impl Outline {
         Self { points, out_of_frame: outside.count() as f64 / candidates.len().max(1) as f64, mask }
     }
 
+    /// Carries the border points to a bend that differs little, under which they are still on the border to first order.
+    /// The silhouette stays as it was.
+    pub(super) fn carry(&mut self, view: &Projection, psi: Configuration) {
+        let mut section = Section::new(view, psi, 0.0);
+        self.points.retain_mut(|point| {
+            let BodyPoint { s_mm, local } = point.body;
+            // Points come section by section.
+            if section.s_mm != s_mm {
+                section = Section::new(view, psi, s_mm);
+            }
+            let along = if point.piece.is_rim() { Vector3::new(-local.y, local.x, 0.0) } else { Vector3::z() };
+            let (pixel, along) = section.seen(local, along);
+            let Some(normal) = normal_of(along, *point.normal) else { return false };
+            (point.pixel, point.normal) = (pixel, normal);
+            view.lens.contains(&pixel, 1.0)
+        });
+    }
+
     /// Whether the body covers a pixel.
     pub fn covers(&self, pixel: &Point2<f64>) -> bool {
         self.mask.covers(pixel)
     }
 
     /// How an ideal camera would see the silhouette, 1 on the snake and 0 elsewhere, with edges as soft as a blur of
-    /// σ = `blur_px` makes them; and the pixel of the picture that is that plane's first. For border points closer than
-    /// 4 px, whose silhouette is kept by the pixel.
-    pub(super) fn seen_through(&self, blur_px: f64) -> (Plane, Vector2<f64>) {
+    /// σ = `blur_px` makes them. For border points closer than 4 px, whose silhouette is kept by the pixel.
+    pub(super) fn seen_through(&self, blur_px: f64) -> Plane {
         /// What pixels and the interpolation between them do to a step, px.
         const PIXELS_PX: f64 = 0.54;
         let sigma = (blur_px.powi(2) - PIXELS_PX.powi(2)).max(0.01).sqrt();
-        let Plane { width, height, data } = self.mask.coverage.clone();
-        let soft = ImageBuffer::<Luma<f32>, _>::from_raw(width as u32, height as u32, data)
-            .map(|coverage| gaussian_blur_f32(&coverage, sigma as f32).into_raw())
-            .unwrap_or_default();
-        (Plane { width, height, data: soft }, self.mask.first)
+        Plane { first: self.mask.first, ..self.mask.coverage.blurred(sigma as f32) }
     }
 
     /// The part of the picture the body may cover: x0, y0, x1, y1, px.
@@ -228,21 +268,24 @@ impl Outline {
     }
 }
 
+/// The unit normal of a border in this direction on the side of what points out of the snake.
+fn normal_of(along: Vector2<f64>, outward: Vector2<f64>) -> Option<Unit<Vector2<f64>>> {
+    let normal = Unit::try_new(Vector2::new(-along.y, along.x), 1e-9)?;
+    Some(if normal.dot(&outward) < 0.0 { -normal } else { normal })
+}
+
 fn border_point(mask: &Mask, lens: &Lens, candidate: &Candidate) -> Option<OutlinePoint> {
     let Candidate { body, piece, lateral, pixel, outward, along } = *candidate;
     if !lens.contains(&pixel, 1.0) {
         return None;
     }
-    let mut normal = Unit::try_new(Vector2::new(-along.y, along.x), 1e-9)?;
-    if normal.dot(&outward) < 0.0 {
-        normal = -normal;
-    }
+    let normal = normal_of(along, outward)?;
     if !mask.has_border_at(&pixel, &normal) {
         return None;
     }
     let depth_px = mask.run_length(&pixel, -normal.into_inner(), true);
     let gap_px = mask.run_length(&pixel, normal.into_inner(), false);
-    Some(OutlinePoint { body, piece, lateral, pixel, normal, gap_px, depth_px })
+    Some(OutlinePoint { body, piece, lateral, pixel, normal, gap_px, depth_px, rounded_px: Some(0.0) })
 }
 
 /// Rims and side walls of the disks and the holder.
@@ -381,11 +424,11 @@ impl Mask {
         let Some((least, most)) = drawable().flatten().fold(None, |bounds: Option<(Point2<f64>, Point2<f64>)>, p| {
             bounds.map_or(Some((*p, *p)), |(least, most)| Some((least.inf(p), most.sup(p))))
         }) else {
-            return Self { coverage: Plane { width: 1, height: 1, data: vec![0.0] }, first: Vector2::zeros(), cell_px };
+            return Self { coverage: Plane::new(1, 1, vec![0.0]), first: Vector2::zeros(), cell_px };
         };
         let first = (least.coords - Vector2::repeat(MARGIN_PX)).map(f64::floor);
         let size = (most.coords - first + Vector2::repeat(MARGIN_PX)).map(|v| (v / cell_px).ceil() as usize + 1);
-        let mut coverage = Plane { width: size.x, height: size.y, data: vec![0.0; size.x * size.y] };
+        let mut coverage = Plane::new(size.x, size.y, vec![0.0; size.x * size.y]);
         let mut rasterizer = Rasterizer::new(0, 0);
         let mut in_cells = Vec::new();
         for polygon in drawable() {

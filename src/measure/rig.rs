@@ -4,13 +4,14 @@ use super::appearance::Appearance;
 use super::edges::EdgeFinder;
 use super::fit::{
     EdgeBias, LIGHT_STRAIGHT_PX, Matches, SETTLED_PX, clustered_covariance, inliers, light_covariance, robust_weights,
+    soften,
 };
 use super::grid::{Grid, Pattern, find_grid};
 use super::locate::{Holder, SnakeStart, find_start, locate_holders};
 use super::outline::{Outline, Projection};
 use super::proof::Proof;
 use super::scale::{contradiction, is_contradiction};
-use super::solve::minimise;
+use super::solve::{Solution, minimise};
 use super::watch::{Print, PrintWatch};
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose};
@@ -223,11 +224,11 @@ fn fit_base(
     let straight = Configuration::new(0.0, 0.0);
     let mut appearance = None;
     let mut edge_bias = EdgeBias::default();
-    let mut outcome = None;
+    let mut outcome: Option<(Matches, Vec<f64>, Solution)> = None;
     for (round, search_px) in [14.0, 12.0, 10.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 3.0, 3.0].into_iter().enumerate() {
         let pose = |p: &Placement| grid.camera_from_grid * p.grid_from_base(options);
         let view = Projection { lens, camera_from_base: pose(&placement), robot };
-        let outline = Outline::new(&view, straight);
+        let mut outline = Outline::new(&view, straight);
         // The model's own outline tells which pixels are snake, the better the better it lies.
         if round % 3 == 0 || appearance.is_none() {
             appearance = appearance_of(frame, &outline);
@@ -235,11 +236,10 @@ fn fit_base(
         let known = appearance.as_ref().ok_or("the snake does not stand out from the paper")?;
         let plane = known.plane(frame);
         let finder = EdgeFinder::new(&plane, known.two_sided);
-        let soft = outcome
-            .as_ref()
-            .filter(|_| search_px <= SETTLED_PX)
-            .map(|(matches, ..): &(Matches, _, _)| matches.blur_px());
-        let matches = Matches::find(&outline, &finder, search_px, soft, |_| true);
+        if let Some((matches, ..)) = outcome.as_ref().filter(|_| search_px <= SETTLED_PX) {
+            soften(&mut outline, matches.blur_px());
+        }
+        let matches = Matches::find(&outline, &finder, search_px, |_| true);
         if matches.len() < 40 || matches.len() * 3 < matches.places {
             return Err(format!(
                 "only {} of {} places on the straight snake's outline show an edge; is the snake unbent, in focus and \

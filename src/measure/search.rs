@@ -24,8 +24,8 @@ pub(super) struct Search {
 #[derive(Debug)]
 struct Bend {
     bend: Vector2<f64>,
-    /// (inside, outside) pixels of the shrunk picture.
-    pairs: Vec<(Point2<f32>, Point2<f32>)>,
+    /// (inside, outside) pixels of the shrunk picture, as indices into its rows one after the other.
+    pairs: Vec<(u32, u32)>,
 }
 
 impl Search {
@@ -47,15 +47,18 @@ impl Search {
 
     /// The bends that stand out, best first, by how much more snake-like their inside is than their outside.
     pub fn candidates(&self, plane: &Plane, two_sided: bool, most: usize) -> Vec<Vector2<f64>> {
-        let small = plane.shrunk(SHRINK);
-        let look = |p: &Point2<f32>| small.get((p.x + 0.5) as i64, (p.y + 0.5) as i64).clamp(-0.25, 1.25);
-        let contrast = |step: f32| if two_sided { step.abs() } else { step };
+        // In whole thousandths, whose sums need no order.
+        let small: Vec<i32> =
+            plane.shrunk(SHRINK).data.iter().map(|v| (1000.0 * v.clamp(-0.25, 1.25)) as i32).collect();
+        // The pixels are those of the lens; a plane of another size would not be looked at.
+        let look = |pixel: u32| small.get(pixel as usize).copied().unwrap_or(0);
+        let contrast = |step: i32| if two_sided { step.abs() } else { step };
         let mut scored: Vec<(f64, Vector2<f64>)> = self
             .bends
             .iter()
             .filter(|b| b.pairs.len() >= 20)
             .map(|b| {
-                let total: f32 = b.pairs.iter().map(|(inside, outside)| contrast(look(inside) - look(outside))).sum();
+                let total: i32 = b.pairs.iter().map(|(inside, outside)| contrast(look(*inside) - look(*outside))).sum();
                 (f64::from(total) / b.pairs.len() as f64, b.bend)
             })
             .collect();
@@ -73,16 +76,22 @@ impl Search {
     }
 }
 
-fn pairs(view: &Projection, bend: Vector2<f64>) -> Vec<(Point2<f32>, Point2<f32>)> {
+fn pairs(view: &Projection, bend: Vector2<f64>) -> Vec<(u32, u32)> {
     const DISTANCE_PX: f64 = 1.6;
     let outline = Outline::new(view, Configuration::from_bend_vector(bend));
     let points = outline.points.iter().filter(|p| p.body.s_mm > 0.0 && p.gap_px >= 2.5);
     points
         .map(|p| {
             let step = p.normal.into_inner() * DISTANCE_PX;
-            ((p.pixel - step).cast::<f32>(), (p.pixel + step).cast::<f32>())
+            (index(view.lens, p.pixel - step), index(view.lens, p.pixel + step))
         })
         .collect()
+}
+
+/// The pixel of a picture that is nearest to a place, as an index into its rows one after the other.
+fn index(lens: &Lens, place: Point2<f64>) -> u32 {
+    let nearest = |v: f64, count: u32| ((v + 0.5).max(0.0) as u32).min(count.saturating_sub(1));
+    nearest(place.y, lens.height) * lens.width + nearest(place.x, lens.width)
 }
 
 /// The lens that would take the shrunk picture.

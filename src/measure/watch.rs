@@ -362,7 +362,7 @@ impl PrintWatch {
         if !radius.is_finite() || free_x < radius || free_y < 0.5 * radius {
             return None;
         }
-        let stride = ((wavelength_px / 6.0).floor() as usize).clamp(1, 3);
+        let stride = ((wavelength_px / 5.0).floor() as usize).clamp(1, 3);
         let mut windows = Vec::new();
         for k in 0..COLUMNS * ROWS {
             let share = |k: usize, count: usize| k as f64 / (count - 1) as f64;
@@ -588,28 +588,30 @@ impl Window {
     /// Phase (cycles from what is expected, in [−½, ½)) and amplitude of both waves.
     fn phases(&self, frame: &Frame, weights: &[f64]) -> [(f64, f64); 2] {
         let (x0, y0) = self.corner;
-        let mut sums = [Complex::<f64>::ZERO; 2];
-        let mut plain = 0.0;
         let weights: Vec<f32> = weights.iter().map(|w| *w as f32).collect();
-        let [first_wave, second_wave] = &self.waves;
+        // Down every column: the grey and, real and imaginary, both waves' parts.
+        let mut columns = vec![[0.0_f32; 5]; self.side];
         for &(row, first) in &self.rows {
             let start = ((y0 + row) * frame.width as usize + x0) * frame.channels;
             let Some(pixels) = frame.data.get(start..start + self.side * frame.channels) else { continue };
-            let mut grey = 0.0_f32;
-            let mut turned = [Complex::<f32>::ZERO; 2];
-            let mut column = first;
-            while column < self.side {
-                let pixel = &pixels[column * frame.channels..][..frame.channels];
-                let value: f32 = pixel.iter().zip(&weights).map(|(v, w)| v * w).sum();
-                grey += self.taper[column] * value;
-                turned[0] += first_wave.across[column] * value;
-                turned[1] += second_wave.across[column] * value;
-                column += self.stride;
+            let [one, other] = [0, 1].map(|k| self.waves[k].down[row]);
+            let factors = [self.taper[row], one.re, one.im, other.re, other.im];
+            let sampled = pixels.chunks_exact(frame.channels).zip(&mut columns).skip(first).step_by(self.stride);
+            for (pixel, column) in sampled {
+                let value = match (pixel, &weights[..]) {
+                    (&[r, g, b], &[red, green, blue]) => r * red + g * green + b * blue,
+                    _ => pixel.iter().zip(&weights).map(|(v, w)| v * w).sum(),
+                };
+                column.iter_mut().zip(factors).for_each(|(sum, factor)| *sum += value * factor);
             }
-            plain += f64::from(grey * self.taper[row]);
-            for k in 0..2 {
-                let sum = turned[k] * self.waves[k].down[row];
-                sums[k] += Complex::new(f64::from(sum.re), f64::from(sum.im));
+        }
+        let mut sums = [Complex::<f64>::ZERO; 2];
+        let mut plain = 0.0;
+        for (k, &[grey, parts @ ..]) in columns.iter().enumerate() {
+            plain += f64::from(grey * self.taper[k]);
+            for (sum, (wave, part)) in sums.iter_mut().zip(self.waves.iter().zip(parts.as_chunks::<2>().0)) {
+                let along = wave.across[k] * Complex::new(part[0], part[1]);
+                *sum += Complex::new(f64::from(along.re), f64::from(along.im));
             }
         }
         // The mean grey must not leak into the wave.
