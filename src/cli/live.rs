@@ -6,7 +6,7 @@ use super::inputs::{encoders_of, model_of, rows};
 use super::views::rig_of;
 use crate::camera::{CaptureSettings, CaptureTarget, FrameSource, Lens};
 use crate::live::server::{self, Exhibits};
-use crate::live::{Door, EncoderInput, EncoderSource, Histogram, Live, Setup, Source, State, View, tui};
+use crate::live::{Door, EncoderInput, EncoderSource, Histogram, Live, Setup, Source, State, StemStatus, View, tui};
 use crate::measure::{Eye, Rig, RigOptions};
 use crate::record::{self, Experiment, RigSource, read_model};
 use crate::robot::Robot;
@@ -83,6 +83,10 @@ pub struct Args {
     /// Go on with the run that OUT holds, with all its measurements
     #[arg(long)]
     resume: bool,
+    /// Follow the total bending angle of a flexible stem instead, with η and λ of the model known: its angle and sigma with every
+    /// measurement, a table for the stem as it is, and at the end OUT/stem.csv
+    #[arg(long, conflicts_with_all = ["flat_sigma", "gate"])]
+    stem: bool,
     #[command(flatten)]
     estimator: EstimatorArgs,
 }
@@ -109,6 +113,8 @@ struct Summary {
     measured: u64,
     eta: Option<f64>,
     lambda_mm: Option<f64>,
+    #[serde(flatten)]
+    stem: Option<StemStatus>,
     latency_p50_ms: f64,
     latency_p99_ms: f64,
     output: PathBuf,
@@ -186,6 +192,7 @@ impl Args {
             encoders,
             model,
             options: self.estimator.options(KEEP),
+            stem: self.stem.then(|| self.estimator.stem_options()),
             output: self.output.clone(),
             resume: self.resume,
             save_every: Duration::from_secs_f64(self.save_every),
@@ -269,6 +276,7 @@ impl Summary {
             measured: state.measured,
             eta: state.estimate.map(|estimate| estimate.eta),
             lambda_mm: state.estimate.map(|estimate| estimate.lambda_mm),
+            stem: state.stem,
             latency_p50_ms: state.latency.p50_ms,
             latency_p99_ms: state.latency.p99_ms,
             output,
@@ -281,8 +289,10 @@ impl Summary {
             (Some(eta), Some(lambda_mm)) => format!("η {eta:.4}, λ {lambda_mm:.4} mm"),
             _ => "η and λ are not known yet".to_owned(),
         };
+        let stem =
+            self.stem.map(|stem| format!(", Φ {:.1} ± {:.1}°", stem.phi_deg, stem.sd_phi_deg)).unwrap_or_default();
         format!(
-            "{} frames, {} dropped; {} measured of {}\n{estimate}\nlatency p50 {:.1} ms, p99 {:.1} ms\n{}{}",
+            "{} frames, {} dropped; {} measured of {}\n{estimate}{stem}\nlatency p50 {:.1} ms, p99 {:.1} ms\n{}{}",
             self.frames,
             self.dropped,
             self.measured,

@@ -5,6 +5,7 @@ use super::gap::{GapState, GapStatus};
 use super::latency::{Histogram, LatencyStatus};
 use super::pace::PaceStatus;
 use super::source::SourceStatus;
+use crate::estimate::StemAngle;
 use crate::record::{Measurement, Verdict};
 use crate::robot::{Model, PerBackbone};
 use serde::Serialize;
@@ -47,6 +48,8 @@ pub struct Row {
     pub residual_mm: Option<PerBackbone>,
     /// The estimate after it.
     pub estimate: Option<EstimateStatus>,
+    /// The stem's angle after it, where that is followed.
+    pub stem: Option<StemStatus>,
     /// From the frame's arrival to the estimate, ms.
     pub latency_ms: f64,
 }
@@ -76,6 +79,21 @@ impl EstimateStatus {
             sd_lambda_mm: estimate.sd_lambda_mm(),
             samples: estimate.samples,
         })
+    }
+}
+
+/// The total bending angle of a flexible stem.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct StemStatus {
+    /// Φ, degrees.
+    pub phi_deg: f64,
+    /// Its standard deviation, degrees.
+    pub sd_phi_deg: f64,
+}
+
+impl From<StemAngle> for StemStatus {
+    fn from(angle: StemAngle) -> Self {
+        Self { phi_deg: angle.phi.to_degrees(), sd_phi_deg: angle.sd.to_degrees() }
     }
 }
 
@@ -125,6 +143,8 @@ pub struct State {
     pub latest: Option<Row>,
     /// η and λ.
     pub estimate: Option<EstimateStatus>,
+    /// The stem's angle, where that is followed.
+    pub stem: Option<StemStatus>,
     /// Whether the model accounts for what is measured.
     pub gap: GapStatus,
     /// What discover found last.
@@ -154,6 +174,7 @@ impl State {
             pace: PaceStatus::at_start(),
             latest: None,
             estimate: None,
+            stem: None,
             gap: GapStatus { state: GapState::Unknown, bending: 1.0, common: 1.0, rejected: 0.0 },
             discovery: None,
             saved_at_s: None,
@@ -188,6 +209,7 @@ impl Content {
         self.latencies.add(row.latency_ms / 1000.0);
         self.state.latency = self.latencies.status(row.latency_ms);
         self.state.estimate = row.estimate;
+        self.state.stem = row.stem;
         self.state.latest = Some(row.clone());
         if self.rows.len() == MOST_ROWS {
             self.rows.pop_front();

@@ -2,21 +2,31 @@
 
 use super::gap::{GapStatus, Gathered, Watch};
 use crate::Result;
-use crate::estimate::{Estimator, Options, Step, without_effects};
+use crate::estimate::{Estimator, Options, Stem, StemAngle, StemOptions, Step, without_effects};
 use crate::geometry::Configuration;
-use crate::record::{EncoderReading, Measurement};
+use crate::record::{EncoderReading, Measurement, Verdict};
 use crate::robot::Model;
 use std::collections::VecDeque;
 
 /// Samples of the past that effects with a memory are judged by.
 const PAST: usize = 64;
 
+/// What is learned.
+#[derive(Debug)]
+enum Subject {
+    /// η and λ.
+    Parameters(Box<Estimator>),
+    /// How far the stem is bent.
+    Stem(Box<Stem>),
+}
+
 /// The estimator and all that looks over its shoulder.
 #[derive(Debug)]
 pub struct Learner {
     start: Model,
     options: Options,
-    estimator: Estimator,
+    stem: Option<StemOptions>,
+    subject: Subject,
     /// The first sample and the latest, for effects that remember; empty without effects.
     past: VecDeque<(Measurement, EncoderReading)>,
     watch: Watch,
@@ -32,31 +42,51 @@ pub struct Learned {
     pub expected: Option<Configuration>,
     /// The watch on the gap.
     pub gap: GapStatus,
+    /// The stem's angle after it, where that is followed.
+    pub stem: Option<StemAngle>,
 }
 
 impl Learner {
-    /// Begins with a model, whose effects stay.
+    /// Begins with a model, whose effects stay. With settings for a stem its angle is followed, and η and λ are the model's.
     ///
     /// # Errors
-    /// An option out of its range.
-    pub fn new(start: Model, options: Options) -> Result<Self> {
-        let estimator = Estimator::new(&start.plain(), options)?;
+    /// An option out of its range; a stem of a model without η and λ.
+    pub fn new(start: Model, options: Options, stem: Option<StemOptions>) -> Result<Self> {
+        let subject = match stem {
+            None => Subject::Parameters(Box::new(Estimator::new(&start.plain(), options)?)),
+            Some(options) => Subject::Stem(Box::new(Stem::new(&start, options)?)),
+        };
         let (watch, gathered) = (Watch::default(), Gathered::default());
-        Ok(Self { start, options, estimator, past: VecDeque::new(), watch, gathered })
+        Ok(Self { start, options, stem, subject, past: VecDeque::new(), watch, gathered })
     }
 
-    /// Forgets all measurements.
+    /// Forgets all measurements; what that was, in words.
     ///
     /// # Errors
     /// None that [`new`](Self::new) had not.
-    pub fn reset(&mut self) -> Result<()> {
-        *self = Self::new(self.start.clone(), self.options)?;
-        Ok(())
+    pub fn reset(&mut self) -> Result<&'static str> {
+        *self = Self::new(self.start.clone(), self.options, self.stem)?;
+        Ok(match self.subject {
+            Subject::Parameters(_) => "η and λ begin anew",
+            Subject::Stem(_) => "the stem's angle begins anew",
+        })
     }
 
-    /// The model with its effects and the estimate as it stands.
+    /// The model with its effects and what was learned so far.
     pub fn model(&self) -> Model {
-        Model { effects: self.start.effects.clone(), ..self.estimator.model().clone() }
+        let learned = match &self.subject {
+            Subject::Parameters(estimator) => estimator.model().clone(),
+            Subject::Stem(stem) => stem.model(),
+        };
+        Model { effects: self.start.effects.clone(), ..learned }
+    }
+
+    /// The stem's angle as it stands, where that is followed.
+    pub fn stem(&self) -> Option<StemAngle> {
+        match &self.subject {
+            Subject::Parameters(_) => None,
+            Subject::Stem(stem) => Some(stem.angle()),
+        }
     }
 
     /// What `discover` gets to see: the model to start from, and samples spread over the run.
@@ -72,12 +102,17 @@ impl Learner {
             Some(reading) => {
                 self.gathered.take(measurement, reading);
                 let (measurement, reading) = self.without_effects(measurement, reading);
-                self.estimator.update(&measurement, Some(&reading))
+                self.subject.update(&measurement, Some(&reading))
             }
-            None => self.estimator.update(measurement, None),
+            None => self.subject.update(measurement, None),
         };
-        let gap = self.watch.see(step.verdict, self.estimator.consistency());
-        Learned { step, expected: expected.map(|response| response.configuration), gap }
+        let consistency = match &self.subject {
+            Subject::Parameters(estimator) => estimator.consistency(),
+            // What the model misses a stem that moves takes up, and owns to in its sigma.
+            Subject::Stem(_) => None,
+        };
+        let gap = self.watch.see(step.verdict, consistency);
+        Learned { step, expected: expected.map(|response| response.configuration), gap, stem: self.stem() }
     }
 
     /// The sample as it would be without the model's effects, by the path that led to it.
@@ -100,10 +135,31 @@ impl Learner {
     }
 }
 
+impl Subject {
+    fn update(&mut self, measurement: &Measurement, reading: Option<&EncoderReading>) -> Step {
+        match self {
+            Self::Parameters(estimator) => estimator.update(measurement, reading),
+            Self::Stem(stem) => {
+                let before = stem.model();
+                let reason = stem.update(measurement, reading).err();
+                let measured = measurement.measured.filter(|_| reason.is_none());
+                Step {
+                    verdict: if reason.is_none() { Verdict::Used } else { Verdict::Skipped },
+                    reason,
+                    estimate: before.estimate,
+                    residual_mm: reading.zip(measured).map(|(r, m)| r.q_mm - before.command(m.configuration)),
+                    revisions: Vec::new(),
+                    restarted: false,
+                }
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::estimate;
+    use crate::estimate::{estimate, estimate_stem};
     use crate::robot::{Effect, Estimate};
     use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
     use nalgebra::Matrix2;
@@ -115,7 +171,7 @@ mod tests {
             let start = Model { effects, ..Model::default() };
             let plant = Model { estimate: Some(truth), ..start.clone() };
             let (measurements, readings) = experiment(&plant);
-            let mut learner = Learner::new(start.clone(), Options::default()).unwrap();
+            let mut learner = Learner::new(start.clone(), Options::default(), None).unwrap();
             for (measurement, reading) in measurements.iter().zip(&readings) {
                 learner.take(measurement, Some(reading));
             }
@@ -124,6 +180,29 @@ mod tests {
             assert!((ours - theirs).amax() < 2e-3, "{ours} {theirs}");
             assert!((ours.x - 1.221).abs() < 0.03 && (ours.y - 0.1765).abs() < 0.01, "{ours}");
         }
+    }
+
+    #[test]
+    fn a_stem_is_followed_as_in_the_whole_file_and_the_model_bends_with_it() {
+        let known = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 36 };
+        let model = Model { estimate: Some(known), ..Model::default() };
+        let mut plant = model.clone();
+        plant.robot.line = plant.robot.line.bent_through(130f64.to_radians());
+        let (measurements, readings) = experiment(&plant);
+        let mut learner = Learner::new(model.clone(), Options::default(), Some(StemOptions::default())).unwrap();
+        let (rows, whole) = estimate_stem(&model, StemOptions::default(), &measurements, &readings).unwrap();
+        for ((measurement, reading), row) in measurements.iter().zip(&readings).zip(&rows) {
+            let learned = learner.take(measurement, Some(reading));
+            let StemAngle { phi, sd } = learned.stem.unwrap();
+            assert!((phi - row.phi).abs() < 1e-12 && (sd - row.sd_phi).abs() < 1e-12);
+            assert_eq!(learned.step.estimate, Some(known), "η and λ are not touched");
+        }
+        assert_eq!(learner.model(), whole);
+        let at_end = learner.stem().unwrap();
+        assert!((at_end.phi.to_degrees() - 130.0).abs() < 4.0 * at_end.sd.to_degrees(), "{at_end:?}");
+        assert!(learner.reset().unwrap().contains("stem"));
+        assert!((learner.stem().unwrap().phi.to_degrees() - 82.0).abs() < 1e-9);
+        assert!(Learner::new(Model::default(), Options::default(), Some(StemOptions::default())).is_err());
     }
 
     fn experiment(plant: &Model) -> (Vec<Measurement>, Vec<EncoderReading>) {

@@ -79,6 +79,10 @@ pub fn text(content: &Content) -> String {
         metric("lambda_millimetres", "gauge", "Estimate of lambda.", &[("", estimate.lambda_mm)]);
         metric("lambda_sd_millimetres", "gauge", "Its standard deviation.", &[("", estimate.sd_lambda_mm)]);
     }
+    if let Some(stem) = &state.stem {
+        metric("stem_degrees", "gauge", "Total bending angle of the stem.", &[("", stem.phi_deg)]);
+        metric("stem_sd_degrees", "gauge", "Its standard deviation.", &[("", stem.sd_phi_deg)]);
+    }
     let parts = [("{part=\"bending\"}", state.gap.bending), ("{part=\"common\"}", state.gap.common)];
     metric("gap_mean_square", "gauge", "Mean square of the whitened innovations; 1 is noise.", &parts);
     metric("paused", "gauge", "Whether measuring is paused.", &[("", flag(state.paused))]);

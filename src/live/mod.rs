@@ -29,7 +29,7 @@ pub mod server;
 mod source;
 pub mod tui;
 
-pub use board::{Board, DiscoveryStatus, EstimateStatus, Row, State};
+pub use board::{Board, DiscoveryStatus, EstimateStatus, Row, State, StemStatus};
 pub use clock::{ClockState, Lag};
 pub use door::Door;
 pub use encoders::{EncoderSource, EncoderStatus, LineParser, Parsed};

@@ -1,6 +1,6 @@
 //! The loop: newest frame → θ, δ → journal → η, λ → board.
 
-use super::board::{Board, EstimateStatus, Row, State};
+use super::board::{Board, EstimateStatus, Row, State, StemStatus};
 use super::clock::FrameClock;
 use super::encoders::{EncoderSource, Encoders, Feed, Lookup};
 use super::finder::Finder;
@@ -14,7 +14,7 @@ use super::saver::{Bends, Saver, Saving, save};
 use super::source::{Captured, Reader, Source};
 use crate::camera::{Frame, Lens};
 use crate::error::{Error, Result};
-use crate::estimate::Options;
+use crate::estimate::{Options, StemOptions};
 use crate::measure::{Eye, RigOptions, Sighting, calibrate_rig};
 use crate::record::{EncoderReading, Measurement, Status};
 use crate::robot::{Model, Robot};
@@ -74,6 +74,8 @@ pub struct Setup {
     pub model: Model,
     /// The estimator's settings.
     pub options: Options,
+    /// Settings to follow a flexible stem with, in place of η and λ.
+    pub stem: Option<StemOptions>,
     /// The folder to write to.
     pub output: PathBuf,
     /// Whether to go on with the journal that is there.
@@ -138,8 +140,8 @@ impl Live {
     /// # Errors
     /// A journal that is in the way or cannot be read, an option out of its range, a source that cannot exist.
     pub fn start(setup: Setup) -> Result<Self> {
-        let Setup { view, source, source_name, encoders, model, options, output, resume, save_every } = setup;
-        let mut learner = Learner::new(model.clone(), options)?;
+        let Setup { view, source, source_name, encoders, model, options, stem, output, resume, save_every } = setup;
+        let mut learner = Learner::new(model.clone(), options, stem)?;
         let clock = Arc::new(FrameClock::default());
         let encoders = Arc::new(match encoders {
             EncoderInput::None => Encoders::None,
@@ -174,6 +176,7 @@ impl Live {
         {
             let mut content = board.lock();
             content.state.estimate = EstimateStatus::of(&learner.model());
+            content.state.stem = learner.stem().map(StemStatus::from);
             content.model = learner.model();
             content.state.notices.extend(remark);
         }
@@ -415,13 +418,14 @@ impl Loop {
                 }
                 Command::Reset => {
                     self.journal.append(&Entry::Reset)?;
-                    self.learner.reset()?;
+                    let said = self.learner.reset()?;
                     let mut content = self.board.lock();
                     content.model = self.learner.model();
-                    content.state.estimate = None;
+                    content.state.estimate = EstimateStatus::of(&content.model);
+                    content.state.stem = self.learner.stem().map(StemStatus::from);
                     content.state.discovery = None;
-                    content.notice("η and λ were reset");
-                    let _ = answer.send(Ok("η and λ begin anew".into()));
+                    content.notice(said);
+                    let _ = answer.send(Ok(said.into()));
                 }
                 Command::Save => {
                     let (board, output) = (Arc::clone(&self.board), self.output.clone());
@@ -463,7 +467,7 @@ impl Loop {
         self.learn()?;
         self.show();
         let result = if self.board.lock().model.estimate.is_some() { save(&self.board, &self.output) } else { Ok(()) };
-        super::outcome::write(&self.output, self.reference.robot.backbone_count())?;
+        super::outcome::write(&self.output, self.learner)?;
         self.board.lock().state.ended = true;
         result
     }
@@ -515,6 +519,7 @@ fn row(
         reason: learned.step.reason.as_ref().map(ToString::to_string).unwrap_or_default(),
         residual_mm: learned.step.residual_mm,
         estimate: EstimateStatus::of(model),
+        stem: learned.stem.map(StemStatus::from),
         latency_ms,
     }
 }

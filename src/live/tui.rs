@@ -166,6 +166,7 @@ fn estimates(state: &State) -> Vec<Line<'static>> {
         ],
         None => vec![Line::from("η and λ are not known yet")],
     };
+    lines.extend(state.stem.map(|stem| Line::from(format!("Φ {:.1} ± {:.1}°", stem.phi_deg, stem.sd_phi_deg)).bold()));
     let gap = &state.gap;
     let (word, colour) = match gap.state {
         GapState::Unknown => ("not known yet", Color::Reset),
@@ -184,7 +185,7 @@ fn estimates(state: &State) -> Vec<Line<'static>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::live::board::EstimateStatus;
+    use crate::live::board::{EstimateStatus, StemStatus};
     use crate::live::encoders::Encoders;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
@@ -201,15 +202,24 @@ mod tests {
         state.estimate =
             Some(EstimateStatus { eta: 1.2211, sd_eta: 0.001, lambda_mm: 0.1767, sd_lambda_mm: 0.0005, samples: 36 });
         state.gap.state = GapState::Above;
+        state.stem = Some(StemStatus { phi_deg: 131.26, sd_phi_deg: 2.4 });
         let text = screen(&state, 100, 24);
-        for expected in
-            ["camera 0", "waiting", "η 1.2211 ± 0.0010", "λ 0.1767", "above noise", "θ, up to 30°", "p pause"]
-        {
+        for expected in [
+            "camera 0",
+            "waiting",
+            "η 1.2211 ± 0.0010",
+            "λ 0.1767",
+            "Φ 131.3 ± 2.4°",
+            "above noise",
+            "θ, up to 30°",
+            "p pause",
+        ] {
             assert!(text.contains(expected), "{expected}: {text}");
         }
         state.source.state = SourceState::Running;
         state.pace.state = PaceState::Behind;
         state.pace.sentence = Some("frames are 143 ms old".into());
+        state.stem = Some(StemStatus { phi_deg: 131.26, sd_phi_deg: 2.4 });
         let text = screen(&state, 100, 24);
         assert!(text.contains("behind  frames are 143 ms old"), "{text}");
         screen(&state, 12, 4);

@@ -2,7 +2,7 @@
 
 use super::lab::{self, Live, assert_learned, experiment};
 use snakeloop::geometry::Configuration;
-use snakeloop::record::{read_encoders, read_measurements, read_model};
+use snakeloop::record::{read_encoders, read_measurements, read_model, write_model};
 use snakeloop::robot::{Effect, Model};
 use std::collections::BTreeSet;
 use std::f64::consts::TAU;
@@ -191,4 +191,36 @@ fn an_effect_that_the_model_lacks_raises_the_watch_and_is_named() {
     // The model with it is offered as a file.
     let model = read_model(&output.join("discovered.toml")).unwrap();
     assert_eq!(model.effects.len(), 1);
+}
+
+#[test]
+fn a_flexible_stem_is_followed_with_eta_and_lambda_as_they_are() {
+    const PHI_DEG: f64 = 160.0;
+    let folder = tempfile::tempdir().unwrap();
+    let (experiment, output) = (folder.path().join("experiment"), folder.path().join("out"));
+    fs::create_dir(&experiment).unwrap();
+    let mut bent = lab::robot();
+    bent.robot.line = bent.robot.line.bent_through(PHI_DEG.to_radians());
+    let bends: Vec<Configuration> = (0..lab::FRAMES).map(|k| lab::path(k as f64 / lab::FRAMES as f64)).collect();
+    lab::write(&experiment, &bent, &bends);
+    let known = folder.path().join("known.toml");
+    write_model(&known, &lab::robot()).unwrap();
+
+    let live = Live::start_on(&experiment, &output, &["--rate", "4", "--stem", "--model", known.to_str().unwrap()]);
+    let state = live.until("the end", |state| state["ended"] == true);
+    let (phi, sd) = (state["stem"]["phi_deg"].as_f64().unwrap(), state["stem"]["sd_phi_deg"].as_f64().unwrap());
+    assert!((phi - PHI_DEG).abs() < 4.0 * sd && sd < 20.0, "{phi} ± {sd}, it is {PHI_DEG}°");
+    assert_eq!(state["estimate"]["eta"], lab::ETA, "η is not touched");
+    let rows = live.get("/api/measurements");
+    let rows = rows["measurements"].as_array().unwrap();
+    assert_eq!(rows.last().unwrap()["stem"], state["stem"]);
+    assert!(live.ask("GET", "/metrics", "", "").1.contains("snakeloop_stem_degrees "));
+    assert!(live.finish().success());
+
+    let written = fs::read_to_string(output.join("stem.csv")).unwrap();
+    assert_eq!(written.lines().count(), 1 + rows.len());
+    let last: Vec<&str> = written.lines().last().unwrap().split(',').collect();
+    assert!((last[2].parse::<f64>().unwrap() - phi).abs() < 1e-3, "{written}");
+    let line = read_model(&output.join("model.toml")).unwrap().robot.line;
+    assert!((line.total_angle().to_degrees() - phi).abs() < 1e-6);
 }

@@ -70,6 +70,8 @@ function showMeasured(s) {
     put(name + "-more", row && !known ? `frame ${row.index}: ${row.status.replaceAll("_", " ")}` : model || "\u00a0");
   }
   const e = s.estimate;
+  for (const id of ["stem-box", "stem-figure"]) by(id).hidden = !s.stem;
+  if (s.stem) put("phi", withSigma(s.stem.phi_deg, s.stem.sd_phi_deg, "°"));
   put("eta", e ? fixed(e.eta, 4) : "–");
   put("eta-more", e ? `± ${e.sd_eta.toFixed(4)}, ${e.samples.toLocaleString("en")} rows` : "not known yet");
   put("lambda", e ? `${fixed(e.lambda_mm, 4)} mm` : "–");

@@ -90,6 +90,10 @@ const plots = (() => {
       ...band((r) => (r.estimate ? r.estimate.lambda_mm : null), (r) => r.estimate.sd_lambda_mm, "--c1"),
       line(column((r) => r.estimate && r.estimate.lambda_mm), "--c1"),
     ],
+    phi: () => [
+      ...band((r) => (r.stem ? r.stem.phi_deg : null), (r) => r.stem.sd_phi_deg, "--c1"),
+      line(column((r) => r.stem && r.stem.phi_deg), "--c1"),
+    ],
     residual: () => backbones().map((k) => line(column((r) => r.residual_mm && 1000 * r.residual_mm[k]), "--c" + (k + 1))),
     latency: () => [line(column((r) => r.latency_ms), "--c1")],
   };
@@ -99,6 +103,7 @@ const plots = (() => {
     const axis = { gridcolor: colour("--line"), zeroline: false, color: colour("--soft"), linecolor: colour("--line") };
     const oldest = times()[0];
     for (const [name, traces] of Object.entries(shown)) {
+      if (document.getElementById("plot-" + name).closest("[hidden]")) continue;
       const layout = {
         margin: { l: 52, r: 8, t: 6, b: 30 }, showlegend: false, paper_bgcolor: "transparent", plot_bgcolor: "transparent",
         font: { color: colour("--soft"), size: 11 },
