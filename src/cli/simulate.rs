@@ -122,7 +122,8 @@ impl Args {
     }
 
     fn close_the_loop(&self, console: &Console, plant: Model, trajectory: &[Waypoint]) -> Result<()> {
-        let scene = self.scene.as_deref().map_or_else(|| Ok(Scene::default()), Scene::read)?;
+        let clean = || Ok(Scene { robot: plant.robot.clone(), ..Scene::default() });
+        let scene = self.scene.as_deref().map_or_else(clean, Scene::read)?;
         let rehearsal = Rehearsal {
             plant,
             grid_pitch_mm: scene.grid_pitch_mm()?,

@@ -1,7 +1,7 @@
 //! The outline of the snake as a camera sees it: which points of disks and tubes lie on the border between snake and
 //! background, where they project to and which way the border faces.
 //!
-//! The body is a holder, disks and four tubes. Each is bounded in the picture by rims (sharp edges of disks) and by
+//! The body is a holder, disks and tubes. Each is bounded in the picture by rims (sharp edges of disks) and by
 //! generators (places where the surface turns away from the camera). Both share a property that makes fitting exact to
 //! first order: moving along the surface slides the point *along* the border, so only the motion of the material point
 //! moves the border across itself. A border point is therefore kept as a material point, [`BodyPoint`].
@@ -351,7 +351,7 @@ fn cylinders(
     }
 }
 
-/// The two sides of each of the four tubes.
+/// The two sides of each tube.
 fn tubes(
     view: &Projection,
     psi: Configuration,
