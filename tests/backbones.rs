@@ -106,17 +106,6 @@ fn an_effect_on_a_robot_of_four_is_named() {
 }
 
 #[test]
-fn a_robot_of_four_is_drawn_measured_and_led_where_it_is_wanted() {
-    let lab = lab(4);
-    let ride = ["--sweeps=20,110", "--sweep-theta=30,70", "--sweep-poses", "2", "--round-poses", "0"];
-    let closed = ["simulate", "--model", "hidden.toml", "--closed-loop", "-o", "loop"];
-    let loop_ = json(lab.path(), &[&closed[..], &ride[..]].concat());
-    let error = |name: &str| loop_[name].as_f64().unwrap();
-    assert!(error("table_error_after_deg") < 0.5 && error("table_error_before_deg") > 3.0, "{loop_}");
-    assert!((error("eta") - ETA).abs() < 0.05, "{loop_}");
-}
-
-#[test]
 fn what_does_not_fit_the_number_of_backbones_is_refused() {
     let lab = lab(4);
     let folder = lab.path();
