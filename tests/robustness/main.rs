@@ -134,13 +134,12 @@ fn no_angle_of_a_thousand_frames_is_false() {
     assert!(false_ones.is_empty(), "{} false:\n{}", false_ones.len(), false_ones.join("\n"));
 }
 
-/// The eye is not there yet: about one frame in a thousand is still false, by little, with several faults at once. More
-/// than one in this slice is a step back.
+/// The test above in small: 1,178 frames without a false one take minutes.
 #[test]
-fn hardly_an_angle_of_a_slice_of_them_is_false() {
+fn no_angle_of_a_slice_of_them_is_false() {
     let (measured, false_ones) = survey(2001..2005, 19);
     assert!(measured >= 50, "{measured} frames measured");
-    assert!(false_ones.len() <= 1, "{} false:\n{}", false_ones.len(), false_ones.join("\n"));
+    assert!(false_ones.is_empty(), "{} false:\n{}", false_ones.len(), false_ones.join("\n"));
 }
 
 /// Prints what is left of the accuracy on bad days, and asks for 0.2° of θ and 1° of δ.
