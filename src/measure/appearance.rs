@@ -114,7 +114,8 @@ impl Appearance {
             return self.clone();
         }
         let weights = self.weights_for(frame);
-        let rows = frame.data.chunks_exact(frame.width as usize * frame.channels).step_by(STRIDE);
+        let row_length = (frame.width as usize * frame.channels).max(1);
+        let rows = frame.data.chunks_exact(row_length).step_by(STRIDE);
         let mut levels: Vec<f32> =
             rows.flat_map(|row| row.chunks_exact(frame.channels).step_by(STRIDE)).map(|c| mixed(c, &weights)).collect();
         // Without light the plane would be at the offset.
