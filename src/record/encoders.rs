@@ -32,11 +32,12 @@ pub fn read_encoders(path: &Path, backbones: usize) -> Result<Checked<EncoderRea
         Err(format!("q1_mm to q{found}_mm, expected q1_mm to q{backbones}_mm: the robot has {backbones} backbones"))
     };
     table::read_where(path, &required, fits, |row| {
+        let (index, time_s) = (row.index("index")?, row.number("time_s")?);
         let mut q_mm = PerBackbone::repeat(backbones, 0.0);
         for (q, column) in q_mm.iter_mut().zip(&columns[2..]) {
             *q = row.number(column)?;
         }
-        Ok(EncoderReading { index: row.index("index")?, time_s: row.number("time_s")?, q_mm })
+        Ok(EncoderReading { index, time_s, q_mm })
     })
 }
 
