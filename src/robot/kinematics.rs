@@ -26,10 +26,11 @@
 //! there are n − 2 such [internal parts](Robot::internal_parts). What must be smooth at θ = 0 is written in b; only the
 //! δ-rows of the inverse Jacobians grow as 1/θ there, because δ itself loses its meaning.
 
-use super::{PerBackbone, Robot};
+use super::{BACKBONES, PerBackbone, Robot};
 use crate::geometry::{Configuration, Pose, sinc};
 use nalgebra::{Matrix2, Matrix3, Matrix6x2, Translation3, UnitQuaternion, Vector2, Vector3, Vector6};
 use std::f64::consts::TAU;
+use std::sync::LazyLock;
 
 /// ∂b/∂ψ, the bend vector's derivative by (θ, δ). Its determinant is θ.
 pub fn bend_by_configuration(psi: Configuration) -> Matrix2<f64> {
@@ -43,13 +44,19 @@ pub fn configuration_by_bend(psi: Configuration) -> Option<Matrix2<f64>> {
     (psi.theta > 0.0).then(|| Matrix2::new(cos, sin, -sin / psi.theta, cos / psi.theta))
 }
 
+/// (cos a_i, sin a_i) of so many backbones: sines and cosines would be most of what the forward problem costs.
+static DIRECTIONS: LazyLock<Vec<PerBackbone<Vector2<f64>>>> = LazyLock::new(|| {
+    let direction = |count: usize, i: usize| {
+        let (sin, cos) = (-(i as f64) * (TAU / count as f64)).sin_cos();
+        Vector2::new(cos, sin)
+    };
+    (0..=*BACKBONES.end()).map(|count| PerBackbone::from_fn(count, |i| direction(count, i))).collect()
+});
+
 impl Robot {
     /// Q: q = Q b, mm per rad; row i is −r (cos a_i, sin a_i).
     pub fn displacement_by_bend(&self) -> PerBackbone<Vector2<f64>> {
-        self.backbone_azimuths().map(|azimuth| {
-            let (sin, cos) = azimuth.sin_cos();
-            Vector2::new(cos, sin) * -self.backbone_circle_radius_mm
-        })
+        DIRECTIONS[self.backbone_count()] * -self.backbone_circle_radius_mm
     }
 
     /// Q⁺ = 2/(n r²)·Qᵗ, by columns: the least-squares bend vector (rad) of any displacements (mm).
