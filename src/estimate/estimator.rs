@@ -226,17 +226,18 @@ impl Estimator {
     }
 
     fn judge(&mut self, sample: Sample) -> Step {
+        let row = self.row(&self.model, &sample);
         let mut step = Step {
             verdict: Verdict::Used,
             reason: None,
             estimate: None,
-            residual_mm: self.model.estimate.map(|_| self.residual_mm(&sample)),
+            residual_mm: self.model.estimate.map(|_| self.residual_mm(&sample, &row)),
             revisions: Vec::new(),
             restarted: false,
         };
         step.reason = match self.running {
             None => self.first_measurement(sample, &mut step),
-            Some((filter, consistency)) => self.next_measurement(filter, consistency, sample, &mut step),
+            Some((filter, consistency)) => self.next_measurement(filter, consistency, sample, &row, &mut step),
         };
         if step.reason.is_some() {
             step.verdict = Verdict::Rejected;
@@ -266,11 +267,11 @@ impl Estimator {
         mut filter: Filter,
         mut consistency: Consistency,
         sample: Sample,
+        row: &Row,
         step: &mut Step,
     ) -> Option<Reason> {
-        let row = self.row(&self.model, &sample);
         let judged = filter.solution().and_then(|(x, covariance)| {
-            Some((self.whitened(&row, &x, &covariance)?, self.distances(&row, &x, &covariance)?))
+            Some((self.whitened(row, &x, &covariance)?, self.distances(row, &x, &covariance)?))
         });
         let Some((whitened, distances)) = judged else { return Some(Reason::NotFinite) };
         let outlier = self.outlier(&distances, &self.recent);
@@ -292,7 +293,7 @@ impl Estimator {
             filter.fade(self.options.keep);
             consistency.fade(self.options.keep);
         }
-        filter.absorb(&row);
+        filter.absorb(row);
         consistency.add(&whitened);
         self.publish(&filter, &consistency);
         self.running = Some((filter, consistency));
@@ -423,8 +424,8 @@ impl Estimator {
     }
 
     /// Measured ε less what the estimate predicts, per backbone, mm.
-    fn residual_mm(&self, sample: &Sample) -> PerBackbone {
-        let (robot, row) = (&self.model.robot, self.row(&self.model, sample));
+    fn residual_mm(&self, sample: &Sample, row: &Row) -> PerBackbone {
+        let robot = &self.model.robot;
         let told = row.residual(&self.model.parameters());
         // What a row leaves out of the readings, and what it says of them.
         robot.from_bend_and_common(&(told - robot.bend_and_common(&sample.q_tilde))) + sample.q_tilde

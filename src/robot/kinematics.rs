@@ -26,11 +26,10 @@
 //! there are n − 2 such [internal parts](Robot::internal_parts). What must be smooth at θ = 0 is written in b; only the
 //! δ-rows of the inverse Jacobians grow as 1/θ there, because δ itself loses its meaning.
 
-use super::{BACKBONES, PerBackbone, Robot};
+use super::{PerBackbone, Robot};
 use crate::geometry::{Configuration, Pose, sinc};
 use nalgebra::{Matrix2, Matrix3, Matrix6x2, Translation3, UnitQuaternion, Vector2, Vector3, Vector6};
 use std::f64::consts::TAU;
-use std::sync::LazyLock;
 
 /// ∂b/∂ψ, the bend vector's derivative by (θ, δ). Its determinant is θ.
 pub fn bend_by_configuration(psi: Configuration) -> Matrix2<f64> {
@@ -44,19 +43,10 @@ pub fn configuration_by_bend(psi: Configuration) -> Option<Matrix2<f64>> {
     (psi.theta > 0.0).then(|| Matrix2::new(cos, sin, -sin / psi.theta, cos / psi.theta))
 }
 
-/// (cos a_i, sin a_i) of so many backbones: sines and cosines would be most of what the forward problem costs.
-static DIRECTIONS: LazyLock<Vec<PerBackbone<Vector2<f64>>>> = LazyLock::new(|| {
-    let direction = |count: usize, i: usize| {
-        let (sin, cos) = (-(i as f64) * (TAU / count as f64)).sin_cos();
-        Vector2::new(cos, sin)
-    };
-    (0..=*BACKBONES.end()).map(|count| PerBackbone::from_fn(count, |i| direction(count, i))).collect()
-});
-
 impl Robot {
     /// Q: q = Q b, mm per rad; row i is −r (cos a_i, sin a_i).
     pub fn displacement_by_bend(&self) -> PerBackbone<Vector2<f64>> {
-        DIRECTIONS[self.backbone_count()] * -self.backbone_circle_radius_mm
+        self.backbone_directions() * -self.backbone_circle_radius_mm
     }
 
     /// Q⁺ = 2/(n r²)·Qᵗ, by columns: the least-squares bend vector (rad) of any displacements (mm).
@@ -85,15 +75,14 @@ impl Robot {
     /// columns of Q, and along (1, …, 1). With three backbones that is all they say; with more it leaves the other internal parts out.
     pub fn bend_and_common(&self, q_mm: &PerBackbone) -> Vector3<f64> {
         let n = self.backbone_count() as f64;
-        let bend = self.bend_by_displacement().weighted(q_mm) * (self.backbone_circle_radius_mm * (n / 2.0).sqrt());
-        Vector3::new(bend.x, bend.y, q_mm.mean() * n.sqrt())
+        let bend = self.backbone_directions().weighted(q_mm) * -(2.0 / n).sqrt();
+        Vector3::new(bend.x, bend.y, q_mm.sum() / n.sqrt())
     }
 
     /// The backbones' numbers of which [`bend_and_common`](Self::bend_and_common) says this, without other internal parts.
     pub fn from_bend_and_common(&self, told: &Vector3<f64>) -> PerBackbone {
         let n = self.backbone_count() as f64;
-        let scale = 1.0 / (self.backbone_circle_radius_mm * (n / 2.0).sqrt());
-        (self.displacement_by_bend() * (told.xy() * scale)).add_scalar(told.z / n.sqrt())
+        (self.backbone_directions() * (told.xy() * -(2.0 / n).sqrt())).add_scalar(told.z / n.sqrt())
     }
 
     /// The part of displacements that bends nothing.

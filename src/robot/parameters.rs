@@ -1,8 +1,10 @@
 //! The numbers that describe one robot: Table I, Section III-B and the body as a camera sees it.
 
 use super::{BACKBONES, PerBackbone};
+use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
+use std::sync::LazyLock;
 
 /// A super-elastic NiTi tube.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -130,6 +132,18 @@ fn is_three(backbones: &u8) -> bool {
     *backbones == three()
 }
 
+/// Unit vectors from the middle to the backbones, by how many there are from the least that there can be: every ε needs them, and
+/// sines are slow.
+static DIRECTIONS: LazyLock<Vec<PerBackbone<Vector2<f64>>>> = LazyLock::new(|| {
+    let directions = |n: usize| {
+        PerBackbone::from_fn(n, |i| {
+            let (sin, cos) = (-(i as f64) * (2.0 * PI / n as f64)).sin_cos();
+            Vector2::new(cos, sin)
+        })
+    };
+    BACKBONES.map(directions).collect()
+});
+
 impl Default for Robot {
     /// Table I and Section III-B of the paper.
     fn default() -> Self {
@@ -180,6 +194,11 @@ impl Robot {
     /// K_c⁻¹ = L_c / (E_s A), mm/N: compliance of a backbone in the snake cone, Eq. 17.
     pub fn cone_compliance_mm_per_n(&self) -> f64 {
         self.line.cone_length_mm() / self.secondary.axial_stiffness_n()
+    }
+
+    /// Unit vectors in {b} from the middle to the secondary backbones.
+    pub fn backbone_directions(&self) -> PerBackbone<Vector2<f64>> {
+        DIRECTIONS[self.backbone_count() - BACKBONES.start()]
     }
 
     /// Azimuths of the secondary backbones in {b}, rad: −(i−1)·β.

@@ -33,7 +33,8 @@ impl Robot {
     /// ∇E by the bend vector, N·mm per rad.
     pub fn elastic_gradient(&self, bend: Vector2<f64>) -> Vector2<f64> {
         let mut gradient = bend * (self.primary.bending_stiffness_n_mm2() / self.length_mm);
-        for (length, row) in self.backbone_lengths(bend).iter().zip(&self.displacement_by_bend()) {
+        for row in &self.displacement_by_bend() {
+            let length = self.length_mm + row.dot(&bend);
             let stiffness = self.secondary.bending_stiffness_n_mm2() / length;
             gradient += bend * stiffness - row * (0.5 * stiffness * bend.norm_squared() / length);
         }
@@ -43,7 +44,8 @@ impl Robot {
     /// The Hessian of E by the bend vector, N·mm per rad².
     pub fn elastic_hessian(&self, bend: Vector2<f64>) -> Matrix2<f64> {
         let mut hessian = Matrix2::identity() * (self.primary.bending_stiffness_n_mm2() / self.length_mm);
-        for (length, row) in self.backbone_lengths(bend).iter().zip(&self.displacement_by_bend()) {
+        for row in &self.displacement_by_bend() {
+            let length = self.length_mm + row.dot(&bend);
             let stiffness = self.secondary.bending_stiffness_n_mm2() / length;
             let mixed = bend * row.transpose();
             hessian += Matrix2::identity() * stiffness - (mixed + mixed.transpose()) * (stiffness / length)
