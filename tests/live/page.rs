@@ -1,6 +1,7 @@
 //! The dashboard in a real browser: Debian's chromium, led by its chromedriver.
 
-use super::lab::{Live, experiment};
+use super::lab::experiment;
+use super::streams::{camera, encoder_lines, never, start};
 use fantoccini::wd::{Capabilities, WebDriverCompatibleCommand};
 use fantoccini::{Client, ClientBuilder, Locator};
 use serde_json::{Value, json};
@@ -106,7 +107,10 @@ fn figures_change_buttons_work_and_the_console_is_silent() {
     experiment();
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path().join("out");
-    let live = Live::start(&output, &["--rate", "2"]);
+    // A camera that goes on for as long as the browser takes: a busy machine needs many seconds to start one.
+    let began = Instant::now();
+    let (camera, encoders) = (camera("127.0.0.1:0", began, 5.0, never), encoder_lines(began));
+    let live = start(&output, &camera, &encoders);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let (_driver, client) = browser().await;

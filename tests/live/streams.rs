@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 const ROUND_S: f64 = FRAMES as f64 / 3.0;
 
 /// A server that does its work for each visitor until it is dropped.
-struct Server {
+pub struct Server {
     address: SocketAddr,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -68,7 +68,7 @@ fn share(began: Instant) -> f64 {
 
 /// A network camera: the frame that shows where the snake is, so many times a second. In `held` of the seconds frames wait, and
 /// are sent all at once afterwards.
-fn camera(address: &str, began: Instant, fps: f64, held: fn(f64) -> bool) -> Server {
+pub fn camera(address: &str, began: Instant, fps: f64, held: fn(f64) -> bool) -> Server {
     let read = |index| std::fs::read(experiment().join(format!("frames/{index:05}.jpg"))).unwrap();
     let pictures: Vec<Vec<u8>> = (0..FRAMES).map(read).collect();
     Server::start(address, move |stream, stop| {
@@ -92,13 +92,14 @@ fn camera(address: &str, began: Instant, fps: f64, held: fn(f64) -> bool) -> Ser
     })
 }
 
-fn never(_: f64) -> bool {
+/// A camera that holds nothing up.
+pub fn never(_: f64) -> bool {
     false
 }
 
 /// Encoder lines at 100 Hz, by a clock of their own that began 5000 s before the test. The frames stand still between
 /// their instants, and so do the readings.
-fn encoder_lines(began: Instant) -> Server {
+pub fn encoder_lines(began: Instant) -> Server {
     Server::start("127.0.0.1:0", move |stream, _| {
         stream.set_nonblocking(false)?;
         let frame = (share(began) * FRAMES as f64).floor() / FRAMES as f64;
@@ -146,7 +147,7 @@ fn a_network_camera_that_goes_away_is_met_again() {
 }
 
 /// `live` on a camera and encoders.
-fn start(output: &std::path::Path, camera: &Server, encoders: &Server) -> Live {
+pub fn start(output: &std::path::Path, camera: &Server, encoders: &Server) -> Live {
     let stream = format!("http://{}/stream.mjpg", camera.address);
     let lines = format!("tcp://{}", encoders.address);
     Live::start(output, &["--source", &stream, "--encoders", &lines])
