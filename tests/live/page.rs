@@ -126,7 +126,7 @@ fn figures_change_buttons_work_and_the_console_is_silent() {
         page.0.close().await.unwrap();
     });
     let state = live.get("/api/state");
-    assert!(state["notices"].to_string().contains("reset"), "{state:#}");
+    assert!(state["notices"].to_string().contains("begin anew"), "{state:#}");
     assert!(output.join("compensation.csv").exists());
 }
 
