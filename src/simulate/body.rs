@@ -115,21 +115,23 @@ pub fn body(robot: &Robot, psi: Configuration, departure: Vector2<f64>) -> Vec<S
     let tubes = arcs.into_iter().enumerate().flat_map(|(k, (start, bend, length_mm))| {
         let length_to_end = if k == last { length_mm - (robot.length_mm - end) } else { length_mm };
         let arc = Configuration::from_bend_vector(bend);
-        let azimuths: Vec<f64> = robot.backbone_azimuths().to_vec();
-        let circle = azimuths.into_iter().map(move |azimuth| {
-            (robot.backbone_circle_radius_mm, azimuth - arc.delta, robot.secondary.outer_diameter_mm)
+        let (sin, cos) = arc.delta.sin_cos();
+        let circle = robot.backbone_directions().map(|direction| {
+            let offset = direction * robot.backbone_circle_radius_mm;
+            let (along, aside) = (offset.x * cos + offset.y * sin, offset.y * cos - offset.x * sin);
+            (along, aside, robot.secondary.outer_diameter_mm)
         });
         let centre = [(0.0, 0.0, robot.primary.outer_diameter_mm)];
-        let tube = move |(offset, angle_to_bend, diameter): (f64, f64, f64)| Tube {
+        let tube = move |(bend_offset, side_offset, diameter): (f64, f64, f64)| Tube {
             curvature: arc.theta / length_mm,
-            bend: Vector3::new(arc.delta.cos(), arc.delta.sin(), 0.0),
-            side: Vector3::new(-arc.delta.sin(), arc.delta.cos(), 0.0),
-            bend_offset: offset * angle_to_bend.cos(),
-            side_offset: offset * angle_to_bend.sin(),
+            bend: Vector3::new(cos, sin, 0.0),
+            side: Vector3::new(-sin, cos, 0.0),
+            bend_offset,
+            side_offset,
             radius: diameter / 2.0,
             end: length_to_end,
         };
-        centre.into_iter().chain(circle).flat_map(move |tube_of| tube(tube_of).pieces(start))
+        centre.into_iter().chain(circle.to_vec()).flat_map(move |tube_of| tube(tube_of).pieces(start))
     });
     cylinders.chain(tubes.map(Shape::Tube)).collect()
 }
