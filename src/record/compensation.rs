@@ -6,7 +6,7 @@
 //! | `q1_mm` … `qn_mm` | q: what the snake's backbones are to move |
 //! | `qc1_mm` … `qcn_mm` | q̃: what to command |
 //! | `sd_qc1_mm` … `sd_qcn_mm` | its standard deviation, from the covariance of η and λ |
-//! | `common_n` | with force limits: the force common to all backbones that they ask for |
+//! | `common_n` | with force limits: the mean of the forces that they add to the backbones; with three, what each gets |
 //! | `f1_n` … `fn_n` | with force limits: what the actuation unit exerts on each, positive where it pushes |
 //! | `within_limits` | with force limits: 1 where all lie within them, else 0 |
 //!

@@ -118,7 +118,7 @@ impl TableRow {
     /// The same pose with forces within limits.
     pub fn within(mut self, model: &Model, limits: &ForceLimits) -> Self {
         let sharing = model.sharing(self.configuration, limits);
-        self.command_mm = self.command_mm.add_scalar(sharing.shift_mm);
+        self.command_mm += sharing.shift_mm;
         Self { sharing: Some(sharing), ..self }
     }
 }
