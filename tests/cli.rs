@@ -248,3 +248,23 @@ fn shells_and_man_know_every_command() {
         assert!(page.contains(".TH") && page.contains("Example"), "{page}");
     }
 }
+
+#[test]
+fn a_run_is_exported_as_a_recording() {
+    let (_keep, folder) = simulated();
+    let [measurements, encoders, recording] =
+        ["measurements.csv", "encoders.csv", "run.mcap"].map(|name| folder.join(name));
+    succeed(&["estimate", "--measurements", text(&measurements), "--encoders", text(&encoders), "-o", text(&folder)]);
+    let recorded = json(&succeed(&["export", text(&folder), "-o", text(&recording), "--json"]));
+    for (topic, table) in
+        [("/measurement", &measurements), ("/encoders", &encoders), ("/estimate", &folder.join("estimate.csv"))]
+    {
+        let rows = fs::read_to_string(table).unwrap().lines().count() - 1;
+        assert_eq!(recorded["messages"][topic], rows, "{topic}");
+    }
+    assert!(fs::read(&recording).unwrap().starts_with(b"\x89MCAP0"));
+    assert!(
+        fail(&["export", text(&folder.join("nowhere")), "-o", text(&recording)], 1)
+            .contains("measurements.csv: cannot read")
+    );
+}

@@ -10,6 +10,7 @@ mod discover;
 mod estimate;
 mod estimator;
 mod evaluate;
+mod export;
 mod flow;
 mod force;
 mod inputs;
@@ -58,6 +59,7 @@ enum Command {
     Discover(discover::Args),
     Force(force::Args),
     Evaluate(evaluate::Args),
+    Export(export::Args),
     Simulate(simulate::Args),
     Render(render::Args),
     Calibrate(calibrate::Args),
@@ -79,6 +81,7 @@ impl Command {
             Self::Discover(args) => args.run(console),
             Self::Force(args) => args.run(console),
             Self::Evaluate(args) => args.run(console),
+            Self::Export(args) => args.run(console),
             Self::Simulate(args) => args.run(console),
             Self::Render(args) => args.run(console),
             Self::Calibrate(args) => args.run(console),

@@ -171,7 +171,7 @@ pub(super) fn parse_table<T: Indexed>(
     let columns = columns_of(path, &header, required)?;
 
     let mut numbered = Vec::new();
-    let mut warnings = Warnings { path, first: Vec::new(), others: 0 };
+    let mut warnings = Warnings::new(path);
     let mut record = csv::ByteRecord::new();
     loop {
         match reader.read_byte_record(&mut record) {
@@ -230,16 +230,20 @@ fn usable_row<'a>(columns: &'a HashMap<String, usize>, width: usize, record: &cs
 }
 
 /// The warnings about one file, of which only so many are kept: a file of nothing but faults is soon known for what it is.
-struct Warnings<'a> {
+pub(super) struct Warnings<'a> {
     path: &'a Path,
     first: Vec<Warning>,
     others: u64,
 }
 
-impl Warnings<'_> {
+impl<'a> Warnings<'a> {
     const MOST: usize = 1000;
 
-    fn push(&mut self, line: u64, message: String) {
+    pub fn new(path: &'a Path) -> Self {
+        Self { path, first: Vec::new(), others: 0 }
+    }
+
+    pub fn push(&mut self, line: u64, message: String) {
         if self.first.len() < Self::MOST {
             self.first.push(Warning { path: self.path.to_owned(), line, message });
         } else {
@@ -248,7 +252,7 @@ impl Warnings<'_> {
     }
 
     /// In order of their lines; the last tells how many more there were.
-    fn in_order(mut self) -> Vec<Warning> {
+    pub fn in_order(mut self) -> Vec<Warning> {
         self.first.sort_by_key(|warning| warning.line);
         if let (true, Some(last)) = (self.others > 0, self.first.last()) {
             let message = format!("and {} more rows with faults", self.others);

@@ -1,0 +1,46 @@
+//! `export`: a run as one file for other people's viewers.
+
+use super::console::Console;
+use crate::Result;
+use crate::record::{Experiment, Recorded, write_recording};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// Write a run as an MCAP recording, to be looked at in Foxglove and the like beside the robot's own
+///
+/// Every row of measurements.csv, estimate.csv, encoders.csv, stem.csv and force.csv in DIR becomes a JSON message with the row's time.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  snakeloop run fixtures/bending -o out && \
+                  snakeloop export out --experiment fixtures/bending -o run.mcap")]
+pub struct Args {
+    /// The folder that `run`, `measure` or `live` wrote to
+    #[arg(value_name = "DIR")]
+    folder: PathBuf,
+    /// The experiment that the run is of: adds its encoder log, and its frames where they are PNG or JPEG files
+    #[arg(long)]
+    experiment: Option<PathBuf>,
+    /// The file to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+}
+
+#[derive(Serialize)]
+struct Written<'a> {
+    #[serde(flatten)]
+    recorded: &'a Recorded,
+    output: &'a Path,
+}
+
+impl Args {
+    pub fn run(&self, console: &Console) -> Result<()> {
+        let experiment = self.experiment.as_deref().map(Experiment::read).transpose()?;
+        let recorded = write_recording(&self.output, &self.folder, experiment.as_ref())?;
+        console.warn(&recorded.remarks);
+        let written = Written { recorded: &recorded, output: &self.output };
+        console.result(&written, || {
+            let lines = recorded.messages.iter().map(|(topic, messages)| format!("{topic:<20} {messages} messages\n"));
+            lines.collect::<String>() + &self.output.display().to_string()
+        });
+        Ok(())
+    }
+}
