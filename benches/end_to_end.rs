@@ -56,7 +56,7 @@ fn steps(frame: &Path) {
     let eye = Eye::new(lens, rig, robot);
     let frame: Frame = read_frame(frame).unwrap();
     let last = eye.measure(&frame).bend.unwrap().vector * 0.97;
-    let pass = least(|| black_box(&frame).data.iter().sum::<f32>());
+    let pass = least(|| black_box(&frame).data.iter().map(|&v| f32::from(v)).sum::<f32>());
     let measure = least(|| eye.measure(&frame));
     let track = least(|| eye.track(&frame, last));
     show("one pass over a decoded frame's pixels", pass, "");

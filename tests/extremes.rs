@@ -223,8 +223,8 @@ fn pictures_of_next_to_nothing_are_measured_as_such() {
         let eye = Eye::new(lens(width, height), good_rig(), Robot::default());
         for channels in [1, 3] {
             let count = width as usize * height as usize * channels;
-            let chequered = |k: usize| if k.is_multiple_of(2) { 0.0 } else { 255.0 };
-            for level in [|_| 0.0, |_| 255.0, chequered, |k: usize| (k * 2_654_435_761 % 65_536) as f32 / 257.0] {
+            let chequered = |k: usize| if k.is_multiple_of(2) { 0 } else { u16::MAX };
+            for level in [|_| 0, |_| u16::MAX, chequered, |k: usize| (k * 2_654_435_761 % 65_536) as u16] {
                 let frame = Frame { width, height, channels, data: (0..count).map(level).collect() };
                 let seen = [eye.measure(&frame), eye.track(&frame, Vector2::new(0.5, 0.5))];
                 assert!(seen.iter().all(|sighting| sighting.measured.is_none()), "{width}×{height}: {seen:?}");

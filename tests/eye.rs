@@ -117,11 +117,16 @@ fn what_is_no_snake_gets_no_angle() {
     let scene = lab();
     let eye = eye(&scene, rig(&scene, 1.0).unwrap());
     let (width, height) = (scene.lens.width, scene.lens.height);
-    let flat = |value: f32| Frame { width, height, channels: 3, data: vec![value; (width * height * 3) as usize] };
-    assert_eq!(eye.measure(&flat(255.0)).status, Status::Saturated);
-    assert_eq!(eye.measure(&flat(0.0)).status, Status::Saturated);
-    assert_eq!(eye.measure(&flat(128.0)).status, Status::NoSnake);
-    let small = Frame { width: 64, height: 64, channels: 1, data: vec![0.0; 64 * 64] };
+    let flat = |level: u16| Frame {
+        width,
+        height,
+        channels: 3,
+        data: vec![level * Frame::LEVEL; (width * height * 3) as usize],
+    };
+    assert_eq!(eye.measure(&flat(255)).status, Status::Saturated);
+    assert_eq!(eye.measure(&flat(0)).status, Status::Saturated);
+    assert_eq!(eye.measure(&flat(128)).status, Status::NoSnake);
+    let small = Frame { width: 64, height: 64, channels: 1, data: vec![0; 64 * 64] };
     assert_eq!(eye.measure(&small).status, Status::WrongSize);
 
     // The same paper without a snake: one that is far too small to be seen.

@@ -138,7 +138,8 @@ fn a_camera_that_moves_is_followed() {
         assert!(theta.abs() < 0.3 && delta.abs() < 1.0, "{told}");
     }
     // Without grid or holder nobody knows where the camera is.
-    let nothing = Frame { data: vec![128.0; frame(&scene, STRAIGHT, 1).data.len()], ..frame(&scene, STRAIGHT, 1) };
+    let nothing =
+        Frame { data: vec![128 * Frame::LEVEL; frame(&scene, STRAIGHT, 1).data.len()], ..frame(&scene, STRAIGHT, 1) };
     assert_eq!(eye.following(&nothing).unwrap_err(), Status::GridLost);
 }
 

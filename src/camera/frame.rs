@@ -3,6 +3,7 @@
 use crate::error::{Error, Result};
 use crate::input::{PICTURE_BYTES, read_bytes};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+use std::convert::identity;
 use std::io::Cursor;
 use std::path::Path;
 
@@ -13,7 +14,7 @@ const MAX_SIDE: u32 = 65_535;
 /// The most that a decoder may allocate: four channels of 16 bits.
 const MAX_BYTES: u64 = 8 * MAX_PIXELS;
 
-/// A picture: grey or RGB, as the file's numbers (gamma-encoded) on the scale 0 to 255 whatever the file's depth.
+/// A picture: grey or RGB, the file's numbers (gamma-encoded) on the scale of 16 bits whatever the file's depth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
     /// Width, px.
@@ -22,17 +23,22 @@ pub struct Frame {
     pub height: u32,
     /// 1 (grey) or 3 (red, green, blue).
     pub channels: usize,
-    /// Row by row, the channels of a pixel side by side: `height × width × channels` numbers from 0 to 255.
-    pub data: Vec<f32>,
+    /// Row by row, the channels of a pixel side by side: `height × width × channels` numbers, [`Frame::LEVEL`] for each of the
+    /// levels from 0 to 255 of a picture of 8 bits.
+    pub data: Vec<u16>,
 }
 
 impl Frame {
-    /// Channel `c` of the pixel in column `x`, row `y`.
+    /// What a level of a picture of 8 bits counts.
+    pub const LEVEL: u16 = 257;
+
+    /// Channel `c` of the pixel in column `x`, row `y`, from 0 to 255.
     ///
     /// # Panics
     /// Outside the picture, as indexing a slice does.
     pub fn get(&self, x: u32, y: u32, c: usize) -> f32 {
-        self.data[(y as usize * self.width as usize + x as usize) * self.channels + c]
+        f32::from(self.data[(y as usize * self.width as usize + x as usize) * self.channels + c])
+            / f32::from(Self::LEVEL)
     }
 
     /// From a decoded picture of 8 or 16 bits; alpha is dropped. `None` for any other depth.
@@ -42,26 +48,22 @@ impl Frame {
             DynamicImage::ImageLumaA8(p) => (1, keep(p, 2, 1, from_8_bits)),
             DynamicImage::ImageRgb8(p) => (3, keep(p, 3, 3, from_8_bits)),
             DynamicImage::ImageRgba8(p) => (3, keep(p, 4, 3, from_8_bits)),
-            DynamicImage::ImageLuma16(p) => (1, keep(p, 1, 1, from_16_bits)),
-            DynamicImage::ImageLumaA16(p) => (1, keep(p, 2, 1, from_16_bits)),
-            DynamicImage::ImageRgb16(p) => (3, keep(p, 3, 3, from_16_bits)),
-            DynamicImage::ImageRgba16(p) => (3, keep(p, 4, 3, from_16_bits)),
+            DynamicImage::ImageLuma16(p) => (1, keep(p, 1, 1, identity)),
+            DynamicImage::ImageLumaA16(p) => (1, keep(p, 2, 1, identity)),
+            DynamicImage::ImageRgb16(p) => (3, keep(p, 3, 3, identity)),
+            DynamicImage::ImageRgba16(p) => (3, keep(p, 4, 3, identity)),
             _ => return None,
         };
         Some(Self { width: image.width(), height: image.height(), channels, data })
     }
 }
 
-fn from_8_bits(value: u8) -> f32 {
-    f32::from(value)
+fn from_8_bits(value: u8) -> u16 {
+    u16::from(value) * Frame::LEVEL
 }
 
-fn from_16_bits(value: u16) -> f32 {
-    f32::from(value) / 257.0
-}
-
-/// The first `kept` of every `stride` samples, on the scale 0 to 255.
-fn keep<T: Copy>(samples: &[T], stride: usize, kept: usize, scale: impl Fn(T) -> f32) -> Vec<f32> {
+/// The first `kept` of every `stride` samples, on the scale of 16 bits.
+fn keep<T: Copy>(samples: &[T], stride: usize, kept: usize, scale: impl Fn(T) -> u16) -> Vec<u16> {
     if kept == stride {
         return samples.iter().map(|&v| scale(v)).collect();
     }

@@ -157,15 +157,16 @@ fn frame_from(picture: &Mat) -> opencv::Result<Option<Frame>> {
         return Ok(None);
     }
     let bytes = picture.data_bytes()?;
-    let mut data = vec![0.0; bytes.len()];
+    let mut data = vec![0; bytes.len()];
+    let level = |byte: u8| u16::from(byte) * Frame::LEVEL;
     // Written out for each layout, since this is done for every pixel of every frame.
     if channels == 3 {
         for (rgb, bgr) in data.as_chunks_mut::<3>().0.iter_mut().zip(bytes.as_chunks::<3>().0) {
-            *rgb = [f32::from(bgr[2]), f32::from(bgr[1]), f32::from(bgr[0])];
+            *rgb = [level(bgr[2]), level(bgr[1]), level(bgr[0])];
         }
     } else {
         for (to, from) in data.iter_mut().zip(bytes) {
-            *to = f32::from(*from);
+            *to = level(*from);
         }
     }
     Ok(Some(Frame { width: picture.cols() as u32, height: picture.rows() as u32, channels, data }))
@@ -196,11 +197,12 @@ pub fn find_corners(frame: &Frame, board: &Board) -> Result<Option<Vec<Point2<f6
 
 fn grey_bytes(frame: &Frame) -> Vec<u8> {
     // Weights of ITU-R BT.601, as OpenCV's own conversion has.
-    let grey = |pixel: &[f32]| match pixel {
-        [r, g, b] => 0.299 * r + 0.587 * g + 0.114 * b,
-        _ => pixel[0],
+    let grey = |pixel: &[u16]| match *pixel {
+        [r, g, b] => 0.299 * f32::from(r) + 0.587 * f32::from(g) + 0.114 * f32::from(b),
+        _ => f32::from(pixel[0]),
     };
-    frame.data.chunks_exact(frame.channels).map(|pixel| grey(pixel).round() as u8).collect()
+    let level = |pixel: &[u16]| (grey(pixel) / f32::from(Frame::LEVEL)).round() as u8;
+    frame.data.chunks_exact(frame.channels).map(level).collect()
 }
 
 fn smallest_distance(corners: &Vector<Point2f>) -> f32 {

@@ -83,7 +83,7 @@ impl Appearance {
     /// The same for a region of the frame, with zeros elsewhere in the rectangle around it.
     pub fn plane_within(&self, frame: &Frame, region: &Region) -> Plane {
         let weights = self.weights_for(frame);
-        let lut = &*LIGHT;
+        let light = &LIGHT[..];
         let offset = self.offset as f32;
         let (x, y) = region.bounds();
         let (width, height) = (x.len(), y.len());
@@ -94,7 +94,8 @@ impl Appearance {
             let colours = &line[columns.start * frame.channels..columns.end * frame.channels];
             match weights[..] {
                 [red, green, blue] => pixels.zip(colours.as_chunks().0).for_each(|(pixel, &[r, g, b])| {
-                    *pixel = offset + lut.get(r) * red + lut.get(g) * green + lut.get(b) * blue;
+                    let [r, g, b] = [r, g, b].map(|v| light[usize::from(v)]);
+                    *pixel = offset + r * red + g * green + b * blue;
                 }),
                 _ => pixels
                     .zip(colours.chunks_exact(frame.channels))
@@ -133,8 +134,8 @@ impl Appearance {
 }
 
 /// The weighted sum of a pixel's light.
-fn mixed(colour: &[f32], weights: &[f32]) -> f32 {
-    colour.iter().zip(weights).map(|(&v, w)| LIGHT.get(v) * w).sum()
+fn mixed(colour: &[u16], weights: &[f32]) -> f32 {
+    colour.iter().zip(weights).map(|(&v, w)| LIGHT[usize::from(v)] * w).sum()
 }
 
 /// The light behind an encoded value 0–255, as 0–1, by the sRGB curve (IEC 61966-2-1).
@@ -146,23 +147,8 @@ pub fn linear_light(encoded: f32) -> f64 {
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }
 
-/// [`linear_light`] by table, exact enough (1/16 of a grey level) for 16-bit pictures as well.
-struct LightTable([f32; LightTable::LEN]);
-
-static LIGHT: LazyLock<LightTable> = LazyLock::new(LightTable::new);
-
-impl LightTable {
-    const PER_LEVEL: f32 = 16.0;
-    const LEN: usize = 1 << 12;
-
-    fn new() -> Self {
-        Self(std::array::from_fn(|k| linear_light(k as f32 / Self::PER_LEVEL) as f32))
-    }
-
-    /// The light behind a value from 0 to 255.
-    fn get(&self, encoded: f32) -> f32 {
-        // Added to it, a number leaves its nearest whole one in the lowest bits, far sooner than a checked conversion.
-        const WHOLE: f32 = (1 << 23) as f32;
-        self.0[(encoded * Self::PER_LEVEL + WHOLE).to_bits() as usize % Self::LEN]
-    }
-}
+/// [`linear_light`] of every number of a [`Frame`].
+static LIGHT: LazyLock<Box<[f32; 1 << 16]>> = LazyLock::new(|| {
+    let level = |v: usize| v as f32 / f32::from(Frame::LEVEL);
+    Box::new(std::array::from_fn(|v| linear_light(level(v)) as f32))
+});

@@ -56,7 +56,7 @@ impl Eye {
                 width: frame.width,
                 height: frame.height,
                 channels: 1,
-                data: plane.data.iter().map(|v| (64.0 + 127.0 * v).clamp(0.0, 255.0)).collect(),
+                data: plane.data.iter().map(|v| ((64.0 + 127.0 * v) * f32::from(Frame::LEVEL)) as u16).collect(),
             },
             grid: self.grid_lines(),
             candidates: look.candidates.iter().map(|&bend| Configuration::from_bend_vector(bend)).collect(),

@@ -118,7 +118,8 @@ fn unlike_paper(frame: &Frame, reach: i64) -> GrayImage {
 }
 
 fn channel(frame: &Frame, c: usize) -> Plane {
-    let data = frame.data.iter().skip(c).step_by(frame.channels).copied().collect();
+    let data =
+        frame.data.iter().skip(c).step_by(frame.channels).map(|&v| f32::from(v) / f32::from(Frame::LEVEL)).collect();
     Plane::new(frame.width as usize, frame.height as usize, data)
 }
 

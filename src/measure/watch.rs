@@ -588,32 +588,38 @@ impl Window {
     /// Phase (cycles from what is expected, in [−½, ½)) and amplitude of both waves.
     fn phases(&self, frame: &Frame, weights: &[f64]) -> [(f64, f64); 2] {
         let (x0, y0) = self.corner;
-        let weights: Vec<f32> = weights.iter().map(|w| *w as f32).collect();
-        // Down every column: the grey and, real and imaginary, both waves' parts.
-        let mut columns = vec![[0.0_f32; 5]; self.side];
+        let weights: Vec<f32> = weights.iter().map(|w| *w as f32 / f32::from(Frame::LEVEL)).collect();
+        // Down every column: the grey and, real and imaginary, both waves' parts. Columns that are sampled together lie side
+        // by side, so that the compiler takes many at once.
+        let together = self.side.div_ceil(self.stride);
+        let place = |column: usize| column % self.stride * together + column / self.stride;
+        let mut columns = [const { Vec::new() }; 5];
+        columns.iter_mut().for_each(|sums: &mut Vec<f32>| sums.resize(self.stride * together, 0.0));
+        let mut values = Vec::with_capacity(together);
         for &(row, first) in &self.rows {
             let start = ((y0 + row) * frame.width as usize + x0) * frame.channels;
             let Some(pixels) = frame.data.get(start..start + self.side * frame.channels) else { continue };
+            let sampled = pixels.chunks_exact(frame.channels).skip(first).step_by(self.stride);
+            values.clear();
+            values.extend(sampled.map(|pixel| match (pixel, &weights[..]) {
+                (&[r, g, b], &[red, green, blue]) => f32::from(r) * red + f32::from(g) * green + f32::from(b) * blue,
+                _ => pixel.iter().zip(&weights).map(|(&v, w)| f32::from(v) * w).sum(),
+            }));
             let [one, other] = [0, 1].map(|k| self.waves[k].down[row]);
-            let factors = [self.taper[row], one.re, one.im, other.re, other.im];
-            let sampled = pixels.chunks_exact(frame.channels).zip(&mut columns).skip(first).step_by(self.stride);
-            for (pixel, column) in sampled {
-                let value = match (pixel, &weights[..]) {
-                    (&[r, g, b], &[red, green, blue]) => r * red + g * green + b * blue,
-                    _ => pixel.iter().zip(&weights).map(|(v, w)| v * w).sum(),
-                };
-                column.iter_mut().zip(factors).for_each(|(sum, factor)| *sum += value * factor);
+            for (sums, factor) in columns.iter_mut().zip([self.taper[row], one.re, one.im, other.re, other.im]) {
+                sums[first * together..].iter_mut().zip(&values).for_each(|(sum, value)| *sum += value * factor);
             }
         }
-        let mut sums = [Complex::<f64>::ZERO; 2];
-        let mut plain = 0.0;
-        for (k, &[grey, parts @ ..]) in columns.iter().enumerate() {
-            plain += f64::from(grey * self.taper[k]);
-            for (sum, (wave, part)) in sums.iter_mut().zip(self.waves.iter().zip(parts.as_chunks::<2>().0)) {
-                let along = wave.across[k] * Complex::new(part[0], part[1]);
-                *sum += Complex::new(f64::from(along.re), f64::from(along.im));
-            }
-        }
+        let [grey, parts @ ..] = &columns;
+        let plain: f64 = (0..self.side).map(|k| f64::from(grey[place(k)] * self.taper[k])).sum();
+        let sums: [Complex<f64>; 2] = std::array::from_fn(|wave| {
+            let along = |k: usize| {
+                let down = Complex::new(parts[2 * wave][place(k)], parts[2 * wave + 1][place(k)]);
+                let along = self.waves[wave].across[k] * down;
+                Complex::new(f64::from(along.re), f64::from(along.im))
+            };
+            (0..self.side).map(along).sum()
+        });
         // The mean grey must not leak into the wave.
         let mean = plain / self.weight;
         std::array::from_fn(|k| {

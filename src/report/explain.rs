@@ -232,7 +232,7 @@ mod tests {
     use crate::measure::Sighting;
 
     fn frame() -> Frame {
-        Frame { width: 64, height: 48, channels: 1, data: vec![100.0; 64 * 48] }
+        Frame { width: 64, height: 48, channels: 1, data: vec![100 * Frame::LEVEL; 64 * 48] }
     }
 
     fn explanation(places: Vec<Place>) -> Explanation {

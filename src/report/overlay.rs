@@ -181,7 +181,7 @@ mod tests {
     use ab_glyph::Font;
 
     fn grey_frame() -> Frame {
-        Frame { width: 200, height: 120, channels: 1, data: vec![100.0; 200 * 120] }
+        Frame { width: 200, height: 120, channels: 1, data: vec![100 * Frame::LEVEL; 200 * 120] }
     }
 
     fn measurement(theta_deg: f64, delta_deg: f64, sigma_deg: f64) -> Measurement {

@@ -166,12 +166,11 @@ pub fn encoder_lines(bytes: &[u8]) -> Outcomes {
     outcomes
 }
 
-/// Files of pictures. What is accepted holds as many samples as its size says, all of them grey levels.
+/// Files of pictures. What is accepted holds as many samples as its size says.
 pub fn picture(bytes: &[u8]) -> Outcomes {
     let frame = in_file(bytes, read_frame);
     if let Ok(frame) = &frame {
         assert_eq!(frame.data.len(), frame.width as usize * frame.height as usize * frame.channels);
-        assert!(frame.data.iter().all(|level| (0.0..=255.0).contains(level)));
     }
     vec![outcome("picture", frame)]
 }
@@ -236,7 +235,7 @@ fn of_any_size(bytes: &[u8], channels: usize) -> Frame {
     let side = |k: usize| u32::from(size.get(k).copied().unwrap_or(0));
     let (width, height) = (side(0), side(1));
     let count = width as usize * height as usize * channels;
-    let level = |k: usize| if levels.is_empty() { 0.0 } else { f32::from(levels[k % levels.len()]) };
+    let level = |k: usize| if levels.is_empty() { 0 } else { u16::from(levels[k % levels.len()]) * Frame::LEVEL };
     Frame { width, height, channels, data: (0..count).map(level).collect() }
 }
 
@@ -256,15 +255,16 @@ fn blotted(bytes: &[u8]) -> Frame {
     for blot in bytes.chunks_exact(6).take(40) {
         let [x, y, w, h, level, how] = [0, 1, 2, 3, 4, 5].map(|k| u32::from(blot[k]));
         let (x, y) = (x * frame.width / 256, y * frame.height / 256);
+        let level = level as u16 * Frame::LEVEL;
         for row in y..(y + h).min(frame.height) {
             for column in x..(x + w).min(frame.width) {
                 let at = ((row * frame.width + column) as usize) * frame.channels;
                 for sample in &mut frame.data[at..at + 3] {
                     *sample = match how % 4 {
-                        0 => level as f32,
-                        1 => (*sample + level as f32).min(255.0),
-                        2 => (*sample - level as f32).max(0.0),
-                        _ => 255.0 - *sample,
+                        0 => level,
+                        1 => sample.saturating_add(level),
+                        2 => sample.saturating_sub(level),
+                        _ => u16::MAX - *sample,
                     };
                 }
             }
