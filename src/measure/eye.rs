@@ -61,19 +61,14 @@ pub(super) struct Look {
 
 /// Candidates of the coarse search that are looked at closely.
 const CANDIDATES: usize = 6;
-/// Distance between the places of the outline that decide which bend it is, px.
-const SPARSE_PX: f64 = 6.0;
 /// After a bend that moves the tip by less than about half a pixel, the same edges would be found again, rad.
 const STILL_RAD: f64 = 1e-3;
 /// The first look at a candidate, a closer one at the best of them, and the measurement itself.
-const FIRST_LOOK: Effort =
-    Effort { searches_px: &[14.0, 8.0], rounds: 2, spacing_px: SPARSE_PX, settled: false, converged_rad: STILL_RAD };
-const CLOSE_LOOK: Effort =
-    Effort { searches_px: &[6.0, 3.0], rounds: 20, spacing_px: SPARSE_PX, settled: false, converged_rad: STILL_RAD };
+const FIRST_LOOK: Effort = Effort { searches_px: &[14.0, 8.0], rounds: 2, settled: false, converged_rad: STILL_RAD };
+const CLOSE_LOOK: Effort = Effort { searches_px: &[6.0, 3.0], rounds: 20, settled: false, converged_rad: STILL_RAD };
 /// A look at once close, near the last frame's bend or a mirror image.
 const NEAR_LOOK: Effort = Effort { searches_px: &[14.0, 6.0, 3.0], ..CLOSE_LOOK };
-const MEASUREMENT: Effort =
-    Effort { searches_px: &[3.0], rounds: 9, spacing_px: Outline::SPACING_PX, settled: true, converged_rad: STILL_RAD };
+const MEASUREMENT: Effort = Effort { searches_px: &[3.0], rounds: 9, settled: true, converged_rad: STILL_RAD };
 /// A closer look is worth while at candidates whose cost is within this factor of the best one's.
 const WORTH_A_LOOK: f64 = 3.0;
 /// The same beside a camera that does not wait: what another round would change is a hundredth of a degree.
@@ -85,6 +80,8 @@ const ONE_PLACE_RAD: f64 = 5e-3;
 /// Measurements this near to one another, rad, are of a snake seen edge-on: disks look alike tilted either way. Which of
 /// the two it is makes its sigma wide, no more.
 const EDGE_ON_RAD: f64 = 0.1;
+/// The same where a picture is coarse: so near that their tips' rims open by nearly the same, px.
+const EDGE_ON_PX: f64 = 2.0;
 /// How far the snake's outline may move between two frames of a tracked sequence, px.
 const NEARBY_PX: f64 = 40.0;
 /// How far the edges' bias may differ between the straight picture and a frame, px (1σ).
@@ -221,7 +218,8 @@ impl Eye {
         let Some(mut best) = measured else { return (fits, failed(Status::NoSnake, None)) };
         let as_good =
             |other: &BendFit, best: &BendFit| other.cost < AS_GOOD * best.cost && other.rms_px < AS_CLOSE * best.rms_px;
-        let is_edge_on = |other: &BendFit, best: &BendFit| (other.bend - best.bend).norm() < EDGE_ON_RAD;
+        let edge_on_rad = EDGE_ON_RAD.max(2.0 * EDGE_ON_PX / view.diameter_px());
+        let is_edge_on = |other: &BendFit, best: &BendFit| (other.bend - best.bend).norm() < edge_on_rad;
         // What looks as good may end near the same bend once it is measured as thoroughly.
         let rivals = fits[1..].iter().filter(|rival| as_good(rival, &fits[0]) || is_edge_on(rival, &fits[0]));
         let mut is_ambiguous = false;
@@ -234,7 +232,7 @@ impl Eye {
         }
         let mut sighting = self.verdict(&best);
         if sighting.status == Status::Ok {
-            if best.proof(finder).disks_there() < ENOUGH_DISKS {
+            if best.proof().disks_there() < ENOUGH_DISKS {
                 sighting = failed(Status::Occluded, sighting.quality);
             } else if is_ambiguous {
                 sighting = failed(Status::Ambiguous, sighting.quality);
@@ -318,10 +316,10 @@ pub(super) fn is_saturated(frame: &Frame) -> bool {
     const NEARLY_ALL: f64 = 0.98;
     const MOST: f64 = 0.5;
     let pixels = || frame.data.chunks_exact(frame.channels).step_by(101);
-    let share = |is_so: fn(f32) -> bool| {
+    let share = |is_so: fn(u16) -> bool| {
         pixels().filter(|pixel| pixel.iter().all(|v| is_so(*v))).count() as f64 / pixels().count().max(1) as f64
     };
-    let (white, black) = (share(|v| v >= 252.0), share(|v| v <= 3.0));
+    let (white, black) = (share(|v| v >= 252 * Frame::LEVEL), share(|v| v <= 3 * Frame::LEVEL));
     white > MOST || white + black > NEARLY_ALL
 }
 

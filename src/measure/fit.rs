@@ -1,6 +1,6 @@
 //! Fits the snake's bend to the edges of one picture.
 
-use super::edges::EdgeFinder;
+use super::edges::{Edge, EdgeFinder};
 use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use super::plane::median;
 use super::proof::Proof;
@@ -52,8 +52,8 @@ pub(super) struct Matches {
     /// section's frame is what costs most.
     sections_mm: Vec<f64>,
     section_of: Vec<usize>,
-    /// Places of the outline that were looked at.
-    pub places: usize,
+    /// Places of the outline that were looked at, and the edge that was found near each.
+    asked: Vec<(Piece, Option<Edge>)>,
 }
 
 /// What light from one side does to all rims of a straight snake alike, px (1σ): see [`Matches::light_patterns`].
@@ -86,10 +86,16 @@ pub(super) fn soften(outline: &mut Outline, blur_px: f64) {
 impl Matches {
     /// Finds the edges within `search_px` of the model's outline, which may be [`soften`]ed.
     pub fn find(outline: &Outline, finder: &EdgeFinder, search_px: f64, is_wanted: impl Fn(Piece) -> bool) -> Self {
-        let mut found = Self { matches: Vec::new(), sections_mm: Vec::new(), section_of: Vec::new(), places: 0 };
+        let mut found = Self {
+            matches: Vec::with_capacity(outline.points.len()),
+            sections_mm: Vec::new(),
+            section_of: Vec::with_capacity(outline.points.len()),
+            asked: Vec::with_capacity(outline.points.len()),
+        };
         for point in outline.points.iter().filter(|p| is_clear(p) && is_wanted(p.piece)) {
-            found.places += 1;
-            let (Some(edge), Some(rounded_px)) = (finder.find(point, search_px), point.rounded_px) else { continue };
+            let edge = finder.find(point, search_px);
+            found.asked.push((point.piece, edge));
+            let (Some(edge), Some(rounded_px)) = (edge, point.rounded_px) else { continue };
             // Points come section by section.
             if found.sections_mm.last() != Some(&point.body.s_mm) {
                 found.sections_mm.push(point.body.s_mm);
@@ -110,6 +116,11 @@ impl Matches {
 
     pub fn len(&self) -> usize {
         self.matches.len()
+    }
+
+    /// How many places of the outline were looked at.
+    pub fn places(&self) -> usize {
+        self.asked.len()
     }
 
     /// How far outside its place, which is the model's border and its bias, each edge lies, px.
@@ -364,8 +375,6 @@ pub(super) struct BendFit {
     pub cost: f64,
     /// The edges that were matched last.
     matches: Matches,
-    /// The outline that they were looked for at.
-    outline: Outline,
 }
 
 impl BendFit {
@@ -375,8 +384,8 @@ impl BendFit {
     }
 
     /// What of the snake is there to be seen.
-    pub fn proof(&self, finder: &EdgeFinder) -> Proof {
-        Proof::new(&self.outline, finder)
+    pub fn proof(&self) -> Proof {
+        Proof::of(&self.matches.asked)
     }
 
     /// The better of two that end close together, with the doubt which of them is right.
@@ -456,9 +465,8 @@ pub(super) struct Effort {
     pub searches_px: &'static [f64],
     /// Most rounds.
     pub rounds: usize,
-    /// Distance between the places of the outline that are asked, px.
-    pub spacing_px: f64,
-    /// Whether the start is as good as the answer, so that what disagrees with it is not the snake's outline.
+    /// Whether the start is as good as the answer, so that what disagrees with it is not the snake's outline. Then every
+    /// place of it is asked; until then a few are enough to tell which bend it is.
     pub settled: bool,
     /// Nothing moves if the bend moves by less, rad.
     pub converged_rad: f64,
@@ -491,6 +499,7 @@ pub(super) fn fit_bend(
     const CARRIED_RAD: f64 = 0.03;
     let Start { mut state, blur_px } = start;
     let mut settling = !effort.settled;
+    let spacing_px = if effort.settled { Outline::SPACING_PX } else { view.sparse_px() };
     let mut drawn: Option<(Vector2<f64>, Outline)> = None;
     let mut last = None;
     let searches = effort.searches_px.iter().chain(std::iter::repeat(effort.searches_px.last()?));
@@ -502,7 +511,7 @@ pub(super) fn fit_bend(
                 (at, outline)
             }
             _ => {
-                let mut outline = Outline::spaced(view, state.psi(), effort.spacing_px);
+                let mut outline = Outline::spaced(view, state.psi(), spacing_px);
                 if let Some(blur_px) = blur_px.filter(|_| effort.settled) {
                     soften(&mut outline, blur_px);
                 }
@@ -512,7 +521,7 @@ pub(super) fn fit_bend(
         // The holder and the base disk do not bend.
         let matches =
             Matches::find(outline, finder, search_px, |p| !matches!(p, Piece::HolderSide(_) | Piece::BaseRim));
-        if matches.len() as f64 * effort.spacing_px < LEAST_OUTLINE_PX {
+        if matches.len() as f64 * spacing_px < LEAST_OUTLINE_PX {
             return None;
         }
         let before = state.bend;
@@ -522,10 +531,9 @@ pub(super) fn fit_bend(
             return None;
         }
         let moved_rad = (state.bend - before).norm();
-        let done = !settling && round + 1 >= effort.searches_px.len() && moved_rad < effort.converged_rad;
         settling &= moved_rad > SETTLING_RAD;
         last = Some((matches, roots, search_px));
-        if done {
+        if round + 1 >= effort.searches_px.len() && moved_rad < effort.converged_rad {
             break;
         }
     }
@@ -547,14 +555,13 @@ pub(super) fn fit_bend(
         bias: state.bias,
         covariance: block(&clustered) + block(&independent) + block(&light),
         by_pose: Matrix2x6::from_fn(|row, column| -gain[(row, column)]),
-        places: matches.places,
+        places: matches.places(),
         inliers,
         rms_px,
         blur_px: matches.blur_px(),
         out_of_frame: outline.out_of_frame,
-        cost: 1.0 - near / matches.places as f64,
+        cost: 1.0 - near / matches.places() as f64,
         matches,
-        outline,
     })
 }
 

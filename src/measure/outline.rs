@@ -12,6 +12,7 @@ use crate::geometry::{Configuration, Pose};
 use crate::robot::Robot;
 use ab_glyph_rasterizer::{Rasterizer, point};
 use nalgebra::{Matrix3, Point2, Point3, Unit, Vector2, Vector3};
+use std::f64::consts::TAU;
 
 /// A point fixed to the snake's body: `local` (mm) in the frame of the section at arc length `s_mm`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -124,9 +125,19 @@ impl<'a> Projection<'a> {
             let s_mm = robot.length_mm - k as f64 * STEP_MM;
             self.pixel(psi, &BodyPoint { s_mm, local: Vector3::zeros() })
         };
+        Region::along((0..=steps).map(middle), 0.5 * self.diameter_px() + reach_px, (lens.width, lens.height))
+    }
+
+    /// The snake's diameter in the picture, px.
+    pub(super) fn diameter_px(&self) -> f64 {
         let depth_mm = self.camera_from_base.translation.vector.z.max(1.0);
-        let radius_px = 0.5 * robot.body.disk_diameter_mm * lens.focal_px.max() / depth_mm;
-        Region::along((0..=steps).map(middle), radius_px + reach_px, (lens.width, lens.height))
+        self.robot.body.disk_diameter_mm * self.lens.focal_px.max() / depth_mm
+    }
+
+    /// Distance between the places of the outline that decide which bend it is, px: some thirty around a disk.
+    pub(super) fn sparse_px(&self) -> f64 {
+        const CLOSEST_PX: f64 = 6.0;
+        (0.1 * self.diameter_px()).max(CLOSEST_PX)
     }
 }
 
@@ -216,9 +227,11 @@ impl Outline {
 
     /// The same with border points about `spacing_px` apart.
     pub(super) fn spaced(view: &Projection, psi: Configuration, spacing_px: f64) -> Self {
+        /// About the length, px, of all that may be on the border.
+        const CANDIDATES_PX: f64 = 10_000.0;
         let distance_mm = view.camera_from_base.translation.vector.norm().max(1.0);
         let mm_per_px = distance_mm / view.lens.focal_px.x;
-        let mut candidates = Vec::new();
+        let mut candidates = Vec::with_capacity((CANDIDATES_PX / spacing_px) as usize);
         let mut polygons = Vec::new();
         cylinders(view, psi, spacing_px * mm_per_px, &mut candidates, &mut polygons);
         tubes(view, psi, spacing_px, mm_per_px, &mut candidates, &mut polygons);
@@ -297,13 +310,6 @@ fn cylinders(
     polygons: &mut Vec<Vec<Point2<f64>>>,
 ) {
     let body = &view.robot.body;
-    let radius = body.disk_diameter_mm / 2.0;
-    let steps = (std::f64::consts::TAU * radius / spacing_mm).ceil().max(16.0) as usize;
-    let around: Vec<Vector3<f64>> = (0..steps)
-        .map(|step| std::f64::consts::TAU * step as f64 / steps as f64)
-        .map(|phi| Vector3::new(phi.cos(), phi.sin(), 0.0))
-        .collect();
-
     // (piece number, section it is square to, near and far face from there): the holder is number 0, disks count from 1.
     let half = body.disk_thickness_mm / 2.0;
     let spacers =
@@ -311,43 +317,91 @@ fn cylinders(
     let end = (body.spacer_disk_count + 1, view.robot.length_mm, -body.disk_thickness_mm, 0.0);
     for (number, s_mm, near_mm, far_mm) in std::iter::once((0, 0.0, -HOLDER_MM, 0.0)).chain(spacers).chain([end]) {
         let section = Section::new(view, psi, s_mm);
-        let eye = section.eye();
-        for far in [false, true] {
-            let z = if far { far_mm } else { near_mm };
-            let face_seen = if far { eye.z > z } else { eye.z < z };
-            let mut rim = Vec::with_capacity(steps);
-            for radial in &around {
-                let local = Vector3::new(radius * radial.x, radius * radial.y, z);
-                let wall_seen = radial.dot(&(eye.coords - local)) > 0.0;
-                // A rim is on the cylinder's border where just one of the two surfaces that meet in it is seen.
-                if face_seen == wall_seen || (number == 0 && !far) {
-                    rim.push(section.pixel(local));
-                    continue;
-                }
-                let piece = if number == 0 { Piece::BaseRim } else { Piece::Rim(number, far) };
-                let lateral = (radial.x * eye.y - radial.y * eye.x).abs() / eye.coords.xy().norm();
-                // Any mix of the two surfaces' normals points out of the border.
-                let outward = radial + Vector3::z() * if far { 1.0 } else { -1.0 };
-                let along = Vector3::new(-radial.y, radial.x, 0.0);
-                let candidate = section.candidate(local, piece, lateral, outward, along);
-                rim.push(candidate.pixel);
-                candidates.push(candidate);
-            }
-            polygons.push(rim);
-        }
-        let mut wall = Vec::new();
-        for (side, radial) in tangent_directions(eye.coords.xy(), radius) {
-            let at = |z: f64| Vector3::new(radius * radial.x, radius * radial.y, z);
-            let ends = if side < 0 { [near_mm, far_mm] } else { [far_mm, near_mm] };
-            wall.extend(ends.map(|z| section.pixel(at(z))));
-            let count = ((far_mm - near_mm) / spacing_mm).floor().max(1.0) as usize;
-            for step in 0..count {
-                let z = near_mm + (far_mm - near_mm) * (step as f64 + 0.5) / count as f64;
-                let piece = if number == 0 { Piece::HolderSide(side) } else { Piece::DiskSide(number, side) };
-                candidates.push(section.candidate(at(z), piece, 0.0, radial.push(0.0), Vector3::z()));
-            }
-        }
-        polygons.push(wall);
+        let radius_mm = body.disk_diameter_mm / 2.0;
+        polygons.push(Cylinder { number, section, radius_mm, near_mm, far_mm, spacing_mm }.outline(candidates));
+    }
+}
+
+/// A disk or the holder as the camera sees it.
+struct Cylinder<'a> {
+    /// 0 for the holder; disks count from 1.
+    number: u8,
+    section: Section<'a>,
+    radius_mm: f64,
+    /// Its faces along the section's tangent, mm.
+    near_mm: f64,
+    far_mm: f64,
+    /// Between candidates, mm.
+    spacing_mm: f64,
+}
+
+impl Cylinder<'_> {
+    /// Its outline in the picture, px.
+    ///
+    /// A rim is on it where just one of the two surfaces that meet in it is seen: in front, where the wall is, the rim of a
+    /// face that is not, and at the back the rim of one that is. Sides, where the wall turns away, join them.
+    fn outline(&self, candidates: &mut Vec<Candidate>) -> Vec<Point2<f64>> {
+        let eye = self.section.eye();
+        let (near_seen, far_seen) = (eye.z < self.near_mm, eye.z > self.far_mm);
+        let Some((towards, half)) = grazing(eye.coords.xy(), self.radius_mm) else {
+            return self.rim(far_seen, 0.0, [0.0, TAU], candidates);
+        };
+        let (before, after) = (towards - half, towards + half);
+        let mut outline = self.rim(near_seen, towards, [before, after], candidates);
+        let mut back = if near_seen || far_seen {
+            self.rim(far_seen, towards, [after, before + TAU], candidates)
+        } else {
+            self.rim(true, towards, [after, before], candidates)
+        };
+        let before = self.side(-1, before, candidates);
+        let after = self.side(1, after, candidates);
+        let [front_face, back_face] = if near_seen { [1, 0] } else { [0, 1] };
+        outline.insert(0, before[front_face]);
+        outline.extend([after[front_face], after[back_face]]);
+        outline.append(&mut back);
+        outline.push(before[back_face]);
+        outline
+    }
+
+    /// The rim of the near or far face from one angle about the axis to another.
+    fn rim(&self, far: bool, towards: f64, [from, to]: [f64; 2], candidates: &mut Vec<Candidate>) -> Vec<Point2<f64>> {
+        const FEWEST: f64 = 8.0;
+        let steps = ((to - from).abs() * self.radius_mm / self.spacing_mm).ceil().max(FEWEST);
+        let z = if far { self.far_mm } else { self.near_mm };
+        // Any mix of the two surfaces' normals points out of the border.
+        let slope = if far { 1.0 } else { -1.0 };
+        let point = |step: usize| {
+            let angle = from + (to - from) * (step as f64 + 0.5) / steps;
+            let (sin, cos) = angle.sin_cos();
+            let local = Vector3::new(self.radius_mm * cos, self.radius_mm * sin, z);
+            let piece = match (self.number, far) {
+                // The holder goes on beyond what is modelled of it.
+                (0, false) => return self.section.pixel(local),
+                (0, true) => Piece::BaseRim,
+                (number, far) => Piece::Rim(number, far),
+            };
+            let (outward, along) = (Vector3::new(cos, sin, slope), Vector3::new(-sin, cos, 0.0));
+            let lateral = (angle - towards).sin().abs();
+            let candidate = self.section.candidate(local, piece, lateral, outward, along);
+            let pixel = candidate.pixel;
+            candidates.push(candidate);
+            pixel
+        };
+        (0..steps as usize).map(point).collect()
+    }
+
+    /// The side at an angle about the axis; gives its near and far ends.
+    fn side(&self, side: i8, angle: f64, candidates: &mut Vec<Candidate>) -> [Point2<f64>; 2] {
+        let radial = Vector2::new(angle.cos(), angle.sin());
+        let at = |z: f64| (self.radius_mm * radial).push(z);
+        let height_mm = self.far_mm - self.near_mm;
+        let count = (height_mm / self.spacing_mm).floor().max(1.0);
+        let piece = if self.number == 0 { Piece::HolderSide(side) } else { Piece::DiskSide(self.number, side) };
+        candidates.extend((0..count as usize).map(|step| {
+            let z = self.near_mm + height_mm * (step as f64 + 0.5) / count;
+            self.section.candidate(at(z), piece, 0.0, radial.push(0.0), Vector3::z())
+        }));
+        [self.near_mm, self.far_mm].map(|z| self.section.pixel(at(z)))
     }
 }
 
@@ -395,15 +449,16 @@ fn tubes(
     }
 }
 
-/// The two radial directions on a circle of this radius at which an observer at `eye` (same plane, centre at the origin)
-/// grazes it: n · (eye − radius n) = 0. None from inside the circle.
-fn tangent_directions(eye: Vector2<f64>, radius: f64) -> impl Iterator<Item = (i8, Vector2<f64>)> {
+/// The angles at which an observer at `eye` (same plane, centre at the origin) grazes a circle of this radius,
+/// n · (eye − radius n) = 0: so far to either side of the angle towards the observer. None from inside the circle.
+fn grazing(eye: Vector2<f64>, radius: f64) -> Option<(f64, f64)> {
     let distance = eye.norm();
-    let solutions = (distance > radius).then(|| {
-        let towards = eye.y.atan2(eye.x);
-        let half = (radius / distance).acos();
-        [(-1, towards - half), (1, towards + half)]
-    });
+    (distance > radius).then(|| (eye.y.atan2(eye.x), (radius / distance).acos()))
+}
+
+/// The two radial directions there.
+fn tangent_directions(eye: Vector2<f64>, radius: f64) -> impl Iterator<Item = (i8, Vector2<f64>)> {
+    let solutions = grazing(eye, radius).map(|(towards, half)| [(-1, towards - half), (1, towards + half)]);
     solutions.into_iter().flatten().map(|(side, angle)| (side, Vector2::new(angle.cos(), angle.sin())))
 }
 

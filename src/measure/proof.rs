@@ -4,7 +4,7 @@
 //! neighbour, leaves it with edges enough. What tells is where edges should be and are not, so every part is asked on its
 //! own whether its outline is seen.
 
-use super::edges::EdgeFinder;
+use super::edges::{Edge, EdgeFinder};
 use super::outline::{Outline, Piece};
 use super::plane::median;
 use std::collections::BTreeMap;
@@ -17,19 +17,20 @@ pub struct Proof {
 }
 
 impl Proof {
-    /// Looks for the edges of an outline in a picture. Where all of them lie to one side of it, as overexposed or soft
-    /// ones do, that is not held against them.
+    /// Looks for the edges of an outline in a picture.
     pub fn new(outline: &Outline, finder: &EdgeFinder) -> Self {
         // Nearer to another part the edge's surroundings are not what the edge filter assumes.
         const CLEAR_PX: f64 = 3.0;
         const SEARCH_PX: f64 = 4.0;
+        let clear = outline.points.iter().filter(|p| p.gap_px >= CLEAR_PX && p.depth_px >= CLEAR_PX);
+        Self::of(&clear.map(|p| (p.piece, finder.find(p, SEARCH_PX))).collect::<Vec<_>>())
+    }
+
+    /// From places of the outline and the edge found near each. Where all of them lie to one side of it, as overexposed or
+    /// soft ones do, that is not held against them.
+    pub(super) fn of(places: &[(Piece, Option<Edge>)]) -> Self {
         const NEAR_PX: f64 = 1.0;
-        let asked: Vec<_> = outline
-            .points
-            .iter()
-            .filter(|p| p.gap_px >= CLEAR_PX && p.depth_px >= CLEAR_PX)
-            .filter_map(|p| Some((part(p.piece)?, finder.find(p, SEARCH_PX))))
-            .collect();
+        let asked: Vec<_> = places.iter().filter_map(|(piece, edge)| Some((part(*piece)?, edge))).collect();
         let mut offsets: Vec<f32> =
             asked.iter().filter_map(|(_, edge)| Some(edge.as_ref()?.offset_px as f32)).collect();
         let bias_px = f64::from(median(&mut offsets));

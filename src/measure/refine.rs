@@ -9,7 +9,7 @@ use super::fit::{
     BiasPrior, EdgeBias, Effort, Shared, SharedEvidence, SharedInformation, Start, State, fit_bend, shared_evidence,
 };
 use super::grid::nudged;
-use super::outline::{Outline, Piece, Projection};
+use super::outline::{Piece, Projection};
 use super::plane::{Plane, Region};
 use super::rig::Rig;
 use crate::camera::Frame;
@@ -23,8 +23,7 @@ const FEWEST_FRAMES: usize = 3;
 /// Rounds of matching and moving; each leaves about a quarter of what was to go.
 const ROUNDS: usize = 3;
 /// How a frame's bend follows in a round.
-const FOLLOW: Effort =
-    Effort { searches_px: &[3.0], rounds: 2, spacing_px: Outline::SPACING_PX, settled: true, converged_rad: 2e-5 };
+const FOLLOW: Effort = Effort { searches_px: &[3.0], rounds: 2, settled: true, converged_rad: 2e-5 };
 
 impl Eye {
     /// This eye with its rig refined from frames of a sequence: the errors of pose and bias are then what the frames

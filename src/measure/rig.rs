@@ -240,12 +240,12 @@ fn fit_base(
             soften(&mut outline, matches.blur_px());
         }
         let matches = Matches::find(&outline, &finder, search_px, |_| true);
-        if matches.len() < 40 || matches.len() * 3 < matches.places {
+        if matches.len() < 40 || matches.len() * 3 < matches.places() {
             return Err(format!(
                 "only {} of {} places on the straight snake's outline show an edge; is the snake unbent, in focus and \
                  of the robot's dimensions?",
                 matches.len(),
-                matches.places
+                matches.places()
             ));
         }
         let roots = robust_weights(&matches.residuals(&view, straight, edge_bias), search_px > SETTLED_PX);
@@ -275,7 +275,7 @@ fn fit_base(
         })
         .ok_or("the snake's edges do not determine where its base is")?;
     let (agreeing, edge_rms_px) = inliers(&matches.misfits_px(&view, straight, edge_bias), &roots);
-    let share = agreeing as f64 / matches.places.max(1) as f64;
+    let share = agreeing as f64 / matches.places().max(1) as f64;
     let bias_px = if edge_bias.side_px.abs() > edge_bias.rim_px.abs() { edge_bias.side_px } else { edge_bias.rim_px };
     if share < ENOUGH_INLIERS || bias_px.abs() > MOST_BIAS_PX {
         return Err(format!(

@@ -4,9 +4,7 @@
 //! the fit of the circle stands, a Gauss-Newton step in all of them says how far the picture would go if it might, and the
 //! bend after that step is the tip's own.
 
-use super::fit::{
-    BiasPrior, LIGHT_BENT_PX, Linearised, Matches, State, clustered_covariance, light_covariance, robust_weights,
-};
+use super::fit::{BiasPrior, LIGHT_BENT_PX, Matches, State, clustered_covariance, light_covariance, robust_weights};
 use super::outline::Projection;
 use super::solve::covariance;
 use crate::record::Shape;
@@ -39,30 +37,32 @@ pub(super) fn departure(view: &Projection, matches: &Matches, state: &State, pri
         slopes.map(|(ahead, behind)| (ahead - behind) / (2.0 * STEP_RAD)).collect::<Vec<f64>>()
     };
     let columns = [column(Vector2::x()), column(Vector2::y())];
-    let edges = matches.linearised(view, state);
-    let curve = |circle: &Linearised, roots: &[f64]| {
-        DMatrix::from_fn(circle.by_state.nrows(), 6, |r, c| match c {
-            0..4 => circle.by_state[(r, c)],
-            // Rows beyond the edges are what is known beforehand of the bias.
-            _ => roots.get(r).map_or(0.0, |root| root * columns[c - 4][r]),
-        })
+    let edges = matches.linearised(view, state).with_prior(prior, state);
+    let all = DMatrix::from_fn(edges.by_state.nrows(), 6, |r, c| match c {
+        0..4 => edges.by_state[(r, c)],
+        // Rows beyond the edges are what is known beforehand of the bias.
+        _ => columns[c - 4].get(r).copied().unwrap_or(0.0),
+    });
+    let weighted = |rows: &DMatrix<f64>, roots: &DVector<f64>| {
+        let mut rows = rows.clone();
+        rows.column_iter_mut().for_each(|mut column| column.component_mul_assign(roots));
+        rows
     };
-    let all = curve(&edges, &vec![1.0; matches.len()]);
     let mut step = DVector::zeros(6);
-    let mut roots = Vec::new();
+    let mut roots = DVector::from_element(all.nrows(), 1.0);
+    let mut jacobian = all.clone();
     for _ in 0..ROUNDS {
-        roots = robust_weights((&edges.residuals + &all * &step).as_slice(), false);
-        let circle = edges.clone().weighted(&roots).with_prior(prior, state);
-        let jacobian = curve(&circle, &roots);
-        step = -(covariance(&jacobian)? * jacobian.tr_mul(&circle.residuals));
+        let left = &edges.residuals + &all * &step;
+        let counted = robust_weights(&left.as_slice()[..matches.len()], false);
+        roots.rows_mut(0, matches.len()).copy_from_slice(&counted);
+        jacobian = weighted(&all, &roots);
+        step = -(covariance(&jacobian)? * jacobian.tr_mul(&edges.residuals.component_mul(&roots)));
     }
-    let circle = edges.weighted(&roots).with_prior(prior, state);
-    let jacobian = curve(&circle, &roots);
     let independent = covariance(&jacobian)?;
-    let residuals = &circle.residuals + &jacobian * &step;
+    let residuals = edges.residuals.component_mul(&roots) + &jacobian * &step;
     let clustered = clustered_covariance(&jacobian, &residuals, &matches.pieces())?;
-    let light = light_covariance(matches, &jacobian, &independent, view.robot, LIGHT_BENT_PX, &roots);
-    let gain = &independent * jacobian.tr_mul(&circle.by_pose);
+    let light = light_covariance(matches, &jacobian, &independent, view.robot, LIGHT_BENT_PX, roots.as_slice());
+    let gain = &independent * jacobian.tr_mul(&weighted(&edges.by_pose, &roots));
     let covariance = clustered + independent + light;
     const KEPT: [usize; 4] = [0, 1, 4, 5];
     Some(Departure {
