@@ -15,13 +15,17 @@ pub struct Edge {
 }
 
 /// Finds edges in one picture.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct EdgeFinder<'a> {
     plane: &'a Plane,
     two_sided: bool,
     /// The filter's weights for the samples 1, 2, … steps away; those on the other side have the opposite sign.
     kernel: [f32; REACH],
-    /// What the picture's noise leaves of noise in the filtered slope.
+    /// σ of the Gaussian whose derivative that is, px.
+    filter_px: f64,
+    /// The picture's noise.
+    noise: f64,
+    /// What it leaves of noise in the filtered slope.
     slope_noise: f64,
     /// How far around an edge its surroundings are judged, px.
     neighbourhood_px: f64,
@@ -32,11 +36,17 @@ const STEP_PX: f64 = 0.5;
 /// σ of the Gaussian whose derivative finds the edge, px: about a lens' own blur, the best filter for a step in noise
 /// (J. Canny, 1986).
 const FILTER_PX: f64 = 1.2;
+/// The finest filter, px: two samples of a profile fall within its σ on either side.
+const FINEST_PX: f64 = 0.8;
 /// Steps to either side that the filter reaches: three σ.
 const REACH: usize = 8;
 
 /// The least slope that counts as an edge, of the contrast between snake and paper, per px: a sharp step of 6 % of it.
 const FAINTEST: f64 = 0.02;
+/// An edge stands out of the noise if it is so many times as steep as noise makes the slope.
+const NOISES: f64 = 5.0;
+/// The slope of a sharp step of half the contrast, per px.
+const HALF_STEP: f64 = 0.15;
 /// How far around an edge its surroundings are judged, px.
 const NEIGHBOURHOOD_PX: f64 = 5.0;
 /// How far an edge is displaced by a neighbour as steep as itself, px (1σ).
@@ -54,20 +64,51 @@ impl<'a> EdgeFinder<'a> {
 
     /// The same for a picture of which only a region is known.
     pub fn within(plane: &'a Plane, two_sided: bool, region: &Region) -> Self {
-        let finder = Self::noiseless(plane);
-        let norm2: f64 = finder.kernel.iter().map(|w| 2.0 * f64::from(*w).powi(2)).sum();
-        let slope_noise = plane.noise(region) * norm2.sqrt();
-        Self { slope_noise, two_sided, neighbourhood_px: NEIGHBOURHOOD_PX, ..finder }
+        let finder = Self {
+            two_sided,
+            neighbourhood_px: NEIGHBOURHOOD_PX,
+            noise: plane.noise(region),
+            ..Self::noiseless(plane)
+        };
+        finder.with_filter(FILTER_PX)
+    }
+
+    /// The same for edges that are known to be near and this soft, px. Shading beside an edge, a slope of the brightness, draws
+    /// it in proportion to blur² + filter²; a filter much narrower than the blur finds more noise than edge. Where noise is
+    /// strong the filter stays as it is.
+    pub fn as_fine_as(&self, blur_px: f64) -> Self {
+        let fine = self.with_filter(blur_px.clamp(FINEST_PX, FILTER_PX));
+        let noise_is_weak = NOISES * fine.slope_noise < HALF_STEP;
+        fine.with_filter(if noise_is_weak { fine.filter_px } else { self.filter_px })
+    }
+
+    /// The same finder for a picture of the model: see [`noiseless`](Self::noiseless).
+    pub fn for_model<'b>(&self, plane: &'b Plane) -> EdgeFinder<'b> {
+        EdgeFinder::noiseless(plane).with_filter(self.filter_px)
+    }
+
+    fn with_filter(&self, filter_px: f64) -> Self {
+        let away = |k: usize| (k + 1) as f64 * STEP_PX;
+        let weight = |k: usize| away(k) * (-0.5 * (away(k) / filter_px).powi(2)).exp();
+        // Normalised so that a ramp of one level per px answers 1.
+        let ramp: f64 = (0..REACH).map(|k| 2.0 * weight(k) * away(k)).sum();
+        let kernel = std::array::from_fn(|k| (weight(k) / ramp) as f32);
+        let norm2: f64 = kernel.iter().map(|w| 2.0 * f64::from(*w).powi(2)).sum();
+        Self { kernel, filter_px, slope_noise: self.noise * norm2.sqrt(), ..*self }
     }
 
     /// A finder for a picture of the model, without noise and with nothing around its edges that is not its own.
     pub fn noiseless(plane: &'a Plane) -> Self {
-        let away = |k: usize| (k + 1) as f64 * STEP_PX;
-        let weight = |k: usize| away(k) * (-0.5 * (away(k) / FILTER_PX).powi(2)).exp();
-        // Normalised so that a ramp of one level per px answers 1.
-        let ramp: f64 = (0..REACH).map(|k| 2.0 * weight(k) * away(k)).sum();
-        let kernel = std::array::from_fn(|k| (weight(k) / ramp) as f32);
-        Self { plane, slope_noise: 0.0, two_sided: false, kernel, neighbourhood_px: STEP_PX }
+        let bare = Self {
+            plane,
+            two_sided: false,
+            kernel: [0.0; REACH],
+            filter_px: 0.0,
+            noise: 0.0,
+            slope_noise: 0.0,
+            neighbourhood_px: STEP_PX,
+        };
+        bare.with_filter(FILTER_PX)
     }
 
     /// The most likely edge within `search_px` (at most 14) of a border point: the picture must fall from snake to
@@ -98,12 +139,12 @@ impl<'a> EdgeFinder<'a> {
         // A step of height h blurred to σ has slope h / (σ√2π) and, filtered, curvature slope / (σ² + FILTER²).
         let [before, peak, after] = [best - 1, best, best + 1].map(|k| f64::from(fall[k]));
         let curvature = (2.0 * peak - before - after) / (STEP_PX * STEP_PX);
-        if peak < FAINTEST.max(5.0 * self.slope_noise) || curvature <= 0.0 {
+        if peak < FAINTEST.max(NOISES * self.slope_noise) || curvature <= 0.0 {
             return None;
         }
         let vertex = 0.5 * (after - before) / (STEP_PX * curvature);
         // Noise of the slope's derivative over the curvature; the derivative's filter is narrower by one order.
-        let noise_px = self.slope_noise / FILTER_PX / curvature;
+        let noise_px = self.slope_noise / self.filter_px / curvature;
         // A highlight along the rim or a printed line along the border rises where a clean edge is flat, and draws the
         // edge towards itself or away.
         let near = (self.neighbourhood_px / STEP_PX) as usize;
@@ -111,7 +152,7 @@ impl<'a> EdgeFinder<'a> {
         let rise = f64::from(around.fold(0.0_f32, |most, f| most.max(-f))) - 2.0 * self.slope_noise;
         let drawn_px = DRAWN_PX * (rise.max(0.0) / peak).min(1.0);
         let sigma_px = (noise_px.powi(2) + drawn_px.powi(2)).sqrt();
-        let blur_px = (peak / curvature - FILTER_PX * FILTER_PX).max(0.0).sqrt();
+        let blur_px = (peak / curvature - self.filter_px.powi(2)).max(0.0).sqrt();
         Some(Edge { offset_px: position(best) + vertex.clamp(-STEP_PX, STEP_PX), sigma_px, blur_px })
     }
 

@@ -73,11 +73,18 @@ fn is_clear(point: &OutlinePoint) -> bool {
     point.gap_px >= CLEAR_PX && point.depth_px >= CLEAR_PX
 }
 
+/// The finder for edges this soft of an outline that lies well. A small snake has so few of them that noise does more harm than
+/// shading: there it stays what it is.
+pub(super) fn settled<'a>(finder: &EdgeFinder<'a>, view: &Projection, blur_px: f64) -> EdgeFinder<'a> {
+    const SMALL_PX: f64 = 40.0;
+    if view.diameter_px() < SMALL_PX { finder.clone() } else { finder.as_fine_as(blur_px) }
+}
+
 /// Looks at an outline's own silhouette as at a picture, with the same filter and as soft as a blur of σ = `blur_px` makes it:
 /// corners and bends of the border, which a soft picture rounds off, are then rounded in both.
-pub(super) fn soften(outline: &mut Outline, blur_px: f64) {
+pub(super) fn soften(outline: &mut Outline, blur_px: f64, finder: &EdgeFinder) {
     let silhouette = outline.seen_through(blur_px);
-    let finder = EdgeFinder::noiseless(&silhouette);
+    let finder = finder.for_model(&silhouette);
     for point in outline.points.iter_mut().filter(|point| is_clear(point)) {
         point.rounded_px = finder.find(point, ROUNDED_PX).map(|edge| edge.offset_px);
     }
@@ -499,6 +506,9 @@ pub(super) fn fit_bend(
     const CARRIED_RAD: f64 = 0.03;
     let Start { mut state, blur_px } = start;
     let mut settling = !effort.settled;
+    let blur_px = blur_px.filter(|_| effort.settled);
+    let fine = blur_px.map(|blur_px| settled(finder, view, blur_px));
+    let finder = fine.as_ref().unwrap_or(finder);
     let spacing_px = if effort.settled { Outline::SPACING_PX } else { view.sparse_px() };
     let mut drawn: Option<(Vector2<f64>, Outline)> = None;
     let mut last = None;
@@ -512,8 +522,8 @@ pub(super) fn fit_bend(
             }
             _ => {
                 let mut outline = Outline::spaced(view, state.psi(), spacing_px);
-                if let Some(blur_px) = blur_px.filter(|_| effort.settled) {
-                    soften(&mut outline, blur_px);
+                if let Some(blur_px) = blur_px {
+                    soften(&mut outline, blur_px, finder);
                 }
                 (state.bend, outline)
             }
@@ -590,8 +600,9 @@ pub(super) fn shared_evidence(
 ) -> Option<SharedEvidence> {
     let psi = state.psi();
     let mut outline = Outline::new(view, psi);
-    soften(&mut outline, blur_px);
-    let matches = Matches::find(&outline, finder, 3.0, |_| true);
+    let finder = settled(finder, view, blur_px);
+    soften(&mut outline, blur_px, &finder);
+    let matches = Matches::find(&outline, &finder, 3.0, |_| true);
     let residuals = matches.residuals(view, psi, state.bias);
     let roots = robust_weights(&residuals, false);
     let Linearised { by_state, by_pose: pose, .. } = matches.linearised(view, state).weighted(&roots);

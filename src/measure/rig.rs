@@ -4,7 +4,7 @@ use super::appearance::Appearance;
 use super::edges::EdgeFinder;
 use super::fit::{
     EdgeBias, LIGHT_STRAIGHT_PX, Matches, SETTLED_PX, clustered_covariance, inliers, light_covariance, robust_weights,
-    soften,
+    settled, soften,
 };
 use super::grid::{Grid, Pattern, find_grid};
 use super::locate::{Holder, SnakeStart, find_start, locate_holders};
@@ -235,9 +235,10 @@ fn fit_base(
         }
         let known = appearance.as_ref().ok_or("the snake does not stand out from the paper")?;
         let plane = known.plane(frame);
-        let finder = EdgeFinder::new(&plane, known.two_sided);
+        let mut finder = EdgeFinder::new(&plane, known.two_sided);
         if let Some((matches, ..)) = outcome.as_ref().filter(|_| search_px <= SETTLED_PX) {
-            soften(&mut outline, matches.blur_px());
+            finder = settled(&finder, &view, matches.blur_px());
+            soften(&mut outline, matches.blur_px(), &finder);
         }
         let matches = Matches::find(&outline, &finder, search_px, |_| true);
         if matches.len() < 40 || matches.len() * 3 < matches.places() {
