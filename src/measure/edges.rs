@@ -79,7 +79,7 @@ impl<'a> EdgeFinder<'a> {
     pub fn as_fine_as(&self, blur_px: f64) -> Self {
         let fine = self.with_filter(blur_px.clamp(FINEST_PX, FILTER_PX));
         let noise_is_weak = NOISES * fine.slope_noise < HALF_STEP;
-        fine.with_filter(if noise_is_weak { fine.filter_px } else { self.filter_px })
+        if noise_is_weak { fine } else { self.clone() }
     }
 
     /// The same finder for a picture of the model: see [`noiseless`](Self::noiseless).

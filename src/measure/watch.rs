@@ -593,8 +593,7 @@ impl Window {
         // by side, so that the compiler takes many at once.
         let together = self.side.div_ceil(self.stride);
         let place = |column: usize| column % self.stride * together + column / self.stride;
-        let mut columns = [const { Vec::new() }; 5];
-        columns.iter_mut().for_each(|sums: &mut Vec<f32>| sums.resize(self.stride * together, 0.0));
+        let mut columns: [Vec<f32>; 5] = std::array::from_fn(|_| vec![0.0; self.stride * together]);
         let mut values = Vec::with_capacity(together);
         for &(row, first) in &self.rows {
             let start = ((y0 + row) * frame.width as usize + x0) * frame.channels;
