@@ -12,6 +12,7 @@ use crate::geometry::{Configuration, Pose, wrap_angle};
 use crate::record::{Measured, Quality, Status};
 use crate::robot::Robot;
 use nalgebra::{Matrix2, Matrix6, Vector2};
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// What one frame says.
@@ -89,7 +90,7 @@ pub(super) const BIAS_SIGMA_PX: f64 = 0.05;
 /// Share of the outline that must be confirmed by edges.
 const ENOUGH_INLIERS: f64 = 0.45;
 /// Share of the disks that must be where the fit says, most of their outline seen: one hidden and one half hidden is
-/// allowed.
+/// allowed, but not both at the tip.
 const ENOUGH_DISKS: f64 = 0.6;
 /// Another bend explains a picture as well if its cost is within [`AS_GOOD`] of the best one's and the scatter of its
 /// edges within this factor: over some sixty pieces of outline, 2.7σ of chance.
@@ -138,26 +139,39 @@ impl Eye {
         let fit = |start: Start, effort: &Effort| fit_bend(&view, &finder, start, self.prior(), effort);
 
         look.candidates = self.search.candidates(&plane, self.rig.appearance.two_sided, CANDIDATES);
-        let starts = look.candidates.iter().map(|&bend| self.start(bend));
-        let mut looks = distinct(starts.filter_map(|start| fit(start, &FIRST_LOOK)).collect(), ALIKE_RAD);
+        let first = |bend: Vector2<f64>| Some((bend, fit(self.start(bend), &FIRST_LOOK)?));
+        let mut looks: Vec<(Vector2<f64>, BendFit)> =
+            look.candidates.par_iter().filter_map(|&bend| first(bend)).collect();
+        // The search, whose picture is small, may have taken the best one for its twin, and a look from there ends between.
+        let best = looks.iter().min_by(|(_, a), (_, b)| a.cost.total_cmp(&b.cost));
+        let twin = best.and_then(|(candidate, _)| first(self.twin(*candidate)));
+        looks.extend(twin);
+        let mut looks = distinct(looks.into_iter().map(|(_, look)| look).collect(), ALIKE_RAD);
         looks.truncate(2);
         let least = looks.first().map_or(0.0, |best| best.cost);
-        let worth = looks.iter().filter(|look| look.cost <= WORTH_A_LOOK * least);
+        let worth = looks.par_iter().filter(|look| look.cost <= WORTH_A_LOOK * least);
         let close = worth.filter_map(|look| fit(look.start(), &CLOSE_LOOK)).collect();
-        let (fits, sighting) = self.judge(close, &finder, &MEASUREMENT);
-        Look { fits, sighting: self.watched(sighting, frame, &finder), ..look }
+        let (fits, sighting) = self.judged(close, frame, &finder, &MEASUREMENT);
+        Look { fits, sighting, ..look }
     }
 
-    /// What may be said of a frame once it is known where camera, base and paper are.
-    fn watched(&self, mut sighting: Sighting, frame: &Frame, finder: &EdgeFinder) -> Sighting {
-        let watched = self.watch.look(frame, finder);
+    /// [`judge`](Self::judge), and what may be said once it is known where camera, base and paper are.
+    fn judged(
+        &self,
+        looks: Vec<BendFit>,
+        frame: &Frame,
+        finder: &EdgeFinder,
+        measurement: &Effort,
+    ) -> (Vec<BendFit>, Sighting) {
+        let judge = || self.judge(looks, finder, measurement);
+        let ((fits, mut sighting), watched) = rayon::join(judge, || self.watch.look(frame, finder));
         if let Some(quality) = &mut sighting.quality {
             quality.base_moved_px = watched.base.map(|base| base.by.norm());
             quality.grid_moved_px = watched.grid.map(|grid| grid.px);
         }
         match watched.status() {
-            Some(status) => failed(status, sighting.quality),
-            None => sighting,
+            Some(status) => (fits, failed(status, sighting.quality)),
+            None => (fits, sighting),
         }
     }
 
@@ -176,8 +190,7 @@ impl Eye {
         if !region.contains(&around(near.bend, Outline::REACH_PX)) {
             return None;
         }
-        let (_, sighting) = self.judge(vec![near], &finder, &TRACKED_MEASUREMENT);
-        let sighting = self.watched(sighting, frame, &finder);
+        let (_, sighting) = self.judged(vec![near], frame, &finder, &TRACKED_MEASUREMENT);
         (sighting.status == Status::Ok).then_some(sighting)
     }
 
@@ -206,15 +219,19 @@ impl Eye {
     fn judge(&self, looks: Vec<BendFit>, finder: &EdgeFinder, measurement: &Effort) -> (Vec<BendFit>, Sighting) {
         let view = self.projection();
         let fit = |start: Start, effort: &Effort| fit_bend(&view, finder, start, self.prior(), effort);
+        let fits = distinct(looks, ONE_PLACE_RAD);
+        let Some(best) = fits.first() else { return (fits, failed(Status::NoSnake, None)) };
         // The best bend's twin, which leans the other way along the line of sight, may have been passed over.
-        let best = looks.iter().min_by(|a, b| a.cost.total_cmp(&b.cost));
-        let twin = best.and_then(|best| {
+        let look_at_twin = || {
             let twin = self.twin(best.bend);
             let is_close = (twin - best.bend).norm() < EDGE_ON_RAD;
             fit(self.start(twin), if is_close { &CLOSE_LOOK } else { &NEAR_LOOK })
-        });
-        let mut fits = distinct(looks.into_iter().chain(twin).collect(), ONE_PLACE_RAD);
-        let measured = fits.first().and_then(|close| fit(close.start(), measurement));
+        };
+        let (twin, mut measured) = rayon::join(look_at_twin, || fit(best.start(), measurement));
+        if let Some(twin) = twin.as_ref().filter(|twin| twin.cost < best.cost) {
+            measured = fit(twin.start(), measurement);
+        }
+        let mut fits = distinct(fits.into_iter().chain(twin).collect(), ONE_PLACE_RAD);
         let Some(mut best) = measured else { return (fits, failed(Status::NoSnake, None)) };
         let as_good =
             |other: &BendFit, best: &BendFit| other.cost < AS_GOOD * best.cost && other.rms_px < AS_CLOSE * best.rms_px;
@@ -232,7 +249,8 @@ impl Eye {
         }
         let mut sighting = self.verdict(&best);
         if sighting.status == Status::Ok {
-            if best.proof().disks_there() < ENOUGH_DISKS {
+            let proof = best.proof();
+            if proof.disks_there() < ENOUGH_DISKS || !proof.end_is_there() {
                 sighting = failed(Status::Occluded, sighting.quality);
             } else if is_ambiguous {
                 sighting = failed(Status::Ambiguous, sighting.quality);

@@ -61,6 +61,14 @@ impl Proof {
         f64::from(there) / f64::from(all.max(1))
     }
 
+    /// Whether the snake's end is there: the last disk that can be asked or the one before it. Further down a bend towards the
+    /// camera and one less long look alike, and where the tip points would be told by the disks of the base alone.
+    pub fn end_is_there(&self) -> bool {
+        let mut shares: Vec<f64> = self.disks().map(|(_, share)| share).collect();
+        shares.drain(..shares.len().saturating_sub(2));
+        shares.into_iter().any(is_there)
+    }
+
     /// Whether the holder (0) or a disk is there.
     pub fn is_there(&self, part: u8) -> bool {
         self.parts.get(&part).is_some_and(|&(seen, places)| is_there(seen as f64 / places as f64))
@@ -78,5 +86,29 @@ fn part(piece: Piece) -> Option<u8> {
         Piece::HolderSide(_) | Piece::BaseRim => Some(0),
         Piece::Rim(disk, _) | Piece::DiskSide(disk, _) => Some(disk),
         Piece::Tube(..) => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The proof of a snake of seven disks, whose disks in `hidden` show no edge.
+    fn without(hidden: std::ops::RangeInclusive<u8>) -> Proof {
+        let edge = |disk: u8| {
+            let there = Edge { offset_px: 0.1, sigma_px: 0.1, blur_px: 1.0 };
+            (!hidden.contains(&disk)).then_some(there)
+        };
+        let places = (1..=7).flat_map(|disk| (0..20).map(move |_| disk));
+        Proof::of(&places.map(|disk| (Piece::Rim(disk, true), edge(disk))).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn a_snake_whose_two_last_disks_are_hidden_has_no_end() {
+        assert!(!without(6..=7).end_is_there());
+        assert!(without(6..=7).disks_there() > 0.7);
+        for hidden in [7..=7, 6..=6, 3..=5] {
+            assert!(without(hidden.clone()).end_is_there(), "{hidden:?}");
+        }
     }
 }
