@@ -1,7 +1,7 @@
 //! `discover`, in the background, on what a run has gathered so far.
 
 use super::board::{Board, DiscoveryStatus};
-use super::quiet::be_quiet;
+use super::quiet::alone;
 use crate::Result;
 use crate::discover::{Data, Discovery, Verdict, discover_in_frames};
 use crate::record::{EncoderReading, Measurement, write_atomically, write_model};
@@ -53,7 +53,7 @@ impl Finder {
         let (board, output, sd_encoder_mm) = (Arc::clone(&self.board), self.output.clone(), self.sd_encoder_mm);
         let at_work = Arc::clone(&self.at_work);
         std::thread::spawn(move || {
-            let found = alone(|| {
+            let found = alone(|| -> Result<Discovery> {
                 let data = Data::new(&measurements, &readings, sd_encoder_mm)?;
                 let found = discover_in_frames(model, &data)?;
                 write(&output, &found)?;
@@ -75,14 +75,6 @@ impl Finder {
             });
             at_work.store(false, Ordering::Relaxed);
         });
-    }
-}
-
-/// Does something on one quiet thread, whatever it would rather spread over.
-fn alone<T: Send>(work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
-    match rayon::ThreadPoolBuilder::new().num_threads(1).start_handler(|_| be_quiet()).build() {
-        Ok(pool) => pool.install(work),
-        Err(_) => work(),
     }
 }
 

@@ -10,6 +10,7 @@ use super::latency::Histogram;
 use super::learner::{Learned, Learner};
 use super::pace::{LATE_S, Pace, PaceState};
 use super::pictures::Pictures;
+use super::quiet::alone;
 use super::saver::{Bends, Saver, Saving, save};
 use super::source::{Captured, Reader, Source};
 use crate::camera::{Frame, Lens};
@@ -448,7 +449,7 @@ impl Loop {
         };
         let (reference, eye, board) = (self.reference.clone(), Arc::clone(&self.eye), Arc::clone(&self.board));
         std::thread::spawn(move || {
-            let taken = reference.take(&frame);
+            let taken = alone(|| reference.take(&frame));
             let said = match taken {
                 Ok(fresh) => {
                     *eye.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(fresh);

@@ -6,3 +6,11 @@ pub fn be_quiet() {
     #[cfg(target_os = "linux")]
     let _ = rustix::process::nice(10);
 }
+
+/// Does something on one quiet thread, whatever it would rather spread over: the loop's own work is spread too.
+pub fn alone<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    match rayon::ThreadPoolBuilder::new().num_threads(1).start_handler(|_| be_quiet()).build() {
+        Ok(pool) => pool.install(work),
+        Err(_) => work(),
+    }
+}
