@@ -5,7 +5,7 @@
 
 use nalgebra::Matrix2;
 use rayon::prelude::*;
-use snakeloop::camera::{Frame, Lens, read_frame};
+use snakeloop::camera::{Frame, Lens, Samples, read_frame};
 use snakeloop::estimate::{Estimator, Options};
 use snakeloop::geometry::Configuration;
 use snakeloop::measure::{Eye, RigOptions, calibrate_rig};
@@ -56,7 +56,8 @@ fn steps(frame: &Path) {
     let eye = Eye::new(lens, rig, robot);
     let frame: Frame = read_frame(frame).unwrap();
     let last = eye.measure(&frame).bend.unwrap().vector * 0.97;
-    let pass = least(|| black_box(&frame).data.iter().map(|&v| f32::from(v)).sum::<f32>());
+    let Samples::Bits8(samples) = &frame.samples else { unreachable!("the bundled frames have 8 bits") };
+    let pass = least(|| black_box(samples).iter().map(|&v| f32::from(v)).sum::<f32>());
     let measure = least(|| eye.measure(&frame));
     let track = least(|| eye.track(&frame, last));
     show("one pass over a decoded frame's pixels", pass, "");

@@ -143,7 +143,7 @@ impl Rehearsal {
 
 /// A rendered picture as a camera gives it.
 fn frame(scene: &Scene, psi: Configuration, seed: u64) -> Result<Frame> {
-    Frame::from_image(&DynamicImage::ImageRgb8(render(scene, psi, seed)))
+    Frame::from_image(DynamicImage::ImageRgb8(render(scene, psi, seed)))
         .ok_or_else(|| Error::Domain("the scene's camera has no pixels".into()))
 }
 

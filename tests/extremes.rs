@@ -2,7 +2,7 @@
 
 use nalgebra::{Point2, Vector2};
 use proptest::prelude::*;
-use snakeloop::camera::{Frame, Lens};
+use snakeloop::camera::{Frame, Lens, Samples};
 use snakeloop::estimate::{Estimator, Options};
 use snakeloop::geometry::{Configuration, wrap_angle, wrap_degrees};
 use snakeloop::measure::{Eye, Rig, RigOptions, calibrate_rig};
@@ -225,7 +225,8 @@ fn pictures_of_next_to_nothing_are_measured_as_such() {
             let count = width as usize * height as usize * channels;
             let chequered = |k: usize| if k.is_multiple_of(2) { 0 } else { u16::MAX };
             for level in [|_| 0, |_| u16::MAX, chequered, |k: usize| (k * 2_654_435_761 % 65_536) as u16] {
-                let frame = Frame { width, height, channels, data: (0..count).map(level).collect() };
+                let frame =
+                    Frame { width, height, channels, samples: Samples::Bits16((0..count).map(level).collect()) };
                 let seen = [eye.measure(&frame), eye.track(&frame, Vector2::new(0.5, 0.5))];
                 assert!(seen.iter().all(|sighting| sighting.measured.is_none()), "{width}×{height}: {seen:?}");
                 let options = RigOptions { grid_pitch_mm: 1.0, standoff_mm: 25.0, delta_offset: 0.0 };

@@ -6,7 +6,7 @@ mod lab;
 use lab::{frame, lab};
 use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
-use snakeloop::camera::Frame;
+use snakeloop::camera::{Frame, Samples};
 use snakeloop::geometry::{Configuration, wrap_degrees};
 use snakeloop::measure::{Eye, Rig, RigOptions, calibrate_rig};
 use snakeloop::record::Status;
@@ -117,16 +117,16 @@ fn what_is_no_snake_gets_no_angle() {
     let scene = lab();
     let eye = eye(&scene, rig(&scene, 1.0).unwrap());
     let (width, height) = (scene.lens.width, scene.lens.height);
-    let flat = |level: u16| Frame {
+    let flat = |level: u8| Frame {
         width,
         height,
         channels: 3,
-        data: vec![level * Frame::LEVEL; (width * height * 3) as usize],
+        samples: Samples::Bits8(vec![level; (width * height * 3) as usize]),
     };
     assert_eq!(eye.measure(&flat(255)).status, Status::Saturated);
     assert_eq!(eye.measure(&flat(0)).status, Status::Saturated);
     assert_eq!(eye.measure(&flat(128)).status, Status::NoSnake);
-    let small = Frame { width: 64, height: 64, channels: 1, data: vec![0; 64 * 64] };
+    let small = Frame { width: 64, height: 64, channels: 1, samples: Samples::Bits8(vec![0; 64 * 64]) };
     assert_eq!(eye.measure(&small).status, Status::WrongSize);
 
     // The same paper without a snake: one that is far too small to be seen.

@@ -5,7 +5,7 @@ mod lab;
 
 use lab::{frame, lab};
 use nalgebra::{Translation3, Vector3};
-use snakeloop::camera::Frame;
+use snakeloop::camera::{Frame, Samples};
 use snakeloop::geometry::{Configuration, Pose, wrap_degrees};
 use snakeloop::measure::{Eye, Rig, RigOptions, Sighting, calibrate_rig};
 use snakeloop::record::Status;
@@ -138,8 +138,10 @@ fn a_camera_that_moves_is_followed() {
         assert!(theta.abs() < 0.3 && delta.abs() < 1.0, "{told}");
     }
     // Without grid or holder nobody knows where the camera is.
-    let nothing =
-        Frame { data: vec![128 * Frame::LEVEL; frame(&scene, STRAIGHT, 1).data.len()], ..frame(&scene, STRAIGHT, 1) };
+    let nothing = Frame {
+        samples: Samples::Bits8(vec![128; frame(&scene, STRAIGHT, 1).samples.len()]),
+        ..frame(&scene, STRAIGHT, 1)
+    };
     assert_eq!(eye.following(&nothing).unwrap_err(), Status::GridLost);
 }
 

@@ -3,7 +3,6 @@
 use crate::error::{Error, Result};
 use crate::input::{PICTURE_BYTES, read_bytes};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
-use std::convert::identity;
 use std::io::Cursor;
 use std::path::Path;
 
@@ -14,7 +13,7 @@ const MAX_SIDE: u32 = 65_535;
 /// The most that a decoder may allocate: four channels of 16 bits.
 const MAX_BYTES: u64 = 8 * MAX_PIXELS;
 
-/// A picture: grey or RGB, the file's numbers (gamma-encoded) on the scale of 16 bits whatever the file's depth.
+/// A picture: grey or RGB, the file's numbers (gamma-encoded).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
     /// Width, px.
@@ -23,51 +22,94 @@ pub struct Frame {
     pub height: u32,
     /// 1 (grey) or 3 (red, green, blue).
     pub channels: usize,
-    /// Row by row, the channels of a pixel side by side: `height × width × channels` numbers, [`Frame::LEVEL`] for each of the
-    /// levels from 0 to 255 of a picture of 8 bits.
-    pub data: Vec<u16>,
+    /// Row by row, the channels of a pixel side by side: `height × width × channels` numbers.
+    pub samples: Samples,
+}
+
+/// A picture's numbers, as its file has them.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Samples {
+    /// From 0 to 255.
+    Bits8(Vec<u8>),
+    /// From 0 to 65,535.
+    Bits16(Vec<u16>),
+}
+
+/// A number of a picture of either depth.
+pub trait Sample: Copy + Into<usize> {
+    /// On the scale from 0 to 255.
+    fn level(self) -> f32;
+}
+
+impl Sample for u8 {
+    fn level(self) -> f32 {
+        f32::from(self)
+    }
+}
+
+impl Sample for u16 {
+    fn level(self) -> f32 {
+        const LEVEL: f32 = 257.0;
+        f32::from(self) / LEVEL
+    }
+}
+
+impl Samples {
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Bits8(samples) => samples.len(),
+            Self::Bits16(samples) => samples.len(),
+        }
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// One of them, from 0 to 255.
+    ///
+    /// # Panics
+    /// Beyond the last, as indexing a slice does.
+    pub fn level(&self, index: usize) -> f32 {
+        match self {
+            Self::Bits8(samples) => samples[index].level(),
+            Self::Bits16(samples) => samples[index].level(),
+        }
+    }
 }
 
 impl Frame {
-    /// What a level of a picture of 8 bits counts.
-    pub const LEVEL: u16 = 257;
-
     /// Channel `c` of the pixel in column `x`, row `y`, from 0 to 255.
     ///
     /// # Panics
     /// Outside the picture, as indexing a slice does.
     pub fn get(&self, x: u32, y: u32, c: usize) -> f32 {
-        f32::from(self.data[(y as usize * self.width as usize + x as usize) * self.channels + c])
-            / f32::from(Self::LEVEL)
+        self.samples.level((y as usize * self.width as usize + x as usize) * self.channels + c)
     }
 
     /// From a decoded picture of 8 or 16 bits; alpha is dropped. `None` for any other depth.
-    pub fn from_image(image: &DynamicImage) -> Option<Self> {
-        let (channels, data) = match image {
-            DynamicImage::ImageLuma8(p) => (1, keep(p, 1, 1, from_8_bits)),
-            DynamicImage::ImageLumaA8(p) => (1, keep(p, 2, 1, from_8_bits)),
-            DynamicImage::ImageRgb8(p) => (3, keep(p, 3, 3, from_8_bits)),
-            DynamicImage::ImageRgba8(p) => (3, keep(p, 4, 3, from_8_bits)),
-            DynamicImage::ImageLuma16(p) => (1, keep(p, 1, 1, identity)),
-            DynamicImage::ImageLumaA16(p) => (1, keep(p, 2, 1, identity)),
-            DynamicImage::ImageRgb16(p) => (3, keep(p, 3, 3, identity)),
-            DynamicImage::ImageRgba16(p) => (3, keep(p, 4, 3, identity)),
+    pub fn from_image(image: DynamicImage) -> Option<Self> {
+        let (width, height) = (image.width(), image.height());
+        let (channels, samples) = match image {
+            DynamicImage::ImageLuma8(p) => (1, Samples::Bits8(p.into_raw())),
+            DynamicImage::ImageLumaA8(p) => (1, Samples::Bits8(without_alpha(&p, 1))),
+            DynamicImage::ImageRgb8(p) => (3, Samples::Bits8(p.into_raw())),
+            DynamicImage::ImageRgba8(p) => (3, Samples::Bits8(without_alpha(&p, 3))),
+            DynamicImage::ImageLuma16(p) => (1, Samples::Bits16(p.into_raw())),
+            DynamicImage::ImageLumaA16(p) => (1, Samples::Bits16(without_alpha(&p, 1))),
+            DynamicImage::ImageRgb16(p) => (3, Samples::Bits16(p.into_raw())),
+            DynamicImage::ImageRgba16(p) => (3, Samples::Bits16(without_alpha(&p, 3))),
             _ => return None,
         };
-        Some(Self { width: image.width(), height: image.height(), channels, data })
+        Some(Self { width, height, channels, samples })
     }
 }
 
-fn from_8_bits(value: u8) -> u16 {
-    u16::from(value) * Frame::LEVEL
-}
-
-/// The first `kept` of every `stride` samples, on the scale of 16 bits.
-fn keep<T: Copy>(samples: &[T], stride: usize, kept: usize, scale: impl Fn(T) -> u16) -> Vec<u16> {
-    if kept == stride {
-        return samples.iter().map(|&v| scale(v)).collect();
-    }
-    samples.chunks_exact(stride).flat_map(|pixel| &pixel[..kept]).map(|&v| scale(v)).collect()
+/// The samples of pixels with so many channels and alpha after them.
+fn without_alpha<T: Copy>(samples: &[T], channels: usize) -> Vec<T> {
+    samples.chunks_exact(channels + 1).flat_map(|pixel| &pixel[..channels]).copied().collect()
 }
 
 /// Reads a picture: PNG, JPEG or TIFF (told by content, not by name), 8 or 16 bits, grey or colour.
@@ -120,7 +162,7 @@ pub fn decode_frame(bytes: &[u8]) -> std::result::Result<Frame, String> {
     decoder.set_limits(limits).map_err(unreadable)?;
     let colour: ColorType = decoder.color_type();
     let image = DynamicImage::from_decoder(decoder).map_err(unreadable)?;
-    Frame::from_image(&image).ok_or_else(|| format!("{colour:?} pixels; expected 8 or 16 bits, grey or colour"))
+    Frame::from_image(image).ok_or_else(|| format!("{colour:?} pixels; expected 8 or 16 bits, grey or colour"))
 }
 
 /// Whether an end-of-image marker follows the last scan. The decoder itself fills what is missing with grey.

@@ -15,7 +15,7 @@ pub mod source;
 pub use calibrate::{Board, CameraCalibration, calibrate_camera};
 pub use capture::{CaptureSettings, CaptureTarget};
 pub use file::CameraFormat;
-pub use frame::{Frame, decode_frame, read_frame};
+pub use frame::{Frame, Sample, Samples, decode_frame, read_frame};
 pub use lens::Lens;
 pub use mjpeg::MotionJpeg;
 pub use opencv::Capture;

@@ -3,7 +3,7 @@
 use super::calibrate::Board;
 use super::capture::{CaptureSettings, CaptureTarget};
 use super::source::SourceFrame;
-use super::{Frame, Lens};
+use super::{Frame, Lens, Samples};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use nalgebra::{Point2, Translation3, UnitQuaternion, Vector2, Vector3};
@@ -157,19 +157,12 @@ fn frame_from(picture: &Mat) -> opencv::Result<Option<Frame>> {
         return Ok(None);
     }
     let bytes = picture.data_bytes()?;
-    let mut data = vec![0; bytes.len()];
-    let level = |byte: u8| u16::from(byte) * Frame::LEVEL;
-    // Written out for each layout, since this is done for every pixel of every frame.
+    let mut samples = bytes.to_vec();
     if channels == 3 {
-        for (rgb, bgr) in data.as_chunks_mut::<3>().0.iter_mut().zip(bytes.as_chunks::<3>().0) {
-            *rgb = [level(bgr[2]), level(bgr[1]), level(bgr[0])];
-        }
-    } else {
-        for (to, from) in data.iter_mut().zip(bytes) {
-            *to = level(*from);
-        }
+        samples.as_chunks_mut::<3>().0.iter_mut().for_each(|bgr| bgr.reverse());
     }
-    Ok(Some(Frame { width: picture.cols() as u32, height: picture.rows() as u32, channels, data }))
+    let (width, height) = (picture.cols() as u32, picture.rows() as u32);
+    Ok(Some(Frame { width, height, channels, samples: Samples::Bits8(samples) }))
 }
 
 /// The inner corners of a chessboard, row by row, to a fraction of a pixel; `None` where the whole board is not found.
@@ -197,12 +190,12 @@ pub fn find_corners(frame: &Frame, board: &Board) -> Result<Option<Vec<Point2<f6
 
 fn grey_bytes(frame: &Frame) -> Vec<u8> {
     // Weights of ITU-R BT.601, as OpenCV's own conversion has.
-    let grey = |pixel: &[u16]| match *pixel {
-        [r, g, b] => 0.299 * f32::from(r) + 0.587 * f32::from(g) + 0.114 * f32::from(b),
-        _ => f32::from(pixel[0]),
+    let level = |pixel: usize, c: usize| frame.samples.level(pixel * frame.channels + c);
+    let grey = |pixel: usize| match frame.channels {
+        3 => 0.299 * level(pixel, 0) + 0.587 * level(pixel, 1) + 0.114 * level(pixel, 2),
+        _ => level(pixel, 0),
     };
-    let level = |pixel: &[u16]| (grey(pixel) / f32::from(Frame::LEVEL)).round() as u8;
-    frame.data.chunks_exact(frame.channels).map(level).collect()
+    (0..frame.samples.len() / frame.channels).map(|pixel| grey(pixel).round() as u8).collect()
 }
 
 fn smallest_distance(corners: &Vector<Point2f>) -> f32 {

@@ -1,7 +1,7 @@
 //! What tells snake from paper: the mix of colour channels that separates them best.
 
 use super::plane::{Plane, Region, median};
-use crate::camera::Frame;
+use crate::camera::{Frame, Sample, Samples};
 use nalgebra::{DMatrix, DVector, Vector2};
 use serde::{Deserialize, Serialize};
 use std::sync::LazyLock;
@@ -82,27 +82,34 @@ impl Appearance {
 
     /// The same for a region of the frame, with zeros elsewhere in the rectangle around it.
     pub fn plane_within(&self, frame: &Frame, region: &Region) -> Plane {
-        let weights = self.weights_for(frame);
-        let light = &LIGHT[..];
-        let offset = self.offset as f32;
         let (x, y) = region.bounds();
         let (width, height) = (x.len(), y.len());
         let mut data = vec![0.0; width * height];
         for (row, columns) in region.rows() {
-            let pixels = data[(row - y.start) * width..][columns.start - x.start..columns.end - x.start].iter_mut();
-            let line = &frame.data[row * frame.width as usize * frame.channels..];
-            let colours = &line[columns.start * frame.channels..columns.end * frame.channels];
-            match weights[..] {
-                [red, green, blue] => pixels.zip(colours.as_chunks().0).for_each(|(pixel, &[r, g, b])| {
-                    let [r, g, b] = [r, g, b].map(|v| light[usize::from(v)]);
-                    *pixel = offset + r * red + g * green + b * blue;
-                }),
-                _ => pixels
-                    .zip(colours.chunks_exact(frame.channels))
-                    .for_each(|(pixel, colour)| *pixel = offset + mixed(colour, &weights)),
+            let pixels = &mut data[(row - y.start) * width..][columns.start - x.start..columns.end - x.start];
+            let first = row * frame.width as usize;
+            let colours = (first + columns.start) * frame.channels..(first + columns.end) * frame.channels;
+            match &frame.samples {
+                Samples::Bits8(samples) => self.tell(&samples[colours], frame.channels, &LIGHT_8[..], pixels),
+                Samples::Bits16(samples) => self.tell(&samples[colours], frame.channels, &LIGHT_16[..], pixels),
             }
         }
         Plane { width, height, first: Vector2::new(x.start as f64, y.start as f64), data }
+    }
+
+    /// The snakeness of pixels, from their colours and the light behind each number.
+    fn tell<S: Sample>(&self, colours: &[S], channels: usize, light: &[f32], pixels: &mut [f32]) {
+        let weights = self.weights_for(channels);
+        let offset = self.offset as f32;
+        let of = |v: S| light[v.into()];
+        match weights[..] {
+            [red, green, blue] => pixels.iter_mut().zip(colours.as_chunks().0).for_each(|(pixel, &[r, g, b])| {
+                *pixel = offset + of(r) * red + of(g) * green + of(b) * blue;
+            }),
+            _ => pixels.iter_mut().zip(colours.chunks_exact(channels)).for_each(|(pixel, colour)| {
+                *pixel = offset + colour.iter().zip(&weights).map(|(&v, w)| of(v) * w).sum::<f32>();
+            }),
+        }
     }
 
     /// The same appearance in a frame that is exposed otherwise than the picture that was learned from: in that the paper,
@@ -114,28 +121,29 @@ impl Appearance {
         if self.two_sided || self.offset.abs() < TELLS {
             return self.clone();
         }
-        let weights = self.weights_for(frame);
-        let row_length = (frame.width as usize * frame.channels).max(1);
-        let rows = frame.data.chunks_exact(row_length).step_by(STRIDE);
+        let weights = self.weights_for(frame.channels);
+        let light = |k: usize| match &frame.samples {
+            Samples::Bits8(samples) => LIGHT_8[usize::from(samples[k])],
+            Samples::Bits16(samples) => LIGHT_16[usize::from(samples[k])],
+        };
+        let width = frame.width as usize;
+        let pixels = (0..frame.height as usize)
+            .step_by(STRIDE)
+            .flat_map(|row| (row * width..(row + 1) * width).step_by(STRIDE).map(|pixel| pixel * frame.channels));
         let mut levels: Vec<f32> =
-            rows.flat_map(|row| row.chunks_exact(frame.channels).step_by(STRIDE)).map(|c| mixed(c, &weights)).collect();
+            pixels.map(|first| weights.iter().zip(first..).map(|(w, k)| light(k) * w).sum()).collect();
         // Without light the plane would be at the offset.
         let exposure = (-f64::from(median(&mut levels)) / self.offset).clamp(0.02, 5.0);
         Self { weights: self.weights.iter().map(|w| w / exposure).collect(), ..self.clone() }
     }
 
     /// The weights of a frame's own channels.
-    fn weights_for(&self, frame: &Frame) -> Vec<f32> {
-        match (self.weights.len(), frame.channels) {
+    fn weights_for(&self, channels: usize) -> Vec<f32> {
+        match (self.weights.len(), channels) {
             (a, b) if a == b => self.weights.iter().map(|&w| w as f32).collect(),
             (_, channels) => vec![self.weights.iter().sum::<f64>() as f32 / channels as f32; channels],
         }
     }
-}
-
-/// The weighted sum of a pixel's light.
-fn mixed(colour: &[u16], weights: &[f32]) -> f32 {
-    colour.iter().zip(weights).map(|(&v, w)| LIGHT[usize::from(v)] * w).sum()
 }
 
 /// The light behind an encoded value 0–255, as 0–1, by the sRGB curve (IEC 61966-2-1).
@@ -147,8 +155,7 @@ pub fn linear_light(encoded: f32) -> f64 {
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }
 
-/// [`linear_light`] of every number of a [`Frame`].
-static LIGHT: LazyLock<Box<[f32; 1 << 16]>> = LazyLock::new(|| {
-    let level = |v: usize| v as f32 / f32::from(Frame::LEVEL);
-    Box::new(std::array::from_fn(|v| linear_light(level(v)) as f32))
-});
+/// [`linear_light`] of every number of 8 and of 16 bits.
+static LIGHT_8: LazyLock<Vec<f32>> = LazyLock::new(|| (0..=u8::MAX).map(|v| linear_light(v.level()) as f32).collect());
+static LIGHT_16: LazyLock<Vec<f32>> =
+    LazyLock::new(|| (0..=u16::MAX).map(|v| linear_light(v.level()) as f32).collect());

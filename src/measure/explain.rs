@@ -7,7 +7,7 @@ use super::grid::project_paper;
 use super::outline::Outline;
 use super::plane::Region;
 use super::proof::Proof;
-use crate::camera::Frame;
+use crate::camera::{Frame, Samples};
 use crate::geometry::Configuration;
 use nalgebra::Point2;
 
@@ -56,7 +56,7 @@ impl Eye {
                 width: frame.width,
                 height: frame.height,
                 channels: 1,
-                data: plane.data.iter().map(|v| ((64.0 + 127.0 * v) * f32::from(Frame::LEVEL)) as u16).collect(),
+                samples: Samples::Bits8(plane.data.iter().map(|v| (64.0 + 127.0 * v) as u8).collect()),
             },
             grid: self.grid_lines(),
             candidates: look.candidates.iter().map(|&bend| Configuration::from_bend_vector(bend)).collect(),

@@ -333,11 +333,12 @@ fn distinct(mut fits: Vec<BendFit>, apart_rad: f64) -> Vec<BendFit> {
 pub(super) fn is_saturated(frame: &Frame) -> bool {
     const NEARLY_ALL: f64 = 0.98;
     const MOST: f64 = 0.5;
-    let pixels = || frame.data.chunks_exact(frame.channels).step_by(101);
-    let share = |is_so: fn(u16) -> bool| {
-        pixels().filter(|pixel| pixel.iter().all(|v| is_so(*v))).count() as f64 / pixels().count().max(1) as f64
+    let pixels = || (0..frame.samples.len() / frame.channels).step_by(101).map(|pixel| pixel * frame.channels);
+    let share = |is_so: fn(f32) -> bool| {
+        let is_all_so = |first: &usize| (0..frame.channels).all(|c| is_so(frame.samples.level(first + c)));
+        pixels().filter(is_all_so).count() as f64 / pixels().count().max(1) as f64
     };
-    let (white, black) = (share(|v| v >= 252 * Frame::LEVEL), share(|v| v <= 3 * Frame::LEVEL));
+    let (white, black) = (share(|level| level >= 252.0), share(|level| level <= 3.0));
     white > MOST || white + black > NEARLY_ALL
 }
 

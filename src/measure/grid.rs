@@ -133,9 +133,9 @@ fn strongest_pattern(frame: &Frame, is_snake: &impl Fn(&Point2<f64>) -> bool) ->
         }
     }
     let eigen = scatter.symmetric_eigen();
-    let weights = eigen.eigenvectors.column(eigen.eigenvalues.imax()).map(|w| w as f32 / f32::from(Frame::LEVEL));
-    let mixed = |pixel: &[u16]| pixel.iter().zip(weights.iter()).map(|(&v, w)| f32::from(v) * w).sum();
-    let data = frame.data.chunks_exact(channels).map(mixed).collect();
+    let weights = eigen.eigenvectors.column(eigen.eigenvalues.imax()).map(|w| w as f32);
+    let mixed = |first: usize| weights.iter().zip(first..).map(|(w, k)| w * frame.samples.level(k)).sum();
+    let data = (0..frame.samples.len()).step_by(channels).map(mixed).collect();
     Plane::new(frame.width as usize, frame.height as usize, data)
 }
 

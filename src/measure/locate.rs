@@ -118,8 +118,7 @@ fn unlike_paper(frame: &Frame, reach: i64) -> GrayImage {
 }
 
 fn channel(frame: &Frame, c: usize) -> Plane {
-    let data =
-        frame.data.iter().skip(c).step_by(frame.channels).map(|&v| f32::from(v) / f32::from(Frame::LEVEL)).collect();
+    let data = (c..frame.samples.len()).step_by(frame.channels).map(|k| frame.samples.level(k)).collect();
     Plane::new(frame.width as usize, frame.height as usize, data)
 }
 

@@ -11,7 +11,7 @@ use super::grid::{Pattern, nudged, paper_at, phases_from_paper, project_paper, w
 use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use super::plane::median;
 use super::rig::Rig;
-use crate::camera::{Frame, Lens};
+use crate::camera::{Frame, Lens, Sample, Samples};
 use crate::geometry::{Configuration, Pose};
 use crate::record::Status;
 use nalgebra::{
@@ -588,7 +588,7 @@ impl Window {
     /// Phase (cycles from what is expected, in [−½, ½)) and amplitude of both waves.
     fn phases(&self, frame: &Frame, weights: &[f64]) -> [(f64, f64); 2] {
         let (x0, y0) = self.corner;
-        let weights: Vec<f32> = weights.iter().map(|w| *w as f32 / f32::from(Frame::LEVEL)).collect();
+        let weights: Vec<f32> = weights.iter().map(|w| *w as f32).collect();
         // Down every column: the grey and, real and imaginary, both waves' parts. Columns that are sampled together lie side
         // by side, so that the compiler takes many at once.
         let together = self.side.div_ceil(self.stride);
@@ -597,13 +597,13 @@ impl Window {
         let mut values = Vec::with_capacity(together);
         for &(row, first) in &self.rows {
             let start = ((y0 + row) * frame.width as usize + x0) * frame.channels;
-            let Some(pixels) = frame.data.get(start..start + self.side * frame.channels) else { continue };
-            let sampled = pixels.chunks_exact(frame.channels).skip(first).step_by(self.stride);
+            let pixels = start..start + self.side * frame.channels;
+            let step = (first, self.stride);
             values.clear();
-            values.extend(sampled.map(|pixel| match (pixel, &weights[..]) {
-                (&[r, g, b], &[red, green, blue]) => f32::from(r) * red + f32::from(g) * green + f32::from(b) * blue,
-                _ => pixel.iter().zip(&weights).map(|(&v, w)| f32::from(v) * w).sum(),
-            }));
+            match &frame.samples {
+                Samples::Bits8(samples) => mix(samples.get(pixels), &weights, step, &mut values),
+                Samples::Bits16(samples) => mix(samples.get(pixels), &weights, step, &mut values),
+            }
             let [one, other] = [0, 1].map(|k| self.waves[k].down[row]);
             for (sums, factor) in columns.iter_mut().zip([self.taper[row], one.re, one.im, other.re, other.im]) {
                 sums[first * together..].iter_mut().zip(&values).for_each(|(sum, value)| *sum += value * factor);
@@ -626,6 +626,15 @@ impl Window {
             (wrap_cycles(wave.arg() / TAU - self.waves[k].expected), wave.norm())
         })
     }
+}
+
+/// The weighted sums of the channels of some pixels: every so many, from the `first` on.
+fn mix<S: Sample>(pixels: Option<&[S]>, weights: &[f32], (first, stride): (usize, usize), into: &mut Vec<f32>) {
+    let sampled = pixels.unwrap_or_default().chunks_exact(weights.len().max(1)).skip(first).step_by(stride);
+    into.extend(sampled.map(|pixel| match (pixel, weights) {
+        (&[r, g, b], &[red, green, blue]) => r.level() * red + g.level() * green + b.level() * blue,
+        _ => pixel.iter().zip(weights).map(|(v, w)| v.level() * w).sum(),
+    }));
 }
 
 /// The solution of a linear least-squares problem.

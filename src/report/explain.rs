@@ -228,11 +228,12 @@ fn figures(explanation: &Explanation, measurement: &Measurement) -> Vec<(&'stati
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::Samples;
     use crate::geometry::Configuration;
     use crate::measure::Sighting;
 
     fn frame() -> Frame {
-        Frame { width: 64, height: 48, channels: 1, data: vec![100 * Frame::LEVEL; 64 * 48] }
+        Frame { width: 64, height: 48, channels: 1, samples: Samples::Bits8(vec![100; 64 * 48]) }
     }
 
     fn explanation(places: Vec<Place>) -> Explanation {

@@ -178,10 +178,11 @@ fn label(picture: &mut RgbImage, lines: &[String], size: f64, colour: Rgb<u8>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::Samples;
     use ab_glyph::Font;
 
     fn grey_frame() -> Frame {
-        Frame { width: 200, height: 120, channels: 1, data: vec![100 * Frame::LEVEL; 200 * 120] }
+        Frame { width: 200, height: 120, channels: 1, samples: Samples::Bits8(vec![100; 200 * 120]) }
     }
 
     fn measurement(theta_deg: f64, delta_deg: f64, sigma_deg: f64) -> Measurement {

@@ -108,7 +108,7 @@ fn rig_json(scene: &Scene) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::{Frame, FrameSource, Lens, read_frame};
+    use crate::camera::{FrameSource, Lens, read_frame};
     use crate::record::{Experiment, read_truth};
     use crate::simulate::scene::Pattern;
     use nalgebra::{Point2, Vector2};
@@ -150,10 +150,10 @@ mod tests {
             assert_eq!(Scene::read(&folder.join("scene.toml")).unwrap(), scene);
             let frame = read_frame(&folder.join(format!("frames/00004.{}", format.extension()))).unwrap();
             let picture = render(&scene, truths[1].configuration, 5 + 1 + 4);
-            let levels = frame.data.iter().map(|&v| v / Frame::LEVEL).zip(picture.iter().map(|&v| u16::from(v)));
-            let difference = levels.map(|(read, drawn)| f32::from(read.abs_diff(drawn))).sum::<f32>();
+            let levels = picture.iter().enumerate().map(|(k, &v)| (frame.samples.level(k), f32::from(v)));
+            let difference = levels.map(|(read, drawn)| (read - drawn).abs()).sum::<f32>();
             let allowed = if format == FrameFormat::Png { 0.0 } else { 10.0 };
-            assert!(difference / frame.data.len() as f32 <= allowed, "{difference}");
+            assert!(difference / frame.samples.len() as f32 <= allowed, "{difference}");
         }
     }
 

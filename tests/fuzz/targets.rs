@@ -3,7 +3,7 @@
 
 use image::{DynamicImage, imageops};
 use nalgebra::{Point3, Vector2};
-use snakeloop::camera::{CameraFormat, Frame, Lens, read_frame};
+use snakeloop::camera::{CameraFormat, Frame, Lens, Samples, read_frame};
 use snakeloop::geometry::Configuration;
 use snakeloop::live::{LineParser, journal};
 use snakeloop::measure::{Eye, Rig, RigOptions, Sighting, calibrate_rig};
@@ -170,7 +170,7 @@ pub fn encoder_lines(bytes: &[u8]) -> Outcomes {
 pub fn picture(bytes: &[u8]) -> Outcomes {
     let frame = in_file(bytes, read_frame);
     if let Ok(frame) = &frame {
-        assert_eq!(frame.data.len(), frame.width as usize * frame.height as usize * frame.channels);
+        assert_eq!(frame.samples.len(), frame.width as usize * frame.height as usize * frame.channels);
     }
     vec![outcome("picture", frame)]
 }
@@ -192,7 +192,7 @@ static LAB: LazyLock<Lab> = LazyLock::new(|| {
     scene.lens.centre_px = (whole.centre_px.coords / f64::from(SHRINK)).into();
     let frame = |theta_deg, delta_deg| {
         let picture = render(&scene, Configuration::from_degrees(theta_deg, delta_deg), 7);
-        Frame::from_image(&DynamicImage::ImageRgb8(picture)).unwrap()
+        Frame::from_image(DynamicImage::ImageRgb8(picture)).unwrap()
     };
     let options = RigOptions {
         grid_pitch_mm: scene.grid_pitch_mm().unwrap(),
@@ -235,8 +235,8 @@ fn of_any_size(bytes: &[u8], channels: usize) -> Frame {
     let side = |k: usize| u32::from(size.get(k).copied().unwrap_or(0));
     let (width, height) = (side(0), side(1));
     let count = width as usize * height as usize * channels;
-    let level = |k: usize| if levels.is_empty() { 0 } else { u16::from(levels[k % levels.len()]) * Frame::LEVEL };
-    Frame { width, height, channels, data: (0..count).map(level).collect() }
+    let level = |k: usize| if levels.is_empty() { 0 } else { levels[k % levels.len()] };
+    Frame { width, height, channels, samples: Samples::Bits8((0..count).map(level).collect()) }
 }
 
 /// Coarse levels, smoothed to the size of the lens's picture.
@@ -246,25 +246,26 @@ fn noise(levels: &[u8]) -> Frame {
     let coarse = image::GrayImage::from_fn(side, side, |x, y| image::Luma([level(x, y)]));
     let lens = &LAB.scene.lens;
     let picture = imageops::resize(&coarse, lens.width, lens.height, imageops::FilterType::Triangle);
-    Frame::from_image(&DynamicImage::ImageLuma8(picture).to_rgb8().into()).unwrap()
+    Frame::from_image(DynamicImage::ImageLuma8(picture).to_rgb8().into()).unwrap()
 }
 
 /// The good picture with rectangles upon it: each takes six bytes, place, size, level and how it covers.
 fn blotted(bytes: &[u8]) -> Frame {
     let mut frame = LAB.good.clone();
+    let Samples::Bits8(samples) = &mut frame.samples else { return frame };
     for blot in bytes.chunks_exact(6).take(40) {
         let [x, y, w, h, level, how] = [0, 1, 2, 3, 4, 5].map(|k| u32::from(blot[k]));
         let (x, y) = (x * frame.width / 256, y * frame.height / 256);
-        let level = level as u16 * Frame::LEVEL;
+        let level = level as u8;
         for row in y..(y + h).min(frame.height) {
             for column in x..(x + w).min(frame.width) {
                 let at = ((row * frame.width + column) as usize) * frame.channels;
-                for sample in &mut frame.data[at..at + 3] {
+                for sample in &mut samples[at..at + 3] {
                     *sample = match how % 4 {
                         0 => level,
                         1 => sample.saturating_add(level),
                         2 => sample.saturating_sub(level),
-                        _ => u16::MAX - *sample,
+                        _ => u8::MAX - *sample,
                     };
                 }
             }

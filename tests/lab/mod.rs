@@ -7,7 +7,7 @@ use snakeloop::simulate::render::render;
 use snakeloop::simulate::scene::{Light, Scene, Sensor, Viewpoint};
 
 pub fn frame(scene: &Scene, psi: Configuration, seed: u64) -> Frame {
-    Frame::from_image(&DynamicImage::ImageRgb8(render(scene, psi, seed))).unwrap()
+    Frame::from_image(DynamicImage::ImageRgb8(render(scene, psi, seed))).unwrap()
 }
 
 /// A noisy lab: a tilted camera with distortion, a gradient, a shadow, some blur.

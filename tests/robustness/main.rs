@@ -37,7 +37,7 @@ struct Outcome {
 }
 
 fn frame(picture: &RgbImage) -> Frame {
-    Frame::from_image(&DynamicImage::ImageRgb8(picture.clone())).unwrap()
+    Frame::from_image(DynamicImage::ImageRgb8(picture.clone())).unwrap()
 }
 
 /// The eye of a rig, or why there is none.

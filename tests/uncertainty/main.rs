@@ -35,7 +35,7 @@ struct Outcome {
 }
 
 fn frame(picture: &RgbImage) -> Frame {
-    Frame::from_image(&DynamicImage::ImageRgb8(picture.clone())).unwrap()
+    Frame::from_image(DynamicImage::ImageRgb8(picture.clone())).unwrap()
 }
 
 fn bends(random: &mut Random, count: usize) -> Vec<Configuration> {
