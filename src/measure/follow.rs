@@ -7,7 +7,7 @@
 use super::edges::EdgeFinder;
 use super::eye::{Eye, is_saturated};
 use super::grid::{find_grid, nudged};
-use super::locate::{find_start, locate_holders};
+use super::locate::{Colours, find_start, locate_holders};
 use super::outline::Projection;
 use super::rig::Rig;
 use super::search::Search;
@@ -87,7 +87,11 @@ impl Eye {
         let diameter_mm = robot.body.disk_diameter_mm;
         let grid_from_base = rig.camera_from_grid.inverse() * rig.camera_from_base;
         let base_mm = grid_from_base.translation.vector;
-        for holder in locate_holders(frame).ok()? {
+        let looks = Colours::of(frame);
+        let holders = looks.iter().flat_map(|colours| {
+            locate_holders(frame, colours).unwrap_or_default().into_iter().map(move |holder| (colours, holder))
+        });
+        for (colours, holder) in holders {
             let depth_mm = (rig.camera_from_grid * Point3::origin()).z;
             let pitch_px = lens.focal_px.x * rig.grid_pitch_mm / depth_mm;
             let across = Vector2::new(-holder.axis.y, holder.axis.x);
@@ -95,7 +99,9 @@ impl Eye {
             let range = 0.75 * pitch_px..=1.33 * pitch_px;
             let Ok(grid) = find_grid(frame, lens, rig.grid_pitch_mm, range, holder.axis, corridor) else { continue };
             let distance_mm = grid.distance_mm(&lens.ray(&holder.root)) + base_mm.z;
-            let Ok(start) = find_start(frame, &holder, lens.focal_px.x * diameter_mm / distance_mm) else { continue };
+            let Ok(start) = find_start(colours, &holder, lens.focal_px.x * diameter_mm / distance_mm) else {
+                continue;
+            };
             // Where the base would be on the lattice as it was found now: the base's height over the paper is known.
             let grid_from_camera = grid.camera_from_grid.inverse();
             let eye = grid_from_camera * Point3::origin();

@@ -6,7 +6,7 @@ use crate::camera::Frame;
 use image::{GrayImage, Luma};
 use imageproc::contrast::otsu_level;
 use imageproc::region_labelling::{Connectivity, connected_components};
-use nalgebra::{DMatrix, DVector, Point2, Vector2};
+use nalgebra::{DMatrix, DVector, Matrix6, Point2, Vector2, Vector6};
 
 /// The snake's holder in a picture of which nothing is known, roughly.
 #[derive(Debug, Clone)]
@@ -31,15 +31,107 @@ pub struct SnakeStart {
 /// Side of the blocks of pixels that are looked at as one.
 const BLOCK: usize = 4;
 
+/// The colours of a picture, channel by channel, or what the two colours of a checkerboard leave unexplained of them.
+pub struct Colours {
+    planes: Vec<Plane>,
+    is_without_squares: bool,
+}
+
+impl Colours {
+    /// How a picture may be looked at, most promising first: where it has a checkerboard, without its colours; and as it is.
+    pub fn of(frame: &Frame) -> Vec<Self> {
+        let planes: Vec<Plane> = (0..frame.channels).map(|c| channel(frame, c)).collect();
+        let without = Squares::find(&planes).map(|squares| squares.unexplained(&planes));
+        let without = without.map(|planes| Self { planes, is_without_squares: true });
+        without.into_iter().chain([Self { planes, is_without_squares: false }]).collect()
+    }
+}
+
+/// The two colours of a checkerboard, each a smooth surface in every channel.
+struct Squares {
+    surfaces: [Vec<Vector6<f64>>; 2],
+}
+
+impl Squares {
+    /// The colours, if the picture has two that each cover much of it. In grey two levels explain all between them.
+    fn find(planes: &[Plane]) -> Option<Self> {
+        let shrunk: Vec<Plane> = planes.iter().map(|plane| plane.shrunk(BLOCK)).collect();
+        let count = shrunk.first().map_or(0, |plane| plane.data.len());
+        if planes.len() < 2 || count == 0 {
+            return None;
+        }
+        let residuals: Vec<Vec<f32>> = shrunk.iter().map(minus_smooth_surface).collect();
+        let colour = |k: usize| DVector::from_iterator(residuals.len(), residuals.iter().map(|r| f64::from(r[k])));
+        let mean = (0..count).map(colour).sum::<DVector<f64>>() / count as f64;
+        let scatter = (0..count).map(|k| colour(k) - &mean).map(|c| &c * c.transpose()).sum::<DMatrix<f64>>();
+        let eigen = scatter.symmetric_eigen();
+        let direction = eigen.eigenvectors.column(eigen.eigenvalues.imax());
+        let along: Vec<f64> = (0..count).map(|k| direction.dot(&(colour(k) - &mean))).collect();
+
+        // Two means: the border between the classes is half way between them.
+        let mean_of = |border: f64, above: bool| {
+            let class = along.iter().filter(|&&v| (v > border) == above);
+            let (sum, number) = class.fold((0.0, 0.0), |(sum, number), v| (sum + v, number + 1.0));
+            (sum / f64::max(number, 1.0), number / count as f64)
+        };
+        let border = (0..20).fold(0.0, |border, _| (mean_of(border, true).0 + mean_of(border, false).0) / 2.0);
+        let ((high, share), (low, _)) = (mean_of(border, true), mean_of(border, false));
+        let variance = along.iter().map(|v| v * v).sum::<f64>() / count as f64;
+        // Each colour has half of the paper, and the snake and its shadow cover far less than a quarter of the picture. Of
+        // values spread evenly two classes explain three quarters of the variance, of noise or shading less.
+        let has_two = (0.25..0.75).contains(&share) && share * (1.0 - share) * (high - low).powi(2) > 0.75 * variance;
+        if !has_two {
+            return None;
+        }
+
+        let mut is_second: Vec<bool> = along.iter().map(|&v| v > border).collect();
+        let fitted = |is_second: &[bool]| Self {
+            surfaces: [false, true]
+                .map(|class| shrunk.iter().map(|plane| smooth_surface(plane, |k| is_second[k] == class)).collect()),
+        };
+        for _ in 0..3 {
+            let squares = fitted(&is_second);
+            is_second = (0..count).map(|k| squares.second_share(&shrunk, k) > 0.5).collect();
+        }
+        Some(fitted(&is_second))
+    }
+
+    /// How much of the second colour is in the mixture of both that is nearest to a pixel's, 0 to 1.
+    fn second_share(&self, planes: &[Plane], k: usize) -> f64 {
+        let terms = terms(&planes[0], k);
+        let (mut along, mut length) = (0.0, 0.0);
+        for (c, plane) in planes.iter().enumerate() {
+            let first = self.surfaces[0][c].dot(&terms);
+            let apart = self.surfaces[1][c].dot(&terms) - first;
+            along += apart * (f64::from(plane.data[k]) - first);
+            length += apart * apart;
+        }
+        (along / length.max(1e-9)).clamp(0.0, 1.0)
+    }
+
+    /// What is left of each pixel's colour without the nearest mixture of both: borders between squares are mixtures.
+    fn unexplained(&self, planes: &[Plane]) -> Vec<Plane> {
+        let count = planes[0].data.len();
+        let shares: Vec<f64> = (0..count).map(|k| self.second_share(planes, k)).collect();
+        let left = |c: usize, k: usize| {
+            let mixture = self.surfaces[0][c] * (1.0 - shares[k]) + self.surfaces[1][c] * shares[k];
+            planes[c].data[k] - mixture.dot(&terms(&planes[c], k)) as f32
+        };
+        let plane = |c: usize| (0..count).map(|k| left(c, k)).collect();
+        (0..planes.len()).map(|c| Plane::new(planes[c].width, planes[c].height, plane(c))).collect()
+    }
+}
+
 /// Finds what may be the holder, most likely first: large thick objects that differ from the paper and are cut by a border.
 ///
-/// Printed lines are thinner than three blocks and are dropped. The squares of a checkerboard are not; where they make up
-/// the largest object, the picture is looked at through ever larger means, in which they vanish.
+/// Printed lines are thinner than three blocks and are dropped. The squares of a checkerboard are not; where their colours
+/// do not tell them and they make up the largest object, the picture is looked at through ever larger means, in which
+/// they vanish.
 ///
 /// # Errors
 ///
 /// A sentence that says what was not found.
-pub fn locate_holders(frame: &Frame) -> Result<Vec<Holder>, String> {
+pub fn locate_holders(frame: &Frame, colours: &Colours) -> Result<Vec<Holder>, String> {
     const MOST: usize = 3;
     let mut found: Vec<Holder> = Vec::new();
     let mut refused = None;
@@ -48,11 +140,13 @@ pub fn locate_holders(frame: &Frame) -> Result<Vec<Holder>, String> {
         Ok(holder) => found.push(holder),
         Err(message) => refused = refused.take().or(Some(message)),
     };
-    for object in components(&opened(&unlike_paper(frame, 1))).into_iter().take(MOST) {
-        take(refined(frame, object).and_then(|object| rough_axis(&object)));
+    for object in components(&opened(&unlike_paper(colours, 1))).into_iter().take(MOST) {
+        // One mix of channels cannot tell the snake from squares of two colours; what they leave unexplained has done so.
+        let object = if colours.is_without_squares { Ok(object) } else { refined(frame, object) };
+        take(object.and_then(|object| rough_axis(&object)));
     }
     for reach in [4, 8, 12, 18] {
-        for object in components(&unlike_paper(frame, reach)).iter().take(1) {
+        for object in components(&unlike_paper(colours, reach)).iter().take(1) {
             take(rough_axis(object));
         }
     }
@@ -93,8 +187,8 @@ fn opened(mask: &GrayImage) -> GrayImage {
 }
 
 /// Blocks whose colour, as a mean over `reach` blocks around them, is unlike that of the paper, a smooth surface that fills most of the picture.
-fn unlike_paper(frame: &Frame, reach: i64) -> GrayImage {
-    let channels: Vec<Plane> = (0..frame.channels).map(|c| smoothed(&channel(frame, c).shrunk(BLOCK), reach)).collect();
+fn unlike_paper(colours: &Colours, reach: i64) -> GrayImage {
+    let channels: Vec<Plane> = colours.planes.iter().map(|plane| smoothed(&plane.shrunk(BLOCK), reach)).collect();
     let (width, height) = (channels[0].width, channels[0].height);
     let mut distance = vec![0.0_f32; width * height];
     for plane in &channels {
@@ -136,32 +230,39 @@ fn smoothed(plane: &Plane, reach: i64) -> Plane {
 
 /// What remains of a plane after a quadratic surface, fitted to the majority of it, is taken away.
 fn minus_smooth_surface(plane: &Plane) -> Vec<f32> {
-    let (w, h) = (plane.width, plane.height);
-    let terms = |k: usize| {
-        let (x, y) = ((k % w) as f64 / w as f64 - 0.5, (k / w) as f64 / h as f64 - 0.5);
-        DVector::from_column_slice(&[1.0, x, y, x * x, x * y, y * y])
-    };
-    let mut level = plane.data.clone();
-    let start = f64::from(median(&mut level));
-    let mut surface = DVector::from_column_slice(&[start, 0.0, 0.0, 0.0, 0.0, 0.0]);
-    let mut residual = Vec::new();
+    let surface = smooth_surface(plane, |_| true);
+    (0..plane.data.len()).map(|k| plane.data[k] - surface.dot(&terms(plane, k)) as f32).collect()
+}
+
+/// The terms of a quadratic surface at a plane's pixel; the same for the same place of a plane of another size.
+fn terms(plane: &Plane, k: usize) -> Vector6<f64> {
+    let along = |at: usize, length: usize| at as f64 / length as f64 - 0.5;
+    let (x, y) = (along(k % plane.width, plane.width), along(k / plane.width, plane.height));
+    Vector6::new(1.0, x, y, x * x, x * y, y * y)
+}
+
+/// The quadratic surface of the majority of some of a plane's pixels.
+fn smooth_surface(plane: &Plane, is_asked: impl Fn(usize) -> bool) -> Vector6<f64> {
+    let asked: Vec<usize> = (0..plane.data.len()).filter(|&k| is_asked(k)).collect();
+    let mut level: Vec<f32> = asked.iter().map(|&k| plane.data[k]).collect();
+    let mut surface = Vector6::new(f64::from(median(&mut level)), 0.0, 0.0, 0.0, 0.0, 0.0);
     for _ in 0..6 {
-        residual = (0..w * h).map(|k| plane.data[k] - surface.dot(&terms(k)) as f32).collect::<Vec<_>>();
-        let mut size: Vec<f32> = residual.iter().map(|r| r.abs()).collect();
+        let residual = |k: usize| plane.data[k] - surface.dot(&terms(plane, k)) as f32;
+        let mut size: Vec<f32> = asked.iter().map(|&k| residual(k).abs()).collect();
         let limit = (2.5 * 1.4826 * median(&mut size)).max(0.5);
-        let mut normal = DMatrix::identity(6, 6) * 1e-9;
-        let mut right = DVector::zeros(6);
-        for k in (0..w * h).step_by(7).filter(|&k| residual[k].abs() < limit) {
-            let t = terms(k);
-            right += &t * f64::from(plane.data[k]);
-            normal += &t * t.transpose();
+        let mut normal = Matrix6::identity() * 1e-9;
+        let mut right = Vector6::zeros();
+        for &k in asked.iter().step_by(7).filter(|&&k| residual(k).abs() < limit) {
+            let t = terms(plane, k);
+            right += t * f64::from(plane.data[k]);
+            normal += t * t.transpose();
         }
         match normal.cholesky() {
             Some(factor) => surface = factor.solve(&right),
             None => break,
         }
     }
-    residual
+    surface
 }
 
 fn above_half(plane: &Plane) -> GrayImage {
@@ -240,9 +341,8 @@ fn rough_axis(object: &GrayImage) -> Result<Holder, String> {
 /// # Errors
 ///
 /// A sentence that says what was not found.
-pub fn find_start(frame: &Frame, holder: &Holder, width_px: f64) -> Result<SnakeStart, String> {
-    let channels: Vec<Plane> = (0..frame.channels).map(|c| channel(frame, c)).collect();
-    let strip = Strip { channels: &channels, root: holder.root, width_px };
+pub fn find_start(colours: &Colours, holder: &Holder, width_px: f64) -> Result<SnakeStart, String> {
+    let strip = Strip { channels: &colours.planes, root: holder.root, width_px };
     let mut best = (0.0, holder.axis, 0.0);
     for (reach, steps) in [(0.10, 10), (0.010, 5)] {
         let around = best.1;

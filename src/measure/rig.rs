@@ -7,7 +7,7 @@ use super::fit::{
     settled, soften,
 };
 use super::grid::{Grid, Pattern, find_grid};
-use super::locate::{Holder, SnakeStart, find_start, locate_holders};
+use super::locate::{Colours, Holder, SnakeStart, find_start, locate_holders};
 use super::outline::{Outline, Projection};
 use super::proof::Proof;
 use super::scale::{contradiction, is_contradiction};
@@ -107,10 +107,17 @@ pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOpt
             frame.width, frame.height, lens.width, lens.height
         ));
     }
+    let looks = Colours::of(frame);
+    let (mut holders, mut none_found) = (Vec::new(), None);
+    for colours in &looks {
+        match locate_holders(frame, colours) {
+            Ok(found) => holders.extend(found.into_iter().map(|holder| (colours, holder))),
+            Err(message) => none_found = none_found.or(Some(message)),
+        }
+    }
     let mut refused = None;
-    let holders = locate_holders(frame)?;
-    for holder in &holders {
-        match calibrate_from(frame, lens, robot, options, holder) {
+    for (colours, holder) in &holders {
+        match calibrate_from(frame, colours, lens, robot, options, holder) {
             Ok(rig) => return Ok(rig),
             Err(message) => refused = telling(refused, message),
         }
@@ -121,10 +128,12 @@ pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOpt
             break;
         }
         let other = RigOptions { grid_pitch_mm: factor * options.grid_pitch_mm, ..*options };
-        let rig = holders.iter().find_map(|holder| calibrate_from(frame, lens, robot, &other, holder).ok());
+        let rig = holders
+            .iter()
+            .find_map(|(colours, holder)| calibrate_from(frame, colours, lens, robot, &other, holder).ok());
         refused = rig.map(|rig| contradiction(robot, options, &rig)).or(refused);
     }
-    Err(refused.unwrap_or_else(|| "no holder was found".into()))
+    Err(refused.or(none_found).unwrap_or_else(|| "no holder was found".into()))
 }
 
 /// The reason to give: the first, or a contradiction, which takes a snake that was found whole.
@@ -135,6 +144,7 @@ fn telling(first: Option<String>, message: String) -> Option<String> {
 /// Calibrates the rig if this is the holder.
 fn calibrate_from(
     frame: &Frame,
+    colours: &Colours,
     lens: &Lens,
     robot: &Robot,
     options: &RigOptions,
@@ -159,7 +169,7 @@ fn calibrate_from(
                 return Err("this grid was tried".into());
             }
             tried.push(distance_mm);
-            calibrate_on(frame, lens, robot, options, holder, &grid)
+            calibrate_on(frame, colours, lens, robot, options, holder, &grid)
         });
         match rig {
             Ok(rig) => return Ok(rig),
@@ -172,6 +182,7 @@ fn calibrate_from(
 /// Calibrates the rig if these are the holder and the grid.
 fn calibrate_on(
     frame: &Frame,
+    colours: &Colours,
     lens: &Lens,
     robot: &Robot,
     options: &RigOptions,
@@ -183,7 +194,7 @@ fn calibrate_on(
     if distance_mm <= 0.0 {
         return Err("the standoff puts the snake behind the camera; check standoff_mm and grid_pitch_mm".into());
     }
-    let start = find_start(frame, holder, lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm)?;
+    let start = find_start(colours, holder, lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm)?;
     // Disks look alike: where the first start ends in a snake that is not all there, it may be one disk off.
     let pitch_px = lens.focal_px.x * robot.disk_pitch_mm() / distance_mm;
     let moved = |disks: f64| SnakeStart { base: start.base + start.axis * (disks * pitch_px), axis: start.axis };
