@@ -13,6 +13,7 @@ use crate::record::{Measured, Quality, Status};
 use crate::robot::Robot;
 use nalgebra::{Matrix2, Matrix6, Vector2};
 use rayon::prelude::*;
+use std::f64::consts::PI;
 use std::sync::Arc;
 
 /// What one frame says.
@@ -345,7 +346,8 @@ pub(super) fn is_saturated(frame: &Frame) -> bool {
 /// θ, δ and their errors for a bend vector with a covariance (rad²).
 ///
 /// Far from straight this is the linear propagation. Near straight δ may be anything, so the errors are mean squares over
-/// the bend vector's distribution, here by a grid of ±3.5σ.
+/// the bend vector's distribution, here by a grid of ±3.5σ; where straight itself is as near as three sigmas reach, three
+/// sigmas of δ reach all round.
 fn in_polar_terms(bend: Vector2<f64>, covariance: &Matrix2<f64>) -> Measured {
     let configuration = Configuration::from_bend_vector(bend);
     let eigen = covariance.symmetric_eigen();
@@ -365,10 +367,14 @@ fn in_polar_terms(bend: Vector2<f64>, covariance: &Matrix2<f64>) -> Measured {
             td += weight * theta * delta;
         }
     }
+    /// Squared distance within which lies as much of a Gaussian in two dimensions as within 3σ in one: −2 ln 0.0027.
+    const THREE_SIGMAS: f64 = 11.83;
+    let from_straight = covariance.try_inverse().map_or(0.0, |information| bend.dot(&(information * bend)));
+    let all_round = if from_straight < THREE_SIGMAS { PI / 3.0 } else { 0.0 };
     Measured {
         configuration,
         sigma_theta: (tt / weights).sqrt(),
-        sigma_delta: (dd / weights).sqrt(),
+        sigma_delta: (dd / weights).sqrt().max(all_round),
         correlation: if tt * dd > 0.0 { (td / (tt * dd).sqrt()).clamp(-0.999, 0.999) } else { 0.0 },
     }
 }
@@ -377,6 +383,8 @@ fn in_polar_terms(bend: Vector2<f64>, covariance: &Matrix2<f64>) -> Measured {
 mod tests {
     use super::*;
     use approx::assert_relative_eq;
+    use rand::{SeedableRng, rngs::StdRng};
+    use rand_distr::{Distribution, Normal};
 
     #[test]
     fn far_from_straight_the_polar_errors_are_those_of_linear_propagation() {
@@ -395,7 +403,25 @@ mod tests {
     fn at_straight_delta_is_anything() {
         let polar = in_polar_terms(Vector2::new(1e-9, 0.0), &(Matrix2::identity() * 1e-6));
         // A direction uniform over the circle has σ = π/√3.
-        assert_relative_eq!(polar.sigma_delta, std::f64::consts::PI / 3.0_f64.sqrt(), max_relative = 0.05);
+        assert_relative_eq!(polar.sigma_delta, PI / 3.0_f64.sqrt(), max_relative = 0.05);
         assert!(polar.sigma_theta > 1e-3);
+    }
+
+    #[test]
+    fn the_direction_is_within_three_sigmas_however_near_to_straight() {
+        const SIGMA: f64 = 1e-3;
+        const DRAWS: u32 = 20_000;
+        let mut random = StdRng::seed_from_u64(7);
+        let noise = Normal::new(0.0, SIGMA).unwrap();
+        for theta in [0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 10.0] {
+            let truth = Vector2::new(theta * SIGMA, 0.0);
+            let is_outside = |_: &u32| {
+                let seen = truth + Vector2::from_fn(|_, _| noise.sample(&mut random));
+                let polar = in_polar_terms(seen, &(Matrix2::identity() * SIGMA * SIGMA));
+                wrap_angle(polar.configuration.delta).abs() > 3.0 * polar.sigma_delta
+            };
+            let outside = (0..DRAWS).filter(is_outside).count();
+            assert!(outside as f64 / f64::from(DRAWS) < 0.01, "θ {theta} σ: {outside} of {DRAWS}");
+        }
     }
 }
