@@ -393,15 +393,16 @@ impl Estimator {
 
     /// The gate: whether a residual is too far off, in units of the typical distance where that is above nominal.
     fn outlier(&self, squared: &[f64; 2], others: &[[f64; 2]]) -> Option<Reason> {
-        let typical = |part: usize| (median(others.iter().map(|d| d[part])) / NOMINAL_MEDIANS[part]).max(1.0);
-        let [bending, common] = [0, 1].map(|part| (squared[part] / typical(part)).sqrt());
-        if bending > self.options.gate {
-            Some(Reason::BendOutlier(bending))
-        } else if common > self.options.gate {
-            Some(Reason::CommonOutlier(common))
-        } else {
-            None
-        }
+        let gate = self.options.gate;
+        let beyond = |part: usize| {
+            // What is typical counts at least 1: within the gate without it is within the gate.
+            if squared[part].sqrt() <= gate {
+                return None;
+            }
+            let typical = (median(others.iter().map(|d| d[part])) / NOMINAL_MEDIANS[part]).max(1.0);
+            Some((squared[part] / typical).sqrt()).filter(|distance| *distance > gate)
+        };
+        beyond(0).map(Reason::BendOutlier).or_else(|| beyond(1).map(Reason::CommonOutlier))
     }
 
     fn remember(&mut self, squared: [f64; 2]) {

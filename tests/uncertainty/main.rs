@@ -200,9 +200,9 @@ fn over_two_hundred_renders_the_sigmas_are_those_of_the_errors() {
     survey(5000..5100, 2, 0, 2).assert_honest();
 }
 
-/// The same with the rigs that a sequence leads to: errors are smaller then. Of the 39 bends of the first sixteen rigs the
-/// eigenvalues are 0.53 and 1.02, and 94.9 % lie within 95 %. Before disks were drawn as one outline and settled edges looked for
-/// with a finer filter they were 1.03, 1.29 and 91.0 %, and 1.29, 1.84 and 86.5 % of forty rigs, which were not run again.
+/// The same with the rigs that a sequence leads to: errors are smaller then. It fails: of 185 bends the eigenvalues are 0.95 and
+/// 2.06, and 87.8 % lie within 95 %. Whole rigs are off to one side, all their bends alike (5024 by 0.14° across): what light does to
+/// a rig is more than the refined covariance says.
 #[test]
 #[ignore = "takes minutes"]
 fn with_refined_rigs_the_sigmas_are_those_of_the_errors() {
