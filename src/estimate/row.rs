@@ -212,7 +212,8 @@ mod tests {
             let q_tilde = model.command(measured.configuration);
             for weighting in [Weighting::Measured, Weighting::Flat { sigma_deg: 1.0 }] {
                 let row = Row::new(&model, weighting, 1.5e-3, &measured, &q_tilde);
-                prop_assert!(row.residual(&model.parameters()).norm() < 1e-8);
+                // A bend that counts as straight is linearised there: at 0.3° its third order is 7e-10 mm.
+                prop_assert!(row.residual(&model.parameters()).norm() < 1e-9);
             }
         }
     }

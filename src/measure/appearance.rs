@@ -82,6 +82,7 @@ impl Appearance {
 
     /// The same for a region of the frame, with zeros elsewhere in the rectangle around it.
     pub fn plane_within(&self, frame: &Frame, region: &Region) -> Plane {
+        let weights = self.weights_for(frame.channels);
         let (x, y) = region.bounds();
         let (width, height) = (x.len(), y.len());
         let mut data = vec![0.0; width * height];
@@ -90,24 +91,23 @@ impl Appearance {
             let first = row * frame.width as usize;
             let colours = (first + columns.start) * frame.channels..(first + columns.end) * frame.channels;
             match &frame.samples {
-                Samples::Bits8(samples) => self.tell(&samples[colours], frame.channels, &LIGHT_8[..], pixels),
-                Samples::Bits16(samples) => self.tell(&samples[colours], frame.channels, &LIGHT_16[..], pixels),
+                Samples::Bits8(samples) => self.tell(&samples[colours], &weights, &LIGHT_8, pixels),
+                Samples::Bits16(samples) => self.tell(&samples[colours], &weights, &LIGHT_16, pixels),
             }
         }
         Plane { width, height, first: Vector2::new(x.start as f64, y.start as f64), data }
     }
 
-    /// The snakeness of pixels, from their colours and the light behind each number.
-    fn tell<S: Sample>(&self, colours: &[S], channels: usize, light: &[f32], pixels: &mut [f32]) {
-        let weights = self.weights_for(channels);
+    /// The snakeness of pixels, from their colours, the weights of their channels and the light behind each number.
+    fn tell<S: Sample>(&self, colours: &[S], weights: &[f32], light: &[f32], pixels: &mut [f32]) {
         let offset = self.offset as f32;
         let of = |v: S| light[v.into()];
-        match weights[..] {
+        match *weights {
             [red, green, blue] => pixels.iter_mut().zip(colours.as_chunks().0).for_each(|(pixel, &[r, g, b])| {
                 *pixel = offset + of(r) * red + of(g) * green + of(b) * blue;
             }),
-            _ => pixels.iter_mut().zip(colours.chunks_exact(channels)).for_each(|(pixel, colour)| {
-                *pixel = offset + colour.iter().zip(&weights).map(|(&v, w)| of(v) * w).sum::<f32>();
+            _ => pixels.iter_mut().zip(colours.chunks_exact(weights.len())).for_each(|(pixel, colour)| {
+                *pixel = offset + colour.iter().zip(weights).map(|(&v, w)| of(v) * w).sum::<f32>();
             }),
         }
     }
