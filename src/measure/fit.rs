@@ -8,23 +8,44 @@ use super::shape::{Departure, departure};
 use super::solve::covariance;
 use crate::geometry::{Configuration, Pose};
 use crate::robot::Robot;
-use nalgebra::{
-    DMatrix, DVector, Matrix2, Matrix2x6, Matrix4, Point2, Point3, SMatrix, SVector, Vector2, Vector3, Vector4,
-};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x6, Point2, Point3, SMatrix, SVector, Vector2, Vector3};
 use std::collections::BTreeMap;
 
 /// How far outside the snake's true border its edges are seen, px.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct EdgeBias {
-    /// Where a surface turns away from the camera: its shading bends over there, and what it mirrors is foreshortened.
+    /// At the sides of holder and disks, where a surface turns away from the camera: its shading bends over there, and what it
+    /// mirrors is foreshortened.
     pub side_px: f64,
+    /// At the tubes' sides, where it does so within the few pixels that place an edge.
+    pub tube_px: f64,
     /// At the sharp rims of the disks.
     pub rim_px: f64,
 }
 
+/// How many biases there are.
+pub(super) const BIASES: usize = 3;
+
 impl EdgeBias {
-    fn of(self, piece: Piece) -> f64 {
-        if piece.is_rim() { self.rim_px } else { self.side_px }
+    /// Which of them a piece has.
+    fn kind(piece: Piece) -> usize {
+        match piece {
+            Piece::HolderSide(_) | Piece::DiskSide(..) => 0,
+            Piece::Tube(..) => 1,
+            Piece::BaseRim | Piece::Rim(..) => 2,
+        }
+    }
+
+    pub(super) fn of(self, piece: Piece) -> f64 {
+        self.to_array()[Self::kind(piece)]
+    }
+
+    pub(super) fn to_array(self) -> [f64; BIASES] {
+        [self.side_px, self.tube_px, self.rim_px]
+    }
+
+    pub(super) fn moved(self, by: &[f64]) -> Self {
+        Self { side_px: self.side_px + by[0], tube_px: self.tube_px + by[1], rim_px: self.rim_px + by[2] }
     }
 }
 
@@ -206,7 +227,7 @@ impl Matches {
             .collect();
         let mut linear = Linearised {
             residuals: DVector::zeros(self.len()),
-            by_state: DMatrix::zeros(self.len(), 4),
+            by_state: DMatrix::zeros(self.len(), STATE),
             by_pose: DMatrix::zeros(self.len(), 6),
         };
         for (row, (m, &section)) in self.matches.iter().zip(&self.section_of).enumerate() {
@@ -220,7 +241,7 @@ impl Matches {
             for (axis, (shift, turn)) in by_bend.iter().enumerate() {
                 linear.by_state[(row, axis)] = -across.dot(&(shift + turn.cross(&arm)));
             }
-            linear.by_state[(row, if m.piece.is_rim() { 3 } else { 2 })] = -1.0 / m.sigma_px;
+            linear.by_state[(row, 2 + EdgeBias::kind(m.piece))] = -1.0 / m.sigma_px;
             let turned = (place.coords - view.camera_from_base.translation.vector).cross(&across);
             for axis in 0..3 {
                 linear.by_pose[(row, axis)] = -turned[axis];
@@ -235,7 +256,7 @@ impl Matches {
 #[derive(Debug, Clone)]
 pub(super) struct Linearised {
     pub residuals: DVector<f64>,
-    /// By bend vector (rad) and edge bias (sides, rims; px): the components of [`State`].
+    /// By bend vector (rad) and edge biases (px): the components of [`State`].
     pub by_state: DMatrix<f64>,
     /// By the camera's pose (see [`nudged`](super::grid::nudged)).
     pub by_pose: DMatrix<f64>,
@@ -244,18 +265,22 @@ pub(super) struct Linearised {
 impl Linearised {
     /// The step of the state after which the edges agree best, as far as they follow it as they do nearby, and the square
     /// roots of the weights that they then have.
-    fn step(&self, prior: &BiasPrior, state: &State, settling: bool) -> Option<(Vector4<f64>, Vec<f64>)> {
+    fn step(&self, prior: &BiasPrior, state: &State, settling: bool) -> Option<(SVector<f64, STATE>, Vec<f64>)> {
         const ROUNDS: usize = 10;
         const SETTLED: f64 = 1e-5;
         let known = ALIKE / prior.sigma_px.powi(2);
-        let (side, rim) = (state.bias.side_px - prior.mean.side_px, state.bias.rim_px - prior.mean.rim_px);
-        let (mut step, mut roots) = (Vector4::zeros(), Vec::new());
+        let differs = prior.differs(state);
+        let (mut step, mut roots) = (SVector::<f64, STATE>::zeros(), Vec::new());
         for _ in 0..ROUNDS {
             roots = robust_weights((&self.residuals + &self.by_state * step).as_slice(), settling);
-            let mut information = Matrix4::from_diagonal(&Vector4::new(0.0, 0.0, known, known));
-            let mut slope = Vector4::new(0.0, 0.0, known * side, known * rim);
+            let mut information = SMatrix::<f64, STATE, STATE>::zeros();
+            let mut slope = SVector::<f64, STATE>::zeros();
+            for (k, differs) in differs.iter().enumerate() {
+                information[(2 + k, 2 + k)] = known;
+                slope[2 + k] = known * differs;
+            }
             for (row, root) in roots.iter().enumerate() {
-                let along = self.by_state.fixed_view::<1, 4>(row, 0).transpose();
+                let along = self.by_state.fixed_view::<1, STATE>(row, 0).transpose();
                 information.syger(root * root, &along, &along, 1.0);
                 slope += along * (root * root * self.residuals[row]);
             }
@@ -269,17 +294,17 @@ impl Linearised {
         Some((step, roots))
     }
 
-    /// With two rows more: what is known of the bias beforehand.
+    /// With a row more for every bias: what is known of it beforehand.
     pub fn with_prior(self, prior: &BiasPrior, state: &State) -> Self {
         let edges = self.residuals.len();
         let root = ALIKE.sqrt() / prior.sigma_px;
-        let mut residuals = self.residuals.insert_rows(edges, 2, 0.0);
-        residuals[edges] = root * (state.bias.side_px - prior.mean.side_px);
-        residuals[edges + 1] = root * (state.bias.rim_px - prior.mean.rim_px);
-        let mut by_state = self.by_state.insert_rows(edges, 2, 0.0);
-        by_state[(edges, 2)] = root;
-        by_state[(edges + 1, 3)] = root;
-        Self { residuals, by_state, by_pose: self.by_pose.insert_rows(edges, 2, 0.0) }
+        let mut residuals = self.residuals.insert_rows(edges, BIASES, 0.0);
+        let mut by_state = self.by_state.insert_rows(edges, BIASES, 0.0);
+        for (k, differs) in prior.differs(state).into_iter().enumerate() {
+            residuals[edges + k] = root * differs;
+            by_state[(edges + k, 2 + k)] = root;
+        }
+        Self { residuals, by_state, by_pose: self.by_pose.insert_rows(edges, BIASES, 0.0) }
     }
 
     /// With every row times the square root of its weight.
@@ -419,6 +444,14 @@ pub(super) struct BiasPrior {
     pub sigma_px: f64,
 }
 
+impl BiasPrior {
+    /// How far a state's biases are from their means, px.
+    fn differs(&self, state: &State) -> [f64; BIASES] {
+        let (biases, means) = (state.bias.to_array(), self.mean.to_array());
+        std::array::from_fn(|k| biases[k] - means[k])
+    }
+}
+
 /// What a picture is fitted with.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct State {
@@ -426,14 +459,16 @@ pub(super) struct State {
     pub bias: EdgeBias,
 }
 
+/// How many numbers a [`State`] has: the bend vector's two and the biases.
+pub(super) const STATE: usize = 2 + BIASES;
+
 impl State {
     fn psi(&self) -> Configuration {
         Configuration::from_bend_vector(self.bend)
     }
 
-    fn moved(&self, by: &Vector4<f64>) -> Self {
-        let bias = EdgeBias { side_px: self.bias.side_px + by[2], rim_px: self.bias.rim_px + by[3] };
-        Self { bend: self.bend + by.xy(), bias }
+    fn moved(&self, by: &SVector<f64, STATE>) -> Self {
+        Self { bend: self.bend + by.xy(), bias: self.bias.moved(&by.as_slice()[2..]) }
     }
 }
 
@@ -575,9 +610,10 @@ pub(super) fn fit_bend(
     })
 }
 
-/// What all pictures of a sequence share: the camera's pose (see [`nudged`]) and the edges' bias (sides, rims; px).
-pub(super) type Shared = SVector<f64, 8>;
-pub(super) type SharedInformation = SMatrix<f64, 8, 8>;
+/// What all pictures of a sequence share: the camera's pose (see [`nudged`]) and the edges' biases (px).
+pub(super) type Shared = SVector<f64, SHARED>;
+pub(super) type SharedInformation = SMatrix<f64, SHARED, SHARED>;
+const SHARED: usize = 6 + BIASES;
 
 /// What one picture says of what all share, its own bend being free.
 #[derive(Debug, Clone)]
@@ -606,8 +642,8 @@ pub(super) fn shared_evidence(
     let residuals = matches.residuals(view, psi, state.bias);
     let roots = robust_weights(&residuals, false);
     let Linearised { by_state, by_pose: pose, .. } = matches.linearised(view, state).weighted(&roots);
-    let (bend, bias) = (by_state.columns(0, 2), by_state.columns(2, 2));
-    let shared = DMatrix::from_fn(pose.nrows(), 8, |r, c| if c < 6 { pose[(r, c)] } else { bias[(r, c - 6)] });
+    let (bend, bias) = (by_state.columns(0, 2), by_state.columns(2, BIASES));
+    let shared = DMatrix::from_fn(pose.nrows(), SHARED, |r, c| if c < 6 { pose[(r, c)] } else { bias[(r, c - 6)] });
     // What the picture's own bend could have done as well is no evidence.
     let projected = &shared - bend * (bend.transpose() * bend).cholesky()?.solve(&(bend.transpose() * &shared));
     let mut pieces = BTreeMap::new();

@@ -6,7 +6,7 @@
 use super::edges::EdgeFinder;
 use super::eye::{BIAS_SIGMA_PX, Eye, Look};
 use super::fit::{
-    BiasPrior, EdgeBias, Effort, Shared, SharedEvidence, SharedInformation, Start, State, fit_bend, shared_evidence,
+    BiasPrior, Effort, Shared, SharedEvidence, SharedInformation, Start, State, fit_bend, shared_evidence,
 };
 use super::grid::nudged;
 use super::outline::{Piece, Projection};
@@ -73,7 +73,7 @@ impl Rig {
         Self {
             camera_from_base: nudged(&self.camera_from_base, &pose),
             pose_covariance: covariance.fixed_view::<6, 6>(0, 0).into_owned(),
-            edge_bias: EdgeBias { side_px: self.edge_bias.side_px + by[6], rim_px: self.edge_bias.rim_px + by[7] },
+            edge_bias: self.edge_bias.moved(&by.as_slice()[6..]),
             ..self.clone()
         }
     }

@@ -263,16 +263,15 @@ fn fit_base(
         let roots = robust_weights(&matches.residuals(&view, straight, edge_bias), search_px > SETTLED_PX);
         let weighted = |x: &DVector<f64>| {
             let moved = Projection { camera_from_base: pose(&Placement(x.rows(0, 5).into_owned())), ..view.clone() };
-            let edges = matches.residuals(&moved, straight, EdgeBias { side_px: x[5], rim_px: x[6] });
+            let edges = matches.residuals(&moved, straight, EdgeBias::default().moved(&x.as_slice()[5..]));
             let priors = [x[3] / STANDOFF_SIGMA_MM, x[4] / TILT_SIGMA];
             DVector::from_iterator(edges.len() + 2, edges.iter().zip(&roots).map(|(r, w)| r * w).chain(priors))
         };
-        let start = placement.0.clone().push(edge_bias.side_px).push(edge_bias.rim_px);
-        let steps = DVector::from_column_slice(&[1e-4, 1e-4, 1e-5, 1e-4, 1e-5, 1e-3, 1e-3]);
+        let start = edge_bias.to_array().into_iter().fold(placement.0.clone(), |x, bias| x.push(bias));
+        let steps = DVector::from_column_slice(&[1e-4, 1e-4, 1e-5, 1e-4, 1e-5, 1e-3, 1e-3, 1e-3]);
         let solution = minimise(weighted, start, &steps).ok_or("the fit of the snake's base did not converge")?;
         placement = Placement(solution.parameters.rows(0, 5).into_owned());
-        let x = &solution.parameters;
-        edge_bias = EdgeBias { side_px: x[5], rim_px: x[6] };
+        edge_bias = EdgeBias::default().moved(&solution.parameters.as_slice()[5..]);
         outcome = Some((matches, roots, solution));
     }
     let (matches, roots, solution) = outcome.ok_or("no edges were looked for")?;
@@ -288,7 +287,8 @@ fn fit_base(
         .ok_or("the snake's edges do not determine where its base is")?;
     let (agreeing, edge_rms_px) = inliers(&matches.misfits_px(&view, straight, edge_bias), &roots);
     let share = agreeing as f64 / matches.places().max(1) as f64;
-    let bias_px = if edge_bias.side_px.abs() > edge_bias.rim_px.abs() { edge_bias.side_px } else { edge_bias.rim_px };
+    let bias_px =
+        edge_bias.to_array().into_iter().fold(0.0, |most: f64, bias| if bias.abs() > most.abs() { bias } else { most });
     if share < ENOUGH_INLIERS || bias_px.abs() > MOST_BIAS_PX {
         return Err(format!(
             "only {:.0} % of the straight snake's outline agrees with the model (edges lie {bias_px:.2} px outside it); \

@@ -54,8 +54,9 @@ struct GridTable {
 #[serde(deny_unknown_fields)]
 struct FitTable {
     edge_bias_px: f64,
-    /// Files of versions that told no rims from sides have none.
+    /// Files of versions that told no rims, or no tubes, from sides have none.
     rim_bias_px: Option<f64>,
+    tube_bias_px: Option<f64>,
     edge_rms_px: f64,
     grid_rms_px: f64,
 }
@@ -73,7 +74,7 @@ impl Rig {
             Error::Content { path: path.to_owned(), line, message: e.message().to_owned() }
         })?;
         let wrong = |what: &str| Error::content(path, format!("{what}; write the file anew with `calibrate rig`"));
-        let base = &file.base;
+        let (base, fit) = (&file.base, &file.fit);
         let numbers = base
             .covariance
             .iter()
@@ -81,7 +82,7 @@ impl Rig {
             .chain(&file.appearance.weights)
             .chain(&file.print.weights)
             .chain([&file.appearance.offset]);
-        if !numbers.chain([&file.fit.edge_bias_px]).chain(&file.fit.rim_bias_px).all(|v| v.is_finite()) {
+        if !numbers.chain([&fit.edge_bias_px]).chain(&fit.rim_bias_px).chain(&fit.tube_bias_px).all(|v| v.is_finite()) {
             return Err(wrong("a number is not finite"));
         }
         if [&file.appearance.weights, &file.print.weights].iter().any(|weights| ![1, 3].contains(&weights.len())) {
@@ -99,11 +100,12 @@ impl Rig {
             print: file.print,
             appearance: file.appearance,
             edge_bias: EdgeBias {
-                side_px: file.fit.edge_bias_px,
-                rim_px: file.fit.rim_bias_px.unwrap_or(file.fit.edge_bias_px),
+                side_px: fit.edge_bias_px,
+                tube_px: fit.tube_bias_px.unwrap_or(fit.edge_bias_px),
+                rim_px: fit.rim_bias_px.unwrap_or(fit.edge_bias_px),
             },
-            edge_rms_px: file.fit.edge_rms_px,
-            grid_rms_px: file.fit.grid_rms_px,
+            edge_rms_px: fit.edge_rms_px,
+            grid_rms_px: fit.grid_rms_px,
         })
     }
 
@@ -127,6 +129,7 @@ impl Rig {
             fit: FitTable {
                 edge_bias_px: self.edge_bias.side_px,
                 rim_bias_px: Some(self.edge_bias.rim_px),
+                tube_bias_px: Some(self.edge_bias.tube_px),
                 edge_rms_px: self.edge_rms_px,
                 grid_rms_px: self.grid_rms_px,
             },
@@ -165,7 +168,7 @@ mod tests {
             grid_pitch_mm: 1.0,
             print: Print { pattern: Pattern::Checkerboard, weights: vec![0.5, 0.25, -0.5] },
             appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },
-            edge_bias: EdgeBias { side_px: -0.05, rim_px: 0.01 },
+            edge_bias: EdgeBias { side_px: -0.05, tube_px: 0.2, rim_px: 0.01 },
             grid_rms_px: 0.1,
             edge_rms_px: 0.12,
         }
@@ -179,7 +182,7 @@ mod tests {
         let read = Rig::read(&path).unwrap();
         assert!((read.camera_from_base.rotation.angle_to(&rig().camera_from_base.rotation)) < 1e-12);
         assert_eq!(read.camera_from_base.translation, rig().camera_from_base.translation);
-        assert_eq!((read.print, read.appearance), (rig().print, rig().appearance));
+        assert_eq!((read.print, read.appearance, read.edge_bias), (rig().print, rig().appearance, rig().edge_bias));
         assert_eq!(read.pose_covariance, rig().pose_covariance);
     }
 

@@ -4,7 +4,9 @@
 //! the fit of the circle stands, a Gauss-Newton step in all of them says how far the picture would go if it might, and the
 //! bend after that step is the tip's own.
 
-use super::fit::{BiasPrior, LIGHT_BENT_PX, Matches, State, clustered_covariance, light_covariance, robust_weights};
+use super::fit::{
+    BiasPrior, LIGHT_BENT_PX, Matches, STATE, State, clustered_covariance, light_covariance, robust_weights,
+};
 use super::outline::Projection;
 use super::solve::covariance;
 use crate::record::Shape;
@@ -38,17 +40,17 @@ pub(super) fn departure(view: &Projection, matches: &Matches, state: &State, pri
     };
     let columns = [column(Vector2::x()), column(Vector2::y())];
     let edges = matches.linearised(view, state).with_prior(prior, state);
-    let all = DMatrix::from_fn(edges.by_state.nrows(), 6, |r, c| match c {
-        0..4 => edges.by_state[(r, c)],
+    let all = DMatrix::from_fn(edges.by_state.nrows(), STATE + 2, |r, c| match c {
+        0..STATE => edges.by_state[(r, c)],
         // Rows beyond the edges are what is known beforehand of the bias.
-        _ => columns[c - 4].get(r).copied().unwrap_or(0.0),
+        _ => columns[c - STATE].get(r).copied().unwrap_or(0.0),
     });
     let weighted = |rows: &DMatrix<f64>, roots: &DVector<f64>| {
         let mut rows = rows.clone();
         rows.column_iter_mut().for_each(|mut column| column.component_mul_assign(roots));
         rows
     };
-    let mut step = DVector::zeros(6);
+    let mut step = DVector::zeros(STATE + 2);
     let mut roots = DVector::from_element(all.nrows(), 1.0);
     let mut jacobian = all.clone();
     for _ in 0..ROUNDS {
@@ -64,9 +66,9 @@ pub(super) fn departure(view: &Projection, matches: &Matches, state: &State, pri
     let light = light_covariance(matches, &jacobian, &independent, view.robot, LIGHT_BENT_PX, roots.as_slice());
     let gain = &independent * jacobian.tr_mul(&weighted(&edges.by_pose, &roots));
     let covariance = clustered + independent + light;
-    const KEPT: [usize; 4] = [0, 1, 4, 5];
+    const KEPT: [usize; 4] = [0, 1, STATE, STATE + 1];
     Some(Departure {
-        found: Vector4::new(state.bend.x + step[0], state.bend.y + step[1], step[4], step[5]),
+        found: Vector4::new(state.bend.x + step[0], state.bend.y + step[1], step[STATE], step[STATE + 1]),
         covariance: Matrix4::from_fn(|r, c| covariance[(KEPT[r], KEPT[c])]),
         by_pose: SMatrix::from_fn(|r, c| -gain[(KEPT[r], c)]),
     })

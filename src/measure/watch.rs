@@ -157,13 +157,12 @@ impl Watch {
             let shift = Vector2::new(by.x - by.z * arm.y, by.y + by.z * arm.x);
             let edge = finder.find(&OutlinePoint { pixel: point.pixel + shift, ..*point }, search_px)?;
             let is_side = matches!(point.piece, Piece::HolderSide(_));
-            let bias_px = if is_side { self.bias.side_px } else { self.bias.rim_px };
             Some(HolderEdge {
                 body: point.body,
                 normal,
                 arm,
                 is_side,
-                distance_px: edge.offset_px + normal.dot(&shift) - bias_px,
+                distance_px: edge.offset_px + normal.dot(&shift) - self.bias.of(point.piece),
                 sigma_px: edge.sigma_px.hypot(EDGE_PX),
             })
         };
