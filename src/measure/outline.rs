@@ -32,8 +32,8 @@ impl BodyPoint {
 
 /// Which piece of the body a border point belongs to.
 ///
-/// Errors along one piece are correlated (they share its shading and its sharpness), so pieces are also the units in
-/// which a fit's covariance counts its evidence.
+/// Errors along one piece are correlated (they share its shading and its sharpness), so pieces, those of one tube's side
+/// together, are also the units in which a fit's covariance counts its evidence.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Piece {
     /// A side of the holder below the base disk: −1 or +1.
@@ -52,6 +52,14 @@ impl Piece {
     /// Whether it is a sharp edge, not a surface that turns away.
     pub(super) fn is_rim(self) -> bool {
         matches!(self, Self::BaseRim | Self::Rim(..))
+    }
+
+    /// The piece that stands for all that err alike: light falls on a tube's side in the same way from disk to disk.
+    pub(super) fn witness(self) -> Self {
+        match self {
+            Self::Tube(tube, side, _) => Self::Tube(tube, side, 0),
+            piece => piece,
+        }
     }
 }
 

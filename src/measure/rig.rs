@@ -3,8 +3,7 @@
 use super::appearance::Appearance;
 use super::edges::EdgeFinder;
 use super::fit::{
-    EdgeBias, LIGHT_STRAIGHT_PX, Matches, SETTLED_PX, clustered_covariance, inliers, light_covariance, robust_weights,
-    settled, soften,
+    EdgeBias, Matches, SETTLED_PX, clustered_covariance, inliers, light_covariance, robust_weights, settled, soften,
 };
 use super::grid::{Grid, Pattern, find_grid};
 use super::locate::{Colours, Holder, SnakeStart, find_start, locate_holders};
@@ -86,6 +85,9 @@ const TILT_SIGMA: f64 = 0.1 * std::f64::consts::PI / 180.0;
 const FAR_OFF_SIGMAS: f64 = 15.0;
 /// Share of the straight snake's outline that must be confirmed by edges.
 const ENOUGH_INLIERS: f64 = 0.5;
+/// How far outside the snake's border its edges may be seen, px (1σ), and what stands for none at all.
+const BIAS_SIGMA_PX: f64 = 0.3;
+const NO_BIAS_PX: f64 = 1e-3;
 /// An edge bias beyond this, px, is no edge's but a wrong model's.
 const MOST_BIAS_PX: f64 = 0.8;
 
@@ -261,11 +263,15 @@ fn fit_base(
             ));
         }
         let roots = robust_weights(&matches.residuals(&view, straight, edge_bias), search_px > SETTLED_PX);
+        // While the model is off, a bias would take the blame and carry scale and tilt away.
+        let bias_sigma_px = if search_px > SETTLED_PX { NO_BIAS_PX } else { BIAS_SIGMA_PX };
         let weighted = |x: &DVector<f64>| {
             let moved = Projection { camera_from_base: pose(&Placement(x.rows(0, 5).into_owned())), ..view.clone() };
             let edges = matches.residuals(&moved, straight, EdgeBias::default().moved(&x.as_slice()[5..]));
-            let priors = [x[3] / STANDOFF_SIGMA_MM, x[4] / TILT_SIGMA];
-            DVector::from_iterator(edges.len() + 2, edges.iter().zip(&roots).map(|(r, w)| r * w).chain(priors))
+            let edges = edges.iter().zip(&roots).map(|(r, w)| r * w);
+            let priors = [x[3] / STANDOFF_SIGMA_MM, x[4] / TILT_SIGMA].into_iter();
+            let all: Vec<f64> = edges.chain(priors).chain(x.iter().skip(5).map(|bias| bias / bias_sigma_px)).collect();
+            DVector::from_vec(all)
         };
         let start = edge_bias.to_array().into_iter().fold(placement.0.clone(), |x, bias| x.push(bias));
         let steps = DVector::from_column_slice(&[1e-4, 1e-4, 1e-5, 1e-4, 1e-5, 1e-3, 1e-3, 1e-3]);
@@ -281,14 +287,15 @@ fn fit_base(
     let covariance = clustered_covariance(&solution.jacobian, &solution.residuals, &matches.pieces())
         .zip(solution.covariance())
         .map(|(clustered, independent)| {
-            let light = light_covariance(&matches, &solution.jacobian, &independent, robot, LIGHT_STRAIGHT_PX, &roots);
-            clustered + independent + light
+            let light = light_covariance(&matches, &solution.jacobian, &independent, &view, &roots);
+            clustered + light
         })
         .ok_or("the snake's edges do not determine where its base is")?;
     let (agreeing, edge_rms_px) = inliers(&matches.misfits_px(&view, straight, edge_bias), &roots);
     let share = agreeing as f64 / matches.places().max(1) as f64;
-    let bias_px =
-        edge_bias.to_array().into_iter().fold(0.0, |most: f64, bias| if bias.abs() > most.abs() { bias } else { most });
+    // A tube is so thin that blur alone may widen it by as much.
+    let EdgeBias { side_px, rim_px, .. } = edge_bias;
+    let bias_px = if side_px.abs() > rim_px.abs() { side_px } else { rim_px };
     if share < ENOUGH_INLIERS || bias_px.abs() > MOST_BIAS_PX {
         return Err(format!(
             "only {:.0} % of the straight snake's outline agrees with the model (edges lie {bias_px:.2} px outside it); \

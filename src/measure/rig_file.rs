@@ -187,6 +187,20 @@ mod tests {
     }
 
     #[test]
+    fn a_file_that_tells_no_tubes_from_sides_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rig.toml");
+        rig().write(&path).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(
+            &path,
+            text.lines().filter(|line| !line.starts_with("tube_bias_px")).collect::<Vec<_>>().join("\n"),
+        )
+        .unwrap();
+        assert_eq!(Rig::read(&path).unwrap().edge_bias, EdgeBias { side_px: -0.05, tube_px: -0.05, rim_px: 0.01 });
+    }
+
+    #[test]
     fn a_mirrored_pose_and_an_unknown_key_are_named() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("rig.toml");

@@ -4,9 +4,7 @@
 //! the fit of the circle stands, a Gauss-Newton step in all of them says how far the picture would go if it might, and the
 //! bend after that step is the tip's own.
 
-use super::fit::{
-    BiasPrior, LIGHT_BENT_PX, Matches, STATE, State, clustered_covariance, light_covariance, robust_weights,
-};
+use super::fit::{BiasPrior, Matches, STATE, State, clustered_covariance, light_covariance, robust_weights};
 use super::outline::Projection;
 use super::solve::covariance;
 use crate::record::Shape;
@@ -63,9 +61,9 @@ pub(super) fn departure(view: &Projection, matches: &Matches, state: &State, pri
     let independent = covariance(&jacobian)?;
     let residuals = edges.residuals.component_mul(&roots) + &jacobian * &step;
     let clustered = clustered_covariance(&jacobian, &residuals, &matches.pieces())?;
-    let light = light_covariance(matches, &jacobian, &independent, view.robot, LIGHT_BENT_PX, roots.as_slice());
+    let light = light_covariance(matches, &jacobian, &independent, view, roots.as_slice());
     let gain = &independent * jacobian.tr_mul(&weighted(&edges.by_pose, &roots));
-    let covariance = clustered + independent + light;
+    let covariance = clustered + light;
     const KEPT: [usize; 4] = [0, 1, STATE, STATE + 1];
     Some(Departure {
         found: Vector4::new(state.bend.x + step[0], state.bend.y + step[1], step[STATE], step[STATE + 1]),
