@@ -87,7 +87,7 @@ const ROUNDED_PX: f64 = 1.0;
 const EDGE_FLOOR_PX: f64 = 0.08;
 /// The same at a tube, whose shading changes within the pixels that place an edge. In renders of random rigs edges of tubes lie
 /// up to 0.5 px outside, by a different amount on each side, those of disks at most 0.1 px.
-const TUBE_FLOOR_PX: f64 = 0.15;
+const TUBE_FLOOR_PX: f64 = 0.3;
 
 /// Whether a border point's surroundings are what the edge filter assumes, with no other part close to it.
 fn is_clear(point: &OutlinePoint) -> bool {

@@ -293,9 +293,7 @@ fn fit_base(
         .ok_or("the snake's edges do not determine where its base is")?;
     let (agreeing, edge_rms_px) = inliers(&matches.misfits_px(&view, straight, edge_bias), &roots);
     let share = agreeing as f64 / matches.places().max(1) as f64;
-    // A tube is so thin that blur alone may widen it by as much.
-    let EdgeBias { side_px, rim_px, .. } = edge_bias;
-    let bias_px = if side_px.abs() > rim_px.abs() { side_px } else { rim_px };
+    let bias_px = edge_bias.to_array().into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
     if share < ENOUGH_INLIERS || bias_px.abs() > MOST_BIAS_PX {
         return Err(format!(
             "only {:.0} % of the straight snake's outline agrees with the model (edges lie {bias_px:.2} px outside it); \

@@ -200,9 +200,8 @@ fn over_two_hundred_renders_the_sigmas_are_those_of_the_errors() {
     survey(5000..5100, 2, 0, 2).assert_honest();
 }
 
-/// The same with the rigs that a sequence leads to: errors are smaller then. It fails: of 185 bends the eigenvalues are 0.95 and
-/// 2.06, and 87.8 % lie within 95 %. Whole rigs are off to one side, all their bends alike (5024 by 0.14° across): what light does to
-/// a rig is more than the refined covariance says.
+/// The same with the rigs that a sequence leads to: errors are smaller then. Over 254 bends before 65 of these rigs the eigenvalues were
+/// 0.76 and 1.24, and 94.5 % lay within 95 %.
 #[test]
 #[ignore = "takes minutes"]
 fn with_refined_rigs_the_sigmas_are_those_of_the_errors() {
