@@ -23,36 +23,38 @@ pub struct Appearance {
 }
 
 impl Appearance {
-    /// Learns from a picture in which `label(x, y)` tells snake (`Some(true)`) from background (`Some(false)`).
+    /// Learns from a picture in which `label(x, y)` tells snake (`Some(true)`) from background (`Some(false)`), and how much a
+    /// pixel weighs.
     ///
     /// `None` if one of the classes has too few pixels or they do not differ.
-    pub fn learn(frame: &Frame, label: impl Fn(u32, u32) -> Option<bool>) -> Option<Self> {
+    pub fn learn(frame: &Frame, label: impl Fn(u32, u32) -> Option<(bool, f64)>) -> Option<Self> {
         const STRIDE: usize = 2;
         const MIN_PIXELS: f64 = 50.0;
         let channels = frame.channels;
+        let places =
+            (0..frame.height).step_by(STRIDE).flat_map(|y| (0..frame.width).step_by(STRIDE).map(move |x| (x, y)));
+        let pixels: Vec<_> = places.filter_map(|(x, y)| Some((x, y, label(x, y)?))).collect();
+        let colour = |x, y| DVector::from_fn(channels, |c, _| linear_light(frame.get(x, y, c)));
         let mut count = [0.0; 2];
         let mut mean = [DVector::zeros(channels), DVector::zeros(channels)];
-        let mut square = DMatrix::zeros(channels, channels);
-        for y in (0..frame.height).step_by(STRIDE) {
-            for x in (0..frame.width).step_by(STRIDE) {
-                let Some(is_snake) = label(x, y) else { continue };
-                let colour = DVector::from_fn(channels, |c, _| linear_light(frame.get(x, y, c)));
-                let class = usize::from(is_snake);
-                count[class] += 1.0;
-                square += &colour * colour.transpose();
-                mean[class] += colour;
-            }
+        for &(x, y, (is_snake, _)) in &pixels {
+            count[usize::from(is_snake)] += 1.0;
+            mean[usize::from(is_snake)] += colour(x, y);
         }
         if count[0] < MIN_PIXELS || count[1] < MIN_PIXELS {
             return None;
         }
-        for class in 0..2 {
-            mean[class] /= count[class];
-            square -= count[class] * &mean[class] * mean[class].transpose();
+        mean.iter_mut().zip(count).for_each(|(mean, count)| *mean /= count);
+        let (mut weights, mut square) = (0.0, DMatrix::zeros(channels, channels));
+        for &(x, y, (is_snake, weight)) in &pixels {
+            let off = colour(x, y) - &mean[usize::from(is_snake)];
+            square.syger(weight, &off, &off, 1.0);
+            weights += weight;
         }
+        square.fill_upper_triangle_with_lower_triangle();
         // A noise floor keeps the solution finite on pictures without noise.
         let floor = DMatrix::identity(channels, channels) * 1e-5;
-        let scatter = square / (count[0] + count[1]) + floor;
+        let scatter = square / weights + floor;
         let difference = &mean[1] - &mean[0];
         let direction = scatter.cholesky()?.solve(&difference);
         let scale = direction.dot(&difference);
@@ -65,11 +67,8 @@ impl Appearance {
         // Shadows and thick lines cover less of the paper than that.
         const MUCH: f64 = 0.2;
         let plane = appearance.plane(frame);
-        let background = |x: u32, y: u32| label(x, y) == Some(false);
-        let places =
-            (0..frame.height).step_by(STRIDE).flat_map(|y| (0..frame.width).step_by(STRIDE).map(move |x| (x, y)));
-        let like_snake =
-            places.filter(|&(x, y)| background(x, y) && plane.get(i64::from(x), i64::from(y)) > 0.6).count();
+        let background = pixels.iter().filter(|(_, _, (is_snake, _))| !is_snake);
+        let like_snake = background.filter(|&&(x, y, _)| plane.get(i64::from(x), i64::from(y)) > 0.6).count();
         appearance.two_sided = like_snake as f64 > MUCH * count[0];
         Some(appearance)
     }
@@ -159,3 +158,35 @@ pub fn linear_light(encoded: f32) -> f64 {
 static LIGHT_8: LazyLock<Vec<f32>> = LazyLock::new(|| (0..=u8::MAX).map(|v| linear_light(v.level()) as f32).collect());
 static LIGHT_16: LazyLock<Vec<f32>> =
     LazyLock::new(|| (0..=u16::MAX).map(|v| linear_light(v.level()) as f32).collect());
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{DynamicImage, RgbImage};
+
+    /// Dark and bluish above, light below; the brightness is sharp, the blue runs over the border as a JPEG makes it.
+    #[test]
+    fn what_is_sharp_at_the_border_tells_snake_from_paper() {
+        const BORDER: u32 = 60;
+        let picture = RgbImage::from_fn(120, 120, |x, y| {
+            // The snake is shaded and the paper printed, so that far from the border blue tells the most.
+            let shade = if y < BORDER { 30.0 * f64::from(x % 7) } else { 40.0 * f64::from(u8::from(x % 10 == 0)) };
+            let below = ((f64::from(y) - f64::from(BORDER) + 8.0) / 8.0).clamp(0.0, 1.0);
+            let grey = if y < BORDER { 120.0 - shade / 2.0 } else { 200.0 - shade / 2.0 };
+            image::Rgb([grey, grey, grey + 25.0 * (1.0 - below)].map(|v: f64| v as u8))
+        });
+        let frame = Frame::from_image(DynamicImage::ImageRgb8(picture)).unwrap();
+        let learned = |border_weight: f64| {
+            let weight = |y: u32| if y.abs_diff(BORDER) < 8 { border_weight } else { 1.0 };
+            Appearance::learn(&frame, |_, y| Some((y < BORDER, weight(y)))).unwrap()
+        };
+        // The share of the difference that the two rows make between which the border is.
+        let step = |appearance: &Appearance| {
+            let plane = appearance.plane(&frame);
+            let row = |y: i64| (0..120).map(|x| plane.get(x, y)).sum::<f32>() / 120.0;
+            (row(59) - row(60)) / (row(20) - row(100))
+        };
+        let (alike, at_border) = (step(&learned(1.0)), step(&learned(20.0)));
+        assert!(at_border > alike + 0.05, "{at_border} {alike}");
+    }
+}

@@ -168,7 +168,7 @@ impl Holder {
 fn refined(frame: &Frame, object: GrayImage) -> Result<GrayImage, String> {
     let mut object = object;
     for _ in 0..2 {
-        let appearance = Appearance::learn(frame, |x, y| Some(block_is_set(&object, x, y))).ok_or(NOTHING)?;
+        let appearance = Appearance::learn(frame, |x, y| Some((block_is_set(&object, x, y), 1.0))).ok_or(NOTHING)?;
         let overlap =
             |other: &GrayImage| other.pixels().zip(object.pixels()).filter(|(a, b)| a.0[0] & b.0[0] > 0).count();
         let others = components(&opened(&above_half(&appearance.plane(frame).shrunk(BLOCK))));

@@ -86,9 +86,19 @@ const FAR_OFF_SIGMAS: f64 = 15.0;
 /// Share of the straight snake's outline that must be confirmed by edges.
 const ENOUGH_INLIERS: f64 = 0.5;
 /// How far outside the snake's border its edges may be seen, px (1σ), and what stands for none at all.
-const BIAS_SIGMA_PX: f64 = 0.3;
+const STRAIGHT_BIAS_SIGMA_PX: f64 = 0.3;
 const NO_BIAS_PX: f64 = 1e-3;
-/// An edge bias beyond this, px, is no edge's but a wrong model's.
+/// A camera whose direction is less certain than this, rad (1σ), was not found: a grid in good view tells it to 0.02° to 0.3°.
+const MOST_TURN_SIGMA: f64 = 1.0 * std::f64::consts::PI / 180.0;
+/// What tells snake from paper is asked for most where edges are placed, so near the border, px: a JPEG and many a camera
+/// keep less of the colours than of the brightness, and what looks the most unlike far from it has the worst edges. Pixels that an
+/// edge mixes of both sides lie between the two and change nothing.
+const BORDER_PX: f64 = 2.0;
+const BORDER_WEIGHT: f64 = 20.0;
+/// So long as edges are searched for further away than this, px, the border is not known so well.
+const WELL_PLACED_PX: f64 = 5.0;
+/// An edge bias beyond this, px, is no edge's but a wrong model's; soft edges are displaced by as much more as they are wider than
+/// a pixel.
 const MOST_BIAS_PX: f64 = 0.8;
 
 /// Calibrates a rig from a picture of the unbent snake before the grid.
@@ -244,7 +254,8 @@ fn fit_base(
         let mut outline = Outline::new(&view, straight);
         // The model's own outline tells which pixels are snake, the better the better it lies.
         if round % 3 == 0 || appearance.is_none() {
-            appearance = appearance_of(frame, &outline);
+            let border_weight = if search_px > WELL_PLACED_PX { 1.0 } else { BORDER_WEIGHT };
+            appearance = appearance_of(frame, &outline, border_weight);
         }
         let known = appearance.as_ref().ok_or("the snake does not stand out from the paper")?;
         let plane = known.plane(frame);
@@ -264,7 +275,7 @@ fn fit_base(
         }
         let roots = robust_weights(&matches.residuals(&view, straight, edge_bias), search_px > SETTLED_PX);
         // While the model is off, a bias would take the blame and carry scale and tilt away.
-        let bias_sigma_px = if search_px > SETTLED_PX { NO_BIAS_PX } else { BIAS_SIGMA_PX };
+        let bias_sigma_px = if search_px > SETTLED_PX { NO_BIAS_PX } else { STRAIGHT_BIAS_SIGMA_PX };
         let weighted = |x: &DVector<f64>| {
             let moved = Projection { camera_from_base: pose(&Placement(x.rows(0, 5).into_owned())), ..view.clone() };
             let edges = matches.residuals(&moved, straight, EdgeBias::default().moved(&x.as_slice()[5..]));
@@ -294,7 +305,7 @@ fn fit_base(
     let (agreeing, edge_rms_px) = inliers(&matches.misfits_px(&view, straight, edge_bias), &roots);
     let share = agreeing as f64 / matches.places().max(1) as f64;
     let bias_px = edge_bias.to_array().into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
-    if share < ENOUGH_INLIERS || bias_px.abs() > MOST_BIAS_PX {
+    if share < ENOUGH_INLIERS || bias_px.abs() > MOST_BIAS_PX * matches.blur_px().max(1.0) {
         return Err(format!(
             "only {:.0} % of the straight snake's outline agrees with the model (edges lie {bias_px:.2} px outside it); \
              is the snake unbent, in focus and of the robot's dimensions?",
@@ -309,9 +320,18 @@ fn fit_base(
     if let Some((part, _)) = ends.into_iter().find(|&(_, part)| !proof.is_there(part)) {
         return Err(format!("{part} is not where the model says; is the snake unbent, and all of it in the picture?"));
     }
+    let pose_covariance = nudge_covariance(&placement, &covariance, options, grid);
+    let turn_sigma = (0..3).map(|axis| pose_covariance[(axis, axis)]).fold(0.0, f64::max).sqrt();
+    if turn_sigma > MOST_TURN_SIGMA {
+        return Err(format!(
+            "snake and grid tell the camera's direction no better than to {:.1}° (1σ); is grid_pitch_mm that of its finest \
+             lines, and enough of the grid in the picture?",
+            turn_sigma.to_degrees()
+        ));
+    }
     let rig = Rig {
         camera_from_base,
-        pose_covariance: nudge_covariance(&placement, &covariance, options, grid),
+        pose_covariance,
         camera_from_grid: grid.camera_from_grid,
         grid_pitch_mm: options.grid_pitch_mm,
         print: Print { pattern: grid.pattern, ..Print::default() },
@@ -377,13 +397,15 @@ fn starting_placement(lens: &Lens, options: &RigOptions, snake: &SnakeStart, gri
 }
 
 /// What tells snake from paper, learned from inside and outside of the outline.
-fn appearance_of(frame: &Frame, outline: &Outline) -> Option<Appearance> {
+fn appearance_of(frame: &Frame, outline: &Outline, border_weight: f64) -> Option<Appearance> {
     let (x0, y0, x1, y1) = outline.bounds();
     let margin = x1 - x0;
+    let soft = outline.seen_through(BORDER_PX);
     Appearance::learn(frame, |x, y| {
         let pixel = Point2::new(f64::from(x), f64::from(y));
         let near = pixel.x > x0 - margin && pixel.x < x1 + margin && pixel.y > y0 - margin && pixel.y < y1 + margin;
-        near.then(|| outline.covers(&pixel))
+        let is_at_border = (0.05..0.95).contains(&soft.sample(&pixel));
+        near.then(|| (outline.covers(&pixel), if is_at_border { border_weight } else { 1.0 }))
     })
 }
 
