@@ -35,7 +35,7 @@ pub struct EdgeFinder<'a> {
 const STEP_PX: f64 = 0.5;
 /// σ of the Gaussian whose derivative finds the edge, px: about a lens' own blur, the best filter for a step in noise
 /// (J. Canny, 1986).
-const FILTER_PX: f64 = 1.2;
+pub(super) const FILTER_PX: f64 = 1.2;
 /// The finest filter, px: two samples of a profile fall within its σ on either side.
 const FINEST_PX: f64 = 0.8;
 /// Steps to either side that the filter reaches: three σ.

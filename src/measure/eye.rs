@@ -1,7 +1,7 @@
 //! Frames to θ and δ.
 
 use super::edges::EdgeFinder;
-use super::fit::{AS_GOOD, BendFit, BiasPrior, Effort, Start, State, fit_bend};
+use super::fit::{AS_GOOD, BendFit, BiasPrior, Effort, SHARP_PX, Start, State, fit_bend};
 use super::outline::{Outline, Projection};
 use super::plane::{Plane, Region};
 use super::rig::Rig;
@@ -87,12 +87,15 @@ const EDGE_ON_PX: f64 = 2.0;
 /// How far the snake's outline may move between two frames of a tracked sequence, px.
 const NEARBY_PX: f64 = 40.0;
 /// How far the edges' bias may differ between the straight picture and a frame, px (1σ).
-pub(super) const BIAS_SIGMA_PX: f64 = 0.05;
+pub(super) const FRAME_BIAS_SIGMA_PX: f64 = 0.05;
 /// Share of the outline that must be confirmed by edges.
 const ENOUGH_INLIERS: f64 = 0.45;
 /// Share of the disks that must be where the fit says, most of their outline seen: one hidden and one half hidden is
 /// allowed, but not both at the tip.
 const ENOUGH_DISKS: f64 = 0.6;
+/// Soft edges that scatter by more than this share of a disk's thickness do not tell its two rims apart, and so not how it is
+/// tilted.
+const MOST_SCATTER: f64 = 0.125;
 /// Another bend explains a picture as well if its cost is within [`AS_GOOD`] of the best one's and the scatter of its
 /// edges within this factor: over some sixty pieces of outline, 2.7σ of chance.
 const AS_CLOSE: f64 = 1.3;
@@ -141,8 +144,14 @@ impl Eye {
 
         look.candidates = self.search.candidates(&plane, self.rig.appearance.two_sided, CANDIDATES);
         let first = |bend: Vector2<f64>| Some((bend, fit(self.start(bend), &FIRST_LOOK)?));
-        let mut looks: Vec<(Vector2<f64>, BendFit)> =
-            look.candidates.par_iter().filter_map(|&bend| first(bend)).collect();
+        let mut looks: Vec<(Vector2<f64>, BendFit)> = Vec::new();
+        for look in look.candidates.iter().filter_map(|&bend| first(bend)) {
+            let is_it = look.1.explains_all();
+            looks.push(look);
+            if is_it {
+                break;
+            }
+        }
         // The search, whose picture is small, may have taken the best one for its twin, and a look from there ends between.
         let best = looks.iter().min_by(|(_, a), (_, b)| a.cost.total_cmp(&b.cost));
         let twin = best.and_then(|(candidate, _)| first(self.twin(*candidate)));
@@ -209,7 +218,7 @@ impl Eye {
     }
 
     fn prior(&self) -> BiasPrior {
-        BiasPrior { mean: self.rig.edge_bias, sigma_px: BIAS_SIGMA_PX }
+        BiasPrior { mean: self.rig.edge_bias, sigma_px: FRAME_BIAS_SIGMA_PX }
     }
 
     fn start(&self, bend: Vector2<f64>) -> Start {
@@ -255,6 +264,8 @@ impl Eye {
                 sighting = failed(Status::Occluded, sighting.quality);
             } else if is_ambiguous {
                 sighting = failed(Status::Ambiguous, sighting.quality);
+            } else if best.blur_px > SHARP_PX && best.rms_px > MOST_SCATTER * self.thickness_px() {
+                sighting = failed(Status::Blurred, sighting.quality);
             }
         }
         fits[0] = best;
@@ -266,6 +277,12 @@ impl Eye {
         let sight = self.rig.camera_from_base.inverse() * self.rig.camera_from_base.translation.vector;
         let depth = sight.xy().normalize();
         bend - 2.0 * depth * depth.dot(&bend)
+    }
+
+    /// A disk's thickness in the picture, px.
+    fn thickness_px(&self) -> f64 {
+        let body = &self.robot.body;
+        self.projection().diameter_px() * body.disk_thickness_mm / body.disk_diameter_mm
     }
 
     /// Angles and sigmas of a fit that can be trusted, or why it cannot.

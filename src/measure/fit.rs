@@ -1,6 +1,6 @@
 //! Fits the snake's bend to the edges of one picture.
 
-use super::edges::{Edge, EdgeFinder};
+use super::edges::{Edge, EdgeFinder, FILTER_PX};
 use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use super::plane::median;
 use super::proof::Proof;
@@ -76,9 +76,12 @@ pub(super) struct Matches {
     asked: Vec<(Piece, Option<Edge>)>,
 }
 
-/// What light does to all rims or all sides alike, px (1σ): see [`Matches::light_patterns`]. In renders of random rigs the
-/// sides of disks and holder are seen further right or left by 0.011 px (median) to 0.04 px (one rig in ten).
-const LIGHT_PX: f64 = 0.016;
+/// What light does to all rims alike and to all sides alike, px (1σ): see [`Matches::light_patterns`]. In renders of random rigs
+/// the sides of disks and holder are seen further right or left by 0.011 px (median) to 0.04 px (one rig in ten).
+const LIGHT_ON_RIMS_PX: f64 = 0.010;
+const LIGHT_ON_SIDES_PX: f64 = 0.023;
+/// The softest edges, px, for which that is true.
+pub(super) const SHARP_PX: f64 = 1.5;
 /// Edges come in runs of about as many that err alike; what is known beforehand weighs against one of a run.
 const ALIKE: f64 = 10.0;
 /// The furthest that softness may displace an edge of the model, px.
@@ -88,6 +91,13 @@ const EDGE_FLOOR_PX: f64 = 0.08;
 /// The same at a tube, whose shading changes within the pixels that place an edge. In renders of random rigs edges of tubes lie
 /// up to 0.5 px outside, by a different amount on each side, those of disks at most 0.1 px.
 const TUBE_FLOOR_PX: f64 = 0.3;
+
+/// How much further shading displaces edges this soft than sharp ones: a slope of the brightness beside an edge draws it in
+/// proportion to blur² + filter².
+fn softness(blur_px: f64) -> f64 {
+    let drawn = |blur_px: f64| blur_px.powi(2) + FILTER_PX.powi(2);
+    (drawn(blur_px) / drawn(SHARP_PX)).max(1.0)
+}
 
 /// Whether a border point's surroundings are what the edge filter assumes, with no other part close to it.
 fn is_clear(point: &OutlinePoint) -> bool {
@@ -197,21 +207,21 @@ impl Matches {
     /// averages them away: all rims shifted along the snake, the same at their ends only, all ends rounded off, disks
     /// that look thicker towards one end of the snake, and all sides shifted to the right or down in the picture.
     pub fn light_patterns(&self, view: &Projection, roots: &[f64]) -> Vec<DVector<f64>> {
-        let light_px = LIGHT_PX * (SMALL_PX / view.diameter_px()).max(1.0).powi(2);
+        let more = softness(self.blur_px()) * (SMALL_PX / view.diameter_px()).max(1.0).powi(2);
         let of_edge = |m: &Match| {
             let along = 2.0 * m.body.s_mm / view.robot.length_mm - 1.0;
             let end = m.lateral.powi(2);
-            let of_rim = |face: f64| [face, face * end, end, along, 0.0, 0.0];
+            let of_rim = |face: f64| [face, face * end, end, along, 0.0, 0.0].map(|share| LIGHT_ON_RIMS_PX * share);
             match m.piece {
                 Piece::Rim(_, far) => of_rim(if far { 1.0 } else { -1.0 }),
                 Piece::BaseRim => of_rim(1.0),
                 Piece::HolderSide(_) | Piece::DiskSide(..) | Piece::Tube(..) => {
-                    [0.0, 0.0, 0.0, 0.0, m.normal.x, m.normal.y]
+                    [0.0, 0.0, 0.0, 0.0, m.normal.x, m.normal.y].map(|share| LIGHT_ON_SIDES_PX * share)
                 }
             }
         };
         let edges: Vec<[f64; 6]> = self.matches.iter().map(of_edge).collect();
-        let weight = |(m, root): (&Match, &f64)| root * light_px / m.sigma_px;
+        let weight = |(m, root): (&Match, &f64)| root * more / m.sigma_px;
         let weights: Vec<f64> = self.matches.iter().zip(roots).map(weight).collect();
         let pattern = |k: usize| DVector::from_fn(self.len(), |edge, _| weights[edge] * edges[edge][k]);
         (0..6).map(pattern).collect()
@@ -389,13 +399,18 @@ pub(super) fn inliers(misfits_px: &[f64], roots: &[f64]) -> (usize, f64) {
     (kept.len(), rms)
 }
 
-/// A covariance, widened wherever it says less than another does: scores of a few pieces may agree by chance.
-fn at_least(covariance: Matrix2<f64>, least: &Matrix2<f64>) -> Matrix2<f64> {
-    let Some(root) = least.cholesky().map(|c| c.l()) else { return covariance };
-    let Some(inverse) = root.try_inverse() else { return covariance };
-    let mut ratio = (inverse * covariance * inverse.transpose()).symmetric_eigen();
+/// Covariance of the `kept` parameters of a fit: [`clustered_covariance`], widened wherever it says less than independent edges
+/// do, for the scores of a few pieces may agree by chance, and what light adds.
+pub(super) fn whole_covariance(
+    [clustered, independent, light]: [&DMatrix<f64>; 3],
+    kept: &[usize],
+) -> Option<DMatrix<f64>> {
+    let block = |of: &DMatrix<f64>| DMatrix::from_fn(kept.len(), kept.len(), |r, c| of[(kept[r], kept[c])]);
+    let root = block(independent).cholesky()?.l();
+    let inverse = root.clone().try_inverse()?;
+    let mut ratio = (&inverse * block(clustered) * inverse.transpose()).symmetric_eigen();
     ratio.eigenvalues.iter_mut().for_each(|value| *value = value.max(1.0));
-    root * ratio.recompose() * root.transpose()
+    Some(&root * ratio.recompose() * root.transpose() + block(light))
 }
 
 /// Another bend explains a picture as well if its cost is within this factor of the best one's.
@@ -428,12 +443,21 @@ pub(super) struct BendFit {
 impl BendFit {
     /// How the snake departs from a circle; `None` where the edges do not tell.
     pub fn departure(&self, view: &Projection, bias: &BiasPrior) -> Option<Departure> {
-        departure(view, &self.matches, &self.start().state, bias)
+        departure(view, &self.matches, &self.start().state, &bias.in_edges_as_soft_as(self.blur_px))
     }
 
     /// What of the snake is there to be seen.
     pub fn proof(&self) -> Proof {
         Proof::of(&self.matches.asked)
+    }
+
+    /// Whether all of the outline is where the fit says, so that no other bend needs to be looked at.
+    pub fn explains_all(&self) -> bool {
+        const HARDLY_OFF: f64 = 0.01;
+        const NEARLY_ALL: f64 = 0.95;
+        let proof = self.proof();
+        let agreeing = self.inliers as f64 >= NEARLY_ALL * self.places as f64;
+        self.cost < HARDLY_OFF && agreeing && proof.disks_there() == 1.0 && proof.end_is_there()
     }
 
     /// The better of two that end close together, with the doubt which of them is right.
@@ -461,6 +485,11 @@ pub(super) struct BiasPrior {
 }
 
 impl BiasPrior {
+    /// What is known of it in a picture this soft.
+    fn in_edges_as_soft_as(self, blur_px: f64) -> Self {
+        Self { sigma_px: self.sigma_px * softness(blur_px), ..self }
+    }
+
     /// How far a state's biases are from their means, px.
     fn differs(&self, state: &State) -> [f64; BIASES] {
         let (biases, means) = (state.bias.to_array(), self.mean.to_array());
@@ -558,6 +587,7 @@ pub(super) fn fit_bend(
     let Start { mut state, blur_px } = start;
     let mut settling = !effort.settled;
     let blur_px = blur_px.filter(|_| effort.settled);
+    let bias = blur_px.map_or(bias, |blur_px| bias.in_edges_as_soft_as(blur_px));
     let fine = blur_px.map(|blur_px| settled(finder, view, blur_px));
     let finder = fine.as_ref().unwrap_or(finder);
     let spacing_px = if effort.settled { Outline::SPACING_PX } else { view.sparse_px() };
@@ -610,11 +640,11 @@ pub(super) fn fit_bend(
     let misfits = matches.misfits_px(view, psi, state.bias);
     let (inliers, rms_px) = inliers(&misfits, &roots);
     let near: f64 = misfits.iter().map(|d| 1.0 - (d / search_px).powi(2).min(1.0)).sum();
-    let block = |c: &DMatrix<f64>| Matrix2::new(c[(0, 0)], c[(0, 1)], c[(1, 0)], c[(1, 1)]);
+    let covariance = whole_covariance([&clustered, &independent, &light], &[0, 1])?;
     Some(BendFit {
         bend: state.bend,
         bias: state.bias,
-        covariance: at_least(block(&clustered), &block(&independent)) + block(&light),
+        covariance: covariance.fixed_view::<2, 2>(0, 0).into_owned(),
         by_pose: Matrix2x6::from_fn(|row, column| -gain[(row, column)]),
         places: matches.places(),
         inliers,
@@ -689,6 +719,13 @@ mod tests {
         root * root.transpose()
     }
 
+    /// The whole covariance where light adds nothing.
+    fn widened(clustered: &Matrix2<f64>, independent: &Matrix2<f64>) -> Matrix2<f64> {
+        let dynamic = |m: &Matrix2<f64>| DMatrix::from_column_slice(2, 2, m.as_slice());
+        let parts = [dynamic(clustered), dynamic(independent), DMatrix::zeros(2, 2)];
+        whole_covariance(parts.each_ref(), &[0, 1]).unwrap().fixed_view::<2, 2>(0, 0).into_owned()
+    }
+
     proptest! {
         #[test]
         fn what_is_at_least_another_is_no_less_than_either(
@@ -696,7 +733,7 @@ mod tests {
             (d, e, f) in (0.01..10.0, -10.0..10.0, 0.01..10.0),
         ) {
             let (covariance, least) = (covariance_of(a, b, c), covariance_of(d, e, f));
-            let widened = at_least(covariance, &least);
+            let widened = widened(&covariance, &least);
             let rounding = 1e-9 * widened.trace().powi(2) / least.determinant().sqrt();
             prop_assert!((widened - covariance).symmetric_eigenvalues().min() > -rounding);
             prop_assert!((widened - least).symmetric_eigenvalues().min() > -rounding);
@@ -706,7 +743,7 @@ mod tests {
     #[test]
     fn a_covariance_is_widened_only_where_it_says_less() {
         let covariance = Matrix2::from_diagonal(&Vector2::new(4.0, 0.1));
-        let widened = at_least(covariance, &Matrix2::identity());
+        let widened = widened(&covariance, &Matrix2::identity());
         assert_relative_eq!(widened, Matrix2::from_diagonal(&Vector2::new(4.0, 1.0)), epsilon = 1e-12);
     }
 

@@ -4,7 +4,7 @@
 //! its own, but all share one camera, one base and one light.
 
 use super::edges::EdgeFinder;
-use super::eye::{BIAS_SIGMA_PX, Eye, Look};
+use super::eye::{Eye, FRAME_BIAS_SIGMA_PX, Look};
 use super::fit::{
     BiasPrior, Effort, Shared, SharedEvidence, SharedInformation, Start, State, fit_bend, shared_evidence,
 };
@@ -47,7 +47,7 @@ impl Eye {
         let mut moved = Shared::zeros();
         for _ in 0..ROUNDS {
             let view = Projection { lens: &self.lens, camera_from_base: rig.camera_from_base, robot: &self.robot };
-            let prior = BiasPrior { mean: rig.edge_bias, sigma_px: BIAS_SIGMA_PX };
+            let prior = BiasPrior { mean: rig.edge_bias, sigma_px: FRAME_BIAS_SIGMA_PX };
             let look = |(plane, start): (&Plane, &mut Start)| {
                 let finder = EdgeFinder::new(plane, rig.appearance.two_sided);
                 let state = State { bend: start.state.bend, bias: rig.edge_bias };
@@ -88,7 +88,7 @@ fn combine(rig: &Rig, moved: &Shared, evidence: &[SharedEvidence]) -> Option<(Sh
     let pose: Matrix6<f64> = rig.pose_covariance.cholesky()?.inverse();
     let prior = SharedInformation::from_fn(|r, c| match (r < 6, c < 6) {
         (true, true) => pose[(r, c)],
-        _ if r == c => BIAS_SIGMA_PX.powi(-2),
+        _ if r == c => FRAME_BIAS_SIGMA_PX.powi(-2),
         _ => 0.0,
     });
     let mut pieces: BTreeMap<Piece, (SharedInformation, Shared)> = BTreeMap::new();

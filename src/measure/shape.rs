@@ -4,7 +4,9 @@
 //! the fit of the circle stands, a Gauss-Newton step in all of them says how far the picture would go if it might, and the
 //! bend after that step is the tip's own.
 
-use super::fit::{BiasPrior, Matches, STATE, State, clustered_covariance, light_covariance, robust_weights};
+use super::fit::{
+    BiasPrior, Matches, STATE, State, clustered_covariance, light_covariance, robust_weights, whole_covariance,
+};
 use super::outline::Projection;
 use super::solve::covariance;
 use crate::record::Shape;
@@ -63,11 +65,11 @@ pub(super) fn departure(view: &Projection, matches: &Matches, state: &State, pri
     let clustered = clustered_covariance(&jacobian, &residuals, &matches.pieces())?;
     let light = light_covariance(matches, &jacobian, &independent, view, roots.as_slice());
     let gain = &independent * jacobian.tr_mul(&weighted(&edges.by_pose, &roots));
-    let covariance = clustered + light;
     const KEPT: [usize; 4] = [0, 1, STATE, STATE + 1];
+    let covariance = whole_covariance([&clustered, &independent, &light], &KEPT)?;
     Some(Departure {
         found: Vector4::new(state.bend.x + step[0], state.bend.y + step[1], step[STATE], step[STATE + 1]),
-        covariance: Matrix4::from_fn(|r, c| covariance[(KEPT[r], KEPT[c])]),
+        covariance: covariance.fixed_view::<4, 4>(0, 0).into_owned(),
         by_pose: SMatrix::from_fn(|r, c| -gain[(KEPT[r], c)]),
     })
 }

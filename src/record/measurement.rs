@@ -20,7 +20,7 @@ pub enum Status {
     Occluded,
     /// Two bends explain the picture equally well.
     Ambiguous,
-    /// The outline is too soft for the edges to be placed.
+    /// The outline is too soft for the edges to be placed, or they scatter too much for how thick the disks are.
     Blurred,
     /// The picture is almost entirely black or white.
     Saturated,
