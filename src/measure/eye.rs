@@ -145,10 +145,10 @@ impl Eye {
         look.candidates = self.search.candidates(&plane, self.rig.appearance.two_sided, CANDIDATES);
         let first = |bend: Vector2<f64>| Some((bend, fit(self.start(bend), &FIRST_LOOK)?));
         let mut looks: Vec<(Vector2<f64>, BendFit)> = Vec::new();
-        for look in look.candidates.iter().filter_map(|&bend| first(bend)) {
-            let is_it = look.1.explains_all();
-            looks.push(look);
-            if is_it {
+        // Two at a time whatever the number of cores, so that the answer does not hang on it.
+        for two in look.candidates.chunks(2) {
+            looks.par_extend(two.par_iter().filter_map(|&bend| first(bend)));
+            if looks.iter().any(|(_, look)| look.explains_all()) {
                 break;
             }
         }
