@@ -455,9 +455,11 @@ impl BendFit {
     pub fn explains_all(&self) -> bool {
         const HARDLY_OFF: f64 = 0.01;
         const NEARLY_ALL: f64 = 0.95;
+        if self.cost >= HARDLY_OFF || (self.inliers as f64) < NEARLY_ALL * self.places as f64 {
+            return false;
+        }
         let proof = self.proof();
-        let agreeing = self.inliers as f64 >= NEARLY_ALL * self.places as f64;
-        self.cost < HARDLY_OFF && agreeing && proof.disks_there() == 1.0 && proof.end_is_there()
+        proof.disks_there() == 1.0 && proof.end_is_there()
     }
 
     /// The better of two that end close together, with the doubt which of them is right.

@@ -254,8 +254,7 @@ fn fit_base(
         let mut outline = Outline::new(&view, straight);
         // The model's own outline tells which pixels are snake, the better the better it lies.
         if round % 3 == 0 || appearance.is_none() {
-            let border_weight = if search_px > WELL_PLACED_PX { 1.0 } else { BORDER_WEIGHT };
-            appearance = appearance_of(frame, &outline, border_weight);
+            appearance = appearance_of(frame, &outline, search_px <= WELL_PLACED_PX);
         }
         let known = appearance.as_ref().ok_or("the snake does not stand out from the paper")?;
         let plane = known.plane(frame);
@@ -396,16 +395,17 @@ fn starting_placement(lens: &Lens, options: &RigOptions, snake: &SnakeStart, gri
     Ok(Placement(DVector::from_column_slice(&[base.x, base.y, gamma, 0.0, 0.0])))
 }
 
-/// What tells snake from paper, learned from inside and outside of the outline.
-fn appearance_of(frame: &Frame, outline: &Outline, border_weight: f64) -> Option<Appearance> {
+/// What tells snake from paper, learned from inside and outside of the outline: of one that is well placed, at its border above all.
+fn appearance_of(frame: &Frame, outline: &Outline, is_well_placed: bool) -> Option<Appearance> {
     let (x0, y0, x1, y1) = outline.bounds();
     let margin = x1 - x0;
-    let soft = outline.seen_through(BORDER_PX);
+    let soft = is_well_placed.then(|| outline.seen_through(BORDER_PX));
+    let is_at_border =
+        |pixel: &Point2<f64>| soft.as_ref().is_some_and(|soft| (0.05..0.95).contains(&soft.sample(pixel)));
     Appearance::learn(frame, |x, y| {
         let pixel = Point2::new(f64::from(x), f64::from(y));
         let near = pixel.x > x0 - margin && pixel.x < x1 + margin && pixel.y > y0 - margin && pixel.y < y1 + margin;
-        let is_at_border = (0.05..0.95).contains(&soft.sample(&pixel));
-        near.then(|| (outline.covers(&pixel), if is_at_border { border_weight } else { 1.0 }))
+        near.then(|| (outline.covers(&pixel), if is_at_border(&pixel) { BORDER_WEIGHT } else { 1.0 }))
     })
 }
 
