@@ -103,6 +103,15 @@ fn a_wire_across_the_snake_costs_precision_and_not_truth() {
     check_poses(&eye, &scene, &[(40.0, 30.0), (65.0, -140.0)], 0.3, 1.0);
 }
 
+/// The camera went out of focus: the disks are hardly wider than the blur, and look as much sharper than it is.
+#[test]
+fn a_picture_out_of_focus_costs_precision_and_not_truth() {
+    let mut scene = lab();
+    let eye = eye(&scene, rig(&scene, 1.0).unwrap());
+    scene.sensor.blur_px = 4.0;
+    check_poses(&eye, &scene, &[(12.0, -135.0), (40.0, 30.0), (65.0, -140.0)], 0.3, 1.0);
+}
+
 #[test]
 fn near_straight_the_direction_is_said_to_be_unknown() {
     let scene = lab();

@@ -1,7 +1,7 @@
 //! Frames to θ and δ.
 
 use super::edges::EdgeFinder;
-use super::fit::{AS_GOOD, BendFit, BiasPrior, Effort, SHARP_PX, Start, State, fit_bend};
+use super::fit::{AS_GOOD, BendFit, BiasPrior, Effort, Start, State, fit_bend};
 use super::outline::{Outline, Projection};
 use super::plane::{Plane, Region};
 use super::rig::Rig;
@@ -93,9 +93,6 @@ const ENOUGH_INLIERS: f64 = 0.45;
 /// Share of the disks that must be where the fit says, most of their outline seen: one hidden and one half hidden is
 /// allowed, but not both at the tip.
 const ENOUGH_DISKS: f64 = 0.6;
-/// Soft edges that scatter by more than this share of a disk's thickness do not tell its two rims apart, and so not how it is
-/// tilted.
-const MOST_SCATTER: f64 = 0.125;
 /// Another bend explains a picture as well if its cost is within [`AS_GOOD`] of the best one's and the scatter of its
 /// edges within this factor: over some sixty pieces of outline, 2.7σ of chance.
 const AS_CLOSE: f64 = 1.3;
@@ -264,8 +261,6 @@ impl Eye {
                 sighting = failed(Status::Occluded, sighting.quality);
             } else if is_ambiguous {
                 sighting = failed(Status::Ambiguous, sighting.quality);
-            } else if best.blur_px > SHARP_PX && best.rms_px > MOST_SCATTER * self.thickness_px() {
-                sighting = failed(Status::Blurred, sighting.quality);
             }
         }
         fits[0] = best;
@@ -277,12 +272,6 @@ impl Eye {
         let sight = self.rig.camera_from_base.inverse() * self.rig.camera_from_base.translation.vector;
         let depth = sight.xy().normalize();
         bend - 2.0 * depth * depth.dot(&bend)
-    }
-
-    /// A disk's thickness in the picture, px.
-    fn thickness_px(&self) -> f64 {
-        let body = &self.robot.body;
-        self.projection().diameter_px() * body.disk_thickness_mm / body.disk_diameter_mm
     }
 
     /// Angles and sigmas of a fit that can be trusted, or why it cannot.

@@ -1,7 +1,7 @@
 //! Fits the snake's bend to the edges of one picture.
 
-use super::edges::{Edge, EdgeFinder, FILTER_PX};
-use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
+use super::edges::{Edge, EdgeFinder, filter_px};
+use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection, Softened};
 use super::plane::median;
 use super::proof::Proof;
 use super::shape::{Departure, departure};
@@ -81,10 +81,10 @@ pub(super) struct Matches {
 const LIGHT_ON_RIMS_PX: f64 = 0.010;
 const LIGHT_ON_SIDES_PX: f64 = 0.023;
 /// The softest edges, px, for which that is true.
-pub(super) const SHARP_PX: f64 = 1.5;
+const SHARP_PX: f64 = 1.5;
 /// Edges come in runs of about as many that err alike; what is known beforehand weighs against one of a run.
 const ALIKE: f64 = 10.0;
-/// The furthest that softness may displace an edge of the model, px.
+/// The furthest that softness may displace an edge of the model, px, if the picture is sharp.
 const ROUNDED_PX: f64 = 1.0;
 /// Systematic error of a single edge's place, px: what shading and print do to it however clean it looks.
 const EDGE_FLOOR_PX: f64 = 0.08;
@@ -95,7 +95,7 @@ const TUBE_FLOOR_PX: f64 = 0.3;
 /// How much further shading displaces edges this soft than sharp ones: a slope of the brightness beside an edge draws it in
 /// proportion to blur² + filter².
 fn softness(blur_px: f64) -> f64 {
-    let drawn = |blur_px: f64| blur_px.powi(2) + FILTER_PX.powi(2);
+    let drawn = |blur_px: f64| blur_px.powi(2) + filter_px(blur_px).powi(2);
     (drawn(blur_px) / drawn(SHARP_PX)).max(1.0)
 }
 
@@ -111,16 +111,22 @@ const SMALL_PX: f64 = 40.0;
 /// The finder for edges this soft of an outline that lies well. A small snake has so few of them that noise does more harm than
 /// shading: there it stays what it is.
 pub(super) fn settled<'a>(finder: &EdgeFinder<'a>, view: &Projection, blur_px: f64) -> EdgeFinder<'a> {
-    if view.diameter_px() < SMALL_PX { finder.clone() } else { finder.as_fine_as(blur_px) }
+    if view.diameter_px() < SMALL_PX { finder.as_wide_as(blur_px) } else { finder.as_fine_as(blur_px) }
 }
 
 /// Looks at an outline's own silhouette as at a picture, with the same filter and as soft as a blur of σ = `blur_px` makes it:
-/// corners and bends of the border, which a soft picture rounds off, are then rounded in both.
+/// corners and bends of the border, which a soft picture rounds off, are then rounded in both, and a part that is hardly wider
+/// than the blur looks as much sharper in both.
 pub(super) fn soften(outline: &mut Outline, blur_px: f64, finder: &EdgeFinder) {
+    /// An edge that looks sharper than by this factor is hardly one.
+    const LEAST: f64 = 0.3;
     let silhouette = outline.seen_through(blur_px);
     let finder = finder.for_model(&silhouette);
+    let search_px = ROUNDED_PX * (blur_px / SHARP_PX).max(1.0);
     for point in outline.points.iter_mut().filter(|point| is_clear(point)) {
-        point.rounded_px = finder.find(point, ROUNDED_PX).map(|edge| edge.offset_px);
+        point.softened = finder
+            .find(point, search_px)
+            .map(|edge| Softened { outside_px: edge.offset_px, looks_as_soft: (edge.blur_px / blur_px).max(LEAST) });
     }
 }
 
@@ -136,7 +142,7 @@ impl Matches {
         for point in outline.points.iter().filter(|p| is_clear(p) && is_wanted(p.piece)) {
             let edge = finder.find(point, search_px);
             found.asked.push((point.piece, edge));
-            let (Some(edge), Some(rounded_px)) = (edge, point.rounded_px) else { continue };
+            let (Some(edge), Some(softened)) = (edge, point.softened) else { continue };
             let floor_px = if matches!(point.piece, Piece::Tube(..)) { TUBE_FLOOR_PX } else { EDGE_FLOOR_PX };
             // Points come section by section.
             if found.sections_mm.last() != Some(&point.body.s_mm) {
@@ -147,10 +153,10 @@ impl Matches {
                 body: point.body,
                 piece: point.piece,
                 lateral: point.lateral,
-                seen: point.pixel + point.normal.into_inner() * (edge.offset_px - rounded_px),
+                seen: point.pixel + point.normal.into_inner() * (edge.offset_px - softened.outside_px),
                 normal: point.normal.into_inner(),
                 sigma_px: edge.sigma_px.hypot(floor_px),
-                blur_px: edge.blur_px,
+                blur_px: edge.blur_px / softened.looks_as_soft,
             });
         }
         found
@@ -588,10 +594,9 @@ pub(super) fn fit_bend(
     const CARRIED_RAD: f64 = 0.03;
     let Start { mut state, blur_px } = start;
     let mut settling = !effort.settled;
-    let blur_px = blur_px.filter(|_| effort.settled);
+    let mut blur_px = blur_px.filter(|_| effort.settled);
     let bias = blur_px.map_or(bias, |blur_px| bias.in_edges_as_soft_as(blur_px));
-    let fine = blur_px.map(|blur_px| settled(finder, view, blur_px));
-    let finder = fine.as_ref().unwrap_or(finder);
+    let mut filtered = blur_px.map_or_else(|| finder.clone(), |blur_px| settled(finder, view, blur_px));
     let spacing_px = if effort.settled { Outline::SPACING_PX } else { view.sparse_px() };
     let mut drawn: Option<(Vector2<f64>, Outline)> = None;
     let mut last = None;
@@ -606,14 +611,14 @@ pub(super) fn fit_bend(
             _ => {
                 let mut outline = Outline::spaced(view, state.psi(), spacing_px);
                 if let Some(blur_px) = blur_px {
-                    soften(&mut outline, blur_px, finder);
+                    soften(&mut outline, blur_px, &filtered);
                 }
                 (state.bend, outline)
             }
         });
         // The holder and the base disk do not bend.
         let matches =
-            Matches::find(outline, finder, search_px, |p| !matches!(p, Piece::HolderSide(_) | Piece::BaseRim));
+            Matches::find(outline, &filtered, search_px, |p| !matches!(p, Piece::HolderSide(_) | Piece::BaseRim));
         if matches.len() as f64 * spacing_px < LEAST_OUTLINE_PX {
             return None;
         }
@@ -625,6 +630,16 @@ pub(super) fn fit_bend(
         }
         let moved_rad = (state.bend - before).norm();
         settling &= moved_rad > SETTLING_RAD;
+        // A picture that was thought sharper than it is was looked at with too narrow a filter.
+        let seen_px = matches.blur_px();
+        match &mut blur_px {
+            None => filtered = finder.as_wide_as(seen_px),
+            Some(blur_px) if seen_px > SHARP_PX => {
+                *blur_px = seen_px;
+                filtered = settled(finder, view, seen_px);
+            }
+            Some(_) => {}
+        }
         last = Some((matches, roots, search_px));
         if round + 1 >= effort.searches_px.len() && moved_rad < effort.converged_rad {
             break;
@@ -637,10 +652,10 @@ pub(super) fn fit_bend(
     let linear = matches.linearised(view, &state).weighted(&roots).with_prior(&bias, &state);
     let independent = covariance(&linear.by_state)?;
     let clustered = clustered_covariance(&linear.by_state, &linear.residuals, &matches.pieces())?;
-    let light = light_covariance(&matches, &linear.by_state, &independent, view, &roots);
-    let gain = &independent * linear.by_state.tr_mul(&linear.by_pose);
     let misfits = matches.misfits_px(view, psi, state.bias);
     let (inliers, rms_px) = inliers(&misfits, &roots);
+    let light = light_covariance(&matches, &linear.by_state, &independent, view, &roots);
+    let gain = &independent * linear.by_state.tr_mul(&linear.by_pose);
     let near: f64 = misfits.iter().map(|d| 1.0 - (d / search_px).powi(2).min(1.0)).sum();
     let covariance = whole_covariance([&clustered, &independent, &light], &[0, 1])?;
     Some(BendFit {

@@ -80,8 +80,22 @@ pub struct OutlinePoint {
     pub gap_px: f64,
     /// Snake behind the border against the normal, px (up to [`Outline::REACH_PX`]).
     pub depth_px: f64,
-    /// How far outside the border a soft picture shows its edge, px, `None` if it does not; 0 where that was not asked.
-    pub rounded_px: Option<f64>,
+    /// What a soft picture makes of the border, `None` if nothing is left of it.
+    pub softened: Option<Softened>,
+}
+
+/// What a soft picture makes of a border point.
+#[derive(Debug, Clone, Copy)]
+pub struct Softened {
+    /// How far outside the border its edge is seen, px.
+    pub outside_px: f64,
+    /// How soft it looks, in units of the picture's own softness.
+    pub looks_as_soft: f64,
+}
+
+impl Softened {
+    /// A straight border with nothing near it.
+    const NOT: Self = Self { outside_px: 0.0, looks_as_soft: 1.0 };
 }
 
 /// The snake's outline for one configuration and one view.
@@ -306,7 +320,7 @@ fn border_point(mask: &Mask, lens: &Lens, candidate: &Candidate) -> Option<Outli
     }
     let depth_px = mask.run_length(&pixel, -normal.into_inner(), true);
     let gap_px = mask.run_length(&pixel, normal.into_inner(), false);
-    Some(OutlinePoint { body, piece, lateral, pixel, normal, gap_px, depth_px, rounded_px: Some(0.0) })
+    Some(OutlinePoint { body, piece, lateral, pixel, normal, gap_px, depth_px, softened: Some(Softened::NOT) })
 }
 
 /// Rims and side walls of the disks and the holder.

@@ -259,9 +259,14 @@ fn fit_base(
         let known = appearance.as_ref().ok_or("the snake does not stand out from the paper")?;
         let plane = known.plane(frame);
         let mut finder = EdgeFinder::new(&plane, known.two_sided);
-        if let Some((matches, ..)) = outcome.as_ref().filter(|_| search_px <= SETTLED_PX) {
-            finder = settled(&finder, &view, matches.blur_px());
-            soften(&mut outline, matches.blur_px(), &finder);
+        if let Some((matches, ..)) = &outcome {
+            let blur_px = matches.blur_px();
+            if search_px > SETTLED_PX {
+                finder = finder.as_wide_as(blur_px);
+            } else {
+                finder = settled(&finder, &view, blur_px);
+                soften(&mut outline, blur_px, &finder);
+            }
         }
         let matches = Matches::find(&outline, &finder, search_px, |_| true);
         if matches.len() < 40 || matches.len() * 3 < matches.places() {
@@ -294,6 +299,7 @@ fn fit_base(
 
     let camera_from_base = grid.camera_from_grid * placement.grid_from_base(options);
     let view = Projection { lens, camera_from_base, robot };
+    let (agreeing, edge_rms_px) = inliers(&matches.misfits_px(&view, straight, edge_bias), &roots);
     let covariance = clustered_covariance(&solution.jacobian, &solution.residuals, &matches.pieces())
         .zip(solution.covariance())
         .map(|(clustered, independent)| {
@@ -301,7 +307,6 @@ fn fit_base(
             clustered + light
         })
         .ok_or("the snake's edges do not determine where its base is")?;
-    let (agreeing, edge_rms_px) = inliers(&matches.misfits_px(&view, straight, edge_bias), &roots);
     let share = agreeing as f64 / matches.places().max(1) as f64;
     let bias_px = edge_bias.to_array().into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
     if share < ENOUGH_INLIERS || bias_px.abs() > MOST_BIAS_PX * matches.blur_px().max(1.0) {
