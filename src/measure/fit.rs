@@ -80,7 +80,9 @@ pub(super) struct Matches {
 /// the sides of disks and holder are seen further right or left by 0.011 px (median) to 0.04 px (one rig in ten).
 const LIGHT_ON_RIMS_PX: f64 = 0.010;
 const LIGHT_ON_SIDES_PX: f64 = 0.023;
-/// The softest edges, px, for which that is true.
+/// The scatter of edges, px, for which that is true: the median over these rigs.
+const TYPICAL_SCATTER_PX: f64 = 0.14;
+/// The softest edges, px, for which it is.
 const SHARP_PX: f64 = 1.5;
 /// Edges come in runs of about as many that err alike; what is known beforehand weighs against one of a run.
 const ALIKE: f64 = 10.0;
@@ -211,9 +213,12 @@ impl Matches {
 
     /// Errors, in units of σ and weighted, that light and softness make on all disks alike, so that no number of them
     /// averages them away: all rims shifted along the snake, the same at their ends only, all ends rounded off, disks
-    /// that look thicker towards one end of the snake, and all sides shifted to the right or down in the picture.
-    pub fn light_patterns(&self, view: &Projection, roots: &[f64]) -> Vec<DVector<f64>> {
-        let more = softness(self.blur_px()) * (SMALL_PX / view.diameter_px()).max(1.0).powi(2);
+    /// that look thicker towards one end of the snake, and all sides shifted to the right or down in the picture. What
+    /// displaces edges one by one displaces them together, too: the more they scatter, px, the more so.
+    pub fn light_patterns(&self, view: &Projection, roots: &[f64], scatter_px: f64) -> Vec<DVector<f64>> {
+        let more = softness(self.blur_px())
+            * (SMALL_PX / view.diameter_px()).max(1.0).powi(2)
+            * (scatter_px / TYPICAL_SCATTER_PX);
         let of_edge = |m: &Match| {
             let along = 2.0 * m.body.s_mm / view.robot.length_mm - 1.0;
             let end = m.lateral.powi(2);
@@ -392,9 +397,11 @@ pub(super) fn light_covariance(
     independent: &DMatrix<f64>,
     view: &Projection,
     roots: &[f64],
+    scatter_px: f64,
 ) -> DMatrix<f64> {
     let edges = jacobian.rows(0, matches.len()).transpose();
-    let shifts = matches.light_patterns(view, roots).into_iter().map(|pattern| independent * (&edges * pattern));
+    let shifts =
+        matches.light_patterns(view, roots, scatter_px).into_iter().map(|pattern| independent * (&edges * pattern));
     shifts.fold(DMatrix::zeros(independent.nrows(), independent.ncols()), |sum, shift| sum + &shift * shift.transpose())
 }
 
@@ -449,7 +456,7 @@ pub(super) struct BendFit {
 impl BendFit {
     /// How the snake departs from a circle; `None` where the edges do not tell.
     pub fn departure(&self, view: &Projection, bias: &BiasPrior) -> Option<Departure> {
-        departure(view, &self.matches, &self.start().state, &bias.in_edges_as_soft_as(self.blur_px))
+        departure(view, &self.matches, &self.start().state, &bias.in_edges_as_soft_as(self.blur_px), self.rms_px)
     }
 
     /// What of the snake is there to be seen.
@@ -654,7 +661,7 @@ pub(super) fn fit_bend(
     let clustered = clustered_covariance(&linear.by_state, &linear.residuals, &matches.pieces())?;
     let misfits = matches.misfits_px(view, psi, state.bias);
     let (inliers, rms_px) = inliers(&misfits, &roots);
-    let light = light_covariance(&matches, &linear.by_state, &independent, view, &roots);
+    let light = light_covariance(&matches, &linear.by_state, &independent, view, &roots, rms_px);
     let gain = &independent * linear.by_state.tr_mul(&linear.by_pose);
     let near: f64 = misfits.iter().map(|d| 1.0 - (d / search_px).powi(2).min(1.0)).sum();
     let covariance = whole_covariance([&clustered, &independent, &light], &[0, 1])?;
@@ -717,7 +724,8 @@ pub(super) fn shared_evidence(
         *information += along * along.transpose();
         *score += along * (residual * root);
     }
-    let light = matches.light_patterns(view, &roots);
+    let (_, scatter_px) = inliers(&matches.misfits_px(view, psi, state.bias), &roots);
+    let light = matches.light_patterns(view, &roots, scatter_px);
     let light = light.iter().map(|pattern| {
         let score = projected.transpose() * pattern;
         Shared::from_iterator(score.iter().copied())

@@ -303,7 +303,7 @@ fn fit_base(
     let covariance = clustered_covariance(&solution.jacobian, &solution.residuals, &matches.pieces())
         .zip(solution.covariance())
         .map(|(clustered, independent)| {
-            let light = light_covariance(&matches, &solution.jacobian, &independent, &view, &roots);
+            let light = light_covariance(&matches, &solution.jacobian, &independent, &view, &roots, edge_rms_px);
             clustered + light
         })
         .ok_or("the snake's edges do not determine where its base is")?;

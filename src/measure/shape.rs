@@ -26,7 +26,13 @@ pub(super) struct Departure {
 
 /// The step from the circle of a state, fitted to these edges, to the curve that they would rather have. `None` where they
 /// do not tell.
-pub(super) fn departure(view: &Projection, matches: &Matches, state: &State, prior: &BiasPrior) -> Option<Departure> {
+pub(super) fn departure(
+    view: &Projection,
+    matches: &Matches,
+    state: &State,
+    prior: &BiasPrior,
+    scatter_px: f64,
+) -> Option<Departure> {
     /// Rounds in which edges that the circle took for outliers may come back.
     const ROUNDS: usize = 5;
     const STEP_RAD: f64 = 1e-4;
@@ -63,7 +69,7 @@ pub(super) fn departure(view: &Projection, matches: &Matches, state: &State, pri
     let independent = covariance(&jacobian)?;
     let residuals = edges.residuals.component_mul(&roots) + &jacobian * &step;
     let clustered = clustered_covariance(&jacobian, &residuals, &matches.pieces())?;
-    let light = light_covariance(matches, &jacobian, &independent, view, roots.as_slice());
+    let light = light_covariance(matches, &jacobian, &independent, view, roots.as_slice(), scatter_px);
     let gain = &independent * jacobian.tr_mul(&weighted(&edges.by_pose, &roots));
     const KEPT: [usize; 4] = [0, 1, STATE, STATE + 1];
     let covariance = whole_covariance([&clustered, &independent, &light], &KEPT)?;
