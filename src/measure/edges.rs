@@ -39,7 +39,7 @@ const STEP_PX: f64 = 0.5;
 const FILTER_PX: f64 = 1.2;
 /// The finest filter, px: two samples of a profile fall within its σ on either side.
 const FINEST_PX: f64 = 0.8;
-/// The widest filter, px.
+/// The widest filter, px: wider ones would reach from one rim of a disk to the next.
 const WIDEST_PX: f64 = 3.0;
 /// σ that a filter reaches to either side.
 const REACH: f64 = 3.0;
@@ -61,7 +61,7 @@ const FURTHEST_PX: f64 = 14.0;
 /// Slopes along a profile at most, to either side of its middle.
 const MOST: usize = ((FURTHEST_PX + NEIGHBOURHOOD_PX) / STEP_PX) as usize + 1;
 
-/// The filter for edges this soft, px.
+/// σ of the filter for edges this soft, px.
 pub(super) fn filter_px(blur_px: f64) -> f64 {
     blur_px.clamp(FILTER_PX, WIDEST_PX)
 }

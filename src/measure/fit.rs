@@ -84,6 +84,8 @@ const LIGHT_ON_SIDES_PX: f64 = 0.023;
 const TYPICAL_SCATTER_PX: f64 = 0.14;
 /// The softest edges, px, for which it is.
 const SHARP_PX: f64 = 1.5;
+/// The softest that an edge may look, px: twice what is called blurred. What is flat looks as soft as one likes.
+const SOFTEST_PX: f64 = 10.0;
 /// Edges come in runs of about as many that err alike; what is known beforehand weighs against one of a run.
 const ALIKE: f64 = 10.0;
 /// The furthest that softness may displace an edge of the model, px, if the picture is sharp.
@@ -111,7 +113,7 @@ fn is_clear(point: &OutlinePoint) -> bool {
 const SMALL_PX: f64 = 40.0;
 
 /// The finder for edges this soft of an outline that lies well. A small snake has so few of them that noise does more harm than
-/// shading: there it stays what it is.
+/// shading: there it is never finer.
 pub(super) fn settled<'a>(finder: &EdgeFinder<'a>, view: &Projection, blur_px: f64) -> EdgeFinder<'a> {
     if view.diameter_px() < SMALL_PX { finder.as_wide_as(blur_px) } else { finder.as_fine_as(blur_px) }
 }
@@ -158,7 +160,7 @@ impl Matches {
                 seen: point.pixel + point.normal.into_inner() * (edge.offset_px - softened.outside_px),
                 normal: point.normal.into_inner(),
                 sigma_px: edge.sigma_px.hypot(floor_px),
-                blur_px: edge.blur_px / softened.looks_as_soft,
+                blur_px: (edge.blur_px / softened.looks_as_soft).min(SOFTEST_PX),
             });
         }
         found
