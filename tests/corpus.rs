@@ -74,7 +74,7 @@ fn picture() {
 
 #[test]
 fn measure() {
-    let faults = ["wrong_size", "occluded", "saturated"];
+    let faults = ["wrong_size", "occluded", "saturated", "no_snake", "camera_moved", "base_moved"];
     replay("measure", targets::measure, &["eye"], &faults);
 }
 
