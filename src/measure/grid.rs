@@ -95,8 +95,8 @@ pub fn find_grid(
     axis: Vector2<f64>,
     is_snake: impl Fn(&Point2<f64>) -> bool,
 ) -> Result<Grid, String> {
-    /// The scatter, in periods of the pattern, of a pose that places it. Among random rigs the right poses have up to 0.038, hardly
-    /// ever more than 0.03; what was followed across lines that can hardly be seen had 0.063, and was 8° off.
+    /// The scatter, in periods of the pattern, beyond which a pose is not believed. Right poses before random rigs mostly have less
+    /// than 0.03; what was followed across lines that can hardly be seen had 0.063, and was 8° off. A few right ones go, too.
     const LOOSEST: f64 = 0.05;
     let plane = strongest_pattern(frame, &is_snake);
     let mut best: Option<Grid> = None;
