@@ -92,9 +92,9 @@ impl<'a> EdgeFinder<'a> {
     /// The same for edges that are known to be near, too. Shading beside an edge, a slope of the brightness, draws it in
     /// proportion to blur² + filter²: where noise is weak, a filter as fine as a sharp edge is.
     pub fn as_fine_as(&self, blur_px: f64) -> Self {
-        let fine = self.with_filter(blur_px.clamp(FINEST_PX, FILTER_PX));
-        let noise_is_weak = NOISES * fine.slope_noise < HALF_STEP;
-        if blur_px < FILTER_PX && noise_is_weak { fine } else { self.as_wide_as(blur_px) }
+        let fine = (blur_px < FILTER_PX).then(|| self.with_filter(blur_px.max(FINEST_PX)));
+        let noise_is_weak = |fine: &Self| NOISES * fine.slope_noise < HALF_STEP;
+        fine.filter(noise_is_weak).unwrap_or_else(|| self.as_wide_as(blur_px))
     }
 
     /// The same finder for a picture of the model: see [`noiseless`](Self::noiseless).

@@ -1,8 +1,9 @@
 //! What the eye made of one frame, stage by stage, for a person who wants to know why.
 
+use super::certainty::robust_weights;
 use super::edges::EdgeFinder;
 use super::eye::{Eye, Sighting};
-use super::fit::{SETTLED_PX, robust_weights};
+use super::fit::SETTLED_PX;
 use super::grid::project_paper;
 use super::outline::Outline;
 use super::plane::Region;

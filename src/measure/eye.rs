@@ -1,7 +1,8 @@
 //! Frames to θ and δ.
 
 use super::edges::EdgeFinder;
-use super::fit::{AS_GOOD, BendFit, BiasPrior, Effort, Start, State, fit_bend};
+use super::fit::{AS_GOOD, BendFit, Effort, Start, fit_bend};
+use super::matches::{BiasPrior, State};
 use super::outline::{Outline, Projection};
 use super::plane::{Plane, Region};
 use super::rig::Rig;
@@ -315,12 +316,7 @@ pub(super) fn failed(status: Status, quality: Option<Quality>) -> Sighting {
 }
 
 fn quality(fit: &BendFit) -> Quality {
-    Quality {
-        edges: fit.inliers,
-        inlier_fraction: fit.inliers as f64 / fit.places.max(1) as f64,
-        rms_px: fit.rms_px,
-        ..Quality::default()
-    }
+    Quality { edges: fit.inliers, inlier_fraction: fit.inlier_fraction(), rms_px: fit.rms_px, ..Quality::default() }
 }
 
 /// Fits, best first; of those that ended this close together the best.

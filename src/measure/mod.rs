@@ -12,6 +12,7 @@
 //! Frames of bent snakes tell more about the rig than the straight picture does: [`Eye::refined`].
 
 mod appearance;
+mod certainty;
 mod edges;
 mod explain;
 mod eye;
@@ -19,6 +20,7 @@ mod fit;
 mod follow;
 mod grid;
 mod locate;
+mod matches;
 mod outline;
 mod plane;
 mod proof;
@@ -35,8 +37,8 @@ mod watch;
 pub use appearance::Appearance;
 pub use explain::{Explanation, Place};
 pub use eye::{Bend, Eye, Sighting};
-pub use fit::EdgeBias;
 pub use grid::Pattern;
+pub use matches::EdgeBias;
 pub use outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 pub use rig::{Rig, RigOptions, calibrate_rig};
 pub use several::fused;

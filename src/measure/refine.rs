@@ -3,18 +3,18 @@
 //! A straight snake hardly tells how far it leans towards the camera. Snakes bent to all sides do: every frame's bend is
 //! its own, but all share one camera, one base and one light.
 
+use super::certainty::{inliers, robust_weights};
 use super::edges::EdgeFinder;
 use super::eye::{Eye, FRAME_BIAS_SIGMA_PX, Look};
-use super::fit::{
-    BiasPrior, Effort, Shared, SharedEvidence, SharedInformation, Start, State, fit_bend, shared_evidence,
-};
+use super::fit::{Effort, Start, fit_bend};
 use super::grid::nudged;
-use super::outline::{Piece, Projection};
+use super::matches::{BIASES, BiasPrior, Linearised, Matches, State, settled, soften};
+use super::outline::{Outline, Piece, Projection};
 use super::plane::{Plane, Region};
 use super::rig::Rig;
 use crate::camera::Frame;
 use crate::record::Status;
-use nalgebra::{DVector, Matrix6};
+use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, SVector};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -24,6 +24,21 @@ const FEWEST_FRAMES: usize = 3;
 const ROUNDS: usize = 3;
 /// How a frame's bend follows in a round.
 const FOLLOW: Effort = Effort { searches_px: &[3.0], rounds: 2, settled: true, converged_rad: 2e-5 };
+
+/// What all pictures of a sequence share: the camera's pose (see [`nudged`]) and the edges' biases (px).
+type Shared = SVector<f64, SHARED>;
+type SharedInformation = SMatrix<f64, SHARED, SHARED>;
+const SHARED: usize = 6 + BIASES;
+
+/// What one picture says of what all share, its own bend being free.
+#[derive(Debug, Clone)]
+struct SharedEvidence {
+    /// By what errs alike ([`Piece::witness`]): the information if every edge were a witness of its own, and the derivative of half the squared
+    /// residuals.
+    pieces: BTreeMap<Piece, (SharedInformation, Shared)>,
+    /// That derivative for each of [`Matches::light_patterns`].
+    light: Vec<Shared>,
+}
 
 impl Eye {
     /// This eye with its rig refined from frames of a sequence: the errors of pose and bias are then what the frames
@@ -77,6 +92,38 @@ impl Rig {
             ..self.clone()
         }
     }
+}
+
+/// Looks at a picture whose bend is known nearly, and lets the bend follow pose and bias.
+///
+/// `None` where the edges do not determine the bend.
+fn shared_evidence(view: &Projection, finder: &EdgeFinder, state: &State, blur_px: f64) -> Option<SharedEvidence> {
+    let mut outline = Outline::new(view, state.psi());
+    let finder = settled(finder, view, blur_px);
+    soften(&mut outline, blur_px, &finder);
+    let matches = Matches::find(&outline, &finder, 3.0, |_| true);
+    let linear = matches.linearised(view, state);
+    let roots = robust_weights(linear.residuals.as_slice(), false);
+    let (_, scatter_px) = inliers(&matches.in_px(linear.residuals.as_slice()), &roots);
+    let Linearised { residuals, by_state, by_pose: pose } = linear.weighted(&roots);
+    let (bend, bias) = (by_state.columns(0, 2), by_state.columns(2, BIASES));
+    let shared = DMatrix::from_fn(pose.nrows(), SHARED, |r, c| if c < 6 { pose[(r, c)] } else { bias[(r, c - 6)] });
+    // What the picture's own bend could have done as well is no evidence.
+    let projected = &shared - bend * (bend.transpose() * bend).cholesky()?.solve(&(bend.transpose() * &shared));
+    let mut pieces = BTreeMap::new();
+    for (row, piece) in matches.pieces().into_iter().enumerate() {
+        let along = Shared::from_iterator(projected.row(row).iter().copied());
+        let (information, score) =
+            pieces.entry(piece.witness()).or_insert((SharedInformation::zeros(), Shared::zeros()));
+        *information += along * along.transpose();
+        *score += along * residuals[row];
+    }
+    let light = matches.light_patterns(view, &roots, scatter_px);
+    let light = light.iter().map(|pattern| {
+        let score = projected.transpose() * pattern;
+        Shared::from_iterator(score.iter().copied())
+    });
+    Some(SharedEvidence { pieces, light: light.collect() })
 }
 
 /// The next step after `moved` from what is known of the rig, and the covariance after it.

@@ -1,12 +1,12 @@
 //! Where the grid and the snake's base are, seen from one camera: the rig.
 
 use super::appearance::Appearance;
+use super::certainty::{clustered_covariance, inliers, light_covariance, robust_weights};
 use super::edges::EdgeFinder;
-use super::fit::{
-    EdgeBias, Matches, SETTLED_PX, clustered_covariance, inliers, light_covariance, robust_weights, settled, soften,
-};
+use super::fit::SETTLED_PX;
 use super::grid::{Grid, Pattern, find_grid};
 use super::locate::{Colours, Holder, SnakeStart, find_start, locate_holders};
+use super::matches::{EdgeBias, Matches, settled, soften};
 use super::outline::{Outline, Projection};
 use super::proof::Proof;
 use super::scale::{contradiction, is_contradiction};
@@ -260,7 +260,7 @@ fn fit_base(
         let plane = known.plane(frame);
         let mut finder = EdgeFinder::new(&plane, known.two_sided);
         if let Some((matches, ..)) = &outcome {
-            let blur_px = matches.blur_px();
+            let blur_px = matches.blur_px;
             if search_px > SETTLED_PX {
                 finder = finder.as_wide_as(blur_px);
             } else {
@@ -299,7 +299,7 @@ fn fit_base(
 
     let camera_from_base = grid.camera_from_grid * placement.grid_from_base(options);
     let view = Projection { lens, camera_from_base, robot };
-    let (agreeing, edge_rms_px) = inliers(&matches.misfits_px(&view, straight, edge_bias), &roots);
+    let (agreeing, edge_rms_px) = inliers(&matches.in_px(&matches.residuals(&view, straight, edge_bias)), &roots);
     let covariance = clustered_covariance(&solution.jacobian, &solution.residuals, &matches.pieces())
         .zip(solution.covariance())
         .map(|(clustered, independent)| {
@@ -309,7 +309,7 @@ fn fit_base(
         .ok_or("the snake's edges do not determine where its base is")?;
     let share = agreeing as f64 / matches.places().max(1) as f64;
     let bias_px = edge_bias.to_array().into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
-    if share < ENOUGH_INLIERS || bias_px.abs() > MOST_BIAS_PX * matches.blur_px().max(1.0) {
+    if share < ENOUGH_INLIERS || bias_px.abs() > MOST_BIAS_PX * matches.blur_px.max(1.0) {
         return Err(format!(
             "only {:.0} % of the straight snake's outline agrees with the model (edges lie {bias_px:.2} px outside it); \
              is the snake unbent, in focus and of the robot's dimensions?",

@@ -12,7 +12,7 @@
 //! ```
 
 use super::appearance::Appearance;
-use super::fit::EdgeBias;
+use super::matches::EdgeBias;
 use super::rig::Rig;
 use super::watch::Print;
 use crate::error::{Error, Result};

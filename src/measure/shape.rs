@@ -4,9 +4,8 @@
 //! the fit of the circle stands, a Gauss-Newton step in all of them says how far the picture would go if it might, and the
 //! bend after that step is the tip's own.
 
-use super::fit::{
-    BiasPrior, Matches, STATE, State, clustered_covariance, light_covariance, robust_weights, whole_covariance,
-};
+use super::certainty::{clustered_covariance, light_covariance, robust_weights, whole_covariance};
+use super::matches::{BiasPrior, Matches, STATE, State};
 use super::outline::Projection;
 use super::solve::covariance;
 use crate::record::Shape;

@@ -5,9 +5,10 @@
 //! thousandth of what finding the grid anew would. A shift by a whole number of pitches leaves the phases as they were,
 //! but not the holder.
 
+use super::certainty::robust_weights;
 use super::edges::EdgeFinder;
-use super::fit::{EdgeBias, robust_weights};
 use super::grid::{Pattern, nudged, paper_at, phases_from_paper, project_paper, waves_from_gradient};
+use super::matches::EdgeBias;
 use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use super::plane::median;
 use super::rig::Rig;
