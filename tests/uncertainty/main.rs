@@ -198,8 +198,9 @@ fn rigs_of_the_survey() -> impl Iterator<Item = u64> {
     (5000..5070).chain(5200..5240).chain(5300..5340).chain(5400..5440)
 }
 
-/// Of the straight picture's rig alone. As last run the eigenvalues were 0.847 and 1.124, which the bounds refuse by a hair, and 94.6 % lay within 95 %; over
-/// four other bends before each rig 0.85 and 0.95, and 95.1 %. They vary by 0.07 with the rigs (1σ, bootstrap over them).
+/// Of the straight picture's rig alone. As last run the eigenvalues were 0.847 and 1.124, which the bounds refuse by a hair, and 94.6 % lay
+/// within 95 %; over four other bends before each rig 0.85 and 0.95, and 95.1 %. They vary by 0.07 with the rigs (1σ, bootstrap over
+/// them).
 #[test]
 #[ignore = "takes minutes; a later test is a slice of it"]
 fn over_two_hundred_renders_the_sigmas_are_those_of_the_errors() {
