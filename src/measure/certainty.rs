@@ -18,7 +18,7 @@ pub(super) fn robust_weights(residuals: &[f64], settling: bool) -> Vec<f64> {
     residuals.iter().map(|&r| if settling { huber(r) } else { tukey(r) }).collect()
 }
 
-/// The share of edges that count at least half, and their scatter, px.
+/// How many edges count at least half, and their scatter, px.
 pub(super) fn inliers(misfits_px: &[f64], roots: &[f64]) -> (usize, f64) {
     let kept: Vec<f64> = misfits_px.iter().zip(roots).filter(|(_, w)| **w > 0.5).map(|(d, _)| *d).collect();
     let rms = (kept.iter().map(|d| d * d).sum::<f64>() / kept.len().max(1) as f64).sqrt();

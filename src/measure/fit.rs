@@ -159,12 +159,13 @@ pub(super) fn fit_bend(
     let searches = effort.searches_px.iter().chain(std::iter::repeat(effort.searches_px.last()?));
     for (round, &search_px) in searches.take(effort.rounds).enumerate() {
         // A picture that was thought sharper than it is was looked at with too narrow a filter.
-        if let Some((Matches { blur_px: seen_px, .. }, ..)) = &last {
+        if let Some((matches, ..)) = &last {
+            let seen_px = matches.blur_px;
             match &mut blur_px {
-                None => filtered = finder.as_wide_as(*seen_px),
-                Some(blur_px) if *seen_px > SHARP_PX => {
-                    *blur_px = *seen_px;
-                    filtered = settled(finder, view, *seen_px);
+                None => filtered = finder.as_wide_as(seen_px),
+                Some(blur_px) if seen_px > SHARP_PX => {
+                    *blur_px = seen_px;
+                    filtered = settled(finder, view, seen_px);
                 }
                 Some(_) => {}
             }

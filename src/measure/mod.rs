@@ -6,8 +6,8 @@
 //! 2. `search`: every bend's outline is tried at low resolution; the best few are starts.
 //! 3. `outline`, `edges`: the model's outline is projected and the picture's edges near it are placed to a fraction of a
 //!    pixel.
-//! 4. `fit`: bend and edge bias are adjusted until outline and edges agree, what disagrees losing its weight; the
-//!    covariance counts pieces of the outline, not pixels, as evidence.
+//! 4. `matches`, `fit`: bend and edge bias are adjusted until outline and edges agree, what disagrees losing its weight.
+//! 5. `certainty`: the covariance counts pieces of the outline, not pixels, as evidence.
 //!
 //! Frames of bent snakes tell more about the rig than the straight picture does: [`Eye::refined`].
 
