@@ -2,7 +2,7 @@
 //!
 //! Source: OpenCV documentation, calib3d, "Detailed description" (rational, tangential and thin-prism terms).
 
-use nalgebra::{Matrix2, Matrix2x3, Point2, Point3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Point2, Point3, RowVector3, Vector2, Vector3};
 
 /// Intrinsics and distortion of one camera. Pixel centres are at integers.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,18 +24,24 @@ impl Lens {
     ///
     /// Points at or behind the camera, and those with a NaN in them, project to NaN, which no image contains.
     pub fn project(&self, point: &Point3<f64>) -> Point2<f64> {
-        if point.z <= 0.0 || point.iter().any(|v| v.is_nan()) {
-            return Point2::new(f64::NAN, f64::NAN);
-        }
-        let distorted = self.distort(Point2::new(point.x / point.z, point.y / point.z));
-        Point2::new(self.focal_px.x * distorted.x + self.centre_px.x, self.focal_px.y * distorted.y + self.centre_px.y)
+        self.project_with_jacobian(point).0
     }
 
-    /// How the pixel of [`project`](Self::project) follows the point, px per mm.
-    pub fn project_jacobian(&self, point: &Point3<f64>) -> Matrix2x3<f64> {
+    /// The pixel of [`project`](Self::project), and how it follows the point, px per mm.
+    #[inline]
+    pub fn project_with_jacobian(&self, point: &Point3<f64>) -> (Point2<f64>, Matrix2x3<f64>) {
+        if point.z <= 0.0 || point.iter().any(|v| v.is_nan()) {
+            return (Point2::new(f64::NAN, f64::NAN), Matrix2x3::repeat(f64::NAN));
+        }
         let (x, y) = (point.x / point.z, point.y / point.z);
-        let ideal = Matrix2x3::new(1.0, 0.0, -x, 0.0, 1.0, -y) / point.z;
-        Matrix2::from_diagonal(&self.focal_px) * self.distort_jacobian(Point2::new(x, y)) * ideal
+        let (distorted, slopes) = self.distort_with_jacobian(Point2::new(x, y));
+        let seen = distorted.coords.component_mul(&self.focal_px) + self.centre_px.coords;
+        let row = |axis: usize| {
+            let per_mm = self.focal_px[axis] / point.z;
+            let (by_x, by_y) = (per_mm * slopes[(axis, 0)], per_mm * slopes[(axis, 1)]);
+            RowVector3::new(by_x, by_y, -(by_x * x + by_y * y))
+        };
+        (seen.into(), Matrix2x3::from_rows(&[row(0), row(1)]))
     }
 
     /// The direction (unit length, camera frame) from which light falls on a pixel.
@@ -59,34 +65,33 @@ impl Lens {
 
     /// Ideal normalised coordinates (x/z, y/z) to distorted ones.
     pub fn distort(&self, ideal: Point2<f64>) -> Point2<f64> {
-        let [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] = self.distortion;
-        let (x, y) = (ideal.x, ideal.y);
-        let r2 = x * x + y * y;
-        let radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
-        Point2::new(
-            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) + s1 * r2 + s2 * r2 * r2,
-            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y + s3 * r2 + s4 * r2 * r2,
-        )
+        self.distort_with_jacobian(ideal).0
     }
 
-    /// The derivative of [`distort`](Self::distort): how the distorted coordinates (rows) follow the ideal ones.
-    fn distort_jacobian(&self, ideal: Point2<f64>) -> Matrix2<f64> {
+    /// The same, and how the distorted coordinates (rows) follow the ideal ones.
+    #[inline]
+    fn distort_with_jacobian(&self, ideal: Point2<f64>) -> (Point2<f64>, Matrix2<f64>) {
         let [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] = self.distortion;
         let (x, y) = (ideal.x, ideal.y);
         let r2 = x * x + y * y;
         let (numerator, denominator) = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
         let radial = numerator / denominator;
+        let distorted = Point2::new(
+            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) + s1 * r2 + s2 * r2 * r2,
+            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y + s3 * r2 + s4 * r2 * r2,
+        );
         // By r², as are the thin prism's slopes.
         let radial_slope =
             (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3) - radial * (k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6))) / denominator;
         let (prism_x, prism_y) = (s1 + 2.0 * s2 * r2, s3 + 2.0 * s4 * r2);
         let cross = 2.0 * radial_slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y;
-        Matrix2::new(
+        let slopes = Matrix2::new(
             radial + 2.0 * radial_slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x + 2.0 * prism_x * x,
             cross + 2.0 * prism_x * y,
             cross + 2.0 * prism_y * x,
             radial + 2.0 * radial_slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x + 2.0 * prism_y * y,
-        )
+        );
+        (distorted, slopes)
     }
 
     /// The inverse of [`distort`](Self::distort), by Newton's method with halved steps where a full one does not help.
@@ -98,7 +103,7 @@ impl Lens {
             if error.norm() < 1e-14 {
                 return ideal;
             }
-            let Some(step) = self.distort_jacobian(ideal).lu().solve(&error) else { break };
+            let Some(step) = self.distort_with_jacobian(ideal).1.lu().solve(&error) else { break };
             let nearer = [1.0, 0.5, 0.25, 0.125].into_iter().find_map(|share| {
                 let next = ideal - share * step;
                 let next_error = self.distort(next) - distorted;
@@ -185,7 +190,8 @@ mod tests {
         #[test]
         fn the_projections_jacobian_is_its_derivative(x in -30.0..30.0f64, y in -20.0..20.0f64, z in 40.0..200.0f64) {
             let (lens, point) = (lens(&COEFFICIENTS), Point3::new(x, y, z));
-            let jacobian = lens.project_jacobian(&point);
+            let (pixel, jacobian) = lens.project_with_jacobian(&point);
+            prop_assert_eq!(pixel, lens.project(&point));
             for axis in 0..3 {
                 let step = Vector3::ith(axis, 1e-4);
                 let numeric = (lens.project(&(point + step)) - lens.project(&(point - step))) / 2e-4;
@@ -263,7 +269,7 @@ mod tests {
                 (lens.distort(Point2::new(x + dx, y + dy)) - lens.distort(Point2::new(x - dx, y - dy))) / (2.0 * step)
             };
             let numeric = Matrix2::from_columns(&[slope(step, 0.0), slope(0.0, step)]);
-            prop_assert!((lens.distort_jacobian(Point2::new(x, y)) - numeric).norm() < 1e-8);
+            prop_assert!((lens.distort_with_jacobian(Point2::new(x, y)).1 - numeric).norm() < 1e-8);
         }
     }
 }

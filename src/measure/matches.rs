@@ -306,9 +306,10 @@ impl Matches {
             let (frame, by_bend) = &sections[section];
             let arm = frame.rotation * m.body.local;
             let place = Point3::from(frame.translation.vector + arm);
+            let (expected, slopes) = view.lens.project_with_jacobian(&place);
             // How the place moves along the normal, in units of σ, for every mm that the point does.
-            let across = view.lens.project_jacobian(&place).transpose() * m.normal / m.sigma_px;
-            let distance_px = m.normal.dot(&(m.seen - view.lens.project(&place)));
+            let across = slopes.transpose() * m.normal / m.sigma_px;
+            let distance_px = m.normal.dot(&(m.seen - expected));
             linear.residuals[row] = (distance_px - state.bias.of(m.piece)) / m.sigma_px;
             for (axis, (shift, turn)) in by_bend.iter().enumerate() {
                 linear.by_state[(row, axis)] = -across.dot(&(shift + turn.cross(&arm)));

@@ -208,8 +208,8 @@ impl<'a> Section<'a> {
 
     /// Where a place is seen, and a direction there.
     fn seen(&self, local: Vector3<f64>, direction: Vector3<f64>) -> (Point2<f64>, Vector2<f64>) {
-        let in_camera = self.in_camera(local);
-        (self.lens.project(&in_camera), self.lens.project_jacobian(&in_camera) * (self.rotation * direction))
+        let (pixel, slopes) = self.lens.project_with_jacobian(&self.in_camera(local));
+        (pixel, slopes * (self.rotation * direction))
     }
 
     /// A candidate, from vectors in the section's frame.
@@ -221,13 +221,13 @@ impl<'a> Section<'a> {
         outward: Vector3<f64>,
         along: Vector3<f64>,
     ) -> Candidate {
-        let in_camera = self.in_camera(local);
-        let seen = self.lens.project_jacobian(&in_camera) * self.rotation;
+        let (pixel, slopes) = self.lens.project_with_jacobian(&self.in_camera(local));
+        let seen = slopes * self.rotation;
         Candidate {
             body: BodyPoint { s_mm: self.s_mm, local },
             piece,
             lateral,
-            pixel: self.lens.project(&in_camera),
+            pixel,
             outward: seen * outward,
             along: seen * along,
         }
@@ -392,6 +392,7 @@ impl Cylinder<'_> {
         let z = if far { self.far_mm } else { self.near_mm };
         // Any mix of the two surfaces' normals points out of the border.
         let slope = if far { 1.0 } else { -1.0 };
+        let (towards_sin, towards_cos) = towards.sin_cos();
         let point = |step: usize| {
             let angle = from + (to - from) * (step as f64 + 0.5) / steps;
             let (sin, cos) = angle.sin_cos();
@@ -403,7 +404,7 @@ impl Cylinder<'_> {
                 (number, far) => Piece::Rim(number, far),
             };
             let (outward, along) = (Vector3::new(cos, sin, slope), Vector3::new(-sin, cos, 0.0));
-            let lateral = (angle - towards).sin().abs();
+            let lateral = (sin * towards_cos - cos * towards_sin).abs();
             let candidate = self.section.candidate(local, piece, lateral, outward, along);
             let pixel = candidate.pixel;
             candidates.push(candidate);
@@ -478,10 +479,17 @@ fn grazing(eye: Vector2<f64>, radius: f64) -> Option<(f64, f64)> {
     (distance > radius).then(|| (eye.y.atan2(eye.x), (radius / distance).acos()))
 }
 
-/// The two radial directions there.
+/// The two radial directions there, to the right and to the left of the one towards the observer.
 fn tangent_directions(eye: Vector2<f64>, radius: f64) -> impl Iterator<Item = (i8, Vector2<f64>)> {
-    let solutions = grazing(eye, radius).map(|(towards, half)| [(-1, towards - half), (1, towards + half)]);
-    solutions.into_iter().flatten().map(|(side, angle)| (side, Vector2::new(angle.cos(), angle.sin())))
+    let distance = eye.norm();
+    let directions = (distance > radius).then(|| {
+        let towards = eye / distance;
+        // Cosine and sine of the angle to either side.
+        let (cos, sin) = (radius / distance, (1.0 - (radius / distance).powi(2)).sqrt());
+        let left = Vector2::new(-towards.y, towards.x);
+        [(-1, cos * towards - sin * left), (1, cos * towards + sin * left)]
+    });
+    directions.into_iter().flatten()
 }
 
 impl Mask {
@@ -528,15 +536,12 @@ impl Mask {
 
     /// How far, px, one can go from a border pixel before the mask is no longer `inside`.
     fn run_length(&self, from: &Point2<f64>, direction: Vector2<f64>, inside: bool) -> f64 {
-        // A cell is exact enough further on.
-        let corner = self.first - Vector2::repeat(0.5 * self.cell_px);
-        let covers = |p: Point2<f64>| {
-            let at = (p.coords - corner) / self.cell_px;
-            self.coverage.get(at.x as i64, at.y as i64) > 0.5
-        };
+        // A cell is exact enough further on: where it is, in cells from the mask's corner.
         let mut distance = Self::FIRST_STEP_PX + self.cell_px;
-        while distance < Outline::REACH_PX && covers(from + direction * distance) == inside {
+        let mut cell = (from.coords + direction * distance - self.first) / self.cell_px + Vector2::repeat(0.5);
+        while distance < Outline::REACH_PX && (self.coverage.get(cell.x as i64, cell.y as i64) > 0.5) == inside {
             distance += self.cell_px;
+            cell += direction;
         }
         distance.min(Outline::REACH_PX)
     }
@@ -555,12 +560,18 @@ impl Plane {
         for (a, b) in polygon.iter().zip(polygon.iter().cycle().skip(1)) {
             rasterizer.draw_line(place(a), place(b));
         }
+        // Pixels come row by row; to work out the row from a pixel's number would be a division each.
         let (width, data) = (self.width, &mut self.data);
-        rasterizer.for_each_pixel_2d(|x, y, share| {
+        let (mut first, mut column) = (corner.y * width + corner.x, 0);
+        rasterizer.for_each_pixel(|_, share| {
             if share > 0.0
-                && let Some(pixel) = data.get_mut((corner.y + y as usize) * width + corner.x + x as usize)
+                && let Some(pixel) = data.get_mut(first + column)
             {
                 *pixel = pixel.max(share.min(1.0));
+            }
+            column += 1;
+            if column == size.x {
+                (first, column) = (first + width, 0);
             }
         });
     }

@@ -75,6 +75,7 @@ impl Plane {
     }
 
     /// The value of one of its own pixels; positions outside are those of the nearest border pixel.
+    #[inline]
     pub fn get(&self, x: i64, y: i64) -> f32 {
         let x = x.clamp(0, self.width as i64 - 1) as usize;
         let y = y.clamp(0, self.height as i64 - 1) as usize;
@@ -82,6 +83,7 @@ impl Plane {
     }
 
     /// Bilinear interpolation at a place of the picture; pixel centres are at integers.
+    #[inline]
     pub fn sample(&self, at: &Point2<f64>) -> f32 {
         self.sample_own(&(at - self.first))
     }
