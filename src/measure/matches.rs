@@ -123,8 +123,8 @@ pub(super) struct Matches {
 
 /// What light does to all rims alike and to all sides alike, px (1σ): see [`Matches::light_patterns`]. In renders of random rigs
 /// the sides of disks and holder are seen further right or left by 0.011 px (median) to 0.04 px (one rig in ten).
-const LIGHT_ON_RIMS_PX: f64 = 0.011;
-const LIGHT_ON_SIDES_PX: f64 = 0.025;
+const LIGHT_ON_RIMS_PX: f64 = 0.0108;
+const LIGHT_ON_SIDES_PX: f64 = 0.0245;
 /// The scatter of edges, px, for which that is true: the median over these rigs.
 const TYPICAL_SCATTER_PX: f64 = 0.14;
 /// The softest edges, px, for which it is.
