@@ -25,6 +25,7 @@ mod outline;
 mod plane;
 mod proof;
 mod refine;
+mod refusal;
 mod rig;
 mod rig_file;
 mod scale;

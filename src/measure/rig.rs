@@ -9,7 +9,8 @@ use super::locate::{Colours, Holder, SnakeStart, find_start, locate_holders};
 use super::matches::{EdgeBias, Matches, settled, soften};
 use super::outline::{Outline, Projection};
 use super::proof::Proof;
-use super::scale::{contradiction, is_contradiction};
+use super::refusal::{Refusal, Step};
+use super::scale::contradiction;
 use super::solve::{Solution, minimise};
 use super::watch::{Print, PrintWatch};
 use crate::camera::{Frame, Lens};
@@ -120,23 +121,22 @@ pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOpt
         ));
     }
     let looks = Colours::of(frame);
-    let (mut holders, mut none_found) = (Vec::new(), None);
+    let (mut holders, mut refused) = (Vec::new(), None);
     for colours in &looks {
         match locate_holders(frame, colours) {
             Ok(found) => holders.extend(found.into_iter().map(|holder| (colours, holder))),
-            Err(message) => none_found = none_found.or(Some(message)),
+            Err(message) => refused = Some(Refusal::at(Step::Holder)(message).telling(refused)),
         }
     }
-    let mut refused = None;
     for (colours, holder) in &holders {
         match calibrate_from(frame, colours, lens, robot, options, holder) {
             Ok(rig) => return Ok(rig),
-            Err(message) => refused = telling(refused, message),
+            Err(refusal) => refused = Some(refusal.telling(refused)),
         }
     }
     // With another pitch it may be plain what is wrong.
     for factor in [0.5, 2.0] {
-        if refused.as_deref().is_some_and(is_contradiction) {
+        if refused.as_ref().is_some_and(|refusal| refusal.step == Step::Scale) {
             break;
         }
         let other = RigOptions { grid_pitch_mm: factor * options.grid_pitch_mm, ..*options };
@@ -145,12 +145,7 @@ pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOpt
             .find_map(|(colours, holder)| calibrate_from(frame, colours, lens, robot, &other, holder).ok());
         refused = rig.map(|rig| contradiction(robot, options, &rig)).or(refused);
     }
-    Err(refused.or(none_found).unwrap_or_else(|| "no holder was found".into()))
-}
-
-/// The reason to give: the first, or a contradiction, which takes a snake that was found whole.
-fn telling(first: Option<String>, message: String) -> Option<String> {
-    if is_contradiction(&message) { Some(message) } else { first.or(Some(message)) }
+    Err(refused.map_or_else(|| "no holder was found".into(), |refusal| refusal.message))
 }
 
 /// Calibrates the rig if this is the holder.
@@ -161,7 +156,7 @@ fn calibrate_from(
     robot: &Robot,
     options: &RigOptions,
     holder: &Holder,
-) -> Result<Rig, String> {
+) -> Result<Rig, Refusal> {
     let diameter_mm = robot.body.disk_diameter_mm;
     let pitch_px = |width_px: f64| {
         let distance_mm = lens.focal_px.x * diameter_mm / width_px;
@@ -175,20 +170,21 @@ fn calibrate_from(
     let mut tried: Vec<f64> = Vec::new();
     for (narrowest, widest) in [(0.85, 2.2), (1.25, 2.2), (0.45, 0.85)] {
         let range = pitch_px(narrowest * holder.width_px)..=pitch_px(widest * holder.width_px);
-        let rig = find_grid(frame, lens, options.grid_pitch_mm, range, holder.axis, corridor).and_then(|grid| {
+        let grid = find_grid(frame, lens, options.grid_pitch_mm, range, holder.axis, corridor);
+        let rig = grid.map_err(Refusal::at(Step::Grid)).and_then(|grid| {
             let distance_mm = grid.distance_mm(&lens.ray(&holder.root));
             if tried.iter().any(|other| (distance_mm / other - 1.0).abs() < 0.05) {
-                return Err("this grid was tried".into());
+                return Err(Refusal::at(Step::Grid)("this grid was tried".into()));
             }
             tried.push(distance_mm);
             calibrate_on(frame, colours, lens, robot, options, holder, &grid)
         });
         match rig {
             Ok(rig) => return Ok(rig),
-            Err(message) => refused = telling(refused, message),
+            Err(refusal) => refused = Some(refusal.telling(refused)),
         }
     }
-    Err(refused.unwrap_or_else(|| "no grid was found".into()))
+    Err(refused.unwrap_or_else(|| Refusal::at(Step::Grid)("no grid was found".into())))
 }
 
 /// Calibrates the rig if these are the holder and the grid.
@@ -200,20 +196,28 @@ fn calibrate_on(
     options: &RigOptions,
     holder: &Holder,
     grid: &Grid,
-) -> Result<Rig, String> {
+) -> Result<Rig, Refusal> {
     // The snake is nearer than the grid by the standoff; where it is cut by the border its holder is this wide.
     let distance_mm = grid.distance_mm(&lens.ray(&holder.root)) - options.standoff_mm;
     if distance_mm <= 0.0 {
-        return Err("the standoff puts the snake behind the camera; check standoff_mm and grid_pitch_mm".into());
+        let message = "the standoff puts the snake behind the camera; check standoff_mm and grid_pitch_mm";
+        return Err(Refusal::at(Step::Grid)(message.into()));
     }
-    let start = find_start(colours, holder, lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm)?;
+    let width_px = lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm;
+    let start = find_start(colours, holder, width_px).map_err(Refusal::at(Step::Start))?;
     // Disks look alike: where the first start ends in a snake that is not all there, it may be one disk off.
     let pitch_px = lens.focal_px.x * robot.disk_pitch_mm() / distance_mm;
     let moved = |disks: f64| SnakeStart { base: start.base + start.axis * (disks * pitch_px), axis: start.axis };
-    let first = fit_base(frame, lens, robot, options, &start, grid);
-    first.or_else(|message| {
+    let fitted = |start: &SnakeStart| {
+        let rig = fit_base(frame, lens, robot, options, start, grid).map_err(Refusal::at(Step::Snake))?;
+        if (rig.standoff_mm() - options.standoff_mm).abs() > FAR_OFF_SIGMAS * STANDOFF_SIGMA_MM {
+            return Err(contradiction(robot, options, &rig));
+        }
+        Ok(Rig { print: print_of(frame, lens, grid, robot, options)?, ..rig })
+    };
+    fitted(&start).or_else(|refusal| {
         let others = [-1.0, 1.0, -0.5, 0.5, -2.0, 2.0];
-        others.into_iter().find_map(|d| fit_base(frame, lens, robot, options, &moved(d), grid).ok()).ok_or(message)
+        others.into_iter().find_map(|disks| fitted(&moved(disks)).ok()).ok_or(refusal)
     })
 }
 
@@ -271,8 +275,8 @@ fn fit_base(
         let matches = Matches::find(&outline, &finder, search_px, |_| true);
         if matches.len() < 40 || matches.len() * 3 < matches.places() {
             return Err(format!(
-                "only {} of {} places on the straight snake's outline show an edge; is the snake unbent, in focus and \
-                 of the robot's dimensions?",
+                "only {} of {} places on the straight snake's outline show an edge; is the snake unbent, in focus, unlike the \
+                 paper in colour and of the robot's dimensions?",
                 matches.len(),
                 matches.places()
             ));
@@ -312,7 +316,7 @@ fn fit_base(
     if share < ENOUGH_INLIERS || bias_px.abs() > MOST_BIAS_PX * matches.blur_px.max(1.0) {
         return Err(format!(
             "only {:.0} % of the straight snake's outline agrees with the model (edges lie {bias_px:.2} px outside it); \
-             is the snake unbent, in focus and of the robot's dimensions?",
+             is the snake unbent, in focus, unlike the paper in colour and of the robot's dimensions?",
             100.0 * share
         ));
     }
@@ -320,8 +324,11 @@ fn fit_base(
     let plane = appearance.plane(frame);
     let finder = EdgeFinder::new(&plane, appearance.two_sided);
     let proof = Proof::new(&Outline::new(&view, straight), &finder);
-    let ends = [("the holder", 0), ("the first disk", 1), ("the end disk", robot.body.spacer_disk_count + 1)];
-    if let Some((part, _)) = ends.into_iter().find(|&(_, part)| !proof.is_there(part)) {
+    let end = robot.body.spacer_disk_count + 1;
+    let ends = [("the holder", 0), ("the first disk", 1), ("the end disk", end)];
+    if let Some((part, _)) = ends.into_iter().find(|&(_, part)| !proof.is_there(part))
+        && !proof.are_all_there_faintly(end)
+    {
         return Err(format!("{part} is not where the model says; is the snake unbent, and all of it in the picture?"));
     }
     let pose_covariance = nudge_covariance(&placement, &covariance, options, grid);
@@ -333,7 +340,7 @@ fn fit_base(
             turn_sigma.to_degrees()
         ));
     }
-    let rig = Rig {
+    Ok(Rig {
         camera_from_base,
         pose_covariance,
         camera_from_grid: grid.camera_from_grid,
@@ -343,11 +350,7 @@ fn fit_base(
         edge_bias,
         grid_rms_px: grid.rms_px,
         edge_rms_px,
-    };
-    if placement.0[3].abs() > FAR_OFF_SIGMAS * STANDOFF_SIGMA_MM {
-        return Err(contradiction(robot, options, &rig));
-    }
-    Ok(Rig { print: print_of(frame, lens, grid, robot, options)?, ..rig })
+    })
 }
 
 /// What is printed on the paper, and the colours in which it shows.
@@ -356,7 +359,7 @@ fn fit_base(
 ///
 /// A sentence, if the lines are not as far apart as was said: every other one is missing, or there are as many between them.
 /// The scale is right all the same, since the snake's size says which overtone of the print was found; but not what was said.
-fn print_of(frame: &Frame, lens: &Lens, grid: &Grid, robot: &Robot, options: &RigOptions) -> Result<Print, String> {
+fn print_of(frame: &Frame, lens: &Lens, grid: &Grid, robot: &Robot, options: &RigOptions) -> Result<Print, Refusal> {
     let print = Print { pattern: grid.pattern, ..Print::default() };
     let of = |pitch_mm: f64, print: &Print| {
         PrintWatch::new(lens, &grid.camera_from_grid, options.standoff_mm, pitch_mm, print)
@@ -371,11 +374,11 @@ fn print_of(frame: &Frame, lens: &Lens, grid: &Grid, robot: &Robot, options: &Ri
     const SHORTER: f64 = 1.8;
     for (pitch_mm, ratio) in [(2.0 * said_mm, LONGER), (said_mm / 2.0, SHORTER)] {
         if grid.pattern == Pattern::Lines && strength(pitch_mm) > ratio * as_said {
-            return Err(format!(
+            return Err(Refusal::at(Step::Scale)(format!(
                 "the scale contradicts the snake's size: grid_pitch_mm = {said_mm}, but beside a snake {} mm thick the \
                  paper's lines are {pitch_mm:.2} mm apart. Measure the paper, and correct grid_pitch_mm",
                 robot.body.disk_diameter_mm
-            ));
+            )));
         }
     }
     Ok(print)

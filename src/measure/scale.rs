@@ -1,18 +1,19 @@
 //! A scale that contradicts the snake's size.
 
+use super::refusal::{Refusal, Step};
 use super::rig::{Rig, RigOptions};
 use crate::robot::Robot;
 use nalgebra::{Point3, Vector3};
 
 /// What to say if the snake is not a standoff before the paper but elsewhere: the snake's size puts it at a depth, and the
 /// grid, if it is as large as was said, puts the paper at another one than a standoff behind it.
-pub(super) fn contradiction(robot: &Robot, options: &RigOptions, rig: &Rig) -> String {
+pub(super) fn contradiction(robot: &Robot, options: &RigOptions, rig: &Rig) -> Refusal {
     let base = rig.camera_from_base * Point3::origin();
     let depth_mm = (rig.camera_from_grid * Vector3::z()).dot(&base.coords);
     let (said_mm, stands_off_mm) = (rig.grid_pitch_mm, rig.standoff_mm());
     let scale = (depth_mm + stands_off_mm) / (depth_mm + options.standoff_mm);
     let (diameter_mm, length_mm) = (robot.body.disk_diameter_mm, robot.length_mm);
-    format!(
+    let message = format!(
         "the scale contradicts the snake's size: with grid_pitch_mm = {} and standoff_mm = {} it would be {:.2} mm thick and \
          {:.1} mm long, but the robot is {diameter_mm} mm and {length_mm} mm; a pitch of {:.2} mm or a standoff of {:.0} mm \
          would agree. Measure the paper and correct what is wrong; or the camera file is, or the snake is not unbent",
@@ -22,10 +23,6 @@ pub(super) fn contradiction(robot: &Robot, options: &RigOptions, rig: &Rig) -> S
         scale * length_mm,
         said_mm / scale,
         stands_off_mm.max(0.0),
-    )
-}
-
-/// Whether a message is a contradiction's.
-pub(super) fn is_contradiction(message: &str) -> bool {
-    message.starts_with("the scale contradicts")
+    );
+    Refusal { step: Step::Scale, message }
 }
