@@ -158,6 +158,13 @@ events.addEventListener("state", (event) => {
 events.addEventListener("rows", (event) => plots.add(JSON.parse(event.data)));
 events.onerror = () => chip("chip-link", "bad", "page: no connection");
 // The picture's stream does not come back by itself.
-by("video").onerror = () => setTimeout(() => { by("video").src = "/video.mjpg?" + Date.now(); }, 2000);
+// A lost picture's place stays empty until it is asked for again.
+by("video").onerror = () => {
+  by("video").style.visibility = "hidden";
+  setTimeout(() => {
+    by("video").style.visibility = "visible";
+    by("video").src = "/video.mjpg?" + Date.now();
+  }, 2000);
+};
 setInterval(plots.draw, 500);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", plots.draw);
