@@ -205,7 +205,7 @@ fn calibrate_on(
     }
     let width_px = lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm;
     let start = find_start(colours, holder, width_px).map_err(Refusal::at(Step::Start))?;
-    // Disks look alike: where the first start ends in a snake that is not all there, it may be one disk off.
+    // Disks look alike: where the first start ends in a snake that is not all there, it may be a disk or two off, or between them.
     let pitch_px = lens.focal_px.x * robot.disk_pitch_mm() / distance_mm;
     let moved = |disks: f64| SnakeStart { base: start.base + start.axis * (disks * pitch_px), axis: start.axis };
     let fitted = |start: &SnakeStart| {
@@ -216,7 +216,7 @@ fn calibrate_on(
         Ok(Rig { print: print_of(frame, lens, grid, robot, options)?, ..rig })
     };
     fitted(&start).or_else(|refusal| {
-        let others = [-1.0, 1.0, -0.5, 0.5, -2.0, 2.0];
+        let others = [-1.0, 1.0, -0.5, 0.5, -1.5, 1.5, -2.0, 2.0];
         others.into_iter().find_map(|disks| fitted(&moved(disks)).ok()).ok_or(refusal)
     })
 }
