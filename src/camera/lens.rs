@@ -28,7 +28,8 @@ impl Lens {
     }
 
     /// The pixel of [`project`](Self::project), and how it follows the point, px per mm.
-    #[inline]
+    // So that nothing of the slopes is worked out where only the pixel is asked for.
+    #[inline(always)]
     pub fn project_with_jacobian(&self, point: &Point3<f64>) -> (Point2<f64>, Matrix2x3<f64>) {
         if point.z <= 0.0 || point.iter().any(|v| v.is_nan()) {
             return (Point2::new(f64::NAN, f64::NAN), Matrix2x3::repeat(f64::NAN));
@@ -69,7 +70,7 @@ impl Lens {
     }
 
     /// The same, and how the distorted coordinates (rows) follow the ideal ones.
-    #[inline]
+    #[inline(always)]
     fn distort_with_jacobian(&self, ideal: Point2<f64>) -> (Point2<f64>, Matrix2<f64>) {
         let [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] = self.distortion;
         let (x, y) = (ideal.x, ideal.y);

@@ -34,7 +34,10 @@ impl Appearance {
         let places =
             (0..frame.height).step_by(STRIDE).flat_map(|y| (0..frame.width).step_by(STRIDE).map(move |x| (x, y)));
         let pixels: Vec<_> = places.filter_map(|(x, y)| Some((x, y, label(x, y)?))).collect();
-        let colour = |x, y| DVector::from_fn(channels, |c, _| linear_light(frame.get(x, y, c)));
+        let colour = |x: u32, y: u32| {
+            let first = (y as usize * frame.width as usize + x as usize) * channels;
+            DVector::from_fn(channels, |c, _| f64::from(light(&frame.samples, first + c)))
+        };
         let mut count = [0.0; 2];
         let mut mean = [DVector::zeros(channels), DVector::zeros(channels)];
         for &(x, y, (is_snake, _)) in &pixels {
@@ -121,16 +124,12 @@ impl Appearance {
             return self.clone();
         }
         let weights = self.weights_for(frame.channels);
-        let light = |k: usize| match &frame.samples {
-            Samples::Bits8(samples) => LIGHT_8[usize::from(samples[k])],
-            Samples::Bits16(samples) => LIGHT_16[usize::from(samples[k])],
-        };
         let width = frame.width as usize;
         let pixels = (0..frame.height as usize)
             .step_by(STRIDE)
             .flat_map(|row| (row * width..(row + 1) * width).step_by(STRIDE).map(|pixel| pixel * frame.channels));
         let mut levels: Vec<f32> =
-            pixels.map(|first| weights.iter().zip(first..).map(|(w, k)| light(k) * w).sum()).collect();
+            pixels.map(|first| weights.iter().zip(first..).map(|(w, k)| light(&frame.samples, k) * w).sum()).collect();
         // Without light the plane would be at the offset.
         let exposure = (-f64::from(median(&mut levels)) / self.offset).clamp(0.02, 5.0);
         Self { weights: self.weights.iter().map(|w| w / exposure).collect(), ..self.clone() }
@@ -152,6 +151,14 @@ impl Appearance {
 pub fn linear_light(encoded: f32) -> f64 {
     let v = f64::from(encoded) / 255.0;
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
+/// The light behind a sample.
+fn light(samples: &Samples, k: usize) -> f32 {
+    match samples {
+        Samples::Bits8(samples) => LIGHT_8[usize::from(samples[k])],
+        Samples::Bits16(samples) => LIGHT_16[usize::from(samples[k])],
+    }
 }
 
 /// [`linear_light`] of every number of 8 and of 16 bits.

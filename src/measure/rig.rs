@@ -8,6 +8,7 @@ use super::grid::{Grid, Pattern, find_grid};
 use super::locate::{Colours, Holder, SnakeStart, find_start, locate_holders};
 use super::matches::{EdgeBias, Matches, settled, soften};
 use super::outline::{Outline, Projection};
+use super::plane::Plane;
 use super::proof::Proof;
 use super::refusal::{Refusal, Step};
 use super::scale::contradiction;
@@ -249,7 +250,7 @@ fn fit_base(
 ) -> Result<Rig, String> {
     let mut placement = starting_placement(lens, options, snake, grid)?;
     let straight = Configuration::new(0.0, 0.0);
-    let mut appearance = None;
+    let mut learned: Option<(Appearance, Plane)> = None;
     let mut edge_bias = EdgeBias::default();
     let mut outcome: Option<(Matches, Vec<f64>, Solution)> = None;
     for (round, search_px) in [14.0, 12.0, 10.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 3.0, 3.0].into_iter().enumerate() {
@@ -257,12 +258,12 @@ fn fit_base(
         let view = Projection { lens, camera_from_base: pose(&placement), robot };
         let mut outline = Outline::new(&view, straight);
         // The model's own outline tells which pixels are snake, the better the better it lies.
-        if round % 3 == 0 || appearance.is_none() {
-            appearance = appearance_of(frame, &outline, search_px <= WELL_PLACED_PX);
+        if round % 3 == 0 || learned.is_none() {
+            let appearance = appearance_of(frame, &outline, search_px <= WELL_PLACED_PX);
+            learned = appearance.map(|appearance| (appearance.clone(), appearance.plane(frame)));
         }
-        let known = appearance.as_ref().ok_or("the snake does not stand out from the paper")?;
-        let plane = known.plane(frame);
-        let mut finder = EdgeFinder::new(&plane, known.two_sided);
+        let (appearance, plane) = learned.as_ref().ok_or("the snake does not stand out from the paper")?;
+        let mut finder = EdgeFinder::new(plane, appearance.two_sided);
         if let Some((matches, ..)) = &outcome {
             let blur_px = matches.blur_px;
             if search_px > SETTLED_PX {
@@ -320,8 +321,7 @@ fn fit_base(
             100.0 * share
         ));
     }
-    let appearance = appearance.ok_or("no appearance was learned")?;
-    let plane = appearance.plane(frame);
+    let (appearance, plane) = learned.ok_or("no appearance was learned")?;
     let finder = EdgeFinder::new(&plane, appearance.two_sided);
     let proof = Proof::new(&Outline::new(&view, straight), &finder);
     let end = robot.body.spacer_disk_count + 1;
