@@ -55,6 +55,10 @@ async fn browser() -> (Driver, Client) {
     }
 }
 
+/// How long the page may take to show anything: to find that a bent snake is no straight reference takes half a minute, and more on a
+/// busy machine.
+const PATIENCE: Duration = Duration::from_secs(180);
+
 struct Page(Client);
 
 impl Page {
@@ -63,7 +67,7 @@ impl Page {
     }
 
     async fn until(&self, id: &str, wanted: impl Fn(&str) -> bool) -> String {
-        let deadline = Instant::now() + Duration::from_secs(40);
+        let deadline = Instant::now() + PATIENCE;
         loop {
             let text = self.text(id).await;
             if wanted(&text) {
@@ -84,7 +88,7 @@ impl Page {
 
     /// Waits until a script gives what is wanted.
     async fn until_run(&self, what: &str, script: &str, wanted: impl Fn(&Value) -> bool) {
-        let deadline = Instant::now() + Duration::from_secs(40);
+        let deadline = Instant::now() + PATIENCE;
         loop {
             let value = self.run(script).await;
             if wanted(&value) {
