@@ -148,7 +148,7 @@ impl Appearance {
 ///
 /// Blur mixes light, not encoded values: half way across a blurred edge is half the light, and an edge placed in the
 /// encoded picture would be off by up to half a pixel towards the dark side.
-pub fn linear_light(encoded: f32) -> f64 {
+fn linear_light(encoded: f32) -> f64 {
     let v = f64::from(encoded) / 255.0;
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }

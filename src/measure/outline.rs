@@ -479,7 +479,8 @@ fn grazing(eye: Vector2<f64>, radius: f64) -> Option<(f64, f64)> {
     (distance > radius).then(|| (eye.y.atan2(eye.x), (radius / distance).acos()))
 }
 
-/// The two radial directions there, to the right and to the left of the one towards the observer.
+/// The two radial directions there, to the right and to the left of the one towards the observer. Tubes ask for thousands of them,
+/// which are found without the angles.
 fn tangent_directions(eye: Vector2<f64>, radius: f64) -> impl Iterator<Item = (i8, Vector2<f64>)> {
     let distance = eye.norm();
     let directions = (distance > radius).then(|| {

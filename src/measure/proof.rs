@@ -51,7 +51,7 @@ impl Proof {
         self.parts
             .iter()
             .filter(|&(&part, &(_, places))| part > 0 && places >= FEWEST)
-            .map(|(&part, &(seen, places))| (part, seen as f64 / places as f64))
+            .map(|(&part, _)| (part, self.share(part)))
     }
 
     /// The share of the disks that are there.

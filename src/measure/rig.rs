@@ -260,7 +260,10 @@ fn fit_base(
         // The model's own outline tells which pixels are snake, the better the better it lies.
         if round % 3 == 0 || learned.is_none() {
             let appearance = appearance_of(frame, &outline, search_px <= WELL_PLACED_PX);
-            learned = appearance.map(|appearance| (appearance.clone(), appearance.plane(frame)));
+            learned = appearance.map(|appearance| {
+                let plane = appearance.plane(frame);
+                (appearance, plane)
+            });
         }
         let (appearance, plane) = learned.as_ref().ok_or("the snake does not stand out from the paper")?;
         let mut finder = EdgeFinder::new(plane, appearance.two_sided);
