@@ -7,7 +7,7 @@ use nalgebra::Vector2;
 use serde_json::Value;
 use snakeloop::geometry::Configuration;
 use snakeloop::live::Histogram;
-use snakeloop::record::Truth;
+use snakeloop::observation::Truth;
 use snakeloop::robot::{Estimate, Model};
 use snakeloop::simulate::scene::{Scene, Sensor};
 use snakeloop::simulate::{FrameFormat, write_experiment};

@@ -3,10 +3,11 @@
 use divan::Bencher;
 use nalgebra::Matrix2;
 use snakeloop::camera::{Frame, Lens, Samples, read_frame};
-use snakeloop::estimate::{Estimator, Options};
+use snakeloop::estimate::{Estimator, Options, Verdict};
 use snakeloop::geometry::Configuration;
 use snakeloop::measure::{Eye, RigOptions, calibrate_rig};
-use snakeloop::record::{Measured, Measurement, Status, Verdict, read_encoders, read_truth};
+use snakeloop::observation::{Measured, Measurement, Status};
+use snakeloop::record::{read_encoders, read_truth};
 use snakeloop::robot::table::{Grid, compensation_table};
 use snakeloop::robot::{Estimate, Model};
 use std::path::{Path, PathBuf};

@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::estimate::{Estimator, Options};
 use crate::geometry::Configuration;
 use crate::measure::{Eye, RigOptions, calibrate_rig};
-use crate::record::{EncoderReading, Measured, Measurement, Status};
+use crate::observation::{EncoderReading, Measured, Measurement, Status};
 use crate::robot::{Estimate, Model};
 use crate::simulate::{Scene, render};
 use image::DynamicImage;

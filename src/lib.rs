@@ -18,8 +18,10 @@
 //! | --- | --- |
 //! | [`error`], [`geometry`] | the error type; angles and poses |
 //! | [`robot`], [`camera`] | the snake: kinematics, statics, friction, ε; lenses and sources of frames |
+//! | [`observation`] | measurements of frames and encoder readings, as plain values |
+//! | [`measure`], [`estimate`] | frames → θ, δ; measurements → η, λ |
 //! | [`record`] | the files of an experiment: read, check, write |
-//! | [`measure`], [`estimate`], [`simulate`] | frames → θ, δ; measurements → η, λ; the other way round, for tests |
+//! | [`simulate`] | the other way round, for tests |
 //! | [`discover`] | which effect the model lacks |
 //! | [`reproduce`] | the paper's tables and figures |
 //! | [`closed_loop`] | controller and robot played together, through rendered frames |
@@ -36,6 +38,7 @@ pub mod geometry;
 mod input;
 pub mod live;
 pub mod measure;
+pub mod observation;
 pub mod record;
 pub mod report;
 pub mod reproduce;

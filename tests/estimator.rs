@@ -1,9 +1,10 @@
 //! The estimator on simulated experiments whose η and λ are known, and on the bundled one.
 
 use nalgebra::{Matrix2, Vector2};
-use snakeloop::estimate::{Estimator, Options, Reason, Weighting, estimate};
+use snakeloop::estimate::{Estimator, Options, Reason, Verdict, Weighting, estimate};
 use snakeloop::geometry::Configuration;
-use snakeloop::record::{EncoderReading, Measured, Measurement, Status, Verdict, read_encoders, read_truth};
+use snakeloop::observation::{EncoderReading, Measured, Measurement, Status};
+use snakeloop::record::{read_encoders, read_truth};
 use snakeloop::robot::{Estimate, Friction, Model, PerBackbone};
 use snakeloop::simulate::{BendingExperiment, Plant, Sample, SimulatedEye};
 use std::path::Path;

@@ -6,10 +6,8 @@ use snakeloop::camera::{Frame, Lens, Samples};
 use snakeloop::estimate::{Estimator, Options};
 use snakeloop::geometry::{Configuration, wrap_angle, wrap_degrees};
 use snakeloop::measure::{Eye, Rig, RigOptions, calibrate_rig};
-use snakeloop::record::{
-    Checked, EncoderReading, Measured, Measurement, Status, read_encoders, read_friction, read_measurements,
-    read_trajectory, read_truth,
-};
+use snakeloop::observation::{EncoderReading, Measured, Measurement, Status};
+use snakeloop::record::{Checked, read_encoders, read_friction, read_measurements, read_trajectory, read_truth};
 use snakeloop::robot::{MAX_THETA, Model, PerBackbone, Robot};
 use std::f64::consts::PI;
 use std::path::Path;

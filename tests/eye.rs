@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use snakeloop::camera::{Frame, Samples};
 use snakeloop::geometry::{Configuration, wrap_degrees};
 use snakeloop::measure::{Eye, Rig, RigOptions, calibrate_rig};
-use snakeloop::record::Status;
+use snakeloop::observation::Status;
 use snakeloop::simulate::scene::{Pattern, Scene, Surface, Wire};
 
 const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };

@@ -3,9 +3,9 @@
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
-use snakeloop::estimate::{Estimator, Filter, Options, Row, Weighting};
+use snakeloop::estimate::{Estimator, Filter, Options, Row, Verdict, Weighting};
 use snakeloop::geometry::Configuration;
-use snakeloop::record::{Verdict, Waypoint};
+use snakeloop::observation::Waypoint;
 use snakeloop::robot::{Estimate, Model};
 use snakeloop::simulate::{BendingExperiment, Plant, SimulatedEye};
 

@@ -1,7 +1,8 @@
 //! Two cameras around one snake, from rendered frames through the program.
 
 use snakeloop::geometry::{Configuration, wrap_degrees};
-use snakeloop::record::{Measurement, Truth, read_measurements, write_atomically};
+use snakeloop::observation::{Measurement, Truth};
+use snakeloop::record::{read_measurements, write_atomically};
 use snakeloop::simulate::scene::{Scene, Sensor, Viewpoint};
 use snakeloop::simulate::{FrameFormat, write_experiment};
 use std::path::Path;

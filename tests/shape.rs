@@ -5,7 +5,7 @@ mod lab;
 use lab::{frame, lab};
 use snakeloop::geometry::Configuration;
 use snakeloop::measure::{Eye, RigOptions, calibrate_rig};
-use snakeloop::record::{Shape, Status};
+use snakeloop::observation::{Shape, Status};
 use snakeloop::simulate::scene::Scene;
 
 #[test]

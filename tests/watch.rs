@@ -8,7 +8,7 @@ use nalgebra::{Translation3, Vector3};
 use snakeloop::camera::{Frame, Samples};
 use snakeloop::geometry::{Configuration, Pose, wrap_degrees};
 use snakeloop::measure::{Eye, Rig, RigOptions, Sighting, calibrate_rig};
-use snakeloop::record::Status;
+use snakeloop::observation::Status;
 use snakeloop::simulate::scene::{Pattern, Scene, Viewpoint};
 
 const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };

@@ -9,9 +9,10 @@ use crate::discover::{
     Correction, Data, Discovery, Next, Whereabouts, discover, discover_in_frames, learn_correction, next_experiment,
 };
 use crate::estimate::Options;
+use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, EncoderReading, Experiment, Measurement, measurements_csv, read_encoders, read_measurements, read_model,
-    trajectory_csv, write_atomically, write_model,
+    Checked, Experiment, measurements_csv, read_encoders, read_measurements, read_model, trajectory_csv,
+    write_atomically, write_model,
 };
 use crate::report::discovery::{Page, sentence};
 use crate::robot::Model;

@@ -3,10 +3,9 @@
 use super::console::Console;
 use super::estimator::EstimatorArgs;
 use super::inputs::{measurements_and_readings, model_or_paper, with_effects};
-use crate::estimate::{estimate, estimate_stem};
-use crate::record::{
-    EncoderReading, EstimateRow, Measurement, Verdict, estimates_csv, stems_csv, write_atomically, write_model,
-};
+use crate::estimate::{EstimateRow, Verdict, estimate, estimate_stem};
+use crate::observation::{EncoderReading, Measurement};
+use crate::record::{estimates_csv, stems_csv, write_atomically, write_model};
 use crate::robot::{Effect, Estimate, Model};
 use crate::{Error, Result};
 use serde::Serialize;

@@ -4,7 +4,7 @@ use super::console::Console;
 use super::views::OpenView;
 use crate::camera::{Frame, FrameSource, SourceFrame};
 use crate::measure::{Eye, Sighting, fused};
-use crate::record::{EncoderReading, Measurement, Status};
+use crate::observation::{EncoderReading, Measurement, Status};
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;

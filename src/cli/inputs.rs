@@ -2,7 +2,8 @@
 
 use super::console::Console;
 use crate::estimate::with_sigmas;
-use crate::record::{Checked, EncoderReading, Experiment, Measurement, read_encoders, read_measurements, read_model};
+use crate::observation::{EncoderReading, Measurement};
+use crate::record::{Checked, Experiment, read_encoders, read_measurements, read_model};
 use crate::robot::{Effect, Model};
 use crate::{Error, Result};
 use std::path::Path;

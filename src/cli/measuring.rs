@@ -8,9 +8,9 @@ use super::flow::{Flow, Look, Shard, Throughput};
 use super::run::Settings;
 use super::views::OpenView;
 use crate::input::{PICTURE_BYTES, read_bytes, read_text};
+use crate::observation::EncoderReading;
 use crate::record::{
-    EncoderReading, Experiment, MeasurementJournal, MeasurementRows, RigSource, difference, remove_abandoned,
-    write_atomically,
+    Experiment, MeasurementJournal, MeasurementRows, RigSource, difference, remove_abandoned, write_atomically,
 };
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};

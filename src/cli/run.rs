@@ -9,9 +9,10 @@ use super::measuring::{self, Count, Measured, MeasuringArgs};
 use super::table::largest_correction_mm;
 use super::views::open_views;
 use crate::estimate::estimate_each;
+use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, EncoderReading, Experiment, Measurement, MeasurementRows, PendingFile, Warning, estimate_line,
-    estimates_header, write_atomically, write_compensation, write_model,
+    Checked, Experiment, MeasurementRows, PendingFile, Warning, estimate_line, estimates_header, write_atomically,
+    write_compensation, write_model,
 };
 use crate::report::course::{Course, worth_drawing};
 use crate::report::html::{Picture, Report};

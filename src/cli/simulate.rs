@@ -3,8 +3,9 @@
 use super::console::Console;
 use super::inputs::{model_or_paper, rows, with_effects};
 use crate::closed_loop::Rehearsal;
+use crate::observation::Waypoint;
 use crate::record::{
-    Waypoint, csv_of, encoders_csv, measurements_csv, read_trajectory, truth_csv, write_atomically, write_compensation,
+    csv_of, encoders_csv, measurements_csv, read_trajectory, truth_csv, write_atomically, write_compensation,
     write_model,
 };
 use crate::report::learning::learning_curve;

@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::estimate::with_sigmas;
-use crate::record::{EncoderReading, Measured, Measurement, Status};
+use crate::observation::{EncoderReading, Measured, Measurement, Status};
 use crate::robot::{MAX_THETA, PerBackbone};
 use std::collections::HashMap;
 

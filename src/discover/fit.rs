@@ -9,7 +9,7 @@
 //! Directions of loads and motions are taken from the bend that the encoders imply, not from the eye's, which is noisy.
 
 use super::data::Data;
-use crate::record::Measured;
+use crate::observation::Measured;
 use crate::robot::motion::{Led, Slope};
 use crate::robot::{Effect, Estimate, Mechanics, Model, Motion, PerBackbone};
 use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2};

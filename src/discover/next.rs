@@ -9,7 +9,7 @@ use super::fit::Problem;
 use super::plans::{Plan, plans, repeated};
 use super::search::{Named, with_effect, without_effect};
 use super::verdict::{Discovery, Verdict};
-use crate::record::{Measured, Measurement, Status, Waypoint};
+use crate::observation::{Measured, Measurement, Status, Waypoint};
 use crate::robot::effects::physics;
 use crate::robot::{Effect, LIBRARY, Model, PerBackbone, Physics};
 use crate::simulate::Plant;

@@ -2,7 +2,7 @@
 
 use super::data::Data;
 use crate::geometry::Configuration;
-use crate::record::Waypoint;
+use crate::observation::Waypoint;
 use crate::robot::MAX_THETA;
 
 /// The least bend of a ride, degrees: below it a camera hardly sees δ.

@@ -1,6 +1,6 @@
 //! Measurements and readings as they would have been without a model's effects.
 
-use crate::record::{EncoderReading, Measured, Measurement};
+use crate::observation::{EncoderReading, Measured, Measurement};
 use crate::robot::{Model, Observation};
 use std::collections::HashMap;
 

@@ -22,9 +22,9 @@
 //! a wrong μ scales η, and no number of measurements averages that away.
 
 use super::consistency::Whitened;
-use super::{Consistency, Filter, Row, Weighting, pairs_without_effects};
+use super::{Consistency, EstimateRow, EtaLambda, Filter, Row, Verdict, Weighting, pairs_without_effects};
 use crate::error::{Error, Result};
-use crate::record::{EncoderReading, EstimateRow, EtaLambda, Measured, Measurement, Status, Verdict};
+use crate::observation::{EncoderReading, Measured, Measurement, Status};
 use crate::robot::{Estimate, MAX_THETA, Model, PerBackbone};
 use nalgebra::{Matrix2, Vector2};
 use std::collections::VecDeque;

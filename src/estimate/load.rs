@@ -21,7 +21,7 @@ use super::row::{bend_covariance, by_parameters};
 use super::without_effects;
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
-use crate::record::{EncoderReading, ForceRow, Measured, MeasuredForce, Measurement};
+use crate::observation::{EncoderReading, Measured, Measurement};
 use crate::robot::{Model, PerBackbone};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
 use std::collections::HashMap;
@@ -38,6 +38,30 @@ pub struct TipForce {
     pub covariance_n2: Matrix3<f64>,
     /// Unit vectors along which a force cannot be told.
     pub unseen: Vec<Vector3<f64>>,
+}
+
+/// The force that explains one measurement.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MeasuredForce {
+    /// The force, N, in {b}.
+    pub force_n: Vector3<f64>,
+    /// Its standard deviations within the directions that are seen, N.
+    pub sd_n: Vector3<f64>,
+    /// The direction, a unit vector, along which a force moves nothing.
+    pub unseen: Option<Vector3<f64>>,
+}
+
+/// One row of force.csv.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ForceRow {
+    /// The frame's index.
+    pub index: u64,
+    /// Time, s.
+    pub time_s: Option<f64>,
+    /// The force, where there was a measurement.
+    pub force: Option<MeasuredForce>,
+    /// Why the measurement was not used, in snake_case; `None` where it was.
+    pub reason: Option<String>,
 }
 
 /// What measurements say together about one force.

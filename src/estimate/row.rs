@@ -29,7 +29,7 @@
 //! with fading memory, pull η to where the noise is. Such a row takes b* = 0, where H says nothing of η and λ alone is learnt.
 
 use crate::geometry::Configuration;
-use crate::record::Measured;
+use crate::observation::Measured;
 use crate::robot::{Model, PerBackbone};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Rotation2, Vector2, Vector3};
 use std::f64::consts::PI;

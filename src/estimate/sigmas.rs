@@ -1,7 +1,7 @@
 //! Noise of measurements that do not say how sure they are.
 
 use crate::geometry::{Configuration, sinc};
-use crate::record::{EncoderReading, Measurement};
+use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Robot;
 use nalgebra::{Matrix2x3, Matrix3, Rotation2, Vector2, Vector3};
 use std::collections::HashMap;

@@ -23,7 +23,7 @@
 use super::estimator::{Reason, parameters_by_friction, usable};
 use super::{Row, Weighting, without_effects};
 use crate::error::{Error, Result};
-use crate::record::{EncoderReading, Measurement, StemRow};
+use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
 use nalgebra::{Matrix2, Vector2, Vector3};
 use std::collections::HashMap;
@@ -61,6 +61,21 @@ pub struct StemAngle {
     pub phi: f64,
     /// Its standard deviation, rad.
     pub sd: f64,
+}
+
+/// One row of stem.csv.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StemRow {
+    /// The frame's index.
+    pub index: u64,
+    /// Time, s.
+    pub time_s: Option<f64>,
+    /// Total bending angle of the line, rad.
+    pub phi: f64,
+    /// Its standard deviation, rad.
+    pub sd_phi: f64,
+    /// Why the measurement was not used, in snake_case; `None` where it was.
+    pub reason: Option<String>,
 }
 
 /// Follows the total bending angle of a flexible stem.
@@ -247,7 +262,7 @@ pub fn estimate_stem(
 mod tests {
     use super::*;
     use crate::geometry::Configuration;
-    use crate::record::Truth;
+    use crate::observation::Truth;
     use crate::robot::{Estimate, Friction, PerBackbone};
     use crate::simulate::{Sample, SimulatedEye};
     use rand::SeedableRng;

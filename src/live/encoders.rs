@@ -7,7 +7,7 @@
 use super::clock::{ClockState, FrameClock, Lag, Offset, motion_lag};
 use crate::error::{Error, Result};
 use crate::input::read_line;
-use crate::record::EncoderReading;
+use crate::observation::EncoderReading;
 use crate::robot::PerBackbone;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};

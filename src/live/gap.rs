@@ -1,7 +1,7 @@
 //! The watch on the gap between model and measurements, and what is kept for `discover` to look at.
 
-use crate::estimate::Consistency;
-use crate::record::{EncoderReading, Measurement, Verdict};
+use crate::estimate::{Consistency, Verdict};
+use crate::observation::{EncoderReading, Measurement};
 use serde::Serialize;
 use std::collections::VecDeque;
 
@@ -117,7 +117,7 @@ impl Gathered {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::Status;
+    use crate::observation::Status;
     use crate::robot::PerBackbone;
 
     #[test]

@@ -7,7 +7,7 @@
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::input::{LineRead, read_line};
-use crate::record::{EncoderReading, Measured, Measurement, Quality, Shape};
+use crate::observation::{EncoderReading, Measured, Measurement, Quality, Shape};
 use crate::robot::PerBackbone;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
@@ -239,7 +239,8 @@ pub fn read(path: &Path, mut each: impl FnMut(Entry)) -> Result<(u64, Option<Str
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::{Status, measurement_line};
+    use crate::observation::Status;
+    use crate::record::measurement_line;
     use proptest::prelude::*;
 
     fn entry(index: u64, theta: f64, with_reading: bool) -> Entry {

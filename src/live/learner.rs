@@ -2,9 +2,9 @@
 
 use super::gap::{GapStatus, Gathered, Watch};
 use crate::Result;
-use crate::estimate::{Estimator, Options, Stem, StemAngle, StemOptions, Step, without_effects};
+use crate::estimate::{Estimator, Options, Stem, StemAngle, StemOptions, Step, Verdict, without_effects};
 use crate::geometry::Configuration;
-use crate::record::{EncoderReading, Measurement, Verdict};
+use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
 use std::collections::VecDeque;
 

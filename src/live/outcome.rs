@@ -4,8 +4,9 @@
 use super::journal::{Entry, JOURNAL, read};
 use super::learner::Learner;
 use crate::error::{Error, Result};
-use crate::estimate::{Reason, StemAngle};
-use crate::record::{Measurement, PendingFile, StemRow, encoders_csv, measurements_csv, stems_csv};
+use crate::estimate::{Reason, StemAngle, StemRow};
+use crate::observation::Measurement;
+use crate::record::{PendingFile, encoders_csv, measurements_csv, stems_csv};
 use std::io::Write;
 use std::path::Path;
 

@@ -3,7 +3,7 @@
 use super::quiet::be_quiet;
 use crate::camera::Frame;
 use crate::measure::Eye;
-use crate::record::Measurement;
+use crate::observation::Measurement;
 use crate::report::overlay::{Shape, overlay};
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{FilterType, resize};

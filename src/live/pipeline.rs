@@ -17,7 +17,7 @@ use crate::camera::{Frame, Lens};
 use crate::error::{Error, Result};
 use crate::estimate::{Options, StemOptions};
 use crate::measure::{Eye, RigOptions, Sighting, calibrate_rig};
-use crate::record::{EncoderReading, Measurement, Status};
+use crate::observation::{EncoderReading, Measurement, Status};
 use crate::robot::{Model, Robot};
 use nalgebra::Vector2;
 use std::collections::{HashMap, VecDeque};

@@ -10,7 +10,7 @@ use super::search::Search;
 use super::watch::Watch;
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose, wrap_angle};
-use crate::record::{Measured, Quality, Status};
+use crate::observation::{Measured, Quality, Status};
 use crate::robot::Robot;
 use nalgebra::{Matrix2, Matrix6, Vector2};
 use rayon::prelude::*;

@@ -14,7 +14,7 @@ use super::search::Search;
 use super::watch::{Watch, Watched};
 use crate::camera::Frame;
 use crate::geometry::Pose;
-use crate::record::Status;
+use crate::observation::Status;
 use nalgebra::{DVector, Matrix6, Point2, Point3, Translation3, Vector2, Vector6};
 use std::sync::Arc;
 

@@ -13,7 +13,7 @@ use super::outline::{Outline, Piece, Projection};
 use super::plane::{Plane, Region};
 use super::rig::Rig;
 use crate::camera::Frame;
-use crate::record::Status;
+use crate::observation::Status;
 use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, SVector};
 use rayon::prelude::*;
 use std::collections::BTreeMap;

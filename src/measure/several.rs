@@ -1,7 +1,7 @@
 //! Several views of one snake at one moment.
 
 use super::eye::{Bend, Sighting, failed};
-use crate::record::{Quality, Status};
+use crate::observation::{Quality, Status};
 use nalgebra::{Matrix2, Vector2};
 
 /// Two views that differ by more than this, rad, and by more than their sigmas allow, do not see the same snake.

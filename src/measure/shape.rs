@@ -8,7 +8,7 @@ use super::certainty::{clustered_covariance, light_covariance, robust_weights, w
 use super::matches::{BiasPrior, Matches, STATE, State};
 use super::outline::Projection;
 use super::solve::covariance;
-use crate::record::Shape;
+use crate::observation::Shape;
 use crate::robot::Curve;
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix4, Matrix6, SMatrix, Vector2, Vector4};
 

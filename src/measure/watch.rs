@@ -14,7 +14,7 @@ use super::plane::median;
 use super::rig::Rig;
 use crate::camera::{Frame, Lens, Sample, Samples};
 use crate::geometry::{Configuration, Pose};
-use crate::record::Status;
+use crate::observation::Status;
 use nalgebra::{
     DMatrix, DVector, Matrix2, Matrix3, Matrix6, Point2, Translation3, UnitQuaternion, Vector2, Vector3, Vector6,
 };

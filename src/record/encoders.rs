@@ -1,8 +1,8 @@
 //! encoders.csv: `index,time_s,q1_mm,q2_mm,q3_mm`, what the actuators' encoders read at each frame; a column for each backbone.
 
-use super::measurement::EncoderReading;
 use super::table::{self, Checked, Indexed, backbone_columns, backbone_decimals, decimals};
 use crate::error::Result;
+use crate::observation::EncoderReading;
 use crate::robot::{BACKBONES, PerBackbone};
 use std::path::Path;
 

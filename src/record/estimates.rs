@@ -10,61 +10,7 @@
 //! | `view` | the view's name in experiment.toml |
 
 use super::table::{backbone_columns, backbone_decimals, decimals, decimals_or_empty};
-use crate::robot::PerBackbone;
-use std::fmt;
-
-/// What became of a measurement in the estimator.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
-    /// It moved the estimate.
-    Used,
-    /// The gate took it for an outlier.
-    Rejected,
-    /// There was nothing to use: no angles, or no encoder reading.
-    Skipped,
-}
-
-impl fmt::Display for Verdict {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Used => "used",
-            Self::Rejected => "rejected",
-            Self::Skipped => "skipped",
-        })
-    }
-}
-
-/// η and λ with their standard deviations.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct EtaLambda {
-    /// η, the scale of the actuation forces.
-    pub eta: f64,
-    /// λ, the backlash, mm.
-    pub lambda_mm: f64,
-    /// Standard deviation of η.
-    pub sd_eta: f64,
-    /// Standard deviation of λ, mm.
-    pub sd_lambda_mm: f64,
-}
-
-/// One row of estimate.csv: one measurement and the estimate after it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct EstimateRow {
-    /// The frame's index.
-    pub index: u64,
-    /// Time, s.
-    pub time_s: Option<f64>,
-    /// The estimate after this measurement; `None` while there were too few.
-    pub estimate: Option<EtaLambda>,
-    /// What became of the measurement.
-    pub verdict: Verdict,
-    /// Why it was not used, in snake_case; empty where it was.
-    pub reason: String,
-    /// Measured ε less predicted ε per backbone, mm.
-    pub residual_mm: Option<PerBackbone>,
-    /// The view's name.
-    pub view: Option<String>,
-}
+use crate::estimate::EstimateRow;
 
 /// The estimate.csv of a robot of so many backbones as text; lengths to 1 nm.
 pub fn estimates_csv(rows: &[EstimateRow], backbones: usize) -> String {
@@ -98,6 +44,8 @@ pub fn estimate_line(row: &EstimateRow, backbones: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimate::{EtaLambda, Verdict};
+    use crate::robot::PerBackbone;
 
     #[test]
     fn one_row_a_measurement_whatever_became_of_it() {

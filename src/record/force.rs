@@ -9,31 +9,8 @@
 //! | `status` | `used`, or why the measurement was not |
 
 use super::table::{decimals, decimals_or_empty};
+use crate::estimate::ForceRow;
 use nalgebra::Vector3;
-
-/// The force that explains one measurement.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MeasuredForce {
-    /// The force, N, in {b}.
-    pub force_n: Vector3<f64>,
-    /// Its standard deviations within the directions that are seen, N.
-    pub sd_n: Vector3<f64>,
-    /// The direction, a unit vector, along which a force moves nothing.
-    pub unseen: Option<Vector3<f64>>,
-}
-
-/// One row of force.csv.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ForceRow {
-    /// The frame's index.
-    pub index: u64,
-    /// Time, s.
-    pub time_s: Option<f64>,
-    /// The force, where there was a measurement.
-    pub force: Option<MeasuredForce>,
-    /// Why the measurement was not used, in snake_case; `None` where it was.
-    pub reason: Option<String>,
-}
 
 /// force.csv as text.
 pub fn forces_csv(rows: &[ForceRow]) -> String {
@@ -57,6 +34,7 @@ pub fn forces_csv(rows: &[ForceRow]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimate::MeasuredForce;
 
     #[test]
     fn every_row_has_all_columns() {

@@ -5,11 +5,11 @@
 //! leaves all of them but the one in hand, and once a second they are brought to the disk, which is what a loss of power can
 //! cost. From the first line on that is torn or makes no sense the journal is cut off when it is opened again.
 
-use super::measurement::Measurement;
 use super::measurements::{RowReader, measurement_line, measurements_header};
 use super::write::{PendingFile, write_atomically};
 use crate::error::{Error, Result};
 use crate::input::{LINE_BYTES, read_line};
+use crate::observation::Measurement;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{BufReader, Read, Seek, SeekFrom, Write, copy};
 use std::path::{Path, PathBuf};
@@ -209,7 +209,8 @@ pub fn difference(former: &toml::Table, now: &toml::Table) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::{MeasurementRows, Status};
+    use crate::observation::Status;
+    use crate::record::MeasurementRows;
     use proptest::prelude::*;
 
     fn origin(text: &str) -> toml::Table {

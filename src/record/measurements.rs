@@ -14,11 +14,11 @@
 //! | `shape_along_deg`, `shape_across_deg` | departure from the circle in the bend's plane and out of it (see [`Shape`]); with sigmas |
 //! | `shape_chi2` | the departure's square in units of its covariance: 2 on the average for a circle |
 
-use super::measurement::{Measured, Measurement, Quality, Shape, Status};
 use super::table::{self, Checked, Indexed, OwnColumns, Row, RowResult, azimuth, decimals, decimals_or_empty};
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::input::{LINE_BYTES, read_line};
+use crate::observation::{Measured, Measurement, Quality, Shape, Status};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};

@@ -7,21 +7,7 @@
 //! | `status` | `used`, or why the measurement was not |
 
 use super::table::{decimals, decimals_or_empty};
-
-/// One row of stem.csv.
-#[derive(Debug, Clone, PartialEq)]
-pub struct StemRow {
-    /// The frame's index.
-    pub index: u64,
-    /// Time, s.
-    pub time_s: Option<f64>,
-    /// Total bending angle of the line, rad.
-    pub phi: f64,
-    /// Its standard deviation, rad.
-    pub sd_phi: f64,
-    /// Why the measurement was not used, in snake_case; `None` where it was.
-    pub reason: Option<String>,
-}
+use crate::estimate::StemRow;
 
 /// stem.csv as text.
 pub fn stems_csv(rows: &[StemRow]) -> String {

@@ -4,19 +4,11 @@
 use super::table::{self, Checked, Indexed, azimuth, backbone_columns, backbone_decimals, decimals};
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
+use crate::observation::Waypoint;
 use crate::robot::{MAX_THETA, PerBackbone};
 use std::path::Path;
 
 const COLUMNS: [&str; 4] = ["index", "time_s", "theta_deg", "delta_deg"];
-
-/// One pose of a trajectory.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Waypoint {
-    /// Time, s.
-    pub time_s: f64,
-    /// θ and δ.
-    pub configuration: Configuration,
-}
 
 #[derive(PartialEq)]
 struct Row {

@@ -1,9 +1,9 @@
 //! truth.csv: `index,theta_deg,delta_deg`, what synthetic frames show. Only tests and scoring read it.
 
-use super::measurement::Truth;
 use super::table::{self, Checked, Indexed, azimuth, decimals};
 use crate::error::Result;
 use crate::geometry::Configuration;
+use crate::observation::Truth;
 use std::path::Path;
 
 const COLUMNS: [&str; 3] = ["index", "theta_deg", "delta_deg"];

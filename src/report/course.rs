@@ -1,6 +1,7 @@
 //! What of a run's rows its report shows: all of a short run; of a long one a part that does not grow with it.
 
-use crate::record::{EstimateRow, Measurement, Status, Verdict};
+use crate::estimate::{EstimateRow, Verdict};
+use crate::observation::{Measurement, Status};
 
 /// Rows whose points are plotted.
 const PLOTTED: usize = 1000;

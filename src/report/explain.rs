@@ -4,7 +4,7 @@ use super::html::{escaped, style};
 use super::overlay::{Shape, angles, overlay, rgb, stroke};
 use crate::camera::Frame;
 use crate::measure::{Explanation, Place};
-use crate::record::{Measurement, Status};
+use crate::observation::{Measurement, Status};
 use image::{Rgb, RgbImage, imageops};
 use nalgebra::Point2;
 use std::fmt::Write;

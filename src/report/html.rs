@@ -4,7 +4,8 @@
 use super::course::Course;
 use super::overlay::angles;
 use super::plot::{GRID, INK, Plot, Point, Series, Style};
-use crate::record::{EstimateRow, Measurement, Verdict};
+use crate::estimate::{EstimateRow, Verdict};
+use crate::observation::Measurement;
 use base64::prelude::{BASE64_STANDARD, Engine};
 use std::fmt::Write;
 
@@ -91,7 +92,7 @@ impl Report<'_> {
                 plot("δ (°)", self.angle_series(&axis, |m| (m.configuration.delta_deg(), m.sigma_delta.to_degrees()))),
             ),
         ];
-        let estimates = |value: fn(&crate::record::EtaLambda) -> (f64, f64)| {
+        let estimates = |value: fn(&crate::estimate::EtaLambda) -> (f64, f64)| {
             let points = self.course.plotted.iter().filter_map(|(_, row)| {
                 let (y, sd) = value(row.estimate.as_ref()?);
                 Some(Point { x: axis.place(row.index, row.time_s), y, sd })
@@ -130,7 +131,7 @@ impl Report<'_> {
     }
 
     /// The measured angles, those apart that the estimator rejected.
-    fn angle_series(&self, axis: &Axis, angle: impl Fn(&crate::record::Measured) -> (f64, f64)) -> Vec<Series> {
+    fn angle_series(&self, axis: &Axis, angle: impl Fn(&crate::observation::Measured) -> (f64, f64)) -> Vec<Series> {
         let series = |name: &str, wanted: bool| Series {
             name: name.to_owned(),
             style: Style::Dots,
@@ -307,8 +308,9 @@ li {{ overflow-wrap: anywhere; }}
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimate::EtaLambda;
     use crate::geometry::Configuration;
-    use crate::record::{EtaLambda, Measured, Status};
+    use crate::observation::{Measured, Status};
     use crate::robot::PerBackbone;
 
     fn measurement(index: u64, status: Status) -> Measurement {

@@ -3,7 +3,7 @@
 use crate::camera::Frame;
 use crate::geometry::Configuration;
 use crate::measure::{Outline, Projection};
-use crate::record::{Measured, Measurement, Status};
+use crate::observation::{Measured, Measurement, Status};
 use ab_glyph::{FontRef, PxScale};
 use image::{Rgb, RgbImage};
 use imageproc::drawing::{draw_text_mut, text_size};

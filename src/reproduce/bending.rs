@@ -16,7 +16,7 @@ use super::{Comparison, PAPER_ETA, PAPER_LAMBDA_MM};
 use crate::error::Result;
 use crate::estimate::{Options, estimate};
 use crate::geometry::{Configuration, wrap_angle};
-use crate::record::Waypoint;
+use crate::observation::Waypoint;
 use crate::robot::{Effect, Estimate, Friction, Model, PerBackbone};
 use crate::simulate::{Plant, SimulatedEye};
 use nalgebra::Matrix2;

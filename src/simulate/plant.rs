@@ -1,7 +1,7 @@
 //! The plant: what encoders and an eye would say of a snake whose model is known. For tests, and for whoever has no robot.
 
 use crate::geometry::{Configuration, sinc};
-use crate::record::{EncoderReading, Measured, Measurement, Status, Truth, Waypoint};
+use crate::observation::{EncoderReading, Measured, Measurement, Status, Truth, Waypoint};
 use crate::robot::{Mechanics, Model, PerBackbone};
 use nalgebra::{Rotation2, Vector2};
 use rand::SeedableRng;

@@ -2,7 +2,7 @@
 
 use crate::estimate::pairs_without_effects;
 use crate::geometry::{Configuration, wrap_angle};
-use crate::record::{EncoderReading, Measurement, Truth};
+use crate::observation::{EncoderReading, Measurement, Truth};
 use crate::robot::{Model, PerBackbone};
 use nalgebra::Vector2;
 use serde::Serialize;
@@ -195,7 +195,7 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::{Measured, Status};
+    use crate::observation::{Measured, Status};
     use approx::assert_relative_eq;
     use rand::SeedableRng;
     use rand::rngs::StdRng;

@@ -4,7 +4,7 @@
 use super::plant::{Plant, SimulatedEye};
 use super::trajectory::BendingExperiment;
 use crate::error::Result;
-use crate::record::{EncoderReading, Measurement, Truth, Waypoint};
+use crate::observation::{EncoderReading, Measurement, Truth, Waypoint};
 use crate::robot::{Effect, Estimate, Model, Observation, Physics};
 use nalgebra::Matrix2;
 use rand::rngs::StdRng;

@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
-use crate::record::Waypoint;
+use crate::observation::Waypoint;
 use crate::robot::MAX_THETA;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};

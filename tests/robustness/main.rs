@@ -20,7 +20,7 @@ use rigs::Random;
 use snakeloop::camera::Frame;
 use snakeloop::geometry::{Configuration, wrap_degrees};
 use snakeloop::measure::{Eye, RigOptions, Sighting, calibrate_rig};
-use snakeloop::record::Status;
+use snakeloop::observation::Status;
 use snakeloop::simulate::render::render;
 use snakeloop::simulate::scene::Scene;
 use std::collections::BTreeMap;

@@ -1,4 +1,5 @@
-//! One row of measurements.csv and of encoders.csv.
+//! What is observed of the robot: what the camera measured in a frame, what the encoders read, and, where the data is
+//! synthetic, what was true. These are plain values; [`record`](crate::record) reads and writes them as files.
 
 use crate::geometry::Configuration;
 use crate::robot::PerBackbone;
@@ -179,6 +180,15 @@ pub struct Truth {
     /// The frame's index.
     pub index: u64,
     /// The true θ and δ.
+    pub configuration: Configuration,
+}
+
+/// One pose of a trajectory.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Waypoint {
+    /// Time, s.
+    pub time_s: f64,
+    /// θ and δ.
     pub configuration: Configuration,
 }
 
