@@ -1,7 +1,7 @@
 //! Ratios and scaling of one run: `run` beside decoding alone, measuring beside reading the pixels, time and memory over the number of
 //! frames. `tools/bench` calls it and says how busy the machine was.
 //!
-//! `BENCH_FRAMES="100 1000" cargo bench --no-default-features --bench end_to_end`
+//! `BENCH_FRAMES="100 1000" cargo bench --no-default-features --features cli --bench end_to_end`
 
 use nalgebra::Matrix2;
 use rayon::prelude::*;

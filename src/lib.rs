@@ -25,8 +25,8 @@
 //! | [`discover`] | which effect the model lacks |
 //! | [`reproduce`] | the paper's tables and figures |
 //! | [`closed_loop`] | controller and robot played together, through rendered frames |
-//! | [`report`] | overlays, plots, the HTML page |
-//! | [`live`] | the loop while the robot moves, with its dashboard |
+//! | `report` (feature `report`) | overlays, plots, the HTML page |
+//! | `live` (feature `live`) | the loop while the robot moves, with its dashboard |
 #![warn(missing_docs)]
 
 pub mod camera;
@@ -36,15 +36,18 @@ pub mod error;
 pub mod estimate;
 pub mod geometry;
 mod input;
+#[cfg(feature = "live")]
 pub mod live;
 pub mod measure;
 pub mod observation;
 pub mod record;
+#[cfg(feature = "report")]
 pub mod report;
 pub mod reproduce;
 pub mod robot;
 pub mod simulate;
 
+#[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;
 

@@ -1,7 +1,7 @@
 # Sourced by quickstart and test: checks what the build needs and installs what is missing.
 #
-# Sets `features` to the cargo arguments that fit this machine: empty where OpenCV can be used, --no-default-features
-# where it cannot.
+# Sets `features` to the cargo arguments that build the program on this machine: empty where OpenCV can be used, those that
+# leave it out where it cannot.
 
 say() { printf '\n== %s\n' "$*" >&2; }
 
@@ -60,7 +60,7 @@ prepare() {
   if has_opencv; then
     features=""
   else
-    features="--no-default-features"
+    features="--no-default-features --features cli"
     say "OpenCV is not here and could not be installed (Debian: libopencv-dev clang libclang-dev pkg-config)."
     echo "Going on without it: no video files, camera devices and lens calibration; all else works." >&2
   fi

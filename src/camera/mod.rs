@@ -5,7 +5,6 @@ pub mod capture;
 mod file;
 pub mod frame;
 pub mod lens;
-mod mjpeg;
 #[cfg(feature = "opencv")]
 mod opencv;
 #[cfg(not(feature = "opencv"))]
@@ -17,6 +16,5 @@ pub use capture::{CaptureSettings, CaptureTarget};
 pub use file::CameraFormat;
 pub use frame::{Frame, Sample, Samples, decode_frame, read_frame};
 pub use lens::Lens;
-pub use mjpeg::MotionJpeg;
 pub use opencv::Capture;
 pub use source::{FrameSource, SourceFrame};

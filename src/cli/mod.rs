@@ -155,7 +155,7 @@ mod tests {
         assert!(
             book == reference(),
             "docs/src/reference/commands.md is not what --help says; write it anew with \
-             WRITE_REFERENCE=1 cargo test --no-default-features --lib the_book_says"
+             WRITE_REFERENCE=1 cargo test --no-default-features --features cli --lib the_book_says"
         );
     }
 

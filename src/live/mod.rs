@@ -19,6 +19,7 @@ pub mod journal;
 mod latency;
 mod learner;
 mod metrics;
+mod mjpeg;
 mod outcome;
 mod pace;
 mod pictures;

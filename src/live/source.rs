@@ -7,9 +7,10 @@
 //! Those of a stream of JPEGs wait undecoded: one thread notes when each came, another decodes what is wanted.
 
 use super::clock::FrameClock;
+use super::mjpeg::MotionJpeg;
 use super::pace::Schedule;
 use crate::Result;
-use crate::camera::{Capture, CaptureSettings, CaptureTarget, Frame, FrameSource, MotionJpeg, decode_frame};
+use crate::camera::{Capture, CaptureSettings, CaptureTarget, Frame, FrameSource, decode_frame};
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
