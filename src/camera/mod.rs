@@ -1,5 +1,6 @@
 //! Cameras: the lens model, camera files, and where frames come from.
 
+mod board;
 pub mod calibrate;
 pub mod capture;
 mod file;
@@ -11,7 +12,8 @@ mod opencv;
 #[path = "without_opencv.rs"]
 mod opencv;
 pub mod source;
-pub use calibrate::{Board, CameraCalibration, calibrate_camera};
+pub use board::Board;
+pub use calibrate::{CameraCalibration, calibrate_camera};
 pub use capture::{CaptureSettings, CaptureTarget};
 pub use file::CameraFormat;
 pub use frame::{Frame, Sample, Samples, decode_frame, read_frame};

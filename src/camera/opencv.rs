@@ -1,9 +1,7 @@
 //! Everything that is done through OpenCV. No other module knows it.
 
-use super::calibrate::Board;
 use super::capture::{CaptureSettings, CaptureTarget};
-use super::source::SourceFrame;
-use super::{Frame, Lens, Samples};
+use super::{Board, Frame, Lens, Samples};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use nalgebra::{Point2, Translation3, UnitQuaternion, Vector2, Vector3};
@@ -19,11 +17,10 @@ use opencv::videoio::{
     CAP_PROP_OPEN_TIMEOUT_MSEC, CAP_PROP_POS_MSEC, CAP_PROP_READ_TIMEOUT_MSEC, VideoCapture, VideoCaptureTrait,
     VideoCaptureTraitConst,
 };
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// A video file being decoded, frame by frame.
 pub struct Video {
-    path: PathBuf,
     capture: VideoCapture,
     position: u64,
 }
@@ -40,7 +37,7 @@ impl Video {
         if !capture.is_opened().map_err(failed(action()))? {
             return Err(Error::content(path, "not a video that OpenCV can decode"));
         }
-        Ok(Self { path: path.to_owned(), capture, position: 0 })
+        Ok(Self { capture, position: 0 })
     }
 
     /// How many frames the file says that it has.
@@ -51,21 +48,21 @@ impl Video {
 }
 
 impl Iterator for Video {
-    type Item = SourceFrame;
+    type Item = (Option<f64>, Frame);
 
-    /// The next frame; `None` at the end, or where the rest of the file cannot be decoded.
-    fn next(&mut self) -> Option<SourceFrame> {
+    /// The next frame and its time, s; `None` at the end, or where the rest of the file cannot be decoded.
+    fn next(&mut self) -> Option<Self::Item> {
         let mut picture = Mat::default();
         if !self.capture.read(&mut picture).ok()? {
             return None;
         }
         let frame = frame_from(&picture).ok()??;
-        let index = self.position;
+        let first = self.position == 0;
         self.position += 1;
         // A container without timestamps reads as 0 throughout.
         let time_ms = self.capture.get(CAP_PROP_POS_MSEC).ok();
-        let time_s = time_ms.filter(|&t| t > 0.0 || index == 0).map(|t| t / 1000.0);
-        Some(SourceFrame { index, time_s, path: self.path.clone(), decoded: Some(frame) })
+        let time_s = time_ms.filter(|&t| t > 0.0 || first).map(|t| t / 1000.0);
+        Some((time_s, frame))
     }
 }
 
@@ -294,7 +291,7 @@ fn failed(action: String) -> impl FnOnce(opencv::Error) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::FrameSource;
+    use crate::camera::{FrameSource, SourceFrame};
     use opencv::core::{CV_8UC3, Rect, Scalar};
     use opencv::imgproc::{FILLED, LINE_8, rectangle};
     use opencv::videoio::{VideoWriter, VideoWriterTrait};

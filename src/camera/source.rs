@@ -27,7 +27,7 @@ pub struct SourceFrame {
     /// The picture file or the video.
     pub path: PathBuf,
     /// A video's frame; videos decode in order.
-    pub(super) decoded: Option<Frame>,
+    decoded: Option<Frame>,
 }
 
 impl SourceFrame {
@@ -94,7 +94,12 @@ impl FrameSource {
                 path: path.clone(),
                 decoded: None,
             })),
-            Self::Video(path) => Box::new(Video::open(path)?),
+            Self::Video(path) => Box::new((0..).zip(Video::open(path)?).map(|(index, (time_s, frame))| SourceFrame {
+                index,
+                time_s,
+                path: path.clone(),
+                decoded: Some(frame),
+            })),
         })
     }
 }

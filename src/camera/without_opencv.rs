@@ -1,9 +1,7 @@
 //! What stands in for OpenCV in a build without it: everything is refused.
 
-use super::calibrate::Board;
 use super::capture::{CaptureSettings, CaptureTarget};
-use super::source::SourceFrame;
-use super::{Frame, Lens};
+use super::{Board, Frame, Lens};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use nalgebra::Point2;
@@ -23,9 +21,9 @@ impl Video {
 }
 
 impl Iterator for Video {
-    type Item = SourceFrame;
+    type Item = (Option<f64>, Frame);
 
-    fn next(&mut self) -> Option<SourceFrame> {
+    fn next(&mut self) -> Option<Self::Item> {
         match *self {}
     }
 }

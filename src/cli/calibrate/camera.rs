@@ -1,5 +1,6 @@
 //! `calibrate camera`: the lens from pictures of a chessboard, and what it is worth.
 
+use crate::camera::calibrate::{BoardView, Halves};
 use crate::camera::{Board, CameraCalibration, CameraFormat, calibrate_camera};
 use crate::cli::console::Console;
 use crate::record::write_atomically;
@@ -47,7 +48,7 @@ struct Calibrated {
     /// What the sigmas mean for an angle measured on the snake.
     sigma_deg: f64,
     halves: Option<Compared>,
-    pictures: Vec<Picture>,
+    pictures: Vec<BoardView>,
     skipped: Vec<Skipped>,
 }
 
@@ -60,18 +61,9 @@ struct Parameter {
 
 #[derive(Serialize)]
 struct Compared {
-    rms_deg: f64,
-    expected_deg: f64,
+    #[serde(flatten)]
+    halves: Halves,
     disagree: bool,
-}
-
-#[derive(Serialize)]
-struct Picture {
-    path: PathBuf,
-    rms_px: f64,
-    worst_px: f64,
-    tilt_deg: f64,
-    outlier: bool,
 }
 
 #[derive(Serialize)]
@@ -82,7 +74,7 @@ struct Skipped {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
-        let board = Board { columns: self.corners.0, rows: self.corners.1, square_mm: self.square };
+        let board = Board::new(self.corners.0, self.corners.1, self.square)?;
         let file = self.output.as_ref().map(|path| Ok((path, self.format(path)?))).transpose()?;
         let calibration = calibrate_camera(&self.pictures, &board)?;
         if let Some((path, format)) = file {
@@ -108,18 +100,7 @@ impl Args {
 impl From<CameraCalibration> for Calibrated {
     fn from(calibration: CameraCalibration) -> Self {
         let parameters = calibration.parameters().map(|(name, value, sd)| Parameter { name, value, sd }).into();
-        let halves = calibration.halves.map(|halves| Compared {
-            rms_deg: halves.rms_deg,
-            expected_deg: halves.expected_deg,
-            disagree: halves.disagree(),
-        });
-        let picture = |view: crate::camera::calibrate::BoardView| Picture {
-            path: view.path,
-            rms_px: view.rms_px,
-            worst_px: view.worst_px,
-            tilt_deg: view.tilt_deg,
-            outlier: view.outlier,
-        };
+        let halves = calibration.halves.map(|halves| Compared { halves, disagree: halves.disagree() });
         Self {
             image_width: calibration.lens.width,
             image_height: calibration.lens.height,
@@ -128,7 +109,7 @@ impl From<CameraCalibration> for Calibrated {
             coverage: calibration.coverage,
             sigma_deg: calibration.sigma_deg,
             halves,
-            pictures: calibration.views.into_iter().map(picture).collect(),
+            pictures: calibration.views,
             skipped: calibration.skipped.into_iter().map(|(path, why)| Skipped { path, why }).collect(),
         }
     }
@@ -153,7 +134,7 @@ impl Calibrated {
             format!(
                 "two halves of the pictures differ by {:.3}° at the snake, {:.3}° would be expected: is the board flat, \
                  and did the lens stay as it was?",
-                halves.rms_deg, halves.expected_deg
+                halves.halves.rms_deg, halves.halves.expected_deg
             )
         });
         skipped.chain(outliers).chain(tilt).chain(bare).chain(halves).collect()
@@ -172,12 +153,12 @@ impl Calibrated {
             text += &format!("{name:6} {value:11.5} ± {sd:.5}\n");
         }
         text += &format!("\nan angle on the snake: ± {:.4}°\n", self.sigma_deg);
-        if let Some(halves) = &self.halves {
+        if let Some(Compared { halves, .. }) = &self.halves {
             text += &format!("two halves differ by {:.4}°, expected {:.4}°\n", halves.rms_deg, halves.expected_deg);
         }
         text += "\nrms px  worst px  tilt   picture\n";
         for picture in &self.pictures {
-            let Picture { path, rms_px, worst_px, tilt_deg, outlier } = picture;
+            let BoardView { path, rms_px, worst_px, tilt_deg, outlier } = picture;
             let mark = if *outlier { "  stands out" } else { "" };
             text += &format!("{rms_px:6.3}  {worst_px:8.3}  {tilt_deg:4.1}°  {}{mark}\n", path.display());
         }
