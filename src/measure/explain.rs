@@ -1,15 +1,15 @@
 //! What the eye made of one frame, stage by stage, for a person who wants to know why.
 
-use super::certainty::robust_weights;
-use super::edges::EdgeFinder;
-use super::eye::{Eye, Sighting};
-use super::fit::SETTLED_PX;
-use super::grid::project_paper;
-use super::outline::Outline;
-use super::plane::Region;
-use super::proof::Proof;
 use crate::camera::{Frame, Samples};
 use crate::geometry::Configuration;
+use crate::measure::body::outline::Outline;
+use crate::measure::eye::{Eye, Sighting};
+use crate::measure::fit::bend::SETTLED_PX;
+use crate::measure::fit::certainty::robust_weights;
+use crate::measure::fit::edges::EdgeFinder;
+use crate::measure::fit::proof::Proof;
+use crate::measure::image::plane::Region;
+use crate::measure::target::grid::project_paper;
 use nalgebra::Point2;
 
 /// Every stage of measuring one frame.
@@ -89,12 +89,15 @@ fn places(outline: &Outline, finder: &EdgeFinder) -> Vec<Place> {
     let edges: Vec<_> = outline.points.iter().map(|point| (point, finder.find(point, SETTLED_PX))).collect();
     let misfits: Vec<f64> = edges.iter().filter_map(|(_, edge)| edge.map(|e| e.offset_px / e.sigma_px)).collect();
     let mut told = misfits.iter().zip(robust_weights(&misfits, false));
-    let place = |(point, edge): &(&super::outline::OutlinePoint, Option<super::edges::Edge>)| Place {
-        expected: point.pixel,
-        seen: edge.and_then(|edge| {
-            let (misfit, root) = told.next()?;
-            Some((point.pixel + point.normal.into_inner() * edge.offset_px, *misfit, root * root))
-        }),
-    };
+    let place =
+        |(point, edge): &(&crate::measure::body::outline::OutlinePoint, Option<crate::measure::fit::edges::Edge>)| {
+            Place {
+                expected: point.pixel,
+                seen: edge.and_then(|edge| {
+                    let (misfit, root) = told.next()?;
+                    Some((point.pixel + point.normal.into_inner() * edge.offset_px, *misfit, root * root))
+                }),
+            }
+        };
     edges.iter().map(place).collect()
 }

@@ -1,16 +1,20 @@
 //! Frames to θ and δ.
 
-use super::edges::EdgeFinder;
-use super::fit::{AS_GOOD, BendFit, Effort, Start, fit_bend};
-use super::matches::{BiasPrior, State};
-use super::outline::{Outline, Projection};
-use super::plane::{Plane, Region};
-use super::rig::Rig;
-use super::search::Search;
-use super::watch::Watch;
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose, wrap_angle};
+<<<<<<< HEAD
 use crate::observation::{Measured, Quality, Status};
+=======
+use crate::measure::body::outline::{Outline, Projection};
+use crate::measure::fit::bend::{AS_GOOD, BendFit, Effort, Start, fit_bend};
+use crate::measure::fit::edges::EdgeFinder;
+use crate::measure::fit::matches::{BiasPrior, State};
+use crate::measure::fit::search::Search;
+use crate::measure::image::plane::{Plane, Region};
+use crate::measure::rig::calibrate::Rig;
+use crate::measure::rig::drift::Watch;
+use crate::record::{Measured, Quality, Status};
+>>>>>>> e79f6dd (Cut the eye into rooms: image, target, body, fit and rig)
 use crate::robot::Robot;
 use nalgebra::{Matrix2, Matrix6, Vector2};
 use rayon::prelude::*;
@@ -42,19 +46,19 @@ pub struct Bend {
 /// Measures the snake in the frames of one calibrated view.
 #[derive(Debug, Clone)]
 pub struct Eye {
-    pub(super) lens: Lens,
-    pub(super) rig: Rig,
-    pub(super) robot: Robot,
+    pub(crate) lens: Lens,
+    pub(crate) rig: Rig,
+    pub(crate) robot: Robot,
     /// The coarse search, and the camera's pose that it was made for.
-    pub(super) search: Arc<Search>,
-    pub(super) search_pose: Pose,
-    pub(super) watch: Arc<Watch>,
+    pub(crate) search: Arc<Search>,
+    pub(crate) search_pose: Pose,
+    pub(crate) watch: Arc<Watch>,
     /// The pose's covariance as calibrated, before a camera that moves was followed.
-    pub(super) still_covariance: Matrix6<f64>,
+    pub(crate) still_covariance: Matrix6<f64>,
 }
 
 /// What led to a sighting.
-pub(super) struct Look {
+pub(crate) struct Look {
     /// Bends that the coarse search found worth fitting, best first.
     pub candidates: Vec<Vector2<f64>>,
     /// Bends that were fitted to the end, best first.
@@ -88,7 +92,7 @@ const EDGE_ON_PX: f64 = 2.0;
 /// How far the snake's outline may move between two frames of a tracked sequence, px.
 const NEARBY_PX: f64 = 40.0;
 /// How far the edges' bias may differ between the straight picture and a frame, px (1σ).
-pub(super) const FRAME_BIAS_SIGMA_PX: f64 = 0.05;
+pub(crate) const FRAME_BIAS_SIGMA_PX: f64 = 0.05;
 /// Share of the outline that must be confirmed by edges.
 const ENOUGH_INLIERS: f64 = 0.45;
 /// Share of the disks that must be where the fit says, most of their outline seen: one hidden and one half hidden is
@@ -130,7 +134,7 @@ impl Eye {
     }
 
     /// Measures one frame and keeps what led to the verdict.
-    pub(super) fn look(&self, frame: &Frame) -> Look {
+    pub(crate) fn look(&self, frame: &Frame) -> Look {
         let mut look = Look { candidates: Vec::new(), fits: Vec::new(), sighting: failed(Status::NoSnake, None) };
         if let Some(status) = self.unfit(frame) {
             return Look { sighting: failed(status, None), ..look };
@@ -203,7 +207,7 @@ impl Eye {
     }
 
     /// The snakeness of a region of a frame, however it is exposed.
-    pub(super) fn plane(&self, frame: &Frame, region: &Region) -> Plane {
+    pub(crate) fn plane(&self, frame: &Frame, region: &Region) -> Plane {
         self.rig.appearance.exposed_as(frame).plane_within(frame, region)
     }
 
@@ -305,13 +309,13 @@ impl Eye {
 
 impl Sighting {
     /// A snake that is bent like this.
-    pub(super) fn of(bend: Bend, quality: Quality) -> Self {
+    pub(crate) fn of(bend: Bend, quality: Quality) -> Self {
         let measured = in_polar_terms(bend.vector, &bend.covariance);
         Self { status: Status::Ok, measured: Some(measured), bend: Some(bend), quality: Some(quality) }
     }
 }
 
-pub(super) fn failed(status: Status, quality: Option<Quality>) -> Sighting {
+pub(crate) fn failed(status: Status, quality: Option<Quality>) -> Sighting {
     Sighting { status, measured: None, bend: None, quality }
 }
 
@@ -333,7 +337,7 @@ fn distinct(mut fits: Vec<BendFit>, apart_rad: f64) -> Vec<BendFit> {
 
 /// Whether nearly all of a picture is black or white, or most of it so overexposed that the snake's edges are no longer
 /// where half the light is.
-pub(super) fn is_saturated(frame: &Frame) -> bool {
+pub(crate) fn is_saturated(frame: &Frame) -> bool {
     const NEARLY_ALL: f64 = 0.98;
     const MOST: f64 = 0.5;
     let pixels = || (0..frame.samples.len() / frame.channels).step_by(101).map(|pixel| pixel * frame.channels);

@@ -4,17 +4,21 @@
 //! frame to frame the camera is found again from the holder's edges and the paper's waves together; where it jumped further
 //! than they can tell, from the holder and the grid as in a first picture.
 
-use super::edges::EdgeFinder;
-use super::eye::{Eye, is_saturated};
-use super::grid::{find_grid, nudged};
-use super::locate::{Colours, find_start, locate_holders};
-use super::outline::Projection;
-use super::rig::Rig;
-use super::search::Search;
-use super::watch::{Watch, Watched};
 use crate::camera::Frame;
 use crate::geometry::Pose;
+<<<<<<< HEAD
 use crate::observation::Status;
+=======
+use crate::measure::body::outline::Projection;
+use crate::measure::eye::{Eye, is_saturated};
+use crate::measure::fit::edges::EdgeFinder;
+use crate::measure::fit::search::Search;
+use crate::measure::rig::calibrate::Rig;
+use crate::measure::rig::drift::{Watch, Watched};
+use crate::measure::rig::locate::{Colours, find_start, locate_holders};
+use crate::measure::target::grid::{find_grid, nudged};
+use crate::record::Status;
+>>>>>>> e79f6dd (Cut the eye into rooms: image, target, body, fit and rig)
 use nalgebra::{DVector, Matrix6, Point2, Point3, Translation3, Vector2, Vector6};
 use std::sync::Arc;
 

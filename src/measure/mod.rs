@@ -11,36 +11,23 @@
 //!
 //! Frames of bent snakes tell more about the rig than the straight picture does: [`Eye::refined`].
 
-mod appearance;
-mod certainty;
-mod edges;
+mod body;
 mod explain;
 mod eye;
 mod fit;
 mod follow;
-mod grid;
-mod locate;
-mod matches;
-mod outline;
-mod plane;
-mod proof;
+mod image;
 mod refine;
-mod refusal;
 mod rig;
-mod rig_file;
-mod scale;
-mod search;
 mod several;
-mod shape;
-mod solve;
-mod watch;
+mod target;
 
-pub use appearance::Appearance;
+pub use body::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 pub use explain::{Explanation, Place};
 pub use eye::{Bend, Eye, Sighting};
-pub use grid::Pattern;
-pub use matches::EdgeBias;
-pub use outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
-pub use rig::{Rig, RigOptions, calibrate_rig};
+pub use fit::matches::EdgeBias;
+pub use image::appearance::Appearance;
+pub use rig::calibrate::{Rig, RigOptions, calibrate_rig};
+pub use rig::drift::Print;
 pub use several::fused;
-pub use watch::Print;
+pub use target::grid::Pattern;

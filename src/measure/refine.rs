@@ -3,17 +3,21 @@
 //! A straight snake hardly tells how far it leans towards the camera. Snakes bent to all sides do: every frame's bend is
 //! its own, but all share one camera, one base and one light.
 
-use super::certainty::{inliers, robust_weights};
-use super::edges::EdgeFinder;
-use super::eye::{Eye, FRAME_BIAS_SIGMA_PX, Look};
-use super::fit::{Effort, Start, fit_bend};
-use super::grid::nudged;
-use super::matches::{BIASES, BiasPrior, Linearised, Matches, State, settled, soften};
-use super::outline::{Outline, Piece, Projection};
-use super::plane::{Plane, Region};
-use super::rig::Rig;
 use crate::camera::Frame;
+<<<<<<< HEAD
 use crate::observation::Status;
+=======
+use crate::measure::body::outline::{Outline, Piece, Projection};
+use crate::measure::eye::{Eye, FRAME_BIAS_SIGMA_PX, Look};
+use crate::measure::fit::bend::{Effort, Start, fit_bend};
+use crate::measure::fit::certainty::{inliers, robust_weights};
+use crate::measure::fit::edges::EdgeFinder;
+use crate::measure::fit::matches::{BIASES, BiasPrior, Linearised, Matches, State, settled, soften};
+use crate::measure::image::plane::{Plane, Region};
+use crate::measure::rig::calibrate::Rig;
+use crate::measure::target::grid::nudged;
+use crate::record::Status;
+>>>>>>> e79f6dd (Cut the eye into rooms: image, target, body, fit and rig)
 use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, SVector};
 use rayon::prelude::*;
 use std::collections::BTreeMap;

@@ -1,7 +1,7 @@
 //! Sub-pixel edges between snake and background.
 
-use super::outline::OutlinePoint;
-use super::plane::{Plane, Region};
+use crate::measure::body::outline::OutlinePoint;
+use crate::measure::image::plane::{Plane, Region};
 
 /// An edge found near a predicted border point.
 #[derive(Debug, Clone, Copy)]
@@ -62,7 +62,7 @@ const FURTHEST_PX: f64 = 14.0;
 const MOST: usize = ((FURTHEST_PX + NEIGHBOURHOOD_PX) / STEP_PX) as usize + 1;
 
 /// σ of the filter for edges this soft, px.
-pub(super) fn filter_px(blur_px: f64) -> f64 {
+pub(crate) fn filter_px(blur_px: f64) -> f64 {
     blur_px.clamp(FILTER_PX, WIDEST_PX)
 }
 
@@ -192,8 +192,8 @@ impl<'a> EdgeFinder<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::outline::{BodyPoint, Piece};
-    use super::super::plane::median;
+    use crate::measure::body::outline::{BodyPoint, Piece};
+    use crate::measure::image::plane::median;
     use super::*;
     use nalgebra::{Point2, Unit, Vector2, Vector3};
     use rand::{SeedableRng, rngs::StdRng};

@@ -1,13 +1,13 @@
 //! A scale that contradicts the snake's size.
 
-use super::refusal::{Refusal, Step};
-use super::rig::{Rig, RigOptions};
+use crate::measure::rig::calibrate::{Rig, RigOptions};
+use crate::measure::rig::refusal::{Refusal, Step};
 use crate::robot::Robot;
 use nalgebra::{Point3, Vector3};
 
 /// What to say if the snake is not a standoff before the paper but elsewhere: the snake's size puts it at a depth, and the
 /// grid, if it is as large as was said, puts the paper at another one than a standoff behind it.
-pub(super) fn contradiction(robot: &Robot, options: &RigOptions, rig: &Rig) -> Refusal {
+pub(crate) fn contradiction(robot: &Robot, options: &RigOptions, rig: &Rig) -> Refusal {
     let base = rig.camera_from_base * Point3::origin();
     let depth_mm = (rig.camera_from_grid * Vector3::z()).dot(&base.coords);
     let (said_mm, stands_off_mm) = (rig.grid_pitch_mm, rig.standoff_mm());

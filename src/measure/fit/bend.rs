@@ -1,28 +1,28 @@
 //! Fits the snake's bend to the edges of one picture.
 
-use super::certainty::{clustered_covariance, inliers, light_covariance, whole_covariance};
-use super::edges::EdgeFinder;
-use super::matches::{BiasPrior, EdgeBias, Matches, SHARP_PX, State, settled, soften};
-use super::outline::{Outline, Piece, Projection};
-use super::proof::Proof;
-use super::shape::{Departure, departure};
-use super::solve::covariance;
+use crate::measure::body::outline::{Outline, Piece, Projection};
+use crate::measure::fit::certainty::{clustered_covariance, inliers, light_covariance, whole_covariance};
+use crate::measure::fit::edges::EdgeFinder;
+use crate::measure::fit::matches::{BiasPrior, EdgeBias, Matches, SHARP_PX, State, settled, soften};
+use crate::measure::fit::proof::Proof;
+use crate::measure::fit::shape::{Departure, departure};
+use crate::measure::fit::solve::covariance;
 use nalgebra::{Matrix2, Matrix2x6, Vector2};
 
 /// Edges are searched for within this distance, px, once the model has settled.
-pub(super) const SETTLED_PX: f64 = 4.0;
+pub(crate) const SETTLED_PX: f64 = 4.0;
 
 /// Another bend explains a picture as well if its cost is within this factor of the best one's.
-pub(super) const AS_GOOD: f64 = 1.5;
+pub(crate) const AS_GOOD: f64 = 1.5;
 
 /// The snake's bend in one picture.
 #[derive(Debug, Clone)]
-pub(super) struct BendFit {
+pub(crate) struct BendFit {
     pub bend: Vector2<f64>,
     pub bias: EdgeBias,
     /// Covariance of the bend vector from this picture alone, rad².
     pub covariance: Matrix2<f64>,
-    /// Change of the bend vector with the camera's pose (see [`nudged`](super::grid::nudged)).
+    /// Change of the bend vector with the camera's pose (see [`nudged`](crate::measure::target::grid::nudged)).
     pub by_pose: Matrix2x6<f64>,
     /// Edges that agree with the model.
     pub inliers: usize,
@@ -111,7 +111,7 @@ fn moved_to_edges(
 
 /// How thoroughly a picture is looked at.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Effort {
+pub(crate) struct Effort {
     /// Search distances, px, one a round of matching; the last one is kept until nothing moves.
     pub searches_px: &'static [f64],
     /// Most rounds.
@@ -125,7 +125,7 @@ pub(super) struct Effort {
 
 /// Where a fit starts.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Start {
+pub(crate) struct Start {
     pub state: State,
     /// How soft the picture's edges are, if that is known.
     pub blur_px: Option<f64>,
@@ -134,7 +134,7 @@ pub(super) struct Start {
 /// Fits bend and edge bias by matching edges within ever smaller distances.
 ///
 /// `None` where too little of the outline has edges, or the bend leaves what a snake can do.
-pub(super) fn fit_bend(
+pub(crate) fn fit_bend(
     view: &Projection,
     finder: &EdgeFinder,
     start: Start,

@@ -5,10 +5,10 @@
 //! every 5 or 10 mm lie on the same lattice and add to the same wave. Windows all over the picture, counted from
 //! neighbour to neighbour, give pairs of picture and paper coordinates, and these the pose.
 
-use super::plane::{Plane, median};
-use super::solve::{Solution, minimise};
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
+use crate::measure::fit::solve::{Solution, minimise};
+use crate::measure::image::plane::{Plane, median};
 use nalgebra::{DMatrix, DVector, Matrix2, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rustfft::{FftPlanner, num_complex::Complex};
 use serde::{Deserialize, Serialize};
@@ -62,7 +62,7 @@ impl Grid {
 impl Pattern {
     /// Radius of the windows, in wavelengths: a Hann window of 5 pitches is blind to the waves of a 5 mm ruling beside
     /// those of a 1 mm one; a checkerboard has no such neighbours.
-    pub(super) fn window(self) -> f64 {
+    pub(crate) fn window(self) -> f64 {
         match self {
             Self::Lines => 5.0,
             Self::Checkerboard => 1.5,
@@ -296,7 +296,7 @@ fn axes_from_waves(waves: [Vector2<f64>; 2], pattern: Pattern) -> [Vector2<f64>;
 }
 
 /// Paper coordinates, pitches, to phases, cycles: the inverse of [`axes_from_waves`] on numbers.
-pub(super) fn phases_from_paper(paper: Vector2<f64>, pattern: Pattern) -> Vector2<f64> {
+pub(crate) fn phases_from_paper(paper: Vector2<f64>, pattern: Pattern) -> Vector2<f64> {
     match pattern {
         Pattern::Lines => paper,
         Pattern::Checkerboard => Vector2::new(paper.x + paper.y, paper.x - paper.y) / 2.0,
@@ -700,18 +700,18 @@ fn fit_pose(lens: &Lens, points: &[GridPoint], start: &Pose) -> Option<PoseFit> 
 }
 
 /// A pose turned by a rotation vector (rad) about its own origin and shifted (mm): x = (rotation, translation).
-pub(super) fn nudged(pose: &Pose, x: &DVector<f64>) -> Pose {
+pub(crate) fn nudged(pose: &Pose, x: &DVector<f64>) -> Pose {
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(x[0], x[1], x[2]));
     Pose::from_parts(Translation3::from(pose.translation.vector + Vector3::new(x[3], x[4], x[5])), turn * pose.rotation)
 }
 
 /// The pixel of a place on the paper (mm).
-pub(super) fn project_paper(lens: &Lens, camera_from_grid: &Pose, paper_mm: &Point2<f64>) -> Point2<f64> {
+pub(crate) fn project_paper(lens: &Lens, camera_from_grid: &Pose, paper_mm: &Point2<f64>) -> Point2<f64> {
     lens.project(&(camera_from_grid * Point3::new(paper_mm.x, paper_mm.y, 0.0)))
 }
 
 /// The place of the paper (mm) seen at a pixel, and the gradients of its coordinates (rows), mm per px.
-pub(super) fn paper_at(
+pub(crate) fn paper_at(
     lens: &Lens,
     camera_from_grid: &Pose,
     pixel: &Point2<f64>,
@@ -730,7 +730,7 @@ pub(super) fn paper_at(
 }
 
 /// The wave vectors (cycles per px) that belong to the gradients (rows, pitches per px) of the paper's coordinates.
-pub(super) fn waves_from_gradient(gradient: Matrix2<f64>, pattern: Pattern) -> [Vector2<f64>; 2] {
+pub(crate) fn waves_from_gradient(gradient: Matrix2<f64>, pattern: Pattern) -> [Vector2<f64>; 2] {
     let (x, y) = (gradient.row(0).transpose(), gradient.row(1).transpose());
     match pattern {
         Pattern::Lines => [x, y],

@@ -1,7 +1,7 @@
 //! What tells snake from paper: the mix of colour channels that separates them best.
 
-use super::plane::{Plane, Region, median};
 use crate::camera::{Frame, Sample, Samples};
+use crate::measure::image::plane::{Plane, Region, median};
 use nalgebra::{DMatrix, DVector, Vector2};
 use serde::{Deserialize, Serialize};
 use std::sync::LazyLock;

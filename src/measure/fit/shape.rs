@@ -4,28 +4,36 @@
 //! the fit of the circle stands, a Gauss-Newton step in all of them says how far the picture would go if it might, and the
 //! bend after that step is the tip's own.
 
+<<<<<<< HEAD:src/measure/shape.rs
 use super::certainty::{clustered_covariance, light_covariance, robust_weights, whole_covariance};
 use super::matches::{BiasPrior, Matches, STATE, State};
 use super::outline::Projection;
 use super::solve::covariance;
 use crate::observation::Shape;
+=======
+use crate::measure::body::outline::Projection;
+use crate::measure::fit::certainty::{clustered_covariance, light_covariance, robust_weights, whole_covariance};
+use crate::measure::fit::matches::{BiasPrior, Matches, STATE, State};
+use crate::measure::fit::solve::covariance;
+use crate::record::Shape;
+>>>>>>> e79f6dd (Cut the eye into rooms: image, target, body, fit and rig):src/measure/fit/shape.rs
 use crate::robot::Curve;
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix4, Matrix6, SMatrix, Vector2, Vector4};
 
 /// How the snake departs from the circle in one picture.
 #[derive(Debug, Clone)]
-pub(super) struct Departure {
+pub(crate) struct Departure {
     /// The bend from base to tip and the departure, rad along x_b and y_b each.
     found: Vector4<f64>,
     /// Covariance from this picture alone.
     covariance: Matrix4<f64>,
-    /// Change with the camera's pose (see [`nudged`](super::grid::nudged)).
+    /// Change with the camera's pose (see [`nudged`](crate::measure::target::grid::nudged)).
     by_pose: SMatrix<f64, 4, 6>,
 }
 
 /// The step from the circle of a state, fitted to these edges, to the curve that they would rather have. `None` where they
 /// do not tell.
-pub(super) fn departure(
+pub(crate) fn departure(
     view: &Projection,
     matches: &Matches,
     state: &State,

@@ -1,10 +1,10 @@
 //! Matches a model's outline with a picture's edges, and says how well they agree with any state of the model.
 
-use super::certainty::robust_weights;
-use super::edges::{Edge, EdgeFinder, filter_px};
-use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection, Softened};
-use super::plane::median;
 use crate::geometry::{Configuration, Pose};
+use crate::measure::body::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection, Softened};
+use crate::measure::fit::certainty::robust_weights;
+use crate::measure::fit::edges::{Edge, EdgeFinder, filter_px};
+use crate::measure::image::plane::median;
 use nalgebra::{DMatrix, DVector, Point2, Point3, SMatrix, SVector, Vector2, Vector3};
 
 /// How far outside the snake's true border its edges are seen, px.
@@ -20,7 +20,7 @@ pub struct EdgeBias {
 }
 
 /// How many biases there are.
-pub(super) const BIASES: usize = 3;
+pub(crate) const BIASES: usize = 3;
 
 impl EdgeBias {
     /// Which of them a piece has.
@@ -32,22 +32,22 @@ impl EdgeBias {
         }
     }
 
-    pub(super) fn of(self, piece: Piece) -> f64 {
+    pub(crate) fn of(self, piece: Piece) -> f64 {
         self.to_array()[Self::kind(piece)]
     }
 
-    pub(super) fn to_array(self) -> [f64; BIASES] {
+    pub(crate) fn to_array(self) -> [f64; BIASES] {
         [self.side_px, self.tube_px, self.rim_px]
     }
 
-    pub(super) fn moved(self, by: &[f64]) -> Self {
+    pub(crate) fn moved(self, by: &[f64]) -> Self {
         Self { side_px: self.side_px + by[0], tube_px: self.tube_px + by[1], rim_px: self.rim_px + by[2] }
     }
 }
 
 /// What is known of the edges' bias before the picture is looked at.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct BiasPrior {
+pub(crate) struct BiasPrior {
     pub mean: EdgeBias,
     pub sigma_px: f64,
 }
@@ -74,13 +74,13 @@ impl BiasPrior {
 
 /// What a picture is fitted with.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct State {
+pub(crate) struct State {
     pub bend: Vector2<f64>,
     pub bias: EdgeBias,
 }
 
 /// How many numbers a [`State`] has: the bend vector's two and the biases.
-pub(super) const STATE: usize = 2 + BIASES;
+pub(crate) const STATE: usize = 2 + BIASES;
 
 impl State {
     pub fn psi(&self) -> Configuration {
@@ -109,7 +109,7 @@ struct Match {
 
 /// The edges that were matched with a model's outline, and how well they agree with any other state of the model.
 #[derive(Debug, Clone)]
-pub(super) struct Matches {
+pub(crate) struct Matches {
     matches: Vec<Match>,
     /// The sections (arc lengths) on which the points lie, and which of them each point is on: many share one, and a
     /// section's frame is what costs most.
@@ -128,7 +128,7 @@ const LIGHT_ON_SIDES_PX: f64 = 0.0245;
 /// The scatter of edges, px, for which that is true: the median over these rigs.
 const TYPICAL_SCATTER_PX: f64 = 0.14;
 /// The softest edges, px, for which it is.
-pub(super) const SHARP_PX: f64 = 1.5;
+pub(crate) const SHARP_PX: f64 = 1.5;
 /// The softest that an edge may look, px: twice what is called blurred. What is flat looks as soft as one likes.
 const SOFTEST_PX: f64 = 10.0;
 /// The furthest that softness may displace an edge of the model, px, if the picture is sharp.
@@ -157,14 +157,14 @@ const SMALL_PX: f64 = 40.0;
 
 /// The finder for edges this soft of an outline that lies well. A small snake has so few of them that noise does more harm than
 /// shading: there it is never finer.
-pub(super) fn settled<'a>(finder: &EdgeFinder<'a>, view: &Projection, blur_px: f64) -> EdgeFinder<'a> {
+pub(crate) fn settled<'a>(finder: &EdgeFinder<'a>, view: &Projection, blur_px: f64) -> EdgeFinder<'a> {
     if view.diameter_px() < SMALL_PX { finder.as_wide_as(blur_px) } else { finder.as_fine_as(blur_px) }
 }
 
 /// Looks at an outline's own silhouette as at a picture, with the same filter and as soft as a blur of σ = `blur_px` makes it:
 /// corners and bends of the border, which a soft picture rounds off, are then rounded in both, and a part that is hardly wider
 /// than the blur looks as much sharper in both.
-pub(super) fn soften(outline: &mut Outline, blur_px: f64, finder: &EdgeFinder) {
+pub(crate) fn soften(outline: &mut Outline, blur_px: f64, finder: &EdgeFinder) {
     /// An edge that looks sharper than by this factor is hardly one.
     const LEAST: f64 = 0.3;
     let silhouette = outline.seen_through(blur_px);
@@ -327,11 +327,11 @@ impl Matches {
 
 /// Residuals of matched edges, in units of σ, and how they follow what may be fitted (rows: edges).
 #[derive(Debug, Clone)]
-pub(super) struct Linearised {
+pub(crate) struct Linearised {
     pub residuals: DVector<f64>,
     /// By bend vector (rad) and edge biases (px): the components of [`State`].
     pub by_state: DMatrix<f64>,
-    /// By the camera's pose (see [`nudged`](super::grid::nudged)).
+    /// By the camera's pose (see [`nudged`](crate::measure::target::grid::nudged)).
     pub by_pose: DMatrix<f64>,
 }
 

@@ -5,16 +5,20 @@
 //! thousandth of what finding the grid anew would. A shift by a whole number of pitches leaves the phases as they were,
 //! but not the holder.
 
-use super::certainty::robust_weights;
-use super::edges::EdgeFinder;
-use super::grid::{Pattern, nudged, paper_at, phases_from_paper, project_paper, waves_from_gradient};
-use super::matches::EdgeBias;
-use super::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
-use super::plane::median;
-use super::rig::Rig;
 use crate::camera::{Frame, Lens, Sample, Samples};
 use crate::geometry::{Configuration, Pose};
+<<<<<<< HEAD:src/measure/watch.rs
 use crate::observation::Status;
+=======
+use crate::measure::body::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
+use crate::measure::fit::certainty::robust_weights;
+use crate::measure::fit::edges::EdgeFinder;
+use crate::measure::fit::matches::EdgeBias;
+use crate::measure::image::plane::median;
+use crate::measure::rig::calibrate::Rig;
+use crate::measure::target::grid::{Pattern, nudged, paper_at, phases_from_paper, project_paper, waves_from_gradient};
+use crate::record::Status;
+>>>>>>> e79f6dd (Cut the eye into rooms: image, target, body, fit and rig):src/measure/rig/drift.rs
 use nalgebra::{
     DMatrix, DVector, Matrix2, Matrix3, Matrix6, Point2, Translation3, UnitQuaternion, Vector2, Vector3, Vector6,
 };
@@ -42,7 +46,7 @@ impl Default for Print {
 
 /// How far holder and paper are from where the rig says.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Watched {
+pub(crate) struct Watched {
     /// The holder's shift; `None` where too little of it is seen.
     pub base: Option<BaseShift>,
     /// The paper's shift, up to whole pitches; `None` where its print is not seen.
@@ -52,14 +56,14 @@ pub(super) struct Watched {
 /// The holder's shift in the picture: right and down at its middle, and its turn clockwise as a shift at
 /// [`BaseShift::ARM_PX`]; px.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct BaseShift {
+pub(crate) struct BaseShift {
     pub by: Vector3<f64>,
     pub covariance: Matrix3<f64>,
 }
 
 /// The paper's shift.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct GridShift {
+pub(crate) struct GridShift {
     /// Root mean square of the shift across the print's waves over all windows, px.
     pub px: f64,
     /// Its standard deviation, px.
@@ -77,7 +81,7 @@ pub(super) struct GridShift {
 
 /// What is looked at in every frame, made ready once.
 #[derive(Debug)]
-pub(super) struct Watch {
+pub(crate) struct Watch {
     holder: Vec<OutlinePoint>,
     /// The middle of these places.
     middle: Point2<f64>,
@@ -232,7 +236,7 @@ struct HolderEdge {
 
 /// How the camera moved.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct CameraMotion {
+pub(crate) struct CameraMotion {
     /// A turn about the base's origin (rad) and a shift (mm), along the camera's axes.
     pub by: Vector6<f64>,
     pub covariance: Matrix6<f64>,
@@ -302,7 +306,7 @@ impl BaseShift {
 
 /// The paper's waves in a few windows.
 #[derive(Debug)]
-pub(super) struct PrintWatch {
+pub(crate) struct PrintWatch {
     lens: Lens,
     camera_from_grid: Pose,
     standoff_mm: f64,
@@ -341,7 +345,7 @@ struct WindowWave {
 }
 
 /// Phases of both waves in every window, cycles beyond what the rig expects, with their amplitudes.
-pub(super) type Phases = Vec<[(f64, f64); 2]>;
+pub(crate) type Phases = Vec<[(f64, f64); 2]>;
 
 impl PrintWatch {
     /// `None` where the picture holds too few windows.

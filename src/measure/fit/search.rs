@@ -1,9 +1,9 @@
 //! The coarse search: which bends are worth fitting.
 
-use super::outline::{Outline, Projection};
-use super::plane::Plane;
 use crate::camera::Lens;
 use crate::geometry::{Configuration, Pose};
+use crate::measure::body::outline::{Outline, Projection};
+use crate::measure::image::plane::Plane;
 use crate::robot::Robot;
 use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
@@ -17,7 +17,7 @@ const SPACING_DEG: f64 = 4.0;
 
 /// Pairs of places just inside and just outside the outlines of all bends the snake may take, for one view.
 #[derive(Debug)]
-pub(super) struct Search {
+pub(crate) struct Search {
     bends: Vec<Bend>,
 }
 

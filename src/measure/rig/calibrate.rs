@@ -1,21 +1,21 @@
 //! Where the grid and the snake's base are, seen from one camera: the rig.
 
-use super::appearance::Appearance;
-use super::certainty::{clustered_covariance, inliers, light_covariance, robust_weights};
-use super::edges::EdgeFinder;
-use super::fit::SETTLED_PX;
-use super::grid::{Grid, Pattern, find_grid};
-use super::locate::{Colours, Holder, SnakeStart, find_start, locate_holders};
-use super::matches::{EdgeBias, Matches, settled, soften};
-use super::outline::{Outline, Projection};
-use super::plane::Plane;
-use super::proof::Proof;
-use super::refusal::{Refusal, Step};
-use super::scale::contradiction;
-use super::solve::{Solution, minimise};
-use super::watch::{Print, PrintWatch};
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose};
+use crate::measure::body::outline::{Outline, Projection};
+use crate::measure::fit::bend::SETTLED_PX;
+use crate::measure::fit::certainty::{clustered_covariance, inliers, light_covariance, robust_weights};
+use crate::measure::fit::edges::EdgeFinder;
+use crate::measure::fit::matches::{EdgeBias, Matches, settled, soften};
+use crate::measure::fit::proof::Proof;
+use crate::measure::fit::solve::{Solution, minimise};
+use crate::measure::image::appearance::Appearance;
+use crate::measure::image::plane::Plane;
+use crate::measure::rig::drift::{Print, PrintWatch};
+use crate::measure::rig::locate::{Colours, Holder, SnakeStart, find_start, locate_holders};
+use crate::measure::rig::refusal::{Refusal, Step};
+use crate::measure::rig::scale::contradiction;
+use crate::measure::target::grid::{Grid, Pattern, find_grid};
 use crate::robot::Robot;
 use nalgebra::{
     DMatrix, DVector, Matrix3, Matrix6, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
@@ -56,7 +56,7 @@ impl Rig {
 
 impl Rig {
     /// Distance from the snake's base back to the paper, mm.
-    pub(super) fn standoff_mm(&self) -> f64 {
+    pub(crate) fn standoff_mm(&self) -> f64 {
         let normal = self.camera_from_grid * Vector3::z();
         normal.dot(&(self.camera_from_grid.translation.vector - self.camera_from_base.translation.vector))
     }

@@ -6,9 +6,9 @@
 //! first order: moving along the surface slides the point *along* the border, so only the motion of the material point
 //! moves the border across itself. A border point is therefore kept as a material point, [`BodyPoint`].
 
-use super::plane::{Plane, Region};
 use crate::camera::Lens;
 use crate::geometry::{Configuration, Pose};
+use crate::measure::image::plane::{Plane, Region};
 use crate::robot::Robot;
 use ab_glyph_rasterizer::{Rasterizer, point};
 use nalgebra::{Matrix3, Point2, Point3, Unit, Vector2, Vector3};
@@ -50,12 +50,12 @@ pub enum Piece {
 
 impl Piece {
     /// Whether it is a sharp edge, not a surface that turns away.
-    pub(super) fn is_rim(self) -> bool {
+    pub(crate) fn is_rim(self) -> bool {
         matches!(self, Self::BaseRim | Self::Rim(..))
     }
 
     /// The piece that stands for all that err alike: light falls on a tube's side in the same way from disk to disk.
-    pub(super) fn witness(self) -> Self {
+    pub(crate) fn witness(self) -> Self {
         match self {
             Self::Tube(tube, side, _) => Self::Tube(tube, side, 0),
             piece => piece,
@@ -139,7 +139,7 @@ impl<'a> Projection<'a> {
     }
 
     /// The part of the picture that is the body or near it.
-    pub(super) fn surroundings(&self, psi: Configuration, reach_px: f64) -> Region {
+    pub(crate) fn surroundings(&self, psi: Configuration, reach_px: f64) -> Region {
         const STEP_MM: f64 = 0.5;
         let (robot, lens) = (self.robot, self.lens);
         let steps = ((robot.length_mm + HOLDER_MM) / STEP_MM).ceil() as usize;
@@ -151,13 +151,13 @@ impl<'a> Projection<'a> {
     }
 
     /// The snake's diameter in the picture, px.
-    pub(super) fn diameter_px(&self) -> f64 {
+    pub(crate) fn diameter_px(&self) -> f64 {
         let depth_mm = self.camera_from_base.translation.vector.z.max(1.0);
         self.robot.body.disk_diameter_mm * self.lens.focal_px.max() / depth_mm
     }
 
     /// Distance between the places of the outline that decide which bend it is, px: some thirty around a disk.
-    pub(super) fn sparse_px(&self) -> f64 {
+    pub(crate) fn sparse_px(&self) -> f64 {
         const CLOSEST_PX: f64 = 6.0;
         (0.1 * self.diameter_px()).max(CLOSEST_PX)
     }
@@ -248,7 +248,7 @@ impl Outline {
     }
 
     /// The same with border points about `spacing_px` apart.
-    pub(super) fn spaced(view: &Projection, psi: Configuration, spacing_px: f64) -> Self {
+    pub(crate) fn spaced(view: &Projection, psi: Configuration, spacing_px: f64) -> Self {
         /// About the length, px, of all that may be on the border.
         const CANDIDATES_PX: f64 = 10_000.0;
         let distance_mm = view.camera_from_base.translation.vector.norm().max(1.0);
@@ -266,7 +266,7 @@ impl Outline {
 
     /// Carries the border points to a bend that differs little, under which they are still on the border to first order.
     /// The silhouette stays as it was.
-    pub(super) fn carry(&mut self, view: &Projection, psi: Configuration) {
+    pub(crate) fn carry(&mut self, view: &Projection, psi: Configuration) {
         let mut section = Section::new(view, psi, 0.0);
         self.points.retain_mut(|point| {
             let BodyPoint { s_mm, local } = point.body;
@@ -289,7 +289,7 @@ impl Outline {
 
     /// How an ideal camera would see the silhouette, 1 on the snake and 0 elsewhere, with edges as soft as a blur of
     /// σ = `blur_px` makes them. For border points closer than 4 px, whose silhouette is kept by the pixel.
-    pub(super) fn seen_through(&self, blur_px: f64) -> Plane {
+    pub(crate) fn seen_through(&self, blur_px: f64) -> Plane {
         /// What pixels and the interpolation between them do to a step, px.
         const PIXELS_PX: f64 = 0.54;
         let sigma = (blur_px.powi(2) - PIXELS_PX.powi(2)).max(0.01).sqrt();

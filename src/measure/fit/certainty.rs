@@ -1,8 +1,8 @@
 //! What fits to matched edges may believe: robust weights, and covariances that count pieces of the outline, not pixels.
 
-use super::matches::Matches;
-use super::outline::{Piece, Projection};
-use super::plane::median;
+use crate::measure::body::outline::{Piece, Projection};
+use crate::measure::fit::matches::Matches;
+use crate::measure::image::plane::median;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 ///
 /// While the model is still `settling`, Huber's: a whole family of edges may be far off because the model is, and must
 /// go on pulling. Then Tukey's biweight: what is still far off is not the snake's outline and counts nothing.
-pub(super) fn robust_weights(residuals: &[f64], settling: bool) -> Vec<f64> {
+pub(crate) fn robust_weights(residuals: &[f64], settling: bool) -> Vec<f64> {
     let mut sizes: Vec<f32> = residuals.iter().map(|r| r.abs() as f32).collect();
     let scale = (1.4826 * f64::from(median(&mut sizes))).max(1.0);
     let huber = |r: f64| (1.345 * scale / r.abs().max(1e-12)).min(1.0).sqrt();
@@ -19,7 +19,7 @@ pub(super) fn robust_weights(residuals: &[f64], settling: bool) -> Vec<f64> {
 }
 
 /// How many edges count at least half, and their scatter, px.
-pub(super) fn inliers(misfits_px: &[f64], roots: &[f64]) -> (usize, f64) {
+pub(crate) fn inliers(misfits_px: &[f64], roots: &[f64]) -> (usize, f64) {
     let kept: Vec<f64> = misfits_px.iter().zip(roots).filter(|(_, w)| **w > 0.5).map(|(d, _)| *d).collect();
     let rms = (kept.iter().map(|d| d * d).sum::<f64>() / kept.len().max(1) as f64).sqrt();
     (kept.len(), rms)
@@ -31,7 +31,7 @@ pub(super) fn inliers(misfits_px: &[f64], roots: &[f64]) -> (usize, f64) {
 ///
 /// Source: A. C. Cameron, D. L. Miller, "A Practitioner's Guide to Cluster-Robust Inference", 2015, Eq. 11 with the
 /// finite-cluster factor.
-pub(super) fn clustered_covariance(
+pub(crate) fn clustered_covariance(
     jacobian: &DMatrix<f64>,
     residuals: &DVector<f64>,
     pieces: &[Piece],
@@ -53,7 +53,7 @@ pub(super) fn clustered_covariance(
 }
 
 /// What [`Matches::light_patterns`] add to the covariance of a fit to these edges, whose rows come first in `jacobian`.
-pub(super) fn light_covariance(
+pub(crate) fn light_covariance(
     matches: &Matches,
     jacobian: &DMatrix<f64>,
     independent: &DMatrix<f64>,
@@ -69,7 +69,7 @@ pub(super) fn light_covariance(
 
 /// Covariance of the `kept` parameters of a fit: [`clustered_covariance`], widened wherever it says less than independent edges
 /// do, for the scores of a few pieces may agree by chance, and what light adds.
-pub(super) fn whole_covariance(
+pub(crate) fn whole_covariance(
     [clustered, independent, light]: [&DMatrix<f64>; 3],
     kept: &[usize],
 ) -> Option<DMatrix<f64>> {

@@ -2,7 +2,7 @@
 
 /// Where a try to calibrate a rig ended, the first step first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Step {
+pub(crate) enum Step {
     /// Finding what may be the holder.
     Holder,
     /// Finding the grid.
@@ -17,7 +17,7 @@ pub(super) enum Step {
 
 /// Why a try ended. Of several tries the one that came furthest tells most.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Refusal {
+pub(crate) struct Refusal {
     pub step: Step,
     /// A sentence that says what failed and what to do.
     pub message: String,

@@ -11,13 +11,13 @@
 //! [fit]                     # how well the calibration fitted
 //! ```
 
-use super::appearance::Appearance;
-use super::matches::EdgeBias;
-use super::rig::Rig;
-use super::watch::Print;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::input::read_text;
+use crate::measure::fit::matches::EdgeBias;
+use crate::measure::image::appearance::Appearance;
+use crate::measure::rig::calibrate::Rig;
+use crate::measure::rig::drift::Print;
 use crate::record::{line_at, write_atomically};
 use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -157,7 +157,7 @@ fn pose(rotation: &[[f64; 3]; 3], translation_mm: &[f64; 3]) -> Option<Pose> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::grid::Pattern;
+    use crate::measure::target::grid::Pattern;
     use super::*;
 
     fn rig() -> Rig {

@@ -1,8 +1,8 @@
 //! Finds the unbent snake in a picture of which nothing is known but the camera: the start of a rig calibration.
 
-use super::appearance::Appearance;
-use super::plane::{Plane, median};
 use crate::camera::Frame;
+use crate::measure::image::appearance::Appearance;
+use crate::measure::image::plane::{Plane, median};
 use image::{GrayImage, Luma};
 use imageproc::contrast::otsu_level;
 use imageproc::region_labelling::{Connectivity, connected_components};

@@ -4,9 +4,9 @@
 //! neighbour, leaves it with edges enough. What tells is where edges should be and are not, so every part is asked on its
 //! own whether its outline is seen.
 
-use super::edges::{Edge, EdgeFinder};
-use super::outline::{Outline, Piece};
-use super::plane::median;
+use crate::measure::body::outline::{Outline, Piece};
+use crate::measure::fit::edges::{Edge, EdgeFinder};
+use crate::measure::image::plane::median;
 use std::collections::BTreeMap;
 
 /// How much of the outline of each part has its edge where the model says.
@@ -28,7 +28,7 @@ impl Proof {
 
     /// From places of the outline and the edge found near each. Where all of them lie to one side of it, as overexposed or
     /// soft ones do, that is not held against them.
-    pub(super) fn of(places: &[(Piece, Option<Edge>)]) -> Self {
+    pub(crate) fn of(places: &[(Piece, Option<Edge>)]) -> Self {
         const NEAR_PX: f64 = 1.0;
         let asked: Vec<_> = places.iter().filter_map(|(piece, edge)| Some((part(*piece)?, edge))).collect();
         let mut offsets: Vec<f32> =
