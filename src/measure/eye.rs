@@ -2,9 +2,6 @@
 
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose, wrap_angle};
-<<<<<<< HEAD
-use crate::observation::{Measured, Quality, Status};
-=======
 use crate::measure::body::outline::{Outline, Projection};
 use crate::measure::fit::bend::{AS_GOOD, BendFit, Effort, Start, fit_bend};
 use crate::measure::fit::edges::EdgeFinder;
@@ -13,8 +10,7 @@ use crate::measure::fit::search::Search;
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::rig::calibrate::Rig;
 use crate::measure::rig::drift::Watch;
-use crate::record::{Measured, Quality, Status};
->>>>>>> e79f6dd (Cut the eye into rooms: image, target, body, fit and rig)
+use crate::observation::{Measured, Quality, Status};
 use crate::robot::Robot;
 use nalgebra::{Matrix2, Matrix6, Vector2};
 use rayon::prelude::*;

@@ -6,9 +6,6 @@
 
 use crate::camera::Frame;
 use crate::geometry::Pose;
-<<<<<<< HEAD
-use crate::observation::Status;
-=======
 use crate::measure::body::outline::Projection;
 use crate::measure::eye::{Eye, is_saturated};
 use crate::measure::fit::edges::EdgeFinder;
@@ -17,8 +14,7 @@ use crate::measure::rig::calibrate::Rig;
 use crate::measure::rig::drift::{Watch, Watched};
 use crate::measure::rig::locate::{Colours, find_start, locate_holders};
 use crate::measure::target::grid::{find_grid, nudged};
-use crate::record::Status;
->>>>>>> e79f6dd (Cut the eye into rooms: image, target, body, fit and rig)
+use crate::observation::Status;
 use nalgebra::{DVector, Matrix6, Point2, Point3, Translation3, Vector2, Vector6};
 use std::sync::Arc;
 

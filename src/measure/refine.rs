@@ -4,9 +4,6 @@
 //! its own, but all share one camera, one base and one light.
 
 use crate::camera::Frame;
-<<<<<<< HEAD
-use crate::observation::Status;
-=======
 use crate::measure::body::outline::{Outline, Piece, Projection};
 use crate::measure::eye::{Eye, FRAME_BIAS_SIGMA_PX, Look};
 use crate::measure::fit::bend::{Effort, Start, fit_bend};
@@ -16,8 +13,7 @@ use crate::measure::fit::matches::{BIASES, BiasPrior, Linearised, Matches, State
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::rig::calibrate::Rig;
 use crate::measure::target::grid::nudged;
-use crate::record::Status;
->>>>>>> e79f6dd (Cut the eye into rooms: image, target, body, fit and rig)
+use crate::observation::Status;
 use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, SVector};
 use rayon::prelude::*;
 use std::collections::BTreeMap;

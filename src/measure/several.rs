@@ -1,12 +1,7 @@
 //! Several views of one snake at one moment.
 
-<<<<<<< HEAD
-use super::eye::{Bend, Sighting, failed};
-use crate::observation::{Quality, Status};
-=======
 use crate::measure::eye::{Bend, Sighting, failed};
-use crate::record::{Quality, Status};
->>>>>>> e79f6dd (Cut the eye into rooms: image, target, body, fit and rig)
+use crate::observation::{Quality, Status};
 use nalgebra::{Matrix2, Vector2};
 
 /// Two views that differ by more than this, rad, and by more than their sigmas allow, do not see the same snake.

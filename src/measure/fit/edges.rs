@@ -192,9 +192,9 @@ impl<'a> EdgeFinder<'a> {
 
 #[cfg(test)]
 mod tests {
+    use super::*;
     use crate::measure::body::outline::{BodyPoint, Piece};
     use crate::measure::image::plane::median;
-    use super::*;
     use nalgebra::{Point2, Unit, Vector2, Vector3};
     use rand::{SeedableRng, rngs::StdRng};
     use rand_distr::{Distribution, Normal};

@@ -4,19 +4,11 @@
 //! the fit of the circle stands, a Gauss-Newton step in all of them says how far the picture would go if it might, and the
 //! bend after that step is the tip's own.
 
-<<<<<<< HEAD:src/measure/shape.rs
-use super::certainty::{clustered_covariance, light_covariance, robust_weights, whole_covariance};
-use super::matches::{BiasPrior, Matches, STATE, State};
-use super::outline::Projection;
-use super::solve::covariance;
-use crate::observation::Shape;
-=======
 use crate::measure::body::outline::Projection;
 use crate::measure::fit::certainty::{clustered_covariance, light_covariance, robust_weights, whole_covariance};
 use crate::measure::fit::matches::{BiasPrior, Matches, STATE, State};
 use crate::measure::fit::solve::covariance;
-use crate::record::Shape;
->>>>>>> e79f6dd (Cut the eye into rooms: image, target, body, fit and rig):src/measure/fit/shape.rs
+use crate::observation::Shape;
 use crate::robot::Curve;
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix4, Matrix6, SMatrix, Vector2, Vector4};
 

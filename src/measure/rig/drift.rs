@@ -7,9 +7,6 @@
 
 use crate::camera::{Frame, Lens, Sample, Samples};
 use crate::geometry::{Configuration, Pose};
-<<<<<<< HEAD:src/measure/watch.rs
-use crate::observation::Status;
-=======
 use crate::measure::body::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use crate::measure::fit::certainty::robust_weights;
 use crate::measure::fit::edges::EdgeFinder;
@@ -17,8 +14,7 @@ use crate::measure::fit::matches::EdgeBias;
 use crate::measure::image::plane::median;
 use crate::measure::rig::calibrate::Rig;
 use crate::measure::target::grid::{Pattern, nudged, paper_at, phases_from_paper, project_paper, waves_from_gradient};
-use crate::record::Status;
->>>>>>> e79f6dd (Cut the eye into rooms: image, target, body, fit and rig):src/measure/rig/drift.rs
+use crate::observation::Status;
 use nalgebra::{
     DMatrix, DVector, Matrix2, Matrix3, Matrix6, Point2, Translation3, UnitQuaternion, Vector2, Vector3, Vector6,
 };

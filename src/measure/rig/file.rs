@@ -157,8 +157,8 @@ fn pose(rotation: &[[f64; 3]; 3], translation_mm: &[f64; 3]) -> Option<Pose> {
 
 #[cfg(test)]
 mod tests {
-    use crate::measure::target::grid::Pattern;
     use super::*;
+    use crate::measure::target::grid::Pattern;
 
     fn rig() -> Rig {
         Rig {
