@@ -16,7 +16,7 @@
 //!
 //! | module | what it is |
 //! | --- | --- |
-//! | [`error`], [`geometry`] | the error type; angles and poses |
+//! | [`error`], [`geometry`], [`statistics`] | the error type; angles and poses; estimation tools under their textbook names |
 //! | [`robot`], [`camera`] | the snake: kinematics, statics, friction, ε; lenses and sources of frames |
 //! | [`observation`] | measurements of frames and encoder readings, as plain values |
 //! | [`measure`], [`estimate`] | frames → θ, δ; measurements → η, λ |
@@ -46,6 +46,7 @@ pub mod report;
 pub mod reproduce;
 pub mod robot;
 pub mod simulate;
+pub mod statistics;
 
 #[cfg(feature = "cli")]
 #[doc(hidden)]

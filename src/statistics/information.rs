@@ -1,0 +1,185 @@
+//! The square-root information filter: recursive least squares of n parameters that never squares a number.
+//!
+//! The filter keeps the upper triangle U and y with UᵗU = Σ hhᵗ and Uᵗy = Σ hz over all rows hᵗx = z + noise so far, each in units of
+//! its standard deviation. A new row is turned into the triangle by n Givens rotations. The covariance P = U⁻¹U⁻ᵗ is symmetric and
+//! positive by construction, and x̂ = U⁻¹y is the least-squares solution over all rows; there is no prior but the rows that are given.
+//!
+//! Source: G. J. Bierman, *Factorization Methods for Discrete Sequential Estimation*, Academic Press 1977, ch. V; for the rotations
+//! W. M. Gentleman, "Least Squares Computations by Givens Transformations without Square Roots", J. Inst. Maths Applics 12, 1973.
+
+use nalgebra::{DMatrix, SMatrix, SVector};
+
+/// What all rows so far say about N parameters.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SquareRootInformation<const N: usize> {
+    upper: SMatrix<f64, N, N>,
+    y: SVector<f64, N>,
+}
+
+impl<const N: usize> Default for SquareRootInformation<N> {
+    /// Nothing known.
+    fn default() -> Self {
+        Self { upper: SMatrix::zeros(), y: SVector::zeros() }
+    }
+}
+
+impl<const N: usize> SquareRootInformation<N> {
+    /// Adds rows of a design matrix, h, and their measurements, z, both in units of the measurements' standard deviation.
+    ///
+    /// Rows whose numbers, or their squares, are not all finite change nothing; `false` says so.
+    #[must_use]
+    pub fn absorb<const M: usize>(&mut self, h: &SMatrix<f64, M, N>, z: &SVector<f64, M>) -> bool {
+        let mut next = *self;
+        for row in 0..M {
+            next.rotate_in(h.row(row).transpose(), z[row]);
+        }
+        let finite = next.upper.iter().chain(next.y.iter()).all(|value| value.is_finite());
+        if finite {
+            *self = next;
+        }
+        finite
+    }
+
+    /// Adds what another filter knows: the sum of both informations.
+    pub fn join(&mut self, other: &Self) {
+        for row in 0..N {
+            self.rotate_in(other.upper.row(row).transpose(), other.y[row]);
+        }
+    }
+
+    /// Turns one row into the triangle: a Givens rotation for each of its numbers makes that number zero.
+    fn rotate_in(&mut self, mut h: SVector<f64, N>, mut z: f64) {
+        for j in 0..N {
+            let length = self.upper[(j, j)].hypot(h[j]);
+            if length == 0.0 {
+                continue;
+            }
+            let (cosine, sine) = (self.upper[(j, j)] / length, h[j] / length);
+            for k in j..N {
+                let (above, below) = (self.upper[(j, k)], h[k]);
+                self.upper[(j, k)] = cosine * above + sine * below;
+                h[k] = cosine * below - sine * above;
+            }
+            let above = self.y[j];
+            self.y[j] = cosine * above + sine * z;
+            z = cosine * z - sine * above;
+        }
+    }
+
+    /// x̂ and its covariance P; `None` while the rows do not determine all parameters.
+    pub fn solution(&self) -> Option<(SVector<f64, N>, SMatrix<f64, N, N>)> {
+        let inverse = self.upper.solve_upper_triangular(&SMatrix::<f64, N, N>::identity())?;
+        Some((inverse * self.y, inverse * inverse.transpose()))
+    }
+
+    /// Multiplies all information so far by the forgetting factor, in (0, 1], except along directions of which so little is known
+    /// that forgetting more would leave nothing: however long no row speaks of a direction, the largest eigenvalue of P grows to
+    /// `most_sd`² and stays there, or where it was if it was above. x̂ does not move.
+    ///
+    /// With U = W S Vᵗ, both sides of U x = y are multiplied by D Wᵗ, D being what is kept of each singular value. Nothing is squared,
+    /// so what is barely known survives beside what is known 10⁸ times better.
+    pub fn forget(&mut self, factor: f64, most_sd: f64) {
+        let svd = DMatrix::from_fn(N, N, |row, column| self.upper[(row, column)]).svd(true, false);
+        let Some(w) = svd.u else { return };
+        let mut faded = Self::default();
+        for (column, value) in w.column_iter().zip(svd.singular_values.iter()) {
+            let kept = factor.sqrt().max((1.0 / (most_sd * value)).min(1.0));
+            let w = SVector::<f64, N>::from_fn(|row, _| column[row] * kept);
+            faded.rotate_in(self.upper.tr_mul(&w), w.dot(&self.y));
+        }
+        *self = faded;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+    use proptest::prelude::*;
+
+    type Rows = Vec<([f64; 3], f64)>;
+
+    fn any_rows() -> impl Strategy<Value = Rows> {
+        proptest::collection::vec((proptest::array::uniform3(-2.0..2.0f64), -1.0..1.0f64), 3..60)
+    }
+
+    fn filter(rows: &Rows) -> SquareRootInformation<3> {
+        let mut filter = SquareRootInformation::default();
+        for (h, z) in rows {
+            assert!(filter.absorb(&SMatrix::<f64, 1, 3>::from_row_slice(h), &SVector::<f64, 1>::new(*z)));
+        }
+        filter
+    }
+
+    /// The normal equations over all rows at once, each row's information multiplied by factor^age.
+    fn batch(rows: &Rows, factor: f64) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        let (mut information, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for (age, (h, z)) in rows.iter().rev().enumerate() {
+            let (h, weight) = (Vector3::from(*h), factor.powi(age as i32));
+            information += h * h.transpose() * weight;
+            right += h * (z * weight);
+        }
+        let covariance = information.try_inverse()?;
+        // Where the normal equations themselves lose digits they are no judge.
+        (information.norm() * covariance.norm() < 1e5).then_some((covariance * right, covariance))
+    }
+
+    proptest! {
+        #[test]
+        fn the_recursion_and_the_normal_equations_agree(rows in any_rows()) {
+            let Some((x, covariance)) = batch(&rows, 1.0) else { return Ok(()) };
+            let (ours, p) = filter(&rows).solution().unwrap();
+            prop_assert!((ours - x).norm() <= 1e-8 * (1.0 + x.norm()), "{ours} {x}");
+            prop_assert!((p - covariance).norm() <= 1e-8 * covariance.norm());
+        }
+
+        #[test]
+        fn forgetting_is_exponential_weighting_where_enough_is_known(rows in any_rows(), factor in 0.5..1.0f64) {
+            let mut ours = SquareRootInformation::<3>::default();
+            for (h, z) in &rows {
+                ours.forget(factor, f64::INFINITY);
+                prop_assert!(ours.absorb(&SMatrix::<f64, 1, 3>::from_row_slice(h), &SVector::<f64, 1>::new(*z)));
+            }
+            let Some((x, covariance)) = batch(&rows, factor) else { return Ok(()) };
+            let (ours, p) = ours.solution().unwrap();
+            prop_assert!((ours - x).norm() <= 1e-8 * (1.0 + x.norm()), "{ours} {x}");
+            prop_assert!((p - covariance).norm() <= 1e-8 * covariance.norm());
+        }
+
+        #[test]
+        fn parts_join_to_the_whole(rows in any_rows(), at in 0.0..1.0f64) {
+            let cut = (at * rows.len() as f64) as usize;
+            let mut joined = filter(&rows[..cut].to_vec());
+            joined.join(&filter(&rows[cut..].to_vec()));
+            let Some((x, _)) = batch(&rows, 1.0) else { return Ok(()) };
+            prop_assert!((joined.solution().unwrap().0 - x).norm() <= 1e-8 * (1.0 + x.norm()));
+        }
+    }
+
+    #[test]
+    fn what_is_barely_known_survives_beside_what_is_known_far_better() {
+        let mut filter = SquareRootInformation::<2>::default();
+        let h = Matrix2::new(1e8, 1e8, 0.0, 2.0);
+        assert!(filter.absorb(&h, &Vector2::new(3e8, 4.0)));
+        let (x, p) = filter.solution().unwrap();
+        assert!((x - Vector2::new(1.0, 2.0)).norm() < 1e-12);
+        assert!((p[(1, 1)] - 0.25).abs() < 1e-12);
+        for _ in 0..1000 {
+            filter.forget(0.9, 2.0);
+        }
+        let (x, p) = filter.solution().unwrap();
+        assert!((x - Vector2::new(1.0, 2.0)).norm() < 1e-6, "{x}");
+        assert!((p.symmetric_eigenvalues().max() - 4.0).abs() < 1e-6, "{p}");
+    }
+
+    #[test]
+    fn what_is_not_finite_or_not_enough_gives_no_answer() {
+        let mut filter = SquareRootInformation::<2>::default();
+        assert!(filter.absorb(&SMatrix::<f64, 1, 2>::new(1.0, 1.0), &SVector::<f64, 1>::new(1.0)));
+        assert_eq!(filter.solution(), None);
+        let before = filter;
+        assert!(!filter.absorb(&SMatrix::<f64, 1, 2>::new(f64::NAN, 1.0), &SVector::<f64, 1>::new(1.0)));
+        assert!(!filter.absorb(&SMatrix::<f64, 1, 2>::new(0.0, 1.0), &SVector::<f64, 1>::new(f64::INFINITY)));
+        assert_eq!(filter, before);
+    }
+}

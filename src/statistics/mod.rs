@@ -1,0 +1,28 @@
+//! The statistical tools that the rest of the library is built with, each under its textbook name.
+//!
+//! This module stands at the bottom: it knows numbers only, no snake, no camera and no file. Each tool's page gives its formula
+//! and its source, and each is tested by itself against a closed form, a simulation or a published example.
+//!
+//! | tool | for |
+//! | --- | --- |
+//! | [`least_squares`] | nonlinear least squares: Levenberg–Marquardt with box bounds and a robust loss |
+//! | [`robust`] | losses of Huber, Tukey and Talwar, scale by the MAD, iteratively reweighted least squares (IRLS) |
+//! | [`trimmed`] | least trimmed squares (LTS): a start that outliers cannot spoil |
+//! | [`cluster`] | cluster-robust covariance of a fit whose errors come in groups |
+//! | [`correlation`] | autocorrelation, design effect and effective sample size of correlated errors |
+//! | [`information`] | square-root information filter: recursive least squares with a forgetting factor |
+//! | [`order`] | median, MAD and quantiles |
+//! | [`moments`] | mean, standard deviation and root mean square |
+//! | [`bootstrap`] | seeded bootstrap over blocks |
+//! | [`null_distribution`] | quantiles of a statistic that was simulated under the null hypothesis |
+
+pub mod bootstrap;
+pub mod cluster;
+pub mod correlation;
+pub mod information;
+pub mod least_squares;
+pub mod moments;
+pub mod null_distribution;
+pub mod order;
+pub mod robust;
+pub mod trimmed;
