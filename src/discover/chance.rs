@@ -3,6 +3,7 @@
 use super::fit::{Fit, Problem};
 use super::search::{common_waves, screw_frequencies, screw_waves, starts};
 use crate::robot::Physics;
+use crate::robot::effects::Starts;
 use nalgebra::DMatrix;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -42,7 +43,7 @@ impl Chance {
         let mut hidden: Vec<&'static Physics> = Vec::new();
         let seen: Vec<(&'static Physics, DMatrix<f64>)> = starts(problem, fit)
             .into_par_iter()
-            .filter(|(physics, _)| physics.name != "screw_periodic")
+            .filter(|(physics, _)| matches!(physics.starts, Starts::At(_)))
             .map(|(physics, model)| (physics, thin(problem.prospect(&model, &fit.path).0)))
             .collect();
         for (physics, columns) in seen {

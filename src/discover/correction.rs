@@ -114,7 +114,7 @@ struct Lesson<'a> {
 impl<'a> Lesson<'a> {
     fn new(problem: &Problem<'a>, fit: &Fit) -> Self {
         let data = problem.data;
-        let motions = Mechanics::new(&fit.model).motions_read(&data.times_s, &fit.path, &data.q_mm);
+        let motions = Mechanics::new(&fit.model).motions_from_readings(&data.times_s, &fit.path, &data.q_mm);
         let largest_theta = fit.path.iter().map(|bend| bend.norm()).fold(0.0, f64::max);
         let n = data.backbones();
         let at = |k: usize| motions[k].direction.map(|direction| basis(fit.path[k], direction, largest_theta));

@@ -10,7 +10,7 @@
 
 use super::data::Data;
 use crate::observation::Measured;
-use crate::robot::motion::{Led, Slope};
+use crate::robot::motion::{ForwardSolution, LineJacobian};
 use crate::robot::{Effect, Estimate, Mechanics, Model, Motion, PerBackbone};
 use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2};
 use std::f64::consts::PI;
@@ -33,7 +33,7 @@ struct Noise {
     /// Whitens the bend residual.
     whitening: Matrix2<f64>,
     /// Of the line at the sample's bend.
-    slope: Slope,
+    slope: LineJacobian,
     /// Variance of ε that the eye's and the encoders' noise leave, mean over the backbones, mm².
     floor_mm2: f64,
 }
@@ -54,14 +54,14 @@ pub struct Problem<'a> {
 /// What a model makes of the readings.
 #[derive(Debug, Clone)]
 struct Run {
-    led: Vec<Led>,
+    solutions: Vec<ForwardSolution>,
     motions: Vec<Motion>,
     residuals: Vec<Residual>,
 }
 
 impl Run {
     fn path(&self) -> Vec<Vector2<f64>> {
-        self.led.iter().map(|led| led.bend).collect()
+        self.solutions.iter().map(|solution| solution.bend).collect()
     }
 
     fn vector(&self) -> DVector<f64> {
@@ -94,7 +94,7 @@ pub struct Fit {
 impl Fit {
     /// Schwarz's criterion: less is better.
     pub fn bic(&self) -> f64 {
-        let price: f64 = self.model.effects.iter().map(|effect| effect.physics.price()).sum();
+        let price: f64 = self.model.effects.iter().map(|effect| effect.physics.prior_penalty).sum();
         self.cost + self.parameters as f64 * (self.jacobian.nrows() as f64).ln() + price
     }
 
@@ -131,13 +131,14 @@ impl<'a> Problem<'a> {
     /// Prepares data for fits near a model.
     pub fn new(data: &'a Data, model: &Model) -> Self {
         let mechanics = Mechanics::new(model);
-        let start: Vec<_> = mechanics.path(&data.times_s, &data.q_mm, None).iter().map(|led| led.bend).collect();
-        let motions = mechanics.motions_read(&data.times_s, &start, &data.q_mm);
+        let start: Vec<_> =
+            mechanics.solve_path(&data.times_s, &data.q_mm, None).iter().map(|solution| solution.bend).collect();
+        let motions = mechanics.motions_from_readings(&data.times_s, &start, &data.q_mm);
         let variance = data.sd_encoder_mm.powi(2);
         let noise = data.measured.iter().zip(start.iter().zip(&motions)).map(|(measured, (&bend, motion))| {
-            let slope = mechanics.slope(bend, motion);
+            let slope = mechanics.line_jacobian(bend, motion);
             let eye = bend_covariance(measured, bend);
-            let covariance = eye + slope.bend_by_line.squared_with(&slope.bend_by_line) * variance;
+            let covariance = eye + slope.bend_by_line.cross_gram(&slope.bend_by_line) * variance;
             let whitening = covariance.cholesky().and_then(|factor| factor.l().try_inverse());
             let floor = slope.line_by_bend.map(|by| by.dot(&(eye * by))).mean() + variance;
             Noise { whitening: whitening.unwrap_or_else(Matrix2::zeros), slope, floor_mm2: floor }
@@ -147,18 +148,18 @@ impl<'a> Problem<'a> {
     }
 
     /// A residual of whitened bend and internal parts, mm.
-    fn residual(&self, bend: Vector2<f64>, left_mm: &PerBackbone) -> Residual {
-        let internal = |part: usize| self.internal[part].dot(left_mm) / self.sd_internal_mm;
-        Residual::from_fn(left_mm.len(), |c| if c < 2 { bend[c] } else { internal(c - 2) })
+    fn residual(&self, bend: Vector2<f64>, residual_mm: &PerBackbone) -> Residual {
+        let internal = |part: usize| self.internal[part].dot(residual_mm) / self.sd_internal_mm;
+        Residual::from_fn(residual_mm.len(), |c| if c < 2 { bend[c] } else { internal(c - 2) })
     }
 
     /// Whitened residuals of predicted bends and internal parts.
-    fn whitened(&self, mechanics: &Mechanics, led: &[Led]) -> Vec<Residual> {
-        let path: Vec<_> = led.iter().map(|led| led.bend).collect();
-        let pictured = mechanics.pictured(&self.data.times_s, &path);
+    fn whitened(&self, mechanics: &Mechanics, solutions: &[ForwardSolution]) -> Vec<Residual> {
+        let path: Vec<_> = solutions.iter().map(|solution| solution.bend).collect();
+        let exposed = mechanics.exposed_bends(&self.data.times_s, &path);
         let residuals = (0..path.len()).map(|k| {
-            let gap = self.data.measured[k].configuration.bend_vector() - mechanics.seen(pictured[k]);
-            self.residual(self.noise[k].whitening * gap, &led[k].left_mm)
+            let gap = self.data.measured[k].configuration.bend_vector() - mechanics.apparent_bend(exposed[k]);
+            self.residual(self.noise[k].whitening * gap, &solutions[k].residual_mm)
         });
         residuals.collect()
     }
@@ -166,16 +167,20 @@ impl<'a> Problem<'a> {
     fn run(&self, model: &Model, guess: &[Vector2<f64>]) -> Run {
         let mechanics = Mechanics::new(model);
         let first = self.data.measured[0].configuration.bend_vector();
-        let (led, motions) = mechanics.settled(&self.data.times_s, &self.data.q_mm, guess, Some(first));
-        let residuals = self.whitened(&mechanics, &led);
-        Run { led, motions, residuals }
+        let (solutions, motions) = mechanics.solve_path_near(&self.data.times_s, &self.data.q_mm, guess, Some(first));
+        let residuals = self.whitened(&mechanics, &solutions);
+        Run { solutions, motions, residuals }
     }
 
     /// ∂(residuals)/∂(parameter / its scale), a row for each component of each sample.
     fn jacobian(&self, model: &Model, run: &Run) -> DMatrix<f64> {
         let mechanics = Mechanics::new(model);
-        let slopes: Vec<Slope> =
-            run.led.iter().zip(&run.motions).map(|(led, motion)| mechanics.slope(led.bend, motion)).collect();
+        let slopes: Vec<LineJacobian> = run
+            .solutions
+            .iter()
+            .zip(&run.motions)
+            .map(|(solution, motion)| mechanics.line_jacobian(solution.bend, motion))
+            .collect();
         let data = (&self.data.times_s[..], &self.data.q_mm[..]);
         let (scales, ranges) = scales_and_ranges(model);
         let x = vector(model);
@@ -188,8 +193,8 @@ impl<'a> Problem<'a> {
             nudged[j] += h * scales[j];
             let nudged = with_vector(model, &nudged);
             let changed = Mechanics::new(&nudged);
-            let led = mechanics.changed(&changed, data, (&run.led, &run.motions, &slopes));
-            let moved = self.whitened(&changed, &led);
+            let solutions = mechanics.perturbed_path(&changed, data, (&run.solutions, &run.motions, &slopes));
+            let moved = self.whitened(&changed, &solutions);
             for (k, (after, before)) in moved.iter().zip(&run.residuals).enumerate() {
                 for c in 0..n {
                     jacobian[(n * k + c, j)] = (after[c] - before[c]) / h;
@@ -279,7 +284,7 @@ impl<'a> Problem<'a> {
             estimate.samples = self.data.len();
         }
         let mut next = 2;
-        for effect in model.effects.iter_mut().filter(|effect| effect.physics.is_fitted()) {
+        for effect in model.effects.iter_mut().filter(|effect| effect.physics.fitted) {
             let after = next + effect.values.len();
             effect.covariance = (next..after).map(|a| (0..after).map(|b| covariance(a, b)).collect()).collect();
             effect.sds = (next..after).map(|a| covariance(a, a).max(0.0).sqrt()).collect();
@@ -291,7 +296,7 @@ impl<'a> Problem<'a> {
     /// What a summand of q̃ (mm, at each sample) would do to the whitened residuals, to first order.
     pub fn response(&self, k: usize, summand: &PerBackbone) -> Residual {
         let noise = &self.noise[k];
-        self.residual(noise.whitening * noise.slope.bend_by_line.weighted(summand), &-*summand)
+        self.residual(noise.whitening * noise.slope.bend_by_line.tr_mul(summand), &-*summand)
     }
 
     /// The gap of ε at sample k, mm: what is left between q̃ and the model at the measured bend.
@@ -333,7 +338,7 @@ fn bend_covariance(measured: &Measured, bend: Vector2<f64>) -> Matrix2<f64> {
 
 /// The effects whose parameters a fit may change.
 fn fitted(model: &Model) -> impl Iterator<Item = &Effect> {
-    model.effects.iter().filter(|effect| effect.physics.is_fitted())
+    model.effects.iter().filter(|effect| effect.physics.fitted)
 }
 
 /// η, λ and the effects' values in a row.
@@ -344,7 +349,7 @@ fn vector(model: &Model) -> Vec<f64> {
 
 fn with_vector(model: &Model, x: &[f64]) -> Model {
     let mut values = x[2..].iter();
-    let effects = model.effects.iter().map(|effect| match effect.physics.is_fitted() {
+    let effects = model.effects.iter().map(|effect| match effect.physics.fitted {
         true => Effect { values: values.by_ref().take(effect.values.len()).copied().collect(), ..effect.clone() },
         false => effect.clone(),
     });

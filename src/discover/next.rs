@@ -10,7 +10,7 @@ use super::plans::{Plan, plans, repeated};
 use super::search::{Named, with_effect, without_effect};
 use super::verdict::{Discovery, Verdict};
 use crate::observation::{Measured, Measurement, Status, Waypoint};
-use crate::robot::effects::physics;
+use crate::robot::effects::{Confounded, Poses, physics};
 use crate::robot::{Effect, LIBRARY, Model, PerBackbone, Physics};
 use crate::simulate::Plant;
 use rayon::prelude::*;
@@ -104,13 +104,13 @@ pub fn next_experiment(found: &Discovery, data: &Data) -> Option<Next> {
     let once = per_sample * waypoints.len() as f64;
     let repeats = ((DECIDES / once).ceil() as usize).clamp(1, MOST_REPEATS);
     let waypoints = repeated(waypoints, repeats);
-    let led = Plant { model: found.model.clone(), sd_encoder_mm: 0.0 }.run(&waypoints, 0);
+    let samples = Plant { model: found.model.clone(), sd_encoder_mm: 0.0 }.run(&waypoints, 0);
     let words_of = |q: &usize| questions[*q].words.clone();
     Some(Next {
         because: within.iter().filter(|q| settles(best, **q)).map(words_of).collect(),
         beyond_reach: beyond.iter().chain(within.iter().filter(|q| !settles(best, **q))).map(words_of).collect(),
         plan: (*name, *words),
-        commands_mm: led.iter().map(|sample| sample.reading.q_mm).collect(),
+        commands_mm: samples.iter().map(|sample| sample.reading.q_mm).collect(),
         waypoints,
         noncentrality: once * repeats as f64,
         candidates: order.iter().map(|&(p, (_, per_sample))| (plans[p].name, finite(per_sample))).collect(),
@@ -194,34 +194,23 @@ fn unseen(found: &Discovery) -> Vec<Question> {
     LIBRARY.into_iter().filter(|physics| physics.form.is_empty() && !asked(physics)).filter_map(question).collect()
 }
 
-/// What scales one backbone's travel and what compresses all of them are alike as long as the bends keep to one plane.
-fn alike_on_one_plane(model: &Model) -> Option<Question> {
-    let names = ["actuator_scale", "primary_compression"];
-    let [Some(a), Some(b)] = names.map(|name| with_typical(model, physics(name)?)) else {
-        return None;
+/// The pairs of effects that are confounded as long as the bends keep to one plane.
+fn alike_on_one_plane(model: &Model) -> Vec<Question> {
+    let one = |physics: &'static Physics| physics.confounded_with.iter().map(move |other| (physics, other));
+    let pairs = LIBRARY.into_iter().flat_map(one).filter(|(a, b)| b.on == Poses::OnePlane && a.name < b.with);
+    let question = |(a, b): (&'static Physics, &Confounded)| {
+        let words = format!("the bends lie in one plane, where {} and {} look alike", a.name, b.with);
+        let models = [with_typical(model, a)?, with_typical(model, physics(b.with)?)?];
+        Some(Question { words, asks: Asks::Which(models.map(Box::new)) })
     };
-    let words = format!("the bends lie in one plane, where {} and {} look alike", names[0], names[1]);
-    Some(Question { words, asks: Asks::Which([Box::new(a), Box::new(b)]) })
+    pairs.filter_map(question).collect()
 }
 
 /// The model with an effect of the size that matters besides; none where it has the effect.
 fn with_typical(model: &Model, physics: &'static Physics) -> Option<Model> {
-    let values = typical(physics, model.robot.backbone_count());
-    let effect = Effect::of(physics, values);
+    let effect = Effect::of(physics, physics.example(model.robot.backbone_count()));
     let absent = model.effects.iter().all(|effect| effect.physics != physics);
     absent.then(|| Model { effects: [&model.effects[..], &[effect]].concat(), ..model.clone() })
-}
-
-/// An effect's parameters at a size that matters; the backbones differ, since what they share η and λ hide.
-fn typical(physics: &Physics, backbones: usize) -> Vec<f64> {
-    match physics.name {
-        "creep" => vec![0.05, 3.0],
-        "screw_periodic" => vec![0.03, 1.0, 30.0],
-        _ => {
-            let shares = [1.0, -0.7, 0.4, -0.9, 0.6, -0.3, 0.8, -0.5];
-            (physics.parameters)(backbones).iter().zip(shares).map(|(spec, share)| share * spec.typical).collect()
-        }
-    }
 }
 
 /// The eye and the encoders that made the data, as another experiment would have them.
@@ -279,9 +268,9 @@ impl Eye {
     fn data(&self, truth: &Model, waypoints: &[Waypoint]) -> Option<Data> {
         let samples = Plant { model: truth.clone(), sd_encoder_mm: 0.0 }.run(waypoints, 0);
         let measurement = |sample: &crate::simulate::Sample| {
-            let sine = sample.seen.theta.sin().abs().max(1e-3);
+            let sine = sample.apparent.theta.sin().abs().max(1e-3);
             let measured = Measured {
-                configuration: sample.seen,
+                configuration: sample.apparent,
                 sigma_theta: self.sigma_theta,
                 sigma_delta: (self.sigma_across / sine).min(PI),
                 correlation: 0.0,

@@ -3,6 +3,7 @@
 use super::chance::Chance;
 use super::data::{Data, FOLDS};
 use super::fit::{Fit, Problem, normal_equations};
+use crate::robot::effects::{Phases, Starts};
 use crate::robot::{Effect, LIBRARY, Model, PerBackbone, Physics};
 use nalgebra::{DMatrix, DVector};
 use rand::rngs::StdRng;
@@ -223,17 +224,17 @@ fn one_more(problem: &Problem, fit: &Fit, followed: usize, least: f64) -> Vec<Fi
 /// Every effect whose name the model does not have, at each of its starts.
 pub fn starts(problem: &Problem, fit: &Fit) -> Vec<(&'static Physics, Model)> {
     let new = LIBRARY.into_iter().filter(|physics| fit.model.effects.iter().all(|e| e.physics.name != physics.name));
-    let screws = if new.clone().any(|physics| physics.name == "screw_periodic") {
+    let screws = if new.clone().any(|physics| matches!(physics.starts, Starts::Periodogram(_))) {
         screw_starts(problem, fit)
     } else {
         Vec::new()
     };
     new.flat_map(|physics| {
-        let starts: Vec<Vec<f64>> = if physics.name == "screw_periodic" {
-            let count = (physics.parameters)(problem.data.backbones()).len();
-            screws.iter().filter(|start| start.len() == count).cloned().collect()
-        } else {
-            physics.starts(problem.data.backbones()).collect()
+        let starts: Vec<Vec<f64>> = match physics.starts {
+            Starts::Periodogram(phases) => {
+                screws.iter().filter(|(own, _)| *own == phases).map(|(_, start)| start.clone()).collect()
+            }
+            Starts::At(_) | Starts::Nowhere => physics.given_starts(problem.data.backbones()).collect(),
         };
         starts.into_iter().map(move |values| {
             let mut model = fit.model.clone();
@@ -281,7 +282,7 @@ pub fn common_waves(waves: &DMatrix<f64>) -> DMatrix<f64> {
 
 /// Where to look for a screw's pitch: the best of a periodogram of the residuals over q̃, with η, λ and the other
 /// parameters free; two starts with one phase, two with one for each backbone.
-fn screw_starts(problem: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
+fn screw_starts(problem: &Problem, fit: &Fit) -> Vec<(Phases, Vec<f64>)> {
     let residual = super::fit::stacked(&fit.residuals);
     let p = fit.jacobian.ncols();
     let own = fit.jacobian.transpose() * &fit.jacobian;
@@ -317,11 +318,12 @@ fn screw_starts(problem: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
             powers.push((power, start));
         }
     }
-    powers
+    [Phases::Common, Phases::PerBackbone]
         .into_iter()
-        .flat_map(|mut powers| {
+        .zip(powers)
+        .flat_map(|(phases, mut powers)| {
             powers.sort_by(|a, b| b.0.total_cmp(&a.0));
-            powers.into_iter().take(2).map(|(_, start)| start)
+            powers.into_iter().take(2).map(move |(_, start)| (phases, start))
         })
         .collect()
 }

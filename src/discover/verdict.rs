@@ -163,7 +163,7 @@ pub fn discover_in_frames(mut model: Model, data: &Data) -> Result<Discovery> {
     let mut found = discover(&model, data)?;
     if let Some(k) = found.model.effects.iter().position(|effect| effect.physics == &RIG_ERROR) {
         let effect = found.model.effects.remove(k);
-        let given = found.model.effects[..k].iter().filter(|effect| effect.physics.is_fitted());
+        let given = found.model.effects[..k].iter().filter(|effect| effect.physics.fitted);
         let before: usize = given.map(|effect| effect.values.len()).sum();
         for later in found.model.effects[k..].iter_mut() {
             for row in later.covariance.iter_mut() {
@@ -264,7 +264,7 @@ fn regressors(data: &Data, fit: &Fit) -> Vec<(&'static str, Vec<Vec<f64>>)> {
         let rows: Vec<Vec<f64>> = (0..data.len()).map(functions).collect();
         (0..rows[0].len()).map(|c| rows.iter().map(|row| row[c]).collect()).collect()
     };
-    let motions = Mechanics::new(&fit.model).motions_read(&data.times_s, &fit.path, &data.q_mm);
+    let motions = Mechanics::new(&fit.model).motions_from_readings(&data.times_s, &fit.path, &data.q_mm);
     let last = data.times_s[data.len() - 1] - data.times_s[0];
     let theta = |k: usize| fit.path[k].norm();
     let delta = |k: usize| fit.path[k].y.atan2(fit.path[k].x);

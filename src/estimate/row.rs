@@ -117,9 +117,9 @@ fn smoothed(
     model.estimate?;
     let implied = model.forward_bend(q_tilde).ok()?;
     let by_encoders = model.updated_jacobian_bend(implied).ok()?;
-    let by_parameters = by_encoders.squared_with(&model.epsilon_by_parameters(implied));
+    let by_parameters = by_encoders.cross_gram(&model.epsilon_by_parameters(implied));
     let implied_covariance = by_parameters * model.parameter_covariance() * by_parameters.transpose()
-        + by_encoders.squared_with(&by_encoders) * sd_encoder_mm.powi(2);
+        + by_encoders.cross_gram(&by_encoders) * sd_encoder_mm.powi(2);
     // Taken at the implied bend, too: weights that followed the noise would favour one sign of it.
     let bend_covariance = bend_covariance(measured, Configuration::from_bend_vector(implied));
     let gain = implied_covariance * (implied_covariance + bend_covariance).try_inverse()?;

@@ -52,7 +52,7 @@ fn scatter(measurements: &[Measurement], readings: &[EncoderReading]) -> Option<
         .iter()
         .filter_map(|m| {
             let (reading, psi) = (by_index.get(&m.index)?, m.measured?.configuration);
-            let implied = robot.bend_by_displacement().weighted(&reading.q_mm);
+            let implied = robot.bend_by_displacement().tr_mul(&reading.q_mm);
             let finite = implied.iter().chain([&psi.theta, &psi.delta, &reading.time_s]).all(|x| x.is_finite());
             finite.then(|| (reading.time_s, implied.push(1.0), psi.bend_vector(), psi))
         })

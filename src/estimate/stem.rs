@@ -290,7 +290,7 @@ mod tests {
                 bent.robot.line = bent.robot.line.bent_through(phi.to_radians());
                 let noise = PerBackbone::from_fn(3, |_| StandardNormal.sample(&mut random)) * 0.0015;
                 let reading = EncoderReading { index, time_s, q_mm: bent.command(psi) + noise };
-                Sample { reading, truth: Truth { index, configuration: psi }, seen: psi }
+                Sample { reading, truth: Truth { index, configuration: psi }, apparent: psi }
             })
             .collect();
         let eye = SimulatedEye { sigma_theta_deg: 0.05, sigma_across_deg: 0.1 };

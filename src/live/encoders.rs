@@ -144,7 +144,7 @@ impl Encoders {
     pub fn estimate_lag(&self, bends: &[(f64, Vector2<f64>)], to_bend: &PerBackbone<Vector2<f64>>) {
         let Self::Feed(feed) = self else { return };
         let readings = feed.shared.lock().in_frames_time(bends);
-        let lag = motion_lag(bends, |time_s| interpolate(&readings, time_s).map(|q| to_bend.weighted(&q)));
+        let lag = motion_lag(bends, |time_s| interpolate(&readings, time_s).map(|q| to_bend.tr_mul(&q)));
         if lag.is_some() {
             feed.shared.lock().lag = lag;
         }

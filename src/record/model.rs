@@ -102,7 +102,7 @@ fn effect_table(model: &Model, k: usize) -> EffectTable {
 
 /// What the columns of the last effect's covariance belong to.
 fn columns(effects: &[Effect]) -> Vec<String> {
-    let estimated = effects.iter().filter(|effect| effect.physics.is_fitted());
+    let estimated = effects.iter().filter(|effect| effect.physics.fitted);
     let of_effects = estimated
         .flat_map(|effect| effect.parameters().iter().map(|spec| format!("{}.{}", effect.physics.name, spec.name)));
     ["eta", "lambda_mm"].map(str::to_owned).into_iter().chain(of_effects).collect()

@@ -230,8 +230,8 @@ mod tests {
             let bend = psi.bend_vector();
             let h = model.epsilon_by_parameters(bend);
             let by_bend = model.robot.displacement_by_bend() + model.epsilon_by_bend(bend);
-            let through = h.squared_with(&by_bend);
-            information += h.squared_with(&h);
+            let through = h.cross_gram(&by_bend);
+            information += h.cross_gram(&h);
             noise += through * through.transpose() * 0.5f64.to_radians().powi(2);
         }
         let inverse = information.try_inverse().unwrap();

@@ -13,8 +13,9 @@ const MOST: usize = 8;
 
 /// One value for each secondary backbone, element 0 being backbone 1.
 ///
-/// `PerBackbone<Vector2<f64>>` is a matrix: of n rows where it stands to the left of a `Vector2` (q = Q b), of n columns where it is
-/// [weighted](Self::weighted) by numbers of the backbones (b = Q⁺q).
+/// `PerBackbone<Vector2<f64>>` is a matrix: n × 2, one row for each backbone. Times a `Vector2` it gives a number for each backbone
+/// (q = Q b); its transpose times numbers of the backbones ([`tr_mul`](Self::tr_mul)) gives a `Vector2` (b = Q⁺q, Q⁺ being kept
+/// by its columns).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct PerBackbone<T = f64> {
     /// What lies beyond `count` is the default.
@@ -220,20 +221,20 @@ impl PerBackbone<Vector2<f64>> {
         self.map(|row| row[axis])
     }
 
-    /// Σ x_i v_i: numbers of the backbones, by the columns that these are (or the transpose of the rows).
-    pub fn weighted(&self, x: &PerBackbone) -> Vector2<f64> {
+    /// Aᵗx = Σ x_i a_i: the transpose of this matrix (rows a_i) times numbers of the backbones.
+    pub fn tr_mul(&self, x: &PerBackbone) -> Vector2<f64> {
         debug_assert_eq!(self.count, x.count);
         self.iter().zip(x).fold(Vector2::zeros(), |sum, (v, &x)| sum + v * x)
     }
 
-    /// Σ u_i v_iᵗ: AᵗB of two matrices of rows.
-    pub fn squared_with(&self, other: &Self) -> Matrix2<f64> {
+    /// AᵗB = Σ a_i b_iᵗ, the cross Gram matrix of two matrices with rows a_i and b_i; with itself the Gram matrix AᵗA.
+    pub fn cross_gram(&self, other: &Self) -> Matrix2<f64> {
         self.iter().zip(other).fold(Matrix2::zeros(), |sum, (u, v)| sum + u * v.transpose())
     }
 
-    /// The root of the sum of all squares.
+    /// The Frobenius norm.
     pub fn norm(&self) -> f64 {
-        self.squared_with(self).trace().sqrt()
+        self.cross_gram(self).trace().sqrt()
     }
 }
 
@@ -273,8 +274,8 @@ mod tests {
             let v = Vector2::from(v);
             let square = Matrix2::new(1.0, v.x, -v.y, 0.5);
             prop_assert!((DVector::from_column_slice(&(q * v)) - &matrix * v).norm() < 1e-9);
-            prop_assert!((q.weighted(&x) - matrix.transpose() * &vector).norm() < 1e-9);
-            prop_assert!((q.squared_with(&q) - matrix.transpose() * &matrix).norm() < 1e-9);
+            prop_assert!((q.tr_mul(&x) - matrix.transpose() * &vector).norm() < 1e-9);
+            prop_assert!((q.cross_gram(&q) - matrix.transpose() * &matrix).norm() < 1e-9);
             prop_assert!(((q * square) * v - q * (square * v)).norm() < 1e-9);
             prop_assert!((q.norm() - matrix.norm()).abs() < 1e-9);
             prop_assert_eq!((x.len(), x.amax()), (count, vector.amax()));

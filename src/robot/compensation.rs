@@ -41,7 +41,7 @@
 use super::PerBackbone;
 use super::kinematics::{bend_by_configuration, configuration_by_bend};
 use super::model::Model;
-use super::motion::{Led, Mechanics};
+use super::motion::{ForwardSolution, Mechanics};
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use nalgebra::{Matrix2, Vector2};
@@ -129,7 +129,7 @@ impl Model {
     /// [`Error::Domain`] where the model's derivative is singular, which no η > 0 makes it.
     pub fn updated_jacobian_bend(&self, bend: Vector2<f64>) -> Result<PerBackbone<Vector2<f64>>> {
         let inverse = self.robot.bend_by_displacement();
-        let stretched = Matrix2::identity() + inverse.squared_with(&self.epsilon_by_bend(bend));
+        let stretched = Matrix2::identity() + inverse.cross_gram(&self.epsilon_by_bend(bend));
         let relaxed = stretched.try_inverse().ok_or_else(|| {
             Error::Domain(format!(
                 "the model has no unique bend at θ = {:.2}°: η = {} makes its derivative singular; check the estimate",
@@ -170,8 +170,8 @@ impl Model {
     fn forward_with_effects(&self, q_tilde_mm: &PerBackbone) -> Result<Response> {
         // The plain model's answer is near, and fails where there is none.
         let near = self.forward_bend(q_tilde_mm)?;
-        let Led { bend, left_mm } = Mechanics::new(self).led(q_tilde_mm, None, near);
-        let common_mm = left_mm.mean();
+        let ForwardSolution { bend, residual_mm } = Mechanics::new(self).solve(q_tilde_mm, None, near);
+        let common_mm = residual_mm.mean();
         if bend.norm() > MAX_THETA {
             return Err(Error::Domain(format!(
                 "with its effects the model bends beyond {:.0}°, where it does not hold; command less",
@@ -191,7 +191,7 @@ impl Model {
     /// As [`forward`](Self::forward).
     pub fn forward_bend(&self, q_tilde_mm: &PerBackbone) -> Result<Vector2<f64>> {
         let inverse = self.robot.bend_by_displacement();
-        let target = inverse.weighted(q_tilde_mm);
+        let target = inverse.tr_mul(q_tilde_mm);
         let outside = || {
             let numbers: Vec<_> = q_tilde_mm.iter().map(|q| format!("{q:.3}")).collect();
             Error::Domain(format!(
@@ -205,7 +205,7 @@ impl Model {
         if !(q_tilde_mm.norm().is_finite() && target.norm().is_finite()) {
             return Err(outside());
         }
-        let misfit = |bend: Vector2<f64>| bend + inverse.weighted(&self.epsilon_at(bend)) - target;
+        let misfit = |bend: Vector2<f64>| bend + inverse.tr_mul(&self.epsilon_at(bend)) - target;
         let mut bend = Vector2::zeros();
         let mut gap = misfit(bend);
         let tolerance = 1e-13 * (1.0 + target.norm());
@@ -213,7 +213,7 @@ impl Model {
             if gap.norm() <= tolerance {
                 return if bend.norm() <= MAX_THETA { Ok(bend) } else { Err(outside()) };
             }
-            let slope = Matrix2::identity() + inverse.squared_with(&self.epsilon_by_bend(bend));
+            let slope = Matrix2::identity() + inverse.cross_gram(&self.epsilon_by_bend(bend));
             let Some(step) = slope.try_inverse().map(|inverted| -(inverted * gap)) else { break };
             // Full steps nearly always; a shorter one where the misfit would grow or the bend leave all reason.
             let mut share = 1.0;
@@ -240,7 +240,7 @@ impl Model {
     /// # Errors
     /// As [`updated_jacobian_bend`](Self::updated_jacobian_bend).
     pub fn response_covariance_bend(&self, bend: Vector2<f64>) -> Result<Matrix2<f64>> {
-        let by_parameters = self.updated_jacobian_bend(bend)?.squared_with(&self.epsilon_by_parameters(bend));
+        let by_parameters = self.updated_jacobian_bend(bend)?.cross_gram(&self.epsilon_by_parameters(bend));
         Ok(by_parameters * self.parameter_covariance() * by_parameters.transpose())
     }
 
@@ -305,11 +305,11 @@ mod tests {
                 let step = Vector2::ith(axis, h);
                 (q_tilde(bend + step) - q_tilde(bend - step)) / (2.0 * h)
             }));
-            let product = model.updated_jacobian_bend(bend).unwrap().squared_with(&by_bend);
+            let product = model.updated_jacobian_bend(bend).unwrap().cross_gram(&by_bend);
             prop_assert!((product - Matrix2::identity()).norm() < 1e-7);
             prop_assume!(psi.theta > 1e-4);
             let j = model.robot.jacobian_psi_q(psi).unwrap();
-            let inverse = (Matrix2::identity() + j.squared_with(&model.alpha(psi))).try_inverse().unwrap();
+            let inverse = (Matrix2::identity() + j.cross_gram(&model.alpha(psi))).try_inverse().unwrap();
             let printed = j.map(|column| inverse * column);
             let ours = model.updated_jacobian(psi).unwrap();
             prop_assert!((printed - ours).norm() < 1e-9 * ours.norm());
@@ -334,7 +334,7 @@ mod tests {
             if let Ok(response) = model.forward(&PerBackbone::from(q)) {
                 prop_assert!(response.configuration.theta <= MAX_THETA);
                 let met = model.command(response.configuration).add_scalar(response.common_mm);
-                let along = model.robot.bend_by_displacement().weighted(&(met - PerBackbone::from(q)));
+                let along = model.robot.bend_by_displacement().tr_mul(&(met - PerBackbone::from(q)));
                 prop_assert!(along.norm() < 1e-6);
             }
         }

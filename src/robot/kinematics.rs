@@ -75,7 +75,7 @@ impl Robot {
     /// columns of Q, and along (1, …, 1). With three backbones that is all they say; with more it leaves the other internal parts out.
     pub fn bend_and_common(&self, q_mm: &PerBackbone) -> Vector3<f64> {
         let n = self.backbone_count() as f64;
-        let bend = self.backbone_directions().weighted(q_mm) * -(2.0 / n).sqrt();
+        let bend = self.backbone_directions().tr_mul(q_mm) * -(2.0 / n).sqrt();
         Vector3::new(bend.x, bend.y, q_mm.sum() / n.sqrt())
     }
 
@@ -87,7 +87,7 @@ impl Robot {
 
     /// The part of displacements that bends nothing.
     pub fn internal_part(&self, q_mm: &PerBackbone) -> PerBackbone {
-        *q_mm - self.displacement_by_bend() * self.bend_by_displacement().weighted(q_mm)
+        *q_mm - self.displacement_by_bend() * self.bend_by_displacement().tr_mul(q_mm)
     }
 
     /// Eq. 1: the joint displacements q (mm) of a configuration.
@@ -98,7 +98,7 @@ impl Robot {
     /// Eq. 2 and 3 over all backbones: the configuration whose q is nearest, in the least-squares sense, to
     /// `q_mm`. Exact for a consistent q; internal parts are ignored.
     pub fn configuration(&self, q_mm: &PerBackbone) -> Configuration {
-        Configuration::from_bend_vector(self.bend_by_displacement().weighted(q_mm))
+        Configuration::from_bend_vector(self.bend_by_displacement().tr_mul(q_mm))
     }
 
     /// L_i = L + q_i, mm, at a bend vector.
@@ -304,7 +304,7 @@ mod tests {
             ]);
             let jacobian = robot.jacobian_q_psi(psi);
             prop_assert!((numeric - jacobian).norm() < 1e-8);
-            prop_assert!((robot.jacobian_psi_q(psi).unwrap().squared_with(&jacobian) - Matrix2::identity()).norm() < 1e-9);
+            prop_assert!((robot.jacobian_psi_q(psi).unwrap().cross_gram(&jacobian) - Matrix2::identity()).norm() < 1e-9);
             let two = robot.jacobian_psi_q12(psi).unwrap() * first_two(&jacobian);
             prop_assert!((two - Matrix2::identity()).norm() < 1e-9);
         }

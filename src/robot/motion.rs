@@ -12,7 +12,7 @@
 mod path;
 
 use super::compensation::MAX_THETA;
-use super::effects::{Acts, Effect, Instant};
+use super::effects::{Changes, Effect, Instant};
 use super::{Model, PerBackbone, Robot};
 use crate::geometry::Configuration;
 use nalgebra::{Matrix2, Vector2, Vector6};
@@ -100,16 +100,16 @@ pub struct Mechanics<'a> {
 
 /// Where a q̃ leads to.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Led {
+pub struct ForwardSolution {
     /// The bend vector, rad.
     pub bend: Vector2<f64>,
     /// The part of q̃ that the model does not explain, mm. It bends nothing: with three backbones it is the same in all of them.
-    pub left_mm: PerBackbone,
+    pub residual_mm: PerBackbone,
 }
 
 /// The slope of the line at one bend.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Slope {
+pub struct LineJacobian {
     /// ∂(Q b + ε)/∂b, mm per rad.
     pub line_by_bend: PerBackbone<Vector2<f64>>,
     /// ∂b/∂q̃ without the encoders' own errors, by columns, rad per mm.
@@ -134,7 +134,7 @@ impl<'a> Mechanics<'a> {
             capstan_exponent: 2.0 * model.friction.mu * robot.line.cone_bend_angle(),
         };
         for effect in &model.effects {
-            if let Acts::Snake(change) = effect.physics.acts {
+            if let Changes::Snake(change) = effect.physics.changes {
                 change(&mut snake, &effect.values);
             }
         }
@@ -142,11 +142,11 @@ impl<'a> Mechanics<'a> {
             let (sin, cos) = azimuth.sin_cos();
             Vector2::new(cos, sin) * -radius_mm
         });
-        let squared = q_by_bend.squared_with(&q_by_bend).try_inverse().unwrap_or_else(Matrix2::zeros);
+        let squared = q_by_bend.cross_gram(&q_by_bend).try_inverse().unwrap_or_else(Matrix2::zeros);
         let mut memory = Memory::default();
         for effect in &model.effects {
-            if let Some(remembers) = effect.physics.remembers {
-                remembers(&mut memory, &effect.values);
+            if let Some(history) = effect.physics.history {
+                history(&mut memory, &effect.values);
             }
         }
         Self {
@@ -210,7 +210,7 @@ impl<'a> Mechanics<'a> {
             + tau_n * (self.snake.eta * self.snake.line_compliance_mm_per_n)
             + self.alike(self.static_friction_mm + self.snake.lambda_mm);
         for effect in self.effects {
-            if let Acts::Line(summand) = effect.physics.acts {
+            if let Changes::Line(summand) = effect.physics.changes {
                 let at = Instant { snake: &self.snake, bend, q_mm, tau_n, line_mm: sum, motion };
                 sum += summand(&at, &effect.values);
             }
@@ -222,7 +222,7 @@ impl<'a> Mechanics<'a> {
     fn encoder_errors(&self, q_tilde: &PerBackbone) -> PerBackbone {
         let mut sum = self.alike(0.0);
         for effect in self.effects {
-            if let Acts::Actuator(error) = effect.physics.acts {
+            if let Changes::Encoders(error) = effect.physics.changes {
                 sum += error(q_tilde, &effect.values);
             }
         }
@@ -245,9 +245,9 @@ impl<'a> Mechanics<'a> {
     }
 
     /// The bend that a q̃ leads to, by damped Newton from `start`; the nearest found where the model has no answer.
-    pub fn led(&self, q_tilde: &PerBackbone, motion: Option<&Motion>, start: Vector2<f64>) -> Led {
+    pub fn solve(&self, q_tilde: &PerBackbone, motion: Option<&Motion>, start: Vector2<f64>) -> ForwardSolution {
         let line = *q_tilde - self.encoder_errors(q_tilde);
-        let misfit = |bend: Vector2<f64>| self.bend_by_q.weighted(&(self.line(bend, motion) - line));
+        let misfit = |bend: Vector2<f64>| self.bend_by_q.tr_mul(&(self.line(bend, motion) - line));
         let (mut bend, mut gap) = (start, misfit(start));
         for _ in 0..30 {
             if gap.norm() < 1e-9 {
@@ -270,13 +270,13 @@ impl<'a> Mechanics<'a> {
             (bend, gap) = (next, next_gap);
         }
         let left = (line - self.line(bend, motion)).component_div(&self.line_by_reading(q_tilde));
-        Led { bend, left_mm: self.robot.internal_part(&left) }
+        ForwardSolution { bend, residual_mm: self.robot.internal_part(&left) }
     }
 
     /// By how much the line moves for each mm that an encoder reads: what is left of a reading must be told in the units of the
     /// reading, or a scale that shrinks all readings would shrink their noise and explain anything.
     fn line_by_reading(&self, q_tilde: &PerBackbone) -> PerBackbone {
-        if !self.effects.iter().any(|effect| matches!(effect.physics.acts, Acts::Actuator(_))) {
+        if !self.effects.iter().any(|effect| matches!(effect.physics.changes, Changes::Encoders(_))) {
             return self.alike(1.0);
         }
         let h = 1e-6;
@@ -285,28 +285,28 @@ impl<'a> Mechanics<'a> {
     }
 
     /// The slope of the line at a bend of a path.
-    pub fn slope(&self, bend: Vector2<f64>, motion: &Motion) -> Slope {
+    pub fn line_jacobian(&self, bend: Vector2<f64>, motion: &Motion) -> LineJacobian {
         let h = 1e-6;
         let at = self.line(bend, Some(motion));
         let columns = [0, 1].map(|axis| (self.line(bend + Vector2::ith(axis, h), Some(motion)) - at) / h);
         let line_by_bend = PerBackbone::from_columns(columns);
-        let misfit_by_bend = self.bend_by_q.squared_with(&line_by_bend);
+        let misfit_by_bend = self.bend_by_q.cross_gram(&line_by_bend);
         let bend_by_misfit = misfit_by_bend.try_inverse().unwrap_or_else(Matrix2::identity);
-        Slope { line_by_bend, bend_by_line: self.bend_by_q.map(|column| bend_by_misfit * column) }
+        LineJacobian { line_by_bend, bend_by_line: self.bend_by_q.map(|column| bend_by_misfit * column) }
     }
 
     /// The bend that an eye without noise measures in a frame that shows `bend`.
-    pub fn seen(&self, bend: Vector2<f64>) -> Vector2<f64> {
-        self.effects.iter().fold(bend, |bend, effect| match effect.physics.acts {
-            Acts::Eye(distort) => distort(bend, &effect.values),
+    pub fn apparent_bend(&self, bend: Vector2<f64>) -> Vector2<f64> {
+        self.effects.iter().fold(bend, |bend, effect| match effect.physics.changes {
+            Changes::Eye(distort) => distort(bend, &effect.values),
             _ => bend,
         })
     }
 
     /// The bend that a frame showed, from the measured one.
-    fn unseen(&self, measured: Vector2<f64>) -> Vector2<f64> {
+    fn true_bend(&self, measured: Vector2<f64>) -> Vector2<f64> {
         // The eye's errors are small and smooth: what they add at the answer is taken off.
-        (0..20).fold(measured, |bend, _| bend + measured - self.seen(bend))
+        (0..20).fold(measured, |bend, _| bend + measured - self.apparent_bend(bend))
     }
 }
 
@@ -346,14 +346,14 @@ impl Model {
         let q_tilde: Vec<PerBackbone> = observations.iter().map(|o| o.q_mm).collect();
         let Some(first) = observations.first() else { return Vec::new() };
         // Where the eye saw the snake: of several bends that a steep screw error allows, the one that it had.
-        let guess: Vec<_> = observations.iter().map(|o| mechanics.unseen(o.configuration.bend_vector())).collect();
-        let (path, _) = mechanics.settled(&times_s, &q_tilde, &guess, Some(first.configuration.bend_vector()));
-        let bends: Vec<_> = path.iter().map(|led| led.bend).collect();
-        let pictured = mechanics.pictured(&times_s, &bends);
-        let remains = observations.iter().zip(&path).zip(&pictured).map(|((observation, led), pictured)| {
-            let shown = mechanics.unseen(observation.configuration.bend_vector());
-            let q_mm = plain.command(Configuration::from_bend_vector(led.bend)) + led.left_mm;
-            let configuration = Configuration::from_bend_vector(shown + led.bend - pictured);
+        let guess: Vec<_> = observations.iter().map(|o| mechanics.true_bend(o.configuration.bend_vector())).collect();
+        let (path, _) = mechanics.solve_path_near(&times_s, &q_tilde, &guess, Some(first.configuration.bend_vector()));
+        let bends: Vec<_> = path.iter().map(|solution| solution.bend).collect();
+        let exposed = mechanics.exposed_bends(&times_s, &bends);
+        let remains = observations.iter().zip(&path).zip(&exposed).map(|((observation, solution), exposed)| {
+            let shown = mechanics.true_bend(observation.configuration.bend_vector());
+            let q_mm = plain.command(Configuration::from_bend_vector(solution.bend)) + solution.residual_mm;
+            let configuration = Configuration::from_bend_vector(shown + solution.bend - exposed);
             Observation { q_mm, configuration, ..*observation }
         });
         remains.collect()
@@ -364,7 +364,7 @@ impl Model {
 mod tests {
     use super::*;
     use crate::robot::Estimate;
-    use crate::robot::effects::LIBRARY;
+    use crate::robot::effects::{LIBRARY, ParameterSpec, Role};
     use proptest::prelude::*;
 
     pub fn with(name: &str, scale: f64) -> Model {
@@ -373,13 +373,11 @@ mod tests {
 
     pub fn on_a_robot_of(backbones: u8, name: &str, scale: f64) -> Model {
         let physics = crate::robot::effects::physics(name).unwrap();
-        let specs = (physics.parameters)(usize::from(backbones));
-        let mut values: Vec<f64> = specs.iter().map(|p| p.typical * scale).collect();
-        match name {
-            "screw_periodic" => values[1] = 1.0,
-            "creep" => values[1] = 3.0,
-            _ => {}
-        }
+        let value = |spec: &ParameterSpec| match spec.role {
+            Role::Size { .. } => spec.typical * scale,
+            Role::Shape { example, .. } => example,
+        };
+        let values = (physics.parameters)(usize::from(backbones)).iter().map(value).collect();
         let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
         let effect = Effect::of(physics, values);
         let robot = Robot { backbones, ..Robot::default() };
@@ -402,7 +400,7 @@ mod tests {
         let mut loaded = model.clone();
         loaded.effects[0].values = vec![0.0, 2.0, 0.0];
         let q = model.command(Configuration::from_degrees(30.0, 0.0));
-        let bend = Mechanics::new(&loaded).led(&q, None, Vector2::zeros()).bend;
+        let bend = Mechanics::new(&loaded).solve(&q, None, Vector2::zeros()).bend;
         assert!(bend.y > 0.02, "{bend}");
         // The same by statics: the forces less the load's part.
         let wrench = Vector6::new(0.0, 2.0, 0.0, 0.0, 0.0, 0.0);
@@ -418,11 +416,11 @@ mod tests {
             let model = on_a_robot_of(backbones, LIBRARY[k].name, scale);
             let psi = Configuration::from_degrees(theta, delta);
             let mechanics = Mechanics::new(&model);
-            let led = mechanics.led(&mechanics.command(psi.bend_vector(), None), None, Vector2::zeros());
+            let solution = mechanics.solve(&mechanics.command(psi.bend_vector(), None), None, Vector2::zeros());
             let smooth = !["motion_directed_backlash", "disc_friction", "cone_friction_reversal"].contains(&LIBRARY[k].name);
             // Directions of a single pose jump where a q_i passes zero; there the answer may be short of it.
             let tolerance = if smooth { 1e-8 } else { 0.1 };
-            prop_assert!((led.bend - psi.bend_vector()).norm() < tolerance);
+            prop_assert!((solution.bend - psi.bend_vector()).norm() < tolerance);
         }
     }
 }

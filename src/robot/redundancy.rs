@@ -132,7 +132,7 @@ impl Room {
 
     /// Qᵗf but for its scale; it grows with the multipliers.
     fn bending(&self, nu: Vector2<f64>) -> Vector2<f64> {
-        self.directions.weighted(&self.forces(nu))
+        self.directions.tr_mul(&self.forces(nu))
     }
 }
 
@@ -245,12 +245,12 @@ mod tests {
             let sharing = model.sharing(psi, &limits);
             let ours = sharing.shift_mm / model.line_compliance_mm_per_n();
             let directions = model.robot.backbone_directions();
-            prop_assert!(directions.weighted(&ours).norm() < 1e-8);
+            prop_assert!(directions.tr_mul(&ours).norm() < 1e-8);
             let back = model.forward(&(model.command(psi) + sharing.shift_mm)).unwrap();
             prop_assert!((back.configuration.bend_vector() - psi.bend_vector()).norm() < 1e-9);
             // Whatever else bends nothing: from f towards it strain grows, or a limit is passed at once.
             let other = PerBackbone::from_fn(usize::from(backbones), |i| other[i]);
-            let other = other - directions * (directions.weighted(&other) * (2.0 / f64::from(backbones)));
+            let other = other - directions * (directions.tr_mul(&other) * (2.0 / f64::from(backbones)));
             let capstan = model.friction.capstan_factor(41f64.to_radians());
             for size in [1e-3, 1e-2, 1e-1, 1.0] {
                 let near = ours + (other - ours) * size;

@@ -112,7 +112,7 @@ mod tests {
             let robot = Robot { backbones, ..Robot::default() };
             let wrench = Vector6::from(load);
             let tau = robot.actuation_forces(bend, Some(&wrench));
-            let work = robot.displacement_by_bend().weighted(&tau);
+            let work = robot.displacement_by_bend().tr_mul(&tau);
             let needed = robot.elastic_gradient(bend) - robot.tip_jacobian_bend(bend).transpose() * wrench;
             prop_assert!((work - needed).norm() < 1e-9);
             // The only freedom left is in forces that do no work; any of them makes τ longer.
@@ -128,7 +128,7 @@ mod tests {
             let psi = Configuration::from_bend_vector(bend);
             let jacobian = robot.jacobian_q_psi(psi);
             let gradient = crate::robot::kinematics::bend_by_configuration(psi).transpose() * robot.elastic_gradient(bend);
-            let printed = jacobian * (jacobian.squared_with(&jacobian).try_inverse().unwrap() * gradient);
+            let printed = jacobian * (jacobian.cross_gram(&jacobian).try_inverse().unwrap() * gradient);
             prop_assert!((printed - robot.actuation_forces(bend, None)).norm() < 1e-8);
         }
     }
@@ -199,7 +199,7 @@ mod tests {
             let parts: Vec<_> = robot.internal_parts().collect();
             assert_eq!(parts.len(), usize::from(backbones) - 2);
             for (a, part) in parts.iter().enumerate() {
-                assert!(robot.bend_by_displacement().weighted(part).norm() < 1e-12);
+                assert!(robot.bend_by_displacement().tr_mul(part).norm() < 1e-12);
                 for (b, other) in parts.iter().enumerate() {
                     assert_relative_eq!(part.dot(other), if a == b { 1.0 } else { 0.0 }, epsilon = 1e-12);
                 }

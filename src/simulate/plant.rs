@@ -26,7 +26,7 @@ pub struct Sample {
     /// What a frame of the same index shows: what the snake did, a moment ago where the camera is late.
     pub truth: Truth,
     /// What an eye without noise makes of it: the same, but for effects on the eye.
-    pub seen: Configuration,
+    pub apparent: Configuration,
 }
 
 impl Plant {
@@ -38,7 +38,7 @@ impl Plant {
         let backbones = self.model.robot.backbone_count();
         let mechanics = Mechanics::new(&self.model);
         let motions = mechanics.motions(&times_s, &bends);
-        let pictured = mechanics.pictured(&times_s, &bends);
+        let exposed = mechanics.exposed_bends(&times_s, &bends);
         (0..trajectory.len())
             .map(|k| {
                 let index = k as u64;
@@ -47,8 +47,8 @@ impl Plant {
                 let q_mm = mechanics.command(bends[k], Some(&motions[k])) + noise;
                 Sample {
                     reading: EncoderReading { index, time_s: times_s[k], q_mm },
-                    truth: Truth { index, configuration: Configuration::from_bend_vector(pictured[k]) },
-                    seen: Configuration::from_bend_vector(mechanics.seen(pictured[k])),
+                    truth: Truth { index, configuration: Configuration::from_bend_vector(exposed[k]) },
+                    apparent: Configuration::from_bend_vector(mechanics.apparent_bend(exposed[k])),
                 }
             })
             .collect()
@@ -81,7 +81,7 @@ impl SimulatedEye {
                 index: sample.truth.index,
                 time_s: Some(sample.reading.time_s),
                 status: Status::Ok,
-                measured: Some(self.measure(sample.seen, &mut random)),
+                measured: Some(self.measure(sample.apparent, &mut random)),
                 quality: None,
                 view: None,
             })

@@ -5,11 +5,16 @@ use super::plant::{Plant, SimulatedEye};
 use super::trajectory::BendingExperiment;
 use crate::error::Result;
 use crate::observation::{EncoderReading, Measurement, Truth, Waypoint};
+use crate::robot::effects::{ParameterSpec, Role};
 use crate::robot::{Effect, Estimate, Model, Observation, Physics};
 use nalgebra::Matrix2;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
-use std::f64::consts::TAU;
+
+/// The largest size that is drawn, as a share of the one beyond which an effect's equation has more than one answer.
+///
+/// Convention: how hard a sealed experiment may be.
+const LARGEST_SHARE: f64 = 0.75;
 
 /// A sealed experiment.
 #[derive(Debug, Clone)]
@@ -48,25 +53,26 @@ impl Sealed {
         };
         let mut truth = Model { estimate: Some(estimate), ..Model::default() };
         for physics in hidden {
-            let mut effect = drawn(physics, truth.robot.backbone_count(), &mut random);
+            let backbones = truth.robot.backbone_count();
+            let mut effect = drawn(physics, backbones, &mut random);
             let size_mm = random.random_range(0.04..0.12);
             // Twice, since not all effects are linear in their size.
             for _ in 0..2 {
                 let alone =
                     Plant { model: Model { effects: vec![effect.clone()], ..truth.clone() }, sd_encoder_mm: 0.0 };
                 let scale = size_mm / size(&alone, &trajectory).max(1e-9);
-                for k in sizes(&effect) {
-                    let (least, most) = effect.parameters()[k].range;
-                    effect.values[k] = (effect.values[k] * scale).clamp(least, most);
+                for (value, spec) in effect.values.iter_mut().zip((physics.parameters)(backbones)) {
+                    if let Role::Size { .. } = spec.role {
+                        *value = (*value * scale).clamp(spec.range.0, spec.range.1);
+                    }
                 }
-                if physics.name == "screw_periodic" {
-                    // A steeper error would let the nut stand still or run back while the screw turns.
-                    effect.values[0] = effect.values[0].min(0.75 * effect.values[1] / TAU);
+                if let Some(largest) = physics.largest_size {
+                    effect.values[0] = effect.values[0].min(LARGEST_SHARE * largest(&effect.values));
                 }
             }
             truth.effects.push(effect);
         }
-        Ok(Self::seen(truth, &trajectory, seed))
+        Ok(Self::observed(truth, &trajectory, seed))
     }
 
     /// The same plant on another ride.
@@ -75,13 +81,13 @@ impl Sealed {
     /// As [`new`](Self::new).
     pub fn another(&self, seed: u64) -> Result<Self> {
         let trajectory = ride(&mut StdRng::seed_from_u64(seed), seed, 34, 48)?;
-        Ok(Self::seen(self.truth.clone(), &trajectory, seed))
+        Ok(Self::observed(self.truth.clone(), &trajectory, seed))
     }
 
-    fn seen(truth: Model, trajectory: &[Waypoint], seed: u64) -> Self {
+    fn observed(truth: Model, trajectory: &[Waypoint], seed: u64) -> Self {
         let samples = Plant { model: truth.clone(), sd_encoder_mm: 0.0015 }.run(trajectory, seed.wrapping_add(1));
         let measurements = SimulatedEye::default().observe(&samples, seed.wrapping_add(2));
-        let shown = samples.iter().map(|sample| Truth { index: sample.truth.index, configuration: sample.seen });
+        let shown = samples.iter().map(|sample| Truth { index: sample.truth.index, configuration: sample.apparent });
         Self { truth, measurements, shown: shown.collect(), readings: samples.iter().map(|s| s.reading).collect() }
     }
 }
@@ -108,38 +114,26 @@ fn size(plant: &Plant, trajectory: &[Waypoint]) -> f64 {
     let observations: Vec<Observation> = plant
         .run(trajectory, 0)
         .iter()
-        .map(|s| Observation { time_s: s.reading.time_s, q_mm: s.reading.q_mm, configuration: s.seen })
+        .map(|s| Observation { time_s: s.reading.time_s, q_mm: s.reading.q_mm, configuration: s.apparent })
         .collect();
     let left = |o: &Observation| o.q_mm - plain.command(o.configuration);
     let squares: f64 = observations.iter().map(|o| left(o).norm_squared() / o.q_mm.len() as f64).sum();
     (squares / observations.len() as f64).sqrt()
 }
 
-/// The parameters that an effect's size is proportional to.
-fn sizes(effect: &Effect) -> std::ops::Range<usize> {
-    match effect.physics.name {
-        "creep" | "screw_periodic" => 0..1,
-        _ => 0..effect.values.len(),
-    }
-}
-
-/// An effect with random parameters of any size; plays, softening, frictions and delays are positive, as in nature.
+/// An effect with random parameters; sizes have their typical size, more or less.
 fn drawn(physics: &'static Physics, backbones: usize, random: &mut StdRng) -> Effect {
-    let signed = ["actuator", "tip", "plane", "bend", "thermal", "backbone"];
-    let signed = signed.iter().any(|start| physics.name.starts_with(start));
-    let mut values: Vec<f64> = (physics.parameters)(backbones)
-        .iter()
-        .map(|spec| {
-            let sign = if signed && random.random_bool(0.5) { -1.0 } else { 1.0 };
-            sign * spec.typical * random.random_range(0.4..1.0)
-        })
-        .collect();
-    match physics.name {
-        "creep" => values[1] = random.random_range(1.0..20.0),
-        "screw_periodic" => {
-            (values[1], values[2]) = (random.random_range(0.5..2.0), random.random_range(-180.0..180.0))
+    let specs = (physics.parameters)(backbones);
+    let mut size = |spec: &ParameterSpec| {
+        let negative = matches!(spec.role, Role::Size { either_sign: true }) && random.random_bool(0.5);
+        let sign = if negative { -1.0 } else { 1.0 };
+        sign * spec.typical * random.random_range(0.4..1.0)
+    };
+    let mut values: Vec<f64> = specs.iter().map(&mut size).collect();
+    for (value, spec) in values.iter_mut().zip(specs) {
+        if let Role::Shape { drawn: (least, most), .. } = spec.role {
+            *value = random.random_range(least..most);
         }
-        _ => {}
     }
     Effect::of(physics, values)
 }

@@ -1,6 +1,6 @@
 //! What no physics here explains, learned as it is: a smooth function of the bend.
 
-use super::{Acts, ParameterSpec, Physics};
+use super::physics::{Changes, LINEAR, ParameterSpec, Physics, Role, Starts};
 use crate::robot::PerBackbone;
 use nalgebra::Vector2;
 
@@ -8,11 +8,16 @@ use nalgebra::Vector2;
 pub const TERMS: usize = 18;
 
 const fn term(name: &'static str, unit: &'static str) -> ParameterSpec {
-    ParameterSpec { name, unit, range: (-50.0, 50.0), typical: 0.05 }
+    ParameterSpec::size(name, unit, 50.0, 0.05)
 }
 
-const EDGE: ParameterSpec =
-    ParameterSpec { name: "largest_theta_deg", unit: "deg", range: (1.0, 120.0), typical: 10.0 };
+const EDGE: ParameterSpec = ParameterSpec {
+    name: "largest_theta_deg",
+    unit: "deg",
+    range: (1.0, 120.0),
+    typical: 10.0,
+    role: Role::Shape { example: 90.0, drawn: (60.0, 90.0) },
+};
 
 macro_rules! terms {
     ($backbone:literal) => {
@@ -64,19 +69,20 @@ static PARAMETERS: [ParameterSpec; 1 + 8 * TERMS] = {
 /// a model that has it keeps it.
 pub static LEARNED_CORRECTION: Physics = Physics {
     name: "learned_correction",
-    form: "",
     equation: "ε_i += Σ a_i,mn xᵐyⁿ (m + n ≤ 4) + s_i (c_i + c_i,x x + c_i,y y), (x, y) = θ (cos δ, sin δ), θ held at the largest \
                that was learned from; s_i = ±1 the direction in which q_i last moved",
     reading: "a gap without a name, taken off by a smooth function of the bend that was learned from it",
     parameters: |backbones| &PARAMETERS[..1 + backbones * TERMS],
-    starts: &[],
-    acts: Acts::Line(|at, p| {
+    starts: Starts::Nowhere,
+    changes: Changes::Line(|at, p| {
         PerBackbone::from_fn(at.q_mm.len(), |i| {
             let basis = basis(at.bend, at.motion.direction[i], p[0].to_radians());
             basis.iter().zip(&p[1 + i * TERMS..]).map(|(basis, weight)| basis * weight).sum()
         })
     }),
-    remembers: Some(|memory, _| memory.direction = true),
+    history: Some(|memory, _| memory.direction = true),
+    fitted: false,
+    ..LINEAR
 };
 
 /// The functions at a bend vector (rad) and a direction of motion of the backbone, in the order of the parameters.

@@ -1,15 +1,17 @@
 //! Effects: physics of a real actuation line and a real eye that the paper's Eq. 18 leaves out.
 //!
-//! Each effect is one [`Physics`]: a name, an equation, a reading in words, parameters with units and ranges, and the one
-//! function by which it acts. A [`Model`](super::Model) holds a list of [`Effect`]s, and everything that predicts obeys
-//! them through [`motion`](super::motion). They act in four places:
+//! Each effect is one [`Physics`], which says all that the program knows of it: a name, an equation, a reading in words, parameters
+//! with units and ranges, where a search for them starts, the one function by which it acts, what it must know of the path, what it
+//! is confounded with. A [`Model`](super::Model) holds a list of [`Effect`]s, and everything that predicts obeys them through
+//! [`motion`](super::motion). They act in five places:
 //!
 //! | where | what it is given | what it changes |
 //! | --- | --- | --- |
-//! | [`Acts::Line`] | the bend, τ, how the snake got there | a summand of ε, mm |
-//! | [`Acts::Actuator`] | q̃ | what the encoders read beyond the lines' motion, mm |
-//! | [`Acts::Snake`] | the snake's constants | geometry, stiffness or load, and so q and τ |
-//! | [`Acts::Eye`] | the bend and the one a moment ago | the bend that is measured |
+//! | [`Changes::Line`] | the bend, τ, how the snake got there | a summand of ε, mm |
+//! | [`Changes::Encoders`] | q̃ | what the encoders read beyond the lines' motion, mm |
+//! | [`Changes::Snake`] | the snake's constants | geometry, stiffness or load, and so q and τ |
+//! | [`Changes::Eye`] | the bend | the bend that is measured |
+//! | [`Changes::Exposure`] | nothing | the time at which a frame was exposed |
 //!
 //! Some physics can be written down in more than one way, and no convention says which is meant: whether a play is crossed at
 //! once or by travel, whether a screw's error follows what its encoder reads or what its nut travels. They are [forms](Physics::form)
@@ -19,114 +21,17 @@ mod actuator;
 mod eye;
 mod friction;
 mod learned;
+mod physics;
 mod rig;
 mod snake;
 mod time;
 
 pub use learned::{LEARNED_CORRECTION, POWERS, TERMS, basis};
+pub use physics::{Changes, Confounded, Instant, ParameterSpec, Phases, Physics, Poses, Role, Starts};
 pub use rig::RIG_ERROR;
 
-use super::motion::{Memory, Motion, Snake};
-use super::{BACKBONES, PerBackbone};
+use super::BACKBONES;
 use crate::error::{Error, Result};
-use nalgebra::Vector2;
-
-/// A parameter of an effect.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ParameterSpec {
-    /// Its name; ends in the unit where it has one.
-    pub name: &'static str,
-    /// Its unit, `1` for a number without.
-    pub unit: &'static str,
-    /// Least and largest value that such a robot can have.
-    pub range: (f64, f64),
-    /// A value of the size that matters: about 0.05 mm of effect.
-    pub typical: f64,
-}
-
-/// The snake at one instant, as effects on the line see it.
-#[derive(Debug, Clone, Copy)]
-pub struct Instant<'a> {
-    /// The snake's constants, with the effects on them applied.
-    pub snake: &'a Snake,
-    /// The bend vector, rad.
-    pub bend: Vector2<f64>,
-    /// q, mm.
-    pub q_mm: PerBackbone,
-    /// τ of Eq. 11, N, positive towards +q, before η.
-    pub tau_n: PerBackbone,
-    /// q + ε of what stands before the effect in the model, mm.
-    pub line_mm: PerBackbone,
-    /// How the snake got there.
-    pub motion: &'a Motion,
-}
-
-/// How an effect acts, with its parameters in the order of [`Physics::parameters`].
-#[derive(Debug, Clone, Copy)]
-pub enum Acts {
-    /// A summand of ε, mm.
-    Line(fn(&Instant, &[f64]) -> PerBackbone),
-    /// What the encoders read beyond the lines' motion, mm, from q̃.
-    Actuator(fn(&PerBackbone, &[f64]) -> PerBackbone),
-    /// A change of the snake's constants.
-    Snake(fn(&mut Snake, &[f64])),
-    /// The bend vector that the eye measures, from the true one.
-    Eye(fn(Vector2<f64>, &[f64]) -> Vector2<f64>),
-    /// The eye shows the bend of so many seconds ago.
-    Delay(fn(&[f64]) -> f64),
-}
-
-/// One effect's physics.
-#[derive(Debug)]
-pub struct Physics {
-    /// Its canonical name.
-    pub name: &'static str,
-    /// Which of the forms of this name it is; empty for the first. Forms are one physics written down in different ways, where
-    /// no convention says which.
-    pub form: &'static str,
-    /// Its equation.
-    pub equation: &'static str,
-    /// What it means, in words that follow "the data show".
-    pub reading: &'static str,
-    /// Its parameters on a robot of so many backbones.
-    pub parameters: fn(usize) -> &'static [ParameterSpec],
-    /// Where a search for its parameters starts, those that are not named here at 0; several starts where the fit is not nearly
-    /// linear.
-    pub starts: &'static [&'static [f64]],
-    /// How it acts.
-    pub acts: Acts,
-    /// What it needs to be remembered of the path, beyond the direction of the motion.
-    pub remembers: Option<fn(&mut Memory, &[f64])>,
-}
-
-impl PartialEq for Physics {
-    fn eq(&self, other: &Self) -> bool {
-        self.name == other.name && self.form == other.form
-    }
-}
-
-impl Physics {
-    /// Its parameters' values where a search starts, on a robot of so many backbones.
-    pub fn starts(&self, backbones: usize) -> impl Iterator<Item = Vec<f64>> {
-        let count = (self.parameters)(backbones).len();
-        self.starts.iter().map(move |start| {
-            let mut values = start.to_vec();
-            values.resize(count, 0.0);
-            values
-        })
-    }
-
-    /// What it must gain in Schwarz's criterion beyond its parameters' price before it is believed: a form that leaves the statics
-    /// aside must be asked for by the data.
-    pub fn price(&self) -> f64 {
-        if self.form == snake::IN_Q_ALONE { 12.0 } else { 0.0 }
-    }
-
-    /// Whether its parameters are physics, that a fit may change; those of a learned correction are not.
-    pub fn is_fitted(&self) -> bool {
-        self.name != LEARNED_CORRECTION.name
-    }
-}
 
 /// Every effect that `discover` searches for, in every form; the first form of a name has none.
 pub static LIBRARY: [&Physics; 35] = [
@@ -201,9 +106,7 @@ impl Effect {
 
     /// The specifications of its values.
     pub fn parameters(&self) -> &'static [ParameterSpec] {
-        // More backbones never mean fewer parameters, so that the number of values tells the list.
-        let lists = BACKBONES.map(|backbones| (self.physics.parameters)(backbones));
-        lists.into_iter().find(|list| list.len() >= self.values.len()).unwrap_or_default()
+        self.physics.parameters_of(self.values.len())
     }
 
     /// An effect on a robot of so many backbones with known values: in the given form, else in the first whose parameters these
@@ -273,11 +176,6 @@ impl Effect {
     }
 }
 
-/// The sign of a force, smooth through zero over about ±0.3 N.
-fn smooth_sign(force_n: f64) -> f64 {
-    (force_n / 0.3).tanh()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -288,7 +186,7 @@ mod tests {
             assert!(LIBRARY[..k].iter().all(|other| other != physics), "{} {}", physics.name, physics.form);
             assert_eq!(forms(physics.name).next().unwrap().form, "");
             assert!(!physics.equation.is_empty() && !physics.reading.is_empty());
-            for (backbones, start) in BACKBONES.flat_map(|n| physics.starts(n).map(move |start| (n, start))) {
+            for (backbones, start) in BACKBONES.flat_map(|n| physics.given_starts(n).map(move |start| (n, start))) {
                 let specs = (physics.parameters)(backbones);
                 assert_eq!(Effect::of(physics, start.clone()).parameters(), specs, "{}", physics.name);
                 for (value, spec) in start.iter().zip(specs) {

@@ -1,19 +1,25 @@
 //! The snake itself: its geometry, its stiffness, what hangs on it.
 
 use super::actuator::summing_to_zero;
-use super::{Acts, ParameterSpec, Physics};
+use super::physics::{Changes, Confounded, LINEAR, ParameterSpec, Physics, Poses};
 use crate::robot::PerBackbone;
 use nalgebra::Vector6;
 
-/// The form of effects on the geometry that leaves the forces as they were.
-pub(super) const IN_Q_ALONE: &str = "in Eq. 1 alone";
+/// The form of effects on the geometry that leaves the forces as they were. It contradicts virtual work, which ties q and τ to one
+/// geometry, so that the data must ask for it.
+const IN_Q_ALONE: Physics = Physics { form: "in Eq. 1 alone", prior_penalty: AGAINST_VIRTUAL_WORK, ..LINEAR };
+
+/// What such a form must gain in Schwarz's criterion beyond the price of its parameters.
+///
+/// Convention: a prior is a choice; 12 is e^(12/2), odds of 400 to 1.
+const AGAINST_VIRTUAL_WORK: f64 = 12.0;
 
 const fn force(name: &'static str) -> ParameterSpec {
-    ParameterSpec { name, unit: "N", range: (-20.0, 20.0), typical: 0.3 }
+    ParameterSpec::size(name, "N", 20.0, 0.3)
 }
 
 const fn azimuth(name: &'static str) -> ParameterSpec {
-    ParameterSpec { name, unit: "deg", range: (-30.0, 30.0), typical: 2.0 }
+    ParameterSpec::size(name, "deg", 30.0, 2.0)
 }
 
 static AZIMUTHS: [ParameterSpec; 8] = [
@@ -28,40 +34,34 @@ static AZIMUTHS: [ParameterSpec; 8] = [
 ];
 
 const fn radius(name: &'static str) -> ParameterSpec {
-    ParameterSpec { name, unit: "mm", range: (-0.4, 0.4), typical: 0.04 }
+    ParameterSpec::size(name, "mm", 0.4, 0.04)
 }
 
 /// Super-elastic NiTi softens as its strain, and so θ, grows.
 pub(super) static SUPERELASTIC_SOFTENING: Physics = Physics {
     name: "superelastic_softening",
-    form: "",
     equation: "∇E → (1 − k θ²) ∇E",
     reading: "backbones that soften as they bend, as super-elastic NiTi does",
-    parameters: |_| {
-        const { &[ParameterSpec { name: "softening_per_rad2", unit: "1/rad²", range: (-0.5, 0.5), typical: 0.03 }] }
-    },
-    starts: &[&[0.0]],
-    acts: Acts::Snake(|snake, p| snake.softening_per_rad2 += p[0]),
-    remembers: None,
+    parameters: |_| const { &[ParameterSpec::positive("softening_per_rad2", "1/rad²", (-0.5, 0.5), 0.03)] },
+    changes: Changes::Snake(|snake, p| snake.softening_per_rad2 += p[0]),
+    ..LINEAR
 };
 
 /// A dead force on the tip, constant in {b}.
 pub(super) static TIP_LOAD: Physics = Physics {
     name: "tip_load",
-    form: "",
     equation: "Qᵗτ = ∇E − J_xbᵗ (F, 0)",
     reading: "a force of constant size and direction that pulls at the tip",
     parameters: |_| const { &[force("fx_n"), force("fy_n"), force("fz_n")] },
-    starts: &[&[0.0; 3]],
-    acts: Acts::Snake(|snake, p| {
+    changes: Changes::Snake(|snake, p| {
         let wrench = Vector6::new(p[0], p[1], p[2], 0.0, 0.0, 0.0);
         snake.wrench = Some(snake.wrench.unwrap_or_default() + wrench);
     }),
-    remembers: None,
+    ..LINEAR
 };
 
 const fn moment(name: &'static str) -> ParameterSpec {
-    ParameterSpec { name, unit: "N·mm", range: (-200.0, 200.0), typical: 3.0 }
+    ParameterSpec::size(name, "N·mm", 200.0, 3.0)
 }
 
 /// A dead force and moment on the end disk, constant in {b}. It is given, not searched for: one more force explains as much as a moment.
@@ -73,12 +73,11 @@ pub(super) static TIP_WRENCH: Physics = Physics {
     parameters: |_| {
         const { &[force("fx_n"), force("fy_n"), force("fz_n"), moment("mx_n_mm"), moment("my_n_mm"), moment("mz_n_mm")] }
     },
-    starts: &[&[0.0; 6]],
-    acts: Acts::Snake(|snake, p| {
+    changes: Changes::Snake(|snake, p| {
         let wrench = Vector6::new(p[0], p[1], p[2], p[3], p[4], p[5]);
         snake.wrench = Some(snake.wrench.unwrap_or_default() + wrench);
     }),
-    remembers: None,
+    ..LINEAR
 };
 
 /// The circle of backbones has another radius than Table I says.
@@ -88,9 +87,9 @@ pub(super) static BACKBONE_RADIUS: Physics = Physics {
     equation: "r → r + Δr",
     reading: "backbones that lie on a larger or smaller circle than the model says",
     parameters: |_| const { &[radius("radius_error_mm")] },
-    starts: &[&[0.0]],
-    acts: Acts::Snake(|snake, p| snake.radii_mm = snake.radii_mm.add_scalar(p[0])),
-    remembers: None,
+    changes: Changes::Snake(|snake, p| snake.radii_mm = snake.radii_mm.add_scalar(p[0])),
+    confounded_with: &[Confounded { with: "eta", on: Poses::Any }],
+    ..LINEAR
 };
 
 static RADII: [ParameterSpec; 8] = [
@@ -107,13 +106,11 @@ static RADII: [ParameterSpec; 8] = [
 /// Each backbone stands at its own radius. Their mean is all but η, so the errors sum to zero.
 pub(super) static BACKBONE_RADII: Physics = Physics {
     name: "backbone_radius",
-    form: "",
     equation: "r_i → r + Δr_i, Σ Δr_i = 0 (their mean is not told from η)",
     reading: "backbones that do not lie on one circle",
     parameters: |backbones| &RADII[..backbones - 1],
-    starts: &[&[]],
-    acts: Acts::Snake(|snake, p| snake.radii_mm += summing_to_zero(p)),
-    remembers: None,
+    changes: Changes::Snake(|snake, p| snake.radii_mm += summing_to_zero(p)),
+    ..LINEAR
 };
 
 /// Each backbone stands at its own radius, so far off that their mean is told from η as well.
@@ -123,62 +120,52 @@ pub(super) static BACKBONE_RADII_AND_MEAN: Physics = Physics {
     equation: "r_i → r + Δr_i",
     reading: "backbones that do not lie on one circle",
     parameters: |backbones| &RADII[..backbones],
-    starts: &[&[]],
-    acts: Acts::Snake(|snake, p| snake.radii_mm += PerBackbone::from_fn(p.len(), |i| p[i])),
-    remembers: None,
+    changes: Changes::Snake(|snake, p| snake.radii_mm += PerBackbone::from_fn(p.len(), |i| p[i])),
+    ..LINEAR
 };
 
 /// The same in Eq. 1 alone, as where the end disk's holes are off and the forces are not.
 pub(super) static BACKBONE_RADII_IN_Q: Physics = Physics {
     name: "backbone_radius",
-    form: IN_Q_ALONE,
     equation: "q_i = −(r + Δr_i) θ cos δ_i with τ as without, Σ Δr_i = 0",
     reading: "backbones that do not lie on one circle",
     parameters: |backbones| &RADII[..backbones - 1],
-    starts: &[&[]],
-    acts: Acts::Line(|at, p| summing_to_zero(p).component_mul(&at.q_mm).component_div(&at.snake.radii_mm)),
-    remembers: None,
+    changes: Changes::Line(|at, p| summing_to_zero(p).component_mul(&at.q_mm).component_div(&at.snake.radii_mm)),
+    ..IN_Q_ALONE
 };
 
 /// Each backbone stands at another azimuth than −(i−1)β.
 pub(super) static BACKBONE_AZIMUTH: Physics = Physics {
     name: "backbone_azimuth",
-    form: "",
     equation: "a_i → −(i−1)β + Δa_i",
     reading: "backbones that are not evenly spaced",
     parameters: |backbones| &AZIMUTHS[..backbones],
-    starts: &[&[]],
-    acts: Acts::Snake(|snake, p| snake.azimuths += PerBackbone::from_fn(p.len(), |i| p[i].to_radians())),
-    remembers: None,
+    changes: Changes::Snake(|snake, p| snake.azimuths += PerBackbone::from_fn(p.len(), |i| p[i].to_radians())),
+    ..LINEAR
 };
 
 /// The same in Eq. 1 alone.
 pub(super) static BACKBONE_AZIMUTH_IN_Q: Physics = Physics {
     name: "backbone_azimuth",
-    form: IN_Q_ALONE,
     equation: "q_i = −r θ cos(δ_i − Δa_i) with τ as without",
     reading: "backbones that are not evenly spaced",
     parameters: |backbones| &AZIMUTHS[..backbones],
-    starts: &[&[]],
-    acts: Acts::Line(|at, p| {
+    changes: Changes::Line(|at, p| {
         PerBackbone::from_fn(p.len(), |i| {
             let (sin, cos) = (at.snake.azimuths[i] + p[i].to_radians()).sin_cos();
             -at.snake.radii_mm[i] * (at.bend.x * cos + at.bend.y * sin) - at.q_mm[i]
         })
     }),
-    remembers: None,
+    ..IN_Q_ALONE
 };
 
 /// The central backbone, and all that holds it, gives way under the sum of the forces.
 pub(super) static PRIMARY_COMPRESSION: Physics = Physics {
     name: "primary_compression",
-    form: "",
     equation: "ε_i += C Σ_j |τ_j|, the same for all i",
     reading: "a central backbone that is compressed by the sum of the forces on the others",
-    parameters: |_| {
-        const { &[ParameterSpec { name: "compliance_mm_per_n", unit: "mm/N", range: (-0.1, 0.1), typical: 0.002 }] }
-    },
-    starts: &[&[0.0]],
-    acts: Acts::Line(|at, p| PerBackbone::repeat(at.tau_n.len(), p[0] * at.tau_n.map(f64::abs).sum())),
-    remembers: None,
+    parameters: |_| const { &[ParameterSpec::positive("compliance_mm_per_n", "mm/N", (-0.1, 0.1), 0.002)] },
+    changes: Changes::Line(|at, p| PerBackbone::repeat(at.tau_n.len(), p[0] * at.tau_n.map(f64::abs).sum())),
+    confounded_with: &[Confounded { with: "actuator_scale", on: Poses::OnePlane }],
+    ..LINEAR
 };

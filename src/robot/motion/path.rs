@@ -1,8 +1,8 @@
 //! Along a path: the motion that known bends imply, and the path that readings lead along with the motion that it implies.
 
-use super::{Led, Mechanics, Motion, Slope};
+use super::{ForwardSolution, LineJacobian, Mechanics, Motion};
 use crate::robot::PerBackbone;
-use crate::robot::effects::Acts;
+use crate::robot::effects::Changes;
 use nalgebra::Vector2;
 
 /// A move of q_i below this changes no direction, mm: encoders cannot tell it.
@@ -32,7 +32,12 @@ impl Mechanics<'_> {
     ///
     /// Directions come from the readings where they tell them: what a reversal adds to a reading has the reversal's sign,
     /// while an error of the path's bend mixes the backbones. Only a backbone that hardly moves beside the others is left to the path.
-    pub fn motions_read(&self, times_s: &[f64], bends: &[Vector2<f64>], q_tilde: &[PerBackbone]) -> Vec<Motion> {
+    pub fn motions_from_readings(
+        &self,
+        times_s: &[f64],
+        bends: &[Vector2<f64>],
+        q_tilde: &[PerBackbone],
+    ) -> Vec<Motion> {
         let lines: Vec<_> = q_tilde.iter().map(|q| *q - self.encoder_errors(q)).collect();
         self.motions_of(times_s, bends, Some(&lines))
     }
@@ -78,42 +83,47 @@ impl Mechanics<'_> {
     }
 
     /// The path that readings q̃ at these times lead along. `guess` is a path near it.
-    pub fn path(&self, times_s: &[f64], q_tilde: &[PerBackbone], guess: Option<&[Vector2<f64>]>) -> Vec<Led> {
+    pub fn solve_path(
+        &self,
+        times_s: &[f64],
+        q_tilde: &[PerBackbone],
+        guess: Option<&[Vector2<f64>]>,
+    ) -> Vec<ForwardSolution> {
         let without_history;
         let guess = match guess {
             Some(guess) => guess,
             None => {
                 let mut start = Vector2::zeros();
                 let bends = q_tilde.iter().map(|q| {
-                    start = self.led(q, None, start).bend;
+                    start = self.solve(q, None, start).bend;
                     start
                 });
                 without_history = bends.collect::<Vec<_>>();
                 &without_history
             }
         };
-        self.settled(times_s, q_tilde, guess, None).0
+        self.solve_path_near(times_s, q_tilde, guess, None).0
     }
 
     /// Passes until the path and the history that it implies agree, and that history. `first` is the bend that an eye saw at the
     /// first reading, where there is one: it tells which way the backbones had moved before.
-    pub fn settled(
+    pub fn solve_path_near(
         &self,
         times_s: &[f64],
         q_tilde: &[PerBackbone],
         guess: &[Vector2<f64>],
         first: Option<Vector2<f64>>,
-    ) -> (Vec<Led>, Vec<Motion>) {
+    ) -> (Vec<ForwardSolution>, Vec<Motion>) {
         let mut before = guess.to_vec();
-        let mut motions = self.motions_read(times_s, guess, q_tilde);
+        let mut motions = self.motions_from_readings(times_s, guess, q_tilde);
         let mut path = self.pass(q_tilde, guess, &mut motions, first);
         for _ in 1..MOST_PASSES {
-            let bends: Vec<_> = path.iter().map(|led| led.bend).collect();
+            let bends: Vec<_> = path.iter().map(|solution| solution.bend).collect();
             let moved = bends.iter().zip(&before).map(|(a, b)| (a - b).amax()).fold(0.0, f64::max);
             if moved < SETTLED_RAD || !self.memory.is_long() {
                 break;
             }
-            motions = self.motions_read(times_s, &bends, q_tilde);
+            motions = self.motions_from_readings(times_s, &bends, q_tilde);
             path = self.pass(q_tilde, &bends, &mut motions, first);
             before = bends;
         }
@@ -127,29 +137,29 @@ impl Mechanics<'_> {
         guess: &[Vector2<f64>],
         motions: &mut [Motion],
         first: Option<Vector2<f64>>,
-    ) -> Vec<Led> {
+    ) -> Vec<ForwardSolution> {
         if !self.memory.direction {
-            return (0..guess.len()).map(|k| self.led(&q_tilde[k], Some(&motions[k]), guess[k])).collect();
+            return (0..guess.len()).map(|k| self.solve(&q_tilde[k], Some(&motions[k]), guess[k])).collect();
         }
-        let mut path: Vec<Led> = Vec::with_capacity(guess.len());
+        let mut path: Vec<ForwardSolution> = Vec::with_capacity(guess.len());
         let mut turned_at = self.alike(0.0);
         for k in 0..guess.len() {
             let led_in = |direction: PerBackbone| {
-                (self.led(&q_tilde[k], Some(&Motion { direction, ..motions[k] }), guess[k]), direction)
+                (self.solve(&q_tilde[k], Some(&Motion { direction, ..motions[k] }), guess[k]), direction)
             };
-            let (led, direction) = match path.last() {
+            let (solution, direction) = match path.last() {
                 None => self.first_direction(led_in, motions[k].direction, first),
                 Some(last) => {
                     let turning = Turning {
                         read: self.line_step(q_tilde, k),
                         direction: motions[k - 1].direction,
                         turned_at,
-                        left_mm: last.left_mm,
+                        residual_mm: last.residual_mm,
                     };
                     self.next_direction(led_in, &turning)
                 }
             };
-            let q = self.q_by_bend * led.bend;
+            let q = self.q_by_bend * solution.bend;
             for i in 0..q.len() {
                 let same = k > 0 && direction[i] == motions[k - 1].direction[i];
                 let further = (q[i] - turned_at[i]) * direction[i] > 0.0;
@@ -158,7 +168,7 @@ impl Mechanics<'_> {
                 }
             }
             motions[k].direction = direction;
-            path.push(led);
+            path.push(solution);
         }
         path
     }
@@ -172,14 +182,16 @@ impl Mechanics<'_> {
     /// The directions before the first reading: those that lead where the eye saw the snake.
     fn first_direction(
         &self,
-        led_in: impl Fn(PerBackbone) -> (Led, PerBackbone),
+        led_in: impl Fn(PerBackbone) -> (ForwardSolution, PerBackbone),
         away: PerBackbone,
         first: Option<Vector2<f64>>,
-    ) -> (Led, PerBackbone) {
+    ) -> (ForwardSolution, PerBackbone) {
         let Some(seen) = first else { return led_in(away) };
         // The eye cannot see a direction that all share; the common part tells it.
-        let miss =
-            |led: &Led| (self.seen(led.bend) - seen).norm() / FIRST_BEND_RAD + rms(&led.left_mm) / FIRST_COMMON_MM;
+        let miss = |solution: &ForwardSolution| {
+            (self.apparent_bend(solution.bend) - seen).norm() / FIRST_BEND_RAD
+                + rms(&solution.residual_mm) / FIRST_COMMON_MM
+        };
         let mut best = led_in(away);
         for direction in any_direction(away.len()) {
             let next = led_in(direction);
@@ -197,15 +209,15 @@ impl Mechanics<'_> {
     /// part common to all readings, which no bend changes, would jump, the directions that contradict themselves least are taken.
     fn next_direction(
         &self,
-        led_in: impl Fn(PerBackbone) -> (Led, PerBackbone),
+        led_in: impl Fn(PerBackbone) -> (ForwardSolution, PerBackbone),
         turning: &Turning,
-    ) -> (Led, PerBackbone) {
+    ) -> (ForwardSolution, PerBackbone) {
         let told = turning.read.map(|read| read.abs() >= TOLD_MM.max(TOLD_SHARE * turning.read.amax()));
         let kept =
             PerBackbone::from_fn(told.len(), |i| if told[i] { turning.read[i].signum() } else { turning.direction[i] });
-        let doubt = |(led, direction): &(Led, PerBackbone)| {
-            let q = self.q_by_bend * led.bend;
-            let jump = (rms(&(led.left_mm - turning.left_mm)) / DEAD_BAND_MM).powi(2);
+        let doubt = |(solution, direction): &(ForwardSolution, PerBackbone)| {
+            let q = self.q_by_bend * solution.bend;
+            let jump = (rms(&(solution.residual_mm - turning.residual_mm)) / DEAD_BAND_MM).powi(2);
             let against = (0..q.len()).map(|i| {
                 let same = direction[i] == kept[i];
                 let back = ((turning.turned_at[i] - q[i]) * direction[i]).max(0.0) / DEAD_BAND_MM;
@@ -236,23 +248,23 @@ impl Mechanics<'_> {
     }
 
     /// How a change of the model near a path changes what it predicts, to first order: the implied bends and the common part's
-    /// change. `settled` and `motions` are this model's path, and `slopes` its [`Slope`]s.
+    /// change. `settled` and `motions` are this model's path, and `slopes` its [`LineJacobian`]s.
     ///
     /// Nothing is solved anew: at the bends of the path the changed model leaves a misfit, and the slope says which step of
     /// the bend takes it up. Where the history feeds back on the path, the step is repeated with the history that it implies.
-    pub fn changed(
+    pub fn perturbed_path(
         &self,
         changed: &Mechanics,
         data: (&[f64], &[PerBackbone]),
-        path: (&[Led], &[Motion], &[Slope]),
-    ) -> Vec<Led> {
+        path: (&[ForwardSolution], &[Motion], &[LineJacobian]),
+    ) -> Vec<ForwardSolution> {
         let (times_s, q_tilde) = data;
         let (settled, motions, slopes) = path;
         let long = self.memory.is_long() || changed.memory.is_long();
-        let mut bends: Vec<_> = settled.iter().map(|led| led.bend).collect();
-        let mut next: Vec<Led> = Vec::new();
+        let mut bends: Vec<_> = settled.iter().map(|solution| solution.bend).collect();
+        let mut next: Vec<ForwardSolution> = Vec::new();
         for _ in 0..if self.memory.speed || changed.memory.speed { FEEDBACK_PASSES } else { 1 } {
-            let mut history = if long { Some(changed.motions_read(times_s, &bends, q_tilde)) } else { None };
+            let mut history = if long { Some(changed.motions_from_readings(times_s, &bends, q_tilde)) } else { None };
             for (motion, known) in history.iter_mut().flatten().zip(motions) {
                 motion.direction = known.direction;
             }
@@ -261,22 +273,22 @@ impl Mechanics<'_> {
                     let motion = history.as_ref().map_or(&motions[k], |history| &history[k]);
                     let line = q_tilde[k] - changed.encoder_errors(&q_tilde[k]);
                     let left = line - changed.line(settled[k].bend, Some(motion));
-                    let step = slopes[k].bend_by_line.weighted(&left);
+                    let step = slopes[k].bend_by_line.tr_mul(&left);
                     let left = left - slopes[k].line_by_bend * step;
                     let left = left.component_div(&changed.line_by_reading(&q_tilde[k]));
-                    Led { bend: settled[k].bend + step, left_mm: self.robot.internal_part(&left) }
+                    ForwardSolution { bend: settled[k].bend + step, residual_mm: self.robot.internal_part(&left) }
                 })
                 .collect();
-            bends = next.iter().map(|led| led.bend).collect();
+            bends = next.iter().map(|solution| solution.bend).collect();
         }
         next
     }
 
     /// The bend that the frame shows at each instant of a path: that of some time ago, where the camera is late.
-    pub fn pictured(&self, times_s: &[f64], bends: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
+    pub fn exposed_bends(&self, times_s: &[f64], bends: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
         let mut delay_s = 0.0;
         for effect in self.effects {
-            if let Acts::Delay(delay) = effect.physics.acts {
+            if let Changes::Exposure(delay) = effect.physics.changes {
                 delay_s += delay(&effect.values);
             }
         }
@@ -296,7 +308,7 @@ struct Turning {
     /// The furthest that each backbone came in its direction, mm.
     turned_at: PerBackbone,
     /// What was left at the reading before, mm.
-    left_mm: PerBackbone,
+    residual_mm: PerBackbone,
 }
 
 /// All directions that so many backbones can have.
@@ -374,8 +386,8 @@ mod tests {
         let mechanics = Mechanics::new(model);
         let motions = mechanics.motions(&times, &bends);
         let q: Vec<_> = bends.iter().zip(&motions).map(|(b, m)| mechanics.command(*b, Some(m))).collect();
-        let path = mechanics.path(&times, &q, None);
-        path.iter().zip(&bends).map(|(led, b)| (led.bend - b).norm()).fold(0.0, f64::max)
+        let path = mechanics.solve_path(&times, &q, None);
+        path.iter().zip(&bends).map(|(solution, b)| (solution.bend - b).norm()).fold(0.0, f64::max)
     }
 
     #[test]
@@ -402,12 +414,12 @@ mod tests {
             let model = with(physics.name, 1.0);
             let mechanics = Mechanics::new(&model);
             let motions = mechanics.motions(&times, &bends);
-            let pictured = mechanics.pictured(&times, &bends);
+            let exposed = mechanics.exposed_bends(&times, &bends);
             let observations: Vec<_> = (0..bends.len())
                 .map(|k| Observation {
                     time_s: times[k],
                     q_mm: mechanics.command(bends[k], Some(&motions[k])),
-                    configuration: Configuration::from_bend_vector(mechanics.seen(pictured[k])),
+                    configuration: Configuration::from_bend_vector(mechanics.apparent_bend(exposed[k])),
                 })
                 .collect();
             let plain = model.plain();

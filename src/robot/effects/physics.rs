@@ -1,0 +1,208 @@
+//! What an effect says of itself: its equation, its parameters, what it changes, and how it is searched for.
+
+use crate::robot::motion::{Memory, Motion, Snake};
+use crate::robot::{BACKBONES, PerBackbone};
+use nalgebra::Vector2;
+
+/// A parameter of an effect.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ParameterSpec {
+    /// Its name; ends in the unit where it has one.
+    pub name: &'static str,
+    /// Its unit, `1` for a number without.
+    pub unit: &'static str,
+    /// Least and largest value that such a robot can have.
+    pub range: (f64, f64),
+    /// A change of this size matters: for a size about 0.05 mm of effect. The unit of steps in a fit.
+    pub typical: f64,
+    /// What the parameter does to the effect.
+    pub role: Role,
+}
+
+/// What a parameter does to its effect.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Role {
+    /// The effect is proportional to it, or nearly so, and there is none at zero.
+    Size {
+        /// Whether it has either sign in nature; else simulated experiments draw it positive.
+        either_sign: bool,
+    },
+    /// It says which shape the effect has, as a time constant or a pitch does.
+    Shape {
+        /// A value that such a robot may well have.
+        example: f64,
+        /// Between which values simulated experiments draw it.
+        drawn: (f64, f64),
+    },
+}
+
+impl ParameterSpec {
+    /// A size that may have either sign.
+    pub(super) const fn size(name: &'static str, unit: &'static str, most: f64, typical: f64) -> Self {
+        Self { name, unit, range: (-most, most), typical, role: Role::Size { either_sign: true } }
+    }
+
+    /// A size that is positive in nature. A fit may make it negative, where the range allows it.
+    pub(super) const fn positive(name: &'static str, unit: &'static str, range: (f64, f64), typical: f64) -> Self {
+        Self { name, unit, range, typical, role: Role::Size { either_sign: false } }
+    }
+}
+
+/// The snake at one instant, as effects on the line see it.
+#[derive(Debug, Clone, Copy)]
+pub struct Instant<'a> {
+    /// The snake's constants, with the effects on them applied.
+    pub snake: &'a Snake,
+    /// The bend vector, rad.
+    pub bend: Vector2<f64>,
+    /// q, mm.
+    pub q_mm: PerBackbone,
+    /// τ of Eq. 11, N, positive towards +q, before η.
+    pub tau_n: PerBackbone,
+    /// q + ε of what stands before the effect in the model, mm.
+    pub line_mm: PerBackbone,
+    /// How the snake got there.
+    pub motion: &'a Motion,
+}
+
+/// What an effect changes, and how. The parameters come in the order of [`Physics::parameters`].
+#[derive(Debug, Clone, Copy)]
+pub enum Changes {
+    /// A summand of ε, mm.
+    Line(fn(&Instant, &[f64]) -> PerBackbone),
+    /// What the encoders read beyond the lines' motion, mm, from q̃.
+    Encoders(fn(&PerBackbone, &[f64]) -> PerBackbone),
+    /// The snake's constants: geometry, stiffness or load, and so q and τ.
+    Snake(fn(&mut Snake, &[f64])),
+    /// The bend vector that the eye measures, from the true one, rad.
+    Eye(fn(Vector2<f64>, &[f64]) -> Vector2<f64>),
+    /// The time at which a frame was exposed: so many seconds before the encoders' reading.
+    Exposure(fn(&[f64]) -> f64),
+}
+
+/// Where a search for an effect's parameters starts.
+#[derive(Debug, Clone, Copy)]
+pub enum Starts {
+    /// At these values, those that are not named at 0; several where the fit is not nearly linear.
+    At(&'static [&'static [f64]]),
+    /// At the peaks of a periodogram of the residuals over q̃. The parameters are an amplitude (mm), a pitch (mm), then phases
+    /// (degrees).
+    Periodogram(Phases),
+    /// Nowhere: it is not searched for.
+    Nowhere,
+}
+
+/// Which phases a periodic effect has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Phases {
+    /// One for all backbones.
+    Common,
+    /// One for each backbone.
+    PerBackbone,
+}
+
+/// Another effect, or η or λ, that looks alike.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Confounded {
+    /// The other effect's name, or `eta` or `lambda_mm`.
+    pub with: &'static str,
+    /// On which data.
+    pub on: Poses,
+}
+
+/// The data on which two effects look alike.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Poses {
+    /// Any.
+    Any,
+    /// All bends lie in one plane.
+    OnePlane,
+}
+
+/// One effect's physics: all that the program knows of it.
+#[derive(Debug, Clone, Copy)]
+pub struct Physics {
+    /// Its canonical name.
+    pub name: &'static str,
+    /// Which of the forms of this name it is; empty for the first. Forms are one physics written down in different ways, where
+    /// no convention says which.
+    pub form: &'static str,
+    /// Its equation.
+    pub equation: &'static str,
+    /// What it means, in words that follow "the data show".
+    pub reading: &'static str,
+    /// Its parameters on a robot of so many backbones. More backbones never mean fewer parameters.
+    pub parameters: fn(usize) -> &'static [ParameterSpec],
+    /// Where a search for its parameters starts.
+    pub starts: Starts,
+    /// What it changes.
+    pub changes: Changes,
+    /// What must be known of the path, beside the bend and the time.
+    pub history: Option<fn(&mut Memory, &[f64])>,
+    /// The largest first parameter for which its equation has one answer, given the others; none where any has.
+    pub largest_size: Option<fn(&[f64]) -> f64>,
+    /// What it must gain in Schwarz's criterion beyond the price of its parameters before it is believed.
+    pub prior_penalty: f64,
+    /// Whether its parameters are physics that a fit may change; those of a learned correction are not.
+    pub fitted: bool,
+    /// What it is confounded with by its equation; a search finds out what a given experiment confounds besides.
+    pub confounded_with: &'static [Confounded],
+}
+
+/// What most effects have in common: one form, a nearly linear fit that starts at zero, no history.
+pub(super) const LINEAR: Physics = Physics {
+    name: "",
+    form: "",
+    equation: "",
+    reading: "",
+    parameters: |_| &[],
+    starts: Starts::At(&[&[]]),
+    changes: Changes::Line(|at, _| at.q_mm * 0.0),
+    history: None,
+    largest_size: None,
+    prior_penalty: 0.0,
+    fitted: true,
+    confounded_with: &[],
+};
+
+/// Shares of the typical size that differ from one parameter to the next, so that an example is not hidden in η and λ, which are
+/// what the backbones share.
+const EXAMPLE_SHARES: [f64; 8] = [1.0, -0.7, 0.4, -0.9, 0.6, -0.3, 0.8, -0.5];
+
+impl PartialEq for Physics {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name && self.form == other.form
+    }
+}
+
+impl Physics {
+    /// Its parameters' values where a search starts, on a robot of so many backbones; none where data must say them.
+    pub fn given_starts(&self, backbones: usize) -> impl Iterator<Item = Vec<f64>> {
+        let starts = match self.starts {
+            Starts::At(starts) => starts,
+            Starts::Periodogram(_) | Starts::Nowhere => &[],
+        };
+        let count = (self.parameters)(backbones).len();
+        starts.iter().map(move |start| {
+            let mut values = start.to_vec();
+            values.resize(count, 0.0);
+            values
+        })
+    }
+
+    /// Its parameters at a size that matters, on a robot of so many backbones.
+    pub fn example(&self, backbones: usize) -> Vec<f64> {
+        let value = |(spec, share): (&ParameterSpec, f64)| match spec.role {
+            Role::Size { .. } => share * spec.typical,
+            Role::Shape { example, .. } => example,
+        };
+        (self.parameters)(backbones).iter().zip(EXAMPLE_SHARES.into_iter().cycle()).map(value).collect()
+    }
+
+    /// The specifications of so many values, whatever the robot.
+    pub(super) fn parameters_of(&self, values: usize) -> &'static [ParameterSpec] {
+        // More backbones never mean fewer parameters, so that the number of values tells the list.
+        let lists = BACKBONES.map(|backbones| (self.parameters)(backbones));
+        lists.into_iter().find(|list| list.len() >= values).unwrap_or_default()
+    }
+}
