@@ -90,13 +90,13 @@ impl Rehearsal {
             let reached = self.plant.forward(&command)?.configuration;
             let noise = command.map(|_| StandardNormal.sample(&mut random)) * self.sd_encoder_mm;
             let reading = EncoderReading { index, time_s: index as f64, q_mm: command + noise };
-            let sighting = eye.measure(&frame(&self.scene, reached, self.seed.wrapping_add(1 + index))?);
+            let measurement = eye.measure(&frame(&self.scene, reached, self.seed.wrapping_add(1 + index))?);
             let measurement = Measurement {
                 index,
                 time_s: Some(reading.time_s),
-                status: sighting.status,
-                measured: sighting.measured,
-                quality: sighting.quality,
+                status: measurement.status,
+                measured: measurement.measured,
+                quality: measurement.quality,
                 view: None,
             };
             estimator.update(&measurement, Some(&reading));

@@ -226,7 +226,7 @@ fn pictures_of_next_to_nothing_are_measured_as_such() {
                 let frame =
                     Frame { width, height, channels, samples: Samples::Bits16((0..count).map(level).collect()) };
                 let seen = [eye.measure(&frame), eye.track(&frame, Vector2::new(0.5, 0.5))];
-                assert!(seen.iter().all(|sighting| sighting.measured.is_none()), "{width}×{height}: {seen:?}");
+                assert!(seen.iter().all(|measurement| measurement.measured.is_none()), "{width}×{height}: {seen:?}");
                 let options = RigOptions { grid_pitch_mm: 1.0, standoff_mm: 25.0, delta_offset: 0.0 };
                 calibrate_rig(&frame, &lens(width, height), &Robot::default(), &options).unwrap_err();
             }

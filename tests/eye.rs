@@ -27,9 +27,9 @@ fn eye(scene: &Scene, rig: Rig) -> Eye {
 fn check_poses(eye: &Eye, scene: &Scene, poses: &[(f64, f64)], most_theta_deg: f64, most_delta_deg: f64) {
     for (seed, &(theta_deg, delta_deg)) in (100..).zip(poses) {
         let psi = Configuration::from_degrees(theta_deg, delta_deg);
-        let sighting = eye.measure(&frame(scene, psi, seed));
-        assert_eq!(sighting.status, Status::Ok, "θ {theta_deg}°, δ {delta_deg}°: {:?}", sighting.quality);
-        let measured = sighting.measured.unwrap();
+        let measurement = eye.measure(&frame(scene, psi, seed));
+        assert_eq!(measurement.status, Status::Ok, "θ {theta_deg}°, δ {delta_deg}°: {:?}", measurement.quality);
+        let measured = measurement.measured.unwrap();
         let theta_error = measured.configuration.theta_deg() - theta_deg;
         let delta_error = wrap_degrees(measured.configuration.delta_deg() - delta_deg);
         let told = format!(
@@ -141,9 +141,9 @@ fn what_is_no_snake_gets_no_angle() {
     // The same paper without a snake: one that is far too small to be seen.
     let mut empty = scene.clone();
     empty.view.base_mm[0] += 200.0;
-    let sighting = eye.measure(&frame(&empty, STRAIGHT, 5));
-    assert_ne!(sighting.status, Status::Ok);
-    assert!(sighting.measured.is_none());
+    let measurement = eye.measure(&frame(&empty, STRAIGHT, 5));
+    assert_ne!(measurement.status, Status::Ok);
+    assert!(measurement.measured.is_none());
 }
 
 #[test]

@@ -7,7 +7,7 @@ use lab::{frame, lab};
 use nalgebra::{Translation3, Vector3};
 use snakeloop::camera::{Frame, Samples};
 use snakeloop::geometry::{Configuration, Pose, wrap_degrees};
-use snakeloop::measure::{Eye, Rig, RigOptions, Sighting, calibrate_rig};
+use snakeloop::measure::{Eye, FrameMeasurement, Rig, RigOptions, calibrate_rig};
 use snakeloop::observation::Status;
 use snakeloop::simulate::scene::{Pattern, Scene, Viewpoint};
 
@@ -49,8 +49,8 @@ fn base_moved(scene: &Scene, x_mm: f64, z_mm: f64) -> Scene {
     moved
 }
 
-fn error_deg(sighting: &Sighting, psi: Configuration) -> Option<[f64; 2]> {
-    let seen = sighting.measured?.configuration;
+fn error_deg(measurement: &FrameMeasurement, psi: Configuration) -> Option<[f64; 2]> {
+    let seen = measurement.measured?.configuration;
     Some([seen.theta_deg() - psi.theta_deg(), wrap_degrees(seen.delta_deg() - psi.delta_deg())])
 }
 
@@ -127,10 +127,10 @@ fn a_camera_that_moves_is_followed() {
         seen.paper.origin_mm[0] += slide;
         let frame = frame(&seen, psi, seed);
         eye = eye.following(&frame).unwrap_or_else(|status| panic!("frame {seed}: {status}"));
-        let sighting = eye.measure(&frame);
-        let told = format!("frame {seed}: {} {:?}", sighting.status, sighting.quality);
-        let [theta, delta] = error_deg(&sighting, psi).unwrap_or_else(|| panic!("{told}"));
-        let measured = sighting.measured.unwrap();
+        let measurement = eye.measure(&frame);
+        let told = format!("frame {seed}: {} {:?}", measurement.status, measurement.quality);
+        let [theta, delta] = error_deg(&measurement, psi).unwrap_or_else(|| panic!("{told}"));
+        let measured = measurement.measured.unwrap();
         let sigmas = [measured.sigma_theta, measured.sigma_delta].map(f64::to_degrees);
         let told = format!("{told}: errors {theta:.3}° ± {:.3}°, {delta:.3}° ± {:.3}°", sigmas[0], sigmas[1]);
         println!("{told}");

@@ -3,7 +3,7 @@
 use super::console::Console;
 use super::views::OpenView;
 use crate::camera::{Frame, FrameSource, SourceFrame};
-use crate::measure::{Eye, Sighting, fused};
+use crate::measure::{Eye, FrameMeasurement, fused};
 use crate::observation::{EncoderReading, Measurement, Status};
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -200,28 +200,28 @@ impl Flow<'_> {
         measuring: &Clock,
     ) -> Result<Seen<'_>> {
         let view = &self.views[view];
-        let (frame, sighting) = match ready {
+        let (frame, measurement) = match ready {
             Ready::Unread(source) => match reading.time(|| read(source))? {
                 Some(frame) => {
-                    let sighting = measuring.time(|| view.eye().measure(&frame));
-                    (Some(frame), sighting)
+                    let measurement = measuring.time(|| view.eye().measure(&frame));
+                    (Some(frame), measurement)
                 }
                 None => (None, without_angles(Status::Unreadable)),
             },
             Ready::Found(eye, frame) => {
-                let sighting = measuring.time(|| eye.measure(&frame));
-                (Some(frame), sighting)
+                let measurement = measuring.time(|| eye.measure(&frame));
+                (Some(frame), measurement)
             }
             Ready::Lost(status, frame) => (frame, without_angles(status)),
         };
-        Ok(Seen { view, time_s, frame, sighting })
+        Ok(Seen { view, time_s, frame, measurement })
     }
 
     /// The row of one index from what its views saw.
     fn row(&self, index: u64, seen: &[Seen]) -> Measurement {
-        let sightings: Vec<Sighting> = seen.iter().map(|s| s.sighting.clone()).collect();
-        let Sighting { status, measured, quality, .. } = fused(&sightings);
-        let answered = |s: &&Seen| measured.is_none() || s.sighting.measured.is_some();
+        let measurements: Vec<FrameMeasurement> = seen.iter().map(|s| s.measurement.clone()).collect();
+        let FrameMeasurement { status, measured, quality, .. } = fused(&measurements);
+        let answered = |s: &&Seen| measured.is_none() || s.measurement.measured.is_some();
         let names: Vec<&str> = seen.iter().filter(answered).map(|s| s.view.name()).collect();
         let logged = || {
             let place = self.encoders.binary_search_by_key(&index, |reading| reading.index).ok()?;
@@ -247,11 +247,11 @@ struct Seen<'a> {
     view: &'a OpenView,
     time_s: Option<f64>,
     frame: Option<Frame>,
-    sighting: Sighting,
+    measurement: FrameMeasurement,
 }
 
-fn without_angles(status: Status) -> Sighting {
-    Sighting { status, measured: None, bend: None, quality: None }
+fn without_angles(status: Status) -> FrameMeasurement {
+    FrameMeasurement { status, measured: None, bend: None, quality: None }
 }
 
 /// Finds the camera in a view's next frame, from where it was in the last one in which it was found.

@@ -5,7 +5,7 @@ use super::inputs::{encoders_of, model_of, rows};
 use super::measuring::{Count, Measured, MeasuringArgs, Summary};
 use super::views::{OpenView, open_views};
 use crate::camera::Frame;
-use crate::measure::Sighting;
+use crate::measure::FrameMeasurement;
 use crate::observation::Measurement;
 use crate::record::{Experiment, write_atomically};
 use crate::report::explain::{page, stages};
@@ -82,7 +82,7 @@ impl Args {
 
     fn explain_one(&self, view: &OpenView, index: u64, frame: &Frame) -> Result<Explained> {
         let explanation = view.explain(frame);
-        let Sighting { status, measured, quality, .. } = explanation.sighting.clone();
+        let FrameMeasurement { status, measured, quality, .. } = explanation.measurement.clone();
         let measurement =
             Measurement { index, time_s: None, status, measured, quality, view: Some(view.name().to_owned()) };
         let stages = stages(frame, &explanation, &measurement, |psi| view.shape(psi));

@@ -16,7 +16,7 @@ use super::source::{Captured, Reader, Source};
 use crate::camera::{Frame, Lens};
 use crate::error::{Error, Result};
 use crate::estimate::{Options, StemOptions};
-use crate::measure::{Eye, RigOptions, Sighting, calibrate_rig};
+use crate::measure::{Eye, FrameMeasurement, RigOptions, calibrate_rig};
 use crate::observation::{EncoderReading, Measurement, Status};
 use crate::robot::{Model, Robot};
 use nalgebra::Vector2;
@@ -308,11 +308,11 @@ impl Loop {
     /// What a frame shows; the measurement then waits for its reading.
     fn measure(&mut self, Captured { index, time_s, at, late_s, frame }: Captured) {
         let eye = Arc::clone(&self.eye.lock().unwrap_or_else(PoisonError::into_inner));
-        let sighting = match &frame {
+        let measurement = match &frame {
             Some(frame) => look(&eye, frame, self.last_bend),
-            None => Sighting { status: Status::Unreadable, measured: None, bend: None, quality: None },
+            None => FrameMeasurement { status: Status::Unreadable, measured: None, bend: None, quality: None },
         };
-        let Sighting { status, measured, bend, quality } = sighting;
+        let FrameMeasurement { status, measured, bend, quality } = measurement;
         self.last_bend = bend.map(|bend| bend.vector).or(self.last_bend);
         let view = Some(self.name.clone());
         let measurement = Measurement { index, time_s: Some(time_s), status, measured, quality, view };
@@ -475,7 +475,7 @@ impl Loop {
 }
 
 /// What a frame shows, near the bend that the one before it showed.
-fn look(eye: &Eye, frame: &Frame, last: Option<Vector2<f64>>) -> Sighting {
+fn look(eye: &Eye, frame: &Frame, last: Option<Vector2<f64>>) -> FrameMeasurement {
     last.map_or_else(|| eye.measure(frame), |last| eye.track(frame, last))
 }
 

@@ -2,12 +2,9 @@
 
 use crate::camera::{Frame, Samples};
 use crate::geometry::Configuration;
-use crate::measure::body::outline::Outline;
-use crate::measure::eye::{Eye, Sighting};
-use crate::measure::fit::bend::SETTLED_PX;
-use crate::measure::fit::certainty::robust_weights;
-use crate::measure::fit::edges::EdgeFinder;
-use crate::measure::fit::proof::Proof;
+use crate::measure::body::Outline;
+use crate::measure::eye::{Eye, FrameMeasurement};
+use crate::measure::fit::{EdgeFinder, FINE_SEARCH_PX, PartVisibility, robust_weights};
 use crate::measure::image::plane::Region;
 use crate::measure::target::grid::project_paper;
 use nalgebra::Point2;
@@ -16,7 +13,7 @@ use nalgebra::Point2;
 #[derive(Debug, Clone)]
 pub struct Explanation {
     /// The result.
-    pub sighting: Sighting,
+    pub measurement: FrameMeasurement,
     /// How much each pixel looks like the snake, as a grey picture: 64 is paper and 191 is snake.
     pub snakeness: Frame,
     /// The printed lines, or the borders of the squares, where the rig says they are, px.
@@ -44,12 +41,13 @@ pub struct Place {
 impl Eye {
     /// Measures one frame and tells every stage of it.
     pub fn explain(&self, frame: &Frame) -> Explanation {
-        let look = self.look(frame);
+        let stages = self.measure_in_stages(frame);
         let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
-        let fits: Vec<Configuration> = look.fits.iter().map(|fit| Configuration::from_bend_vector(fit.bend)).collect();
+        let fits: Vec<Configuration> =
+            stages.fits.iter().map(|fit| Configuration::from_bend_vector(fit.bend)).collect();
         let outline = fits.first().map(|&psi| Outline::new(&self.projection(), psi));
         let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
-        let disks = outline.as_ref().map(|outline| Proof::new(outline, &finder).disks().collect());
+        let disks = outline.as_ref().map(|outline| PartVisibility::new(outline, &finder).disk_shares().collect());
         let places = outline.as_ref().map(|outline| places(outline, &finder));
         Explanation {
             disks: disks.unwrap_or_default(),
@@ -60,10 +58,10 @@ impl Eye {
                 samples: Samples::Bits8(plane.data.iter().map(|v| (64.0 + 127.0 * v) as u8).collect()),
             },
             grid: self.grid_lines(),
-            candidates: look.candidates.iter().map(|&bend| Configuration::from_bend_vector(bend)).collect(),
+            candidates: stages.candidates.iter().map(|&bend| Configuration::from_bend_vector(bend)).collect(),
             fits,
             places: places.unwrap_or_default(),
-            sighting: look.sighting,
+            measurement: stages.measurement,
         }
     }
 
@@ -86,18 +84,15 @@ impl Eye {
 }
 
 fn places(outline: &Outline, finder: &EdgeFinder) -> Vec<Place> {
-    let edges: Vec<_> = outline.points.iter().map(|point| (point, finder.find(point, SETTLED_PX))).collect();
+    let edges: Vec<_> = outline.points.iter().map(|point| (point, finder.find(point, FINE_SEARCH_PX))).collect();
     let misfits: Vec<f64> = edges.iter().filter_map(|(_, edge)| edge.map(|e| e.offset_px / e.sigma_px)).collect();
     let mut told = misfits.iter().zip(robust_weights(&misfits, false));
-    let place =
-        |(point, edge): &(&crate::measure::body::outline::OutlinePoint, Option<crate::measure::fit::edges::Edge>)| {
-            Place {
-                expected: point.pixel,
-                seen: edge.and_then(|edge| {
-                    let (misfit, root) = told.next()?;
-                    Some((point.pixel + point.normal.into_inner() * edge.offset_px, *misfit, root * root))
-                }),
-            }
-        };
+    let place = |(point, edge): &(&crate::measure::body::OutlinePoint, Option<crate::measure::fit::Edge>)| Place {
+        expected: point.pixel,
+        seen: edge.and_then(|edge| {
+            let (misfit, root) = told.next()?;
+            Some((point.pixel + point.normal.into_inner() * edge.offset_px, *misfit, root * root))
+        }),
+    };
     edges.iter().map(place).collect()
 }

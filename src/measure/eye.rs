@@ -2,11 +2,10 @@
 
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose, wrap_angle};
-use crate::measure::body::outline::{Outline, Projection};
-use crate::measure::fit::bend::{AS_GOOD, BendFit, Effort, Start, fit_bend};
-use crate::measure::fit::edges::EdgeFinder;
-use crate::measure::fit::matches::{BiasPrior, State};
-use crate::measure::fit::search::Search;
+use crate::measure::body::{Outline, Projection};
+use crate::measure::fit::{
+    ALTERNATIVE_COST_RATIO, BendFit, BiasPrior, CoarseSearch, EdgeFinder, FitSchedule, Start, State, fit_bend,
+};
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::rig::calibrate::Rig;
 use crate::measure::rig::drift::Watch;
@@ -19,7 +18,7 @@ use std::sync::Arc;
 
 /// What one frame says.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Sighting {
+pub struct FrameMeasurement {
     /// The verdict; anything but [`Status::Ok`] comes without angles.
     pub status: Status,
     /// The angles.
@@ -46,20 +45,20 @@ pub struct Eye {
     pub(crate) rig: Rig,
     pub(crate) robot: Robot,
     /// The coarse search, and the camera's pose that it was made for.
-    pub(crate) search: Arc<Search>,
+    pub(crate) search: Arc<CoarseSearch>,
     pub(crate) search_pose: Pose,
     pub(crate) watch: Arc<Watch>,
     /// The pose's covariance as calibrated, before a camera that moves was followed.
     pub(crate) still_covariance: Matrix6<f64>,
 }
 
-/// What led to a sighting.
-pub(crate) struct Look {
+/// What led to a measurement.
+pub(crate) struct MeasurementStages {
     /// Bends that the coarse search found worth fitting, best first.
     pub candidates: Vec<Vector2<f64>>,
     /// Bends that were fitted to the end, best first.
     pub fits: Vec<BendFit>,
-    pub sighting: Sighting,
+    pub measurement: FrameMeasurement,
 }
 
 /// Candidates of the coarse search that are looked at closely.
@@ -67,15 +66,18 @@ const CANDIDATES: usize = 6;
 /// After a bend that moves the tip by less than about half a pixel, the same edges would be found again, rad.
 const STILL_RAD: f64 = 1e-3;
 /// The first look at a candidate, a closer one at the best of them, and the measurement itself.
-const FIRST_LOOK: Effort = Effort { searches_px: &[14.0, 8.0], rounds: 2, settled: false, converged_rad: STILL_RAD };
-const CLOSE_LOOK: Effort = Effort { searches_px: &[6.0, 3.0], rounds: 20, settled: false, converged_rad: STILL_RAD };
+const FIRST_LOOK: FitSchedule =
+    FitSchedule { searches_px: &[14.0, 8.0], rounds: 2, is_fine: false, converged_rad: STILL_RAD };
+const CLOSE_LOOK: FitSchedule =
+    FitSchedule { searches_px: &[6.0, 3.0], rounds: 20, is_fine: false, converged_rad: STILL_RAD };
 /// A look at once close, near the last frame's bend or a mirror image.
-const NEAR_LOOK: Effort = Effort { searches_px: &[14.0, 6.0, 3.0], ..CLOSE_LOOK };
-const MEASUREMENT: Effort = Effort { searches_px: &[3.0], rounds: 9, settled: true, converged_rad: STILL_RAD };
+const NEAR_LOOK: FitSchedule = FitSchedule { searches_px: &[14.0, 6.0, 3.0], ..CLOSE_LOOK };
+const MEASUREMENT: FitSchedule =
+    FitSchedule { searches_px: &[3.0], rounds: 9, is_fine: true, converged_rad: STILL_RAD };
 /// A closer look is worth while at candidates whose cost is within this factor of the best one's.
 const WORTH_A_LOOK: f64 = 3.0;
 /// The same beside a camera that does not wait: what another round would change is a hundredth of a degree.
-const TRACKED_MEASUREMENT: Effort = Effort { rounds: 1, ..MEASUREMENT };
+const TRACKED_MEASUREMENT: FitSchedule = FitSchedule { rounds: 1, ..MEASUREMENT };
 /// First looks that end closer together than this, rad, are worth only one closer look.
 const ALIKE_RAD: f64 = 0.035;
 /// Close looks that end closer together than this, rad, ended at one place.
@@ -94,14 +96,14 @@ const ENOUGH_INLIERS: f64 = 0.45;
 /// Share of the disks that must be where the fit says, most of their outline seen: one hidden and one half hidden is
 /// allowed, but not both at the tip.
 const ENOUGH_DISKS: f64 = 0.6;
-/// Another bend explains a picture as well if its cost is within [`AS_GOOD`] of the best one's and the scatter of its
+/// Another bend explains a picture as well if its cost is within [`ALTERNATIVE_COST_RATIO`] of the best one's and the scatter of its
 /// edges within this factor: over some sixty pieces of outline, 2.7σ of chance.
 const AS_CLOSE: f64 = 1.3;
 
 impl Eye {
     /// An eye for one view. Prepares the coarse search, which takes about as long as measuring a few frames.
     pub fn new(lens: Lens, rig: Rig, robot: Robot) -> Self {
-        let search = Arc::new(Search::new(&lens, rig.camera_from_base, &robot));
+        let search = Arc::new(CoarseSearch::new(&lens, rig.camera_from_base, &robot));
         let (search_pose, still_covariance) = (rig.camera_from_base, rig.pose_covariance);
         let view = Projection { lens: &lens, camera_from_base: rig.camera_from_base, robot: &robot };
         let watch = Arc::new(Watch::new(&lens, &rig, &view));
@@ -119,26 +121,27 @@ impl Eye {
     }
 
     /// Measures one frame: θ and δ in the base's axes.
-    pub fn measure(&self, frame: &Frame) -> Sighting {
-        self.look(frame).sighting
+    pub fn measure(&self, frame: &Frame) -> FrameMeasurement {
+        self.measure_in_stages(frame).measurement
     }
 
     /// Measures a frame of a sequence whose `last` bend vector is known: looks nearby first, and everywhere only where
     /// that does not convince. Says the same as [`measure`](Self::measure) to about a hundredth of a degree, sooner.
-    pub fn track(&self, frame: &Frame, last: Vector2<f64>) -> Sighting {
+    pub fn track(&self, frame: &Frame, last: Vector2<f64>) -> FrameMeasurement {
         self.tracked(frame, last).unwrap_or_else(|| self.measure(frame))
     }
 
     /// Measures one frame and keeps what led to the verdict.
-    pub(crate) fn look(&self, frame: &Frame) -> Look {
-        let mut look = Look { candidates: Vec::new(), fits: Vec::new(), sighting: failed(Status::NoSnake, None) };
+    pub(crate) fn measure_in_stages(&self, frame: &Frame) -> MeasurementStages {
+        let mut look =
+            MeasurementStages { candidates: Vec::new(), fits: Vec::new(), measurement: failed(Status::NoSnake, None) };
         if let Some(status) = self.unfit(frame) {
-            return Look { sighting: failed(status, None), ..look };
+            return MeasurementStages { measurement: failed(status, None), ..look };
         }
         let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
         let view = self.projection();
         let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
-        let fit = |start: Start, effort: &Effort| fit_bend(&view, &finder, start, self.prior(), effort);
+        let fit = |start: Start, schedule: &FitSchedule| fit_bend(&view, &finder, start, self.prior(), schedule);
 
         look.candidates = self.search.candidates(&plane, self.rig.appearance.two_sided, CANDIDATES);
         let first = |bend: Vector2<f64>| Some((bend, fit(self.start(bend), &FIRST_LOOK)?));
@@ -159,8 +162,8 @@ impl Eye {
         let least = looks.first().map_or(0.0, |best| best.cost);
         let worth = looks.par_iter().filter(|look| look.cost <= WORTH_A_LOOK * least);
         let close = worth.filter_map(|look| fit(look.start(), &CLOSE_LOOK)).collect();
-        let (fits, sighting) = self.judged(close, frame, &finder, &MEASUREMENT);
-        Look { fits, sighting, ..look }
+        let (fits, measurement) = self.judged(close, frame, &finder, &MEASUREMENT);
+        MeasurementStages { fits, measurement, ..look }
     }
 
     /// [`judge`](Self::judge), and what may be said once it is known where camera, base and paper are.
@@ -169,27 +172,27 @@ impl Eye {
         looks: Vec<BendFit>,
         frame: &Frame,
         finder: &EdgeFinder,
-        measurement: &Effort,
-    ) -> (Vec<BendFit>, Sighting) {
-        let judge = || self.judge(looks, finder, measurement);
-        let ((fits, mut sighting), watched) = rayon::join(judge, || self.watch.look(frame, finder));
-        if let Some(quality) = &mut sighting.quality {
+        schedule: &FitSchedule,
+    ) -> (Vec<BendFit>, FrameMeasurement) {
+        let judge = || self.judge(looks, finder, schedule);
+        let ((fits, mut measurement), watched) = rayon::join(judge, || self.watch.look(frame, finder));
+        if let Some(quality) = &mut measurement.quality {
             quality.base_moved_px = watched.base.map(|base| base.by.norm());
             quality.grid_moved_px = watched.grid.map(|grid| grid.px);
         }
         match watched.status() {
-            Some(status) => (fits, failed(status, sighting.quality)),
-            None => (fits, sighting),
+            Some(status) => (fits, failed(status, measurement.quality)),
+            None => (fits, measurement),
         }
     }
 
     /// What [`track`](Self::track) finds near the last bend; `None` where that is not sure to be the snake.
-    fn tracked(&self, frame: &Frame, last: Vector2<f64>) -> Option<Sighting> {
+    fn tracked(&self, frame: &Frame, last: Vector2<f64>) -> Option<FrameMeasurement> {
         if self.unfit(frame).is_some() {
             return None;
         }
         let view = self.projection();
-        let around = |bend, reach_px| view.surroundings(Configuration::from_bend_vector(bend), reach_px);
+        let around = |bend, reach_px| view.image_region(Configuration::from_bend_vector(bend), reach_px);
         let region = around(last, NEARBY_PX);
         let plane = self.plane(frame, &region);
         let finder = EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region);
@@ -198,8 +201,8 @@ impl Eye {
         if !region.contains(&around(near.bend, Outline::REACH_PX)) {
             return None;
         }
-        let (_, sighting) = self.judged(vec![near], frame, &finder, &TRACKED_MEASUREMENT);
-        (sighting.status == Status::Ok).then_some(sighting)
+        let (_, measurement) = self.judged(vec![near], frame, &finder, &TRACKED_MEASUREMENT);
+        (measurement.status == Status::Ok).then_some(measurement)
     }
 
     /// The snakeness of a region of a frame, however it is exposed.
@@ -224,9 +227,14 @@ impl Eye {
     }
 
     /// Measures the best of some close looks, and judges whether anything else explains the picture as well.
-    fn judge(&self, looks: Vec<BendFit>, finder: &EdgeFinder, measurement: &Effort) -> (Vec<BendFit>, Sighting) {
+    fn judge(
+        &self,
+        looks: Vec<BendFit>,
+        finder: &EdgeFinder,
+        schedule: &FitSchedule,
+    ) -> (Vec<BendFit>, FrameMeasurement) {
         let view = self.projection();
-        let fit = |start: Start, effort: &Effort| fit_bend(&view, finder, start, self.prior(), effort);
+        let fit = |start: Start, schedule: &FitSchedule| fit_bend(&view, finder, start, self.prior(), schedule);
         let fits = distinct(looks, ONE_PLACE_RAD);
         let Some(best) = fits.first() else { return (fits, failed(Status::NoSnake, None)) };
         // The best bend's twin, which leans the other way along the line of sight, may have been passed over.
@@ -235,37 +243,38 @@ impl Eye {
             let is_close = (twin - best.bend).norm() < EDGE_ON_RAD;
             fit(self.start(twin), if is_close { &CLOSE_LOOK } else { &NEAR_LOOK })
         };
-        let (twin, mut measured) = rayon::join(look_at_twin, || fit(best.start(), measurement));
+        let (twin, mut measured) = rayon::join(look_at_twin, || fit(best.start(), schedule));
         if let Some(twin) = twin.as_ref().filter(|twin| twin.cost < best.cost) {
-            measured = fit(twin.start(), measurement);
+            measured = fit(twin.start(), schedule);
         }
         let mut fits = distinct(fits.into_iter().chain(twin).collect(), ONE_PLACE_RAD);
         let Some(mut best) = measured else { return (fits, failed(Status::NoSnake, None)) };
-        let as_good =
-            |other: &BendFit, best: &BendFit| other.cost < AS_GOOD * best.cost && other.rms_px < AS_CLOSE * best.rms_px;
+        let as_good = |other: &BendFit, best: &BendFit| {
+            other.cost < ALTERNATIVE_COST_RATIO * best.cost && other.rms_px < AS_CLOSE * best.rms_px
+        };
         let edge_on_rad = EDGE_ON_RAD.max(2.0 * EDGE_ON_PX / view.diameter_px());
         let is_edge_on = |other: &BendFit, best: &BendFit| (other.bend - best.bend).norm() < edge_on_rad;
         // What looks as good may end near the same bend once it is measured as thoroughly.
         let rivals = fits[1..].iter().filter(|rival| as_good(rival, &fits[0]) || is_edge_on(rival, &fits[0]));
         let mut is_ambiguous = false;
-        for other in rivals.filter_map(|rival| fit(rival.start(), measurement)) {
+        for other in rivals.filter_map(|rival| fit(rival.start(), schedule)) {
             if is_edge_on(&other, &best) {
                 best = best.or(other);
             } else {
                 is_ambiguous |= as_good(&other, &best);
             }
         }
-        let mut sighting = self.verdict(&best);
-        if sighting.status == Status::Ok {
-            let proof = best.proof();
-            if proof.disks_there() < ENOUGH_DISKS || !proof.end_is_there() {
-                sighting = failed(Status::Occluded, sighting.quality);
+        let mut measurement = self.verdict(&best);
+        if measurement.status == Status::Ok {
+            let visibility = best.visibility();
+            if visibility.visible_disk_share() < ENOUGH_DISKS || !visibility.is_end_visible() {
+                measurement = failed(Status::Occluded, measurement.quality);
             } else if is_ambiguous {
-                sighting = failed(Status::Ambiguous, sighting.quality);
+                measurement = failed(Status::Ambiguous, measurement.quality);
             }
         }
         fits[0] = best;
-        (fits, sighting)
+        (fits, measurement)
     }
 
     /// The bend whose outline is nearly the same from here: mirrored along the line of sight.
@@ -276,7 +285,7 @@ impl Eye {
     }
 
     /// Angles and sigmas of a fit that can be trusted, or why it cannot.
-    fn verdict(&self, fit: &BendFit) -> Sighting {
+    fn verdict(&self, fit: &BendFit) -> FrameMeasurement {
         let quality = quality(fit);
         const SOFT_PX: f64 = 5.0;
         const MOSTLY: f64 = 0.5;
@@ -299,11 +308,11 @@ impl Eye {
         let shape = departure.and_then(|departure| departure.measured(&self.rig.pose_covariance));
         let quality = Quality { shape, ..quality };
         let from_rig = fit.by_pose * self.rig.pose_covariance * fit.by_pose.transpose();
-        Sighting::of(Bend { vector: fit.bend, covariance: fit.covariance + from_rig }, quality)
+        FrameMeasurement::of(Bend { vector: fit.bend, covariance: fit.covariance + from_rig }, quality)
     }
 }
 
-impl Sighting {
+impl FrameMeasurement {
     /// A snake that is bent like this.
     pub(crate) fn of(bend: Bend, quality: Quality) -> Self {
         let measured = in_polar_terms(bend.vector, &bend.covariance);
@@ -311,8 +320,8 @@ impl Sighting {
     }
 }
 
-pub(crate) fn failed(status: Status, quality: Option<Quality>) -> Sighting {
-    Sighting { status, measured: None, bend: None, quality }
+pub(crate) fn failed(status: Status, quality: Option<Quality>) -> FrameMeasurement {
+    FrameMeasurement { status, measured: None, bend: None, quality }
 }
 
 fn quality(fit: &BendFit) -> Quality {

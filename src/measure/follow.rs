@@ -6,10 +6,9 @@
 
 use crate::camera::Frame;
 use crate::geometry::Pose;
-use crate::measure::body::outline::Projection;
+use crate::measure::body::Projection;
 use crate::measure::eye::{Eye, is_saturated};
-use crate::measure::fit::edges::EdgeFinder;
-use crate::measure::fit::search::Search;
+use crate::measure::fit::{CoarseSearch, EdgeFinder};
 use crate::measure::rig::calibrate::Rig;
 use crate::measure::rig::drift::{Watch, Watched};
 use crate::measure::rig::locate::{Colours, find_start, locate_holders};
@@ -126,7 +125,7 @@ impl Eye {
         let mut eye = Self { rig, watch, ..self.clone() };
         if far {
             eye.search_pose = eye.rig.camera_from_base;
-            eye.search = Arc::new(Search::new(&eye.lens, eye.search_pose, &eye.robot));
+            eye.search = Arc::new(CoarseSearch::new(&eye.lens, eye.search_pose, &eye.robot));
         }
         eye
     }

@@ -22,10 +22,10 @@ mod rig;
 mod several;
 mod target;
 
-pub use body::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
+pub use body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 pub use explain::{Explanation, Place};
-pub use eye::{Bend, Eye, Sighting};
-pub use fit::matches::EdgeBias;
+pub use eye::{Bend, Eye, FrameMeasurement};
+pub use fit::EdgeBias;
 pub use image::appearance::Appearance;
 pub use rig::calibrate::{Rig, RigOptions, calibrate_rig};
 pub use rig::drift::Print;

@@ -4,12 +4,12 @@
 //! its own, but all share one camera, one base and one light.
 
 use crate::camera::Frame;
-use crate::measure::body::outline::{Outline, Piece, Projection};
-use crate::measure::eye::{Eye, FRAME_BIAS_SIGMA_PX, Look};
-use crate::measure::fit::bend::{Effort, Start, fit_bend};
-use crate::measure::fit::certainty::{inliers, robust_weights};
-use crate::measure::fit::edges::EdgeFinder;
-use crate::measure::fit::matches::{BIASES, BiasPrior, Linearised, Matches, State, settled, soften};
+use crate::measure::body::{Outline, Piece, Projection};
+use crate::measure::eye::{Eye, FRAME_BIAS_SIGMA_PX, MeasurementStages};
+use crate::measure::fit::{
+    BIASES, BiasPrior, Correspondences, EdgeFinder, FitSchedule, Linearised, Start, State, fine_filter, fit_bend,
+    inliers, predict_blur, robust_weights,
+};
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::rig::calibrate::Rig;
 use crate::measure::target::grid::nudged;
@@ -23,7 +23,7 @@ const FEWEST_FRAMES: usize = 3;
 /// Rounds of matching and moving; each leaves about a quarter of what was to go.
 const ROUNDS: usize = 3;
 /// How a frame's bend follows in a round.
-const FOLLOW: Effort = Effort { searches_px: &[3.0], rounds: 2, settled: true, converged_rad: 2e-5 };
+const FOLLOW: FitSchedule = FitSchedule { searches_px: &[3.0], rounds: 2, is_fine: true, converged_rad: 2e-5 };
 
 /// What all pictures of a sequence share: the camera's pose (see [`nudged`]) and the edges' biases (px).
 type Shared = SVector<f64, SHARED>;
@@ -33,10 +33,10 @@ const SHARED: usize = 6 + BIASES;
 /// What one picture says of what all share, its own bend being free.
 #[derive(Debug, Clone)]
 struct SharedEvidence {
-    /// By what errs alike ([`Piece::witness`]): the information if every edge were a witness of its own, and the derivative of half the squared
+    /// By what errs alike ([`Piece::cluster`]): the information if every edge were a witness of its own, and the derivative of half the squared
     /// residuals.
     pieces: BTreeMap<Piece, (SharedInformation, Shared)>,
-    /// That derivative for each of [`Matches::light_patterns`].
+    /// That derivative for each of [`Correspondences::systematic_modes`].
     light: Vec<Shared>,
 }
 
@@ -53,8 +53,8 @@ impl Eye {
 
     fn refined_rig(&self, frames: impl ParallelIterator<Item = Frame>) -> Option<Rig> {
         let find = |frame: Frame| {
-            let Look { sighting, fits, .. } = self.look(&frame);
-            let fit = fits.first().filter(|_| sighting.status == Status::Ok)?;
+            let MeasurementStages { measurement, fits, .. } = self.measure_in_stages(&frame);
+            let fit = fits.first().filter(|_| measurement.status == Status::Ok)?;
             Some((self.plane(&frame, &Region::whole(frame.width, frame.height)), fit.start()))
         };
         let (planes, mut starts): (Vec<Plane>, Vec<Start>) = frames.filter_map(find).unzip();
@@ -99,9 +99,9 @@ impl Rig {
 /// `None` where the edges do not determine the bend.
 fn shared_evidence(view: &Projection, finder: &EdgeFinder, state: &State, blur_px: f64) -> Option<SharedEvidence> {
     let mut outline = Outline::new(view, state.psi());
-    let finder = settled(finder, view, blur_px);
-    soften(&mut outline, blur_px, &finder);
-    let matches = Matches::find(&outline, &finder, 3.0, |_| true);
+    let finder = fine_filter(finder, view, blur_px);
+    predict_blur(&mut outline, blur_px, &finder);
+    let matches = Correspondences::find(&outline, &finder, 3.0, |_| true);
     let linear = matches.linearised(view, state);
     let roots = robust_weights(linear.residuals.as_slice(), false);
     let (_, scatter_px) = inliers(&matches.in_px(linear.residuals.as_slice()), &roots);
@@ -114,11 +114,11 @@ fn shared_evidence(view: &Projection, finder: &EdgeFinder, state: &State, blur_p
     for (row, piece) in matches.pieces().into_iter().enumerate() {
         let along = Shared::from_iterator(projected.row(row).iter().copied());
         let (information, score) =
-            pieces.entry(piece.witness()).or_insert((SharedInformation::zeros(), Shared::zeros()));
+            pieces.entry(piece.cluster()).or_insert((SharedInformation::zeros(), Shared::zeros()));
         *information += along * along.transpose();
         *score += along * residuals[row];
     }
-    let light = matches.light_patterns(view, &roots, scatter_px);
+    let light = matches.systematic_modes(view, &roots, scatter_px);
     let light = light.iter().map(|pattern| {
         let score = projected.transpose() * pattern;
         Shared::from_iterator(score.iter().copied())

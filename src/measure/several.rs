@@ -1,6 +1,6 @@
 //! Several views of one snake at one moment.
 
-use crate::measure::eye::{Bend, Sighting, failed};
+use crate::measure::eye::{Bend, FrameMeasurement, failed};
 use crate::observation::{Quality, Status};
 use nalgebra::{Matrix2, Vector2};
 
@@ -16,9 +16,9 @@ const ALLOWED: f64 = 12.0;
 /// A view that cannot measure leaves the others to answer; where none can, the first one's reason stands. Views that
 /// scatter more than their sigmas say widen the sigma of the mean; views that contradict each other give
 /// [`Status::ViewsDisagree`] and no angles.
-pub fn fused(sightings: &[Sighting]) -> Sighting {
-    let seen: Vec<(Bend, Quality)> = sightings.iter().filter_map(|s| s.bend.zip(s.quality)).collect();
-    let alone = || sightings.iter().find(|s| s.bend.is_some()).or(sightings.first()).cloned();
+pub fn fused(measurements: &[FrameMeasurement]) -> FrameMeasurement {
+    let seen: Vec<(Bend, Quality)> = measurements.iter().filter_map(|s| s.bend.zip(s.quality)).collect();
+    let alone = || measurements.iter().find(|s| s.bend.is_some()).or(measurements.first()).cloned();
     if seen.len() < 2 {
         return alone().unwrap_or(failed(Status::NoSnake, None));
     }
@@ -39,7 +39,7 @@ pub fn fused(sightings: &[Sighting]) -> Sighting {
     if excess > ALLOWED && apart {
         return failed(Status::ViewsDisagree, Some(quality));
     }
-    Sighting::of(Bend { vector: mean, covariance: covariance * excess.max(1.0) }, quality)
+    FrameMeasurement::of(Bend { vector: mean, covariance: covariance * excess.max(1.0) }, quality)
 }
 
 fn together(seen: &[(Bend, Quality)]) -> Quality {
@@ -64,15 +64,15 @@ mod tests {
     use super::*;
     use approx::assert_relative_eq;
 
-    fn sighting(x: f64, y: f64, sigma_x: f64, sigma_y: f64) -> Sighting {
+    fn measurement(x: f64, y: f64, sigma_x: f64, sigma_y: f64) -> FrameMeasurement {
         let covariance = Matrix2::new(sigma_x.powi(2), 0.0, 0.0, sigma_y.powi(2));
         let quality = Quality { edges: 1000, inlier_fraction: 0.9, rms_px: 0.1, ..Quality::default() };
-        Sighting::of(Bend { vector: Vector2::new(x, y), covariance }, quality)
+        FrameMeasurement::of(Bend { vector: Vector2::new(x, y), covariance }, quality)
     }
 
     #[test]
     fn two_views_at_right_angles_are_as_good_in_every_direction() {
-        let together = fused(&[sighting(0.5, 0.502, 1e-4, 2e-3), sighting(0.502, 0.5, 2e-3, 1e-4)]);
+        let together = fused(&[measurement(0.5, 0.502, 1e-4, 2e-3), measurement(0.502, 0.5, 2e-3, 1e-4)]);
         let bend = together.bend.unwrap();
         assert_relative_eq!(bend.vector, Vector2::new(0.5, 0.5), epsilon = 1e-5);
         // Two measurements of one number: 1/σ² = 1/σ₁² + 1/σ₂².
@@ -82,7 +82,7 @@ mod tests {
 
     #[test]
     fn a_view_that_fails_leaves_the_other_to_answer() {
-        let seen = sighting(0.3, 0.1, 1e-3, 1e-3);
+        let seen = measurement(0.3, 0.1, 1e-3, 1e-3);
         let together = fused(&[failed(Status::Occluded, None), seen.clone()]);
         assert_eq!(together, seen);
         let none = fused(&[failed(Status::Occluded, None), failed(Status::Blurred, None)]);
@@ -91,10 +91,10 @@ mod tests {
 
     #[test]
     fn views_that_contradict_each_other_give_no_angles() {
-        let together = fused(&[sighting(0.30, 0.1, 1e-3, 1e-3), sighting(0.36, 0.1, 1e-3, 1e-3)]);
+        let together = fused(&[measurement(0.30, 0.1, 1e-3, 1e-3), measurement(0.36, 0.1, 1e-3, 1e-3)]);
         assert_eq!((together.status, together.measured), (Status::ViewsDisagree, None));
         // 4σ between them, but only a sixth of a degree: nine times the variance, not a contradiction.
-        let together = fused(&[sighting(0.3, 0.1, 5e-4, 5e-4), sighting(0.303, 0.1, 5e-4, 5e-4)]);
+        let together = fused(&[measurement(0.3, 0.1, 5e-4, 5e-4), measurement(0.303, 0.1, 5e-4, 5e-4)]);
         assert_relative_eq!(together.bend.unwrap().covariance[(0, 0)], 9.0 * 2.5e-7 / 2.0, max_relative = 1e-9);
     }
 }

@@ -230,7 +230,7 @@ mod tests {
     use super::*;
     use crate::camera::Samples;
     use crate::geometry::Configuration;
-    use crate::measure::Sighting;
+    use crate::measure::FrameMeasurement;
 
     fn frame() -> Frame {
         Frame { width: 64, height: 48, channels: 1, samples: Samples::Bits8(vec![100; 64 * 48]) }
@@ -238,7 +238,7 @@ mod tests {
 
     fn explanation(places: Vec<Place>) -> Explanation {
         Explanation {
-            sighting: Sighting { status: Status::NoSnake, measured: None, bend: None, quality: None },
+            measurement: FrameMeasurement { status: Status::NoSnake, measured: None, bend: None, quality: None },
             snakeness: frame(),
             grid: vec![vec![Point2::new(10.0, 0.0), Point2::new(10.0, 47.0)]],
             candidates: vec![Configuration::from_degrees(30.0, 0.0)],

@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector2};
 use snakeloop::camera::{CameraFormat, Frame, Lens, Samples, read_frame};
 use snakeloop::geometry::Configuration;
 use snakeloop::live::{LineParser, journal};
-use snakeloop::measure::{Eye, Rig, RigOptions, Sighting, calibrate_rig};
+use snakeloop::measure::{Eye, FrameMeasurement, Rig, RigOptions, calibrate_rig};
 use snakeloop::record::{
     Experiment, MeasurementJournal, model_toml, read_encoders, read_friction, read_measurements, read_model,
     read_trajectory, read_truth,
@@ -216,14 +216,14 @@ pub fn measure(bytes: &[u8]) -> Outcomes {
         _ => blotted(rest),
     };
     let lab = &*LAB;
-    let sighting = lab.eye.measure(&frame);
-    check(&sighting);
+    let measurement = lab.eye.measure(&frame);
+    check(&measurement);
     check(&lab.eye.track(&frame, Vector2::new(0.7, 0.0)));
-    vec![("eye", sighting.measured.map(|_| ()).ok_or_else(|| sighting.status.to_string()))]
+    vec![("eye", measurement.measured.map(|_| ()).ok_or_else(|| measurement.status.to_string()))]
 }
 
-fn check(sighting: &Sighting) {
-    let Some(measured) = sighting.measured else { return };
+fn check(measurement: &FrameMeasurement) {
+    let Some(measured) = measurement.measured else { return };
     assert!(measured.configuration.theta.is_finite() && measured.configuration.delta.is_finite());
     assert!(measured.sigma_theta > 0.0 && measured.sigma_delta > 0.0, "{measured:?}");
     assert!(measured.correlation.abs() <= 1.0, "{measured:?}");

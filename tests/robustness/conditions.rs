@@ -105,9 +105,9 @@ pub fn survey(condition: Condition, seeds: std::ops::Range<u64>, frames: usize) 
         };
         let eye = Eye::new(scene.lens.clone(), rig, scene.robot.clone()).refined(pictures.par_iter().cloned());
         for (picture, (psi, _)) in pictures.iter().zip(&bends) {
-            let sighting = eye.measure(picture);
-            let Some(seen) = sighting.measured else {
-                survey.told.push(format!("{} at {:.0}°, {:.0}°", sighting.status, psi.theta_deg(), psi.delta_deg()));
+            let measurement = eye.measure(picture);
+            let Some(seen) = measurement.measured else {
+                survey.told.push(format!("{} at {:.0}°, {:.0}°", measurement.status, psi.theta_deg(), psi.delta_deg()));
                 continue;
             };
             let errors = [

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use rigs::Random;
 use snakeloop::camera::Frame;
 use snakeloop::geometry::{Configuration, wrap_degrees};
-use snakeloop::measure::{Eye, RigOptions, Sighting, calibrate_rig};
+use snakeloop::measure::{Eye, FrameMeasurement, RigOptions, calibrate_rig};
 use snakeloop::observation::Status;
 use snakeloop::simulate::render::render;
 use snakeloop::simulate::scene::Scene;
@@ -78,14 +78,20 @@ fn outcomes(seed: u64, frames: usize) -> Result<Vec<Outcome>, String> {
     Ok((0..frames).map(outcome).collect())
 }
 
-fn judged(sighting: &Sighting, truth: Option<Configuration>, disturbance: Disturbance, psi: Configuration) -> Outcome {
-    let mut told = format!("{disturbance:?} θ {:.2}° δ {:.2}°: {}", psi.theta_deg(), psi.delta_deg(), sighting.status);
+fn judged(
+    measurement: &FrameMeasurement,
+    truth: Option<Configuration>,
+    disturbance: Disturbance,
+    psi: Configuration,
+) -> Outcome {
+    let mut told =
+        format!("{disturbance:?} θ {:.2}° δ {:.2}°: {}", psi.theta_deg(), psi.delta_deg(), measurement.status);
     let mut errors_deg = None;
     let mut is_false = false;
-    if let Some(measured) = &sighting.measured {
+    if let Some(measured) = &measurement.measured {
         is_false = truth.is_none();
         let seen = measured.configuration;
-        told += &format!(" θ {:.2}° δ {:.2}° {:?}", seen.theta_deg(), seen.delta_deg(), sighting.quality);
+        told += &format!(" θ {:.2}° δ {:.2}° {:?}", seen.theta_deg(), seen.delta_deg(), measurement.quality);
         if let Some(truth) = truth {
             let errors = [seen.theta_deg() - truth.theta_deg(), wrap_degrees(seen.delta_deg() - truth.delta_deg())];
             let sigmas = [measured.sigma_theta, measured.sigma_delta].map(f64::to_degrees);
@@ -94,7 +100,7 @@ fn judged(sighting: &Sighting, truth: Option<Configuration>, disturbance: Distur
             errors_deg = Some(errors);
         }
     }
-    Outcome { disturbance, status: sighting.status.clone(), errors_deg, is_false, told }
+    Outcome { disturbance, status: measurement.status.clone(), errors_deg, is_false, told }
 }
 
 /// Before these rigs' checkerboards the squares stood out more than the snake did: lighter and darker than it, and wider than

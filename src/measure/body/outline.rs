@@ -55,7 +55,7 @@ impl Piece {
     }
 
     /// The piece that stands for all that err alike: light falls on a tube's side in the same way from disk to disk.
-    pub(crate) fn witness(self) -> Self {
+    pub(crate) fn cluster(self) -> Self {
         match self {
             Self::Tube(tube, side, _) => Self::Tube(tube, side, 0),
             piece => piece,
@@ -81,21 +81,21 @@ pub struct OutlinePoint {
     /// Snake behind the border against the normal, px (up to [`Outline::REACH_PX`]).
     pub depth_px: f64,
     /// What a soft picture makes of the border, `None` if nothing is left of it.
-    pub softened: Option<Softened>,
+    pub predicted: Option<PredictedEdge>,
 }
 
 /// What a soft picture makes of a border point.
 #[derive(Debug, Clone, Copy)]
-pub struct Softened {
+pub struct PredictedEdge {
     /// How far outside the border its edge is seen, px.
-    pub outside_px: f64,
+    pub offset_px: f64,
     /// How soft it looks, in units of the picture's own softness.
-    pub looks_as_soft: f64,
+    pub blur_ratio: f64,
 }
 
-impl Softened {
+impl PredictedEdge {
     /// A straight border with nothing near it.
-    const NOT: Self = Self { outside_px: 0.0, looks_as_soft: 1.0 };
+    const NOT: Self = Self { offset_px: 0.0, blur_ratio: 1.0 };
 }
 
 /// The snake's outline for one configuration and one view.
@@ -139,7 +139,7 @@ impl<'a> Projection<'a> {
     }
 
     /// The part of the picture that is the body or near it.
-    pub(crate) fn surroundings(&self, psi: Configuration, reach_px: f64) -> Region {
+    pub(crate) fn image_region(&self, psi: Configuration, reach_px: f64) -> Region {
         const STEP_MM: f64 = 0.5;
         let (robot, lens) = (self.robot, self.lens);
         let steps = ((robot.length_mm + HOLDER_MM) / STEP_MM).ceil() as usize;
@@ -157,7 +157,7 @@ impl<'a> Projection<'a> {
     }
 
     /// Distance between the places of the outline that decide which bend it is, px: some thirty around a disk.
-    pub(crate) fn sparse_px(&self) -> f64 {
+    pub(crate) fn coarse_spacing_px(&self) -> f64 {
         const CLOSEST_PX: f64 = 6.0;
         (0.1 * self.diameter_px()).max(CLOSEST_PX)
     }
@@ -289,7 +289,7 @@ impl Outline {
 
     /// How an ideal camera would see the silhouette, 1 on the snake and 0 elsewhere, with edges as soft as a blur of
     /// σ = `blur_px` makes them. For border points closer than 4 px, whose silhouette is kept by the pixel.
-    pub(crate) fn seen_through(&self, blur_px: f64) -> Plane {
+    pub(crate) fn blurred_silhouette(&self, blur_px: f64) -> Plane {
         /// What pixels and the interpolation between them do to a step, px.
         const PIXELS_PX: f64 = 0.54;
         let sigma = (blur_px.powi(2) - PIXELS_PX.powi(2)).max(0.01).sqrt();
@@ -320,7 +320,7 @@ fn border_point(mask: &Mask, lens: &Lens, candidate: &Candidate) -> Option<Outli
     }
     let depth_px = mask.run_length(&pixel, -normal.into_inner(), true);
     let gap_px = mask.run_length(&pixel, normal.into_inner(), false);
-    Some(OutlinePoint { body, piece, lateral, pixel, normal, gap_px, depth_px, softened: Some(Softened::NOT) })
+    Some(OutlinePoint { body, piece, lateral, pixel, normal, gap_px, depth_px, predicted: Some(PredictedEdge::NOT) })
 }
 
 /// Rims and side walls of the disks and the holder.

@@ -1,19 +1,19 @@
 //! Fits the snake's bend to the edges of one picture.
 
-use crate::measure::body::outline::{Outline, Piece, Projection};
-use crate::measure::fit::certainty::{clustered_covariance, inliers, light_covariance, whole_covariance};
-use crate::measure::fit::edges::EdgeFinder;
-use crate::measure::fit::matches::{BiasPrior, EdgeBias, Matches, SHARP_PX, State, settled, soften};
-use crate::measure::fit::proof::Proof;
-use crate::measure::fit::shape::{Departure, departure};
-use crate::measure::fit::solve::covariance;
+use super::correspondences::{BiasPrior, Correspondences, EdgeBias, SHARP_PX, State, fine_filter, predict_blur};
+use super::edges::EdgeFinder;
+use super::shape::{Departure, departure};
+use super::solve::covariance;
+use super::uncertainty::{clustered_covariance, inliers, systematic_covariance, whole_covariance};
+use super::visibility::PartVisibility;
+use crate::measure::body::{Outline, Piece, Projection};
 use nalgebra::{Matrix2, Matrix2x6, Vector2};
 
 /// Edges are searched for within this distance, px, once the model has settled.
-pub(crate) const SETTLED_PX: f64 = 4.0;
+pub(crate) const FINE_SEARCH_PX: f64 = 4.0;
 
 /// Another bend explains a picture as well if its cost is within this factor of the best one's.
-pub(crate) const AS_GOOD: f64 = 1.5;
+pub(crate) const ALTERNATIVE_COST_RATIO: f64 = 1.5;
 
 /// The snake's bend in one picture.
 #[derive(Debug, Clone)]
@@ -34,13 +34,13 @@ pub(crate) struct BendFit {
     /// place has its edge where the model says, 1 if none has.
     pub cost: f64,
     /// The edges that were matched last.
-    matches: Matches,
+    matches: Correspondences,
 }
 
 impl BendFit {
     /// How the snake departs from a circle; `None` where the edges do not tell.
     pub fn departure(&self, view: &Projection, bias: &BiasPrior) -> Option<Departure> {
-        departure(view, &self.matches, &self.start().state, &bias.in_edges_as_soft_as(self.blur_px), self.rms_px)
+        departure(view, &self.matches, &self.start().state, &bias.at_blur(self.blur_px), self.rms_px)
     }
 
     /// The share of the places that were looked at whose edges agree with the model.
@@ -49,8 +49,8 @@ impl BendFit {
     }
 
     /// What of the snake is there to be seen.
-    pub fn proof(&self) -> Proof {
-        Proof::of(self.matches.asked())
+    pub fn visibility(&self) -> PartVisibility {
+        PartVisibility::of(self.matches.asked())
     }
 
     /// Whether all of the outline is where the fit says, so that no other bend needs to be looked at.
@@ -60,15 +60,15 @@ impl BendFit {
         if self.cost >= HARDLY_OFF || self.inlier_fraction() < NEARLY_ALL {
             return false;
         }
-        let proof = self.proof();
-        proof.disks_there() == 1.0 && proof.end_is_there()
+        let visibility = self.visibility();
+        visibility.visible_disk_share() == 1.0 && visibility.is_end_visible()
     }
 
     /// The better of two that end close together, with the doubt which of them is right.
     pub fn or(self, other: Self) -> Self {
         let apart = self.bend - other.bend;
         let (mut better, worse) = if other.cost < self.cost { (other, self) } else { (self, other) };
-        if worse.cost < AS_GOOD * better.cost {
+        if worse.cost < ALTERNATIVE_COST_RATIO * better.cost {
             // The variance of two equally likely answers.
             better.covariance += apart * apart.transpose() / 4.0;
         }
@@ -83,7 +83,7 @@ impl BendFit {
 
 /// Moves a state to where matched edges agree with it best, and the square roots of the weights that they have there.
 fn moved_to_edges(
-    matches: &Matches,
+    matches: &Correspondences,
     view: &Projection,
     start: State,
     bias: BiasPrior,
@@ -111,14 +111,14 @@ fn moved_to_edges(
 
 /// How thoroughly a picture is looked at.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Effort {
+pub(crate) struct FitSchedule {
     /// Search distances, px, one a round of matching; the last one is kept until nothing moves.
     pub searches_px: &'static [f64],
     /// Most rounds.
     pub rounds: usize,
     /// Whether the start is as good as the answer, so that what disagrees with it is not the snake's outline. Then every
     /// place of it is asked; until then a few are enough to tell which bend it is.
-    pub settled: bool,
+    pub is_fine: bool,
     /// Nothing moves if the bend moves by less, rad.
     pub converged_rad: f64,
 }
@@ -139,7 +139,7 @@ pub(crate) fn fit_bend(
     finder: &EdgeFinder,
     start: Start,
     bias: BiasPrior,
-    effort: &Effort,
+    schedule: &FitSchedule,
 ) -> Option<BendFit> {
     const FURTHEST_RAD: f64 = 2.2;
     const LEAST_OUTLINE_PX: f64 = 60.0;
@@ -149,57 +149,58 @@ pub(crate) fn fit_bend(
     /// draws it anew: which rims of disks seen edge-on are on the border hangs on every hundredth of a degree.
     const CARRIED_RAD: f64 = 0.03;
     let Start { mut state, blur_px } = start;
-    let mut settling = !effort.settled;
-    let mut blur_px = blur_px.filter(|_| effort.settled);
-    let bias = blur_px.map_or(bias, |blur_px| bias.in_edges_as_soft_as(blur_px));
-    let mut filtered = blur_px.map_or_else(|| finder.clone(), |blur_px| settled(finder, view, blur_px));
-    let spacing_px = if effort.settled { Outline::SPACING_PX } else { view.sparse_px() };
+    let mut settling = !schedule.is_fine;
+    let mut blur_px = blur_px.filter(|_| schedule.is_fine);
+    let bias = blur_px.map_or(bias, |blur_px| bias.at_blur(blur_px));
+    let mut filtered = blur_px.map_or_else(|| finder.clone(), |blur_px| fine_filter(finder, view, blur_px));
+    let spacing_px = if schedule.is_fine { Outline::SPACING_PX } else { view.coarse_spacing_px() };
     let mut drawn: Option<(Vector2<f64>, Outline)> = None;
-    let mut last: Option<(Matches, Vec<f64>, f64)> = None;
-    let searches = effort.searches_px.iter().chain(std::iter::repeat(effort.searches_px.last()?));
-    for (round, &search_px) in searches.take(effort.rounds).enumerate() {
+    let mut last: Option<(Correspondences, Vec<f64>, f64)> = None;
+    let searches = schedule.searches_px.iter().chain(std::iter::repeat(schedule.searches_px.last()?));
+    for (round, &search_px) in searches.take(schedule.rounds).enumerate() {
         // A picture that was thought sharper than it is was looked at with too narrow a filter.
         if let Some((matches, ..)) = &last {
             let seen_px = matches.blur_px;
             match &mut blur_px {
-                None => filtered = finder.as_wide_as(seen_px),
+                None => filtered = finder.coarse_for_blur(seen_px),
                 Some(blur_px) if seen_px > SHARP_PX => {
                     *blur_px = seen_px;
-                    filtered = settled(finder, view, seen_px);
+                    filtered = fine_filter(finder, view, seen_px);
                 }
                 Some(_) => {}
             }
         }
         let before = drawn.take();
         let (_, outline) = drawn.insert(match before {
-            Some((at, mut outline)) if !effort.settled && (state.bend - at).norm() < CARRIED_RAD => {
+            Some((at, mut outline)) if !schedule.is_fine && (state.bend - at).norm() < CARRIED_RAD => {
                 outline.carry(view, state.psi());
                 (at, outline)
             }
             _ => {
                 let mut outline = Outline::spaced(view, state.psi(), spacing_px);
                 if let Some(blur_px) = blur_px {
-                    soften(&mut outline, blur_px, &filtered);
+                    predict_blur(&mut outline, blur_px, &filtered);
                 }
                 (state.bend, outline)
             }
         });
         // The holder and the base disk do not bend.
-        let matches =
-            Matches::find(outline, &filtered, search_px, |p| !matches!(p, Piece::HolderSide(_) | Piece::BaseRim));
+        let matches = Correspondences::find(outline, &filtered, search_px, |p| {
+            !matches!(p, Piece::HolderSide(_) | Piece::BaseRim)
+        });
         if matches.len() as f64 * spacing_px < LEAST_OUTLINE_PX {
             return None;
         }
         let before = state.bend;
         let roots;
-        (state, roots) = moved_to_edges(&matches, view, state, bias, settling || search_px > SETTLED_PX)?;
+        (state, roots) = moved_to_edges(&matches, view, state, bias, settling || search_px > FINE_SEARCH_PX)?;
         if state.bend.norm() > FURTHEST_RAD {
             return None;
         }
         let moved_rad = (state.bend - before).norm();
         settling &= moved_rad > SETTLING_RAD;
         last = Some((matches, roots, search_px));
-        if round + 1 >= effort.searches_px.len() && moved_rad < effort.converged_rad {
+        if round + 1 >= schedule.searches_px.len() && moved_rad < schedule.converged_rad {
             break;
         }
     }
@@ -212,7 +213,7 @@ pub(crate) fn fit_bend(
     let independent = covariance(&linear.by_state)?;
     let clustered = clustered_covariance(&linear.by_state, &linear.residuals, &matches.pieces())?;
     let (inliers, rms_px) = inliers(&misfits_px, &roots);
-    let light = light_covariance(&matches, &linear.by_state, &independent, view, &roots, rms_px);
+    let light = systematic_covariance(&matches, &linear.by_state, &independent, view, &roots, rms_px);
     let gain = &independent * linear.by_state.tr_mul(&linear.by_pose);
     let near: f64 = misfits_px.iter().map(|d| 1.0 - (d / search_px).powi(2).min(1.0)).sum();
     let covariance = whole_covariance([&clustered, &independent, &light], &[0, 1])?;

@@ -1,6 +1,6 @@
 //! Sub-pixel edges between snake and background.
 
-use crate::measure::body::outline::OutlinePoint;
+use crate::measure::body::OutlinePoint;
 use crate::measure::image::plane::{Plane, Region};
 
 /// An edge found near a predicted border point.
@@ -85,16 +85,16 @@ impl<'a> EdgeFinder<'a> {
 
     /// The same for edges this soft, px: a filter much narrower than the blur finds more noise than edge, and takes the edge for
     /// as sharp as noise is.
-    pub fn as_wide_as(&self, blur_px: f64) -> Self {
+    pub fn coarse_for_blur(&self, blur_px: f64) -> Self {
         self.with_filter(filter_px(blur_px))
     }
 
     /// The same for edges that are known to be near, too. Shading beside an edge, a slope of the brightness, draws it in
     /// proportion to blur² + filter²: where noise is weak, a filter as fine as a sharp edge is.
-    pub fn as_fine_as(&self, blur_px: f64) -> Self {
+    pub fn fine_for_blur(&self, blur_px: f64) -> Self {
         let fine = (blur_px < FILTER_PX).then(|| self.with_filter(blur_px.max(FINEST_PX)));
         let noise_is_weak = |fine: &Self| NOISES * fine.slope_noise < HALF_STEP;
-        fine.filter(noise_is_weak).unwrap_or_else(|| self.as_wide_as(blur_px))
+        fine.filter(noise_is_weak).unwrap_or_else(|| self.coarse_for_blur(blur_px))
     }
 
     /// The same finder for a picture of the model: see [`noiseless`](Self::noiseless).
@@ -193,7 +193,7 @@ impl<'a> EdgeFinder<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measure::body::outline::{BodyPoint, Piece};
+    use crate::measure::body::{BodyPoint, Piece};
     use crate::measure::image::plane::median;
     use nalgebra::{Point2, Unit, Vector2, Vector3};
     use rand::{SeedableRng, rngs::StdRng};
@@ -228,7 +228,7 @@ mod tests {
             normal: Unit::new_unchecked(Vector2::x()),
             gap_px: 12.0,
             depth_px: 12.0,
-            softened: None,
+            predicted: None,
         }
     }
 
@@ -246,7 +246,7 @@ mod tests {
         for blur_px in [0.9, 1.5, 3.0, 5.0] {
             let plane = picture(blur_px, 0.0);
             let finder = EdgeFinder::new(&plane, false);
-            for finder in [finder.clone(), finder.as_wide_as(blur_px), finder.as_fine_as(blur_px)] {
+            for finder in [finder.clone(), finder.coarse_for_blur(blur_px), finder.fine_for_blur(blur_px)] {
                 let (seen_px, scatter_px) = seen(&finder);
                 // Interpolation between pixels is a blur of its own, of variance 1/6.
                 let expected_px = (blur_px.powi(2) + 1.0 / 6.0).sqrt();
@@ -262,7 +262,7 @@ mod tests {
         let plane = picture(BLUR_PX, 0.03);
         let narrow = EdgeFinder::new(&plane, false);
         let (narrow_px, narrow_scatter_px) = seen(&narrow);
-        let (wide_px, wide_scatter_px) = seen(&narrow.as_wide_as(BLUR_PX));
+        let (wide_px, wide_scatter_px) = seen(&narrow.coarse_for_blur(BLUR_PX));
         assert!(narrow_px < 0.6 * BLUR_PX, "σ {BLUR_PX} px is seen as {narrow_px}");
         assert!((wide_px / BLUR_PX - 1.0).abs() < 0.15, "σ {BLUR_PX} px is seen as {wide_px}");
         assert!(

@@ -4,10 +4,10 @@
 //! the fit of the circle stands, a Gauss-Newton step in all of them says how far the picture would go if it might, and the
 //! bend after that step is the tip's own.
 
-use crate::measure::body::outline::Projection;
-use crate::measure::fit::certainty::{clustered_covariance, light_covariance, robust_weights, whole_covariance};
-use crate::measure::fit::matches::{BiasPrior, Matches, STATE, State};
-use crate::measure::fit::solve::covariance;
+use super::correspondences::{BiasPrior, Correspondences, STATE, State};
+use super::solve::covariance;
+use super::uncertainty::{clustered_covariance, robust_weights, systematic_covariance, whole_covariance};
+use crate::measure::body::Projection;
 use crate::observation::Shape;
 use crate::robot::Curve;
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix4, Matrix6, SMatrix, Vector2, Vector4};
@@ -27,7 +27,7 @@ pub(crate) struct Departure {
 /// do not tell.
 pub(crate) fn departure(
     view: &Projection,
-    matches: &Matches,
+    matches: &Correspondences,
     state: &State,
     prior: &BiasPrior,
     scatter_px: f64,
@@ -68,7 +68,7 @@ pub(crate) fn departure(
     let independent = covariance(&jacobian)?;
     let residuals = edges.residuals.component_mul(&roots) + &jacobian * &step;
     let clustered = clustered_covariance(&jacobian, &residuals, &matches.pieces())?;
-    let light = light_covariance(matches, &jacobian, &independent, view, roots.as_slice(), scatter_px);
+    let light = systematic_covariance(matches, &jacobian, &independent, view, roots.as_slice(), scatter_px);
     let gain = &independent * jacobian.tr_mul(&weighted(&edges.by_pose, &roots));
     const KEPT: [usize; 4] = [0, 1, STATE, STATE + 1];
     let covariance = whole_covariance([&clustered, &independent, &light], &KEPT)?;

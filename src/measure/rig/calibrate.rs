@@ -2,13 +2,12 @@
 
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose};
-use crate::measure::body::outline::{Outline, Projection};
-use crate::measure::fit::bend::SETTLED_PX;
-use crate::measure::fit::certainty::{clustered_covariance, inliers, light_covariance, robust_weights};
-use crate::measure::fit::edges::EdgeFinder;
-use crate::measure::fit::matches::{EdgeBias, Matches, settled, soften};
-use crate::measure::fit::proof::Proof;
+use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::solve::{Solution, minimise};
+use crate::measure::fit::{
+    Correspondences, EdgeBias, EdgeFinder, FINE_SEARCH_PX, PartVisibility, clustered_covariance, fine_filter, inliers,
+    predict_blur, robust_weights, systematic_covariance,
+};
 use crate::measure::image::appearance::Appearance;
 use crate::measure::image::plane::Plane;
 use crate::measure::rig::drift::{Print, PrintWatch};
@@ -252,7 +251,7 @@ fn fit_base(
     let straight = Configuration::new(0.0, 0.0);
     let mut learned: Option<(Appearance, Plane)> = None;
     let mut edge_bias = EdgeBias::default();
-    let mut outcome: Option<(Matches, Vec<f64>, Solution)> = None;
+    let mut outcome: Option<(Correspondences, Vec<f64>, Solution)> = None;
     for (round, search_px) in [14.0, 12.0, 10.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 3.0, 3.0].into_iter().enumerate() {
         let pose = |p: &Placement| grid.camera_from_grid * p.grid_from_base(options);
         let view = Projection { lens, camera_from_base: pose(&placement), robot };
@@ -269,14 +268,14 @@ fn fit_base(
         let mut finder = EdgeFinder::new(plane, appearance.two_sided);
         if let Some((matches, ..)) = &outcome {
             let blur_px = matches.blur_px;
-            if search_px > SETTLED_PX {
-                finder = finder.as_wide_as(blur_px);
+            if search_px > FINE_SEARCH_PX {
+                finder = finder.coarse_for_blur(blur_px);
             } else {
-                finder = settled(&finder, &view, blur_px);
-                soften(&mut outline, blur_px, &finder);
+                finder = fine_filter(&finder, &view, blur_px);
+                predict_blur(&mut outline, blur_px, &finder);
             }
         }
-        let matches = Matches::find(&outline, &finder, search_px, |_| true);
+        let matches = Correspondences::find(&outline, &finder, search_px, |_| true);
         if matches.len() < 40 || matches.len() * 3 < matches.places() {
             return Err(format!(
                 "only {} of {} places on the straight snake's outline show an edge; is the snake unbent, in focus, unlike the \
@@ -285,9 +284,9 @@ fn fit_base(
                 matches.places()
             ));
         }
-        let roots = robust_weights(&matches.residuals(&view, straight, edge_bias), search_px > SETTLED_PX);
+        let roots = robust_weights(&matches.residuals(&view, straight, edge_bias), search_px > FINE_SEARCH_PX);
         // While the model is off, a bias would take the blame and carry scale and tilt away.
-        let bias_sigma_px = if search_px > SETTLED_PX { NO_BIAS_PX } else { STRAIGHT_BIAS_SIGMA_PX };
+        let bias_sigma_px = if search_px > FINE_SEARCH_PX { NO_BIAS_PX } else { STRAIGHT_BIAS_SIGMA_PX };
         let weighted = |x: &DVector<f64>| {
             let moved = Projection { camera_from_base: pose(&Placement(x.rows(0, 5).into_owned())), ..view.clone() };
             let edges = matches.residuals(&moved, straight, EdgeBias::default().moved(&x.as_slice()[5..]));
@@ -311,7 +310,7 @@ fn fit_base(
     let covariance = clustered_covariance(&solution.jacobian, &solution.residuals, &matches.pieces())
         .zip(solution.covariance())
         .map(|(clustered, independent)| {
-            let light = light_covariance(&matches, &solution.jacobian, &independent, &view, &roots, edge_rms_px);
+            let light = systematic_covariance(&matches, &solution.jacobian, &independent, &view, &roots, edge_rms_px);
             clustered + light
         })
         .ok_or("the snake's edges do not determine where its base is")?;
@@ -326,11 +325,11 @@ fn fit_base(
     }
     let (appearance, plane) = learned.ok_or("no appearance was learned")?;
     let finder = EdgeFinder::new(&plane, appearance.two_sided);
-    let proof = Proof::new(&Outline::new(&view, straight), &finder);
+    let visibility = PartVisibility::new(&Outline::new(&view, straight), &finder);
     let end = robot.body.spacer_disk_count + 1;
     let ends = [("the holder", 0), ("the first disk", 1), ("the end disk", end)];
-    if let Some((part, _)) = ends.into_iter().find(|&(_, part)| !proof.is_there(part))
-        && !proof.are_all_there_faintly(end)
+    if let Some((part, _)) = ends.into_iter().find(|&(_, part)| !visibility.is_visible(part))
+        && !visibility.are_all_faintly_visible(end)
     {
         return Err(format!("{part} is not where the model says; is the snake unbent, and all of it in the picture?"));
     }
@@ -410,7 +409,7 @@ fn starting_placement(lens: &Lens, options: &RigOptions, snake: &SnakeStart, gri
 fn appearance_of(frame: &Frame, outline: &Outline, is_well_placed: bool) -> Option<Appearance> {
     let (x0, y0, x1, y1) = outline.bounds();
     let margin = x1 - x0;
-    let soft = is_well_placed.then(|| outline.seen_through(BORDER_PX));
+    let soft = is_well_placed.then(|| outline.blurred_silhouette(BORDER_PX));
     let is_at_border =
         |pixel: &Point2<f64>| soft.as_ref().is_some_and(|soft| (0.05..0.95).contains(&soft.sample(pixel)));
     Appearance::learn(frame, |x, y| {

@@ -7,10 +7,8 @@
 
 use crate::camera::{Frame, Lens, Sample, Samples};
 use crate::geometry::{Configuration, Pose};
-use crate::measure::body::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
-use crate::measure::fit::certainty::robust_weights;
-use crate::measure::fit::edges::EdgeFinder;
-use crate::measure::fit::matches::EdgeBias;
+use crate::measure::body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
+use crate::measure::fit::{EdgeBias, EdgeFinder, robust_weights};
 use crate::measure::image::plane::median;
 use crate::measure::rig::calibrate::Rig;
 use crate::measure::target::grid::{Pattern, nudged, paper_at, phases_from_paper, project_paper, waves_from_gradient};

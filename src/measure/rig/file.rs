@@ -14,7 +14,7 @@
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::input::read_text;
-use crate::measure::fit::matches::EdgeBias;
+use crate::measure::fit::EdgeBias;
 use crate::measure::image::appearance::Appearance;
 use crate::measure::rig::calibrate::Rig;
 use crate::measure::rig::drift::Print;

@@ -2,7 +2,7 @@
 
 use crate::camera::Lens;
 use crate::geometry::{Configuration, Pose};
-use crate::measure::body::outline::{Outline, Projection};
+use crate::measure::body::{Outline, Projection};
 use crate::measure::image::plane::Plane;
 use crate::robot::Robot;
 use nalgebra::{Point2, Vector2};
@@ -17,7 +17,7 @@ const SPACING_DEG: f64 = 4.0;
 
 /// Pairs of places just inside and just outside the outlines of all bends the snake may take, for one view.
 #[derive(Debug)]
-pub(crate) struct Search {
+pub(crate) struct CoarseSearch {
     bends: Vec<Bend>,
 }
 
@@ -28,7 +28,7 @@ struct Bend {
     pairs: Vec<(u32, u32)>,
 }
 
-impl Search {
+impl CoarseSearch {
     /// Projects every bend once; frames then only look pixels up.
     pub fn new(lens: &Lens, camera_from_base: Pose, robot: &Robot) -> Self {
         let small = shrunk_lens(lens);

@@ -1,7 +1,7 @@
 //! What fits to matched edges may believe: robust weights, and covariances that count pieces of the outline, not pixels.
 
-use crate::measure::body::outline::{Piece, Projection};
-use crate::measure::fit::matches::Matches;
+use super::correspondences::Correspondences;
+use crate::measure::body::{Piece, Projection};
 use crate::measure::image::plane::median;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
@@ -40,7 +40,7 @@ pub(crate) fn clustered_covariance(
     let bread = (jacobian.transpose() * jacobian).cholesky()?.inverse();
     let mut scores: BTreeMap<Result<Piece, usize>, DVector<f64>> = BTreeMap::new();
     for row in 0..jacobian.nrows() {
-        let cluster = pieces.get(row).map(|piece| piece.witness()).ok_or(row);
+        let cluster = pieces.get(row).map(|piece| piece.cluster()).ok_or(row);
         let score = scores.entry(cluster).or_insert_with(|| DVector::zeros(parameters));
         score.iter_mut().zip(jacobian.row(row).iter()).for_each(|(sum, slope)| *sum += slope * residuals[row]);
     }
@@ -52,9 +52,9 @@ pub(crate) fn clustered_covariance(
     Some(&bread * meat * &bread * (clusters / (clusters - parameters as f64)))
 }
 
-/// What [`Matches::light_patterns`] add to the covariance of a fit to these edges, whose rows come first in `jacobian`.
-pub(crate) fn light_covariance(
-    matches: &Matches,
+/// What [`Correspondences::systematic_modes`] add to the covariance of a fit to these edges, whose rows come first in `jacobian`.
+pub(crate) fn systematic_covariance(
+    matches: &Correspondences,
     jacobian: &DMatrix<f64>,
     independent: &DMatrix<f64>,
     view: &Projection,
@@ -63,7 +63,7 @@ pub(crate) fn light_covariance(
 ) -> DMatrix<f64> {
     let edges = jacobian.rows(0, matches.len()).transpose();
     let shifts =
-        matches.light_patterns(view, roots, scatter_px).into_iter().map(|pattern| independent * (&edges * pattern));
+        matches.systematic_modes(view, roots, scatter_px).into_iter().map(|pattern| independent * (&edges * pattern));
     shifts.fold(DMatrix::zeros(independent.nrows(), independent.ncols()), |sum, shift| sum + &shift * shift.transpose())
 }
 

@@ -1,9 +1,9 @@
 //! Matches a model's outline with a picture's edges, and says how well they agree with any state of the model.
 
+use super::edges::{Edge, EdgeFinder, filter_px};
+use super::uncertainty::robust_weights;
 use crate::geometry::{Configuration, Pose};
-use crate::measure::body::outline::{BodyPoint, Outline, OutlinePoint, Piece, Projection, Softened};
-use crate::measure::fit::certainty::robust_weights;
-use crate::measure::fit::edges::{Edge, EdgeFinder, filter_px};
+use crate::measure::body::{BodyPoint, Outline, OutlinePoint, Piece, PredictedEdge, Projection};
 use crate::measure::image::plane::median;
 use nalgebra::{DMatrix, DVector, Point2, Point3, SMatrix, SVector, Vector2, Vector3};
 
@@ -61,7 +61,7 @@ impl BiasPrior {
     }
 
     /// What is known of it in a picture this soft.
-    pub fn in_edges_as_soft_as(self, blur_px: f64) -> Self {
+    pub fn at_blur(self, blur_px: f64) -> Self {
         Self { sigma_px: self.sigma_px * softness(blur_px), ..self }
     }
 
@@ -94,7 +94,7 @@ impl State {
 
 /// A border point of the model and the edge that was found near it.
 #[derive(Debug, Clone, Copy)]
-struct Match {
+struct Correspondence {
     body: BodyPoint,
     piece: Piece,
     /// See [`OutlinePoint::lateral`].
@@ -109,8 +109,8 @@ struct Match {
 
 /// The edges that were matched with a model's outline, and how well they agree with any other state of the model.
 #[derive(Debug, Clone)]
-pub(crate) struct Matches {
-    matches: Vec<Match>,
+pub(crate) struct Correspondences {
+    matches: Vec<Correspondence>,
     /// The sections (arc lengths) on which the points lie, and which of them each point is on: many share one, and a
     /// section's frame is what costs most.
     sections_mm: Vec<f64>,
@@ -121,7 +121,7 @@ pub(crate) struct Matches {
     pub blur_px: f64,
 }
 
-/// What light does to all rims alike and to all sides alike, px (1σ): see [`Matches::light_patterns`]. In renders of random rigs
+/// What light does to all rims alike and to all sides alike, px (1σ): see [`Correspondences::systematic_modes`]. In renders of random rigs
 /// the sides of disks and holder are seen further right or left by 0.011 px (median) to 0.04 px (one rig in ten).
 const LIGHT_ON_RIMS_PX: f64 = 0.0108;
 const LIGHT_ON_SIDES_PX: f64 = 0.0245;
@@ -157,28 +157,28 @@ const SMALL_PX: f64 = 40.0;
 
 /// The finder for edges this soft of an outline that lies well. A small snake has so few of them that noise does more harm than
 /// shading: there it is never finer.
-pub(crate) fn settled<'a>(finder: &EdgeFinder<'a>, view: &Projection, blur_px: f64) -> EdgeFinder<'a> {
-    if view.diameter_px() < SMALL_PX { finder.as_wide_as(blur_px) } else { finder.as_fine_as(blur_px) }
+pub(crate) fn fine_filter<'a>(finder: &EdgeFinder<'a>, view: &Projection, blur_px: f64) -> EdgeFinder<'a> {
+    if view.diameter_px() < SMALL_PX { finder.coarse_for_blur(blur_px) } else { finder.fine_for_blur(blur_px) }
 }
 
 /// Looks at an outline's own silhouette as at a picture, with the same filter and as soft as a blur of σ = `blur_px` makes it:
 /// corners and bends of the border, which a soft picture rounds off, are then rounded in both, and a part that is hardly wider
 /// than the blur looks as much sharper in both.
-pub(crate) fn soften(outline: &mut Outline, blur_px: f64, finder: &EdgeFinder) {
+pub(crate) fn predict_blur(outline: &mut Outline, blur_px: f64, finder: &EdgeFinder) {
     /// An edge that looks sharper than by this factor is hardly one.
     const LEAST: f64 = 0.3;
-    let silhouette = outline.seen_through(blur_px);
+    let silhouette = outline.blurred_silhouette(blur_px);
     let finder = finder.for_model(&silhouette);
     let search_px = ROUNDED_PX * (blur_px / SHARP_PX).max(1.0);
     for point in outline.points.iter_mut().filter(|point| is_clear(point)) {
-        point.softened = finder
+        point.predicted = finder
             .find(point, search_px)
-            .map(|edge| Softened { outside_px: edge.offset_px, looks_as_soft: (edge.blur_px / blur_px).max(LEAST) });
+            .map(|edge| PredictedEdge { offset_px: edge.offset_px, blur_ratio: (edge.blur_px / blur_px).max(LEAST) });
     }
 }
 
-impl Matches {
-    /// Finds the edges within `search_px` of the model's outline, which may be [`soften`]ed.
+impl Correspondences {
+    /// Finds the edges within `search_px` of the model's outline, which may be [`predict_blur`]ed.
     pub fn find(outline: &Outline, finder: &EdgeFinder, search_px: f64, is_wanted: impl Fn(Piece) -> bool) -> Self {
         let mut found = Self {
             matches: Vec::with_capacity(outline.points.len()),
@@ -191,22 +191,22 @@ impl Matches {
         for point in outline.points.iter().filter(|p| is_clear(p) && is_wanted(p.piece)) {
             let edge = finder.find(point, search_px);
             found.asked.push((point.piece, edge));
-            let (Some(edge), Some(softened)) = (edge, point.softened) else { continue };
+            let (Some(edge), Some(predicted)) = (edge, point.predicted) else { continue };
             let floor_px = if matches!(point.piece, Piece::Tube(..)) { TUBE_FLOOR_PX } else { EDGE_FLOOR_PX };
             // Points come section by section.
             if found.sections_mm.last() != Some(&point.body.s_mm) {
                 found.sections_mm.push(point.body.s_mm);
             }
             found.section_of.push(found.sections_mm.len() - 1);
-            found.matches.push(Match {
+            found.matches.push(Correspondence {
                 body: point.body,
                 piece: point.piece,
                 lateral: point.lateral,
-                seen: point.pixel + point.normal.into_inner() * (edge.offset_px - softened.outside_px),
+                seen: point.pixel + point.normal.into_inner() * (edge.offset_px - predicted.offset_px),
                 normal: point.normal.into_inner(),
                 sigma_px: edge.sigma_px.hypot(floor_px),
             });
-            blurs_px.push((edge.blur_px / softened.looks_as_soft).min(SOFTEST_PX) as f32);
+            blurs_px.push((edge.blur_px / predicted.blur_ratio).min(SOFTEST_PX) as f32);
         }
         found.blur_px = f64::from(median(&mut blurs_px));
         found
@@ -257,11 +257,11 @@ impl Matches {
     /// averages them away: all rims shifted along the snake, the same at their ends only, all ends rounded off, disks
     /// that look thicker towards one end of the snake, and all sides shifted to the right or down in the picture. What
     /// displaces edges one by one displaces them together, too: the more they scatter, px, the more so.
-    pub fn light_patterns(&self, view: &Projection, roots: &[f64], scatter_px: f64) -> Vec<DVector<f64>> {
+    pub fn systematic_modes(&self, view: &Projection, roots: &[f64], scatter_px: f64) -> Vec<DVector<f64>> {
         let more = softness(self.blur_px)
             * (SMALL_PX / view.diameter_px()).max(1.0).powi(2)
             * (scatter_px / TYPICAL_SCATTER_PX);
-        let of_edge = |m: &Match| {
+        let of_edge = |m: &Correspondence| {
             let along = 2.0 * m.body.s_mm / view.robot.length_mm - 1.0;
             let end = m.lateral.powi(2);
             let of_rim = |face: f64| [face, face * end, end, along, 0.0, 0.0].map(|share| LIGHT_ON_RIMS_PX * share);
@@ -274,7 +274,7 @@ impl Matches {
             }
         };
         let edges: Vec<[f64; 6]> = self.matches.iter().map(of_edge).collect();
-        let weight = |(m, root): (&Match, &f64)| root * more / m.sigma_px;
+        let weight = |(m, root): (&Correspondence, &f64)| root * more / m.sigma_px;
         let weights: Vec<f64> = self.matches.iter().zip(roots).map(weight).collect();
         let pattern = |k: usize| DVector::from_fn(self.len(), |edge, _| weights[edge] * edges[edge][k]);
         (0..6).map(pattern).collect()
