@@ -17,18 +17,21 @@ use crate::error::Result;
 use crate::estimate::{Options, estimate};
 use crate::geometry::{Configuration, wrap_angle};
 use crate::observation::Waypoint;
-use crate::robot::{Effect, Estimate, Friction, Model, PerBackbone};
+use crate::robot::{Effect, Estimate, Friction, Model, PerBackbone, Robot};
 use crate::simulate::{Plant, SimulatedEye};
 use nalgebra::Matrix2;
 use serde::Serialize;
+use std::f64::consts::FRAC_PI_2;
+use std::fmt;
 
-/// Half of the play that the dial indicator found, mm: the middle of 0.15–0.20 mm between pushing and pulling.
+/// Half of the play between pushing and pulling, mm.
+/// Source: Section IV of the paper, whose dial indicator found 0.15–0.20 mm; this is half of their middle.
 const HALF_PLAY_MM: f64 = 0.0875;
-/// The paper's repeatability of a measurement, degrees.
-const REPEATABILITY_DEG: f64 = 0.5;
-/// θ of Fig. 11, degrees.
+/// The repeatability of a measurement, degrees. Source: Section V of the paper.
+pub(super) const REPEATABILITY_DEG: f64 = 0.5;
+/// θ of Fig. 11, degrees. Source: the caption of Fig. 11.
 const FIGURE_11_THETA_DEG: f64 = 30.0;
-/// The accuracy that the paper asks for and reports, degrees.
+/// The accuracy that the paper asks for and reports, degrees. Source: Section VI of the paper.
 const GOAL_DEG: f64 = 1.0;
 
 /// Which robot was simulated.
@@ -54,6 +57,26 @@ pub enum Compensation {
     Estimated,
     /// The same, with the play known.
     EstimatedWithPlay,
+}
+
+impl fmt::Display for SimulatedRobot {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Equation18 => "Eq. 18's robot",
+            Self::WithPlay => "robot with play",
+        })
+    }
+}
+
+impl fmt::Display for Compensation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::None => "without compensation",
+            Self::Naive => "naive",
+            Self::Estimated => "estimated",
+            Self::EstimatedWithPlay => "estimated, play known",
+        })
+    }
 }
 
 /// How far the bend missed at one pose.
@@ -218,88 +241,82 @@ fn worst(rows: &[BendingError], robot: SimulatedRobot, compensation: Compensatio
     [of(|row| row.error_theta_deg), of(|row| row.error_delta_deg)]
 }
 
-/// The figures in numbers.
+/// A line of the comparison: a robot, its compensation, the paper's figure in degrees, and the reason of a difference.
+type Line = (SimulatedRobot, Compensation, Option<f64>, &'static str);
+
+/// What is compared of each of Fig. 10 and 11.
+const LINES: [Line; 6] = [
+    (SimulatedRobot::Equation18, Compensation::None, None, "The line takes up about half of what is commanded."),
+    (
+        SimulatedRobot::Equation18,
+        Compensation::Naive,
+        None,
+        "The paper: fails the goal of 1°. What is missing is η alone.",
+    ),
+    (
+        SimulatedRobot::Equation18,
+        Compensation::Estimated,
+        Some(GOAL_DEG),
+        "The paper: 1° reached. Here it is what ten noisy measurements leave, up to 0.5° with other seeds.",
+    ),
+    (
+        SimulatedRobot::WithPlay,
+        Compensation::Naive,
+        None,
+        "The paper: fails, with a bow at small bends. The play makes that bow.",
+    ),
+    (
+        SimulatedRobot::WithPlay,
+        Compensation::Estimated,
+        Some(GOAL_DEG),
+        "Eq. 18's λ has one sign and moves no bend, so only η can take up what the play does.",
+    ),
+    (
+        SimulatedRobot::WithPlay,
+        Compensation::EstimatedWithPlay,
+        Some(GOAL_DEG),
+        "With the play in the model, as `discover` adds it.",
+    ),
+];
+
+/// Fig. 9 to 11 in numbers.
 pub fn compared(workspace: &[WorkspacePoint], by_theta: &[BendingError], by_delta: &[BendingError]) -> Vec<Comparison> {
-    use Compensation::{Estimated, EstimatedWithPlay, Naive, None as Without};
-    use SimulatedRobot::{Equation18, WithPlay};
-    let extreme = |pick: fn(f64, f64) -> f64, start: f64| workspace.iter().map(|p| p.compensated_mm).fold(start, pick);
-    let mut rows = Vec::new();
-    for (quantity, ours) in [
-        ("shortest L + q̃_1 over the workspace", extreme(f64::min, f64::INFINITY)),
-        ("longest L + q̃_1 over the workspace", extreme(f64::max, f64::NEG_INFINITY)),
-    ] {
-        let ideal = |theta: f64| 26.0 + theta.to_radians() * 1.5;
-        let ideal = if ours < 26.0 { ideal(-90.0) } else { ideal(90.0) };
-        rows.push(Comparison::new(
-            "Fig. 9",
-            quantity,
-            "mm",
-            None,
-            ours,
-            format!(
-                "A picture without legible numbers. Without compensation it is {ideal:.2} mm; both are at θ = 90°."
-            ),
-        ));
-    }
-    let mut add = |place, figure: &[BendingError], robot, compensation, paper: Option<f64>, explanation: &str| {
-        let [theta, delta] = worst(figure, robot, compensation);
-        let of = match robot {
-            Equation18 => "Eq. 18's robot",
-            WithPlay => "robot with play",
-        };
-        let how = match compensation {
-            Without => "without compensation",
-            Naive => "naive",
-            Estimated => "estimated",
-            EstimatedWithPlay => "estimated, play known",
-        };
-        rows.push(Comparison::new(
-            place,
-            format!("largest error of θ, {how}, {of}"),
-            "deg",
-            paper,
-            theta,
-            format!("{explanation} Largest error of δ: {delta:.2}°."),
-        ));
-    };
-    let figures = [("Fig. 10", by_theta), ("Fig. 11", by_delta)];
-    for (place, figure) in figures {
-        add(place, figure, Equation18, Without, None, "The line swallows about half of what is commanded.");
-        add(place, figure, Equation18, Naive, None, "The paper: fails the goal of 1°. What is missing is η alone.");
-        add(
-            place,
-            figure,
-            Equation18,
-            Estimated,
-            Some(GOAL_DEG),
-            "The paper: 1° reached. Here it is what ten noisy measurements leave, up to 0.5° with other seeds.",
-        );
-        add(
-            place,
-            figure,
-            WithPlay,
-            Naive,
-            None,
-            "The paper: fails, with a bow at small bends. The play makes that bow.",
-        );
-        add(
-            place,
-            figure,
-            WithPlay,
-            Estimated,
-            Some(GOAL_DEG),
-            "Eq. 18's λ has one sign and moves no bend, so only η can take up what the play does.",
-        );
-        add(
-            place,
-            figure,
-            WithPlay,
-            EstimatedWithPlay,
-            Some(GOAL_DEG),
-            "With the play in the model, as `discover` adds it.",
-        );
+    let mut rows = compared_lengths(workspace).to_vec();
+    for (place, figure) in [("Fig. 10", by_theta), ("Fig. 11", by_delta)] {
+        rows.extend(LINES.iter().map(|line| compared_error(place, figure, line)));
     }
     rows
+}
+
+/// The shortest and the longest backbone 1 of Fig. 9.
+fn compared_lengths(workspace: &[WorkspacePoint]) -> [Comparison; 2] {
+    let lengths_mm = || workspace.iter().map(|point| point.compensated_mm);
+    let robot = Robot::default();
+    let compare = |quantity, ours_mm: f64, theta: f64| {
+        let ideal_mm = robot.length_mm + robot.backbone_circle_radius_mm * theta;
+        let explanation = format!(
+            "A picture without legible numbers. Without compensation it is {ideal_mm:.2} mm; both are at θ = 90°."
+        );
+        Comparison::new("Fig. 9", quantity, "mm", None, ours_mm, explanation)
+    };
+    [
+        compare("shortest L + q̃_1 over the workspace", lengths_mm().fold(f64::INFINITY, f64::min), -FRAC_PI_2),
+        compare("longest L + q̃_1 over the workspace", lengths_mm().fold(f64::NEG_INFINITY, f64::max), FRAC_PI_2),
+    ]
+}
+
+/// The largest error of θ on one line of Fig. 10 or 11.
+fn compared_error(place: &'static str, figure: &[BendingError], line: &Line) -> Comparison {
+    let &(robot, compensation, paper_deg, explanation) = line;
+    let [theta_deg, delta_deg] = worst(figure, robot, compensation);
+    Comparison::new(
+        place,
+        format!("largest error of θ, {compensation}, {robot}"),
+        "deg",
+        paper_deg,
+        theta_deg,
+        format!("{explanation} Largest error of δ: {delta_deg:.2}°."),
+    )
 }
 
 #[cfg(test)]

@@ -3,10 +3,10 @@
 use super::Comparison;
 use crate::error::Result;
 use crate::robot::friction::{STANDARD_GRAVITY, table_ii};
-use crate::robot::{FrictionFit, Robot};
+use crate::robot::{FrictionFit, FrictionSample, Robot};
 use serde::Serialize;
 
-/// The gravity that the paper's f_s takes, m/s².
+/// The gravity that the paper's f_s takes, m/s². Derived: the printed 1.959 N over the 195.87 gf that Table II gives.
 const PAPER_GRAVITY: f64 = 10.0;
 
 /// One weighing of Table II with the fitted line of Fig. 8.
@@ -31,21 +31,30 @@ pub struct FrictionPoint {
 pub fn table_ii_and_figure_8() -> Result<(Vec<Comparison>, Vec<FrictionPoint>)> {
     let weighings = table_ii();
     let fit = FrictionFit::of(&weighings, Robot::default().line.cone_bend_angle())?;
+    let points = fitted_line(&fit, &weighings);
+    let mut comparisons = compared_fit(&fit);
+    comparisons.extend(compared_limits(&fit));
+    comparisons.push(compared_scatter(&fit, &points));
+    Ok((comparisons, points))
+}
+
+/// The weighings beside Eq. 12 and 13 (Fig. 8).
+fn fitted_line(fit: &FrictionFit, weighings: &[FrictionSample]) -> Vec<FrictionPoint> {
     let capstan = (2.0 * fit.mu * fit.phi).exp();
-    let points: Vec<FrictionPoint> = weighings
-        .iter()
-        .map(|w| FrictionPoint {
-            tau_g: w.tau_g,
-            tau_tilde_g: w.tau_tilde_g,
-            tau_tilde_limit_g: w.tau_tilde_limit_g,
-            equation_13_g: capstan * (w.tau_g + fit.static_g),
-            equation_12_g: capstan * w.tau_g,
-        })
-        .collect();
-    let within = points.iter().filter(|p| (p.tau_tilde_g - p.equation_13_g).abs() <= p.tau_tilde_limit_g).count();
-    let load_g = load_of_limit(&fit, FrictionFit::PAPER_MU_LIMIT);
-    let at = |gravity| fit.static_force_n(gravity);
-    let comparisons = vec![
+    let point = |w: &FrictionSample| FrictionPoint {
+        tau_g: w.tau_g,
+        tau_tilde_g: w.tau_tilde_g,
+        tau_tilde_limit_g: w.tau_tilde_limit_g,
+        equation_13_g: capstan * (w.tau_g + fit.static_g),
+        equation_12_g: capstan * w.tau_g,
+    };
+    weighings.iter().map(point).collect()
+}
+
+/// μ and f_s of Table II.
+fn compared_fit(fit: &FrictionFit) -> Vec<Comparison> {
+    let (standard_n, sd_n) = fit.static_force_n(STANDARD_GRAVITY);
+    vec![
         Comparison::new(
             "Table II",
             "μ by least squares",
@@ -59,7 +68,7 @@ pub fn table_ii_and_figure_8() -> Result<(Vec<Comparison>, Vec<FrictionPoint>)> 
             "f_s by least squares, g = 10 m/s²",
             "N",
             FrictionFit::PAPER_STATIC_FORCE_N,
-            at(PAPER_GRAVITY).0,
+            fit.static_force_n(PAPER_GRAVITY).0,
             format!("{:.2} gf. The printed newtons take g = 10 m/s².", fit.static_g),
         ),
         Comparison::new(
@@ -67,12 +76,16 @@ pub fn table_ii_and_figure_8() -> Result<(Vec<Comparison>, Vec<FrictionPoint>)> 
             "f_s by least squares, standard gravity",
             "N",
             FrictionFit::PAPER_STATIC_FORCE_N,
-            at(STANDARD_GRAVITY).0,
-            format!(
-                "The same weight in newtons, with a standard error of {:.2} N; the program uses this one.",
-                at(STANDARD_GRAVITY).1
-            ),
+            standard_n,
+            format!("The same weight in newtons, with a standard error of {sd_n:.2} N; the program uses this one."),
         ),
+    ]
+}
+
+/// The limits of error of Eq. 14.
+fn compared_limits(fit: &FrictionFit) -> [Comparison; 2] {
+    let load_g = load_of_limit(fit, FrictionFit::PAPER_MU_LIMIT);
+    [
         Comparison::new(
             "Eq. 14",
             "df_s",
@@ -93,19 +106,23 @@ pub fn table_ii_and_figure_8() -> Result<(Vec<Comparison>, Vec<FrictionPoint>)> 
                 fit.mu_limit(1800.0)
             ),
         ),
-        Comparison::new(
-            "Fig. 8",
-            "points within their ±25 g of the fitted line",
-            "of 10",
-            None,
-            within as f64,
-            format!(
-                "Scatter about the line {:.0} g: Eq. 13 holds about as well as the stated limits can tell.",
-                fit.scatter_g
-            ),
+    ]
+}
+
+/// How many points of Fig. 8 lie within their limits of error.
+fn compared_scatter(fit: &FrictionFit, points: &[FrictionPoint]) -> Comparison {
+    let within = points.iter().filter(|p| (p.tau_tilde_g - p.equation_13_g).abs() <= p.tau_tilde_limit_g).count();
+    Comparison::new(
+        "Fig. 8",
+        "points within their ±25 g of the fitted line",
+        "of 10",
+        None,
+        within as f64,
+        format!(
+            "Scatter about the line {:.0} g: Eq. 13 holds about as well as the stated limits can tell.",
+            fit.scatter_g
         ),
-    ];
-    Ok((comparisons, points))
+    )
 }
 
 /// The load (g) at which Eq. 14 gives this dμ, by bisection: dμ falls with the load.

@@ -21,9 +21,9 @@ use crate::record::csv_of;
 use crate::robot::{Model, Robot};
 use serde::Serialize;
 
-/// η as the paper found it, Table III's last row.
+/// η as the paper found it. Source: Table III's last row.
 pub const PAPER_ETA: f64 = 1.221;
-/// λ as the paper found it, mm.
+/// λ as the paper found it, mm. Source: Table III's last row.
 pub const PAPER_LAMBDA_MM: f64 = 0.1765;
 
 /// One figure of the paper beside the program's.
@@ -138,7 +138,7 @@ fn constants() -> Vec<Comparison> {
             "mm/N",
             None,
             straight_line.1,
-            "From Table I. At θ = 90° the line swallows about as much as the snake needs, which is why compensation matters.",
+            "From Table I. At θ = 90° the line takes up about as much as the snake needs, which is why compensation matters.",
         ),
         Comparison::new(
             "Section V",
