@@ -1,25 +1,16 @@
 //! Measuring an experiment into a folder: row by row into a journal, at the end measurements.csv.
-//!
-//! What a journal or a shard was made from is its [`Origin`]: only what has the same one belongs together.
 
-use super::checksum::Checksum;
 use super::console::Console;
 use super::flow::{Flow, Look, Shard, Throughput};
-use super::run::Settings;
+use super::origin::{Done, Origin, SHARD, Settings};
 use super::views::OpenView;
-use crate::input::{PICTURE_BYTES, read_bytes, read_text};
 use crate::observation::EncoderReading;
-use crate::record::{
-    Experiment, MeasurementJournal, MeasurementRows, RigSource, difference, remove_abandoned, write_atomically,
-};
+use crate::record::{Experiment, MeasurementJournal, MeasurementRows, remove_abandoned, write_atomically};
 use crate::{Error, Result};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-
-/// What the rows of a finished shard are made from, and how many they are; its presence says that the shard is whole.
-pub const SHARD: &str = "shard.toml";
 
 /// How frames are gone through.
 #[derive(Debug, clap::Args)]
@@ -36,36 +27,6 @@ pub struct MeasuringArgs {
     /// Measure only the I-th of N parts of the frames: every N-th, from the I-th on. `merge` puts the parts together
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
-}
-
-/// All that the rows of measurements.csv, and what is made of them, hang on.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Origin {
-    /// The program's version.
-    snakeloop: String,
-    /// The experiment as it was named in the call.
-    pub experiment: PathBuf,
-    /// The part of the frames.
-    pub shard: Shard,
-    follow: bool,
-    /// What `run` does with the rows; `measure` leaves it at them.
-    pub run: Option<Settings>,
-    /// Checksums of the files read, by their path.
-    inputs: BTreeMap<String, String>,
-    /// Checksums of which frames there are and of those that the rig was refined from, by view.
-    frames: BTreeMap<String, String>,
-    /// In a shard that is done: its rows, and the rows of all shards.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub done: Option<Done>,
-}
-
-/// What a finished shard holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Done {
-    /// Its own rows.
-    pub rows: usize,
-    /// Rows of all shards together.
-    pub of: usize,
 }
 
 /// What became of measuring.
@@ -105,16 +66,8 @@ impl MeasuringArgs {
         let origin = Origin::new(named, experiment, views, shard, self.follow, run)?;
         let marker = output.join(SHARD);
         if self.resume && marker.exists() {
-            let former = Origin { done: None, ..Origin::read(&marker)? };
-            return match former.difference(&origin)? {
-                None => Ok(Measured::Shard(None)),
-                Some(difference) => {
-                    let message = format!(
-                        "this shard is of another run: {difference}; choose another folder or leave --resume out"
-                    );
-                    Err(Error::content(&marker, message))
-                }
-            };
+            require_same(&marker, &origin)?;
+            return Ok(Measured::Shard(None));
         }
         remove_if_there(&marker)?;
         let mut journal = match self.resume {
@@ -135,60 +88,21 @@ impl MeasuringArgs {
             return Ok(Measured::Whole(journal, flowed.throughput));
         }
         let done = Done { rows: journal.rows(), of: flowed.count };
-        let text = Origin { done: Some(done), ..origin }.table()?.to_string();
-        write_atomically(&marker, text.as_bytes())?;
+        write_atomically(&marker, origin.finished(done)?.as_bytes())?;
         journal.remove()?;
         Ok(Measured::Shard(Some(flowed.throughput)))
     }
 }
 
-impl Origin {
-    fn new(
-        named: &Path,
-        experiment: &Experiment,
-        views: &[OpenView],
-        shard: Shard,
-        follow: bool,
-        run: Option<Settings>,
-    ) -> Result<Self> {
-        Ok(Self {
-            snakeloop: env!("CARGO_PKG_VERSION").to_owned(),
-            experiment: named.to_owned(),
-            shard,
-            follow,
-            run,
-            inputs: checksums(experiment)?,
-            frames: views.iter().map(|view| (view.name().to_owned(), view.checksum().to_owned())).collect(),
-            done: None,
-        })
-    }
-
-    /// That of a finished shard.
-    ///
-    /// # Errors
-    /// A file that cannot be read or is none of this version's.
-    pub fn read(path: &Path) -> Result<Self> {
-        toml::from_str(&read_text(path)?).map_err(|e| Error::content(path, e.message()))
-    }
-
-    /// In words, the first thing in which two differ.
-    pub fn difference(&self, other: &Self) -> Result<Option<String>> {
-        Ok(difference(&self.table()?, &other.table()?))
-    }
-
-    /// An error where files of the experiment are no longer what the rows were made from.
-    pub fn check(&self, experiment: &Experiment) -> Result<()> {
-        let now = checksums(experiment)?;
-        match self.inputs.iter().find(|(path, checksum)| now.get(*path) != Some(*checksum)) {
-            None => Ok(()),
-            Some((path, _)) => {
-                Err(Error::content(Path::new(path), "the file has changed since the shards were measured"))
-            }
+/// An error where a finished shard was made from something else.
+fn require_same(marker: &Path, origin: &Origin) -> Result<()> {
+    match Origin::read(marker)?.difference(origin)? {
+        None => Ok(()),
+        Some(difference) => {
+            let message =
+                format!("this shard is of another run: {difference}; choose another folder or leave --resume out");
+            Err(Error::content(marker, message))
         }
-    }
-
-    fn table(&self) -> Result<toml::Table> {
-        toml::Table::try_from(self).map_err(|e| Error::Domain(format!("cannot write what the run is made from: {e}")))
     }
 }
 
@@ -277,21 +191,4 @@ fn remove_if_there(path: &Path) -> Result<()> {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(path, "remove")(e)),
         _ => Ok(()),
     }
-}
-
-/// The files that an experiment names, but for the frames, each with its checksum.
-fn checksums(experiment: &Experiment) -> Result<BTreeMap<String, String>> {
-    let rig = |rig: &'_ RigSource| match rig {
-        RigSource::File(path) | RigSource::Straight { picture: path, .. } => path.clone(),
-    };
-    let of_views = experiment.views.iter().flat_map(|view| [view.camera.clone(), rig(&view.rig)]);
-    let named = [&experiment.robot, &experiment.model, &experiment.encoders].into_iter().flatten().cloned();
-    let files = std::iter::once(experiment.path.clone()).chain(named).chain(of_views);
-    files
-        .map(|path| {
-            let mut checksum = Checksum::default();
-            checksum.add(&read_bytes(&path, PICTURE_BYTES)?);
-            Ok((path.display().to_string(), checksum.to_string()))
-        })
-        .collect()
 }

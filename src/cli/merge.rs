@@ -4,13 +4,15 @@
 //! sums over shards would agree with one run up to rounding only if nothing were ever rejected.
 
 use super::console::Console;
-use super::measuring::{Origin, SHARD, Summary};
+use super::measuring::Summary;
+use super::origin::{Done, Origin, SHARD};
 use super::run::{Inputs, finish};
 use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::record::{
     Experiment, MeasurementRows, PendingFile, measurement_line, measurements_header, write_atomically,
 };
 use crate::{Error, Result};
+use std::collections::BTreeSet;
 use std::fs;
 use std::io::Write;
 use std::iter::Peekable;
@@ -59,53 +61,35 @@ impl Args {
     /// # Errors
     /// A shard that is not done, is missing, is there twice, or is of another run.
     fn origin(&self) -> Result<Origin> {
-        let mut first: Option<(Origin, &Path)> = None;
-        let mut parts: Vec<usize> = Vec::new();
-        let mut rows = 0;
-        for folder in &self.shards {
-            let path = folder.join(SHARD);
-            if folder.is_dir() && !path.exists() {
-                let message = format!("no {SHARD}: the shard is not done; call it again with --resume");
-                return Err(Error::content(folder, message));
-            }
-            let origin = Origin::read(&path)?;
-            let done = origin.done.ok_or_else(|| Error::content(&path, "done is missing; measure the shard again"))?;
-            if parts.contains(&origin.shard.part) {
-                return Err(Error::content(&path, format!("shard {} is there twice; leave one out", origin.shard)));
-            }
-            parts.push(origin.shard.part);
-            rows += done.rows;
-            match &first {
-                None => first = Some((origin, folder)),
-                Some((first, other)) => {
-                    let alike = |origin: &Origin| {
-                        let mut alike = origin.clone();
-                        alike.shard.part = 1;
-                        alike.done = None;
-                        alike
-                    };
-                    if let Some(difference) = alike(first).difference(&alike(&origin))? {
-                        let message = format!("another run's shard than {}: {difference}", other.display());
-                        return Err(Error::content(&path, message));
-                    }
-                }
-            }
-        }
-        let Some((origin, folder)) = first else {
+        let shards = self.shards.iter().map(|folder| finished(folder)).collect::<Result<Vec<_>>>()?;
+        let Some((first, done)) = shards.first() else {
             return Err(Error::Usage("give the shards' folders".to_owned()));
         };
-        let missing: Vec<_> = (1..=origin.shard.of).filter(|part| !parts.contains(part)).collect();
+        let mut parts = BTreeSet::new();
+        for ((origin, _), folder) in shards.iter().zip(&self.shards) {
+            let path = folder.join(SHARD);
+            if !parts.insert(origin.shard.part) {
+                return Err(Error::content(&path, format!("shard {} is there twice; leave one out", origin.shard)));
+            }
+            let mut as_first = origin.clone();
+            as_first.shard.part = first.shard.part;
+            if let Some(difference) = first.difference(&as_first)? {
+                let other = self.shards[0].display();
+                return Err(Error::content(&path, format!("another run's shard than {other}: {difference}")));
+            }
+        }
+        let of = first.shard.of;
+        let missing: Vec<_> =
+            (1..=of).filter(|part| !parts.contains(part)).map(|part| format!("{part}/{of}")).collect();
         if !missing.is_empty() {
-            let missing: Vec<_> = missing.iter().map(|part| format!("{part}/{}", origin.shard.of)).collect();
             return Err(Error::Usage(format!("shards are missing: {}", missing.join(", "))));
         }
-        match origin.done {
-            Some(done) if done.of != rows => {
-                let message = format!("the shards have {rows} rows together, expected {}; measure them again", done.of);
-                Err(Error::content(&folder.join(SHARD), message))
-            }
-            _ => Ok(origin),
+        let rows: usize = shards.iter().map(|(_, done)| done.rows).sum();
+        if rows != done.of {
+            let message = format!("the shards have {rows} rows together, expected {}; measure them again", done.of);
+            return Err(Error::content(&self.shards[0].join(SHARD), message));
         }
+        Ok(first.clone())
     }
 
     /// Writes measurements.csv from those of the shards, in order of the index.
@@ -143,6 +127,18 @@ impl Args {
         }
         Ok(())
     }
+}
+
+/// What a shard is made from and holds, once it is done.
+fn finished(folder: &Path) -> Result<(Origin, Done)> {
+    let path = folder.join(SHARD);
+    if folder.is_dir() && !path.exists() {
+        let message = format!("no {SHARD}: the shard is not done; call it again with --resume");
+        return Err(Error::content(folder, message));
+    }
+    let origin = Origin::read(&path)?;
+    let done = origin.done.ok_or_else(|| Error::content(&path, "done is missing; measure the shard again"))?;
+    Ok((origin, done))
 }
 
 fn is_same(a: &Path, b: &Path) -> bool {

@@ -19,6 +19,8 @@ mod live;
 mod measure;
 mod measuring;
 mod merge;
+mod origin;
+mod overlays;
 mod render;
 mod reproduce;
 mod run;

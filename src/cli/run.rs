@@ -2,34 +2,28 @@
 
 use super::console::Console;
 use super::estimate::{Estimated, Verdicts};
-use super::estimator::EstimatorArgs;
 use super::flow::{Look, Throughput};
 use super::inputs::{encoders_of, model_of};
 use super::measuring::{self, Count, Measured, MeasuringArgs};
+use super::origin::Settings;
+use super::overlays::{Overlays, draw, pictures};
 use super::table::largest_correction_mm;
 use super::views::open_views;
 use crate::estimate::estimate_each;
-use crate::observation::{EncoderReading, Measurement};
+use crate::observation::EncoderReading;
 use crate::record::{
     Checked, Experiment, MeasurementRows, PendingFile, Warning, estimate_line, estimates_header, write_atomically,
     write_compensation, write_model,
 };
-use crate::report::course::{Course, worth_drawing};
-use crate::report::html::{Picture, Report};
-use crate::report::overlay::{angles, overlay};
+use crate::report::course::Course;
+use crate::report::html::Report;
 use crate::robot::{Grid, Model};
 use crate::simulate::score::{self, Gap};
 use crate::{Error, Result};
-use image::codecs::jpeg::JpegEncoder;
-use image::imageops::FilterType;
-use image::{RgbImage, imageops};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-
-/// Width of the pictures in the report, px.
-const THUMBNAIL_WIDTH: u32 = 640;
 
 /// Do the main job: measure every frame, update η and λ, write the compensation table and a report
 ///
@@ -47,28 +41,6 @@ pub struct Args {
     measuring: MeasuringArgs,
     #[command(flatten)]
     settings: Settings,
-}
-
-/// What of the call the results hang on, besides the measuring.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, clap::Args)]
-pub struct Settings {
-    /// Which frames to draw with the model on them
-    #[arg(long, value_enum, default_value_t = Overlays::Sample)]
-    pub overlays: Overlays,
-    #[command(flatten)]
-    estimator: EstimatorArgs,
-}
-
-/// Which frames are drawn.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "snake_case")]
-pub enum Overlays {
-    /// Every frame
-    All,
-    /// The frames that failed and about two dozen spread over the run
-    Sample,
-    /// None
-    None,
 }
 
 /// The result, as it is printed.
@@ -201,52 +173,6 @@ pub fn finish(
     Ok(summary)
 }
 
-/// Draws what was measured into the folder, where it is to be drawn.
-fn draw(overlays: Overlays, folder: &Path, look: &Look) -> Result<()> {
-    let wanted = match overlays {
-        Overlays::None => false,
-        Overlays::All => true,
-        Overlays::Sample => worth_drawing(look.measurement, look.rank, look.count),
-    };
-    for (view, frame) in look.frames.iter().filter(|_| wanted) {
-        let shape = look.measurement.measured.map(|measured| view.shape(measured.configuration));
-        let picture = overlay(frame, look.measurement, shape.as_ref());
-        write_atomically(&picture_path(folder, view.name(), look.measurement.index), &jpeg(&picture, 90)?)?;
-    }
-    Ok(())
-}
-
-/// Where an overlay stands.
-fn picture_path(folder: &Path, view: &str, index: u64) -> PathBuf {
-    folder.join(format!("{view}_{index:05}.jpg"))
-}
-
-/// What was drawn of these frames, smaller, for the report. A frame that could not be read was not drawn.
-fn pictures(experiment: &Experiment, folder: &Path, of: &[Measurement]) -> Result<Vec<Picture>> {
-    let mut pictures = Vec::new();
-    for measurement in of {
-        for view in &experiment.views {
-            let path = picture_path(folder, &view.name, measurement.index);
-            if path.exists() {
-                let drawn = image::open(&path).map_err(|e| Error::content(&path, e.to_string()))?;
-                let jpeg = jpeg(&thumbnail(&drawn.into_rgb8()), 80)?;
-                pictures.push(Picture { caption: caption(measurement), jpeg });
-            }
-        }
-    }
-    Ok(pictures)
-}
-
-fn caption(measurement: &Measurement) -> String {
-    match &measurement.measured {
-        Some(measured) => {
-            let (theta, delta) = angles(measured);
-            format!("frame {}: θ {theta}, δ {delta}", measurement.index)
-        }
-        None => format!("frame {}: {}", measurement.index, measurement.status),
-    }
-}
-
 /// The name of the experiment's folder.
 fn name_of(experiment: &Experiment) -> String {
     let folder = experiment.folder();
@@ -305,19 +231,5 @@ impl Summary {
         let last = speed.into_iter().chain([written]).map(|(name, value)| (name.to_owned(), value));
         let lines = self.lines().into_iter().chain(last).map(|(name, value)| format!("{name:<16} {value}\n"));
         lines.collect()
-    }
-}
-
-fn thumbnail(picture: &RgbImage) -> RgbImage {
-    let width = picture.width().min(THUMBNAIL_WIDTH);
-    let height = (u64::from(picture.height()) * u64::from(width) / u64::from(picture.width())).max(1) as u32;
-    imageops::resize(picture, width, height, FilterType::Triangle)
-}
-
-fn jpeg(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    match JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(picture) {
-        Ok(()) => Ok(bytes),
-        Err(e) => Err(Error::Domain(format!("cannot encode a picture of {:?} px: {e}", picture.dimensions()))),
     }
 }
