@@ -1,9 +1,10 @@
 //! `discover`: which effect the model lacks.
 
 use super::console::Console;
-use super::flow::{Flow, Shard};
+use super::flow::Flow;
 use super::inputs::{encoders_of, model_of, model_or_paper, rows};
 use super::measuring::Count;
+use super::shard::Shard;
 use super::views::open_views;
 use crate::discover::{
     Correction, Data, Discovery, Next, Whereabouts, discover, discover_in_frames, learn_correction, next_experiment,

@@ -1,71 +1,19 @@
 //! The flow of frames: read and measured on all cores, handed on in order, only a few in memory at a time.
 
 use super::console::Console;
+use super::shard::Shard;
 use super::views::OpenView;
 use crate::camera::{Frame, FrameSource, SourceFrame};
 use crate::measure::{Eye, FrameMeasurement, fused};
 use crate::observation::{EncoderReading, Measurement, Status};
 use crate::{Error, Result};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::collections::VecDeque;
-use std::fmt;
 use std::iter::Peekable;
 use std::path::Path;
-use std::str::FromStr;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
-
-/// One part of several that the frames are shared out to: every `of`-th, from the `part`-th (counted from 1) on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
-pub struct Shard {
-    /// Which, from 1.
-    pub part: usize,
-    /// Of how many.
-    pub of: usize,
-}
-
-impl Shard {
-    /// All frames.
-    pub const WHOLE: Self = Self { part: 1, of: 1 };
-
-    fn has(self, rank: usize) -> bool {
-        rank % self.of == self.part - 1
-    }
-}
-
-impl FromStr for Shard {
-    type Err = String;
-
-    fn from_str(text: &str) -> std::result::Result<Self, String> {
-        let numbers = text.split_once('/').map(|(part, of)| (part.parse(), of.parse()));
-        match numbers {
-            Some((Ok(part), Ok(of))) if 1 <= part && part <= of => Ok(Self { part, of }),
-            _ => Err(format!("{text:?} is no part of the frames, expected I/N with I from 1 to N, such as 2/8")),
-        }
-    }
-}
-
-impl TryFrom<String> for Shard {
-    type Error = String;
-
-    fn try_from(text: String) -> std::result::Result<Self, String> {
-        text.parse()
-    }
-}
-
-impl From<Shard> for String {
-    fn from(shard: Shard) -> Self {
-        shard.to_string()
-    }
-}
-
-impl fmt::Display for Shard {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}/{}", self.part, self.of)
-    }
-}
 
 /// How long measuring took, and what for.
 #[derive(Debug, Clone, Copy, Serialize)]
@@ -93,7 +41,7 @@ pub struct Flow<'a> {
 }
 
 /// A measured index, while its frames are still in memory.
-pub struct Look<'a> {
+pub struct MeasuredFrames<'a> {
     /// Which one of the whole sequence, from 0.
     pub rank: usize,
     /// How many there are in the whole sequence; `None` where only reading a video to its end would tell.
@@ -114,26 +62,26 @@ pub struct Flowed {
 
 impl Flow<'_> {
     /// Measures every frame of every view, a few at a time in parallel: one row an index, handed to `each` in order; what
-    /// several views saw under the same index is put together. `look` is called before that, in parallel, while the frames are
+    /// several views saw under the same index is put together. `draw` is called before that, in parallel, while the frames are
     /// still there.
     ///
     /// A frame has the time that its source or else the encoder log tells.
     ///
     /// # Errors
-    /// A folder of frames that went away, a video that cannot be opened any more; what `look` and `each` say.
+    /// A folder of frames that went away, a video that cannot be opened any more; what `draw` and `each` say.
     pub fn run(
         &self,
         console: &Console,
-        look: impl Fn(&Look) -> Result<()> + Sync,
+        draw: impl Fn(&MeasuredFrames) -> Result<()> + Sync,
         mut each: impl FnMut(Measurement) -> Result<()>,
     ) -> Result<Flowed> {
-        let (reading, measuring) = (Clock::default(), Clock::default());
+        let clocks = Clocks::default();
         let start = Instant::now();
         let expected = self.count()?;
         let bar = console.progress(expected, "measuring");
         let (mut count, mut measured) = (0, 0_usize);
         let mut eyes: Vec<Eye> = self.views.iter().map(|view| view.eye().clone()).collect();
-        let moments = Moments::open(self.views)?.filter_map(|Moment { index, frames }| {
+        let sets = FrameSets::open(self.views)?.filter_map(|FrameSet { index, frames }| {
             let rank = count;
             count += 1;
             let wanted = self.shard.has(rank) && self.after.is_none_or(|last| index > last);
@@ -141,77 +89,61 @@ impl Flow<'_> {
                 bar.inc(1);
             }
             // Where a camera is followed to hangs on all frames before.
-            if !wanted && !self.follow {
-                return None;
-            }
-            let ready = frames.into_iter().map(|(view, source)| match self.follow {
-                false => Ok((view, source.time_s, Ready::Unread(source))),
-                true => {
-                    let time_s = source.time_s;
-                    Ok((view, time_s, followed(&mut eyes[view], source, &reading, &measuring)?))
-                }
-            });
-            let ready: Result<Vec<_>> = ready.collect();
-            wanted.then_some((rank, index, ready))
+            let prepared = (wanted || self.follow).then(|| self.prepare(&mut eyes, frames, &clocks));
+            prepared.filter(|_| wanted).map(|prepared| (rank, index, prepared))
         });
-        let work = |(rank, index, ready): (usize, u64, Result<Vec<_>>)| {
-            let seen: Result<Vec<Seen>> = ready?
-                .into_iter()
-                .map(|(view, time_s, ready)| self.see(view, time_s, ready, &reading, &measuring))
-                .collect();
-            let seen = seen?;
+        let work = |(rank, index, prepared): (usize, u64, Result<Vec<Prepared>>)| {
+            let seen = prepared?.into_iter().map(|prepared| self.see(prepared, &clocks)).collect::<Result<Vec<_>>>()?;
             let measurement = self.row(index, &seen);
             let frames = seen.iter().filter_map(|seen| Some((seen.view, seen.frame.as_ref()?))).collect();
-            look(&Look { rank, count: expected, measurement: &measurement, frames })?;
+            draw(&MeasuredFrames { rank, count: expected, measurement: &measurement, frames })?;
             Ok((measurement, seen.len()))
         };
-        in_order(moments, work, |(measurement, frames)| {
+        in_order(sets, work, |(measurement, frames)| {
             measured += frames;
             bar.inc(1);
             each(measurement)
         })?;
         bar.finish_and_clear();
-        let seconds = start.elapsed().as_secs_f64();
-        let busy = reading.seconds() + measuring.seconds();
-        let throughput = Throughput {
-            seconds,
-            frames_per_second: measured as f64 / seconds,
-            decoding_share: if busy > 0.0 { reading.seconds() / busy } else { 0.0 },
+        Ok(Flowed { count, throughput: clocks.throughput(measured, start.elapsed()) })
+    }
+
+    /// The frames of one index, made ready to be measured in parallel: where a camera is followed it is found here, frame after
+    /// frame.
+    ///
+    /// # Errors
+    /// A folder of frames that is gone.
+    fn prepare(&self, eyes: &mut [Eye], frames: Vec<(usize, SourceFrame)>, clocks: &Clocks) -> Result<Vec<Prepared>> {
+        let prepare = |(view, source): (usize, SourceFrame)| {
+            let time_s = source.time_s;
+            let ready = if self.follow { followed(&mut eyes[view], source, clocks)? } else { Ready::Unread(source) };
+            Ok(Prepared { view, time_s, ready })
         };
-        Ok(Flowed { count, throughput })
+        frames.into_iter().map(prepare).collect()
     }
 
     /// How many indices there are; `None` where a video does not tell.
     fn count(&self) -> Result<Option<usize>> {
         if self.views.iter().all(|view| matches!(view.source(), FrameSource::Pictures(_))) {
-            return Ok(Some(Moments::open(self.views)?.count()));
+            return Ok(Some(FrameSets::open(self.views)?.count()));
         }
         let counts: Result<Vec<_>> = self.views.iter().map(|view| view.source().count()).collect();
         Ok(counts?.into_iter().max().flatten())
     }
 
     /// What one view saw: reads and measures its frame.
-    fn see(
-        &self,
-        view: usize,
-        time_s: Option<f64>,
-        ready: Ready,
-        reading: &Clock,
-        measuring: &Clock,
-    ) -> Result<Seen<'_>> {
+    fn see(&self, Prepared { view, time_s, ready }: Prepared, clocks: &Clocks) -> Result<Seen<'_>> {
         let view = &self.views[view];
+        let measure = |eye: &Eye, frame: Frame| {
+            let measurement = clocks.measuring.time(|| eye.measure(&frame));
+            (Some(frame), measurement)
+        };
         let (frame, measurement) = match ready {
-            Ready::Unread(source) => match reading.time(|| read(source))? {
-                Some(frame) => {
-                    let measurement = measuring.time(|| view.eye().measure(&frame));
-                    (Some(frame), measurement)
-                }
+            Ready::Unread(source) => match clocks.reading.time(|| read(source))? {
+                Some(frame) => measure(view.eye(), frame),
                 None => (None, without_angles(Status::Unreadable)),
             },
-            Ready::Found(eye, frame) => {
-                let measurement = measuring.time(|| eye.measure(&frame));
-                (Some(frame), measurement)
-            }
+            Ready::Found(eye, frame) => measure(&eye, frame),
             Ready::Lost(status, frame) => (frame, without_angles(status)),
         };
         Ok(Seen { view, time_s, frame, measurement })
@@ -232,7 +164,15 @@ impl Flow<'_> {
     }
 }
 
-/// A frame on its way to be measured.
+/// One view's frame on its way to be measured.
+struct Prepared {
+    /// Number of the view.
+    view: usize,
+    time_s: Option<f64>,
+    ready: Ready,
+}
+
+/// How far a frame is on its way.
 enum Ready {
     /// Not read yet.
     Unread(SourceFrame),
@@ -255,9 +195,9 @@ fn without_angles(status: Status) -> FrameMeasurement {
 }
 
 /// Finds the camera in a view's next frame, from where it was in the last one in which it was found.
-fn followed(eye: &mut Eye, source: SourceFrame, reading: &Clock, measuring: &Clock) -> Result<Ready> {
-    let Some(frame) = reading.time(|| read(source))? else { return Ok(Ready::Lost(Status::Unreadable, None)) };
-    Ok(match measuring.time(|| eye.following(&frame)) {
+fn followed(eye: &mut Eye, source: SourceFrame, clocks: &Clocks) -> Result<Ready> {
+    let Some(frame) = clocks.reading.time(|| read(source))? else { return Ok(Ready::Lost(Status::Unreadable, None)) };
+    Ok(match clocks.measuring.time(|| eye.following(&frame)) {
         Ok(there) => {
             *eye = there.clone();
             Ready::Found(Box::new(there), frame)
@@ -286,32 +226,32 @@ fn read(source: SourceFrame) -> Result<Option<Frame>> {
 }
 
 /// The frames of one index, each with the number of its view.
-struct Moment {
+struct FrameSet {
     index: u64,
     frames: Vec<(usize, SourceFrame)>,
 }
 
 /// The frames of all views, index by index.
-struct Moments<'a> {
+struct FrameSets<'a> {
     views: Vec<Peekable<Box<dyn Iterator<Item = SourceFrame> + Send + 'a>>>,
 }
 
-impl<'a> Moments<'a> {
+impl<'a> FrameSets<'a> {
     fn open(views: &'a [OpenView]) -> Result<Self> {
         let views: Result<Vec<_>> = views.iter().map(|view| Ok(view.source().frames()?.peekable())).collect();
         Ok(Self { views: views? })
     }
 }
 
-impl Iterator for Moments<'_> {
-    type Item = Moment;
+impl Iterator for FrameSets<'_> {
+    type Item = FrameSet;
 
-    fn next(&mut self) -> Option<Moment> {
+    fn next(&mut self) -> Option<FrameSet> {
         let index = self.views.iter_mut().filter_map(|frames| Some(frames.peek()?.index)).min()?;
         let of_this = |(view, frames): (usize, &mut Peekable<_>)| {
             Some((view, frames.next_if(|frame: &SourceFrame| frame.index == index)?))
         };
-        Some(Moment { index, frames: self.views.iter_mut().enumerate().filter_map(of_this).collect() })
+        Some(FrameSet { index, frames: self.views.iter_mut().enumerate().filter_map(of_this).collect() })
     }
 }
 
@@ -343,6 +283,25 @@ fn in_order<T: Send, R: Send>(
             each(result?)?;
         }
     })
+}
+
+/// The time that reading and measuring took, over all threads.
+#[derive(Default)]
+struct Clocks {
+    reading: Clock,
+    measuring: Clock,
+}
+
+impl Clocks {
+    fn throughput(&self, frames: usize, wall: Duration) -> Throughput {
+        let (seconds, reading) = (wall.as_secs_f64(), self.reading.seconds());
+        let busy = reading + self.measuring.seconds();
+        Throughput {
+            seconds,
+            frames_per_second: frames as f64 / seconds,
+            decoding_share: if busy > 0.0 { reading / busy } else { 0.0 },
+        }
+    }
 }
 
 /// Adds up time over threads.
@@ -398,17 +357,5 @@ mod tests {
             Ok(())
         });
         assert_eq!((error.unwrap_err().to_string(), handed_on), ("seven".to_owned(), (0..7).collect()));
-    }
-
-    #[test]
-    fn shards_are_told_apart_and_have_every_frame_once() {
-        let shards: Vec<Shard> = ["1/3", "2/3", "3/3"].map(|text| text.parse().unwrap()).to_vec();
-        for rank in 0..20 {
-            assert_eq!(shards.iter().filter(|shard| shard.has(rank)).count(), 1);
-        }
-        assert_eq!(shards[1].to_string(), "2/3");
-        for wrong in ["", "3", "0/3", "4/3", "1/0", "-1/2", "1/2/3", "a/b"] {
-            assert!(wrong.parse::<Shard>().is_err(), "{wrong}");
-        }
     }
 }

@@ -1,8 +1,9 @@
 //! Measuring an experiment into a folder: row by row into a journal, at the end measurements.csv.
 
 use super::console::Console;
-use super::flow::{Flow, Look, Shard, Throughput};
+use super::flow::{Flow, MeasuredFrames, Throughput};
 use super::origin::{Done, Origin, SHARD, Settings};
+use super::shard::Shard;
 use super::views::OpenView;
 use crate::observation::EncoderReading;
 use crate::record::{Experiment, MeasurementJournal, MeasurementRows, remove_abandoned, write_atomically};
@@ -59,7 +60,7 @@ impl MeasuringArgs {
         inputs: (&Path, &Experiment, &[OpenView], &[EncoderReading]),
         run: Option<Settings>,
         output: &Path,
-        draw: impl Fn(&Look) -> Result<()> + Sync,
+        draw: impl Fn(&MeasuredFrames) -> Result<()> + Sync,
     ) -> Result<Measured> {
         let (named, experiment, views, encoders) = inputs;
         let shard = self.shard.unwrap_or(Shard::WHOLE);

@@ -24,6 +24,7 @@ mod overlays;
 mod render;
 mod reproduce;
 mod run;
+mod shard;
 mod simulate;
 mod table;
 mod views;

@@ -2,8 +2,8 @@
 
 use super::checksum::Checksum;
 use super::estimator::EstimatorArgs;
-use super::flow::Shard;
 use super::overlays::Overlays;
+use super::shard::Shard;
 use super::views::OpenView;
 use crate::input::{PICTURE_BYTES, read_bytes, read_text};
 use crate::record::{Experiment, RigSource, difference};

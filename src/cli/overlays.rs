@@ -1,6 +1,6 @@
 //! Overlays: which frames are drawn with the model on them, and where the pictures stand.
 
-use super::flow::Look;
+use super::flow::MeasuredFrames;
 use crate::observation::Measurement;
 use crate::record::{Experiment, write_atomically};
 use crate::report::course::worth_drawing;
@@ -32,16 +32,16 @@ pub enum Overlays {
 ///
 /// # Errors
 /// A picture that cannot be written.
-pub fn draw(overlays: Overlays, folder: &Path, look: &Look) -> Result<()> {
+pub fn draw(overlays: Overlays, folder: &Path, measured: &MeasuredFrames) -> Result<()> {
     let wanted = match overlays {
         Overlays::None => false,
         Overlays::All => true,
-        Overlays::Sample => worth_drawing(look.measurement, look.rank, look.count),
+        Overlays::Sample => worth_drawing(measured.measurement, measured.rank, measured.count),
     };
-    for (view, frame) in look.frames.iter().filter(|_| wanted) {
-        let shape = look.measurement.measured.map(|measured| view.shape(measured.configuration));
-        let picture = overlay(frame, look.measurement, shape.as_ref());
-        write_atomically(&picture_path(folder, view.name(), look.measurement.index), &jpeg(&picture, 90)?)?;
+    for (view, frame) in measured.frames.iter().filter(|_| wanted) {
+        let shape = measured.measurement.measured.map(|measured| view.shape(measured.configuration));
+        let picture = overlay(frame, measured.measurement, shape.as_ref());
+        write_atomically(&picture_path(folder, view.name(), measured.measurement.index), &jpeg(&picture, 90)?)?;
     }
     Ok(())
 }

@@ -2,7 +2,7 @@
 
 use super::console::Console;
 use super::estimate::{Estimated, Verdicts};
-use super::flow::{Look, Throughput};
+use super::flow::{MeasuredFrames, Throughput};
 use super::inputs::{encoders_of, model_of};
 use super::measuring::{self, Count, Measured, MeasuringArgs};
 use super::origin::Settings;
@@ -72,7 +72,7 @@ impl Args {
 
         let sources = (self.experiment.as_path(), &experiment, &views[..], &inputs.encoders[..]);
         let folder = self.output.join("overlays");
-        let draw = |look: &Look| draw(self.settings.overlays, &folder, look);
+        let draw = |measured: &MeasuredFrames| draw(self.settings.overlays, &folder, measured);
         match self.measuring.measure(console, sources, Some(self.settings), &self.output, draw)? {
             Measured::Shard(throughput) => {
                 let summary = measuring::Summary::of(&self.output, throughput)?;
