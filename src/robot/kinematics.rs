@@ -180,7 +180,7 @@ pub(super) fn arc(bend: Vector2<f64>, length_mm: f64) -> Pose {
 }
 
 /// The rotation vector of a bend: the axis across the bend plane, times θ.
-fn rotation_vector(bend: Vector2<f64>) -> Vector3<f64> {
+pub(super) fn rotation_vector(bend: Vector2<f64>) -> Vector3<f64> {
     Vector3::new(-bend.y, bend.x, 0.0)
 }
 
@@ -194,7 +194,7 @@ fn arc_point(bend: Vector2<f64>) -> Vector3<f64> {
 }
 
 /// With g = (1 − cos θ)/θ² and h = sin θ/θ: [g, g′/θ, h′/θ, (θ − sin θ)/θ³], by series where the closed forms cancel.
-fn arc_functions(theta: f64) -> [f64; 4] {
+pub(super) fn arc_functions(theta: f64) -> [f64; 4] {
     let half = sinc(theta / 2.0);
     let versine = 0.5 * half * half;
     let t2 = theta * theta;

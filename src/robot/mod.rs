@@ -18,7 +18,7 @@ pub mod table;
 
 pub use backbones::{BACKBONES, PerBackbone};
 pub use compensation::{MAX_THETA, Response};
-pub use curve::Curve;
+pub use curve::{BendProfile, Curve, MODES, PROFILE};
 pub use effects::{Effect, LIBRARY, Physics};
 pub use friction::{Friction, FrictionFit, FrictionSample};
 pub use model::{Estimate, Model};

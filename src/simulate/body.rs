@@ -4,8 +4,8 @@
 //! distance is known in closed form, straight or bent, and a ray is followed along it by Newton steps.
 
 use crate::geometry::{Configuration, Pose};
-use crate::robot::{Curve, Robot};
-use nalgebra::{Point3, Rotation2, Translation3, Unit, Vector2, Vector3};
+use crate::robot::{BendProfile, Curve, Robot};
+use nalgebra::{Point3, Translation3, Unit, Vector3};
 
 /// A half-line in {b}.
 #[derive(Debug, Clone, Copy)]
@@ -77,11 +77,12 @@ struct Tube {
     end: f64,
 }
 
-/// All parts of a snake with this bend and departure from the circle (see [`Curve`]), rad along the bend and across it.
-pub fn body(robot: &Robot, psi: Configuration, departure: Vector2<f64>) -> Vec<Shape> {
-    let curve = Curve::new(robot, psi.bend_vector(), Rotation2::new(psi.delta) * departure);
-    let is_circle = departure == Vector2::zeros();
-    let frame_at = |s_mm: f64| if is_circle { robot.frame_at(psi, s_mm) } else { curve.frame_at(s_mm) };
+/// All parts of a snake bent like this.
+pub fn body(robot: &Robot, profile: &BendProfile) -> Vec<Shape> {
+    let curve = Curve::new(robot, profile);
+    let psi = Configuration::from_bend_vector(profile.tip);
+    // In closed form where there is one.
+    let frame_at = |s_mm: f64| if profile.is_arc() { robot.frame_at(psi, s_mm) } else { curve.frame_at(s_mm) };
     let disk_radius = robot.body.disk_diameter_mm / 2.0;
     // In short pieces, so that the renderer has few rays to try against each.
     let count = (robot.line.holder_length_mm / (4.0 * disk_radius)).ceil().clamp(1.0, 1000.0);
@@ -110,7 +111,7 @@ pub fn body(robot: &Robot, psi: Configuration, departure: Vector2<f64>) -> Vec<S
     // The tubes end within the end disk, so that no end shows.
     let end = robot.length_mm - robot.body.disk_thickness_mm / 2.0;
     let arcs: Vec<_> =
-        if is_circle { vec![(Pose::identity(), psi.bend_vector(), robot.length_mm)] } else { curve.arcs().collect() };
+        if profile.is_arc() { vec![(Pose::identity(), profile.tip, robot.length_mm)] } else { curve.arcs().collect() };
     let last = arcs.len() - 1;
     let tubes = arcs.into_iter().enumerate().flat_map(|(k, (start, bend, length_mm))| {
         let length_to_end = if k == last { length_mm - (robot.length_mm - end) } else { length_mm };
@@ -283,6 +284,7 @@ impl TubePiece {
 mod tests {
     use super::*;
     use approx::assert_abs_diff_eq;
+    use nalgebra::Vector2;
     use proptest::prelude::*;
 
     fn nearest(shapes: &[Shape], ray: &Ray) -> Option<Hit> {
@@ -291,7 +293,7 @@ mod tests {
 
     #[test]
     fn a_straight_snake_has_its_drawing_s_measures() {
-        let shapes = body(&Robot::default(), Configuration::new(0.0, 0.0), Vector2::zeros());
+        let shapes = body(&Robot::default(), &BendProfile::arc(Vector2::zeros()));
         let from_camera = |x: f64, z: f64| {
             let ray = Ray { origin: Point3::new(x, -100.0, z), direction: Vector3::y() };
             nearest(&shapes, &ray).map(|hit| -100.0 + hit.distance)
@@ -315,7 +317,7 @@ mod tests {
     #[test]
     fn a_bent_snake_s_end_disk_is_where_eq_2_puts_it() {
         // A quarter circle towards +y: tip at L/θ (0, 1, 1), its end face looking along y.
-        let shapes = body(&Robot::default(), Configuration::from_degrees(90.0, 90.0), Vector2::zeros());
+        let shapes = body(&Robot::default(), &BendProfile::arc(Configuration::from_degrees(90.0, 90.0).bend_vector()));
         let rho = 26.0 / (std::f64::consts::PI / 2.0);
         let ray = Ray { origin: Point3::new(0.5, 200.0, rho + 1.0), direction: -Vector3::y() };
         let hit = nearest(&shapes, &ray).unwrap();
@@ -332,7 +334,7 @@ mod tests {
         ) {
             let robot = Robot::default();
             let psi = Configuration::from_degrees(theta_deg, delta_deg);
-            let shapes = body(&robot, psi, Vector2::zeros());
+            let shapes = body(&robot, &BendProfile::arc(psi.bend_vector()));
             // Aimed at a point on or near one of the tubes.
             let tubes: Vec<Tube> =
                 shapes.iter().filter_map(|s| if let Shape::Tube(p) = s { Some(p.tube) } else { None }).collect();
@@ -366,7 +368,7 @@ mod tests {
             let robot = Robot::default();
             let psi = Configuration::from_degrees(theta_deg, delta_deg);
             let frame = robot.frame_at(psi, s);
-            for shape in body(&robot, psi, Vector2::zeros()) {
+            for shape in body(&robot, &BendProfile::arc(psi.bend_vector())) {
                 let Shape::Tube(piece) = shape else { continue };
                 // A point in the cross-section at s, offset from the tube's axis.
                 let axis = piece.tube.axis_at(s);

@@ -148,7 +148,7 @@ struct Stage<'a> {
 
 impl<'a> Stage<'a> {
     fn new(scene: &'a Scene, psi: Configuration) -> Self {
-        let shapes = body(&scene.robot, psi, Vector2::from(scene.departure_deg).map(f64::to_radians));
+        let shapes = body(&scene.robot, &scene.profile(psi));
         let to_lamp = Vector3::from(scene.light.towards_lamp).normalize();
         Self {
             scene,
@@ -560,7 +560,7 @@ mod tests {
         for (theta_deg, delta_deg) in [(0.0, 0.0), (50.0, 30.0), (90.0, -100.0), (120.0, 170.0)] {
             let psi = Configuration::from_degrees(theta_deg, delta_deg);
             let covered = coverage(&scene, psi);
-            let shapes = body(&scene.robot, psi, Vector2::from(scene.departure_deg).map(f64::to_radians));
+            let shapes = body(&scene.robot, &scene.profile(psi));
             let base_from_camera = scene.view.camera_from_base().inverse();
             for (k, &found) in covered.iter().enumerate() {
                 let sample = (Vector2::repeat(0.5) + shift(k % 160, k / 160)).map(f64::fract);

@@ -4,10 +4,10 @@
 
 use crate::camera::Lens;
 use crate::error::{Error, Result};
-use crate::geometry::Pose;
+use crate::geometry::{Configuration, Pose};
 use crate::input::read_text;
-use crate::robot::Robot;
-use nalgebra::{Matrix3, Point2, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
+use crate::robot::{BendProfile, MODES, Robot};
+use nalgebra::{Matrix3, Point2, Rotation2, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -25,10 +25,13 @@ pub struct Scene {
     pub view: Viewpoint,
     /// The snake.
     pub robot: Robot,
-    /// How the snake's bend departs from the circle (see [`Curve`](crate::robot::Curve)), degrees along the bend and
-    /// across it.
-    #[serde(default, skip_serializing_if = "is_circle")]
+    /// e: a curvature that varies linearly, (b + e (2u − 1))/L, degrees along the bend and across it. It is −4 a_1 of a
+    /// [`BendProfile`].
+    #[serde(default, skip_serializing_if = "is_zero")]
     pub departure_deg: [f64; 2],
+    /// The modes of a [`BendProfile`], degrees along the bend and across it; what `departure_deg` says comes on top.
+    #[serde(default, skip_serializing_if = "are_zero")]
+    pub modes_deg: [[f64; 2]; MODES],
     /// What the snake's surface looks like.
     pub surface: Surface,
     /// The paper behind the snake.
@@ -219,6 +222,7 @@ impl Default for Scene {
             view: Viewpoint { yaw_deg: 3.0, pitch_deg: 5.0, roll_deg: 2.0, base_mm: [-0.35, 9.96, 225.87] },
             robot: Robot::default(),
             departure_deg: [0.0; 2],
+            modes_deg: [[0.0; 2]; MODES],
             surface: Surface { colour: [140.0, 140.0, 146.0], highlight: 0.3, shininess: 30.0 },
             paper: Paper {
                 standoff_mm: 25.0,
@@ -287,6 +291,14 @@ impl Scene {
         toml::to_string(self).map_err(|e| Error::Domain(format!("scene: {e}")))
     }
 
+    /// The bend along the snake when its tip has this bend.
+    pub fn profile(&self, tip: Configuration) -> BendProfile {
+        let in_base = |pair_deg: [f64; 2]| Rotation2::new(tip.delta) * Vector2::from(pair_deg).map(f64::to_radians);
+        let mut modes = self.modes_deg.map(in_base);
+        modes[0] -= in_base(self.departure_deg) / 4.0;
+        BendProfile { tip: tip.bend_vector(), modes }
+    }
+
     /// Whether the scene can be drawn.
     ///
     /// # Errors
@@ -299,6 +311,7 @@ impl Scene {
             (self.robot.length_mm > 0.0, "robot.length_mm must be positive"),
             (self.robot.body.disk_thickness_mm > 0.0, "robot.body.disk_thickness_mm must be positive"),
             (self.departure_deg.iter().all(|e| e.abs() <= 90.0), "departure_deg must be −90 to 90"),
+            (self.modes_deg.as_flattened().iter().all(|a| a.abs() <= 45.0), "modes_deg must be −45 to 45"),
             (self.paper.standoff_mm > 0.0, "paper.standoff_mm must be positive"),
             (
                 self.sensor.rays_per_pixel.is_power_of_two() && self.sensor.rays_per_pixel <= 4096,
@@ -316,8 +329,12 @@ impl Scene {
     }
 }
 
-fn is_circle(departure_deg: &[f64; 2]) -> bool {
-    *departure_deg == [0.0; 2]
+fn is_zero(pair: &[f64; 2]) -> bool {
+    *pair == [0.0; 2]
+}
+
+fn are_zero(pairs: &[[f64; 2]; MODES]) -> bool {
+    pairs.iter().all(is_zero)
 }
 
 /// A lens as a table of plain numbers.

@@ -9,7 +9,7 @@ use super::solve::covariance;
 use super::uncertainty::{clustered_covariance, robust_weights, systematic_covariance, whole_covariance};
 use crate::measure::body::Projection;
 use crate::observation::Shape;
-use crate::robot::Curve;
+use crate::robot::{BendProfile, Curve};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix4, Matrix6, SMatrix, Vector2, Vector4};
 
 /// How the snake departs from the circle in one picture.
@@ -37,7 +37,11 @@ pub(crate) fn departure(
     const STEP_RAD: f64 = 1e-4;
     let column = |e: Vector2<f64>| {
         let residuals = |sign: f64| {
-            let curve = Curve::new(view.robot, state.bend, e * (sign * STEP_RAD));
+            let curve = {
+                let mut profile = BendProfile::arc(state.bend);
+                profile.modes[0] = e * (-sign * STEP_RAD / 4.0);
+                Curve::new(view.robot, &profile)
+            };
             matches.residuals_along(view, |s_mm| curve.frame_at(s_mm), state.bias)
         };
         let slopes = residuals(1.0).into_iter().zip(residuals(-1.0));
