@@ -5,8 +5,10 @@ use super::estimator::EstimatorArgs;
 use super::inputs::{encoders_of, model_of, rows};
 use super::views::rig_of;
 use crate::camera::{CaptureSettings, CaptureTarget, FrameSource, Lens};
-use crate::live::server::{self, Exhibits};
-use crate::live::{Door, EncoderInput, EncoderSource, Histogram, Live, Setup, Source, State, StemStatus, View, tui};
+use crate::live::server::{self, AppState};
+use crate::live::{
+    AccessControl, EncoderInput, EncoderSource, Histogram, Live, Setup, Source, State, StemStatus, View, tui,
+};
 use crate::measure::{Eye, Rig, RigOptions};
 use crate::record::{self, Experiment, RigSource, read_model};
 use crate::robot::Robot;
@@ -91,7 +93,8 @@ pub struct Args {
     estimator: EstimatorArgs,
 }
 
-/// Share of earlier information kept at each measurement: at 60 frames/s, half a minute.
+/// Forgetting factor: the share of earlier information kept at each measurement. Convention: the user's choice (`--keep`); 0.9995 is a
+/// memory of 2000 measurements, half a minute at 60 frames/s.
 const KEEP: f64 = 0.9995;
 
 fn size(text: &str) -> std::result::Result<(u32, u32), String> {
@@ -125,21 +128,21 @@ struct Summary {
 impl Args {
     pub fn run(&self, console: &Console) -> Result<()> {
         // Before the long work of calibrating the rig.
-        let door = self.door()?;
+        let access = self.access_control()?;
         let live = Live::start(self.setup(console)?)?;
-        if let Some(door) = door {
+        if let Some(access) = access {
             let has_token = self.token_file.is_some();
-            let (board, pictures) = (Arc::clone(&live.board), Arc::clone(&live.pictures));
-            let address = server::start(door, Exhibits { board, pictures, commands: live.commands() })?;
+            let (shared, video) = (Arc::clone(&live.shared), Arc::clone(&live.video));
+            let address = server::start(access, AppState { shared, video, commands: live.commands() })?;
             if !self.tui {
                 console.say(format!("dashboard: http://{address}/{}", if has_token { "?token=TOKEN" } else { "" }));
             }
         }
         self.wait(&live)?;
         live.stop();
-        let board = Arc::clone(&live.board);
+        let shared = Arc::clone(&live.shared);
         let latencies = live.finish()?;
-        let summary = Summary::new(&board.state(), &latencies, self.output.clone());
+        let summary = Summary::new(&shared.state(), &latencies, self.output.clone());
         console.result(&summary, || summary.text());
         Ok(())
     }
@@ -150,10 +153,10 @@ impl Args {
         let theirs = Arc::clone(&asked);
         ctrlc::set_handler(move || theirs.store(true, Ordering::Relaxed))
             .map_err(|e| Error::Domain(format!("cannot listen for Ctrl-C: {e}")))?;
-        let failed = || live.is_over() && !live.board.lock().state.ended;
+        let failed = || live.is_over() && !live.shared.lock().state.ended;
         let over = || asked.load(Ordering::Relaxed) || failed() || (live.is_over() && self.serve.is_none());
         if self.tui {
-            return tui::show(&live.board, &live.commands(), over);
+            return tui::show(&live.shared, &live.commands(), over);
         }
         while !over() {
             std::thread::sleep(Duration::from_millis(50));
@@ -161,13 +164,13 @@ impl Args {
         Ok(())
     }
 
-    fn door(&self) -> Result<Option<Door>> {
+    fn access_control(&self) -> Result<Option<AccessControl>> {
         let Some(address) = self.serve else { return Ok(None) };
         let token = match &self.token_file {
             Some(path) => Some(std::fs::read_to_string(path).map_err(Error::io(path, "read"))?.trim().to_owned()),
             None => None,
         };
-        Door::new(address, token, self.allow_host.clone()).map(Some)
+        AccessControl::new(address, token, self.allow_host.clone()).map(Some)
     }
 
     fn setup(&self, console: &Console) -> Result<Setup> {

@@ -14,7 +14,7 @@ use nalgebra::{Matrix2, Matrix3, SMatrix, Vector1, Vector2, Vector3};
 
 /// One residual, split into its parts and divided by what their covariances promise.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Whitened {
+pub struct Whitened {
     /// The bending part, in units of its standard deviations.
     pub bending: Vector2<f64>,
     /// The common part, likewise.

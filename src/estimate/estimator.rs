@@ -119,6 +119,9 @@ pub struct Step {
     pub estimate: Option<Estimate>,
     /// Measured ε less what the estimate before it predicted, per backbone, mm; `None` before the first estimate.
     pub residual_mm: Option<PerBackbone>,
+    /// The innovation: what the estimate before it did not predict, whitened by the predicted covariance; `None` while the first
+    /// measurements are judged together.
+    pub innovation: Option<Whitened>,
     /// Earlier verdicts that this measurement changed.
     pub revisions: Vec<Revision>,
     /// Whether the estimate started afresh, leaving all measurements before the last eight behind.
@@ -219,6 +222,7 @@ impl Estimator {
                 reason: Some(reason),
                 estimate: self.model.estimate,
                 residual_mm: None,
+                innovation: None,
                 revisions: Vec::new(),
                 restarted: false,
             },
@@ -232,6 +236,7 @@ impl Estimator {
             reason: None,
             estimate: None,
             residual_mm: self.model.estimate.map(|_| self.residual_mm(&sample, &row)),
+            innovation: None,
             revisions: Vec::new(),
             restarted: false,
         };
@@ -274,6 +279,7 @@ impl Estimator {
             Some((self.whitened(row, &x, &covariance)?, self.distances(row, &x, &covariance)?))
         });
         let Some((whitened, distances)) = judged else { return Some(Reason::NotFinite) };
+        step.innovation = Some(whitened);
         let outlier = self.outlier(&distances, &self.recent);
         self.remember(distances);
         if outlier.is_some() {

@@ -16,7 +16,7 @@ mod row;
 mod sigmas;
 mod stem;
 
-pub use consistency::Consistency;
+pub use consistency::{Consistency, Whitened};
 pub use effects::{Pair, pairs_without_effects, without_effects};
 pub use estimator::{Estimator, Options, Reason, Revision, Step, estimate, estimate_each};
 pub use filter::Filter;

@@ -1,11 +1,15 @@
-//! How long frames took, in a histogram of fixed size.
+//! Latencies, in a histogram of fixed size.
 
-use serde::Serialize;
+use super::status::LatencyStatus;
 
-/// Buckets grow by this factor, from [`FIRST_S`] on.
-const GROWTH: f64 = 1.0905077326652577; // the eighth root of 2
+/// Factor between the ends of neighbouring buckets, the eighth root of 2. Convention: quantiles are then right to 5 %.
+const GROWTH: f64 = 1.0905077326652577;
+/// Upper end of the smallest latencies that are told apart, s. Convention.
 const FIRST_S: f64 = 0.25e-3;
+/// Number of buckets. Derived: FIRST_S · GROWTH^160 = 0.25 ms · 2²⁰ = 262 s.
 const BUCKETS: usize = 160;
+/// The end of a bucket counts as within a limit up to this factor. Convention: a guard against rounding.
+const ROUNDING: f64 = 1.0001;
 
 /// Counts of latencies in buckets that grow geometrically, from 0.25 ms to 4 minutes.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,21 +26,8 @@ impl Default for Histogram {
     }
 }
 
-/// The figures of a histogram, ms.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
-pub struct LatencyStatus {
-    /// The latest.
-    pub last_ms: f64,
-    /// Half are below.
-    pub p50_ms: f64,
-    /// 99 % are below.
-    pub p99_ms: f64,
-    /// The largest.
-    pub most_ms: f64,
-}
-
 impl Histogram {
-    /// Adds one.
+    /// Adds a latency.
     pub fn add(&mut self, seconds: f64) {
         let bucket = ((seconds / FIRST_S).max(1.0).ln() / GROWTH.ln()) as usize;
         self.counts[bucket.min(BUCKETS - 1)] += 1;
@@ -45,7 +36,7 @@ impl Histogram {
         self.most_s = self.most_s.max(seconds);
     }
 
-    /// How many there are.
+    /// The number of latencies.
     pub fn total(&self) -> u64 {
         self.total
     }
@@ -69,10 +60,10 @@ impl Histogram {
         self.most_s
     }
 
-    /// How many are at most so many seconds, to a bucket.
+    /// The number of latencies up to so many seconds, to a bucket.
     pub fn at_most(&self, seconds: f64) -> u64 {
         let end = |bucket: usize| FIRST_S * GROWTH.powi(bucket as i32 + 1);
-        self.counts.iter().enumerate().take_while(|(k, _)| end(*k) <= seconds * 1.0001).map(|(_, count)| count).sum()
+        self.counts.iter().enumerate().take_while(|(k, _)| end(*k) <= seconds * ROUNDING).map(|(_, count)| count).sum()
     }
 
     /// The figures to show.
@@ -83,14 +74,16 @@ impl Histogram {
 
     /// The histogram as text, a line for each doubling.
     pub fn text(&self) -> String {
+        /// Characters of the longest bar. Convention: a display choice.
+        const BAR: f64 = 50.0;
         let mut lines = String::new();
         let mut end_ms = 0.5;
         let mut before = 0;
         while before < self.total {
-            let below = if end_ms > 1e6 { self.total } else { self.at_most(end_ms / 1000.0) };
+            let below = self.at_most(end_ms / 1000.0);
             let count = below - before;
             if before > 0 || count > 0 {
-                let bar = "#".repeat((50.0 * count as f64 / self.total as f64).ceil() as usize);
+                let bar = "#".repeat((BAR * count as f64 / self.total as f64).ceil() as usize);
                 lines += &format!("{:>8} to {end_ms} ms {count:>8} {bar}\n", end_ms / 2.0);
             }
             (before, end_ms) = (below, 2.0 * end_ms);

@@ -2,42 +2,59 @@
 //!
 //! ```text
 //! source   ─ newest frame ─┐
-//!                          ├→ pipeline → journal → learner → board → server, tui
-//! encoders ─ by time ──────┘      └→ pictures (drawn beside the loop)      saver, finder (beside the loop)
+//!                          ├→ pipeline → journal → online_estimator → shared_state → server, tui
+//! encoders ─ by time ──────┘      └→ annotated_video                      └→ autosave, discovery_worker
 //! ```
 //!
-//! Each is a thread of its own where it must not hold up another. They share the [`Board`], which is locked for moments only,
-//! and hand on the newest there is, never a queue.
+//! What must not hold up another has a thread of its own. The threads share [`SharedState`], which is locked for moments only, and hand
+//! on the newest value there is, never a queue that grows. Whatever decides something is apart from the threads and does no input or
+//! output, so that it can be tested by itself: [`frame_queue`], [`frame_timing`], [`multipart`], [`encoders`]' parser and readings, [`clock_offset`],
+//! [`motion_lag`], [`cusum`] and [`gap_monitor`].
 
-mod board;
+mod access_control;
+mod annotated_video;
+mod autosave;
 mod clock;
-mod door;
+mod clock_offset;
+mod commands;
+mod cusum;
+mod discovery_worker;
 mod encoders;
-mod finder;
-mod gap;
+mod final_tables;
+mod frame_queue;
+mod frame_timing;
+mod gap_monitor;
 pub mod journal;
 mod latency;
-mod learner;
+mod low_priority;
 mod metrics;
-mod mjpeg;
-mod outcome;
-mod pace;
-mod pictures;
+mod motion_jpeg;
+mod motion_lag;
+mod multipart;
+mod online_estimator;
 mod pipeline;
-mod quiet;
-mod saver;
+mod recent_bends;
+mod sample_buffer;
 pub mod server;
+mod session;
+mod setup;
+mod shared_state;
 mod source;
+mod status;
+mod straight_reference;
 pub mod tui;
 
-pub use board::{Board, DiscoveryStatus, EstimateStatus, Row, State, StemStatus};
-pub use clock::{ClockState, Lag};
-pub use door::Door;
-pub use encoders::{EncoderSource, EncoderStatus, LineParser, Parsed};
-pub use gap::{GapState, GapStatus};
+pub use access_control::AccessControl;
+pub use annotated_video::AnnotatedVideo;
+pub use commands::{Answer, Command, Commands};
+pub use encoders::{EncoderSource, LineParser, Parsed};
 pub use journal::JOURNAL;
-pub use latency::{Histogram, LatencyStatus};
-pub use pace::{PaceState, PaceStatus};
-pub use pictures::Pictures;
-pub use pipeline::{Answer, Command, Commands, EncoderInput, Live, Setup, View};
-pub use source::{Source, SourceState, SourceStatus};
+pub use latency::Histogram;
+pub use session::Live;
+pub use setup::{EncoderInput, Setup, View};
+pub use shared_state::SharedState;
+pub use source::Source;
+pub use status::{
+    ClockState, DiscoveryStatus, EncoderStatus, EstimateStatus, FrameTimingState, FrameTimingStatus, GapState,
+    GapStatus, Lag, LatencyStatus, Row, SourceState, SourceStatus, State, StemStatus,
+};

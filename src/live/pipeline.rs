@@ -1,255 +1,69 @@
-//! The loop: newest frame → θ, δ → journal → η, λ → board.
+//! The loop: newest frame → θ, δ → journal → η, λ → shared state.
 
-use super::board::{Board, EstimateStatus, Row, State, StemStatus};
-use super::clock::FrameClock;
-use super::encoders::{EncoderSource, Encoders, Feed, Lookup};
-use super::finder::Finder;
-use super::gap::GapState;
+use super::annotated_video::AnnotatedVideo;
+use super::autosave::save;
+use super::commands::{Answer, Command, Request};
+use super::discovery_worker::DiscoveryWorker;
+use super::encoders::{Encoders, Lookup};
+use super::final_tables;
+use super::frame_queue::Captured;
+use super::frame_timing::{FrameTiming, LATE_S};
 use super::journal::{Entry, Journal};
-use super::latency::Histogram;
-use super::learner::{Learned, Learner};
-use super::pace::{LATE_S, Pace, PaceState};
-use super::pictures::Pictures;
-use super::quiet::alone;
-use super::saver::{Bends, Saver, Saving, save};
-use super::source::{Captured, Reader, Source};
-use crate::camera::{Frame, Lens};
-use crate::error::{Error, Result};
-use crate::estimate::{Options, StemOptions};
-use crate::measure::{Eye, FrameMeasurement, RigOptions, calibrate_rig};
+use super::low_priority::on_one_thread;
+use super::online_estimator::{OnlineEstimator, Update};
+use super::recent_bends::RecentBends;
+use super::shared_state::SharedState;
+use super::source::FrameReader;
+use super::status::{EstimateStatus, FrameTimingState, GapState, Row, StemStatus};
+use super::straight_reference::RenewableEye;
+use crate::camera::Frame;
+use crate::error::Result;
+use crate::measure::FrameMeasurement;
 use crate::observation::{EncoderReading, Measurement, Status};
-use crate::robot::{Model, Robot};
 use nalgebra::Vector2;
-use std::collections::{HashMap, VecDeque};
+use std::collections::VecDeque;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::JoinHandle;
+use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
-/// One camera, ready to measure.
-#[derive(Debug)]
-pub struct View {
-    /// Its name.
-    pub name: String,
-    /// Its lens.
-    pub lens: Lens,
-    /// The robot before it.
-    pub robot: Robot,
-    /// What a new straight reference is calibrated with.
-    pub rig_options: RigOptions,
-    /// What measures its frames.
-    pub eye: Eye,
-}
+/// Time that a measurement waits for its encoder reading. Convention: what a network delays a line, and no more.
+const READING_TIMEOUT: Duration = Duration::from_millis(250);
+/// Longest wait for a frame, after which commands are looked at. Convention.
+const FRAME_TIMEOUT: Duration = Duration::from_millis(50);
+/// The same while a measurement waits for its reading. Convention.
+const FRAME_TIMEOUT_WHILE_WAITING: Duration = Duration::from_millis(2);
 
-/// Where encoder readings come from.
-#[derive(Debug)]
-pub enum EncoderInput {
-    /// From nowhere.
-    None,
-    /// From a finished log, matched by the frames' index.
-    Log(Vec<EncoderReading>),
-    /// As lines that come.
-    Lines {
-        /// Where from.
-        source: EncoderSource,
-        /// What to add to a stamp to have the frames' time, s; estimated where it is not given.
-        offset_s: Option<f64>,
-    },
-}
-
-/// All that a run needs.
-#[derive(Debug)]
-pub struct Setup {
-    /// The camera's view.
-    pub view: View,
+/// The parts of the loop.
+pub struct Pipeline {
+    /// The view's name.
+    pub view: String,
+    /// What measures frames.
+    pub eye: Arc<RenewableEye>,
     /// Where frames come from.
-    pub source: Source,
-    /// That in words.
-    pub source_name: String,
+    pub reader: FrameReader,
     /// Where encoder readings come from.
-    pub encoders: EncoderInput,
-    /// The model to start from; its effects are obeyed.
-    pub model: Model,
-    /// The estimator's settings.
-    pub options: Options,
-    /// Settings to follow a flexible stem with, in place of η and λ.
-    pub stem: Option<StemOptions>,
+    pub encoders: Arc<Encoders>,
+    /// What learns.
+    pub estimator: OnlineEstimator,
+    /// Where every measurement is written down.
+    pub journal: Journal,
+    /// What everybody may see.
+    pub shared: Arc<SharedState>,
+    /// Where measured frames are drawn.
+    pub video: Arc<AnnotatedVideo>,
+    /// What searches for missing physics.
+    pub discovery: DiscoveryWorker,
+    /// What users ask for.
+    pub requests: Receiver<Request>,
+    /// Set when the loop is to end.
+    pub stop: Arc<AtomicBool>,
     /// The folder to write to.
     pub output: PathBuf,
-    /// Whether to go on with the journal that is there.
-    pub resume: bool,
-    /// How often model and table are written.
-    pub save_every: Duration,
-}
-
-/// What the loop can be told.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Command {
-    /// Measure, or let frames pass.
-    Pause(bool),
-    /// Take the newest frame for a picture of the unbent snake and calibrate the rig anew.
-    Reference,
-    /// Forget η and λ.
-    Reset,
-    /// Write model and table now.
-    Save,
-}
-
-/// What came of a command, in words.
-pub type Answer = std::result::Result<String, String>;
-
-/// A running loop.
-pub struct Live {
-    /// What it shows.
-    pub board: Arc<Board>,
-    /// Its annotated video.
-    pub pictures: Arc<Pictures>,
-    commands: Sender<(Command, oneshot::Sender<Answer>)>,
-    stop: Arc<AtomicBool>,
-    thread: JoinHandle<Result<()>>,
-}
-
-/// A handle to tell a loop something.
-#[derive(Debug, Clone)]
-pub struct Commands(Sender<(Command, oneshot::Sender<Answer>)>);
-
-impl Commands {
-    /// Tells it; the answer comes through the channel, unless the run is over.
-    pub fn send(&self, command: Command) -> oneshot::Receiver<Answer> {
-        let (answer, answered) = oneshot::channel();
-        let _ = self.0.send((command, answer));
-        answered
-    }
-}
-
-/// How long a measurement waits for its encoder reading.
-const WAIT_FOR_READING: Duration = Duration::from_millis(250);
-/// How long the loop sleeps at most, so that it hears commands.
-const LISTEN_EVERY: Duration = Duration::from_millis(50);
-/// While a measurement waits for its reading.
-const LOOK_AGAIN: Duration = Duration::from_millis(2);
-/// Bends that the lag is estimated from, and the time between them, s.
-const LAG_BENDS: usize = 600;
-const LAG_STEP_S: f64 = 0.03;
-
-impl Live {
-    /// Opens the journal, starts reading, measuring, learning and writing.
-    ///
-    /// # Errors
-    /// A journal that is in the way or cannot be read, an option out of its range, a source that cannot exist.
-    pub fn start(setup: Setup) -> Result<Self> {
-        let Setup { view, source, source_name, encoders, model, options, stem, output, resume, save_every } = setup;
-        let mut learner = Learner::new(model.clone(), options, stem)?;
-        let clock = Arc::new(FrameClock::default());
-        let encoders = Arc::new(match encoders {
-            EncoderInput::None => Encoders::None,
-            EncoderInput::Log(readings) => {
-                Encoders::Log(readings.into_iter().map(|reading| (reading.index, reading)).collect::<HashMap<_, _>>())
-            }
-            EncoderInput::Lines { source, offset_s } => {
-                let backbones = model.robot.backbone_count();
-                Encoders::Feed(Feed::start(source, backbones, Arc::clone(&clock), offset_s))
-            }
-        });
-        let board = Arc::new(Board::new(State::at_start(source_name, encoders.status()), model.clone()));
-        let mut next_index = 0;
-        let (journal, remark) = if resume {
-            Journal::resume(&output, |entry| match entry {
-                Entry::Measured(measurement, reading) => {
-                    next_index = next_index.max(measurement.index + 1);
-                    let learned = learner.take(&measurement, reading.as_ref());
-                    let mut content = board.lock();
-                    content.count(&measurement, learned.step.verdict);
-                    content.state.resumed += 1;
-                    content.state.gap = learned.gap;
-                }
-                Entry::Reset => {
-                    let _ = learner.reset();
-                }
-            })?
-        } else {
-            (Journal::create(&output)?, None)
-        };
-        let reader = Reader::start(source, next_index, clock)?;
-        {
-            let mut content = board.lock();
-            content.state.estimate = EstimateStatus::of(&learner.model());
-            content.state.stem = learner.stem().map(StemStatus::from);
-            content.model = learner.model();
-            content.state.notices.extend(remark);
-        }
-        let bends = Bends::default();
-        let saver = Saver::start(Saving {
-            board: Arc::clone(&board),
-            journal: journal.sync_handle()?,
-            output: output.clone(),
-            every: save_every,
-            encoders: Arc::clone(&encoders),
-            bends: Arc::clone(&bends),
-            to_bend: model.robot.bend_by_displacement(),
-        });
-        let pictures = Pictures::start();
-        let (commands, requests) = channel();
-        let stop = Arc::new(AtomicBool::new(false));
-        let View { name, lens, robot, rig_options, eye } = view;
-        let loop_ = Loop {
-            finder: Finder::new(Arc::clone(&board), output.clone(), options.sd_encoder_mm),
-            reference: Reference { lens, robot, rig_options, output: output.clone() },
-            eye: Arc::new(Mutex::new(Arc::new(eye))),
-            name,
-            reader,
-            encoders,
-            learner,
-            journal,
-            board: Arc::clone(&board),
-            pictures: Arc::clone(&pictures),
-            requests,
-            stop: Arc::clone(&stop),
-            output,
-            waiting: VecDeque::new(),
-            newest: None,
-            bends,
-            last_bend: None,
-            paused: false,
-            pace: Pace::new(Instant::now()),
-            began: Instant::now(),
-        };
-        let thread = std::thread::spawn(move || {
-            let result = loop_.run();
-            saver.finish();
-            result
-        });
-        Ok(Self { board, pictures, commands, stop, thread })
-    }
-
-    /// A handle to tell it something.
-    pub fn commands(&self) -> Commands {
-        Commands(self.commands.clone())
-    }
-
-    /// Whether it has come to its end.
-    pub fn is_over(&self) -> bool {
-        self.thread.is_finished()
-    }
-
-    /// Asks it to end after the frame in hand.
-    pub fn stop(&self) {
-        self.stop.store(true, Ordering::Relaxed);
-    }
-
-    /// Waits for its end, and gives all latencies.
-    ///
-    /// # Errors
-    /// A journal or a file that could not be written.
-    pub fn finish(self) -> Result<Histogram> {
-        match self.thread.join() {
-            Ok(result) => result.map(|()| self.board.lock().latencies.clone()),
-            Err(_) => Err(Error::Domain("the loop broke off; all that was measured is in the journal".into())),
-        }
-    }
+    /// The latest bends, for the lag between picture and encoders.
+    pub bends: Arc<RecentBends>,
 }
 
 /// A measurement that waits for its encoder reading.
@@ -260,267 +74,229 @@ struct Waiting {
     late_s: f64,
 }
 
-struct Loop {
-    name: String,
-    eye: Arc<Mutex<Arc<Eye>>>,
-    reader: Reader,
-    encoders: Arc<Encoders>,
-    learner: Learner,
-    journal: Journal,
-    board: Arc<Board>,
-    pictures: Arc<Pictures>,
-    finder: Finder,
-    reference: Reference,
-    requests: Receiver<(Command, oneshot::Sender<Answer>)>,
-    stop: Arc<AtomicBool>,
-    output: PathBuf,
+/// What changes while the loop runs.
+struct Progress {
+    began: Instant,
+    timing: FrameTiming,
     waiting: VecDeque<Waiting>,
     newest: Option<Arc<Frame>>,
-    bends: Bends,
     last_bend: Option<Vector2<f64>>,
     paused: bool,
-    pace: Pace,
-    began: Instant,
 }
 
-impl Loop {
-    fn run(mut self) -> Result<()> {
-        while !self.is_over() {
-            self.listen()?;
-            let wait = if self.waiting.is_empty() { LISTEN_EVERY } else { LOOK_AGAIN };
-            if let Some(captured) = self.reader.next(wait) {
-                self.newest = captured.frame.clone().or(self.newest.take());
-                if !self.paused {
-                    self.measure(captured);
+impl Pipeline {
+    /// Runs until it is asked to end or a recording has ended, then writes everything once more.
+    ///
+    /// # Errors
+    /// A journal or a file that cannot be written.
+    pub fn run(mut self) -> Result<()> {
+        let now = Instant::now();
+        let mut progress = Progress {
+            began: now,
+            timing: FrameTiming::new(now),
+            waiting: VecDeque::new(),
+            newest: None,
+            last_bend: None,
+            paused: false,
+        };
+        while !self.is_over(&progress) {
+            self.obey_commands(&mut progress)?;
+            let timeout = if progress.waiting.is_empty() { FRAME_TIMEOUT } else { FRAME_TIMEOUT_WHILE_WAITING };
+            if let Some(captured) = self.reader.next(timeout) {
+                progress.newest = captured.frame.clone().or(progress.newest.take());
+                if !progress.paused {
+                    self.measure(captured, &mut progress);
                 }
             }
-            self.learn()?;
-            self.show();
+            self.learn(&mut progress)?;
+            self.show(&mut progress);
         }
-        self.settle()
+        self.finish(progress)
     }
 
     /// Whether it was asked to end, or a recording has ended.
-    fn is_over(&self) -> bool {
-        self.stop.load(Ordering::Relaxed) || (self.reader.is_over() && self.waiting.is_empty())
+    fn is_over(&self, progress: &Progress) -> bool {
+        self.stop.load(Ordering::Relaxed) || (self.reader.is_over() && progress.waiting.is_empty())
     }
 
-    /// What a frame shows; the measurement then waits for its reading.
-    fn measure(&mut self, Captured { index, time_s, at, late_s, frame }: Captured) {
-        let eye = Arc::clone(&self.eye.lock().unwrap_or_else(PoisonError::into_inner));
-        let measurement = match &frame {
-            Some(frame) => look(&eye, frame, self.last_bend),
-            None => FrameMeasurement { status: Status::Unreadable, measured: None, bend: None, quality: None },
+    /// Measures a frame, near the bend of the one before; the measurement then waits for its reading.
+    fn measure(&self, Captured { index, time_s, at, late_s, frame }: Captured, progress: &mut Progress) {
+        let eye = self.eye.get();
+        let FrameMeasurement { status, measured, bend, quality } = match (&frame, progress.last_bend) {
+            (Some(frame), Some(last)) => eye.track(frame, last),
+            (Some(frame), None) => eye.measure(frame),
+            (None, _) => FrameMeasurement { status: Status::Unreadable, measured: None, bend: None, quality: None },
         };
-        let FrameMeasurement { status, measured, bend, quality } = measurement;
-        self.last_bend = bend.map(|bend| bend.vector).or(self.last_bend);
-        let view = Some(self.name.clone());
+        progress.last_bend = bend.map(|bend| bend.vector).or(progress.last_bend);
+        let view = Some(self.view.clone());
         let measurement = Measurement { index, time_s: Some(time_s), status, measured, quality, view };
         if let Some(frame) = &frame {
-            self.pictures.offer(frame, &measurement, &eye);
+            self.video.offer(frame, &measurement, &eye);
         }
         if let Some(bend) = bend.filter(|_| late_s <= LATE_S) {
-            self.remember(time_s, bend.vector);
+            self.bends.add(time_s, bend.vector);
         }
-        self.waiting.push_back(Waiting { measurement, time_s, arrived: at, late_s });
-    }
-
-    /// Keeps bends for the lag, not too close together.
-    fn remember(&self, time_s: f64, bend: Vector2<f64>) {
-        let mut bends = self.bends.lock().unwrap_or_else(PoisonError::into_inner);
-        if bends.last().is_none_or(|(last_s, _)| time_s - last_s >= LAG_STEP_S) {
-            if bends.len() == LAG_BENDS {
-                bends.remove(0);
-            }
-            bends.push((time_s, bend));
-        }
+        progress.waiting.push_back(Waiting { measurement, time_s, arrived: at, late_s });
     }
 
     /// Takes every measurement, in order, whose reading is there or will not come.
-    fn learn(&mut self) -> Result<()> {
-        while let Some(first) = self.waiting.front() {
+    fn learn(&mut self, progress: &mut Progress) -> Result<()> {
+        while let Some(first) = progress.waiting.front() {
+            let out_of_time = || first.arrived.elapsed() > READING_TIMEOUT || self.stop.load(Ordering::Relaxed);
             let reading = match self.encoders.at(first.measurement.index, first.time_s) {
-                // At which moment it was taken nobody knows.
+                // Nobody knows at which moment a late frame was taken.
                 _ if first.late_s > LATE_S => None,
                 Lookup::Found(reading) => Some(reading),
                 Lookup::Never => None,
-                Lookup::NotYet if first.arrived.elapsed() > WAIT_FOR_READING || self.stop.load(Ordering::Relaxed) => {
-                    None
-                }
+                Lookup::NotYet if out_of_time() => None,
                 Lookup::NotYet => break,
             };
-            if let Some(waiting) = self.waiting.pop_front() {
-                self.take(waiting, reading)?;
+            if let Some(waiting) = progress.waiting.pop_front() {
+                self.take(waiting, reading, &mut progress.timing)?;
             }
         }
         Ok(())
     }
 
-    /// One measurement: into the journal, the estimator, and onto the board.
-    fn take(&mut self, waiting: Waiting, reading: Option<EncoderReading>) -> Result<()> {
+    /// One measurement: into the journal, the estimator and the shared state.
+    fn take(&mut self, waiting: Waiting, reading: Option<EncoderReading>, timing: &mut FrameTiming) -> Result<()> {
         let Waiting { mut measurement, mut time_s, arrived, late_s } = waiting;
         if let (Encoders::Log(_), Some(reading)) = (&*self.encoders, &reading) {
             // The log knows better than the rate at which the recording is played.
             time_s = reading.time_s;
             measurement.time_s = Some(time_s);
         }
-        let entry = Entry::Measured(measurement.clone(), reading);
-        self.journal.append(&entry)?;
-        let learned = self.learner.take(&measurement, reading.as_ref());
-        let model = self.learner.model();
+        self.journal.append(&Entry::Measured(measurement.clone(), reading))?;
+        let update = self.estimator.update(&measurement, reading.as_ref());
         let latency_s = arrived.elapsed().as_secs_f64();
-        self.pace.took(Instant::now(), latency_s, late_s);
-        let mut row = row(&measurement, time_s, reading.as_ref(), &learned, &model, 1000.0 * latency_s);
+        timing.measured(Instant::now(), latency_s, late_s);
+        let mut row = self.row(&measurement, time_s, reading.as_ref(), &update);
+        row.latency_ms = 1000.0 * latency_s;
         if late_s > LATE_S {
             row.reason = format!("came {:.0} ms late: its time is not certain", 1000.0 * late_s);
         }
-        let mut content = self.board.lock();
-        if learned.gap.state == GapState::Above && content.state.gap.state != GapState::Above {
-            content.notice("the gap between model and measurements has left the noise: discover is asked for its name");
-        }
-        if learned.step.restarted {
-            content.notice(format!(
-                "frame {}: measurements agree on something new; η and λ start afresh",
-                measurement.index
-            ));
-        }
-        content.state.gap = learned.gap;
-        content.model = model;
-        content.add(&measurement, learned.step.verdict, row);
-        drop(content);
-        if learned.gap.state == GapState::Above && self.finder.is_free() {
-            self.finder.look(self.learner.gathered());
+        self.publish(&measurement, row, &update);
+        if update.gap.state == GapState::Above && self.discovery.is_free() {
+            self.discovery.start(self.estimator.samples());
         }
         Ok(())
     }
 
-    /// Brings the figures that change by themselves up to date.
-    fn show(&mut self) {
-        let (source, encoders) = (self.reader.status(), self.encoders.status());
-        let pace = self.pace.status(Instant::now(), &source);
-        let mut content = self.board.lock();
-        if pace.state != PaceState::Fresh && pace.state != content.state.pace.state {
-            content.notice(pace.sentence.clone().unwrap_or_default());
+    fn row(
+        &self,
+        measurement: &Measurement,
+        time_s: f64,
+        reading: Option<&EncoderReading>,
+        Update { step, expected, stem, .. }: &Update,
+    ) -> Row {
+        Row {
+            q_mm: reading.map(|reading| reading.q_mm),
+            expected_theta_deg: expected.map(|psi| psi.theta_deg()),
+            expected_delta_deg: expected.map(|psi| psi.delta_deg()),
+            verdict: step.verdict.to_string(),
+            reason: step.reason.as_ref().map(ToString::to_string).unwrap_or_default(),
+            residual_mm: step.residual_mm,
+            estimate: EstimateStatus::of(&self.estimator.model()),
+            stem: stem.map(StemStatus::from),
+            ..Row::of(measurement, time_s)
         }
-        content.state.pace = pace;
-        content.state.elapsed_s = self.began.elapsed().as_secs_f64();
-        content.state.source = source;
-        content.state.encoders = encoders;
     }
 
-    /// Does what it was told.
-    fn listen(&mut self) -> Result<()> {
+    fn publish(&self, measurement: &Measurement, row: Row, update: &Update) {
+        let mut shared = self.shared.lock();
+        if update.gap.state == GapState::Above && shared.state.gap.state != GapState::Above {
+            shared.notice("the gap between model and measurements has left the noise: discover is asked for its name");
+        }
+        if update.step.restarted {
+            let index = measurement.index;
+            shared.notice(format!("frame {index}: measurements agree on something new; η and λ start afresh"));
+        }
+        shared.state.gap = update.gap;
+        shared.model = self.estimator.model();
+        shared.add(measurement, update.step.verdict, row);
+    }
+
+    /// Brings what changes without a measurement up to date.
+    fn show(&self, progress: &mut Progress) {
+        let (source, encoders) = (self.reader.status(), self.encoders.status());
+        let timing = progress.timing.status(Instant::now(), &source);
+        let mut shared = self.shared.lock();
+        if timing.state != FrameTimingState::Fresh && timing.state != shared.state.timing.state {
+            shared.notice(timing.sentence.clone().unwrap_or_default());
+        }
+        shared.state.timing = timing;
+        shared.state.elapsed_s = progress.began.elapsed().as_secs_f64();
+        shared.state.source = source;
+        shared.state.encoders = encoders;
+    }
+
+    fn obey_commands(&mut self, progress: &mut Progress) -> Result<()> {
         while let Ok((command, answer)) = self.requests.try_recv() {
             match command {
                 Command::Pause(paused) => {
-                    self.paused = paused;
-                    self.board.lock().state.paused = paused;
+                    progress.paused = paused;
+                    self.shared.lock().state.paused = paused;
                     let _ = answer.send(Ok(if paused { "paused" } else { "measuring" }.into()));
                 }
                 Command::Reset => {
-                    self.journal.append(&Entry::Reset)?;
-                    let said = self.learner.reset()?;
-                    let mut content = self.board.lock();
-                    content.model = self.learner.model();
-                    content.state.estimate = EstimateStatus::of(&content.model);
-                    content.state.stem = self.learner.stem().map(StemStatus::from);
-                    content.state.discovery = None;
-                    content.notice(said);
-                    let _ = answer.send(Ok(said.into()));
+                    let done = self.reset()?;
+                    let _ = answer.send(Ok(done.into()));
                 }
-                Command::Save => {
-                    let (board, output) = (Arc::clone(&self.board), self.output.clone());
-                    std::thread::spawn(move || {
-                        let saved = save(&board, &output).map_err(|error| error.to_string());
-                        let _ = answer.send(saved.map(|()| format!("model and table are in {}", output.display())));
-                    });
-                }
-                Command::Reference => self.take_reference(answer),
+                Command::Save => self.save_beside(answer),
+                Command::Reference => self.renew_reference_beside(progress.newest.clone(), answer),
             }
         }
         Ok(())
     }
 
-    /// Calibrates the rig from the newest frame, beside the loop.
-    fn take_reference(&self, answer: oneshot::Sender<Answer>) {
-        let Some(frame) = self.newest.clone() else {
-            let _ = answer.send(Err("no frame has come yet".into()));
-            return;
-        };
-        let (reference, eye, board) = (self.reference.clone(), Arc::clone(&self.eye), Arc::clone(&self.board));
+    /// Forgets all measurements; says what begins anew.
+    fn reset(&mut self) -> Result<&'static str> {
+        self.journal.append(&Entry::Reset)?;
+        let done = self.estimator.reset()?;
+        let mut shared = self.shared.lock();
+        shared.model = self.estimator.model();
+        shared.state.estimate = EstimateStatus::of(&shared.model);
+        shared.state.stem = self.estimator.stem().map(StemStatus::from);
+        shared.state.discovery = None;
+        shared.notice(done);
+        Ok(done)
+    }
+
+    /// Writes model and table, on a thread of its own.
+    fn save_beside(&self, answer: oneshot::Sender<Answer>) {
+        let (shared, output) = (Arc::clone(&self.shared), self.output.clone());
         std::thread::spawn(move || {
-            let taken = alone(|| reference.take(&frame));
-            let said = match taken {
-                Ok(fresh) => {
-                    *eye.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(fresh);
-                    Ok("the newest frame is the straight reference now; rig.toml has it".to_owned())
-                }
-                Err(message) => Err(format!("this frame cannot be the straight reference: {message}")),
-            };
-            board.lock().notice(said.clone().unwrap_or_else(|refused| refused));
-            let _ = answer.send(said);
+            let saved = save(&shared, &output).map_err(|error| error.to_string());
+            let _ = answer.send(saved.map(|()| format!("model and table are in {}", output.display())));
         });
     }
 
-    /// The end: what waits is taken, and everything is written once more.
-    fn settle(mut self) -> Result<()> {
+    /// Calibrates the rig from the newest frame, on a thread of its own.
+    fn renew_reference_beside(&self, newest: Option<Arc<Frame>>, answer: oneshot::Sender<Answer>) {
+        let Some(frame) = newest else {
+            let _ = answer.send(Err("no frame has come yet".into()));
+            return;
+        };
+        let (eye, shared) = (Arc::clone(&self.eye), Arc::clone(&self.shared));
+        std::thread::spawn(move || {
+            let result = match on_one_thread(|| eye.renew(&frame)) {
+                Ok(()) => Ok("the newest frame is the straight reference now; rig.toml has it".to_owned()),
+                Err(message) => Err(format!("this frame cannot be the straight reference: {message}")),
+            };
+            shared.lock().notice(result.clone().unwrap_or_else(|refused| refused));
+            let _ = answer.send(result);
+        });
+    }
+
+    /// The end: measurements that wait are taken, and everything is written once more.
+    fn finish(mut self, mut progress: Progress) -> Result<()> {
         self.stop.store(true, Ordering::Relaxed);
-        self.learn()?;
-        self.show();
-        let result = if self.board.lock().model.estimate.is_some() { save(&self.board, &self.output) } else { Ok(()) };
-        super::outcome::write(&self.output, self.learner)?;
-        self.board.lock().state.ended = true;
-        result
-    }
-}
-
-/// What a frame shows, near the bend that the one before it showed.
-fn look(eye: &Eye, frame: &Frame, last: Option<Vector2<f64>>) -> FrameMeasurement {
-    last.map_or_else(|| eye.measure(frame), |last| eye.track(frame, last))
-}
-
-/// What a new straight reference needs.
-#[derive(Debug, Clone)]
-struct Reference {
-    lens: Lens,
-    robot: Robot,
-    rig_options: RigOptions,
-    output: PathBuf,
-}
-
-impl Reference {
-    fn take(&self, frame: &Frame) -> std::result::Result<Eye, String> {
-        let rig = calibrate_rig(frame, &self.lens, &self.robot, &self.rig_options)?;
-        rig.write(&self.output.join("rig.toml")).map_err(|error| error.to_string())?;
-        Ok(Eye::new(self.lens.clone(), rig, self.robot.clone()))
-    }
-}
-
-fn row(
-    measurement: &Measurement,
-    time_s: f64,
-    reading: Option<&EncoderReading>,
-    learned: &Learned,
-    model: &Model,
-    latency_ms: f64,
-) -> Row {
-    let measured = measurement.measured;
-    Row {
-        index: measurement.index,
-        time_s,
-        status: measurement.status.to_string(),
-        theta_deg: measured.map(|m| m.configuration.theta_deg()),
-        delta_deg: measured.map(|m| m.configuration.delta_deg()),
-        sigma_theta_deg: measured.map(|m| m.sigma_theta.to_degrees()),
-        sigma_delta_deg: measured.map(|m| m.sigma_delta.to_degrees()),
-        q_mm: reading.map(|reading| reading.q_mm),
-        expected_theta_deg: learned.expected.map(|psi| psi.theta_deg()),
-        expected_delta_deg: learned.expected.map(|psi| psi.delta_deg()),
-        verdict: learned.step.verdict.to_string(),
-        reason: learned.step.reason.as_ref().map(ToString::to_string).unwrap_or_default(),
-        residual_mm: learned.step.residual_mm,
-        estimate: EstimateStatus::of(model),
-        stem: learned.stem.map(StemStatus::from),
-        latency_ms,
+        self.learn(&mut progress)?;
+        self.show(&mut progress);
+        let is_estimated = self.shared.lock().model.estimate.is_some();
+        let saved = if is_estimated { save(&self.shared, &self.output) } else { Ok(()) };
+        final_tables::write(&self.output, self.estimator)?;
+        self.shared.lock().state.ended = true;
+        saved
     }
 }

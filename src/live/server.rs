@@ -1,14 +1,15 @@
 //! The dashboard and the machine interface, over HTTP.
 //!
-//! One quiet thread serves everybody. Nobody is waited for: an answer is made when its reader can take it, from the newest there
-//! is, and whoever neither reads nor writes for a while is shown out.
+//! One thread of low priority serves all connections. An answer is made, from the latest state, when its reader can take it; a
+//! connection that neither reads nor writes for a while is closed.
 
-use super::board::{Board, Row};
-use super::door::{Door, guard};
+use super::access_control::{AccessControl, guard};
+use super::annotated_video::AnnotatedVideo;
+use super::commands::{Command, Commands};
+use super::low_priority::lower_priority;
 use super::metrics;
-use super::pictures::Pictures;
-use super::pipeline::{Command, Commands};
-use super::quiet::be_quiet;
+use super::shared_state::SharedState;
+use super::status::Row;
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::record::model_json;
@@ -35,42 +36,49 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 use tokio_io_timeout::TimeoutStream;
 
-/// Connections at a time; more wait at the door.
-const MOST_CONNECTIONS: usize = 128;
-/// Whoever has not said what he wants by then is shown out, and so is whoever does not take what he asked for.
+/// Connections at a time; further ones wait. Convention: a resource limit.
+const MAX_CONNECTIONS: usize = 128;
+/// A connection that has not sent its request's head by then is closed. Convention.
 const HEADER_TIMEOUT: Duration = Duration::from_secs(10);
+/// So is one that does not take what it asked for. Convention.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(15);
-/// No request needs more.
-const MOST_BODY: usize = 4096;
-/// How often watchers are told of new measurements.
-const TELL_EVERY: Duration = Duration::from_millis(200);
-/// Rows in one answer.
-const MOST_ROWS: usize = 2000;
+/// Longest head of a request, bytes. Convention: a resource limit.
+const MAX_HEAD: usize = 16 << 10;
+/// Longest body of a request, bytes. Convention: a resource limit; no request needs one.
+const MAX_BODY: usize = 4096;
+/// Time before another connection is accepted after that failed, as where handles run out. Convention.
+const ACCEPT_RETRY: Duration = Duration::from_millis(100);
+/// Time between two events of `GET /api/events`. Convention: a display choice.
+const EVENT_EVERY: Duration = Duration::from_millis(200);
+/// Rows in one answer. Convention: a resource limit.
+const MAX_ROWS: usize = 2000;
+/// Rows in one event. Convention: a resource limit.
+const MAX_EVENT_ROWS: usize = 500;
 
 /// What answers are made from.
 #[derive(Clone)]
-pub struct Exhibits {
-    /// The figures.
-    pub board: Arc<Board>,
+pub struct AppState {
+    /// The state of the loop.
+    pub shared: Arc<SharedState>,
     /// The video.
-    pub pictures: Arc<Pictures>,
+    pub video: Arc<AnnotatedVideo>,
     /// Where commands go.
     pub commands: Commands,
 }
 
-/// Starts to serve, and gives the address: that of the door, with the port that it got where 0 was asked for.
+/// Starts to serve, and gives the address: the one asked for, with the port that it got where 0 was asked for.
 ///
 /// # Errors
 /// An address that cannot be listened at.
-pub fn start(door: Door, exhibits: Exhibits) -> Result<SocketAddr> {
-    let wrong = |e: std::io::Error| Error::Usage(format!("--serve {}: {e}", door.address()));
-    let listener = std::net::TcpListener::bind(door.address()).map_err(wrong)?;
+pub fn start(access: AccessControl, app: AppState) -> Result<SocketAddr> {
+    let wrong = |e: std::io::Error| Error::Usage(format!("--serve {}: {e}", access.address()));
+    let listener = std::net::TcpListener::bind(access.address()).map_err(wrong)?;
     listener.set_nonblocking(true).map_err(wrong)?;
     let address = listener.local_addr().map_err(wrong)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(wrong)?;
-    let router = router(Arc::new(door), exhibits);
+    let router = router(Arc::new(access), app);
     std::thread::spawn(move || {
-        be_quiet();
+        lower_priority();
         runtime.block_on(async {
             if let Ok(listener) = TcpListener::from_std(listener) {
                 accept(listener, router).await;
@@ -81,18 +89,17 @@ pub fn start(door: Door, exhibits: Exhibits) -> Result<SocketAddr> {
 }
 
 async fn accept(listener: TcpListener, router: Router) {
-    let places = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+    let permits = Arc::new(Semaphore::new(MAX_CONNECTIONS));
     loop {
-        let Ok(place) = Arc::clone(&places).acquire_owned().await else { return };
+        let Ok(permit) = Arc::clone(&permits).acquire_owned().await else { return };
         let Ok((stream, _)) = listener.accept().await else {
-            // Out of handles, say: it passes.
-            tokio::time::sleep(Duration::from_millis(100)).await;
+            tokio::time::sleep(ACCEPT_RETRY).await;
             continue;
         };
         let router = router.clone();
         tokio::spawn(async move {
             serve(stream, router).await;
-            drop(place);
+            drop(permit);
         });
     }
 }
@@ -101,13 +108,13 @@ async fn serve(stream: TcpStream, router: Router) {
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(WRITE_TIMEOUT));
     let mut http = http1::Builder::new();
-    http.timer(TokioTimer::new()).header_read_timeout(HEADER_TIMEOUT).max_buf_size(16 * 1024);
+    http.timer(TokioTimer::new()).header_read_timeout(HEADER_TIMEOUT).max_buf_size(MAX_HEAD);
     let service = TowerToHyperService::new(router);
     // A connection that breaks off concerns nobody.
     let _ = http.serve_connection(TokioIo::new(Box::pin(stream)), service).await;
 }
 
-fn router(door: Arc<Door>, exhibits: Exhibits) -> Router {
+fn router(access: Arc<AccessControl>, app: AppState) -> Router {
     let text = |kind: &'static str, text: &'static str| {
         get(async move || ([(CONTENT_TYPE, kind), (CACHE_CONTROL, "no-cache")], text))
     };
@@ -125,9 +132,9 @@ fn router(door: Arc<Door>, exhibits: Exhibits) -> Router {
         .route("/api/events", get(events))
         .route("/api/command/{name}", post(command))
         .route("/metrics", get(metrics))
-        .layer(DefaultBodyLimit::max(MOST_BODY))
-        .layer(middleware::from_fn_with_state(door, guard))
-        .with_state(exhibits)
+        .layer(DefaultBodyLimit::max(MAX_BODY))
+        .layer(middleware::from_fn_with_state(access, guard))
+        .with_state(app)
 }
 
 /// plotly.js, out of the script elements that its crate gives.
@@ -146,8 +153,8 @@ fn failure(status: StatusCode, message: impl ToString) -> Response {
     (status, Json(json!({ "error": message.to_string() }))).into_response()
 }
 
-async fn state(State(exhibits): State<Exhibits>) -> impl IntoResponse {
-    Json(exhibits.board.state())
+async fn state(State(app): State<AppState>) -> impl IntoResponse {
+    Json(app.shared.state())
 }
 
 #[derive(Deserialize)]
@@ -156,14 +163,14 @@ struct Since {
     limit: Option<usize>,
 }
 
-async fn measurements(State(exhibits): State<Exhibits>, Query(Since { since, limit }): Query<Since>) -> Json<Value> {
-    let rows = exhibits.board.rows_after(since, limit.unwrap_or(MOST_ROWS).min(MOST_ROWS));
+async fn measurements(State(app): State<AppState>, Query(Since { since, limit }): Query<Since>) -> Json<Value> {
+    let rows = app.shared.rows_after(since, limit.unwrap_or(MAX_ROWS).min(MAX_ROWS));
     let next = rows.last().map(|row| row.index).or(since);
     Json(json!({ "measurements": rows, "since": next }))
 }
 
-async fn model(State(exhibits): State<Exhibits>) -> Response {
-    let model = exhibits.board.lock().model.clone();
+async fn model(State(app): State<AppState>) -> Response {
+    let model = app.shared.lock().model.clone();
     match model_json(&model) {
         Ok(json) => Json(json).into_response(),
         Err(error) => failure(StatusCode::INTERNAL_SERVER_ERROR, error),
@@ -176,13 +183,13 @@ struct Pose {
     delta: f64,
 }
 
-async fn table(State(exhibits): State<Exhibits>, Query(Pose { theta, delta }): Query<Pose>) -> Response {
+async fn table(State(app): State<AppState>, Query(Pose { theta, delta }): Query<Pose>) -> Response {
     let most = MAX_THETA.to_degrees();
     if !(0.0..=most).contains(&theta) || !(-360.0..=360.0).contains(&delta) {
         let message = format!("theta {theta}, delta {delta}: expected 0 to {most:.0} and −360 to 360 degrees");
         return failure(StatusCode::BAD_REQUEST, message);
     }
-    let model = exhibits.board.lock().model.clone();
+    let model = app.shared.lock().model.clone();
     let row = TableRow::new(&model, Configuration::from_degrees(theta, delta));
     Json(json!({
         "theta_deg": row.configuration.theta_deg(),
@@ -195,7 +202,7 @@ async fn table(State(exhibits): State<Exhibits>, Query(Pose { theta, delta }): Q
     .into_response()
 }
 
-async fn command(State(exhibits): State<Exhibits>, Path(name): Path<String>) -> Response {
+async fn command(State(app): State<AppState>, Path(name): Path<String>) -> Response {
     let command = match name.as_str() {
         "pause" => Command::Pause(true),
         "continue" => Command::Pause(false),
@@ -204,41 +211,41 @@ async fn command(State(exhibits): State<Exhibits>, Path(name): Path<String>) -> 
         "save" => Command::Save,
         _ => return failure(StatusCode::NOT_FOUND, format!("no command {name}")),
     };
-    match exhibits.commands.send(command).await {
+    match app.commands.send(command).await {
         Ok(Ok(done)) => Json(json!({ "done": done })).into_response(),
         Ok(Err(refused)) => failure(StatusCode::CONFLICT, refused),
         Err(_) => failure(StatusCode::CONFLICT, "the run is over"),
     }
 }
 
-/// Server-sent events: `state` and `rows`, a few times a second; who reads slowly gets more rows at a time.
-async fn events(State(exhibits): State<Exhibits>) -> Sse<impl Stream<Item = std::result::Result<Event, Infallible>>> {
+/// Server-sent events: `state` and `rows`, a few times a second; a slow reader gets more rows at a time.
+async fn events(State(app): State<AppState>) -> Sse<impl Stream<Item = std::result::Result<Event, Infallible>>> {
     enum Turn {
         Rows,
         State,
     }
-    let stream = unfold((exhibits.board, None::<u64>, Turn::Rows), |(board, mut since, turn)| async move {
+    let stream = unfold((app.shared, None::<u64>, Turn::Rows), |(shared, mut since, turn)| async move {
         let (event, next) = match turn {
             Turn::Rows => {
-                let rows: Vec<Row> = board.rows_after(since, MOST_ROWS / 4);
+                let rows: Vec<Row> = shared.rows_after(since, MAX_EVENT_ROWS);
                 since = rows.last().map(|row| row.index).or(since);
                 (Event::default().event("rows").json_data(rows), Turn::State)
             }
             Turn::State => {
-                tokio::time::sleep(TELL_EVERY).await;
-                (Event::default().event("state").json_data(board.state()), Turn::Rows)
+                tokio::time::sleep(EVENT_EVERY).await;
+                (Event::default().event("state").json_data(shared.state()), Turn::Rows)
             }
         };
         // Numbers and text always serialise.
-        Some((Ok(event.unwrap_or_default()), (board, since, next)))
+        Some((Ok(event.unwrap_or_default()), (shared, since, next)))
     });
     Sse::new(stream).keep_alive(KeepAlive::default())
 }
 
 /// The annotated video: JPEG after JPEG.
-async fn video(State(exhibits): State<Exhibits>) -> Response {
+async fn video(State(app): State<AppState>) -> Response {
     const BOUNDARY: &str = "picture";
-    let stream = unfold(exhibits.pictures.watch(), |mut pictures| async move {
+    let stream = unfold(app.video.watch(), |mut pictures| async move {
         let picture = loop {
             pictures.changed().await.ok()?;
             let picture = Arc::clone(&pictures.borrow_and_update());
@@ -254,8 +261,8 @@ async fn video(State(exhibits): State<Exhibits>) -> Response {
     ([(CONTENT_TYPE, kind), (CACHE_CONTROL, "no-store".to_owned())], Body::from_stream(stream)).into_response()
 }
 
-async fn metrics(State(exhibits): State<Exhibits>) -> impl IntoResponse {
-    let text = metrics::text(&exhibits.board.lock());
+async fn metrics(State(app): State<AppState>) -> impl IntoResponse {
+    let text = metrics::text(&app.shared.lock());
     ([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text)
 }
 

@@ -1,22 +1,21 @@
-//! Where live frames come from: a thread that keeps the newest.
+//! Where live frames come from: a thread that reads them and keeps the newest.
 //!
-//! Recordings (picture sequences and videos) are played at their rate, as a camera would deliver them; their clock is the
-//! recording's own, from 0. Cameras and streams are read as fast as they deliver, so that nothing stale queues up before
-//! us, and opened again when they fall silent; their clock is Unix time. A few frames may
-//! wait, so that one that takes longer to measure costs none; where they pile up, all but the newest are dropped and counted.
-//! Those of a stream of JPEGs wait undecoded: one thread notes when each came, another decodes what is wanted.
+//! Recordings (picture sequences and videos) are played at their rate, as a camera would deliver them; their clock is the recording's
+//! own, from 0. Cameras and streams are read as fast as they deliver, so that no old frame waits in a buffer before this one, and are
+//! opened again when they fall silent; their clock is Unix time. A few frames may wait, so that one which takes longer to measure
+//! costs none. Where they pile up, all but the newest are dropped and counted. The frames of a stream of JPEGs wait undecoded: one
+//! thread notes when each arrived, another decodes those that are wanted.
 
-use super::clock::FrameClock;
-use super::mjpeg::MotionJpeg;
-use super::pace::Schedule;
+use super::clock::{FrameClock, unix_time_s};
+use super::frame_queue::{Arrival, Captured, FrameQueue};
+use super::motion_jpeg::MotionJpeg;
+use super::status::SourceStatus;
 use crate::Result;
-use crate::camera::{Capture, CaptureSettings, CaptureTarget, Frame, FrameSource, decode_frame};
-use serde::Serialize;
-use std::collections::VecDeque;
+use crate::camera::{Capture, CaptureSettings, CaptureTarget, FrameSource, decode_frame};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 /// What frames come from.
 #[derive(Debug)]
@@ -44,126 +43,32 @@ impl Source {
     }
 }
 
-/// Pictures without a rate are played at this many frames per second.
-const USUAL_FPS: f64 = 30.0;
-/// Frames that may wait to be measured: at 60 frames/s, 67 ms. Of JPEGs as many may wait undecoded, and these decoded.
-const MOST_WAITING: usize = 4;
-const MOST_DECODED: usize = 2;
-/// How long to wait before a silent camera is tried again.
+/// Rate at which pictures are played where the user gives none, frames/s. Convention: a usual camera's.
+const DEFAULT_FPS: f64 = 30.0;
+/// Time before a silent camera is opened again. Convention.
 const RETRY: Duration = Duration::from_millis(250);
 
-/// One frame as it came.
-#[derive(Debug, Clone)]
-pub struct Captured {
-    /// The recording's index, or a running number, dropped frames counted too.
-    pub index: u64,
-    /// When it was taken by the source's clock, s.
-    pub time_s: f64,
-    /// When it was there.
-    pub at: Instant,
-    /// By how much that was later than it was due, s.
-    pub late_s: f64,
-    /// The picture; `None` where it could not be read.
-    pub frame: Option<Arc<Frame>>,
-}
-
-/// What a source is doing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SourceState {
-    /// Not a frame yet.
-    Waiting,
-    /// Frames come.
-    Running,
-    /// It was there and fell silent; it is tried again.
-    Lost,
-    /// The recording is over.
-    Ended,
-}
-
-/// The figures of a source.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct SourceStatus {
-    /// What it is doing.
-    pub state: SourceState,
-    /// Why it is not running, where that is known.
-    pub trouble: Option<String>,
-    /// Frames that came.
-    pub frames: u64,
-    /// Frames that gave way to newer ones before they were fetched.
-    pub dropped: u64,
-    /// How often it came back.
-    pub reconnects: u64,
-    /// Frames per second over the last frames.
-    pub rate_fps: f64,
-    /// What a camera or stream says of itself.
-    pub settings: Option<CaptureSettings>,
-}
-
-impl SourceStatus {
-    /// Before the first frame.
-    pub fn waiting() -> Self {
-        Self {
-            state: SourceState::Waiting,
-            trouble: None,
-            frames: 0,
-            dropped: 0,
-            reconnects: 0,
-            rate_fps: 0.0,
-            settings: None,
-        }
-    }
-}
-
-/// The reader thread and what it shares.
+/// The thread that reads frames, and the queue that it fills.
 #[derive(Debug)]
-pub struct Reader {
-    shared: Arc<Shared>,
+pub struct FrameReader {
+    shared: Arc<SharedQueue>,
     thread: Option<JoinHandle<()>>,
 }
 
 #[derive(Debug)]
-struct Shared {
-    slot: Mutex<Slot>,
+struct SharedQueue {
+    queue: Mutex<FrameQueue>,
     changed: Condvar,
     clock: Arc<FrameClock>,
 }
 
-#[derive(Debug)]
-struct Slot {
-    waiting: VecDeque<Captured>,
-    /// JPEGs, before they are decoded.
-    undecoded: VecDeque<(Arrival, Vec<u8>)>,
-    status: SourceStatus,
-    last_at: Option<Instant>,
-    schedule: Schedule,
-    /// The number of the next frame of a camera or stream.
-    next_index: u64,
-    stop: bool,
-}
-
-/// A frame of a camera or stream has come.
-#[derive(Debug, Clone, Copy)]
-struct Arrival {
-    index: u64,
-    time_s: f64,
-    at: Instant,
-    late_s: f64,
-}
-
-impl Arrival {
-    fn with(self, frame: Option<Frame>) -> Captured {
-        let Self { index, time_s, at, late_s } = self;
-        Captured { index, time_s, at, late_s, frame: frame.map(Arc::new) }
-    }
-}
-
-impl Reader {
-    /// Starts to read, and sets the clock once frames have times. Frames get running numbers from `first_index`; of a recording, earlier ones are passed over.
+impl FrameReader {
+    /// Starts to read, and sets the clock once frames have times. Frames of a camera or stream are numbered from `first_index`; of a
+    /// recording, earlier ones are passed over.
     ///
     /// # Errors
-    /// A video that cannot be opened any more; in a build without OpenCV any camera, and any stream but one of JPEGs. What
-    /// merely is not there (yet) is waited for.
+    /// A video that cannot be opened any more; in a build without OpenCV any camera, and any stream but one of JPEGs. A camera or
+    /// stream that is not there yet is waited for.
     pub fn start(source: Source, first_index: u64, clock: Arc<FrameClock>) -> Result<Self> {
         if let Source::Device { target, settings } = &source
             && cfg!(not(feature = "opencv"))
@@ -171,229 +76,178 @@ impl Reader {
         {
             Capture::open(target, settings)?;
         }
-        let slot = Mutex::new(Slot {
-            waiting: VecDeque::new(),
-            undecoded: VecDeque::new(),
-            status: SourceStatus::waiting(),
-            last_at: None,
-            schedule: Schedule::default(),
-            next_index: first_index,
-            stop: false,
-        });
-        let shared = Arc::new(Shared { slot, changed: Condvar::new(), clock });
-        let theirs = Arc::clone(&shared);
+        let queue = Mutex::new(FrameQueue::new(first_index));
+        let shared = Arc::new(SharedQueue { queue, changed: Condvar::new(), clock });
+        let of_thread = Arc::clone(&shared);
         let thread = std::thread::spawn(move || match source {
-            Source::Recording { frames, rate_fps } => theirs.play(&frames, rate_fps, first_index),
-            Source::Device { target, settings } => theirs.watch(&target, &settings),
+            Source::Recording { frames, rate_fps } => of_thread.play(&frames, rate_fps, first_index),
+            Source::Device { target, settings } => of_thread.capture(&target, &settings),
         });
         Ok(Self { shared, thread: Some(thread) })
     }
 
-    /// The next frame, once; waits for it so long. `None` where none came, or none will.
-    pub fn next(&self, wait: Duration) -> Option<Captured> {
-        let slot = self.shared.lock();
-        let idle = |slot: &mut Slot| slot.waiting.is_empty() && slot.status.state != SourceState::Ended && !slot.stop;
-        let (mut slot, _) =
-            self.shared.changed.wait_timeout_while(slot, wait, idle).unwrap_or_else(PoisonError::into_inner);
-        let next = slot.waiting.pop_front();
+    /// The next frame; waits at most so long. `None` where none arrived, or none will.
+    pub fn next(&self, timeout: Duration) -> Option<Captured> {
+        let shared = &self.shared;
+        let waited = shared.changed.wait_timeout_while(shared.lock(), timeout, |queue| queue.is_idle());
+        let next = waited.unwrap_or_else(PoisonError::into_inner).0.pop();
         // There is room for another.
-        self.shared.changed.notify_all();
+        shared.changed.notify_all();
         next
     }
 
-    /// The figures so far.
+    /// What is known of the source.
     pub fn status(&self) -> SourceStatus {
         self.shared.lock().status.clone()
     }
 
     /// Whether a recording is over and its last frame fetched.
     pub fn is_over(&self) -> bool {
-        let slot = self.shared.lock();
-        slot.status.state == SourceState::Ended && slot.waiting.is_empty()
+        self.shared.lock().is_over()
     }
 }
 
-impl Drop for Reader {
+impl Drop for FrameReader {
     fn drop(&mut self) {
-        self.shared.lock().stop = true;
-        self.shared.changed.notify_all();
+        self.shared.update(|queue| queue.stop = true);
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
     }
 }
 
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, Slot> {
-        self.slot.lock().unwrap_or_else(PoisonError::into_inner)
+impl SharedQueue {
+    fn lock(&self) -> MutexGuard<'_, FrameQueue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn set(&self, state: SourceState, trouble: Option<String>) {
-        let mut slot = self.lock();
-        slot.status.state = state;
-        slot.status.trouble = trouble;
+    /// Changes the queue and wakes whoever waits for a change; says whether to go on.
+    fn update(&self, change: impl FnOnce(&mut FrameQueue)) -> bool {
+        let mut queue = self.lock();
+        change(&mut queue);
         self.changed.notify_all();
+        !queue.stop
     }
 
     /// Sleeps unless it is to stop; says whether to go on.
     fn sleep(&self, time: Duration) -> bool {
-        let slot = self.lock();
-        let waited = self.changed.wait_timeout_while(slot, time, |slot| !slot.stop);
+        let waited = self.changed.wait_timeout_while(self.lock(), time, |queue| !queue.stop);
         !waited.unwrap_or_else(PoisonError::into_inner).0.stop
     }
 
-    /// Notes that a frame has come.
-    fn count(&self, slot: &mut Slot, at: Instant) {
-        // Rates are smoothed over about so many frames.
-        const SMOOTHING: f64 = 20.0;
-        let status = &mut slot.status;
-        status.frames += 1;
-        status.reconnects += u64::from(status.state == SourceState::Lost);
-        status.state = SourceState::Running;
-        status.trouble = None;
-        if let Some(last) = slot.last_at.replace(at) {
-            let seconds = (at - last).as_secs_f64().max(1e-4);
-            let weight = if status.rate_fps == 0.0 { 1.0 } else { 1.0 / SMOOTHING };
-            let mean_seconds = if status.rate_fps > 0.0 { 1.0 / status.rate_fps } else { seconds };
-            status.rate_fps = 1.0 / (mean_seconds * (1.0 - weight) + seconds * weight);
-        }
-    }
-
-    /// Notes that a frame of a camera or stream has come now.
-    fn arrival(&self, slot: &mut Slot) -> Arrival {
-        let (at, time_s) = (Instant::now(), unix_time_s());
-        self.count(slot, at);
-        let index = slot.next_index;
-        slot.next_index += 1;
-        Arrival { index, time_s, at, late_s: slot.schedule.came(at) }
-    }
-
-    /// Puts a frame behind those that wait, or in their place; says whether to go on.
-    fn offer(&self, slot: &mut Slot, captured: Captured) -> bool {
-        if slot.waiting.len() == MOST_WAITING {
-            slot.status.dropped += MOST_WAITING as u64;
-            slot.waiting.clear();
-        }
-        slot.waiting.push_back(captured);
-        self.changed.notify_all();
-        !slot.stop
-    }
-
+    /// Plays a recording at its rate.
     fn play(&self, source: &FrameSource, rate_fps: Option<f64>, first_index: u64) {
         let frames = match source.frames() {
             Ok(frames) => frames,
-            Err(error) => return self.set(SourceState::Ended, Some(error.to_string())),
+            Err(error) => {
+                self.update(|queue| queue.ended(Some(error.to_string())));
+                return;
+            }
         };
         let mut began: Option<(Instant, f64)> = None;
         for (position, frame) in frames.enumerate() {
-            let by_rate = position as f64 / rate_fps.unwrap_or(USUAL_FPS);
+            let by_rate = position as f64 / rate_fps.unwrap_or(DEFAULT_FPS);
             let time_s = if rate_fps.is_some() { by_rate } else { frame.time_s.unwrap_or(by_rate) };
             let index = frame.index;
             if index < first_index {
                 continue;
             }
-            // Decoded first, so that it is there when it is due.
+            // Decoded before it is due, so that decoding does not delay it.
             let picture = frame.read().ok().map(Arc::new);
             let (start, first_s) = *began.get_or_insert_with(|| {
                 self.clock.set(time_s);
                 (Instant::now(), time_s)
             });
             let due = start + Duration::from_secs_f64((time_s - first_s).max(0.0));
-            if !self.sleep(due.saturating_duration_since(Instant::now())) {
-                return;
-            }
-            let at = Instant::now();
-            let mut slot = self.lock();
-            self.count(&mut slot, at);
-            if !self.offer(&mut slot, Captured { index, time_s, at, late_s: 0.0, frame: picture }) {
+            let go_on = self.sleep(due.saturating_duration_since(Instant::now()))
+                && self.update(|queue| {
+                    let at = Instant::now();
+                    queue.count(at);
+                    queue.push(Captured { index, time_s, at, late_s: 0.0, frame: picture });
+                });
+            if !go_on {
                 return;
             }
         }
-        self.set(SourceState::Ended, None);
+        self.update(|queue| queue.ended(None));
     }
 
-    fn watch(&self, target: &CaptureTarget, settings: &CaptureSettings) {
+    /// Reads a camera or stream, and opens it again whenever it is gone.
+    fn capture(&self, target: &CaptureTarget, settings: &CaptureSettings) {
         self.clock.set(unix_time_s());
         loop {
             let trouble = match Opened::open(target, settings) {
                 Ok(opened) => {
-                    {
-                        let mut slot = self.lock();
-                        slot.schedule = Schedule::default();
-                        slot.status.settings = opened.settings();
-                    }
+                    self.update(|queue| {
+                        queue.opened();
+                        queue.status.settings = opened.settings();
+                    });
                     match opened {
-                        Opened::Jpegs(stream) => self.jpegs(*stream),
-                        Opened::Capture(capture) => self.pictures(capture),
+                        Opened::Jpegs(stream) => self.read_jpegs(*stream),
+                        Opened::Capture(capture) => self.read_pictures(capture),
                     }
                     "no more frames come; trying again".to_owned()
                 }
                 Err(error) => error.to_string(),
             };
-            let was_there = self.lock().status.frames > 0;
-            self.set(if was_there { SourceState::Lost } else { SourceState::Waiting }, Some(trouble));
-            self.lock().last_at = None;
+            self.update(|queue| queue.lost(trouble));
             if !self.sleep(RETRY) {
                 return;
             }
         }
     }
 
-    /// Frames that OpenCV decodes.
-    fn pictures(&self, mut capture: Capture) {
+    /// Reads frames that OpenCV decodes.
+    fn read_pictures(&self, mut capture: Capture) {
         while let Some(frame) = capture.read() {
-            let mut slot = self.lock();
-            let arrival = self.arrival(&mut slot);
-            if !self.offer(&mut slot, arrival.with(Some(frame))) {
+            let go_on = self.update(|queue| {
+                let arrival = queue.arrival(Instant::now(), unix_time_s());
+                queue.push(arrival.with(Some(frame)));
+            });
+            if !go_on {
                 return;
             }
         }
     }
 
-    /// A stream of JPEGs: another thread reads them, so that what they are decoded for holds up none on its way.
-    fn jpegs(&self, mut stream: MotionJpeg) {
+    /// Reads a stream of JPEGs on one thread and decodes them on this one, so that decoding delays no arrival.
+    fn read_jpegs(&self, mut stream: MotionJpeg) {
         let over = AtomicBool::new(false);
         std::thread::scope(|scope| {
             scope.spawn(|| {
-                while let Some(jpeg) = stream.read() {
-                    let mut slot = self.lock();
-                    let arrival = self.arrival(&mut slot);
-                    if slot.undecoded.len() == MOST_WAITING {
-                        slot.status.dropped += MOST_WAITING as u64;
-                        slot.undecoded.clear();
-                    }
-                    slot.undecoded.push_back((arrival, jpeg));
-                    self.changed.notify_all();
-                    if slot.stop {
-                        break;
-                    }
-                }
-                over.store(true, Ordering::Relaxed);
-                let _slot = self.lock();
-                self.changed.notify_all();
+                while let Some(jpeg) = stream.read()
+                    && self.update(|queue| {
+                        let arrival = queue.arrival(Instant::now(), unix_time_s());
+                        queue.push_undecoded(arrival, jpeg);
+                    })
+                {}
+                self.update(|_| over.store(true, Ordering::Relaxed));
             });
-            while let Some((arrival, jpeg)) = self.wanted(&over) {
+            while let Some((arrival, jpeg)) = self.next_undecoded(&over) {
                 let frame = decode_frame(&jpeg).ok();
-                let mut slot = self.lock();
-                if let (None, Some(frame)) = (slot.status.settings, &frame) {
-                    let size = Some((frame.width, frame.height));
-                    slot.status.settings = Some(CaptureSettings { size, ..CaptureSettings::default() });
-                }
-                self.offer(&mut slot, arrival.with(frame));
+                self.update(|queue| {
+                    if let (None, Some(frame)) = (queue.status.settings, &frame) {
+                        let size = Some((frame.width, frame.height));
+                        queue.status.settings = Some(CaptureSettings { size, ..CaptureSettings::default() });
+                    }
+                    queue.push(arrival.with(frame));
+                });
             }
         });
     }
 
-    /// The next JPEG to decode, once there is room for its picture; `None` where none will come.
-    fn wanted(&self, over: &AtomicBool) -> Option<(Arrival, Vec<u8>)> {
-        let slot = self.lock();
-        let idle = |slot: &mut Slot| {
-            let ready = !slot.undecoded.is_empty() && slot.waiting.len() < MOST_DECODED;
-            let over = over.load(Ordering::Relaxed) && slot.undecoded.is_empty();
-            !(ready || over || slot.stop)
-        };
-        let mut slot = self.changed.wait_while(slot, idle).unwrap_or_else(PoisonError::into_inner);
-        if slot.stop { None } else { slot.undecoded.pop_front() }
+    /// The next JPEG to decode, waited for; `None` where none will come.
+    fn next_undecoded(&self, over: &AtomicBool) -> Option<(Arrival, Vec<u8>)> {
+        let mut queue = self.lock();
+        loop {
+            if queue.stop || (over.load(Ordering::Relaxed) && queue.is_decoded()) {
+                return None;
+            }
+            if let Some(next) = queue.pop_undecoded() {
+                return Some(next);
+            }
+            queue = self.changed.wait(queue).unwrap_or_else(PoisonError::into_inner);
+        }
     }
 }
 
@@ -413,16 +267,11 @@ impl Opened {
         Capture::open(target, settings).map(Self::Capture)
     }
 
-    /// What it says of itself.
+    /// The settings that it reports.
     fn settings(&self) -> Option<CaptureSettings> {
         match self {
             Self::Jpegs(_) => None,
             Self::Capture(capture) => Some(capture.settings()),
         }
     }
-}
-
-/// Seconds since 1970.
-pub fn unix_time_s() -> f64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
 }

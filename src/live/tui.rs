@@ -1,10 +1,8 @@
 //! The terminal view: the dashboard's figures without a browser.
 
-use super::board::{Board, State};
-use super::gap::GapState;
-use super::pace::PaceState;
-use super::pipeline::{Command, Commands};
-use super::source::SourceState;
+use super::commands::{Command, Commands};
+use super::shared_state::SharedState;
+use super::status::{FrameTimingState, GapState, SourceState, State};
 use crate::error::{Error, Result};
 use ratatui::Frame;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
@@ -14,23 +12,23 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph, Sparkline, Wrap};
 use std::time::Duration;
 
-/// How often it is drawn.
+/// Time between two drawings. Convention: a display choice.
 const EVERY: Duration = Duration::from_millis(200);
-/// Rows of θ that are drawn as a line.
+/// Latest values of θ that are drawn. Convention: a display choice.
 const HISTORY: usize = 300;
 
-/// Shows the figures until the person leaves (q) or `is_over`.
+/// Shows the state until the user leaves (q) or `is_over`.
 ///
 /// # Errors
 /// No terminal to draw on.
-pub fn show(board: &Board, commands: &Commands, is_over: impl Fn() -> bool) -> Result<()> {
+pub fn show(shared: &SharedState, commands: &Commands, is_over: impl Fn() -> bool) -> Result<()> {
     let failed = |e: std::io::Error| Error::Usage(format!("--tui needs a terminal: {e}"));
     let mut terminal = ratatui::try_init().map_err(failed)?;
     let mut answer =
         "p pause/continue   s save the table   r reset   t take the straight reference   q quit".to_owned();
     let result = loop {
-        let state = board.state();
-        let theta: Vec<f64> = board.rows_after(None, HISTORY).iter().filter_map(|row| row.theta_deg).collect();
+        let state = shared.state();
+        let theta: Vec<f64> = shared.rows_after(None, HISTORY).iter().filter_map(|row| row.theta_deg).collect();
         if let Err(e) = terminal.draw(|frame| draw(frame, &state, &theta, &answer)) {
             break Err(failed(e));
         }
@@ -102,8 +100,8 @@ fn sources(state: &State) -> Vec<Line<'static>> {
     let source = &state.source;
     let (word, colour) = match source.state {
         _ if state.paused => ("paused", Color::Yellow),
-        SourceState::Running if state.pace.state == PaceState::Behind => ("behind", Color::Yellow),
-        SourceState::Running if state.pace.state == PaceState::Late => ("late", Color::Red),
+        SourceState::Running if state.timing.state == FrameTimingState::Behind => ("behind", Color::Yellow),
+        SourceState::Running if state.timing.state == FrameTimingState::Late => ("late", Color::Red),
         SourceState::Running => ("running", Color::Green),
         SourceState::Waiting => ("waiting", Color::Yellow),
         SourceState::Lost => ("lost", Color::Red),
@@ -119,7 +117,7 @@ fn sources(state: &State) -> Vec<Line<'static>> {
                 source
                     .trouble
                     .as_ref()
-                    .or(state.pace.sentence.as_ref())
+                    .or(state.timing.sentence.as_ref())
                     .map(|why| format!("  {why}"))
                     .unwrap_or_default(),
             ),
@@ -185,14 +183,13 @@ fn estimates(state: &State) -> Vec<Line<'static>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::live::board::{EstimateStatus, StemStatus};
-    use crate::live::encoders::Encoders;
+    use crate::live::status::{EncoderStatus, EstimateStatus, StemStatus};
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
 
     #[test]
     fn the_figures_are_on_the_screen_however_small_it_is() {
-        let mut state = State::at_start("camera 0".into(), Encoders::None.status());
+        let mut state = State::at_start("camera 0".into(), EncoderStatus::at_rest("none", 0));
         let screen = |state: &State, width, height| {
             let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
             terminal.draw(|frame| draw(frame, state, &[1.0, 30.0, 20.0], "p pause")).unwrap();
@@ -217,8 +214,8 @@ mod tests {
             assert!(text.contains(expected), "{expected}: {text}");
         }
         state.source.state = SourceState::Running;
-        state.pace.state = PaceState::Behind;
-        state.pace.sentence = Some("frames are 143 ms old".into());
+        state.timing.state = FrameTimingState::Behind;
+        state.timing.sentence = Some("frames are 143 ms old".into());
         state.stem = Some(StemStatus { phi_deg: 131.26, sd_phi_deg: 2.4 });
         let text = screen(&state, 100, 24);
         assert!(text.contains("behind  frames are 143 ms old"), "{text}");

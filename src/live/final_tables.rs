@@ -1,8 +1,8 @@
-//! At the end of a run: the journal as measurements.csv and encoders.csv, for all other commands, and where a stem was followed
-//! as stem.csv.
+//! The tables written at the end of a run, from its journal: measurements.csv and encoders.csv for the other commands, and stem.csv
+//! where a stem was followed.
 
 use super::journal::{Entry, JOURNAL, read};
-use super::learner::Learner;
+use super::online_estimator::OnlineEstimator;
 use crate::error::{Error, Result};
 use crate::estimate::{Reason, StemAngle, StemRow};
 use crate::observation::Measurement;
@@ -10,30 +10,30 @@ use crate::record::{PendingFile, encoders_csv, measurements_csv, stems_csv};
 use std::io::Write;
 use std::path::Path;
 
-/// Rows that are written at a time, so that a long run needs no memory.
+/// Rows written at a time. Convention: a resource limit.
 const AT_ONCE: usize = 1000;
 
-/// Writes measurements.csv and encoders.csv from the journal of a folder. A learner that follows a stem goes through it once more, for
-/// stem.csv.
+/// Writes measurements.csv and encoders.csv from the journal of a folder. An estimator that follows a stem goes through the journal
+/// once more, for stem.csv.
 ///
 /// # Errors
 /// A journal that cannot be read, a file that cannot be written.
-pub fn write(output: &Path, mut learner: Learner) -> Result<()> {
-    let backbones = learner.model().robot.backbone_count();
+pub fn write(output: &Path, mut estimator: OnlineEstimator) -> Result<()> {
+    let backbones = estimator.model().robot.backbone_count();
     let [measurements_path, readings_path, stem_path] =
         ["measurements.csv", "encoders.csv", "stem.csv"].map(|name| output.join(name));
     let mut measurements = Csv::create(&measurements_path, measurements_csv)?;
     let mut readings = Csv::create(&readings_path, |rows| encoders_csv(rows, backbones))?;
-    let mut stem = if learner.stem().is_some() { Some(Csv::create(&stem_path, stems_csv)?) } else { None };
-    learner.reset()?;
+    let mut stem = if estimator.stem().is_some() { Some(Csv::create(&stem_path, stems_csv)?) } else { None };
+    estimator.reset()?;
     let mut failed = None;
     read(&output.join(JOURNAL), |entry| {
         let written = match entry {
-            Entry::Reset => learner.reset().map(|_| ()),
+            Entry::Reset => estimator.reset().map(|_| ()),
             Entry::Measured(measurement, reading) => {
                 let followed = stem.as_mut().map_or(Ok(()), |stem| {
-                    let learned = learner.take(&measurement, reading.as_ref());
-                    learned.stem.map_or(Ok(()), |angle| stem.add(stem_row(&measurement, angle, learned.step.reason)))
+                    let update = estimator.update(&measurement, reading.as_ref());
+                    update.stem.map_or(Ok(()), |angle| stem.add(stem_row(&measurement, angle, update.step.reason)))
                 });
                 let read = reading.map_or(Ok(()), |reading| readings.add(reading));
                 measurements.add(measurement).and(read).and(followed)

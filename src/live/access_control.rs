@@ -1,8 +1,8 @@
-//! Who may come in: the address, the token, and the checks that every request passes.
+//! Access control of the server: the address, the token, and the checks that every request passes.
 //!
 //! A web page from elsewhere must not command the robot's loop through its reader's browser. So the `Host` must be an address or a
-//! known name (a foreign name that leads here is somebody's trick), an `Origin` must be our own, and beyond the loopback
-//! interface a token is needed as well.
+//! known name (against DNS rebinding), an `Origin` must be the server's own (against cross-site requests), and a server that other
+//! machines can reach needs a token as well.
 
 use crate::error::{Error, Result};
 use axum::body::Body;
@@ -16,19 +16,19 @@ use std::sync::Arc;
 
 /// The cookie that holds the token.
 const TOKEN_COOKIE: &str = "snakeloop_token";
-/// Shorter tokens can be guessed.
-const SHORTEST_TOKEN: usize = 16;
+/// Shorter tokens can be guessed. Convention: 95 bits where letters and digits are random.
+const MIN_TOKEN_LENGTH: usize = 16;
 
-/// Where to listen, and whom to let in.
+/// Where to listen, and whose requests to answer.
 #[derive(Debug, Clone)]
-pub struct Door {
+pub struct AccessControl {
     address: SocketAddr,
     token: Option<String>,
     names: Vec<String>,
 }
 
-impl Door {
-    /// A door at an address. `names` are host names, besides addresses and localhost, that the page may be called by.
+impl AccessControl {
+    /// Access to a server at an address. `names` are host names, besides addresses and localhost, that the page may be called by.
     ///
     /// # Errors
     /// [`Error::Usage`] for an address beyond loopback without a token, or a token that can be guessed or not be sent.
@@ -37,8 +37,8 @@ impl Door {
             None if !address.ip().is_loopback() => Err(Error::Usage(format!(
                 "--serve {address} can be reached from other machines: give a token (--token-file), or serve on 127.0.0.1"
             ))),
-            Some(token) if token.len() < SHORTEST_TOKEN || !token.chars().all(|c| c.is_ascii_alphanumeric()) => {
-                Err(Error::Usage(format!("the token must be {SHORTEST_TOKEN} or more letters and digits")))
+            Some(token) if token.len() < MIN_TOKEN_LENGTH || !token.chars().all(|c| c.is_ascii_alphanumeric()) => {
+                Err(Error::Usage(format!("the token must be {MIN_TOKEN_LENGTH} or more letters and digits")))
             }
             _ => Ok(Self { address, token, names }),
         }
@@ -49,8 +49,8 @@ impl Door {
         self.address
     }
 
-    /// Whether a `Host` (with or without port) is one of ours.
-    fn knows(&self, host: &str) -> bool {
+    /// Whether a `Host` (with or without port) is a name of this server.
+    fn is_own_host(&self, host: &str) -> bool {
         let name = match host.rsplit_once(':') {
             Some((name, port)) if port.bytes().all(|b| b.is_ascii_digit()) => name,
             _ => host,
@@ -66,14 +66,15 @@ impl Door {
         let text = |name: &HeaderName| headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
         let in_cookie = || {
             let pairs = text(&COOKIE).split(';').filter_map(|pair| pair.trim().split_once('='));
-            pairs.filter(|(name, _)| *name == TOKEN_COOKIE).any(|(_, value)| same(value, token))
+            pairs.filter(|(name, _)| *name == TOKEN_COOKIE).any(|(_, value)| same_in_constant_time(value, token))
         };
-        text(&AUTHORIZATION).strip_prefix("Bearer ").is_some_and(|given| same(given, token)) || in_cookie()
+        text(&AUTHORIZATION).strip_prefix("Bearer ").is_some_and(|given| same_in_constant_time(given, token))
+            || in_cookie()
     }
 }
 
-/// Whether two texts are the same, in a time that does not tell how much of them is.
-fn same(a: &str, b: &str) -> bool {
+/// Whether two texts are the same; takes a time that does not tell how much of them is (against timing attacks).
+fn same_in_constant_time(a: &str, b: &str) -> bool {
     let differences = a.bytes().zip(b.bytes()).fold(0, |sum, (a, b)| sum | (a ^ b));
     a.len() == b.len() && differences == 0
 }
@@ -83,8 +84,8 @@ fn refused(status: StatusCode, why: &'static str) -> Response {
 }
 
 /// Lets a request pass, or says why not; adds to every answer what a browser should be told.
-pub async fn guard(State(door): State<Arc<Door>>, request: Request, next: Next) -> Response {
-    let mut response = match refusal(&door, &request) {
+pub async fn guard(State(access): State<Arc<AccessControl>>, request: Request, next: Next) -> Response {
+    let mut response = match refusal(&access, &request) {
         None => next.run(request).await,
         Some(response) => response,
     };
@@ -103,10 +104,10 @@ pub async fn guard(State(door): State<Arc<Door>>, request: Request, next: Next) 
 }
 
 /// What a request that may not pass is answered instead; `None` for one that may.
-fn refusal(door: &Door, request: &Request) -> Option<Response> {
+fn refusal(access: &AccessControl, request: &Request) -> Option<Response> {
     let headers = request.headers();
     let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
-    if !door.knows(host) {
+    if !access.is_own_host(host) {
         return Some(refused(
             StatusCode::FORBIDDEN,
             "this name is not known here; call it by its address, or --allow-host",
@@ -119,15 +120,15 @@ fn refusal(door: &Door, request: &Request) -> Option<Response> {
             return Some(refused(StatusCode::FORBIDDEN, "requests from other pages are not taken"));
         }
     }
-    if door.has_token(headers) {
+    if access.has_token(headers) {
         return None;
     }
     // The link with the token in it: keep it as a cookie, and take it out of the address.
     let given = request.uri().query().and_then(|query| query.strip_prefix("token="));
     if request.method() == Method::GET
         && request.uri().path() == "/"
-        && let (Some(given), Some(token)) = (given, &door.token)
-        && same(given, token)
+        && let (Some(given), Some(token)) = (given, &access.token)
+        && same_in_constant_time(given, token)
     {
         let cookie = format!("{TOKEN_COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/");
         let answer = (StatusCode::SEE_OTHER, [(LOCATION, "/".to_owned()), (SET_COOKIE, cookie)], Body::empty());
@@ -143,38 +144,39 @@ fn refusal(door: &Door, request: &Request) -> Option<Response> {
 mod tests {
     use super::*;
 
-    fn door(token: Option<&str>) -> Door {
-        Door::new("127.0.0.1:8080".parse().unwrap(), token.map(str::to_owned), vec!["bench.lab".into()]).unwrap()
+    fn access(token: Option<&str>) -> AccessControl {
+        AccessControl::new("127.0.0.1:8080".parse().unwrap(), token.map(str::to_owned), vec!["bench.lab".into()])
+            .unwrap()
     }
 
-    fn status(door: &Door, uri: &str, headers: &[(&str, &str)]) -> u16 {
+    fn status(access: &AccessControl, uri: &str, headers: &[(&str, &str)]) -> u16 {
         let request =
             headers.iter().fold(Request::builder().uri(uri), |request, (name, value)| request.header(*name, *value));
-        refusal(door, &request.body(Body::empty()).unwrap()).map_or(200, |refused| refused.status().as_u16())
+        refusal(access, &request.body(Body::empty()).unwrap()).map_or(200, |refused| refused.status().as_u16())
     }
 
     #[test]
     fn other_machines_need_a_token() {
         for address in ["0.0.0.0:80", "192.168.1.5:80", "[::]:80"] {
-            assert!(Door::new(address.parse().unwrap(), None, vec![]).is_err());
-            assert!(Door::new(address.parse().unwrap(), Some("0123456789abcdef".into()), vec![]).is_ok());
+            assert!(AccessControl::new(address.parse().unwrap(), None, vec![]).is_err());
+            assert!(AccessControl::new(address.parse().unwrap(), Some("0123456789abcdef".into()), vec![]).is_ok());
         }
-        assert!(Door::new("[::1]:80".parse().unwrap(), None, vec![]).is_ok());
-        assert!(Door::new("[::1]:80".parse().unwrap(), Some("short".into()), vec![]).is_err());
-        assert!(Door::new("[::1]:80".parse().unwrap(), Some("0123456789 abcdef".into()), vec![]).is_err());
+        assert!(AccessControl::new("[::1]:80".parse().unwrap(), None, vec![]).is_ok());
+        assert!(AccessControl::new("[::1]:80".parse().unwrap(), Some("short".into()), vec![]).is_err());
+        assert!(AccessControl::new("[::1]:80".parse().unwrap(), Some("0123456789 abcdef".into()), vec![]).is_err());
     }
 
     #[test]
     fn names_that_only_lead_here_and_pages_from_elsewhere_are_refused() {
-        let door = door(None);
+        let access = access(None);
         for host in ["127.0.0.1:8080", "localhost:8080", "[::1]:8080", "[::1]", "10.0.0.3", "Bench.lab:8080"] {
-            assert_eq!(status(&door, "/", &[("host", host)]), 200, "{host}");
+            assert_eq!(status(&access, "/", &[("host", host)]), 200, "{host}");
         }
         for host in ["evil.example:8080", "localhost.evil.example", "", "127.0.0.1.evil.example"] {
-            assert_eq!(status(&door, "/", &[("host", host)]), 403, "{host}");
+            assert_eq!(status(&access, "/", &[("host", host)]), 403, "{host}");
         }
-        assert_eq!(status(&door, "/", &[]), 403);
-        let from = |origin| status(&door, "/api/reset", &[("host", "localhost:8080"), ("origin", origin)]);
+        assert_eq!(status(&access, "/", &[]), 403);
+        let from = |origin| status(&access, "/api/reset", &[("host", "localhost:8080"), ("origin", origin)]);
         assert_eq!(from("http://localhost:8080"), 200);
         for origin in ["http://evil.example", "null", "http://localhost:9999", "http://127.0.0.1:8080"] {
             assert_eq!(from(origin), 403, "{origin}");
@@ -183,9 +185,9 @@ mod tests {
 
     #[test]
     fn a_token_comes_by_header_cookie_or_once_by_link() {
-        let door = door(Some("0123456789abcdef"));
+        let access = access(Some("0123456789abcdef"));
         let with = |uri: &str, header: Option<(&str, &str)>| {
-            status(&door, uri, &[&[("host", "localhost")], header.as_slice()].concat())
+            status(&access, uri, &[&[("host", "localhost")], header.as_slice()].concat())
         };
         assert_eq!(with("/api/state", None), 401);
         assert_eq!(with("/api/state", Some(("authorization", "Bearer 0123456789abcdef"))), 200);

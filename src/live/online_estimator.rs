@@ -1,6 +1,8 @@
-//! From one measurement to the next estimate, with what the dashboard shows beside it.
+//! The estimator of a running loop: from one measurement to the next estimate, with what is watched beside it.
 
-use super::gap::{GapStatus, Gathered, Watch};
+use super::gap_monitor::GapMonitor;
+use super::sample_buffer::SampleBuffer;
+use super::status::GapStatus;
 use crate::Result;
 use crate::estimate::{Estimator, Options, Stem, StemAngle, StemOptions, Step, Verdict, without_effects};
 use crate::geometry::Configuration;
@@ -8,10 +10,11 @@ use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
 use std::collections::VecDeque;
 
-/// Samples of the past that effects with a memory are judged by.
+/// Samples of the past from which effects with a memory are computed. Convention: a resource limit; each measurement costs as many
+/// evaluations.
 const PAST: usize = 64;
 
-/// What is learned.
+/// What is estimated.
 #[derive(Debug)]
 enum Subject {
     /// η and λ.
@@ -20,33 +23,33 @@ enum Subject {
     Stem(Box<Stem>),
 }
 
-/// The estimator and all that looks over its shoulder.
+/// The estimator, the monitor of its innovations, and the samples for `discover`.
 #[derive(Debug)]
-pub struct Learner {
+pub struct OnlineEstimator {
     start: Model,
     options: Options,
     stem: Option<StemOptions>,
     subject: Subject,
-    /// The first sample and the latest, for effects that remember; empty without effects.
+    /// The first sample and the latest, for effects with a memory; empty without effects.
     past: VecDeque<(Measurement, EncoderReading)>,
-    watch: Watch,
-    gathered: Gathered,
+    monitor: GapMonitor,
+    samples: SampleBuffer,
 }
 
 /// What one measurement did.
 #[derive(Debug, Clone)]
-pub struct Learned {
-    /// What became of it in the estimator.
+pub struct Update {
+    /// What the estimator did with it.
     pub step: Step,
-    /// What the model before it expected from the encoders.
+    /// The configuration that the model before it predicted from the encoders.
     pub expected: Option<Configuration>,
-    /// The watch on the gap.
+    /// Whether the model accounts for the measurements.
     pub gap: GapStatus,
-    /// The stem's angle after it, where that is followed.
+    /// The stem's angle after it, where it is followed.
     pub stem: Option<StemAngle>,
 }
 
-impl Learner {
+impl OnlineEstimator {
     /// Begins with a model, whose effects stay. With settings for a stem its angle is followed, and η and λ are the model's.
     ///
     /// # Errors
@@ -56,14 +59,14 @@ impl Learner {
             None => Subject::Parameters(Box::new(Estimator::new(&start.plain(), options)?)),
             Some(options) => Subject::Stem(Box::new(Stem::new(&start, options)?)),
         };
-        let (watch, gathered) = (Watch::default(), Gathered::default());
-        Ok(Self { start, options, stem, subject, past: VecDeque::new(), watch, gathered })
+        let (monitor, samples) = (GapMonitor::default(), SampleBuffer::default());
+        Ok(Self { start, options, stem, subject, past: VecDeque::new(), monitor, samples })
     }
 
-    /// Forgets all measurements; what that was, in words.
+    /// Forgets all measurements; says what begins anew.
     ///
     /// # Errors
-    /// None that [`new`](Self::new) had not.
+    /// Those of [`new`](Self::new).
     pub fn reset(&mut self) -> Result<&'static str> {
         *self = Self::new(self.start.clone(), self.options, self.stem)?;
         Ok(match self.subject {
@@ -72,16 +75,16 @@ impl Learner {
         })
     }
 
-    /// The model with its effects and what was learned so far.
+    /// The model with its effects and what is estimated so far.
     pub fn model(&self) -> Model {
-        let learned = match &self.subject {
+        let estimated = match &self.subject {
             Subject::Parameters(estimator) => estimator.model().clone(),
             Subject::Stem(stem) => stem.model(),
         };
-        Model { effects: self.start.effects.clone(), ..learned }
+        Model { effects: self.start.effects.clone(), ..estimated }
     }
 
-    /// The stem's angle as it stands, where that is followed.
+    /// The stem's angle as it stands, where it is followed.
     pub fn stem(&self) -> Option<StemAngle> {
         match &self.subject {
             Subject::Parameters(_) => None,
@@ -89,18 +92,19 @@ impl Learner {
         }
     }
 
-    /// What `discover` gets to see: the model to start from, and samples spread over the run.
-    pub fn gathered(&self) -> (Model, Vec<Measurement>, Vec<EncoderReading>) {
-        let (measurements, readings) = self.gathered.samples();
+    /// What `discover` works on: the model to start from, and samples spread over the run.
+    pub fn samples(&self) -> (Model, Vec<Measurement>, Vec<EncoderReading>) {
+        let (measurements, readings) = self.samples.samples();
         (self.start.clone(), measurements, readings)
     }
 
     /// Takes one measurement and its reading.
-    pub fn take(&mut self, measurement: &Measurement, reading: Option<&EncoderReading>) -> Learned {
+    pub fn update(&mut self, measurement: &Measurement, reading: Option<&EncoderReading>) -> Update {
         let expected = reading.and_then(|reading| self.model().forward(&reading.q_mm).ok());
+        let expected = expected.map(|response| response.configuration);
         let step = match reading {
             Some(reading) => {
-                self.gathered.take(measurement, reading);
+                self.samples.add(measurement, reading);
                 let (measurement, reading) = self.without_effects(measurement, reading);
                 self.subject.update(&measurement, Some(&reading))
             }
@@ -108,11 +112,12 @@ impl Learner {
         };
         let consistency = match &self.subject {
             Subject::Parameters(estimator) => estimator.consistency(),
-            // What the model misses a stem that moves takes up, and owns to in its sigma.
+            // A stem that is followed takes up what the model misses, and its sigma allows for that.
             Subject::Stem(_) => None,
         };
-        let gap = self.watch.see(step.verdict, consistency);
-        Learned { step, expected: expected.map(|response| response.configuration), gap, stem: self.stem() }
+        let pose = expected.map(|psi| psi.bend_vector());
+        let gap = self.monitor.add(pose, step.verdict, step.innovation.as_ref(), consistency);
+        Update { step, expected, gap, stem: self.stem() }
     }
 
     /// The sample as it would be without the model's effects, by the path that led to it.
@@ -125,7 +130,7 @@ impl Learner {
             return (measurement.clone(), *reading);
         }
         if self.past.len() == PAST {
-            // The first one stays: drifts count from it.
+            // The first one stays, because drifts count from it.
             self.past.remove(1);
         }
         self.past.push_back((measurement.clone(), *reading));
@@ -147,6 +152,7 @@ impl Subject {
                     verdict: if reason.is_none() { Verdict::Used } else { Verdict::Skipped },
                     reason,
                     estimate: before.estimate,
+                    innovation: None,
                     residual_mm: reading.zip(measured).map(|(r, m)| r.q_mm - before.command(m.configuration)),
                     revisions: Vec::new(),
                     restarted: false,
@@ -171,12 +177,12 @@ mod tests {
             let start = Model { effects, ..Model::default() };
             let plant = Model { estimate: Some(truth), ..start.clone() };
             let (measurements, readings) = experiment(&plant);
-            let mut learner = Learner::new(start.clone(), Options::default(), None).unwrap();
+            let mut estimator = OnlineEstimator::new(start.clone(), Options::default(), None).unwrap();
             for (measurement, reading) in measurements.iter().zip(&readings) {
-                learner.take(measurement, Some(reading));
+                estimator.update(measurement, Some(reading));
             }
             let (_, whole) = estimate(&start, Options::default(), &measurements, &readings).unwrap();
-            let (ours, theirs) = (learner.model().parameters(), whole.parameters());
+            let (ours, theirs) = (estimator.model().parameters(), whole.parameters());
             assert!((ours - theirs).amax() < 2e-3, "{ours} {theirs}");
             assert!((ours.x - 1.221).abs() < 0.03 && (ours.y - 0.1765).abs() < 0.01, "{ours}");
         }
@@ -189,20 +195,21 @@ mod tests {
         let mut plant = model.clone();
         plant.robot.line = plant.robot.line.bent_through(130f64.to_radians());
         let (measurements, readings) = experiment(&plant);
-        let mut learner = Learner::new(model.clone(), Options::default(), Some(StemOptions::default())).unwrap();
+        let mut estimator =
+            OnlineEstimator::new(model.clone(), Options::default(), Some(StemOptions::default())).unwrap();
         let (rows, whole) = estimate_stem(&model, StemOptions::default(), &measurements, &readings).unwrap();
         for ((measurement, reading), row) in measurements.iter().zip(&readings).zip(&rows) {
-            let learned = learner.take(measurement, Some(reading));
-            let StemAngle { phi, sd } = learned.stem.unwrap();
+            let update = estimator.update(measurement, Some(reading));
+            let StemAngle { phi, sd } = update.stem.unwrap();
             assert!((phi - row.phi).abs() < 1e-12 && (sd - row.sd_phi).abs() < 1e-12);
-            assert_eq!(learned.step.estimate, Some(known), "η and λ are not touched");
+            assert_eq!(update.step.estimate, Some(known), "η and λ are not touched");
         }
-        assert_eq!(learner.model(), whole);
-        let at_end = learner.stem().unwrap();
+        assert_eq!(estimator.model(), whole);
+        let at_end = estimator.stem().unwrap();
         assert!((at_end.phi.to_degrees() - 130.0).abs() < 4.0 * at_end.sd.to_degrees(), "{at_end:?}");
-        assert!(learner.reset().unwrap().contains("stem"));
-        assert!((learner.stem().unwrap().phi.to_degrees() - 82.0).abs() < 1e-9);
-        assert!(Learner::new(Model::default(), Options::default(), Some(StemOptions::default())).is_err());
+        assert!(estimator.reset().unwrap().contains("stem"));
+        assert!((estimator.stem().unwrap().phi.to_degrees() - 82.0).abs() < 1e-9);
+        assert!(OnlineEstimator::new(Model::default(), Options::default(), Some(StemOptions::default())).is_err());
     }
 
     fn experiment(plant: &Model) -> (Vec<Measurement>, Vec<EncoderReading>) {

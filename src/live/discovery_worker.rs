@@ -1,0 +1,90 @@
+//! Runs `discover` on the samples so far, on a thread of low priority.
+
+use super::low_priority::on_one_thread;
+use super::shared_state::SharedState;
+use super::status::DiscoveryStatus;
+use crate::Result;
+use crate::discover::{Data, Discovery, Verdict, discover_in_frames};
+use crate::observation::{EncoderReading, Measurement};
+use crate::record::{write_atomically, write_model};
+use crate::report::discovery::sentence;
+use crate::robot::Model;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// After an answer `discover` is not started for this time. Convention: it takes about as long itself.
+const REST: Duration = Duration::from_secs(60);
+
+/// Starts `discover` when it is asked to, one search at a time.
+#[derive(Debug)]
+pub struct DiscoveryWorker {
+    shared: Arc<SharedState>,
+    output: PathBuf,
+    sd_encoder_mm: f64,
+    at_work: Arc<AtomicBool>,
+    last: Option<Instant>,
+}
+
+impl DiscoveryWorker {
+    /// A worker that writes discrepancy.json and discovered.toml into a folder.
+    pub fn new(shared: Arc<SharedState>, output: PathBuf, sd_encoder_mm: f64) -> Self {
+        Self { shared, output, sd_encoder_mm, at_work: Arc::default(), last: None }
+    }
+
+    /// Whether it can be started: it is not at work, and has rested.
+    pub fn is_free(&self) -> bool {
+        !self.at_work.load(Ordering::Relaxed) && self.last.is_none_or(|last| last.elapsed() > REST)
+    }
+
+    /// Starts a search from a model on measurements and their readings; the answer goes into the shared state.
+    pub fn start(&mut self, (model, measurements, readings): (Model, Vec<Measurement>, Vec<EncoderReading>)) {
+        self.last = Some(Instant::now());
+        self.at_work.store(true, Ordering::Relaxed);
+        match &mut self.shared.lock().state.discovery {
+            Some(discovery) => discovery.running = true,
+            none => {
+                let sentence = "discover is looking at what was measured so far".into();
+                *none = Some(DiscoveryStatus { running: true, verdict: String::new(), sentence, details: None });
+            }
+        }
+        let (shared, output, sd_encoder_mm) = (Arc::clone(&self.shared), self.output.clone(), self.sd_encoder_mm);
+        let at_work = Arc::clone(&self.at_work);
+        std::thread::spawn(move || {
+            let found = on_one_thread(|| -> Result<Discovery> {
+                let data = Data::new(&measurements, &readings, sd_encoder_mm)?;
+                let found = discover_in_frames(model, &data)?;
+                write(&output, &found)?;
+                Ok(found)
+            });
+            shared.lock().state.discovery = Some(status(found));
+            at_work.store(false, Ordering::Relaxed);
+        });
+    }
+}
+
+fn status(found: Result<Discovery>) -> DiscoveryStatus {
+    match found {
+        Ok(found) => DiscoveryStatus {
+            running: false,
+            verdict: found.verdict.word().into(),
+            sentence: sentence(&found),
+            details: Some(found.json()),
+        },
+        Err(error) => DiscoveryStatus {
+            running: false,
+            verdict: String::new(),
+            sentence: format!("discover has no answer yet: {error}"),
+            details: None,
+        },
+    }
+}
+
+fn write(output: &Path, found: &Discovery) -> Result<()> {
+    write_atomically(&output.join("discrepancy.json"), format!("{:#}\n", found.json()).as_bytes())?;
+    if found.verdict == Verdict::Named {
+        write_model(&output.join("discovered.toml"), &found.model)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,245 @@
+//! The encoder readings so far, by the encoders' own time stamps. Looks at no clock itself: the caller says what time it is.
+
+use super::line_parser::{LineParser, Parsed};
+use crate::live::clock_offset::ClockOffset;
+use crate::live::status::{EncoderStatus, Lag};
+use crate::observation::EncoderReading;
+use crate::robot::PerBackbone;
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// Encoders from which nothing comes for this time are lost. Convention.
+pub const SILENCE: Duration = Duration::from_secs(2);
+/// Readings further apart than this are not interpolated between, s. Convention: a robot that bends at 10 °/s may have turned back
+/// over a few degrees meanwhile.
+const MAX_GAP_S: f64 = 0.5;
+/// Readings kept: two minutes of a bus of 1 kHz. Convention: a resource limit, about 10 MB.
+const MAX_READINGS: usize = 120_000;
+/// A time stamp earlier than the last by more than this comes from a clock that was set anew, s; by less, from a line that is to be
+/// refused. Convention.
+const CLOCK_SET_BACK_S: f64 = 1.0;
+/// Readings this long before the first bend and after the last are given to the estimation of the lag, s. Convention: longer than the
+/// longest lag that is tried.
+const AROUND_S: f64 = 1.0;
+
+/// The reading that belongs to a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Lookup {
+    /// This one.
+    Found(EncoderReading),
+    /// It may still come.
+    NotYet,
+    /// There is none.
+    Never,
+}
+
+/// Readings with the time stamp of each.
+#[derive(Debug)]
+pub struct Readings {
+    parser: LineParser,
+    stamped: VecDeque<(f64, PerBackbone)>,
+    offset: ClockOffset,
+    lag: Option<Lag>,
+    count: u64,
+    bad_lines: u64,
+    last_bad: Option<String>,
+    trouble: Option<String>,
+    last_unix_s: Option<f64>,
+}
+
+impl Readings {
+    /// No readings yet of a robot with so many backbones. The offset of the encoders' clock, s, is estimated where it is not given.
+    pub fn new(backbones: usize, given_offset_s: Option<f64>) -> Self {
+        Self {
+            parser: LineParser::new(backbones),
+            stamped: VecDeque::new(),
+            offset: ClockOffset::new(given_offset_s),
+            lag: None,
+            count: 0,
+            bad_lines: 0,
+            last_bad: None,
+            trouble: None,
+            last_unix_s: None,
+        }
+    }
+
+    /// Takes a line that arrived at `arrival_s` of the frames' clock (`None` before that runs) and at a Unix time.
+    pub fn take(&mut self, line: &[u8], arrival_s: Option<f64>, unix_s: f64) {
+        let taken: Parsed = self.parser.parse(line);
+        let added = taken.and_then(|reading| match reading {
+            Some((stamp_s, q_mm)) => self.add(stamp_s, q_mm, arrival_s, unix_s),
+            None => Ok(()),
+        });
+        if let Err(why) = added {
+            self.bad_lines += 1;
+            self.last_bad = Some(why);
+        }
+    }
+
+    fn add(
+        &mut self,
+        stamp_s: f64,
+        q_mm: PerBackbone,
+        arrival_s: Option<f64>,
+        unix_s: f64,
+    ) -> std::result::Result<(), String> {
+        if let Some(&(last_s, _)) = self.stamped.back()
+            && stamp_s <= last_s
+        {
+            if last_s - stamp_s < CLOCK_SET_BACK_S {
+                return Err(format!("time_s {stamp_s} is not after {last_s}"));
+            }
+            self.stamped.clear();
+        }
+        if let Some(arrival_s) = arrival_s {
+            self.offset.observe(stamp_s, arrival_s);
+        }
+        if self.stamped.len() == MAX_READINGS {
+            self.stamped.pop_front();
+        }
+        self.stamped.push_back((stamp_s, q_mm));
+        self.count += 1;
+        self.trouble = None;
+        self.last_unix_s = Some(unix_s);
+        Ok(())
+    }
+
+    /// The connection is gone, for this reason; the next one may have another header.
+    pub fn disconnected(&mut self, trouble: String) {
+        self.trouble = Some(trouble);
+        self.parser.reset();
+    }
+
+    /// The reading at a frame's time, s, interpolated linearly between its neighbours.
+    pub fn at(&self, index: u64, time_s: f64, unix_s: f64) -> Lookup {
+        let stamp_s = time_s - self.offset.estimate().1;
+        match self.stamped.back() {
+            Some(&(last_s, _)) if last_s >= stamp_s => {}
+            _ if self.is_silent(unix_s) => return Lookup::Never,
+            _ => return Lookup::NotYet,
+        }
+        let after = self.stamped.partition_point(|&(s, _)| s < stamp_s);
+        let earlier = after.checked_sub(1).map_or(self.stamped[after], |before| self.stamped[before]);
+        match between(earlier, self.stamped[after], stamp_s) {
+            Some(q_mm) => Lookup::Found(EncoderReading { index, time_s, q_mm }),
+            None => Lookup::Never,
+        }
+    }
+
+    /// The readings from shortly before one time of the frames' clock, s, to shortly after another, with their times by it.
+    pub fn in_frames_time(&self, first_s: f64, last_s: f64) -> Vec<(f64, PerBackbone)> {
+        let offset_s = self.offset.estimate().1;
+        let from = self.stamped.partition_point(|&(s, _)| s + offset_s < first_s - AROUND_S);
+        let to = self.stamped.partition_point(|&(s, _)| s + offset_s < last_s + AROUND_S);
+        self.stamped.range(from..to).map(|&(s, q)| (s + offset_s, q)).collect()
+    }
+
+    /// Notes by how much the picture is behind.
+    pub fn set_lag(&mut self, lag: Lag) {
+        self.lag = Some(lag);
+    }
+
+    /// Whether nothing has come for a while, so that nothing need be waited for.
+    fn is_silent(&self, unix_s: f64) -> bool {
+        self.last_unix_s.is_none_or(|last| unix_s - last > SILENCE.as_secs_f64())
+    }
+
+    /// What is known of the encoders.
+    pub fn status(&self, unix_s: f64) -> EncoderStatus {
+        let (clock, offset_s) = self.offset.estimate();
+        EncoderStatus {
+            state: match self.last_unix_s {
+                None => "waiting",
+                Some(_) if self.is_silent(unix_s) => "lost",
+                Some(_) => "running",
+            },
+            trouble: self.trouble.clone(),
+            readings: self.count,
+            bad_lines: self.bad_lines,
+            last_bad: self.last_bad.clone(),
+            clock,
+            offset_s,
+            lag: self.lag,
+        }
+    }
+}
+
+/// The reading at a time, s, of readings in order.
+pub fn interpolate(readings: &[(f64, PerBackbone)], time_s: f64) -> Option<PerBackbone> {
+    let after = readings.partition_point(|&(s, _)| s < time_s);
+    between(*readings.get(after.checked_sub(1)?)?, *readings.get(after)?, time_s)
+}
+
+fn between(earlier: (f64, PerBackbone), later: (f64, PerBackbone), time_s: f64) -> Option<PerBackbone> {
+    let step = later.0 - earlier.0;
+    if step > MAX_GAP_S || later.0 < time_s || earlier.0 > time_s {
+        return None;
+    }
+    let share = if step > 0.0 { (time_s - earlier.0) / step } else { 1.0 };
+    Some(earlier.1 + (later.1 - earlier.1) * share)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::live::status::ClockState;
+
+    /// Readings of these lines, which arrive as they are stamped.
+    fn readings(lines: &[&str]) -> Readings {
+        let mut readings = Readings::new(3, None);
+        lines.iter().for_each(|line| readings.take(line.as_bytes(), None, 100.0));
+        readings
+    }
+
+    fn found(lookup: Lookup) -> PerBackbone {
+        match lookup {
+            Lookup::Found(reading) => reading.q_mm,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_reading_is_interpolated_between_its_neighbours() {
+        let readings = readings(&["0.0,0,0,0", "0.2,1,2,-1", "0.3,1,3,-1", "9.0,0,0,0"]);
+        let at = |time_s| readings.at(0, time_s, 100.0);
+        assert!((found(at(0.05)) - PerBackbone::from([0.25, 0.5, -0.25])).norm() < 1e-12);
+        assert!((found(at(0.25)) - PerBackbone::from([1.0, 2.5, -1.0])).norm() < 1e-12);
+        assert_eq!(at(5.0), Lookup::Never, "too far from any reading");
+        assert_eq!(at(-1.0), Lookup::Never, "before the first");
+        assert_eq!(at(9.5), Lookup::NotYet);
+        assert_eq!(readings.at(0, 9.5, 103.0), Lookup::Never, "silent for longer than two seconds");
+    }
+
+    #[test]
+    fn stamps_that_stutter_are_refused_and_a_clock_set_back_begins_anew() {
+        let mut readings = readings(&["5.0,0,0,0", "5.0,1,0,0", "4.9,1,0,0"]);
+        let status = readings.status(100.0);
+        assert_eq!((status.readings, status.bad_lines, status.state), (1, 2, "running"));
+        assert!(status.last_bad.unwrap().contains("4.9 is not after 5"));
+        readings.take(b"1.0,3,0,0", None, 100.0);
+        assert_eq!(found(readings.at(0, 1.0, 100.0))[0], 3.0);
+    }
+
+    #[test]
+    fn a_given_offset_is_obeyed_and_another_header_understood_after_a_disconnection() {
+        let mut readings = Readings::new(3, Some(0.5));
+        readings.take(b"q3_mm,q2_mm,q1_mm,time_s", Some(0.0), 100.0);
+        readings.take(b"3,2,1,1.0", Some(77.0), 100.0);
+        assert_eq!(found(readings.at(0, 1.5, 100.0)), PerBackbone::from([1.0, 2.0, 3.0]));
+        assert_eq!(readings.status(100.0).clock, ClockState::Given);
+        readings.disconnected("gone".into());
+        assert_eq!(readings.status(200.0).state, "lost");
+        readings.take(b"2.0,1,2,3", Some(78.0), 200.0);
+        let status = readings.status(200.0);
+        assert_eq!((status.trouble, status.bad_lines), (None, 0));
+        assert_eq!(found(readings.at(0, 2.5, 200.0)), PerBackbone::from([1.0, 2.0, 3.0]));
+    }
+
+    #[test]
+    fn those_around_some_bends_are_given_in_the_frames_time() {
+        let mut readings = Readings::new(3, Some(100.0));
+        (0..100).for_each(|k| readings.take(format!("{}.5,0,0,0", k).as_bytes(), None, 0.0));
+        let times: Vec<f64> = readings.in_frames_time(110.0, 111.0).iter().map(|(s, _)| *s).collect();
+        assert_eq!(times, [109.5, 110.5, 111.5]);
+    }
+}

@@ -1,0 +1,137 @@
+//! A network camera that sends JPEG after JPEG (`multipart/x-mixed-replace` over HTTP), read as they come.
+//!
+//! OpenCV reads such streams too, but hands on frames that waited in its buffers without telling for how long. Here the time of
+//! arrival is that of the picture's last byte, before it is decoded.
+
+use super::multipart::{CONTENT_KIND, MultipartParser, Part};
+use crate::error::{Error, Result};
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use hyper::body::{Body, Incoming};
+use hyper::client::conn::http1::{SendRequest, handshake};
+use hyper::header::{ACCEPT, AUTHORIZATION, CONTENT_TYPE, HOST};
+use hyper::{Request, Response, Uri};
+use hyper_util::rt::TokioIo;
+use std::future::poll_fn;
+use std::pin::Pin;
+use std::time::Duration;
+use tokio::net::TcpStream;
+use tokio::runtime::{Builder, Runtime};
+use tokio::time::timeout;
+
+/// Time in which the server must answer. Convention.
+const OPEN_TIMEOUT: Duration = Duration::from_secs(3);
+/// Time in which each next piece of the answer must arrive. Convention.
+const READ_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// An open stream.
+#[derive(Debug)]
+pub struct MotionJpeg {
+    runtime: Runtime,
+    body: Incoming,
+    parts: MultipartParser,
+    /// The connection lives as long as this does.
+    _sender: SendRequest<String>,
+}
+
+impl MotionJpeg {
+    /// Asks for the stream at an address. `None` where the address or what answers there is of another kind.
+    ///
+    /// # Errors
+    /// A server that is not there, does not answer in three seconds, or refuses.
+    pub fn open(address: &str) -> Result<Option<Self>> {
+        let Some(address) = address.parse::<Uri>().ok().filter(|address| address.scheme_str() == Some("http")) else {
+            return Ok(None);
+        };
+        let failed =
+            |why: String| Error::Domain(format!("the stream at {}: {why}", address.host().unwrap_or_default()));
+        let runtime = Builder::new_current_thread().enable_all().build().map_err(|e| failed(e.to_string()))?;
+        let (sender, response) = runtime
+            .block_on(async { timeout(OPEN_TIMEOUT, ask(&address)).await })
+            .map_err(|_| failed("no answer in three seconds".into()))?
+            .map_err(failed)?;
+        let (head, body) = response.into_parts();
+        if head.status.is_client_error() || head.status.is_server_error() {
+            return Err(failed(format!("the answer is {}", head.status)));
+        }
+        let kind = head.headers.get(CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or_default();
+        let Some(parts) = MultipartParser::new(kind) else { return Ok(None) };
+        Ok(Some(Self { runtime, body, parts, _sender: sender }))
+    }
+
+    /// The next JPEG, waited for; `None` where the camera is gone, silent for a second, or sends something else.
+    pub fn read(&mut self) -> Option<Vec<u8>> {
+        loop {
+            match self.parts.next_part() {
+                Part::Complete(jpeg) => return Some(jpeg),
+                Part::Broken => return None,
+                Part::Incomplete => {}
+            }
+            let piece = poll_fn(|context| Pin::new(&mut self.body).poll_frame(context));
+            let piece = self.runtime.block_on(async { timeout(READ_TIMEOUT, piece).await }).ok()??.ok()?;
+            if let Ok(bytes) = piece.into_data() {
+                self.parts.push(&bytes);
+            }
+        }
+    }
+}
+
+async fn ask(address: &Uri) -> std::result::Result<(SendRequest<String>, Response<Incoming>), String> {
+    let authority = address.authority().map_or("", |authority| authority.as_str());
+    let (login, host) = authority.rsplit_once('@').map_or((None, authority), |(login, host)| (Some(login), host));
+    let name = address.host().unwrap_or_default().trim_matches(['[', ']']);
+    let stream = TcpStream::connect((name, address.port_u16().unwrap_or(80))).await.map_err(|e| e.to_string())?;
+    let (mut sender, connection) = handshake(TokioIo::new(stream)).await.map_err(|e| e.to_string())?;
+    tokio::spawn(connection);
+    let path = address.path_and_query().map_or("/", |path| path.as_str());
+    let mut request = Request::get(path).header(HOST, host).header(ACCEPT, CONTENT_KIND);
+    if let Some(login) = login {
+        request = request.header(AUTHORIZATION, format!("Basic {}", BASE64_STANDARD.encode(login)));
+    }
+    let request = request.body(String::new()).map_err(|e| e.to_string())?;
+    let response = sender.send_request(request).await.map_err(|e| e.to_string())?;
+    Ok((sender, response))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{Read, Write};
+
+    /// A server that answers one request with this, and gives what it was asked.
+    fn server(answer: &'static [u8]) -> (std::net::SocketAddr, std::thread::JoinHandle<String>) {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        let asked = std::thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            let mut asked = [0; 1000];
+            let length = stream.read(&mut asked).unwrap();
+            stream.write_all(answer).unwrap();
+            String::from_utf8_lossy(&asked[..length]).into_owned()
+        });
+        (address, asked)
+    }
+
+    #[test]
+    fn a_camera_that_wants_a_password_and_sends_in_chunks_is_read() {
+        let (address, asked) = server(
+            b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace;boundary=a\r\nTransfer-Encoding: chunked\r\n\r\n\
+              7\r\n--a\r\nCo\r\n18\r\nntent-Length: 3\r\n\r\none\r\n\r\n11\r\n--a\r\n\r\ntwo\r\n--a\r\n\r\n0\r\n\r\n",
+        );
+        let mut stream = MotionJpeg::open(&format!("http://me:secret@{address}/live?x=1")).unwrap().unwrap();
+        assert_eq!([stream.read(), stream.read(), stream.read()], [Some(b"one".to_vec()), Some(b"two".to_vec()), None]);
+        let asked = asked.join().unwrap().to_lowercase();
+        assert!(asked.starts_with("get /live?x=1 http/1.1\r\n") && asked.contains(&format!("host: {address}\r\n")));
+        assert!(asked.contains("authorization: basic bwu6c2vjcmv0\r\n"), "{asked}");
+    }
+
+    #[test]
+    fn what_is_no_stream_of_jpegs_is_left_to_others_and_a_refusal_told() {
+        assert!(MotionJpeg::open("rtsp://camera/1").unwrap().is_none());
+        let (address, _) = server(b"HTTP/1.1 200 OK\r\nContent-Type: video/mp4\r\nContent-Length: 0\r\n\r\n");
+        assert!(MotionJpeg::open(&format!("http://{address}/")).unwrap().is_none());
+        let (address, _) = server(b"HTTP/1.1 401 Unauthorized\r\nContent-Length: 0\r\n\r\n");
+        let message = MotionJpeg::open(&format!("http://{address}/")).unwrap_err().to_string();
+        assert!(message.contains("127.0.0.1: the answer is 401"), "{message}");
+    }
+}

@@ -1,0 +1,154 @@
+//! Takes the parts of a `multipart/x-mixed-replace` stream out of its bytes as they arrive. Does no reading itself.
+
+/// The content type of such streams.
+pub const CONTENT_KIND: &str = "multipart/x-mixed-replace";
+/// Longest picture, bytes. Convention: a resource limit.
+const MAX_PICTURE: usize = 64 << 20;
+/// Longest head of a part, bytes. Convention: a resource limit.
+const MAX_HEAD: usize = 16 << 10;
+
+/// The bytes that have arrived and were not taken yet.
+#[derive(Debug)]
+pub struct MultipartParser {
+    /// What stands before each part.
+    delimiter: Vec<u8>,
+    pending: Vec<u8>,
+}
+
+/// What the bytes so far hold.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Part {
+    /// A part's content.
+    Complete(Vec<u8>),
+    /// No whole part yet: more bytes are needed.
+    Incomplete,
+    /// Something that is no such stream, or a part that is too long.
+    Broken,
+}
+
+impl MultipartParser {
+    /// A parser for an answer of this content type; `None` where that has no parts.
+    pub fn new(content_type: &str) -> Option<Self> {
+        let mut words = content_type.split(';').map(str::trim);
+        if !words.next()?.eq_ignore_ascii_case(CONTENT_KIND) {
+            return None;
+        }
+        let boundary = words.find_map(|word| {
+            let (name, value) = word.split_once('=')?;
+            name.eq_ignore_ascii_case("boundary").then(|| value.trim_matches('"'))
+        })?;
+        // Many cameras take the dashes before the boundary for part of its name.
+        Some(Self { delimiter: format!("--{}", boundary.trim_start_matches('-')).into_bytes(), pending: Vec::new() })
+    }
+
+    /// Takes the next bytes.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.pending.extend_from_slice(bytes);
+    }
+
+    /// The next part.
+    pub fn next_part(&mut self) -> Part {
+        loop {
+            let Some(head_end) = find(&self.pending, b"\r\n\r\n") else {
+                return if self.pending.len() > MAX_HEAD { Part::Broken } else { Part::Incomplete };
+            };
+            let body = head_end + 4;
+            if find(&self.pending[..head_end], &self.delimiter).is_none() {
+                // Empty lines between the parts.
+                self.pending.drain(..body);
+                continue;
+            }
+            let end = match content_length(&self.pending[..head_end]) {
+                Some(length) => body.saturating_add(length),
+                None => match find(&self.pending[body..], &[b"\r\n", &self.delimiter[..]].concat()) {
+                    Some(length) => body + length,
+                    None if self.pending.len() > MAX_PICTURE => return Part::Broken,
+                    None => return Part::Incomplete,
+                },
+            };
+            if end > MAX_PICTURE {
+                return Part::Broken;
+            }
+            if self.pending.len() < end {
+                return Part::Incomplete;
+            }
+            let content = self.pending[body..end].to_vec();
+            self.pending.drain(..end);
+            return Part::Complete(content);
+        }
+    }
+}
+
+fn content_length(head: &[u8]) -> Option<usize> {
+    String::from_utf8_lossy(head).lines().find_map(|line| {
+        let (name, value) = line.split_once(':')?;
+        if name.trim().eq_ignore_ascii_case("content-length") { value.trim().parse().ok() } else { None }
+    })
+}
+
+fn find(bytes: &[u8], wanted: &[u8]) -> Option<usize> {
+    bytes.windows(wanted.len()).position(|window| window == wanted)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// All pictures of a stream that comes in pieces of these lengths, over and over.
+    fn pictures(kind: &str, stream: &[u8], pieces: &[usize]) -> Vec<Vec<u8>> {
+        let mut parts = MultipartParser::new(kind).unwrap();
+        let (mut found, mut at, mut pieces) = (Vec::new(), 0, pieces.iter().cycle());
+        while at < stream.len() {
+            let end = stream.len().min(at + pieces.next().unwrap());
+            parts.push(&stream[at..end]);
+            at = end;
+            while let Part::Complete(picture) = parts.next_part() {
+                found.push(picture);
+            }
+        }
+        found
+    }
+
+    proptest! {
+        #[test]
+        fn pictures_are_taken_out_however_the_bytes_come(
+            sent in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..300), 1..6),
+            pieces in proptest::collection::vec(1usize..200, 1..8),
+            (with_length, dashes, blank) in any::<(bool, bool, bool)>(),
+        ) {
+            let boundary = if dashes { "--frame" } else { "frame" };
+            let mut stream = Vec::new();
+            for picture in &sent {
+                stream.extend(b"--frame\r\nContent-Type: image/jpeg\r\n");
+                if with_length {
+                    stream.extend(format!("CONTENT-LENGTH: {}\r\n", picture.len()).into_bytes());
+                }
+                stream.extend([b"\r\n", &picture[..], b"\r\n"].concat());
+                if blank && with_length {
+                    stream.extend(b"\r\n");
+                }
+            }
+            stream.extend(b"--frame");
+            let kind = format!("Multipart/X-Mixed-Replace; charset=x; boundary=\"{boundary}\"");
+            prop_assert_eq!(pictures(&kind, &stream, &pieces), sent);
+        }
+
+        #[test]
+        fn any_bytes_are_borne(bytes in proptest::collection::vec(any::<u8>(), 0..2000)) {
+            pictures("multipart/x-mixed-replace;boundary=a", &bytes, &[100]);
+            pictures("multipart/x-mixed-replace;boundary=a", &[b"--a\r\n\r\n", &bytes[..]].concat(), &[100]);
+        }
+    }
+
+    #[test]
+    fn what_has_no_parts_or_no_end_is_refused() {
+        assert!(MultipartParser::new("video/mp4").is_none() && MultipartParser::new(CONTENT_KIND).is_none());
+        let mut parts = MultipartParser::new("multipart/x-mixed-replace;boundary=a").unwrap();
+        parts.push(&vec![b'x'; MAX_HEAD + 1]);
+        assert_eq!(parts.next_part(), Part::Broken);
+        let mut parts = MultipartParser::new("multipart/x-mixed-replace;boundary=a").unwrap();
+        parts.push(b"--a\r\nContent-Length: 99999999999\r\n\r\n");
+        assert_eq!(parts.next_part(), Part::Broken);
+    }
+}

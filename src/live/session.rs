@@ -1,0 +1,145 @@
+//! A running loop: started, asked to end, and waited for.
+
+use super::annotated_video::AnnotatedVideo;
+use super::autosave::{Autosave, AutosaveThread};
+use super::clock::FrameClock;
+use super::commands::Commands;
+use super::discovery_worker::DiscoveryWorker;
+use super::journal::{Entry, Journal};
+use super::latency::Histogram;
+use super::online_estimator::OnlineEstimator;
+use super::pipeline::Pipeline;
+use super::recent_bends::RecentBends;
+use super::setup::{Setup, View};
+use super::shared_state::SharedState;
+use super::source::FrameReader;
+use super::status::{EstimateStatus, State, StemStatus};
+use super::straight_reference::RenewableEye;
+use crate::error::{Error, Result};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+
+/// A running loop.
+pub struct Live {
+    /// What it shows.
+    pub shared: Arc<SharedState>,
+    /// Its annotated video.
+    pub video: Arc<AnnotatedVideo>,
+    commands: Commands,
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<Result<()>>,
+}
+
+impl Live {
+    /// Opens the journal, starts reading, measuring, learning and writing.
+    ///
+    /// # Errors
+    /// A journal that is in the way or cannot be read, an option out of its range, a source that cannot exist.
+    pub fn start(setup: Setup) -> Result<Self> {
+        let Setup { view, source, source_name, encoders, model, options, stem, output, resume, save_every } = setup;
+        let mut estimator = OnlineEstimator::new(model.clone(), options, stem)?;
+        let clock = Arc::new(FrameClock::default());
+        let encoders = Arc::new(encoders.open(model.robot.backbone_count(), Arc::clone(&clock)));
+        let shared = Arc::new(SharedState::new(State::at_start(source_name, encoders.status()), model.clone()));
+        let (journal, next_index) = open_journal(&output, resume, &mut estimator, &shared)?;
+        let reader = FrameReader::start(source, next_index, clock)?;
+        let bends = Arc::new(RecentBends::default());
+        let autosave = AutosaveThread::start(Autosave {
+            shared: Arc::clone(&shared),
+            journal: journal.sync_handle()?,
+            output: output.clone(),
+            every: save_every,
+            encoders: Arc::clone(&encoders),
+            bends: Arc::clone(&bends),
+            to_bend: model.robot.bend_by_displacement(),
+        });
+        let video = AnnotatedVideo::start();
+        let (commands, requests) = Commands::channel();
+        let stop = Arc::new(AtomicBool::new(false));
+        let View { name, lens, robot, rig_options, eye } = view;
+        let discovery = DiscoveryWorker::new(Arc::clone(&shared), output.clone(), options.sd_encoder_mm);
+        let eye = Arc::new(RenewableEye::new(eye, lens, robot, rig_options, output.clone()));
+        let pipeline = Pipeline {
+            view: name,
+            eye,
+            reader,
+            encoders,
+            estimator,
+            journal,
+            shared: Arc::clone(&shared),
+            video: Arc::clone(&video),
+            discovery,
+            requests,
+            stop: Arc::clone(&stop),
+            output,
+            bends,
+        };
+        let thread = std::thread::spawn(move || {
+            let result = pipeline.run();
+            autosave.finish();
+            result
+        });
+        Ok(Self { shared, video, commands, stop, thread })
+    }
+
+    /// A handle to tell it something.
+    pub fn commands(&self) -> Commands {
+        self.commands.clone()
+    }
+
+    /// Whether it has come to its end.
+    pub fn is_over(&self) -> bool {
+        self.thread.is_finished()
+    }
+
+    /// Asks it to end after the frame in hand.
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Waits for its end, and gives all latencies.
+    ///
+    /// # Errors
+    /// A journal or a file that could not be written.
+    pub fn finish(self) -> Result<Histogram> {
+        match self.thread.join() {
+            Ok(result) => result.map(|()| self.shared.lock().latencies.clone()),
+            Err(_) => Err(Error::Domain("the loop broke off; all that was measured is in the journal".into())),
+        }
+    }
+}
+
+/// Opens the journal and the index of the next frame. Where the run is resumed, the estimator takes what the journal has.
+fn open_journal(
+    output: &Path,
+    resume: bool,
+    estimator: &mut OnlineEstimator,
+    shared: &SharedState,
+) -> Result<(Journal, u64)> {
+    let mut next_index = 0;
+    let (journal, remark) = if resume {
+        Journal::resume(output, |entry| match entry {
+            Entry::Measured(measurement, reading) => {
+                next_index = next_index.max(measurement.index + 1);
+                let update = estimator.update(&measurement, reading.as_ref());
+                let mut shared = shared.lock();
+                shared.count(&measurement, update.step.verdict);
+                shared.state.resumed += 1;
+                shared.state.gap = update.gap;
+            }
+            Entry::Reset => {
+                let _ = estimator.reset();
+            }
+        })?
+    } else {
+        (Journal::create(output)?, None)
+    };
+    let mut shared = shared.lock();
+    shared.model = estimator.model();
+    shared.state.estimate = EstimateStatus::of(&shared.model);
+    shared.state.stem = estimator.stem().map(StemStatus::from);
+    shared.state.notices.extend(remark);
+    Ok((journal, next_index))
+}

@@ -1,0 +1,156 @@
+//! The state that the threads of `live` share. Whoever reads it takes a copy, so that nobody holds the lock for long.
+
+use super::latency::Histogram;
+use super::status::{Row, State};
+use crate::estimate::Verdict;
+use crate::observation::Measurement;
+use crate::robot::Model;
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Rows kept for `GET /api/measurements`: 200 s of 60 frames/s. Convention: a resource limit, about 5 MB.
+const MAX_ROWS: usize = 12_000;
+/// Notices kept. Convention: a display choice.
+const MAX_NOTICES: usize = 20;
+
+/// The shared state behind its lock.
+#[derive(Debug)]
+pub struct SharedState(Mutex<LiveState>);
+
+/// All that is shared.
+#[derive(Debug)]
+pub struct LiveState {
+    /// What `GET /api/state` gives.
+    pub state: State,
+    /// The model with the latest estimate.
+    pub model: Model,
+    /// The latest rows, oldest first.
+    rows: VecDeque<Row>,
+    /// All latencies.
+    pub latencies: Histogram,
+    /// Number of frames by their status.
+    pub by_status: BTreeMap<String, u64>,
+}
+
+impl LiveState {
+    /// Adds a measurement that was made now.
+    pub fn add(&mut self, measurement: &Measurement, verdict: Verdict, row: Row) {
+        self.count(measurement, verdict);
+        self.latencies.add(row.latency_ms / 1000.0);
+        self.state.latency = self.latencies.status(row.latency_ms);
+        self.state.estimate = row.estimate;
+        self.state.stem = row.stem;
+        self.state.latest = Some(row.clone());
+        if self.rows.len() == MAX_ROWS {
+            self.rows.pop_front();
+        }
+        self.rows.push_back(row);
+    }
+
+    /// Counts a measurement, made now or taken over from an earlier run.
+    pub fn count(&mut self, measurement: &Measurement, verdict: Verdict) {
+        self.state.measurements += 1;
+        self.state.measured += u64::from(measurement.measured.is_some());
+        self.state.rejected += u64::from(verdict == Verdict::Rejected);
+        *self.by_status.entry(measurement.status.to_string()).or_default() += 1;
+    }
+
+    /// Adds a message for the user; the same message only once in a row.
+    pub fn notice(&mut self, text: impl Into<String>) {
+        let text = text.into();
+        if self.state.notices.last() == Some(&text) {
+            return;
+        }
+        if self.state.notices.len() == MAX_NOTICES {
+            self.state.notices.remove(0);
+        }
+        self.state.notices.push(text);
+    }
+}
+
+impl SharedState {
+    /// The state at the start of a run.
+    pub fn new(state: State, model: Model) -> Self {
+        Self(Mutex::new(LiveState {
+            state,
+            model,
+            rows: VecDeque::new(),
+            latencies: Histogram::default(),
+            by_status: BTreeMap::new(),
+        }))
+    }
+
+    /// Locks it; to be held for moments only.
+    pub fn lock(&self) -> MutexGuard<'_, LiveState> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A copy of what `GET /api/state` gives.
+    pub fn state(&self) -> State {
+        self.lock().state.clone()
+    }
+
+    /// Rows after an index, oldest first, at most `limit`; without an index the latest.
+    pub fn rows_after(&self, index: Option<u64>, limit: usize) -> Vec<Row> {
+        let shared = self.lock();
+        let rows = &shared.rows;
+        let from = match index {
+            Some(index) => rows.partition_point(|row| row.index <= index),
+            None => rows.len().saturating_sub(limit),
+        };
+        rows.range(from..).take(limit).cloned().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::live::status::EncoderStatus;
+    use crate::observation::Status;
+
+    fn shared() -> SharedState {
+        let state = State::at_start("camera 0".into(), EncoderStatus::at_rest("none", 0));
+        SharedState::new(state, Model::default())
+    }
+
+    fn add(shared: &SharedState, index: u64, status: Status, verdict: Verdict) {
+        let measurement = Measurement { index, time_s: None, status, measured: None, quality: None, view: None };
+        shared.lock().add(&measurement, verdict, Row::of(&measurement, 0.0));
+    }
+
+    #[test]
+    fn the_latest_rows_are_kept_and_found_by_their_index() {
+        let shared = shared();
+        for index in 0..MAX_ROWS as u64 + 5 {
+            add(&shared, index, Status::Ok, Verdict::Used);
+        }
+        let indices = |after, limit| shared.rows_after(after, limit).iter().map(|row| row.index).collect::<Vec<_>>();
+        assert_eq!(indices(None, 3), [12_002, 12_003, 12_004]);
+        assert_eq!(indices(Some(0), 2), [5, 6], "the first five made room");
+        assert_eq!(indices(Some(12_003), 10), [12_004]);
+        assert!(indices(Some(12_004), 10).is_empty());
+    }
+
+    #[test]
+    fn measurements_are_counted_by_status_and_verdict() {
+        let shared = shared();
+        add(&shared, 0, Status::NoSnake, Verdict::Skipped);
+        add(&shared, 1, Status::Ok, Verdict::Rejected);
+        add(&shared, 2, Status::NoSnake, Verdict::Skipped);
+        let locked = shared.lock();
+        assert_eq!((locked.state.measurements, locked.state.rejected), (3, 1));
+        assert_eq!(locked.by_status["no_snake"], 2);
+    }
+
+    #[test]
+    fn a_notice_is_not_repeated_and_the_oldest_make_room() {
+        let shared = shared();
+        let mut locked = shared.lock();
+        locked.notice("same");
+        locked.notice("same");
+        assert_eq!(locked.state.notices.len(), 1);
+        (0..30).for_each(|k| locked.notice(format!("notice {k}")));
+        assert_eq!(locked.state.notices.len(), MAX_NOTICES);
+        assert_eq!(locked.state.notices[0], "notice 10");
+    }
+}
