@@ -3,9 +3,9 @@
 use super::flow::MeasuredFrames;
 use crate::observation::Measurement;
 use crate::record::{Experiment, write_atomically};
-use crate::report::course::worth_drawing;
-use crate::report::html::Picture;
 use crate::report::overlay::{angles, overlay};
+use crate::report::run_history::is_drawn;
+use crate::report::run_page::Picture;
 use crate::{Error, Result};
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::FilterType;
@@ -36,7 +36,7 @@ pub fn draw(overlays: Overlays, folder: &Path, measured: &MeasuredFrames) -> Res
     let wanted = match overlays {
         Overlays::None => false,
         Overlays::All => true,
-        Overlays::Sample => worth_drawing(measured.measurement, measured.rank, measured.count),
+        Overlays::Sample => is_drawn(measured.measurement, measured.rank, measured.count),
     };
     for (view, frame) in measured.frames.iter().filter(|_| wanted) {
         let shape = measured.measurement.measured.map(|measured| view.shape(measured.configuration));

@@ -15,8 +15,8 @@ use crate::record::{
     Checked, Experiment, MeasurementRows, PendingFile, Warning, estimate_line, estimates_header, write_atomically,
     write_compensation, write_model,
 };
-use crate::report::course::Course;
-use crate::report::html::Report;
+use crate::report::run_history::RunHistory;
+use crate::report::run_page::Report;
 use crate::robot::{Grid, Model};
 use crate::simulate::score::{self, Gap};
 use crate::{Error, Result};
@@ -124,7 +124,7 @@ pub fn finish(
     count.require_some_measured(experiment)?;
 
     let rows = || MeasurementRows::open(&path);
-    let mut course = Course::new(count.frames);
+    let mut history = RunHistory::new(count.frames);
     let mut verdicts = Verdicts::default();
     let estimate_path = output.join("estimate.csv");
     let mut estimates = PendingFile::create(&estimate_path)?;
@@ -136,7 +136,7 @@ pub fn finish(
         write(estimate_line(&row, backbones))?;
         verdicts.add(&row);
         if let Some(measurement) = measured.next() {
-            course.add(&measurement?, &row);
+            history.add(&measurement?, &row);
         }
         Ok(())
     })?;
@@ -159,12 +159,12 @@ pub fn finish(
     };
     let pictures = match settings.overlays {
         Overlays::None => Vec::new(),
-        Overlays::All | Overlays::Sample => pictures(experiment, &output.join("overlays"), &course.pictured)?,
+        Overlays::All | Overlays::Sample => pictures(experiment, &output.join("overlays"), &history.pictured)?,
     };
     let report = Report {
         title: format!("snakeloop: {}", name_of(experiment)),
         summary: summary.lines(),
-        course: &course,
+        history: &history,
         pictures,
         warnings: warnings.iter().map(ToString::to_string).collect(),
         provenance: provenance(experiment),

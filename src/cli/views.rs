@@ -6,7 +6,7 @@ use crate::geometry::Configuration;
 use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::measure::{Explanation, Eye, Rig, RigOptions, calibrate_rig};
 use crate::record::{Experiment, RigSource, View};
-use crate::report::course::spread;
+use crate::report::decimation;
 use crate::report::overlay::Shape;
 use crate::robot::Robot;
 use crate::{Error, Result};
@@ -90,7 +90,7 @@ const REFINING: usize = 24;
 fn refining_frames(source: &FrameSource) -> Result<Vec<SourceFrame>> {
     let count = source.count()?.unwrap_or(REFINING);
     let frames = source.frames()?.enumerate();
-    Ok(frames.filter(|(i, _)| spread(*i, REFINING, count)).map(|(_, frame)| frame).take(REFINING).collect())
+    Ok(frames.filter(|(i, _)| decimation::keeps(*i, REFINING, count)).map(|(_, frame)| frame).take(REFINING).collect())
 }
 
 /// Of the frames' indices and names, and of the content of those from which the rig is refined.

@@ -2,79 +2,110 @@
 
 use super::plot::{GRID, INK};
 use crate::geometry::Configuration;
-use std::fmt::Write;
+use crate::statistics::order::quantile;
+use maud::{Markup, html};
+use std::f64::consts::FRAC_1_SQRT_2;
 
+/// Width of the map and height without its legend, px. Convention: a display choice.
 const SIZE_PX: f64 = 420.0;
+/// Its middle, px.
+const MIDDLE_PX: f64 = SIZE_PX / 2.0;
+/// Room around it for labels, px. Convention: a display choice.
+const MARGIN_PX: f64 = 34.0;
+/// Height of the legend, px. Convention: a display choice.
+const LEGEND_PX: f64 = 26.0;
+/// Bends between two circles, degrees. Convention: a display choice.
+const CIRCLE_DEG: f64 = 30.0;
+/// Share of the values that are told apart by their size; larger ones look alike. Convention: a display choice.
+const TOLD_APART: f64 = 0.98;
 const NEGATIVE: &str = "#2F78C8";
 const POSITIVE: &str = "#D6621E";
 
-/// The map as an SVG element; the largest 2 % of the values share the strongest colour. None without a finite value.
-pub fn bend_map(values: &[(Configuration, f64)], unit: &str) -> Option<String> {
-    let mut sizes: Vec<f64> = values.iter().map(|(_, value)| value.abs()).filter(|value| value.is_finite()).collect();
-    sizes.sort_by(f64::total_cmp);
-    let strongest = *sizes.get((0.98 * sizes.len() as f64) as usize)?;
-    let largest_deg = values.iter().map(|(psi, _)| psi.theta_deg()).fold(0.0, f64::max);
-    let rim_deg = 30.0 * (largest_deg / 30.0).ceil().max(1.0);
-    let middle = SIZE_PX / 2.0;
-    let scale = (middle - 34.0) / rim_deg;
+/// The map as an SVG element; the largest 2 % of the values share the strongest colour. `None` without a finite value.
+pub fn bend_map(values: &[(Configuration, f64)], unit: &str) -> Option<Markup> {
+    let finite = || values.iter().filter(|(psi, value)| value.is_finite() && psi.theta.is_finite());
+    let mut sizes: Vec<f64> = finite().map(|(_, value)| value.abs()).collect();
+    if sizes.is_empty() {
+        return None;
+    }
+    let strongest = quantile(&mut sizes, TOLD_APART);
+    let largest_deg = finite().map(|(psi, _)| psi.theta_deg()).fold(0.0, f64::max);
+    let circles = (largest_deg / CIRCLE_DEG).ceil().max(1.0);
+    let px_per_deg = (MIDDLE_PX - MARGIN_PX) / (CIRCLE_DEG * circles);
+    Some(html! {
+        svg viewBox={ "0 0 " (SIZE_PX) " " (SIZE_PX + LEGEND_PX) } role="img" {
+            (axes(CIRCLE_DEG * circles, px_per_deg))
+            @for (psi, value) in finite() { (dot(psi, *value, strongest, px_per_deg)) }
+            @for circle in 1..=circles as usize { (circle_label(CIRCLE_DEG * circle as f64, px_per_deg)) }
+            (legend(strongest, unit))
+        }
+    })
+}
 
-    let mut svg = format!("<svg viewBox=\"0 0 {SIZE_PX} {height}\" role=\"img\">\n", height = SIZE_PX + 26.0);
-    let text = |x: f64, y: f64, anchor: &str, text: &str| {
-        format!(
-            "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" font-size=\"13\" font-family=\"sans-serif\" fill=\"{INK}\">{text}</text>\n"
-        )
-    };
-    let mut labels = String::new();
-    for k in 1..=(rim_deg / 30.0) as usize {
-        let theta = 30.0 * k as f64;
-        let radius = scale * theta;
-        let _ = writeln!(
-            svg,
-            "<circle cx=\"{middle}\" cy=\"{middle}\" r=\"{radius:.1}\" fill=\"none\" stroke=\"{GRID}\"/>"
-        );
-        let diagonal = radius * std::f64::consts::FRAC_1_SQRT_2;
-        labels += &text(middle + diagonal + 2.0, middle + diagonal + 10.0, "start", &format!("θ {theta:.0}°"));
+/// Circles of equal θ, and lines of equal δ with their labels.
+fn axes(rim_deg: f64, px_per_deg: f64) -> Markup {
+    let circles = (rim_deg / CIRCLE_DEG).round() as usize;
+    html! {
+        @for circle in 1..=circles {
+            circle cx=(MIDDLE_PX) cy=(MIDDLE_PX) r=(px(px_per_deg * CIRCLE_DEG * circle as f64)) fill="none" stroke=(GRID) {}
+        }
+        @for (delta, anchor) in [(0, "start"), (90, "middle"), (180, "end"), (-90, "middle")] {
+            (ray(delta, anchor, px_per_deg * rim_deg))
+        }
     }
-    let rim = scale * rim_deg + 14.0;
-    for (delta, anchor) in [(0, "start"), (90, "middle"), (180, "end"), (-90, "middle")] {
-        let (sin, cos) = f64::from(delta).to_radians().sin_cos();
-        let (x, y) = (middle + (rim - 6.0) * cos, middle - rim * sin + 4.0);
-        let _ = writeln!(
-            svg,
-            "<line x1=\"{middle}\" y1=\"{middle}\" x2=\"{:.1}\" y2=\"{:.1}\" stroke=\"{GRID}\"/>",
-            middle + scale * rim_deg * cos,
-            middle - scale * rim_deg * sin
-        );
-        let label = if delta == 0 { "δ 0°".to_owned() } else { format!("{delta}°") };
-        // Beside the picture's edge there is no room for a label: above the line then.
-        let (x, y) = if delta % 180 == 0 { (x.clamp(34.0, SIZE_PX - 34.0), y - 8.0) } else { (x, y) };
-        svg += &text(x, y, anchor, &label);
+}
+
+/// The line from the middle towards an azimuth δ, degrees, with its label.
+fn ray(delta: i32, anchor: &str, length_px: f64) -> Markup {
+    let (sin, cos) = f64::from(delta).to_radians().sin_cos();
+    let label_px = length_px + 8.0;
+    let (x, y) = (MIDDLE_PX + label_px * cos, MIDDLE_PX - label_px * sin + 4.0);
+    // Beside the map there is no room for a label; it stands above the line then.
+    let beside = delta % 180 == 0;
+    let (x, y) = if beside { (x.clamp(MARGIN_PX, SIZE_PX - MARGIN_PX), y - 8.0) } else { (x, y) };
+    let label = if delta == 0 { "δ 0°".to_owned() } else { format!("{delta}°") };
+    html! {
+        line x1=(MIDDLE_PX) y1=(MIDDLE_PX) x2=(px(MIDDLE_PX + length_px * cos)) y2=(px(MIDDLE_PX - length_px * sin))
+            stroke=(GRID) {}
+        (text(x, y, anchor, &label))
     }
-    for (psi, value) in values.iter().filter(|(psi, value)| value.is_finite() && psi.theta.is_finite()) {
-        let bend = psi.bend_vector().map(f64::to_degrees) * scale;
-        let strength = if strongest > 0.0 { (value.abs() / strongest).min(1.0) } else { 0.0 };
-        let colour = if *value < 0.0 { NEGATIVE } else { POSITIVE };
-        let _ = writeln!(
-            svg,
-            "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{:.1}\" fill=\"{colour}\" fill-opacity=\"{:.2}\"/>",
-            middle + bend.x,
-            middle - bend.y,
-            1.5 + 4.0 * strength,
-            0.35 + 0.5 * strength
-        );
+}
+
+fn circle_label(theta_deg: f64, px_per_deg: f64) -> Markup {
+    let diagonal_px = px_per_deg * theta_deg * FRAC_1_SQRT_2;
+    text(MIDDLE_PX + diagonal_px + 2.0, MIDDLE_PX + diagonal_px + 10.0, "start", &format!("θ {theta_deg:.0}°"))
+}
+
+/// The dot of one value.
+fn dot(psi: &Configuration, value: f64, strongest: f64, px_per_deg: f64) -> Markup {
+    let bend_px = psi.bend_vector().map(f64::to_degrees) * px_per_deg;
+    let strength = if strongest > 0.0 { (value.abs() / strongest).min(1.0) } else { 0.0 };
+    html! {
+        circle cx=(px(MIDDLE_PX + bend_px.x)) cy=(px(MIDDLE_PX - bend_px.y)) r=(px(1.5 + 4.0 * strength))
+            fill=(if value < 0.0 { NEGATIVE } else { POSITIVE }) fill-opacity=(format!("{:.2}", 0.35 + 0.5 * strength)) {}
     }
-    svg += &labels;
-    let legend = SIZE_PX + 14.0;
-    for (x, colour, sign) in [(0.28, NEGATIVE, "−"), (0.58, POSITIVE, "+")] {
-        let _ = writeln!(
-            svg,
-            "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"5.5\" fill=\"{colour}\" fill-opacity=\"0.85\"/>",
-            x * SIZE_PX,
-            legend - 4.0
-        );
-        svg += &text(x * SIZE_PX + 10.0, legend, "start", &format!("{sign}{strongest:.3} {unit}"));
+}
+
+/// What the strongest colours mean.
+fn legend(strongest: f64, unit: &str) -> Markup {
+    let y = SIZE_PX + 14.0;
+    html! {
+        @for (share, colour, sign) in [(0.28, NEGATIVE, "−"), (0.58, POSITIVE, "+")] {
+            circle cx=(px(share * SIZE_PX)) cy=(px(y - 4.0)) r="5.5" fill=(colour) fill-opacity="0.85" {}
+            (text(share * SIZE_PX + 10.0, y, "start", &format!("{sign}{strongest:.3} {unit}")))
+        }
     }
-    Some(svg + "</svg>\n")
+}
+
+fn text(x: f64, y: f64, anchor: &str, text: &str) -> Markup {
+    html! {
+        text x=(px(x)) y=(px(y)) text-anchor=(anchor) font-size="13" font-family="sans-serif" fill=(INK) { (text) }
+    }
+}
+
+/// A length in px as it is written.
+fn px(length: f64) -> String {
+    format!("{length:.1}")
 }
 
 #[cfg(test)]
@@ -84,10 +115,10 @@ mod tests {
     #[test]
     fn every_value_has_its_dot_and_odd_ones_do_no_harm() {
         let psi = Configuration::from_degrees(40.0, 90.0);
-        let svg = bend_map(&[(psi, 0.1), (psi, -0.1), (psi, f64::NAN)], "mm").unwrap();
+        let svg = bend_map(&[(psi, 0.1), (psi, -0.1), (psi, f64::NAN)], "<mm>").unwrap().into_string();
         assert_eq!(svg.matches("fill-opacity").count(), 2 + 2, "dots and legend");
-        assert!(svg.contains("θ 60°") && !svg.contains("NaN"));
-        assert_eq!(bend_map(&[], "mm"), None);
+        assert!(svg.contains("θ 60°") && svg.contains("0.100 &lt;mm&gt;") && !svg.contains("NaN"));
+        assert!(bend_map(&[], "mm").is_none());
         assert!(bend_map(&[(Configuration::new(0.0, 0.0), 0.0)], "mm").is_some());
     }
 }

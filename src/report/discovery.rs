@@ -56,7 +56,7 @@ impl Page<'_> {
         };
         let values = self.data.measured.iter().zip(&gap.gap_mm).map(|(m, gap)| (m.configuration, *gap));
         let values: Vec<_> = values.step_by(self.every()).collect();
-        if let Some(map) = bend_map(&values, "mm") {
+        if let Some(map) = bend_map(&values, "mm").map(maud::Markup::into_string) {
             let _ = writeln!(
                 section,
                 "<figure class=\"map\"><h3>{part}, over the bends</h3>{map}<figcaption>Each dot is a bend, seen from the tip: \

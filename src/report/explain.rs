@@ -1,13 +1,13 @@
 //! One frame, stage by stage: pictures of what the eye saw and a page that says what to look for in them.
 
-use super::html::{escaped, style};
 use super::overlay::{Shape, angles, overlay, rgb, stroke};
+use super::page::document;
 use crate::camera::Frame;
 use crate::measure::{Explanation, Place};
 use crate::observation::{Measurement, Status};
 use image::{Rgb, RgbImage, imageops};
+use maud::html;
 use nalgebra::Point2;
-use std::fmt::Write;
 
 const GRID: Rgb<u8> = Rgb([0, 200, 255]);
 const AGREES: Rgb<u8> = Rgb([40, 235, 70]);
@@ -182,28 +182,18 @@ fn meaning(status: &Status) -> &'static str {
 
 /// The page that shows the stages; their files lie beside it.
 pub fn page(title: &str, explanation: &Explanation, measurement: &Measurement, stages: &[Stage]) -> String {
-    let mut page = format!(
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<title>{title}</title>\n\
-         <style>{style}</style>\n</head>\n<body>\n<main>\n<h1>{title}: {status}</h1>\n<p>{meaning}</p>\n<table>\n",
-        title = escaped(title),
-        style = style(),
-        status = measurement.status,
-        meaning = meaning(&measurement.status),
-    );
-    for (name, value) in figures(explanation, measurement) {
-        // Writing to a String cannot fail.
-        let _ = writeln!(page, "<tr><th>{name}</th><td>{}</td></tr>", escaped(&value));
-    }
-    page += "</table>\n";
-    for Stage { file, caption, .. } in stages {
-        let _ = writeln!(
-            page,
-            "<h2>{}</h2>\n<figure><img src=\"{file}\" alt=\"\"><figcaption>{}</figcaption></figure>",
-            escaped(file.trim_end_matches(".png")),
-            escaped(caption)
-        );
-    }
-    page + "</main>\n</body>\n</html>\n"
+    let content = html! {
+        h1 { (title) ": " (measurement.status) }
+        p { (meaning(&measurement.status)) }
+        table {
+            @for (name, value) in figures(explanation, measurement) { tr { th { (name) } td { (value) } } }
+        }
+        @for Stage { file, caption, .. } in stages {
+            h2 { (file.trim_end_matches(".png")) }
+            figure { img src=(file) alt=""; figcaption { (caption) } }
+        }
+    };
+    document(title, "", &content)
 }
 
 fn figures(explanation: &Explanation, measurement: &Measurement) -> Vec<(&'static str, String)> {

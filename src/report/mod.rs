@@ -1,11 +1,14 @@
 //! What a person looks at: overlays on frames, plots, the HTML page.
 
 pub mod bend_map;
-pub mod course;
+pub mod decimation;
 pub mod discovery;
 pub mod explain;
-pub mod html;
+mod html;
 pub mod learning;
 pub mod overlay;
+mod page;
 pub mod plot;
 pub mod reproduction;
+pub mod run_history;
+pub mod run_page;

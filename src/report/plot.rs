@@ -71,6 +71,11 @@ pub struct Plot {
 }
 
 impl Plot {
+    /// Whether there is a finite point to draw.
+    pub fn has_points(&self) -> bool {
+        self.series.iter().flat_map(|series| &series.points).any(|p| p.x.is_finite() && p.y.is_finite())
+    }
+
     /// The plot as an SVG element, or `None` where there is no finite point to draw.
     pub fn svg(&self) -> Option<String> {
         let (x_range, y_range) = self.ranges()?;

@@ -1,9 +1,9 @@
 //! report.html of `reproduce`: each of the paper's results beside this program's.
 
-use super::html::{definitions, escaped, style};
+use super::page::{definitions, document, figure};
 use super::plot::{Plot, Point, Series, Style};
 use crate::reproduce::{BendingError, Comparison, Compensation, Reproduction, SimulatedRobot};
-use std::fmt::Write;
+use maud::{Markup, html};
 
 const STYLE: &str = "
 td { vertical-align: top; }
@@ -20,73 +20,65 @@ const LEAD: &str = "Every number and picture of the paper that can be computed, 
 
 /// The page as HTML; it asks no other address for anything.
 pub fn page(all: &Reproduction) -> String {
-    let mut page = format!(
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>snakeloop: the paper, reproduced</title>\n<style>{}{STYLE}</style>\n</head>\n<body>\n<main>\n\
-         <h1>The paper, reproduced</h1>\n<p>{LEAD}</p>\n",
-        style()
-    );
-    page += &section(
-        "Friction: Table II, Fig. 8, Eq. 14",
-        &all.comparisons,
-        &["Table II", "Eq. 14", "Fig. 8"],
-        friction(all),
-    );
-    page += &section(
-        "The line, and Fig. 9: backbone 1 over the workspace",
-        &all.comparisons,
-        &["Section III-B", "Eq. 16, 17", "Section V", "Fig. 9"],
-        workspace(all),
-    );
-    let figures_10 = bending(&all.by_theta, "desired θ (°)", |row| row.theta_deg, Angle::Theta);
-    page += &section("Fig. 10: bending errors at δ = 0°", &all.comparisons, &["Fig. 10"], figures_10);
-    let mut figures_11 = bending(&all.by_delta, "desired δ (°)", |row| row.delta_deg, Angle::Theta);
-    figures_11.extend(bending(&all.by_delta, "desired δ (°)", |row| row.delta_deg, Angle::Delta));
-    page += &section("Fig. 11: bending errors at θ = 30°", &all.comparisons, &["Fig. 11"], figures_11);
-    page += &section("Table III: ten measurements", &all.comparisons, &["Table III"], recursion(all));
-    page += &table_iii(all);
-    page +=
-        &section("Jacobian and statics: Eq. 5, 9, 26", &all.comparisons, &["Eq. 5", "Eq. 9", "Eq. 26"], jacobian(all));
-    page += "<h2>Made from</h2>\n";
-    let version = format!("snakeloop {} reproduce", env!("CARGO_PKG_VERSION"));
-    page += &definitions("provenance", &[("program".into(), version)]);
-    page + "</main>\n</body>\n</html>\n"
+    let theta_by_theta = bending(&all.by_theta, "desired θ (°)", |row| row.theta_deg, Angle::Theta);
+    let mut angles_by_delta = bending(&all.by_delta, "desired δ (°)", |row| row.delta_deg, Angle::Theta);
+    angles_by_delta.extend(bending(&all.by_delta, "desired δ (°)", |row| row.delta_deg, Angle::Delta));
+    let section = |title: &str, places: &[&str], figures: &[Figure]| section(title, &all.comparisons, places, figures);
+    let program = format!("snakeloop {} reproduce", env!("CARGO_PKG_VERSION"));
+    let content = html! {
+        h1 { "The paper, reproduced" }
+        p { (LEAD) }
+        (section("Friction: Table II, Fig. 8, Eq. 14", &["Table II", "Eq. 14", "Fig. 8"], &friction(all)))
+        (section(
+            "The line, and Fig. 9: backbone 1 over the workspace",
+            &["Section III-B", "Eq. 16, 17", "Section V", "Fig. 9"],
+            &workspace(all),
+        ))
+        (section("Fig. 10: bending errors at δ = 0°", &["Fig. 10"], &theta_by_theta))
+        (section("Fig. 11: bending errors at θ = 30°", &["Fig. 11"], &angles_by_delta))
+        (section("Table III: ten measurements", &["Table III"], &recursion(all)))
+        (table_iii(all))
+        (section("Jacobian and statics: Eq. 5, 9, 26", &["Eq. 5", "Eq. 9", "Eq. 26"], &jacobian(all)))
+        h2 { "Made from" }
+        (definitions("provenance", &[("program".into(), program)]))
+    };
+    document("snakeloop: the paper, reproduced", STYLE, &content)
 }
 
+/// A plot with its title and caption.
 type Figure = (String, &'static str, Plot);
 
 /// A heading, the comparisons of these places, and figures.
-fn section(title: &str, comparisons: &[Comparison], places: &[&str], figures: Vec<Figure>) -> String {
-    let mut section = format!(
-        "<h2>{title}</h2>\n<div class=\"wide\"><table>\n<tr><th>place</th><th>quantity</th><th>paper</th><th>ours</th>\
-         <th>difference</th><th>unit</th><th>why</th></tr>\n"
-    );
-    for row in comparisons.iter().filter(|row| places.contains(&row.place)) {
-        let _ = writeln!(
-            section,
-            "<tr><td>{}</td><td>{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td>\
-             <td>{}</td><td class=\"why\">{}</td></tr>",
-            row.place,
-            escaped(&row.quantity),
-            row.paper.map_or("–".to_owned(), number),
-            number(row.ours),
-            row.difference().map_or("–".to_owned(), number),
-            if row.unit == "1" { "" } else { row.unit },
-            escaped(&row.explanation)
-        );
-    }
-    section += "</table></div>\n<div class=\"plots\">\n";
-    for (title, note, plot) in figures {
-        if let Some(svg) = plot.svg() {
-            let svg = svg.replace(" xmlns=\"http://www.w3.org/2000/svg\"", "");
-            let _ = writeln!(section, "<figure><h3>{title}</h3>{svg}<figcaption>{note}</figcaption></figure>");
+fn section(title: &str, comparisons: &[Comparison], places: &[&str], figures: &[Figure]) -> Markup {
+    let optional = |value: Option<f64>| value.map_or("–".to_owned(), number);
+    html! {
+        h2 { (title) }
+        .wide {
+            table {
+                tr {
+                    @for name in ["place", "quantity", "paper", "ours", "difference", "unit", "why"] { th { (name) } }
+                }
+                @for row in comparisons.iter().filter(|row| places.contains(&row.place)) {
+                    tr {
+                        td { (row.place) }
+                        td { (row.quantity) }
+                        td.number { (optional(row.paper)) }
+                        td.number { (number(row.ours)) }
+                        td.number { (optional(row.difference())) }
+                        td { @if row.unit != "1" { (row.unit) } }
+                        td.why { (row.explanation) }
+                    }
+                }
+            }
+        }
+        .plots {
+            @for (title, caption, plot) in figures { (figure(title, plot, caption)) }
         }
     }
-    section + "</div>\n"
 }
 
-/// Four decimals; more where they are all noughts, none where there are none.
+/// A number with four decimals; in exponential form where they would all be zeros, without decimals where it has none. The limits
+/// are display choices.
 fn number(value: f64) -> String {
     let text = match value.abs() {
         size if size < 1e-12 => "0".to_owned(),
@@ -216,28 +208,42 @@ fn recursion(all: &Reproduction) -> Vec<Figure> {
     ]
 }
 
-fn table_iii(all: &Reproduction) -> String {
-    let mut text =
-        "<div class=\"wide\"><table>\n<tr><th>No.</th><th>η̂ printed</th><th>η̂ simulated</th><th>± Eq. 21</th>\
-                    <th>rms of 400 repeats</th><th>λ̂ printed (mm)</th><th>λ̂ simulated (mm)</th><th>± Eq. 21</th>\
-                    <th>rms of 400 repeats</th></tr>\n"
-            .to_owned();
-    for step in &all.recursion {
-        let numbers = [
-            Some(step.paper_eta),
-            step.eta,
-            step.sd_eta,
-            step.scatter_eta,
-            Some(step.paper_lambda_mm),
-            step.lambda_mm,
-            step.sd_lambda_mm,
-            step.scatter_lambda_mm,
-        ];
-        let cells =
-            numbers.map(|n| format!("<td class=\"number\">{}</td>", n.map_or("–".to_owned(), |n| format!("{n:.4}"))));
-        let _ = writeln!(text, "<tr><td>{}</td>{}</tr>", step.measurement, cells.concat());
+fn table_iii(all: &Reproduction) -> Markup {
+    const COLUMNS: [&str; 9] = [
+        "No.",
+        "η̂ printed",
+        "η̂ simulated",
+        "± Eq. 21",
+        "rms of 400 repeats",
+        "λ̂ printed (mm)",
+        "λ̂ simulated (mm)",
+        "± Eq. 21",
+        "rms of 400 repeats",
+    ];
+    html! {
+        .wide {
+            table {
+                tr { @for name in COLUMNS { th { (name) } } }
+                @for step in &all.recursion {
+                    tr {
+                        td { (step.measurement) }
+                        @for value in [
+                            Some(step.paper_eta),
+                            step.eta,
+                            step.sd_eta,
+                            step.scatter_eta,
+                            Some(step.paper_lambda_mm),
+                            step.lambda_mm,
+                            step.sd_lambda_mm,
+                            step.scatter_lambda_mm,
+                        ] {
+                            td.number { (value.map_or("–".to_owned(), |value| format!("{value:.4}"))) }
+                        }
+                    }
+                }
+            }
+        }
     }
-    text + "</table></div>\n"
 }
 
 fn jacobian(all: &Reproduction) -> Vec<Figure> {
@@ -269,7 +275,7 @@ mod tests {
         let all = reproduce(1).unwrap();
         let page = page(&all);
         for row in &all.comparisons {
-            assert!(page.contains(&escaped(&row.explanation)), "{row:?}");
+            assert!(page.contains(&html! { (row.explanation) }.into_string()), "{row:?}");
         }
         assert!(page.matches("<svg").count() >= 14);
         assert!(!page.contains("http") && !page.contains("NaN"));

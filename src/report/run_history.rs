@@ -1,21 +1,22 @@
-//! What of a run's rows its report shows: all of a short run; of a long one a part that does not grow with it.
+//! The history of a run as its report shows it: all rows of a short run, of a long one a part that does not grow with it.
 
+use super::decimation::keeps;
 use crate::estimate::{EstimateRow, Verdict};
 use crate::observation::{Measurement, Status};
 
-/// Rows whose points are plotted.
+/// Rows that are plotted. Convention: a display choice.
 const PLOTTED: usize = 1000;
-/// Rows in each of the lists.
+/// Rows in each of the lists. Convention: a display choice.
 const LISTED: usize = 500;
-/// Measured frames that are pictured, and as many at most of those that failed.
+/// Frames that are pictured, spread over the run, and as many at most of those that failed. Convention: a display choice.
 const PICTURED: usize = 24;
 
 /// The rows of a run that its report shows.
 #[derive(Debug, Clone)]
-pub struct Course {
+pub struct RunHistory {
     count: usize,
     seen: usize,
-    /// Rows spread over the run: the measurement, and what it did to the estimate.
+    /// Rows spread over the run: the measurement, and the estimate after it.
     pub plotted: Vec<(Measurement, EstimateRow)>,
     /// The first frames that could not be measured.
     pub unmeasured: Vec<Measurement>,
@@ -29,7 +30,7 @@ pub struct Course {
     pub pictured: Vec<Measurement>,
 }
 
-impl Course {
+impl RunHistory {
     /// Nothing yet of a run of `count` rows.
     pub fn new(count: usize) -> Self {
         let (plotted, unmeasured, unused, pictured) = Default::default();
@@ -41,7 +42,7 @@ impl Course {
         let rank = self.seen;
         self.seen += 1;
         let both = || (measurement.clone(), row.clone());
-        if spread(rank, PLOTTED, self.count) {
+        if keeps(rank, PLOTTED, self.count) {
             self.plotted.push(both());
         }
         if measurement.status != Status::Ok {
@@ -57,30 +58,25 @@ impl Course {
             self.unused_count += 1;
         }
         let failed_first = measurement.status != Status::Ok && self.unmeasured_count <= PICTURED;
-        if failed_first || spread(rank, PICTURED, self.count) {
+        if failed_first || keeps(rank, PICTURED, self.count) {
             self.pictured.push(measurement.clone());
         }
     }
 }
 
-/// Whether a frame is drawn by which the report might picture the run: those that failed, and some spread over the run. Of a run
-/// whose length nobody knows beforehand, the first.
-pub fn worth_drawing(measurement: &Measurement, rank: usize, count: Option<usize>) -> bool {
-    let sampled = count.map_or(rank < PICTURED, |count| spread(rank, PICTURED, count));
+/// Whether a frame of this rank is drawn for the report: all that failed, and some spread over the run; the first ones where the
+/// number of frames is not known beforehand.
+pub fn is_drawn(measurement: &Measurement, rank: usize, count: Option<usize>) -> bool {
+    let sampled = count.map_or(rank < PICTURED, |count| keeps(rank, PICTURED, count));
     sampled || measurement.status != Status::Ok
-}
-
-/// Whether the i-th (from 0) of `count` things is among `wanted` of them that are spread evenly; all are if there are no more.
-pub fn spread(i: usize, wanted: usize, count: usize) -> bool {
-    count <= wanted || (i + 1) * wanted / count > i * wanted / count
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn rows(count: usize) -> Course {
-        let mut course = Course::new(count);
+    fn rows(count: usize) -> RunHistory {
+        let mut history = RunHistory::new(count);
         for index in 0..count as u64 {
             let status = if index % 3 == 0 { Status::NoSnake } else { Status::Ok };
             let row = EstimateRow {
@@ -93,9 +89,9 @@ mod tests {
                 view: None,
             };
             let measurement = Measurement { index, time_s: None, status, measured: None, quality: None, view: None };
-            course.add(&measurement, &row);
+            history.add(&measurement, &row);
         }
-        course
+        history
     }
 
     #[test]
@@ -105,7 +101,7 @@ mod tests {
         let long = rows(30_000);
         assert_eq!((long.plotted.len(), long.unmeasured.len(), long.unmeasured_count), (PLOTTED, LISTED, 10_000));
         assert!(long.pictured.len() <= 2 * PICTURED && long.pictured.len() >= PICTURED);
-        assert!(long.pictured.iter().all(|m| worth_drawing(m, m.index as usize, Some(30_000))));
+        assert!(long.pictured.iter().all(|m| is_drawn(m, m.index as usize, Some(30_000))));
         let gaps: Vec<u64> = long.plotted.windows(2).map(|pair| pair[1].0.index - pair[0].0.index).collect();
         assert!(gaps.iter().all(|&gap| gap == 30));
     }

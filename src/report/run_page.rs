@@ -1,0 +1,318 @@
+//! report.html of `run`: one page that explains a run to a person.
+
+use super::overlay::angles;
+use super::page::{definitions, document, figure, list, table};
+use super::plot::{Plot, Point, Series, Style};
+use super::run_history::RunHistory;
+use crate::estimate::{EstimateRow, Verdict};
+use crate::observation::Measurement;
+use base64::prelude::{BASE64_STANDARD, Engine};
+use maud::{Markup, html};
+
+/// A picture on the page.
+#[derive(Debug, Clone)]
+pub struct Picture {
+    /// What stands below it.
+    pub caption: String,
+    /// The picture as a JPEG file.
+    pub jpeg: Vec<u8>,
+}
+
+/// What the page is made of.
+#[derive(Debug, Clone)]
+pub struct Report<'a> {
+    /// The heading.
+    pub title: String,
+    /// The figures that matter, by name.
+    pub summary: Vec<(String, String)>,
+    /// The rows that are shown.
+    pub history: &'a RunHistory,
+    /// Frames with the model drawn on them.
+    pub pictures: Vec<Picture>,
+    /// What was passed over in the input.
+    pub warnings: Vec<String>,
+    /// What the run was made from: program, files, settings.
+    pub provenance: Vec<(String, String)>,
+}
+
+impl Report<'_> {
+    /// The page.
+    pub fn html(&self) -> String {
+        let content = html! {
+            h1 { (self.title) }
+            (definitions("summary", &self.summary))
+            (self.plots())
+            (self.frames_not_measured())
+            (self.measurements_not_used())
+            (list("Warnings", "What was passed over in the input files.", &self.warnings))
+            (self.pictures())
+            h2 { "Made from" }
+            (definitions("provenance", &self.provenance))
+        };
+        document(&self.title, "", &content)
+    }
+
+    fn plots(&self) -> Markup {
+        let plots = self.all_plots();
+        html! {
+            @if plots.iter().any(|(_, _, plot)| plot.has_points()) {
+                h2 { "Course of the run" }
+                .plots {
+                    @for (title, note, plot) in &plots { (figure(title, plot, note)) }
+                }
+            }
+        }
+    }
+
+    fn all_plots(&self) -> Vec<(&'static str, &'static str, Plot)> {
+        let axis = Axis::of(&self.history.plotted);
+        let plot = |y_label: &str, series| Plot {
+            x_label: axis.label().into(),
+            y_label: y_label.into(),
+            series,
+            y_shown: vec![],
+        };
+        let mut plots = vec![
+            (
+                "Bend θ",
+                "Measured bend from straight, with bars of ±1σ (often smaller than the dot).",
+                plot("θ (°)", self.angle_series(&axis, |m| (m.configuration.theta_deg(), m.sigma_theta.to_degrees()))),
+            ),
+            (
+                "Azimuth δ",
+                "Measured azimuth of the bend, with bars of ±1σ. Near straight δ means little and its bar is long.",
+                plot("δ (°)", self.angle_series(&axis, |m| (m.configuration.delta_deg(), m.sigma_delta.to_degrees()))),
+            ),
+        ];
+        let estimates = |value: fn(&crate::estimate::EtaLambda) -> (f64, f64)| {
+            let points = self.history.plotted.iter().filter_map(|(_, row)| {
+                let (y, sd) = value(row.estimate.as_ref()?);
+                Some(Point { x: axis.place(row.index, row.time_s), y, sd })
+            });
+            vec![Series { name: String::new(), style: Style::Band, points: points.collect() }]
+        };
+        plots.push((
+            "Force scale η",
+            "The estimate after each measurement, with its band of ±1σ.",
+            plot("η", estimates(|e| (e.eta, e.sd_eta))),
+        ));
+        plots.push((
+            "Backlash λ",
+            "The estimate after each measurement, with its band of ±1σ.",
+            plot("λ (mm)", estimates(|e| (e.lambda_mm, e.sd_lambda_mm))),
+        ));
+        let backbones = self.history.plotted.iter().find_map(|(_, row)| Some(row.residual_mm?.len())).unwrap_or(0);
+        let residuals = (0..backbones).map(|i| Series {
+            name: format!("backbone {}", i + 1),
+            style: Style::Dots,
+            points: self
+                .history
+                .plotted
+                .iter()
+                .filter_map(|(_, row)| {
+                    Some(Point { x: axis.place(row.index, row.time_s), y: row.residual_mm?[i], sd: 0.0 })
+                })
+                .collect(),
+        });
+        plots.push((
+            "Residuals of ε",
+            "Measured ε less what the estimate before it predicted. A pattern here is something the model does not know.",
+            plot("residual (mm)", residuals.collect()),
+        ));
+        plots
+    }
+
+    /// The measured angles, those apart that the estimator rejected.
+    fn angle_series(&self, axis: &Axis, angle: impl Fn(&crate::observation::Measured) -> (f64, f64)) -> Vec<Series> {
+        let series = |name: &str, wanted: bool| Series {
+            name: name.to_owned(),
+            style: Style::Dots,
+            points: self
+                .history
+                .plotted
+                .iter()
+                .filter(|(_, row)| (row.verdict == Verdict::Rejected) == wanted)
+                .filter_map(|(m, _)| {
+                    let (y, sd) = angle(m.measured.as_ref()?);
+                    Some(Point { x: axis.place(m.index, m.time_s), y, sd })
+                })
+                .collect(),
+        };
+        let mut both = vec![series("used", false), series("rejected", true)];
+        both.retain(|series| !series.points.is_empty());
+        both
+    }
+
+    fn frames_not_measured(&self) -> Markup {
+        let failed = self.history.unmeasured.iter();
+        let rows: Vec<_> = failed.map(|m| [frame_name(m.index, &m.view), m.status.to_string()]).collect();
+        html! {
+            @if rows.is_empty() {
+                h2 { "Frames not measured" }
+                p { "None: every frame was measured." }
+            } @else {
+                (table("Frames not measured", ["frame", "reason"], &rows))
+                (others(self.history.unmeasured_count - rows.len(), "measurements.csv"))
+            }
+        }
+    }
+
+    fn measurements_not_used(&self) -> Markup {
+        let unused = self.history.unused.iter();
+        let rows: Vec<_> = unused
+            .filter_map(|(m, row)| {
+                let (theta, delta) = angles(m.measured.as_ref()?);
+                let why = format!("{}: {}", row.verdict, row.reason.replace('_', " "));
+                Some([frame_name(row.index, &row.view), theta, delta, why])
+            })
+            .collect();
+        html! {
+            @if !rows.is_empty() {
+                (table("Measurements not used", ["frame", "θ", "δ", "why"], &rows))
+                (others(self.history.unused_count - rows.len(), "estimate.csv"))
+            }
+        }
+    }
+
+    fn pictures(&self) -> Markup {
+        html! {
+            @if !self.pictures.is_empty() {
+                h2 { "Frames" }
+                p {
+                    "The model as it was fitted: centre line (orange) from base (green) to tip (magenta), outline (cyan)."
+                }
+                .pictures {
+                    @for Picture { caption, jpeg } in &self.pictures {
+                        figure {
+                            img loading="lazy" alt=(caption)
+                                src={ "data:image/jpeg;base64," (BASE64_STANDARD.encode(jpeg)) };
+                            figcaption { (caption) }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// What runs along the plots' x axis: time where every frame has one, else the frame's index.
+enum Axis {
+    Time,
+    Index,
+}
+
+impl Axis {
+    fn of(rows: &[(Measurement, EstimateRow)]) -> Self {
+        if rows.iter().all(|(m, _)| m.time_s.is_some()) { Self::Time } else { Self::Index }
+    }
+
+    fn label(&self) -> &'static str {
+        match self {
+            Self::Time => "time (s)",
+            Self::Index => "frame",
+        }
+    }
+
+    fn place(&self, index: u64, time_s: Option<f64>) -> f64 {
+        match self {
+            Self::Time => time_s.unwrap_or(f64::NAN),
+            Self::Index => index as f64,
+        }
+    }
+}
+
+/// What a list that was cut says of the rest.
+fn others(more: usize, file: &str) -> Markup {
+    html! {
+        @if more > 0 { p { "And " (more) " more: see " (file) "." } }
+    }
+}
+
+fn frame_name(index: u64, view: &Option<String>) -> String {
+    match view {
+        Some(view) => format!("{index} ({view})"),
+        None => index.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::EtaLambda;
+    use crate::geometry::Configuration;
+    use crate::observation::{Measured, Status};
+    use crate::robot::PerBackbone;
+
+    fn measurement(index: u64, status: Status) -> Measurement {
+        let measured = (status == Status::Ok).then(|| Measured {
+            configuration: Configuration::from_degrees(5.0 * index as f64, 120.0),
+            sigma_theta: 1e-3,
+            sigma_delta: 5e-3,
+            correlation: 0.0,
+        });
+        Measurement { index, time_s: Some(index as f64), status, measured, quality: None, view: None }
+    }
+
+    fn estimate(index: u64, verdict: Verdict, reason: &str) -> EstimateRow {
+        EstimateRow {
+            index,
+            time_s: Some(index as f64),
+            estimate: Some(EtaLambda { eta: 1.2, lambda_mm: 0.17, sd_eta: 0.01, sd_lambda_mm: 0.003 }),
+            verdict,
+            reason: reason.to_owned(),
+            residual_mm: Some(PerBackbone::from([0.001, 0.002, -0.001])),
+            view: None,
+        }
+    }
+
+    #[test]
+    fn the_page_shows_everything_and_reaches_for_nothing() {
+        let measurements = [measurement(1, Status::Ok), measurement(2, Status::NoSnake), measurement(3, Status::Ok)];
+        let estimates = [
+            estimate(1, Verdict::Used, ""),
+            estimate(2, Verdict::Skipped, "no_snake"),
+            estimate(3, Verdict::Rejected, "outlier"),
+        ];
+        let mut history = RunHistory::new(measurements.len());
+        measurements.iter().zip(&estimates).for_each(|(measurement, row)| history.add(measurement, row));
+        let page = Report {
+            title: "bending <1>".into(),
+            summary: vec![("η".into(), "1.200 ± 0.010".into())],
+            history: &history,
+            pictures: vec![Picture { caption: "frame 1".into(), jpeg: vec![0xff, 0xd8] }],
+            warnings: vec!["a.csv:3: row skipped".into()],
+            provenance: vec![("encoders".into(), "a & b.csv".into())],
+        }
+        .html();
+        for expected in [
+            "<h1>bending &lt;1&gt;</h1>",
+            "1.200 ± 0.010",
+            "<td>2</td><td>no_snake</td>",
+            "rejected: outlier",
+            "a.csv:3: row skipped",
+            "a &amp; b.csv",
+            "data:image/jpeg;base64,/9g=",
+        ] {
+            assert!(page.contains(expected), "{expected}");
+        }
+        assert_eq!(page.matches("<svg").count(), 5);
+        assert!(!page.contains("http"), "no outside address");
+    }
+
+    #[test]
+    fn a_run_without_a_single_measurement_has_its_page_too() {
+        let mut history = RunHistory::new(1);
+        let skipped = EstimateRow { estimate: None, residual_mm: None, ..estimate(1, Verdict::Skipped, "unreadable") };
+        history.add(&measurement(1, Status::Unreadable), &skipped);
+        let page = Report {
+            title: "nothing".into(),
+            summary: vec![],
+            history: &history,
+            pictures: vec![],
+            warnings: vec![],
+            provenance: vec![],
+        }
+        .html();
+        assert!(page.contains("unreadable") && !page.contains("<svg"));
+    }
+}
