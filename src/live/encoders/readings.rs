@@ -229,10 +229,10 @@ mod tests {
         assert_eq!(readings.status(100.0).clock, ClockState::Given);
         readings.disconnected("gone".into());
         assert_eq!(readings.status(200.0).state, "lost");
-        readings.take(b"2.0,1,2,3", Some(78.0), 200.0);
+        readings.take(b"1.2,1,2,3", Some(78.0), 200.0);
         let status = readings.status(200.0);
         assert_eq!((status.trouble, status.bad_lines), (None, 0));
-        assert_eq!(found(readings.at(0, 2.5, 200.0)), PerBackbone::from([1.0, 2.0, 3.0]));
+        assert_eq!(found(readings.at(0, 1.7, 200.0)), PerBackbone::from([1.0, 2.0, 3.0]));
     }
 
     #[test]
