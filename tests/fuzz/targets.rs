@@ -1,5 +1,5 @@
 //! What is fuzzed: each function takes any bytes for a file, a line or a picture, and may do anything but panic, hang or take
-//! all memory. `fuzz_targets/` gives them to libFuzzer; `tests/corpus.rs` replays what was found worth keeping.
+//! all memory. `fuzz_targets/` gives them to libFuzzer; `tests/library/corpus.rs` replays what was found worth keeping.
 
 use image::{DynamicImage, imageops};
 use nalgebra::{Point3, Vector2};

@@ -1,0 +1,7 @@
+//! `discover` as its users meet it: what is hidden is named, and what cannot be decided is said.
+
+mod bad_input;
+mod naming;
+mod next;
+mod sealed_frames;
+mod unexplained;

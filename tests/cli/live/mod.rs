@@ -1,0 +1,9 @@
+//! `live` as its users meet it. There is no camera on a test machine, so the tests bring their own.
+
+mod fixture;
+#[cfg(feature = "opencv")]
+mod page;
+mod sequence;
+mod streams;
+#[cfg(feature = "opencv")]
+mod video;

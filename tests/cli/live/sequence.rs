@@ -1,0 +1,227 @@
+//! A numbered sequence of pictures: what is written, what survives a kill, who is let in.
+
+use super::fixture::{self, Live, assert_learned, experiment};
+use snakeloop::geometry::Configuration;
+use snakeloop::record::{read_encoders, read_measurements, read_model, write_model};
+use snakeloop::robot::{Effect, Model};
+use std::collections::BTreeSet;
+use std::f64::consts::TAU;
+use std::fs;
+use std::io::Write;
+use std::net::TcpStream;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+/// The indices in a journal, which must be in order.
+fn journaled(output: &std::path::Path) -> Vec<u64> {
+    let text = fs::read_to_string(output.join("journal.jsonl")).unwrap();
+    let whole = text.split_inclusive('\n').filter(|line| line.ends_with('\n'));
+    let entries = whole.map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+    let indices: Vec<u64> = entries.filter_map(|entry| entry["index"].as_u64()).collect();
+    assert!(indices.windows(2).all(|pair| pair[0] < pair[1]), "{indices:?}");
+    indices
+}
+
+#[test]
+fn a_killed_run_goes_on_with_all_but_the_frame_in_hand() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("out");
+    let mut live = Live::start(&output, &["--rate", "4"]);
+    let before = live.until("eight measurements", |state| state["measurements"].as_u64() >= Some(8));
+    live.kill();
+    let kept = journaled(&output);
+    let shown = before["latest"]["index"].as_u64().unwrap();
+    assert!(kept.contains(&shown) && kept.len() as u64 >= before["measurements"].as_u64().unwrap());
+
+    let again = Command::new(env!("CARGO_BIN_EXE_snakeloop"))
+        .args(["live", experiment().to_str().unwrap(), "-o", output.to_str().unwrap()])
+        .output()
+        .unwrap();
+    assert_eq!(again.status.code(), Some(1), "a journal in the way is not overwritten");
+    assert!(String::from_utf8_lossy(&again.stderr).contains("--resume"));
+
+    // What a kill in the middle of a write leaves.
+    let mut journal = fs::OpenOptions::new().append(true).open(output.join("journal.jsonl")).unwrap();
+    journal.write_all(b"{\"index\":999,\"time_s\":3.").unwrap();
+    let live = Live::start(&output, &["--rate", "4", "--resume"]);
+    let state = live.until("the end", |state| state["ended"] == true);
+    assert_eq!(state["resumed"].as_u64().unwrap(), kept.len() as u64);
+    assert_learned(&state);
+    assert!(live.finish().success());
+    let all = journaled(&output);
+    assert_eq!(all[..kept.len()], kept);
+    assert!(all.len() > kept.len() && all.last() < Some(&fixture::FRAMES));
+    let written = read_measurements(&output.join("measurements.csv")).unwrap().rows;
+    assert_eq!(written.iter().map(|m| m.index).collect::<Vec<_>>(), all);
+    assert_eq!(read_encoders(&output.join("encoders.csv"), 3).unwrap().rows.len(), all.len());
+    assert!(read_model(&output.join("model.toml")).unwrap().estimate.is_some());
+    assert!(output.join("compensation.json").exists());
+}
+
+#[test]
+fn readings_from_a_file_are_matched_by_time_and_the_machine_interface_tells() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = folder.path().join("readings.jsonl");
+    let rate = 4.0;
+    let reading = |k: u32| {
+        let time_s = f64::from(k) / 50.0;
+        let q = fixture::encoders(time_s * rate / fixture::FRAMES as f64);
+        format!("{{\"time_s\":{time_s},\"q_mm\":[{},{},{}]}}\n", q[0], q[1], q[2])
+    };
+    fs::write(&lines, (0..500).map(reading).collect::<String>()).unwrap();
+    let out = folder.path().join("out");
+    let live = Live::start(&out, &["--rate", "4", "--save-every", "1", "--encoders", lines.to_str().unwrap()]);
+    live.until("measurements", |state| state["measurements"].as_u64() >= Some(3));
+
+    let (status, _) = live.ask("POST", "/api/command/pause", "Origin: http://localhost\r\n", "");
+    assert_eq!((status, &live.get("/api/state")["paused"]), (200, &true.into()));
+    let paused = live.get("/api/state")["measurements"].clone();
+    std::thread::sleep(Duration::from_millis(600));
+    let later = live.get("/api/state")["measurements"].clone();
+    assert!(later.as_u64().unwrap() <= paused.as_u64().unwrap() + 1, "paused");
+    live.ask("POST", "/api/command/continue", "", "");
+
+    let state = live.until("the end", |state| state["ended"] == true);
+    assert_learned(&state);
+    // All lines were there before the first frame, and say nothing of the clock.
+    assert_eq!((&state["encoders"]["offset_s"], state["encoders"]["clock"] == "foreign"), (&0.0.into(), false));
+    assert_eq!(state["encoders"]["readings"], 500);
+    let all = live.get("/api/measurements");
+    let rows = all["measurements"].as_array().unwrap();
+    assert_eq!(rows.len() as u64, state["measurements"].as_u64().unwrap());
+    let third = rows[2]["index"].as_u64().unwrap();
+    let rest = live.get(&format!("/api/measurements?since={third}"));
+    assert_eq!(rest["measurements"].as_array().unwrap().len(), rows.len() - 3);
+    for row in rows {
+        let (seen, expected) = (&row["theta_deg"], &row["expected_theta_deg"]);
+        assert_eq!(row["status"], "ok");
+        assert!(row["verdict"] != "used" || seen.is_number() && expected.is_number(), "{row}");
+    }
+    let model = live.get("/api/model");
+    assert_eq!(model["estimate"]["eta"], state["estimate"]["eta"]);
+    let table = live.get("/api/table?theta=30&delta=-15");
+    let truth = fixture::robot().command(snakeloop::geometry::Configuration::from_degrees(30.0, -15.0));
+    for (k, truth) in truth.iter().enumerate() {
+        assert!((table["qc_mm"][k].as_f64().unwrap() - truth).abs() < 0.05, "{table}");
+    }
+    assert_eq!(live.ask("GET", "/api/table?theta=300&delta=0", "", "").0, 400);
+    let (status, metrics) = live.ask("GET", "/metrics", "", "");
+    assert_eq!(status, 200);
+    for line in metrics.lines().filter(|line| !line.starts_with('#')) {
+        let (name, value) = line.rsplit_once(' ').unwrap();
+        assert!(name.starts_with("snakeloop_") && value.parse::<f64>().is_ok(), "{line}");
+    }
+    assert!(metrics.contains(&format!("snakeloop_latency_seconds_count {}", rows.len())));
+    assert!(live.finish().success());
+}
+
+#[test]
+fn idle_and_slow_clients_hold_up_nobody_and_strangers_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let live = Live::start(&folder.path().join("out"), &["--rate", "2"]);
+    let mut guests = Vec::new();
+    for k in 0..50 {
+        let mut stream = TcpStream::connect(live.address).unwrap();
+        // Silent ones, half a request, and streams that are asked for and never read.
+        let said = match k % 4 {
+            0 => "",
+            1 => "GET / HTTP/1.1\r\nHost: local",
+            2 => "GET /api/events HTTP/1.1\r\nHost: localhost\r\n\r\n",
+            _ => "GET /video.mjpg HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        };
+        stream.write_all(said.as_bytes()).unwrap();
+        guests.push(stream);
+    }
+    let first = live.get("/api/state")["measurements"].as_u64();
+    let mut slowest = Duration::ZERO;
+    let mut seen = BTreeSet::new();
+    for _ in 0..20 {
+        let asked = Instant::now();
+        seen.insert(live.get("/api/state")["measurements"].as_u64());
+        slowest = slowest.max(asked.elapsed());
+        std::thread::sleep(Duration::from_millis(150));
+    }
+    assert!(slowest < Duration::from_secs(2), "an answer took {slowest:?}");
+    assert!(seen.last().unwrap() > &first, "measuring goes on: {seen:?}");
+
+    let status = |method: &str, target: &str, headers: &str, body: &str| live.ask(method, target, headers, body).0;
+    assert_eq!(status("GET", "/", "Host: evil.example\r\n", ""), 403);
+    assert_eq!(status("POST", "/api/command/reset", "Origin: http://evil.example\r\n", ""), 403);
+    assert_eq!(status("POST", "/api/command/dance", "", ""), 404);
+    assert_eq!(status("GET", "/api/command/reset", "", ""), 405);
+    assert_eq!(status("GET", "/nowhere", "", ""), 404);
+    let long = format!("X-Long: {}\r\n", "a".repeat(100_000));
+    assert!((400..500).contains(&status("GET", "/", &long, "")));
+
+    // Beyond loopback a token is needed, and nothing is done before that is settled.
+    let open = Command::new(env!("CARGO_BIN_EXE_snakeloop"))
+        .args(["live", experiment().to_str().unwrap(), "-o", "nowhere", "--serve", "0.0.0.0:0"])
+        .output()
+        .unwrap();
+    assert_eq!(open.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&open.stderr).contains("--token-file"));
+}
+
+#[test]
+fn an_effect_that_the_model_lacks_raises_the_watch_and_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let (experiment, output) = (folder.path().join("experiment"), folder.path().join("out"));
+    fs::create_dir(&experiment).unwrap();
+    let hidden = Effect::parse("load_directed_backlash:play_mm=0.15").unwrap();
+    let robot = Model { effects: vec![hidden], ..fixture::robot() };
+    // Round and round, and meanwhile out and back.
+    let bend = |k: usize| {
+        let (turn, out) = (k as f64 / 20.0 * TAU, k as f64 / 33.0 * TAU);
+        Configuration::new(0.75 - 0.5 * out.cos(), turn)
+    };
+    fixture::write(&experiment, &robot, &(0..90).map(bend).collect::<Vec<_>>());
+    let live = Live::start_on(&experiment, &output, &["--rate", "6"]);
+    let state = live.until("the gap", |state| state["gap"]["state"] == "above");
+    assert!(
+        state["gap"]["bending"].as_f64().unwrap().max(state["gap"]["rejected"].as_f64().unwrap()) > 0.3,
+        "{state:#}"
+    );
+    assert!(state["notices"].to_string().contains("has left the noise"), "{state:#}");
+    let state = live.until("a name", |state| state["discovery"]["verdict"] == "named");
+    let found = &state["discovery"];
+    assert_eq!(found["details"]["effects"][0]["name"], "load_directed_backlash", "{found:#}");
+    assert!(found["sentence"].as_str().unwrap().contains("load_directed_backlash"), "{found:#}");
+    let play = found["details"]["effects"][0]["parameters"]["play_mm"]["value"].as_f64().unwrap();
+    assert!((play - 0.15).abs() < 0.05, "{found:#}");
+    // The model with it is offered as a file.
+    let model = read_model(&output.join("discovered.toml")).unwrap();
+    assert_eq!(model.effects.len(), 1);
+}
+
+#[test]
+fn a_flexible_stem_is_followed_with_eta_and_lambda_as_they_are() {
+    const PHI_DEG: f64 = 160.0;
+    let folder = tempfile::tempdir().unwrap();
+    let (experiment, output) = (folder.path().join("experiment"), folder.path().join("out"));
+    fs::create_dir(&experiment).unwrap();
+    let mut bent = fixture::robot();
+    bent.robot.line = bent.robot.line.bent_through(PHI_DEG.to_radians());
+    let bends: Vec<Configuration> =
+        (0..fixture::FRAMES).map(|k| fixture::path(k as f64 / fixture::FRAMES as f64)).collect();
+    fixture::write(&experiment, &bent, &bends);
+    let known = folder.path().join("known.toml");
+    write_model(&known, &fixture::robot()).unwrap();
+
+    let live = Live::start_on(&experiment, &output, &["--rate", "4", "--stem", "--model", known.to_str().unwrap()]);
+    let state = live.until("the end", |state| state["ended"] == true);
+    let (phi, sd) = (state["stem"]["phi_deg"].as_f64().unwrap(), state["stem"]["sd_phi_deg"].as_f64().unwrap());
+    assert!((phi - PHI_DEG).abs() < 4.0 * sd && sd < 20.0, "{phi} ± {sd}, it is {PHI_DEG}°");
+    assert_eq!(state["estimate"]["eta"], fixture::ETA, "η is not touched");
+    let rows = live.get("/api/measurements");
+    let rows = rows["measurements"].as_array().unwrap();
+    assert_eq!(rows.last().unwrap()["stem"], state["stem"]);
+    assert!(live.ask("GET", "/metrics", "", "").1.contains("snakeloop_stem_degrees "));
+    assert!(live.finish().success());
+
+    let written = fs::read_to_string(output.join("stem.csv")).unwrap();
+    assert_eq!(written.lines().count(), 1 + rows.len());
+    let last: Vec<&str> = written.lines().last().unwrap().split(',').collect();
+    assert!((last[2].parse::<f64>().unwrap() - phi).abs() < 1e-3, "{written}");
+    let line = read_model(&output.join("model.toml")).unwrap().robot.line;
+    assert!((line.total_angle().to_degrees() - phi).abs() < 1e-6);
+}

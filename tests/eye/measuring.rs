@@ -1,0 +1,160 @@
+//! Single frames in every condition: the errors of θ and δ against bounds, and against the σ that come with them.
+
+use crate::scenes::{STRAIGHT, eye, eye_with, frame, laboratory, rig, rig_options};
+use nalgebra::{UnitQuaternion, Vector3};
+use rayon::prelude::*;
+use snakeloop::camera::{Frame, Samples};
+use snakeloop::geometry::{Configuration, wrap_degrees};
+use snakeloop::measure::{Eye, Rig, RigOptions, calibrate_rig};
+use snakeloop::observation::Status;
+use snakeloop::simulate::scene::{Pattern, Scene, Surface, Wire};
+
+/// Measures some poses and checks errors against the bounds and against the sigmas that come with them.
+fn check_poses(eye: &Eye, scene: &Scene, poses: &[(f64, f64)], most_theta_deg: f64, most_delta_deg: f64) {
+    for (seed, &(theta_deg, delta_deg)) in (100..).zip(poses) {
+        let psi = Configuration::from_degrees(theta_deg, delta_deg);
+        let measurement = eye.measure(&frame(scene, psi, seed));
+        assert_eq!(measurement.status, Status::Ok, "θ {theta_deg}°, δ {delta_deg}°: {:?}", measurement.quality);
+        let measured = measurement.measured.unwrap();
+        let theta_error = measured.configuration.theta_deg() - theta_deg;
+        let delta_error = wrap_degrees(measured.configuration.delta_deg() - delta_deg);
+        let told = format!(
+            "θ {theta_deg}° δ {delta_deg}°: errors {theta_error:.3}° ± {:.3}°, {delta_error:.3}° ± {:.3}°",
+            measured.sigma_theta.to_degrees(),
+            measured.sigma_delta.to_degrees()
+        );
+        assert!(theta_error.abs() < most_theta_deg, "{told}");
+        assert!(theta_error.abs() < 5.0 * measured.sigma_theta.to_degrees(), "{told}");
+        assert!(delta_error.abs() < 5.0 * measured.sigma_delta.to_degrees(), "{told}");
+        assert!(theta_deg < 15.0 || delta_error.abs() < most_delta_deg, "{told}");
+    }
+}
+
+#[test]
+fn a_noisy_lab_is_measured_in_every_direction() {
+    let scene = laboratory();
+    let rig = rig(&scene, 7).unwrap();
+
+    let truth = scene.view.camera_from_base();
+    let turn = (rig.camera_from_base.rotation * truth.rotation.inverse()).scaled_axis();
+    let shift = rig.camera_from_base.translation.vector - truth.translation.vector;
+    assert!(turn.norm().to_degrees() < 0.2, "the base is turned by {turn:?} rad");
+    assert!(shift.xy().norm() < 0.02 && shift.z.abs() < 0.2, "the base is off by {shift:?} mm");
+    for (error, variance) in turn.iter().chain(shift.iter()).zip(rig.pose_covariance.diagonal().iter()) {
+        assert!(error.abs() < 5.0 * variance.sqrt() + 1e-9, "{error} against σ {}", variance.sqrt());
+    }
+
+    let poses = [(3.0, 40.0), (20.0, 0.0), (30.0, 90.0), (30.0, -90.0), (60.0, 150.0), (75.0, -40.0), (90.0, 180.0)];
+    check_poses(&eye_with(&scene, rig), &scene, &poses, 0.3, 1.0);
+}
+
+#[test]
+fn snakes_bent_to_all_sides_find_a_tilt_that_the_straight_one_hid() {
+    let scene = laboratory();
+    let truth = scene.view.camera_from_base();
+    let error = |rig: &Rig| (rig.camera_from_base.rotation * truth.rotation.inverse()).scaled_axis().x.to_degrees();
+    let mut rig = rig(&scene, 7).unwrap();
+    // The straight snake leans by a fifth of a degree more than it seems.
+    const LEAN: f64 = 0.2;
+    let lean = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), (LEAN - error(&rig)).to_radians());
+    rig.camera_from_base.rotation = lean * rig.camera_from_base.rotation;
+    rig.pose_covariance[(0, 0)] += (LEAN / 2.0).to_radians().powi(2);
+
+    let poses = [(40.0, 30.0), (50.0, 90.0), (35.0, 150.0), (45.0, -150.0), (60.0, -90.0), (40.0, -30.0)];
+    let frames: Vec<Frame> = (200..)
+        .zip(poses)
+        .map(|(seed, (theta, delta))| frame(&scene, Configuration::from_degrees(theta, delta), seed))
+        .collect();
+    let refined = eye_with(&scene, rig).refined(frames.into_par_iter());
+    let (left, sigma) = (error(refined.rig()), refined.rig().pose_covariance[(0, 0)].sqrt().to_degrees());
+    assert!(left.abs() < LEAN / 3.0 && left.abs() < 4.0 * sigma, "{left:.3}° ± {sigma:.3}° left of {LEAN}°");
+}
+
+#[test]
+fn a_checkerboard_lighter_than_the_snake_will_do_as_well() {
+    let mut scene = laboratory();
+    scene.surface = Surface { colour: [40.0, 40.0, 42.0], ..scene.surface };
+    scene.paper.turn_deg = 6.0;
+    scene.paper.pattern = Pattern::Checkerboard { square_mm: 2.0, colour: [150.0, 150.0, 155.0] };
+    scene.paper.colour = [230.0, 230.0, 226.0];
+    check_poses(&eye(&scene), &scene, &[(25.0, 20.0), (50.0, -110.0)], 1.0, 3.0);
+}
+
+#[test]
+fn a_wire_across_the_snake_costs_precision_and_not_truth() {
+    let mut scene = laboratory();
+    let eye = eye(&scene);
+    scene.wires.push(Wire { from_px: [200.0, 420.0], to_px: [1100.0, 260.0], width_px: 14.0, colour: [40.0; 3] });
+    check_poses(&eye, &scene, &[(40.0, 30.0), (65.0, -140.0)], 0.3, 1.0);
+}
+
+/// The camera went out of focus: the disks are hardly wider than the blur, and look as much sharper than it is.
+#[test]
+fn a_picture_out_of_focus_costs_precision_and_not_truth() {
+    let mut scene = laboratory();
+    let eye = eye(&scene);
+    scene.sensor.blur_px = 4.0;
+    check_poses(&eye, &scene, &[(12.0, -135.0), (40.0, 30.0), (65.0, -140.0)], 0.3, 1.0);
+}
+
+#[test]
+fn near_straight_the_direction_is_said_to_be_unknown() {
+    let scene = laboratory();
+    let eye = eye(&scene);
+    let measured = eye.measure(&frame(&scene, STRAIGHT, 3)).measured.unwrap();
+    assert!(measured.configuration.theta_deg() < 0.3);
+    assert!(measured.sigma_delta.to_degrees() > 5.0, "σ_δ {}°", measured.sigma_delta.to_degrees());
+}
+
+#[test]
+fn what_is_no_snake_gets_no_angle() {
+    let scene = laboratory();
+    let eye = eye(&scene);
+    let (width, height) = (scene.lens.width, scene.lens.height);
+    let flat = |level: u8| Frame {
+        width,
+        height,
+        channels: 3,
+        samples: Samples::Bits8(vec![level; (width * height * 3) as usize]),
+    };
+    assert_eq!(eye.measure(&flat(255)).status, Status::Saturated);
+    assert_eq!(eye.measure(&flat(0)).status, Status::Saturated);
+    assert_eq!(eye.measure(&flat(128)).status, Status::NoSnake);
+    let small = Frame { width: 64, height: 64, channels: 1, samples: Samples::Bits8(vec![0; 64 * 64]) };
+    assert_eq!(eye.measure(&small).status, Status::WrongSize);
+
+    // The same paper without a snake: one that is far too small to be seen.
+    let mut empty = scene.clone();
+    empty.view.base_mm[0] += 200.0;
+    let measurement = eye.measure(&frame(&empty, STRAIGHT, 5));
+    assert_ne!(measurement.status, Status::Ok);
+    assert!(measurement.measured.is_none());
+}
+
+#[test]
+fn a_wrong_standoff_or_a_bent_snake_is_refused_with_a_reason() {
+    let scene = laboratory();
+    let bent = frame(&scene, Configuration::from_degrees(40.0, 30.0), 4);
+    let options = rig_options(&scene);
+    let message = calibrate_rig(&bent, &scene.lens, &scene.robot, &options).unwrap_err();
+    assert!(message.contains("unbent"), "{message}");
+
+    let straight = frame(&scene, STRAIGHT, 7);
+    let wrong = RigOptions { standoff_mm: 15.0, ..options };
+    let message = calibrate_rig(&straight, &scene.lens, &scene.robot, &wrong).unwrap_err();
+    assert!(message.contains("standoff") || message.contains("outline"), "{message}");
+    let wrong = RigOptions { grid_pitch_mm: 5.0, ..options };
+    assert!(calibrate_rig(&straight, &scene.lens, &scene.robot, &wrong).is_err());
+}
+
+/// A small picture tells less, to a degree or a few, but not nothing: bends in the view's plane and askew.
+#[test]
+fn a_picture_of_a_quarter_of_the_size_is_measured() {
+    let mut scene = Scene::default();
+    scene.lens.width /= 4;
+    scene.lens.height /= 4;
+    scene.lens.focal_px /= 4.0;
+    scene.lens.centre_px = scene.lens.centre_px.map(|c| (c - 1.5) / 4.0);
+    let eye = eye(&scene);
+    check_poses(&eye, &scene, &[(40.0, 0.0), (60.0, 180.0), (50.0, 60.0), (35.0, -120.0)], 1.5, 4.0);
+}

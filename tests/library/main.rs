@@ -1,0 +1,8 @@
+//! The library through its public interface, where a unit test would see too little or take too long.
+
+#[cfg(feature = "live")]
+mod corpus;
+mod estimator;
+mod extremes;
+mod numbers;
+mod sealed;

@@ -1,9 +1,0 @@
-//! `live` as its users meet it. There is no camera on a test machine, so the tests bring their own.
-
-mod lab;
-#[cfg(feature = "opencv")]
-mod page;
-mod sequence;
-mod streams;
-#[cfg(feature = "opencv")]
-mod video;
