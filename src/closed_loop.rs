@@ -21,7 +21,7 @@ use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::Path;
 
 /// What is rehearsed.
 #[derive(Debug, Clone)]
@@ -136,7 +136,7 @@ impl Rehearsal {
             delta_offset: 0.0,
         };
         let rig = calibrate_rig(&straight, &self.scene.lens, &self.plant.robot, &options)
-            .map_err(|message| Error::Rig { path: PathBuf::from("the rendered straight picture"), message })?;
+            .map_err(Error::rig(Path::new("the rendered straight picture")))?;
         Ok(Eye::new(self.scene.lens.clone(), rig, self.plant.robot.clone()))
     }
 }
@@ -144,7 +144,7 @@ impl Rehearsal {
 /// A rendered picture as a camera gives it.
 fn frame(scene: &Scene, psi: Configuration, seed: u64) -> Result<Frame> {
     Frame::from_image(DynamicImage::ImageRgb8(render(scene, psi, seed)))
-        .ok_or_else(|| Error::Domain("the scene's camera has no pixels".into()))
+        .ok_or(Error::Scene("lens: the picture must have pixels"))
 }
 
 fn turn(

@@ -1,6 +1,6 @@
 //! The chessboard whose pictures a lens is calibrated from.
 
-use crate::error::{Error, Result};
+use crate::error::{ArgumentError, Result};
 use nalgebra::Point3;
 
 /// A plain chessboard.
@@ -19,9 +19,7 @@ impl Board {
     /// Fewer than three corners either way, from which no lens can be told, or a side that is not above 0.
     pub fn new(columns: usize, rows: usize, square_mm: f64) -> Result<Self> {
         if columns < 3 || rows < 3 || !(square_mm > 0.0 && square_mm.is_finite()) {
-            return Err(Error::Usage(format!(
-                "a board of {columns}×{rows} inner corners, {square_mm} mm apart: at least 3×3 are needed, at a positive distance"
-            )));
+            return Err(ArgumentError::Board { columns, rows, square_mm }.into());
         }
         Ok(Self { columns, rows, square_mm })
     }

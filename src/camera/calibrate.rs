@@ -20,7 +20,7 @@ pub use fit::PARAMETERS;
 pub use halves::Halves;
 
 use super::{Board, Lens, opencv, read_frame};
-use crate::error::{Error, Result};
+use crate::error::{DataError, Error, Result};
 use fit::{Fit, parameters};
 use halves::{halves, predicted_deg};
 use nalgebra::{Point2, SMatrix, Vector2, Vector3};
@@ -108,14 +108,14 @@ pub fn calibrate_camera(pictures: &[PathBuf], board: &Board) -> Result<CameraCal
         }
     }
     let Some(&(ref first, size, _)) = seen.first() else {
-        return Err(too_few(0, &skipped));
+        return Err(DataError::TooFewBoards { found: 0, needed: LEAST_PICTURES, skipped }.into());
     };
     if let Some((path, other, _)) = seen.iter().find(|(_, other, _)| *other != size) {
         let message = format!("{}×{} px, but {} has {}×{}", other.0, other.1, first.display(), size.0, size.1);
         return Err(Error::content(path, message));
     }
     if seen.len() < LEAST_PICTURES {
-        return Err(too_few(seen.len(), &skipped));
+        return Err(DataError::TooFewBoards { found: seen.len(), needed: LEAST_PICTURES, skipped }.into());
     }
 
     let views: Vec<&[Point2<f64>]> = seen.iter().map(|(_, _, corners)| corners.as_slice()).collect();
@@ -131,14 +131,6 @@ pub fn calibrate_camera(pictures: &[PathBuf], board: &Board) -> Result<CameraCal
         halves,
         lens: fit.lens,
     })
-}
-
-fn too_few(count: usize, skipped: &[(PathBuf, String)]) -> Error {
-    let reasons: Vec<String> = skipped.iter().map(|(path, why)| format!("\n  {}: {why}", path.display())).collect();
-    Error::Domain(format!(
-        "{count} pictures show the whole board, at least {LEAST_PICTURES} are needed{}",
-        reasons.concat()
-    ))
 }
 
 /// What a picture shows.

@@ -6,6 +6,7 @@ mod rig;
 
 use super::console::Console;
 use crate::Result;
+use crate::cli::failure::Failure;
 
 /// Find what does not change from run to run: the camera, the rig, the friction
 #[derive(Debug, clap::Args)]
@@ -23,7 +24,7 @@ enum What {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         match &self.what {
             What::Camera(args) => args.run(console),
             What::Rig(args) => args.run(console),

@@ -1,6 +1,7 @@
 //! `completions` and `manual`: what a shell and `man` want to know of the commands.
 
 use super::console::{Console, print_text};
+use crate::cli::failure::Failure;
 use crate::record::write_atomically;
 use crate::{Error, Result};
 use clap::CommandFactory;
@@ -18,7 +19,7 @@ pub struct Args {
 }
 
 impl Args {
-    pub fn run(&self) -> Result<()> {
+    pub fn run(&self) -> Result<(), Failure> {
         let mut script = Vec::new();
         clap_complete::generate(self.shell, &mut super::Cli::command(), "snakeloop", &mut script);
         print_text(&String::from_utf8_lossy(&script));
@@ -42,7 +43,7 @@ struct Written {
 }
 
 impl ManualArgs {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let mut root = super::Cli::command();
         root.build();
         let mut pages = 0;

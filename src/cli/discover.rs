@@ -6,6 +6,7 @@ use super::inputs::{encoders_of, model_of, model_or_paper, rows};
 use super::measuring::Count;
 use super::shard::Shard;
 use super::views::open_views;
+use crate::cli::failure::Failure;
 use crate::discover::{
     Correction, Data, Discovery, Next, Whereabouts, discover, discover_in_frames, learn_correction, next_experiment,
 };
@@ -60,9 +61,9 @@ pub struct Args {
 const NEXT: &str = "next.csv";
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         if !(self.encoder_sd > 0.0 && self.encoder_sd <= 1.0) {
-            return Err(Error::Usage(format!("--encoder-sd {}: expected more than 0, to 1 mm", self.encoder_sd)));
+            return Err(Failure::Usage(format!("--encoder-sd {}: expected more than 0, to 1 mm", self.encoder_sd)));
         }
         let (model, measurements, readings) = self.inputs(console)?;
         let data = Data::new(&measurements, &readings, self.encoder_sd)?;
@@ -128,13 +129,13 @@ impl Args {
         }
     }
 
-    fn inputs(&self, console: &Console) -> Result<(Model, Vec<Measurement>, Vec<EncoderReading>)> {
+    fn inputs(&self, console: &Console) -> Result<(Model, Vec<Measurement>, Vec<EncoderReading>), Failure> {
         match (&self.experiment, &self.measurements, &self.encoders) {
             (Some(folder), _, _) => {
                 let experiment = Experiment::read(folder)?;
                 if experiment.encoders.is_none() {
                     let message = "encoders is missing; `discover` needs an encoder log";
-                    return Err(Error::content(&experiment.path, message));
+                    return Err(Error::content(&experiment.path, message).into());
                 }
                 let model = match &self.model {
                     Some(path) => read_model(path)?,
@@ -162,7 +163,7 @@ impl Args {
                 let readings = rows(console, read_encoders(encoders, model.robot.backbone_count())?);
                 Ok((model, rows(console, read_measurements(measurements)?), readings))
             }
-            _ => Err(Error::Usage("give an experiment, or --measurements and --encoders".to_owned())),
+            _ => Err(Failure::Usage("give an experiment, or --measurements and --encoders".to_owned())),
         }
     }
 

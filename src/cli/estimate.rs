@@ -3,6 +3,7 @@
 use super::console::Console;
 use super::estimator::EstimatorArgs;
 use super::inputs::{measurements_and_readings, model_or_paper, with_effects};
+use crate::cli::failure::Failure;
 use crate::estimate::{EstimateRow, Verdict, estimate, estimate_stem};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{estimates_csv, stems_csv, write_atomically, write_model};
@@ -65,12 +66,12 @@ pub struct Estimated {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
         let (measurements, encoders) =
             measurements_and_readings(console, &model, &self.measurements, Some(&self.encoders))?;
         if self.stem {
-            return self.follow_stem(console, &model, &measurements, &encoders);
+            return Ok(self.follow_stem(console, &model, &measurements, &encoders)?);
         }
         let (steps, model) = estimate(&model, self.estimator.options(1.0), &measurements, &encoders)?;
         write_atomically(

@@ -2,6 +2,7 @@
 
 use super::console::Console;
 use super::inputs::{measurements_and_readings, model_or_paper, rows};
+use crate::cli::failure::Failure;
 use crate::record::read_truth;
 use crate::simulate::score::{self, Accuracy, AngleScore, Gap};
 use crate::{Error, Result};
@@ -40,7 +41,7 @@ struct Evaluation {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let model = model_or_paper(self.model.as_deref())?;
         let (measurements, readings) =
             measurements_and_readings(console, &model, &self.measurements, self.encoders.as_deref())?;
@@ -50,7 +51,7 @@ impl Args {
                 let gap = score::gap(&model, &measurements, &readings);
                 if gap.samples == 0 {
                     let message = "no measurement with angles has an encoder reading of the same index in this file";
-                    return Err(Error::content(path, message));
+                    return Err(Error::content(path, message).into());
                 }
                 Some(gap)
             }
@@ -60,7 +61,7 @@ impl Args {
             Some(path) => {
                 let accuracy = score::accuracy(&measurements, &rows(console, read_truth(path)?));
                 if accuracy.frames == 0 {
-                    return Err(Error::content(path, "no measurement has the index of a frame in this file"));
+                    return Err(Error::content(path, "no measurement has the index of a frame in this file").into());
                 }
                 Some(accuracy)
             }

@@ -2,6 +2,7 @@
 
 use super::console::Console;
 use crate::Result;
+use crate::cli::failure::Failure;
 use crate::record::{Experiment, Recorded, write_recording};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -32,7 +33,7 @@ struct Written<'a> {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let experiment = self.experiment.as_deref().map(Experiment::read).transpose()?;
         let recorded = write_recording(&self.output, &self.folder, experiment.as_ref())?;
         console.warn(&recorded.remarks);

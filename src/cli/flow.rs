@@ -351,7 +351,7 @@ mod tests {
     #[test]
     fn the_first_error_ends_the_flow_and_what_came_before_it_is_handed_on() {
         let mut handed_on = Vec::new();
-        let work = |i: u64| if i == 7 { Err(Error::Domain("seven".into())) } else { Ok(i) };
+        let work = |i: u64| if i == 7 { Err(Error::Scene("seven")) } else { Ok(i) };
         let error = in_order(0.., work, |i| {
             handed_on.push(i);
             Ok(())

@@ -3,6 +3,7 @@
 use super::console::Console;
 use super::inputs::{measurements_and_readings, model_or_paper};
 use crate::Result;
+use crate::cli::failure::Failure;
 use crate::estimate::{Options, tip_force};
 use crate::record::{forces_csv, write_atomically};
 use serde::Serialize;
@@ -44,7 +45,7 @@ struct Found {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let model = model_or_paper(Some(&self.model))?;
         let (measurements, readings) =
             measurements_and_readings(console, &model, &self.measurements, Some(&self.encoders))?;

@@ -1,11 +1,12 @@
 //! Reading what several commands are told, with warnings shown.
 
 use super::console::Console;
+use crate::Result;
+use crate::cli::failure::Failure;
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{Checked, Experiment, read_encoders, read_measurements, read_model};
 use crate::robot::{Effect, Model};
-use crate::{Error, Result};
 use std::path::Path;
 
 /// The model in a file; without one the paper's, with Table I.
@@ -14,12 +15,12 @@ pub fn model_or_paper(path: Option<&Path>) -> Result<Model> {
 }
 
 /// A model with further effects, as they are given on the command line.
-pub fn with_effects(mut model: Model, effects: &[Effect]) -> Result<Model> {
+pub fn with_effects(mut model: Model, effects: &[Effect]) -> Result<Model, Failure> {
     let backbones = model.robot.backbone_count();
     for effect in effects {
         let (given, expected) = (effect.parameters(), (effect.physics.parameters)(backbones));
         if given != expected {
-            return Err(Error::Usage(format!(
+            return Err(Failure::Usage(format!(
                 "--effect {}: {} parameters were given, and on a robot of {backbones} backbones it takes {}",
                 effect.physics.name,
                 given.len(),

@@ -2,9 +2,11 @@
 
 use super::console::Console;
 use super::inputs::{model_or_paper, with_effects};
+use crate::Result;
+use crate::cli::failure::Failure;
+use crate::error::NoSolution;
 use crate::geometry::Configuration;
 use crate::robot::{Effect, MAX_THETA, Model, PerBackbone, TableRow};
-use crate::{Error, Result};
 use nalgebra::Vector2;
 use serde_json::{Map, Value};
 use std::path::PathBuf;
@@ -55,14 +57,14 @@ enum Sd {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
         let pose = match (&self.qc_mm, self.theta_deg, self.delta_deg) {
             (Some(qc_mm), _, _) => {
                 let backbones = model.robot.backbone_count();
                 let fitting = PerBackbone::of(qc_mm).filter(|qc_mm| qc_mm.len() == backbones);
                 let qc_mm = fitting.ok_or_else(|| {
-                    Error::Usage(format!(
+                    Failure::Usage(format!(
                         "--qc-mm: {} numbers, expected {backbones}, one for each backbone",
                         qc_mm.len()
                     ))
@@ -70,7 +72,7 @@ impl Args {
                 Pose::reached(&model, qc_mm)?
             }
             (None, Some(theta_deg), Some(delta_deg)) => Pose::wanted(&model, theta_deg, delta_deg)?,
-            _ => return Err(Error::Usage("give --theta-deg and --delta-deg, or --qc-mm".to_owned())),
+            _ => return Err(Failure::Usage("give --theta-deg and --delta-deg, or --qc-mm".to_owned())),
         };
         console.result(&pose.json(), || pose.text());
         Ok(())
@@ -81,9 +83,7 @@ impl Pose {
     fn wanted(model: &Model, theta_deg: f64, delta_deg: f64) -> Result<Self> {
         let most = MAX_THETA.to_degrees();
         if !(0.0..=most).contains(&theta_deg) || !delta_deg.is_finite() {
-            return Err(Error::Domain(format!(
-                "θ = {theta_deg}°, δ = {delta_deg}° is outside the workspace, expected θ from 0 to {most:.0}°"
-            )));
+            return Err(NoSolution::OutsideWorkspace { theta_deg, delta_deg, most_deg: most }.into());
         }
         let row = TableRow::new(model, Configuration::from_degrees(theta_deg, delta_deg));
         Ok(Self {

@@ -5,6 +5,7 @@ use super::estimator::EstimatorArgs;
 use super::inputs::{encoders_of, model_of, rows};
 use super::views::rig_of;
 use crate::camera::{CaptureSettings, CaptureTarget, FrameSource, Lens};
+use crate::cli::failure::Failure;
 use crate::live::server::{self, AppState};
 use crate::live::{
     AccessControl, EncoderInput, EncoderSource, Histogram, Live, Setup, Source, State, StemStatus, View, tui,
@@ -126,7 +127,7 @@ struct Summary {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         // Before the long work of calibrating the rig.
         let access = self.access_control()?;
         let live = Live::start(self.setup(console)?)?;
@@ -152,7 +153,7 @@ impl Args {
         let asked = Arc::new(AtomicBool::new(false));
         let theirs = Arc::clone(&asked);
         ctrlc::set_handler(move || theirs.store(true, Ordering::Relaxed))
-            .map_err(|e| Error::Domain(format!("cannot listen for Ctrl-C: {e}")))?;
+            .map_err(|e| Error::Unavailable { what: "cannot listen for Ctrl-C".into(), message: e.to_string() })?;
         let failed = || live.is_over() && !live.shared.lock().state.ended;
         let over = || asked.load(Ordering::Relaxed) || failed() || (live.is_over() && self.serve.is_none());
         if self.tui {
@@ -173,7 +174,7 @@ impl Args {
         AccessControl::new(address, token, self.allow_host.clone()).map(Some)
     }
 
-    fn setup(&self, console: &Console) -> Result<Setup> {
+    fn setup(&self, console: &Console) -> Result<Setup, Failure> {
         let experiment = Experiment::read(&self.experiment)?;
         let view = self.chosen_view(&experiment)?;
         let mut model = model_of(&experiment)?;
@@ -202,11 +203,11 @@ impl Args {
         })
     }
 
-    fn chosen_view<'a>(&self, experiment: &'a Experiment) -> Result<&'a record::View> {
+    fn chosen_view<'a>(&self, experiment: &'a Experiment) -> Result<&'a record::View, Failure> {
         let wanted = |view: &&record::View| self.view.as_ref().is_none_or(|name| *name == view.name);
         experiment.views.iter().find(wanted).ok_or_else(|| {
             let names: Vec<&str> = experiment.views.iter().map(|view| view.name.as_str()).collect();
-            Error::Usage(format!(
+            Failure::Usage(format!(
                 "--view {}: the experiment has {}",
                 self.view.as_deref().unwrap_or_default(),
                 names.join(", ")
@@ -215,7 +216,7 @@ impl Args {
     }
 
     /// Where frames come from, and that in words.
-    fn source(&self, experiment: &Experiment, view: &record::View) -> Result<(Source, String)> {
+    fn source(&self, experiment: &Experiment, view: &record::View) -> Result<(Source, String), Failure> {
         let settings =
             CaptureSettings { size: self.size, rate_fps: self.rate, exposure: self.exposure, focus: self.focus };
         if let Some(number) = self.camera {
@@ -223,15 +224,15 @@ impl Args {
             return Ok((Source::Device { target, settings }, format!("camera {number}")));
         }
         if self.size.is_some() || self.exposure.is_some() || self.focus.is_some() {
-            return Err(Error::Usage("--size, --exposure and --focus are for --camera".into()));
+            return Err(Failure::Usage("--size, --exposure and --focus are for --camera".into()));
         }
         match &self.source {
             Some(address) if address.contains("://") => {
                 let target = CaptureTarget::Stream(address.clone());
                 Ok((Source::Device { target, settings }, without_secrets(address)))
             }
-            Some(pattern) => recording(Path::new(""), pattern, self.rate),
-            None => recording(experiment.folder(), &view.frames, self.rate),
+            Some(pattern) => Ok(recording(Path::new(""), pattern, self.rate)?),
+            None => Ok(recording(experiment.folder(), &view.frames, self.rate)?),
         }
     }
 

@@ -5,6 +5,7 @@ use super::inputs::{encoders_of, model_of, rows};
 use super::measuring::{Count, Measured, MeasuringArgs, Summary};
 use super::views::{OpenView, open_views};
 use crate::camera::Frame;
+use crate::cli::failure::Failure;
 use crate::measure::FrameMeasurement;
 use crate::observation::Measurement;
 use crate::record::{Experiment, write_atomically};
@@ -41,14 +42,14 @@ struct Explained {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         self.measuring.start_threads()?;
         let experiment = Experiment::read(&self.experiment)?;
         let model = model_of(&experiment)?;
         let encoders = rows(console, encoders_of(&experiment, &model)?);
         let views = open_views(&experiment, &model.robot)?;
         if let Some(index) = self.explain {
-            return self.explain(console, &experiment, &views, index);
+            return Ok(self.explain(console, &experiment, &views, index)?);
         }
         let inputs = (self.experiment.as_path(), &experiment, &views[..], &encoders[..]);
         let throughput = match self.measuring.measure(console, inputs, None, &self.output, |_| Ok(()))? {
@@ -99,7 +100,6 @@ impl Args {
 
 fn png(picture: &RgbImage) -> Result<Vec<u8>> {
     let mut bytes = Cursor::new(Vec::new());
-    let wrong = |e| Error::Domain(format!("cannot encode a picture: {e}"));
-    picture.write_to(&mut bytes, ImageFormat::Png).map_err(wrong)?;
+    picture.write_to(&mut bytes, ImageFormat::Png).map_err(Error::encode("a picture"))?;
     Ok(bytes.into_inner())
 }

@@ -5,6 +5,7 @@ use super::flow::{Flow, MeasuredFrames, Throughput};
 use super::origin::{Done, Origin, SHARD, Settings};
 use super::shard::Shard;
 use super::views::OpenView;
+use crate::cli::failure::Failure;
 use crate::observation::EncoderReading;
 use crate::record::{Experiment, MeasurementJournal, MeasurementRows, remove_abandoned, write_atomically};
 use crate::{Error, Result};
@@ -43,10 +44,10 @@ impl MeasuringArgs {
     ///
     /// # Errors
     /// A system that has no more threads to give.
-    pub fn start_threads(&self) -> Result<()> {
+    pub fn start_threads(&self) -> Result<(), Failure> {
         let Some(jobs) = self.jobs else { return Ok(()) };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(jobs)).build_global();
-        pool.map_err(|e| Error::Usage(format!("--jobs {jobs}: {e}")))
+        pool.map_err(|e| Failure::Usage(format!("--jobs {jobs}: {e}")))
     }
 
     /// Measures what is not measured yet into the folder `output`, and writes measurements.csv there. `draw` sees every

@@ -7,6 +7,7 @@ use super::console::Console;
 use super::measuring::Summary;
 use super::origin::{Done, Origin, SHARD};
 use super::run::{Inputs, finish};
+use crate::cli::failure::Failure;
 use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::record::{
     Experiment, MeasurementRows, PendingFile, measurement_line, measurements_header, write_atomically,
@@ -35,10 +36,10 @@ pub struct Args {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         if self.shards.iter().any(|shard| is_same(shard, &self.output)) {
             let message = format!("{} is a shard; write to another folder", self.output.display());
-            return Err(Error::Usage(message));
+            return Err(Failure::Usage(message));
         }
         let origin = self.origin()?;
         let experiment = Experiment::read(&origin.experiment)?;
@@ -60,34 +61,36 @@ impl Args {
     ///
     /// # Errors
     /// A shard that is not done, is missing, is there twice, or is of another run.
-    fn origin(&self) -> Result<Origin> {
+    fn origin(&self) -> Result<Origin, Failure> {
         let shards = self.shards.iter().map(|folder| finished(folder)).collect::<Result<Vec<_>>>()?;
         let Some((first, done)) = shards.first() else {
-            return Err(Error::Usage("give the shards' folders".to_owned()));
+            return Err(Failure::Usage("give the shards' folders".to_owned()));
         };
         let mut parts = BTreeSet::new();
         for ((origin, _), folder) in shards.iter().zip(&self.shards) {
             let path = folder.join(SHARD);
             if !parts.insert(origin.shard.part) {
-                return Err(Error::content(&path, format!("shard {} is there twice; leave one out", origin.shard)));
+                return Err(
+                    Error::content(&path, format!("shard {} is there twice; leave one out", origin.shard)).into()
+                );
             }
             let mut as_first = origin.clone();
             as_first.shard.part = first.shard.part;
             if let Some(difference) = first.difference(&as_first)? {
                 let other = self.shards[0].display();
-                return Err(Error::content(&path, format!("another run's shard than {other}: {difference}")));
+                return Err(Error::content(&path, format!("another run's shard than {other}: {difference}")).into());
             }
         }
         let of = first.shard.of;
         let missing: Vec<_> =
             (1..=of).filter(|part| !parts.contains(part)).map(|part| format!("{part}/{of}")).collect();
         if !missing.is_empty() {
-            return Err(Error::Usage(format!("shards are missing: {}", missing.join(", "))));
+            return Err(Failure::Usage(format!("shards are missing: {}", missing.join(", "))));
         }
         let rows: usize = shards.iter().map(|(_, done)| done.rows).sum();
         if rows != done.of {
             let message = format!("the shards have {rows} rows together, expected {}; measure them again", done.of);
-            return Err(Error::content(&self.shards[0].join(SHARD), message));
+            return Err(Error::content(&self.shards[0].join(SHARD), message).into());
         }
         Ok(first.clone())
     }

@@ -11,6 +11,7 @@ mod estimate;
 mod estimator;
 mod evaluate;
 mod export;
+mod failure;
 mod flow;
 mod force;
 mod inputs;
@@ -32,6 +33,7 @@ mod views;
 use crate::Result;
 use clap::{Parser, Subcommand};
 use console::Console;
+use failure::Failure;
 use std::process::ExitCode;
 
 /// Measures a snake-like surgical robot in camera frames, learns its actuation losses and compensates them.
@@ -72,7 +74,7 @@ enum Command {
 }
 
 impl Command {
-    fn run(&self, console: &Console) -> Result<()> {
+    fn run(&self, console: &Console) -> Result<(), Failure> {
         match self {
             Self::Run(args) => args.run(console),
             Self::Live(args) => args.run(console),

@@ -121,7 +121,7 @@ impl Origin {
     /// # Errors
     /// A number that TOML cannot hold.
     pub fn table(&self) -> Result<toml::Table> {
-        toml::Table::try_from(self).map_err(|e| Error::Domain(format!("cannot write what the run is made from: {e}")))
+        toml::Table::try_from(self).map_err(Error::encode("what the run is made from"))
     }
 }
 

@@ -88,8 +88,7 @@ fn thumbnail(picture: &RgbImage) -> RgbImage {
 
 fn jpeg(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    match JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(picture) {
-        Ok(()) => Ok(bytes),
-        Err(e) => Err(Error::Domain(format!("cannot encode a picture of {:?} px: {e}", picture.dimensions()))),
-    }
+    let mut encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
+    encoder.encode_image(picture).map_err(Error::encode("a picture"))?;
+    Ok(bytes)
 }

@@ -2,9 +2,10 @@
 
 use super::console::Console;
 use super::inputs::rows;
+use crate::Result;
+use crate::cli::failure::Failure;
 use crate::record::read_truth;
 use crate::simulate::{FrameFormat, Scene, write_experiment};
-use crate::{Error, Result};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -40,11 +41,11 @@ struct Summary {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let format = match self.jpeg {
             None => FrameFormat::Png,
             Some(quality @ 1..=100) => FrameFormat::Jpeg(quality),
-            Some(quality) => return Err(Error::Usage(format!("--jpeg {quality}: expected 1 to 100"))),
+            Some(quality) => return Err(Failure::Usage(format!("--jpeg {quality}: expected 1 to 100"))),
         };
         let scene = self.scene.as_deref().map_or_else(|| Ok(Scene::default()), Scene::read)?;
         let poses = rows(console, read_truth(&self.poses)?);

@@ -2,6 +2,7 @@
 
 use super::console::Console;
 use crate::Result;
+use crate::cli::failure::Failure;
 use crate::record::write_atomically;
 use crate::report::reproduction::page;
 use crate::reproduce::{Comparison, reproduce};
@@ -30,7 +31,7 @@ struct Summary<'a> {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let all = reproduce(self.seed)?;
         for (name, text) in all.files()? {
             write_atomically(&self.output.join(name), text.as_bytes())?;

@@ -9,6 +9,7 @@ use super::origin::Settings;
 use super::overlays::{Overlays, draw, pictures};
 use super::table::largest_correction_mm;
 use super::views::open_views;
+use crate::cli::failure::Failure;
 use crate::estimate::estimate_each;
 use crate::observation::EncoderReading;
 use crate::record::{
@@ -64,7 +65,7 @@ pub struct Summary {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         self.measuring.start_threads()?;
         let experiment = Experiment::read(&self.experiment)?;
         let inputs = Inputs::read(console, &experiment)?;

@@ -2,6 +2,8 @@
 
 use super::console::Console;
 use super::inputs::{model_or_paper, rows, with_effects};
+use crate::Result;
+use crate::cli::failure::Failure;
 use crate::closed_loop::Rehearsal;
 use crate::observation::Waypoint;
 use crate::record::{
@@ -11,7 +13,6 @@ use crate::record::{
 use crate::report::learning::learning_curve;
 use crate::robot::{Effect, Grid, Model};
 use crate::simulate::{BendingExperiment, Plant, Scene, SimulatedEye};
-use crate::{Error, Result};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -91,9 +92,9 @@ struct Closed {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         if !(0.0..=10.0).contains(&self.encoder_sd) {
-            return Err(Error::Usage(format!("--encoder-sd {}: expected 0 to 10 mm", self.encoder_sd)));
+            return Err(Failure::Usage(format!("--encoder-sd {}: expected 0 to 10 mm", self.encoder_sd)));
         }
         let trajectory = match &self.trajectory {
             Some(path) => rows(console, read_trajectory(path)?),
@@ -101,7 +102,7 @@ impl Args {
         };
         let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
         if self.closed_loop {
-            return self.close_the_loop(console, model, &trajectory);
+            return Ok(self.close_the_loop(console, model, &trajectory)?);
         }
         let plant = Plant { model, sd_encoder_mm: self.encoder_sd };
         let samples = plant.run(&trajectory, self.seed.wrapping_add(1));
@@ -164,11 +165,11 @@ impl Args {
         Ok(())
     }
 
-    fn bending_experiment(&self) -> Result<Vec<Waypoint>> {
+    fn bending_experiment(&self) -> Result<Vec<Waypoint>, Failure> {
         let &[least, largest] = &self.sweep_theta[..] else {
-            return Err(Error::Usage(format!("--sweep-theta: {} numbers, expected 2", self.sweep_theta.len())));
+            return Err(Failure::Usage(format!("--sweep-theta: {} numbers, expected 2", self.sweep_theta.len())));
         };
-        BendingExperiment {
+        let experiment = BendingExperiment {
             sweep_delta_deg: self.sweeps.clone(),
             sweep_theta_deg: (least, largest),
             sweep_poses: self.sweep_poses,
@@ -177,8 +178,8 @@ impl Args {
             jitter_deg: self.jitter,
             seed: self.seed,
             ..BendingExperiment::default()
-        }
-        .waypoints()
+        };
+        Ok(experiment.waypoints()?)
     }
 
     fn write(&self, name: &str, text: &str) -> Result<()> {

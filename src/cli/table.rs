@@ -2,9 +2,10 @@
 
 use super::console::Console;
 use super::inputs::{model_or_paper, with_effects};
+use crate::Result;
+use crate::cli::failure::Failure;
 use crate::record::{compensation_c_header, write_atomically, write_compensation_rows};
 use crate::robot::{Effect, ForceLimits, Grid, GridAxis, TableRow, compensation_table};
-use crate::{Error, Result};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -47,7 +48,7 @@ struct Summary {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
         let source = self.model.as_deref().map_or("built in".to_owned(), |path| path.display().to_string());
         let grid = Grid { theta: self.theta_deg, delta: self.delta_deg };
@@ -80,11 +81,11 @@ impl Args {
         Ok(())
     }
 
-    fn force_limits(&self) -> Result<Option<ForceLimits>> {
+    fn force_limits(&self) -> Result<Option<ForceLimits>, Failure> {
         match self.force_limits.as_deref() {
             None => Ok(None),
-            Some(&[least_n, most_n]) => ForceLimits::new(least_n, most_n).map(Some),
-            Some(numbers) => Err(Error::Usage(format!("--force-limits: {} numbers, expected 2", numbers.len()))),
+            Some(&[least_n, most_n]) => Ok(Some(ForceLimits::new(least_n, most_n)?)),
+            Some(numbers) => Err(Failure::Usage(format!("--force-limits: {} numbers, expected 2", numbers.len()))),
         }
     }
 }

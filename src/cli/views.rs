@@ -33,8 +33,7 @@ pub fn rig_of(view: &View, lens: &Lens, robot: &Robot) -> Result<Rig> {
         RigSource::File(path) => Ok(Rig::read(path)?.looking_from(delta_offset)),
         RigSource::Straight { picture, grid_pitch_mm, standoff_mm } => {
             let options = RigOptions { grid_pitch_mm: *grid_pitch_mm, standoff_mm: *standoff_mm, delta_offset };
-            calibrate_rig(&read_frame(picture)?, lens, robot, &options)
-                .map_err(|message| Error::Rig { path: picture.clone(), message })
+            calibrate_rig(&read_frame(picture)?, lens, robot, &options).map_err(Error::rig(picture))
         }
     }
 }

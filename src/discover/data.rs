@@ -1,6 +1,6 @@
 //! What the search works on: pairs of readings and measurements in the order of time, cut into sweeps.
 
-use crate::error::{Error, Result};
+use crate::error::{DataError, Result};
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measured, Measurement, Status};
 use crate::robot::{MAX_THETA, PerBackbone};
@@ -41,7 +41,7 @@ impl Data {
     /// Pairs measurements and readings of the same index.
     ///
     /// # Errors
-    /// [`Error::Domain`] for too few samples, or a snake that does not move.
+    /// [`DataError`] for too few samples, or a snake that does not move.
     pub fn new(measurements: &[Measurement], readings: &[EncoderReading], sd_encoder_mm: f64) -> Result<Self> {
         let (measurements, no_sigmas) = with_sigmas(measurements, readings);
         let by_index: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
@@ -60,10 +60,7 @@ impl Data {
             ));
         }
         if pairs.len() < LEAST_SAMPLES {
-            return Err(Error::Domain(format!(
-                "{} usable samples, and {LEAST_SAMPLES} at least are needed to tell an effect from noise; measure more poses",
-                pairs.len()
-            )));
+            return Err(DataError::TooFewSamples { found: pairs.len(), needed: LEAST_SAMPLES }.into());
         }
         let (times_s, about_times) = clock(&pairs.iter().map(|(reading, _)| reading.time_s).collect::<Vec<_>>());
         remarks.extend(about_times);
@@ -74,9 +71,7 @@ impl Data {
         };
         let backbones = pairs[0].0.q_mm.len();
         if (0..backbones).all(|i| range(&|q| q[i]) < 0.02) {
-            return Err(Error::Domain(
-                "the encoders hardly move (less than 0.02 mm); lead the snake along sweeps".into(),
-            ));
+            return Err(DataError::Still { least_mm: 0.02 }.into());
         }
         let one_plane = one_plane(&pairs);
         if one_plane {

@@ -23,7 +23,7 @@
 
 use super::consistency::Whitened;
 use super::{Consistency, EstimateRow, EtaLambda, Filter, Row, Verdict, Weighting, pairs_without_effects};
-use crate::error::{Error, Result};
+use crate::error::{ArgumentError, Result};
 use crate::observation::{EncoderReading, Measured, Measurement, Status};
 use crate::robot::{Estimate, MAX_THETA, Model, PerBackbone};
 use nalgebra::{Matrix2, Vector2};
@@ -172,25 +172,24 @@ impl Estimator {
     /// the very measurements to follow.
     ///
     /// # Errors
-    /// [`Error::Usage`] for an option out of its range.
+    /// [`ArgumentError::OutOfRange`] for an option out of its range.
     pub fn new(model: &Model, options: Options) -> Result<Self> {
-        let wrong = |what: String| Err(Error::Usage(what));
+        let wrong = |quantity: &str, value, unit, expected: &str| {
+            Err(ArgumentError::out_of_range(quantity, value, unit, expected).into())
+        };
         if !(options.sd_encoder_mm > 0.0 && options.sd_encoder_mm <= 10.0) {
-            return wrong(format!("encoder noise is {} mm, expected above 0 and at most 10", options.sd_encoder_mm));
+            return wrong("encoder noise", options.sd_encoder_mm, " mm", "above 0 and at most 10");
         }
         if !(options.keep > 0.0 && options.keep <= 1.0) {
-            return wrong(format!(
-                "fading memory keeps {}, expected above 0 and at most 1 (1 forgets nothing)",
-                options.keep
-            ));
+            return wrong("the memory's share", options.keep, "", "above 0 and at most 1 (1 forgets nothing)");
         }
         if options.gate.is_nan() || options.gate < 1.0 {
-            return wrong(format!("the gate is {} standard deviations, expected 1 or more", options.gate));
+            return wrong("the gate", options.gate, " standard deviations", "1 or more");
         }
         if let Weighting::Flat { sigma_deg } = options.weighting
             && !(sigma_deg > 0.0 && sigma_deg <= 90.0)
         {
-            return wrong(format!("the flat sigma is {sigma_deg}°, expected above 0 and at most 90"));
+            return wrong("the flat sigma", sigma_deg, "°", "above 0 and at most 90");
         }
         let model = Model { estimate: None, ..model.clone() };
         Ok(Self { model, options, updates: 0, running: None, jury: Vec::new(), recent: Vec::new() })
@@ -529,7 +528,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 /// taken off first and stays in the model.
 ///
 /// # Errors
-/// [`Error::Usage`] for an option out of its range.
+/// [`ArgumentError::OutOfRange`] for an option out of its range.
 pub fn estimate(
     model: &Model,
     options: Options,
@@ -549,7 +548,7 @@ pub fn estimate(
 /// effects, and `each` is given the rows of estimate.csv, in order, as soon as no later measurement can change their verdict.
 ///
 /// # Errors
-/// [`Error::Usage`] for an option out of its range; what `measurements` and `each` give.
+/// [`ArgumentError::OutOfRange`] for an option out of its range; what `measurements` and `each` give.
 pub fn estimate_each<I: Iterator<Item = Result<Measurement>>>(
     model: &Model,
     options: Options,

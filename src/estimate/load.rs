@@ -19,7 +19,7 @@
 use super::estimator::usable;
 use super::row::{bend_covariance, by_parameters};
 use super::without_effects;
-use crate::error::{Error, Result};
+use crate::error::{ArgumentError, DataError, Result};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measured, Measurement};
 use crate::robot::{Model, PerBackbone};
@@ -135,7 +135,7 @@ fn by_force(model: &Model, psi: Configuration) -> Matrix3<f64> {
 /// What the model's effects do is taken off first, a `tip_load` in it among them: the force found is what comes on top.
 ///
 /// # Errors
-/// [`Error::Usage`] for a model without η and λ or encoder noise that is not above 0; [`Error::Domain`] where no measurement can be used.
+/// [`ArgumentError`] for a model without η and λ or encoder noise that is not above 0; [`DataError::NoMeasurement`] where no measurement can be used.
 pub fn tip_force(
     model: &Model,
     sd_encoder_mm: f64,
@@ -143,12 +143,10 @@ pub fn tip_force(
     readings: &[EncoderReading],
 ) -> Result<(Vec<ForceRow>, TipForce)> {
     if model.estimate.is_none() {
-        return Err(Error::Usage(
-            "a force can be told only with η and λ known; give a --model that `run` or `estimate` wrote".into(),
-        ));
+        return Err(ArgumentError::NoEstimate { what: "a force" }.into());
     }
     if !(sd_encoder_mm > 0.0 && sd_encoder_mm <= 10.0) {
-        return Err(Error::Usage(format!("encoder noise is {sd_encoder_mm} mm, expected above 0 and at most 10")));
+        return Err(ArgumentError::out_of_range("encoder noise", sd_encoder_mm, " mm", "above 0 and at most 10").into());
     }
     let (measurements, readings) = without_effects(model, measurements, readings);
     let plain = model.plain();
@@ -180,9 +178,7 @@ pub fn tip_force(
         })
         .collect();
     if used == 0 {
-        return Err(Error::Domain(
-            "no measurement could be used; angles with status ok and encoder readings are needed".into(),
-        ));
+        return Err(DataError::NoMeasurement.into());
     }
     Ok((rows, all.solved(known)))
 }

@@ -22,7 +22,7 @@
 
 use super::estimator::{Reason, parameters_by_friction, usable};
 use super::{Row, Weighting, without_effects};
-use crate::error::{Error, Result};
+use crate::error::{ArgumentError, Result};
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
 use nalgebra::{Matrix2, Vector2, Vector3};
@@ -103,25 +103,21 @@ impl Stem {
     /// ([`without_effects`]).
     ///
     /// # Errors
-    /// [`Error::Usage`] for a model without an estimate of η and λ, without friction, or for an option out of its range.
+    /// [`ArgumentError`] for a model without an estimate of η and λ, without friction, or for an option out of its range.
     pub fn new(model: &Model, options: StemOptions) -> Result<Self> {
         if model.estimate.is_none() {
-            return Err(Error::Usage(
-                "the stem's angle can be told only with η and λ known; give a --model that `run` or `estimate` wrote"
-                    .into(),
-            ));
+            return Err(ArgumentError::NoEstimate { what: "the stem's angle" }.into());
         }
         if model.friction.mu <= 0.0 {
-            let mu = model.friction.mu;
-            return Err(Error::Usage(format!("friction.mu = {mu}: a line without friction does not show its angle")));
+            return Err(ArgumentError::NoFriction { mu: model.friction.mu }.into());
         }
         if !(options.keep > 0.0 && options.keep <= 1.0) {
-            let keep = options.keep;
-            return Err(Error::Usage(format!("fading memory keeps {keep}, expected above 0 and at most 1")));
+            let expected = "above 0 and at most 1";
+            return Err(ArgumentError::out_of_range("the memory's share", options.keep, "", expected).into());
         }
         if !(options.sd_encoder_mm > 0.0 && options.sd_encoder_mm <= 10.0) {
-            let sd = options.sd_encoder_mm;
-            return Err(Error::Usage(format!("encoder noise is {sd} mm, expected above 0 and at most 10")));
+            let expected = "above 0 and at most 10";
+            return Err(ArgumentError::out_of_range("encoder noise", options.sd_encoder_mm, " mm", expected).into());
         }
         let factor = (model.friction.mu * model.robot.line.total_angle()).exp();
         let information = (factor * model.friction.mu * PRIOR_SD).powi(-2);
@@ -394,7 +390,7 @@ mod tests {
         let without = Model::default();
         assert!(Stem::new(&without, StemOptions::default()).unwrap_err().to_string().contains("η and λ known"));
         let keep = StemOptions { keep: 0.0, ..StemOptions::default() };
-        assert_eq!(Stem::new(&exact(), keep).unwrap_err().exit_code(), 2);
+        assert!(matches!(Stem::new(&exact(), keep), Err(crate::Error::Argument(_))));
         let mut stem = Stem::new(&exact(), StemOptions::default()).unwrap();
         let (measurement, _) = ride(&exact(), &[82.0], 1)[0].clone();
         let before = stem.angle();

@@ -4,23 +4,20 @@
 //! default grid it is within 2 µm of the model.
 
 use super::table::backbone_columns;
-use crate::error::{Error, Result};
+use crate::error::{ArgumentError, GridError, Result};
 use crate::robot::{Grid, TableRow};
 use std::fmt::Write;
 
 /// The header as text. `rows` are the table over `grid`, δ running fastest; `source` says where the model comes from.
 ///
 /// # Errors
-/// [`Error::Usage`] for a grid with fewer than four angles either way, or whose δ does not go once round in even steps.
+/// [`ArgumentError::Grid`] for a grid with fewer than four angles either way, or whose δ does not go once round in even steps.
 pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str) -> Result<String> {
     let theta: Vec<f64> = grid.theta.values_deg().collect();
     let mut delta: Vec<f64> = grid.delta.values_deg().collect();
     let columns = delta.len();
     let (&[theta_0, theta_1, _, _, ..], &[delta_0, delta_1, _, _, ..]) = (&theta[..], &delta[..]) else {
-        return Err(Error::Usage(format!(
-            "a C header needs four angles of θ and four of δ at least, {} and {columns} were given",
-            theta.len()
-        )));
+        return Err(ArgumentError::from(GridError::TooFewAngles { theta: theta.len(), delta: columns }).into());
     };
     let step = delta_1 - delta_0;
     // A grid that names its seam twice, −180° and 180°, gives up the second.
@@ -28,10 +25,7 @@ pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str) -> Re
         delta.pop();
     }
     if (step * delta.len() as f64 - 360.0).abs() > 1e-6 {
-        return Err(Error::Usage(format!(
-            "a C header needs δ once round in even steps; {} gives {columns} angles, try -165:180:15",
-            grid.delta
-        )));
+        return Err(ArgumentError::from(GridError::NotRound { grid: grid.delta.to_string(), angles: columns }).into());
     }
     let backbones = rows.first().map_or(0, |row| row.command_mm.len());
     let q: Vec<_> = backbone_columns("q", "mm", backbones).map(|name| name.replace("_mm", "")).collect();
@@ -188,7 +182,7 @@ mod tests {
         assert!(twice.contains("#define SNAKELOOP_DELTAS 12"));
         let near = looked_up(&twice, &[(40.0, 180.0), (40.0, -180.0), (40.0, 540.0)]);
         assert!(near.iter().all(|q| (q.unwrap()[0] - near[0].unwrap()[0]).abs() < 1e-9));
-        assert_eq!(header(&grid("0:60:20", "0:90:10")).unwrap_err().exit_code(), 2);
-        assert_eq!(header(&grid("0:60:60", "-180:180:30")).unwrap_err().exit_code(), 2);
+        assert!(matches!(header(&grid("0:60:20", "0:90:10")), Err(crate::Error::Argument(_))));
+        assert!(matches!(header(&grid("0:60:60", "-180:180:30")), Err(crate::Error::Argument(_))));
     }
 }

@@ -52,7 +52,7 @@ pub fn compensation_csv(rows: &[TableRow]) -> String {
 /// compensation.json as text. `source` says where the model comes from: a file's name, or "built in".
 ///
 /// # Errors
-/// [`Error::Domain`] for a number that JSON cannot hold.
+/// [`Error::Encode`] for a number that JSON cannot hold.
 pub fn compensation_json(model: &Model, source: &str, grid: &Grid, rows: &[TableRow]) -> Result<String> {
     let file = CompensationFile {
         provenance: Provenance {
@@ -66,7 +66,7 @@ pub fn compensation_json(model: &Model, source: &str, grid: &Grid, rows: &[Table
         rows: rows.iter().map(JsonRow).collect(),
     };
     let text = serde_json::to_string_pretty(&file);
-    text.map(|text| text + "\n").map_err(|e| Error::Domain(format!("cannot write the table: {e}")))
+    text.map(|text| text + "\n").map_err(Error::encode("the table"))
 }
 
 /// Writes compensation.csv and compensation.json into a folder, and gives the rows. `source` says where the model comes from.

@@ -98,9 +98,9 @@ pub fn remove_abandoned(folder: &Path) -> Result<()> {
 /// Rows as CSV, the columns named after the fields; a field that is `None` is empty.
 ///
 /// # Errors
-/// [`Error::Domain`] for a row whose fields are not single values.
+/// [`Error::Encode`] for a row whose fields are not single values.
 pub fn csv_of<T: Serialize>(rows: &[T]) -> Result<String> {
-    let fault = |what: String| Error::Domain(format!("cannot write the rows: {what}"));
+    let fault = |message: String| Error::Encode { what: "the rows", message };
     let mut writer = csv::Writer::from_writer(Vec::new());
     for row in rows {
         writer.serialize(row).map_err(|e| fault(e.to_string()))?;

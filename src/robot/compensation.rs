@@ -126,7 +126,7 @@ impl Model {
     /// Eq. 26 for the bend vector: ∂b/∂q̃, by columns, rad per mm. Smooth at θ = 0.
     ///
     /// # Errors
-    /// [`Error::Domain`] where the model's derivative is singular, which no η > 0 makes it.
+    /// [`NoSolution::Singular`] where the model's derivative is singular, which no η > 0 makes it.
     pub fn updated_jacobian_bend(&self, bend: Vector2<f64>) -> Result<PerBackbone<Vector2<f64>>> {
         let inverse = self.robot.bend_by_displacement();
         let stretched = Matrix2::identity() + inverse.cross_gram(&self.epsilon_by_bend(bend));
@@ -143,7 +143,7 @@ impl Model {
     /// Eq. 26: J̃_ψq = (I + J_ψq α)⁻¹ J_ψq = ∂(θ, δ)/∂q̃, by columns, rad per mm.
     ///
     /// # Errors
-    /// [`Error::Domain`] at θ = 0, where δ is not defined; use [`updated_jacobian_bend`](Self::updated_jacobian_bend) there.
+    /// [`NoSolution::Straight`] at θ = 0, where δ is not defined; use [`updated_jacobian_bend`](Self::updated_jacobian_bend) there.
     pub fn updated_jacobian(&self, psi: Configuration) -> Result<PerBackbone<Vector2<f64>>> {
         let turn = polar(psi)?;
         Ok(self.updated_jacobian_bend(psi.bend_vector())?.map(|column| turn * column))
@@ -153,7 +153,7 @@ impl Model {
     /// [`command`](Self::command).
     ///
     /// # Errors
-    /// [`Error::Domain`] for a q̃ that is not finite, or that would bend the snake beyond [`MAX_THETA`].
+    /// [`NoSolution::BeyondWorkspace`] for a q̃ that is not finite, or that would bend the snake beyond [`MAX_THETA`].
     pub fn forward(&self, q_tilde_mm: &PerBackbone) -> Result<Response> {
         if !self.effects.is_empty() {
             return self.forward_with_effects(q_tilde_mm);

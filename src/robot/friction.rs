@@ -10,7 +10,7 @@
 //! the load, through the paper's 0.0135 at about 760 g. Neither says how well ten points pin a line; the standard errors of the fit
 //! do, and they are what a [`Friction`] carries.
 
-use crate::error::{Error, Result};
+use crate::error::{DataError, Result};
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
 
@@ -128,14 +128,11 @@ impl FrictionFit {
     /// The least-squares line τ̃ = e^{2μφ} (τ + f_s) through the weighings, for sections of angle `phi` (rad).
     ///
     /// # Errors
-    /// [`Error::Domain`] with fewer than three weighings, no spread in τ, a line that falls or one below the origin.
+    /// [`DataError`] with fewer than three weighings, no spread in τ, a line that falls or one below the origin.
     pub fn of(samples: &[FrictionSample], phi: f64) -> Result<Self> {
         let n = samples.len() as f64;
         if samples.len() < 3 {
-            return Err(Error::Domain(format!(
-                "friction calibration: {} weighings, expected at least 3 to fit a line and judge it",
-                samples.len()
-            )));
+            return Err(DataError::TooFewWeighings { found: samples.len(), needed: 3 }.into());
         }
         let mean = |value: fn(&FrictionSample) -> f64| samples.iter().map(value).sum::<f64>() / n;
         let (tau, tau_tilde) = (mean(|s| s.tau_g), mean(|s| s.tau_tilde_g));
@@ -146,10 +143,7 @@ impl FrictionFit {
         // The comparisons are written so that NaN fails them.
         let sensible = spread > 0.0 && slope > 0.0 && intercept >= 0.0 && phi > 0.0 && phi.is_finite();
         if !(sensible && slope.is_finite() && intercept.is_finite()) {
-            return Err(Error::Domain(format!(
-                "friction calibration: the weighings give the line τ̃ = {slope:.4} τ {intercept:+.1} g, expected a \
-                 rising line that does not start below zero; check the two columns of forces"
-            )));
+            return Err(DataError::NotFriction { slope, intercept_g: intercept }.into());
         }
         let residuals = samples.iter().map(|s| (s.tau_tilde_g - slope * s.tau_g - intercept).powi(2));
         let variance = residuals.sum::<f64>() / (n - 2.0);

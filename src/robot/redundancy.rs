@@ -22,7 +22,7 @@
 //! A force f_i stretches its line by κf_i, which is added to q̃_i: the choice shows in the table and in the bend not at all.
 
 use super::{Mechanics, Model, PerBackbone};
-use crate::error::{Error, Result};
+use crate::error::{ArgumentError, Result};
 use crate::geometry::Configuration;
 use nalgebra::Vector2;
 
@@ -37,12 +37,10 @@ impl ForceLimits {
     /// Limits of τ̃, N; the pull is negative.
     ///
     /// # Errors
-    /// [`Error::Usage`] where they are not finite or not in order.
+    /// [`ArgumentError::ForceLimits`] where they are not finite or not in order.
     pub fn new(least_n: f64, most_n: f64) -> Result<Self> {
         if !(least_n.is_finite() && most_n.is_finite() && least_n < most_n) {
-            return Err(Error::Usage(format!(
-                "force limits {least_n} and {most_n} N: expected the largest pull (negative), then the largest push"
-            )));
+            return Err(ArgumentError::ForceLimits { pull_n: least_n, push_n: most_n }.into());
         }
         Ok(Self { least_n, most_n })
     }

@@ -4,7 +4,7 @@ use super::PerBackbone;
 use super::compensation::MAX_THETA;
 use super::model::Model;
 use super::redundancy::{ForceLimits, Sharing};
-use crate::error::{Error, Result};
+use crate::error::{ArgumentError, Error, GridError, Result};
 use crate::geometry::Configuration;
 use std::fmt;
 use std::str::FromStr;
@@ -22,14 +22,14 @@ pub struct GridAxis {
 
 impl GridAxis {
     /// # Errors
-    /// [`Error::Usage`] where a number is not finite, the step is not above 0 or the stop lies below the start.
+    /// [`ArgumentError::Grid`] where a number is not finite, the step is not above 0 or the stop lies below the start.
     pub fn new(start_deg: f64, stop_deg: f64, step_deg: f64) -> Result<Self> {
         let axis = Self { start_deg, stop_deg, step_deg };
         if ![start_deg, stop_deg, step_deg].iter().all(|value| value.is_finite()) || step_deg <= 0.0 {
-            return Err(Error::Usage(format!("grid {axis}: expected finite degrees and a step above 0")));
+            return Err(ArgumentError::from(GridError::NotFinite(axis.to_string())).into());
         }
         if stop_deg < start_deg {
-            return Err(Error::Usage(format!("grid {axis}: the stop lies below the start; swap them")));
+            return Err(ArgumentError::from(GridError::Descending(axis.to_string())).into());
         }
         Ok(axis)
     }
@@ -56,9 +56,12 @@ impl FromStr for GridAxis {
         match numbers.as_deref() {
             Ok(&[start, stop, step]) => Self::new(start, stop, step),
             Ok(&[value]) => Self::new(value, value, 1.0),
-            _ => Err(Error::Usage(format!(
-                "grid {text:?}: expected start:stop:step in degrees, such as 0:90:5, or one angle"
-            ))),
+            _ => Err(ArgumentError::Syntax {
+                what: "grid",
+                text: text.to_owned(),
+                expected: "start:stop:step in degrees, such as 0:90:5, or one angle",
+            }
+            .into()),
         }
     }
 }
@@ -126,23 +129,20 @@ impl TableRow {
 /// The compensation table over a grid, δ running fastest.
 ///
 /// # Errors
-/// [`Error::Usage`] for a grid with a θ outside 0 to 120°, a δ outside ±360°, or more poses than anyone needs.
+/// [`ArgumentError::Grid`] for a grid with a θ outside 0 to 120°, a δ outside ±360°, or more poses than anyone needs.
 pub fn compensation_table(model: &Model, grid: &Grid) -> Result<Vec<TableRow>> {
     let Grid { theta, delta } = grid;
     let most_deg = MAX_THETA.to_degrees();
     if theta.start_deg < 0.0 || theta.stop_deg > most_deg + 1e-9 {
-        return Err(Error::Usage(format!(
-            "grid of θ {theta}: the model answers for 0 to {most_deg:.0}°; keep start and stop within"
-        )));
+        return Err(ArgumentError::from(GridError::Theta { grid: theta.to_string(), most_deg }).into());
     }
     if delta.start_deg < -360.0 || delta.stop_deg > 360.0 {
-        return Err(Error::Usage(format!("grid of δ {delta}: expected −360 to 360°; keep start and stop within")));
+        return Err(ArgumentError::from(GridError::Delta(delta.to_string())).into());
     }
     let poses = theta.len().saturating_mul(delta.len());
     if poses > MOST_POSES {
-        return Err(Error::Usage(format!(
-            "grids {theta} and {delta} make {poses} poses, expected {MOST_POSES} at most"
-        )));
+        let (theta, delta) = (theta.to_string(), delta.to_string());
+        return Err(ArgumentError::from(GridError::TooManyPoses { theta, delta, poses, most: MOST_POSES }).into());
     }
     let row = |(theta_deg, delta_deg)| TableRow::new(model, Configuration::from_degrees(theta_deg, delta_deg));
     Ok(theta.values_deg().flat_map(|theta| delta.values_deg().map(move |delta| (theta, delta))).map(row).collect())
@@ -173,11 +173,11 @@ mod tests {
     #[test]
     fn a_grid_that_makes_no_sense_is_a_usage_error() {
         for bad in ["", "a:b:c", "0:90", "0:90:0", "0:90:-5", "90:0:5", "0:nan:1", "0:inf:1", "0:1:2:3"] {
-            assert_eq!(bad.parse::<GridAxis>().unwrap_err().exit_code(), 2, "{bad}");
+            assert!(matches!(bad.parse::<GridAxis>(), Err(Error::Argument(_))), "{bad}");
         }
         for (theta, delta) in [("0:121:1", "0"), ("-5:90:5", "0"), ("0:90:5", "0:3600:15"), ("0:90:1e-300", "0")] {
             let error = compensation_table(&Model::default(), &grid(theta, delta)).unwrap_err();
-            assert_eq!(error.exit_code(), 2, "{error}");
+            assert!(matches!(error, Error::Argument(ArgumentError::Grid(_))), "{error}");
         }
     }
 

@@ -73,9 +73,8 @@ pub fn write_experiment(
     write("truth.csv", &truth_csv(truths))?;
     draw("straight", Configuration::new(0.0, 0.0), seed)?;
     truths.par_iter().try_for_each(|truth| {
-        draw(&format!("frames/{:05}", truth.index), truth.configuration, seed.wrapping_add(1 + truth.index))?;
-        drawn();
-        Ok(())
+        let name = format!("frames/{:05}", truth.index);
+        draw(&name, truth.configuration, seed.wrapping_add(1 + truth.index)).inspect(|()| drawn())
     })?;
     write("experiment.toml", &experiment)
 }

@@ -256,7 +256,7 @@ impl Scene {
     /// Distance of the grid's lines, mm: the finest, or a checkerboard's squares.
     ///
     /// # Errors
-    /// [`Error::Domain`] for blank paper.
+    /// [`Error::Scene`] for blank paper.
     pub fn grid_pitch_mm(&self) -> Result<f64> {
         let pitch = match &self.paper.pattern {
             Pattern::GraphPaper { lines } => lines.iter().map(|lines| lines.pitch_mm).reduce(f64::min),
@@ -264,7 +264,7 @@ impl Scene {
             Pattern::Blank => None,
         };
         pitch.ok_or_else(|| {
-            Error::Domain("an experiment needs a grid: paper.pattern must be graph paper or a checkerboard".into())
+            Error::Scene("an experiment needs a grid: paper.pattern must be graph paper or a checkerboard")
         })
     }
 
@@ -286,9 +286,9 @@ impl Scene {
     /// The scene file's text.
     ///
     /// # Errors
-    /// [`Error::Domain`] where a number of the scene has no place in TOML.
+    /// [`Error::Encode`] where a number of the scene has no place in TOML.
     pub fn to_toml(&self) -> Result<String> {
-        toml::to_string(self).map_err(|e| Error::Domain(format!("scene: {e}")))
+        toml::to_string(self).map_err(Error::encode("the scene"))
     }
 
     /// The bend along the snake when its tip has this bend.
@@ -302,7 +302,7 @@ impl Scene {
     /// Whether the scene can be drawn.
     ///
     /// # Errors
-    /// [`Error::Domain`] that names the first quantity which makes no picture.
+    /// [`Error::Scene`] that names the first quantity which makes no picture.
     pub fn check(&self) -> Result<()> {
         let pixels = u64::from(self.lens.width) * u64::from(self.lens.height);
         let rules = [
@@ -323,7 +323,7 @@ impl Scene {
             (Vector3::from(self.light.towards_lamp).norm() > 0.0, "light.towards_lamp must have a direction"),
         ];
         match rules.iter().find(|(holds, _)| !holds) {
-            Some((_, rule)) => Err(Error::Domain((*rule).to_owned())),
+            Some((_, rule)) => Err(Error::Scene(rule)),
             None => Ok(()),
         }
     }

@@ -1,6 +1,6 @@
 //! The bending experiment: where the snake is led, and when.
 
-use crate::error::{Error, Result};
+use crate::error::{ArgumentError, Result};
 use crate::geometry::Configuration;
 use crate::observation::Waypoint;
 use crate::robot::MAX_THETA;
@@ -50,7 +50,7 @@ impl BendingExperiment {
     /// The poses in order of time.
     ///
     /// # Errors
-    /// [`Error::Usage`] for angles outside the workspace, no poses at all, or an interval that is not positive.
+    /// [`ArgumentError`] for angles outside the workspace, no poses at all, or an interval that is not positive.
     pub fn waypoints(&self) -> Result<Vec<Waypoint>> {
         self.check()?;
         let (least, largest) = self.sweep_theta_deg;
@@ -74,25 +74,28 @@ impl BendingExperiment {
     }
 
     fn check(&self) -> Result<()> {
+        let out_of_range = |quantity: &str, value, unit, expected: &str| {
+            Err(ArgumentError::out_of_range(quantity, value, unit, expected).into())
+        };
         let workspace = 0.0..=MAX_THETA.to_degrees() + 1e-9;
         let (least, largest) = self.sweep_theta_deg;
         for (name, theta_deg) in [("least θ", least), ("largest θ", largest), ("θ of the round", self.round_theta_deg)]
         {
             if !workspace.contains(&theta_deg) {
-                return Err(Error::Usage(format!("{name} is {theta_deg}°, expected 0 to {:.0}", workspace.end())));
+                return out_of_range(name, theta_deg, "°", &format!("0 to {:.0}", workspace.end()));
             }
         }
         if let Some(delta_deg) = self.sweep_delta_deg.iter().find(|delta| !delta.is_finite()) {
-            return Err(Error::Usage(format!("δ of a sweep is {delta_deg}, expected a number of degrees")));
+            return out_of_range("δ of a sweep", *delta_deg, "", "a number of degrees");
         }
         if self.sweep_delta_deg.len() * self.sweep_poses + self.round_poses == 0 {
-            return Err(Error::Usage("a trajectory without poses; give sweeps with poses, or a round".into()));
+            return Err(ArgumentError::NoPoses.into());
         }
         if !(self.interval_s > 0.0 && self.interval_s.is_finite()) {
-            return Err(Error::Usage(format!("the interval is {} s, expected more than 0", self.interval_s)));
+            return out_of_range("the interval", self.interval_s, " s", "more than 0");
         }
         if !(0.0..=30.0).contains(&self.jitter_deg) {
-            return Err(Error::Usage(format!("the jitter is {}°, expected 0 to 30", self.jitter_deg)));
+            return out_of_range("the jitter", self.jitter_deg, "°", "0 to 30");
         }
         Ok(())
     }
@@ -131,7 +134,7 @@ mod tests {
             BendingExperiment { interval_s: 0.0, ..good.clone() },
             BendingExperiment { jitter_deg: -1.0, ..good.clone() },
         ] {
-            assert!(matches!(bad.waypoints(), Err(Error::Usage(_))), "{bad:?}");
+            assert!(matches!(bad.waypoints(), Err(crate::Error::Argument(_))), "{bad:?}");
         }
     }
 }

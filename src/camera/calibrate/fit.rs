@@ -1,7 +1,7 @@
 //! The lens fitted to the corners of several boards, and the covariance of its parameters.
 
 use crate::camera::{Board, Lens, opencv};
-use crate::error::{Error, Result};
+use crate::error::{DataError, Result};
 use crate::geometry::Pose;
 use nalgebra::{Matrix6, Point2, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector6};
 
@@ -27,9 +27,8 @@ impl Fit {
             .zip(&camera_from_board)
             .map(|(seen, pose)| corners.iter().zip(*seen).map(|(corner, seen)| residual(pose, corner, seen)).collect())
             .collect();
-        let covariance = covariance(&lens, &camera_from_board, &corners, &residuals).ok_or_else(|| {
-            Error::Domain("the boards leave the lens undetermined; tilt the board more, and differently".into())
-        })?;
+        let covariance =
+            covariance(&lens, &camera_from_board, &corners, &residuals).ok_or(DataError::LensUndetermined)?;
         Ok(Self { lens, camera_from_board, residuals, covariance })
     }
 }

@@ -1,10 +1,11 @@
 //! `calibrate camera`: the lens from pictures of a chessboard, and what it is worth.
 
+use crate::Result;
 use crate::camera::calibrate::{BoardView, Halves};
 use crate::camera::{Board, CameraCalibration, CameraFormat, calibrate_camera};
 use crate::cli::console::Console;
+use crate::cli::failure::Failure;
 use crate::record::write_atomically;
-use crate::{Error, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -73,9 +74,9 @@ struct Skipped {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let board = Board::new(self.corners.0, self.corners.1, self.square)?;
-        let file = self.output.as_ref().map(|path| Ok((path, self.format(path)?))).transpose()?;
+        let file = self.output.as_ref().map(|path| self.format(path).map(|format| (path, format))).transpose()?;
         let calibration = calibrate_camera(&self.pictures, &board)?;
         if let Some((path, format)) = file {
             write_atomically(path, calibration.lens.to_file(format).as_bytes())?;
@@ -86,13 +87,13 @@ impl Args {
         Ok(())
     }
 
-    fn format(&self, output: &Path) -> Result<CameraFormat> {
+    fn format(&self, output: &Path) -> Result<CameraFormat, Failure> {
         let is_xml = output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("xml"));
         match (self.ros, is_xml) {
             (false, false) => Ok(CameraFormat::OpenCvYaml),
             (false, true) => Ok(CameraFormat::OpenCvXml),
             (true, false) => Ok(CameraFormat::Ros),
-            (true, true) => Err(Error::Usage(format!("--ros writes YAML, but {} ends in .xml", output.display()))),
+            (true, true) => Err(Failure::Usage(format!("--ros writes YAML, but {} ends in .xml", output.display()))),
         }
     }
 }

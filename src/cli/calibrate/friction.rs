@@ -2,6 +2,7 @@
 
 use crate::Result;
 use crate::cli::console::Console;
+use crate::cli::failure::Failure;
 use crate::cli::inputs::{model_or_paper, rows};
 use crate::record::{read_friction, write_model};
 use crate::robot::friction::{STANDARD_GRAVITY, table_ii};
@@ -52,7 +53,7 @@ struct Fitted {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let weighings = match &self.weighings {
             Some(path) => rows(console, read_friction(path)?),
             None => table_ii(),

@@ -2,6 +2,7 @@
 
 use crate::camera::{Lens, read_frame};
 use crate::cli::console::Console;
+use crate::cli::failure::Failure;
 use crate::cli::inputs::model_or_paper;
 use crate::measure::{RigOptions, calibrate_rig};
 use crate::{Error, Result};
@@ -43,17 +44,17 @@ struct Summary {
 }
 
 impl Args {
-    pub fn run(&self, console: &Console) -> Result<()> {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
         for (flag, value_mm) in [("--grid-pitch", self.grid_pitch), ("--standoff", self.standoff)] {
             if !(value_mm > 0.0 && value_mm.is_finite()) {
-                return Err(Error::Usage(format!("{flag} {value_mm}: expected a length above 0 mm")));
+                return Err(Failure::Usage(format!("{flag} {value_mm}: expected a length above 0 mm")));
             }
         }
         let lens = Lens::read(&self.camera)?;
         let model = model_or_paper(self.model.as_deref())?;
         let options = RigOptions { grid_pitch_mm: self.grid_pitch, standoff_mm: self.standoff, delta_offset: 0.0 };
         let rig = calibrate_rig(&read_frame(&self.straight)?, &lens, &model.robot, &options)
-            .map_err(|message| Error::Rig { path: self.straight.clone(), message })?;
+            .map_err(Error::rig(&self.straight))?;
         rig.write(&self.output)?;
         let summary = Summary {
             rig: self.output.clone(),

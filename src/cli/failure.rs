@@ -1,0 +1,24 @@
+//! Why a command ended without its result, and the exit code that says so.
+
+use crate::Error;
+
+/// Why a command ended without its result.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// The call cannot work as it was made.
+    #[error("{0}")]
+    Usage(String),
+    /// The work failed.
+    #[error(transparent)]
+    Work(#[from] Error),
+}
+
+impl Failure {
+    /// The process exit code: 2 for a wrong call, 1 for work that failed.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Usage(_) | Self::Work(Error::Argument(_) | Error::Usage(_)) => 2,
+            Self::Work(_) => 1,
+        }
+    }
+}
