@@ -14,6 +14,11 @@ pub enum Failure {
 }
 
 impl Failure {
+    /// Work that failed because what the call named, an address or a terminal, cannot be used.
+    pub fn of_call(error: Error) -> Self {
+        Self::Usage(error.to_string())
+    }
+
     /// The process exit code: 2 for a wrong call, 1 for work that failed.
     pub fn exit_code(&self) -> u8 {
         match self {

@@ -134,7 +134,8 @@ impl Args {
         if let Some(access) = access {
             let has_token = self.token_file.is_some();
             let (shared, video) = (Arc::clone(&live.shared), Arc::clone(&live.video));
-            let address = server::start(access, AppState { shared, video, commands: live.commands() })?;
+            let address = server::start(access, AppState { shared, video, commands: live.commands() })
+                .map_err(Failure::of_call)?;
             if !self.tui {
                 console.say(format!("dashboard: http://{address}/{}", if has_token { "?token=TOKEN" } else { "" }));
             }
@@ -149,7 +150,7 @@ impl Args {
     }
 
     /// Until the person has had enough; without a dashboard also until a recording has ended.
-    fn wait(&self, live: &Live) -> Result<()> {
+    fn wait(&self, live: &Live) -> Result<(), Failure> {
         let asked = Arc::new(AtomicBool::new(false));
         let theirs = Arc::clone(&asked);
         ctrlc::set_handler(move || theirs.store(true, Ordering::Relaxed))
@@ -157,7 +158,7 @@ impl Args {
         let failed = || live.is_over() && !live.shared.lock().state.ended;
         let over = || asked.load(Ordering::Relaxed) || failed() || (live.is_over() && self.serve.is_none());
         if self.tui {
-            return tui::show(&live.shared, &live.commands(), over);
+            return tui::show(&live.shared, &live.commands(), over).map_err(Failure::of_call);
         }
         while !over() {
             std::thread::sleep(Duration::from_millis(50));

@@ -4,7 +4,7 @@
 //! known name (against DNS rebinding), an `Origin` must be the server's own (against cross-site requests), and a server that other
 //! machines can reach needs a token as well.
 
-use crate::error::{Error, Result};
+use crate::error::{ArgumentError, Result};
 use axum::body::Body;
 use axum::extract::{Request, State};
 use axum::http::header::{AUTHORIZATION, COOKIE, HOST, LOCATION, ORIGIN, SET_COOKIE};
@@ -31,14 +31,12 @@ impl AccessControl {
     /// Access to a server at an address. `names` are host names, besides addresses and localhost, that the page may be called by.
     ///
     /// # Errors
-    /// [`Error::Usage`] for an address beyond loopback without a token, or a token that can be guessed or not be sent.
+    /// [`ArgumentError`] for an address beyond loopback without a token, or a token that can be guessed or not be sent.
     pub fn new(address: SocketAddr, token: Option<String>, names: Vec<String>) -> Result<Self> {
         match &token {
-            None if !address.ip().is_loopback() => Err(Error::Usage(format!(
-                "--serve {address} can be reached from other machines: give a token (--token-file), or serve on 127.0.0.1"
-            ))),
+            None if !address.ip().is_loopback() => Err(ArgumentError::OpenToAll { address }.into()),
             Some(token) if token.len() < MIN_TOKEN_LENGTH || !token.chars().all(|c| c.is_ascii_alphanumeric()) => {
-                Err(Error::Usage(format!("the token must be {MIN_TOKEN_LENGTH} or more letters and digits")))
+                Err(ArgumentError::WeakToken { least: MIN_TOKEN_LENGTH }.into())
             }
             _ => Ok(Self { address, token, names }),
         }

@@ -5,7 +5,7 @@ use super::encoders::Encoders;
 use super::low_priority::lower_priority;
 use super::recent_bends::RecentBends;
 use super::shared_state::SharedState;
-use crate::error::{Error, Result};
+use crate::error::{DataError, Result};
 use crate::record::{write_compensation, write_model};
 use crate::robot::{Grid, PerBackbone};
 use nalgebra::Vector2;
@@ -94,7 +94,7 @@ impl Autosave {
 pub fn save(shared: &SharedState, output: &Path) -> Result<()> {
     let model = shared.lock().model.clone();
     if model.estimate.is_none() {
-        return Err(Error::Domain("η and λ are not known yet: no table was written".into()));
+        return Err(DataError::NoEstimateYet.into());
     }
     let path = output.join("model.toml");
     write_model(&path, &model)?;

@@ -43,8 +43,10 @@ impl MotionJpeg {
         let Some(address) = address.parse::<Uri>().ok().filter(|address| address.scheme_str() == Some("http")) else {
             return Ok(None);
         };
-        let failed =
-            |why: String| Error::Domain(format!("the stream at {}: {why}", address.host().unwrap_or_default()));
+        let failed = |message: String| Error::Unavailable {
+            what: format!("the stream at {}", address.host().unwrap_or_default()),
+            message,
+        };
         let runtime = Builder::new_current_thread().enable_all().build().map_err(|e| failed(e.to_string()))?;
         let (sender, response) = runtime
             .block_on(async { timeout(OPEN_TIMEOUT, ask(&address)).await })

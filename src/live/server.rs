@@ -71,7 +71,10 @@ pub struct AppState {
 /// # Errors
 /// An address that cannot be listened at.
 pub fn start(access: AccessControl, app: AppState) -> Result<SocketAddr> {
-    let wrong = |e: std::io::Error| Error::Usage(format!("--serve {}: {e}", access.address()));
+    let wrong = |e: std::io::Error| Error::Unavailable {
+        what: format!("--serve {}", access.address()),
+        message: e.to_string(),
+    };
     let listener = std::net::TcpListener::bind(access.address()).map_err(wrong)?;
     listener.set_nonblocking(true).map_err(wrong)?;
     let address = listener.local_addr().map_err(wrong)?;

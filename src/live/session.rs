@@ -106,7 +106,10 @@ impl Live {
     pub fn finish(self) -> Result<Histogram> {
         match self.thread.join() {
             Ok(result) => result.map(|()| self.shared.lock().latencies.clone()),
-            Err(_) => Err(Error::Domain("the loop broke off; all that was measured is in the journal".into())),
+            Err(_) => Err(Error::Unavailable {
+                what: "the loop broke off".into(),
+                message: "all that was measured is in the journal".into(),
+            }),
         }
     }
 }

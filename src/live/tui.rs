@@ -22,7 +22,8 @@ const HISTORY: usize = 300;
 /// # Errors
 /// No terminal to draw on.
 pub fn show(shared: &SharedState, commands: &Commands, is_over: impl Fn() -> bool) -> Result<()> {
-    let failed = |e: std::io::Error| Error::Usage(format!("--tui needs a terminal: {e}"));
+    let failed =
+        |e: std::io::Error| Error::Unavailable { what: "--tui needs a terminal".into(), message: e.to_string() };
     let mut terminal = ratatui::try_init().map_err(failed)?;
     let mut answer =
         "p pause/continue   s save the table   r reset   t take the straight reference   q quit".to_owned();

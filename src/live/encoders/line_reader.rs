@@ -2,7 +2,7 @@
 
 use super::line_buffer::LineBuffer;
 use super::readings::{Readings, SILENCE};
-use crate::error::{Error, Result};
+use crate::error::{ArgumentError, Error, Result};
 use crate::live::clock::{FrameClock, unix_time_s};
 use std::fs::File;
 use std::io::{ErrorKind, Read, Seek};
@@ -45,9 +45,9 @@ impl FromStr for EncoderSource {
         }
         if let Some(address) = text.strip_prefix("tcp://") {
             let port = address.rsplit_once(':').and_then(|(_, port)| port.parse::<u16>().ok());
-            return port
-                .map(|_| Self::Tcp(address.to_owned()))
-                .ok_or_else(|| Error::Usage(format!("encoders {text:?}: expected tcp://HOST:PORT")));
+            return port.map(|_| Self::Tcp(address.to_owned())).ok_or_else(|| {
+                ArgumentError::Syntax { what: "encoders", text: text.to_owned(), expected: "tcp://HOST:PORT" }.into()
+            });
         }
         if let Some(path) = text.strip_prefix("unix:") {
             return Ok(Self::Unix(path.into()));
