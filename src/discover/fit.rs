@@ -10,8 +10,8 @@
 
 use super::data::Data;
 use crate::observation::Measured;
-use crate::robot::motion::{ForwardSolution, LineJacobian};
-use crate::robot::{Effect, Estimate, Mechanics, Model, Motion, PerBackbone};
+
+use crate::robot::{Effect, Estimate, ForwardSolution, LineJacobian, Mechanics, Model, Motion, PerBackbone};
 use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2};
 use std::f64::consts::PI;
 

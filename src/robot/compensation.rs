@@ -1,16 +1,15 @@
-//! Compensation: ε of Eq. 16–18, what to command (Eq. 23), the updated Jacobian (Eq. 24–26) and the forward problem.
+//! Compensation: ε of Eq. 16–18, what to command (Eq. 23), the updated Jacobian (Eq. 24–26) and the forward problem of a model.
 //!
 //! # ε and its derivatives
 //!
-//! ε is linear in x = (η, λ), and a sum of terms:
+//! Without effects ε is linear in x = (η, λ), and a sum of terms:
 //!
 //! ```text
 //! ε(ψ) = ε_0 + H(ψ) x,     H = [ κ τ(ψ)   1 ],     ε_0 = K_c⁻¹ e^{2μφ} f_s 1,     κ = K_d⁻¹ + e^{2μφ} K_c⁻¹
 //! ```
 //!
-//! (The paper's Eq. 20 prints K_d τ and K_c τ where Eq. 18 needs the inverses.) Every further term of the actuation
-//! line's model is one more summand of [`Model::epsilon_fixed`] and of its derivative in [`Model::epsilon_by_bend`]; all
-//! else here follows from these.
+//! (The paper's Eq. 20 prints K_d τ and K_c τ where Eq. 18 needs the inverses.) Effects add to it or change its constants; all that
+//! is here obeys them as they act on a single pose (see [`mechanics`](super::mechanics)).
 //!
 //! The α(ψ) that the paper leaves open follows from [statics](super::statics): with τ = Q (QᵗQ)⁻¹ ∇_b E,
 //!
@@ -21,34 +20,23 @@
 //! with H_E the Hessian of the elastic energy. Eq. 26 in b is (I + Q⁺ ∂ε/∂b)⁻¹ Q⁺, and for ψ it is that, turned by
 //! (∂b/∂ψ)⁻¹: the two inverses of Eq. 26 combine into one 2×2 that is regular at θ = 0.
 //!
-//! # The forward problem
+//! # Uncertainty
 //!
-//! n encoders command two angles. The snake settles where the lines' extensions agree with one set of forces; forces may
-//! differ from the least-norm τ(ψ) by any that do no work on the snake (Qᵗf = 0), so q̃ is met by
-//!
-//! ```text
-//! q̃ = q(ψ) + ε(ψ) + c,     Qᵗc = 0
-//! ```
-//!
-//! in n unknowns: b and the n − 2 internal parts of c; with three backbones c is the same in all. Q⁺ removes c and leaves
-//! b + Q⁺ε(b) = Q⁺q̃, solved by Newton's method; c is then what is left. With η > 0 the left side is the gradient of the convex
-//! ½|b|² + ηκ·2/(n r²)·E(b), so there is one solution and damped Newton finds it. c is the stretch that the redundancy takes up as
-//! internal force c_i/κ in each backbone.
+//! All parameters p, η and λ and those of the effects, have one covariance matrix P ([`Model::covariance`]). To first order that of q̃
+//! is J P Jᵗ with J = ∂q̃/∂p at a bend, and that of the bend which a given q̃ leads to is A P Aᵗ with A = −∂b/∂q̃ · ∂q̃/∂p, since b
+//! moves so that q̃ stays.
 //!
 //! The model answers up to θ = 120° ([`MAX_THETA`]). The paper's experiments end below 90°; the margin lets a command or a
 //! noisy reading near that end have an answer, and beyond it nothing was ever checked.
 
 use super::PerBackbone;
-use super::kinematics::{bend_by_configuration, configuration_by_bend};
+use super::kinematics::{MAX_THETA, bend_by_configuration, configuration_by_bend};
+use super::line::Line;
+use super::mechanics::Mechanics;
 use super::model::Model;
-use super::motion::{ForwardSolution, Mechanics};
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use nalgebra::{Matrix2, Vector2};
-use std::f64::consts::PI;
-
-/// The largest bend that the model answers for, rad (120°).
-pub const MAX_THETA: f64 = 2.0 * PI / 3.0;
 
 /// What a bent snake does for a given q̃.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -62,39 +50,40 @@ pub struct Response {
 }
 
 impl Model {
+    /// The actuation line, without effects.
+    pub fn line(&self) -> Line {
+        Line::new(&self.robot, &self.friction, self.parameters())
+    }
+
     /// κ = K_d⁻¹ + e^{2μφ} K_c⁻¹, mm/N: how much of q̃ the line swallows per newton of τ (Eq. 16, 17).
     pub fn line_compliance_mm_per_n(&self) -> f64 {
-        self.robot.holder_compliance_mm_per_n() + self.capstan_factor() * self.robot.cone_compliance_mm_per_n()
+        self.line().compliance_mm_per_n
     }
 
     /// K_c⁻¹ e^{2μφ} f_s, mm: what static friction adds to every backbone.
     pub fn static_friction_mm(&self) -> f64 {
-        self.capstan_factor() * self.robot.cone_compliance_mm_per_n() * self.friction.static_force_n
+        self.line().static_friction_mm
     }
 
-    fn capstan_factor(&self) -> f64 {
-        self.friction.capstan_factor(self.robot.line.cone_bend_angle())
-    }
-
-    /// ε_0, mm: the terms of ε that x = (η, λ) does not multiply.
+    /// ε_0, mm: the terms of Eq. 18 that x = (η, λ) does not multiply.
     pub fn epsilon_fixed(&self) -> PerBackbone {
         PerBackbone::repeat(self.robot.backbone_count(), self.static_friction_mm())
     }
 
     /// H = ∂ε/∂(η, λ) at a bend vector, mm: a row block of Eq. 20.
     pub fn epsilon_by_parameters(&self, bend: Vector2<f64>) -> PerBackbone<Vector2<f64>> {
-        let elastic = self.robot.actuation_forces(bend, None) * self.line_compliance_mm_per_n();
-        elastic.map(|elastic| Vector2::new(elastic, 1.0))
+        Mechanics::new(self).epsilon_by_parameters(bend)
     }
 
     /// ∂ε/∂b at a bend vector, mm per rad.
     pub fn epsilon_by_bend(&self, bend: Vector2<f64>) -> PerBackbone<Vector2<f64>> {
-        self.robot.actuation_forces_by_bend(bend) * (self.parameters().x * self.line_compliance_mm_per_n())
+        let mechanics = Mechanics::new(self);
+        mechanics.line_by_bend(bend, mechanics.pose(bend)) - self.robot.displacement_by_bend()
     }
 
-    /// Eq. 18: ε at a bend vector, mm.
+    /// Eq. 18: ε = q̃ − q at a bend vector, mm.
     pub fn epsilon_at(&self, bend: Vector2<f64>) -> PerBackbone {
-        self.epsilon_fixed() + self.epsilon_by_parameters(bend) * self.parameters()
+        Mechanics::new(self).command(bend, None) - self.robot.displacement_by_bend() * bend
     }
 
     /// Eq. 18: ε(ψ), mm.
@@ -107,20 +96,9 @@ impl Model {
         self.epsilon_by_bend(psi.bend_vector()) * bend_by_configuration(psi)
     }
 
-    /// Eq. 23: q̃ = q + ε, mm, what to command so that the snake takes a configuration. The model's effects are obeyed, as
-    /// for a single pose (see [`motion`](super::motion)).
+    /// Eq. 23: q̃ = q + ε, mm, what to command so that the snake takes a configuration.
     pub fn command(&self, psi: Configuration) -> PerBackbone {
-        if !self.effects.is_empty() {
-            return Mechanics::new(self).command(psi.bend_vector(), None);
-        }
-        self.robot.joint_displacements(psi) + self.epsilon(psi)
-    }
-
-    /// Standard deviations of [`command`](Self::command), mm, from the covariance of (η, λ).
-    pub fn command_sds(&self, psi: Configuration) -> PerBackbone {
-        let covariance = self.parameter_covariance();
-        // A variance may come out as a rounding below zero.
-        self.epsilon_by_parameters(psi.bend_vector()).map(|by| by.dot(&(covariance * by)).max(0.0).sqrt())
+        Mechanics::new(self).command(psi.bend_vector(), None)
     }
 
     /// Eq. 26 for the bend vector: ∂b/∂q̃, by columns, rad per mm. Smooth at θ = 0.
@@ -128,16 +106,16 @@ impl Model {
     /// # Errors
     /// [`NoSolution::Singular`] where the model's derivative is singular, which no η > 0 makes it.
     pub fn updated_jacobian_bend(&self, bend: Vector2<f64>) -> Result<PerBackbone<Vector2<f64>>> {
-        let inverse = self.robot.bend_by_displacement();
-        let stretched = Matrix2::identity() + inverse.cross_gram(&self.epsilon_by_bend(bend));
-        let relaxed = stretched.try_inverse().ok_or_else(|| {
+        let mechanics = Mechanics::new(self);
+        let by_line = mechanics.bend_by_line(&mechanics.line_by_bend(bend, mechanics.pose(bend))).ok_or_else(|| {
             Error::Domain(format!(
                 "the model has no unique bend at θ = {:.2}°: η = {} makes its derivative singular; check the estimate",
                 bend.norm().to_degrees(),
                 self.parameters().x
             ))
         })?;
-        Ok(inverse.map(|column| relaxed * column))
+        let by_reading = mechanics.travel_by_reading(&mechanics.command(bend, None));
+        Ok(by_line.zip_map(&by_reading, |column, by_reading| column * by_reading))
     }
 
     /// Eq. 26: J̃_ψq = (I + J_ψq α)⁻¹ J_ψq = ∂(θ, δ)/∂q̃, by columns, rad per mm.
@@ -149,49 +127,33 @@ impl Model {
         Ok(self.updated_jacobian_bend(psi.bend_vector())?.map(|column| turn * column))
     }
 
-    /// The configuration that a q̃ (mm) leads to, and what the redundancy takes up. The model's effects are obeyed, as in
-    /// [`command`](Self::command).
+    /// The configuration that a q̃ (mm) leads to, and what the redundancy takes up.
     ///
     /// # Errors
     /// [`NoSolution::BeyondWorkspace`] for a q̃ that is not finite, or that would bend the snake beyond [`MAX_THETA`].
     pub fn forward(&self, q_tilde_mm: &PerBackbone) -> Result<Response> {
-        if !self.effects.is_empty() {
-            return self.forward_with_effects(q_tilde_mm);
-        }
-        let bend = self.forward_bend(q_tilde_mm)?;
-        let left = *q_tilde_mm - self.robot.displacement_by_bend() * bend - self.epsilon_at(bend);
+        // Several bends may answer to effects, such as a steep screw's: the one near the paper's model's is meant.
+        let start = match self.effects.is_empty() {
+            true => Vector2::zeros(),
+            false => self.plain().forward_bend(q_tilde_mm)?,
+        };
+        let (bend, residual_mm) = self.forward_from(q_tilde_mm, start)?;
         Ok(Response {
             configuration: Configuration::from_bend_vector(bend),
-            common_mm: left.mean(),
-            internal_force_n: left.mean() / self.line_compliance_mm_per_n(),
+            common_mm: residual_mm.mean(),
+            internal_force_n: residual_mm.mean() / self.line_compliance_mm_per_n(),
         })
     }
 
-    fn forward_with_effects(&self, q_tilde_mm: &PerBackbone) -> Result<Response> {
-        // The plain model's answer is near, and fails where there is none.
-        let near = self.forward_bend(q_tilde_mm)?;
-        let ForwardSolution { bend, residual_mm } = Mechanics::new(self).solve(q_tilde_mm, None, near);
-        let common_mm = residual_mm.mean();
-        if bend.norm() > MAX_THETA {
-            return Err(Error::Domain(format!(
-                "with its effects the model bends beyond {:.0}°, where it does not hold; command less",
-                MAX_THETA.to_degrees()
-            )));
-        }
-        Ok(Response {
-            configuration: Configuration::from_bend_vector(bend),
-            common_mm,
-            internal_force_n: common_mm / self.line_compliance_mm_per_n(),
-        })
-    }
-
-    /// The bend vector (rad) that a q̃ (mm) leads to by Eq. 18 alone.
+    /// The bend vector (rad) that a q̃ (mm) leads to.
     ///
     /// # Errors
     /// As [`forward`](Self::forward).
     pub fn forward_bend(&self, q_tilde_mm: &PerBackbone) -> Result<Vector2<f64>> {
-        let inverse = self.robot.bend_by_displacement();
-        let target = inverse.tr_mul(q_tilde_mm);
+        Ok(self.forward_from(q_tilde_mm, Vector2::zeros())?.0)
+    }
+
+    fn forward_from(&self, q_tilde_mm: &PerBackbone, start: Vector2<f64>) -> Result<(Vector2<f64>, PerBackbone)> {
         let outside = || {
             let numbers: Vec<_> = q_tilde_mm.iter().map(|q| format!("{q:.3}")).collect();
             Error::Domain(format!(
@@ -202,37 +164,20 @@ impl Model {
             ))
         };
         // Also where a square of them overflows: against a tolerance without end anything would do.
-        if !(q_tilde_mm.norm().is_finite() && target.norm().is_finite()) {
+        if !q_tilde_mm.norm().is_finite() {
             return Err(outside());
         }
-        let misfit = |bend: Vector2<f64>| bend + inverse.tr_mul(&self.epsilon_at(bend)) - target;
-        let mut bend = Vector2::zeros();
-        let mut gap = misfit(bend);
-        let tolerance = 1e-13 * (1.0 + target.norm());
-        for _ in 0..50 {
-            if gap.norm() <= tolerance {
-                return if bend.norm() <= MAX_THETA { Ok(bend) } else { Err(outside()) };
-            }
-            let slope = Matrix2::identity() + inverse.cross_gram(&self.epsilon_by_bend(bend));
-            let Some(step) = slope.try_inverse().map(|inverted| -(inverted * gap)) else { break };
-            // Full steps nearly always; a shorter one where the misfit would grow or the bend leave all reason.
-            let mut share = 1.0;
-            let (next, next_gap) = loop {
-                let next = bend + step * share;
-                let next_gap = misfit(next);
-                if next.norm() <= 2.0 * MAX_THETA && next_gap.norm() < gap.norm() {
-                    break (next, next_gap);
-                }
-                share /= 2.0;
-                if share < 1e-6 {
-                    // No step improves: at the limit of what doubles resolve, or against the workspace's end.
-                    let solved = gap.norm() <= 1e3 * tolerance && bend.norm() <= MAX_THETA;
-                    return if solved { Ok(bend) } else { Err(outside()) };
-                }
-            };
-            (bend, gap) = (next, next_gap);
-        }
-        Err(outside())
+        let found = Mechanics::new(self).solve(q_tilde_mm, None, start);
+        // Effects with a direction jump where a q_i passes zero, and there the nearest bend is the answer.
+        let answered = found.converged || !self.effects.is_empty();
+        if answered && found.bend.norm() <= MAX_THETA { Ok((found.bend, found.residual_mm)) } else { Err(outside()) }
+    }
+
+    /// Standard deviations of [`command`](Self::command), mm, from the covariance of (η, λ).
+    pub fn command_sds(&self, psi: Configuration) -> PerBackbone {
+        let covariance = self.parameter_covariance();
+        // A variance may come out as a rounding below zero.
+        self.epsilon_by_parameters(psi.bend_vector()).map(|by| by.dot(&(covariance * by)).max(0.0).sqrt())
     }
 
     /// Covariance of the bend vector (rad²) that a given q̃ leads to, from that of (η, λ).
@@ -265,6 +210,7 @@ mod tests {
     use super::*;
     use crate::robot::{Estimate, Friction};
     use proptest::prelude::*;
+    use std::f64::consts::PI;
 
     fn paper() -> Model {
         let estimate =

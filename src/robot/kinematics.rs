@@ -31,6 +31,12 @@ use crate::geometry::{Configuration, Pose, sinc};
 use nalgebra::{Matrix2, Matrix3, Matrix6x2, Translation3, UnitQuaternion, Vector2, Vector3, Vector6};
 use std::f64::consts::TAU;
 
+/// The largest bend that the model answers for, rad (120°).
+///
+/// Convention: the paper's experiments end below 90°; the margin lets a command or a noisy reading near that end have an answer, and
+/// beyond it nothing was ever checked.
+pub const MAX_THETA: f64 = TAU / 3.0;
+
 /// ∂b/∂ψ, the bend vector's derivative by (θ, δ). Its determinant is θ.
 pub fn bend_by_configuration(psi: Configuration) -> Matrix2<f64> {
     let (sin, cos) = psi.delta.sin_cos();

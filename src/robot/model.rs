@@ -59,4 +59,27 @@ impl Model {
     pub fn parameter_covariance(&self) -> Matrix2<f64> {
         self.estimate.map_or(Matrix2::zeros(), |estimate| estimate.covariance)
     }
+
+    /// This model without its effects.
+    pub fn plain(&self) -> Self {
+        Self { effects: Vec::new(), ..self.clone() }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod fixtures {
+    use super::*;
+    use crate::robot::effects::{ParameterSpec, Physics, Role};
+
+    /// A robot of so many backbones with an effect of its typical size times `scale`, and η and λ.
+    pub fn with_example(physics: &'static Physics, backbones: u8, scale: f64) -> Model {
+        let value = |spec: &ParameterSpec| match spec.role {
+            Role::Size { .. } => spec.typical * scale,
+            Role::Shape { example, .. } => example,
+        };
+        let values = (physics.parameters)(usize::from(backbones)).iter().map(value).collect();
+        let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
+        let robot = Robot { backbones, ..Robot::default() };
+        Model { robot, estimate: Some(estimate), effects: vec![Effect::of(physics, values)], ..Model::default() }
+    }
 }

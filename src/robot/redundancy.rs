@@ -66,7 +66,7 @@ pub struct Sharing {
 impl Model {
     /// The forces of least strain within limits that hold the snake at a pose.
     pub fn sharing(&self, psi: Configuration, limits: &ForceLimits) -> Sharing {
-        let tau_n = Mechanics::new(self).forces_at(psi.bend_vector()) * self.parameters().x;
+        let tau_n = Mechanics::new(self).forces_n(psi.bend_vector()) * self.parameters().x;
         let capstan = self.friction.capstan_factor(self.robot.line.cone_bend_angle());
         let static_n = self.friction.static_force_n;
         let actuation = |added: PerBackbone| (tau_n + added).add_scalar(static_n) * capstan;

@@ -16,42 +16,186 @@
 //! Eq. 9 with w_e the wrench applied on the snake by its environment: when ψ changes by dψ, the actuators' work τᵗdq and
 //! the environment's w_eᵗdx together raise the elastic energy, so J_qψᵗ τ = ∇E − J_xψᵗ w_e. (The paper prints a plus,
 //! which is right for the wrench that the snake applies.) In b the constraint is Qᵗτ = ∇_b E − J_xbᵗ w_e with a constant
-//! Q, and Eq. 11's minimum-norm solution is τ = Q (QᵗQ)⁻¹ (…) = 2/(n r²) Q (…), which equals the paper's form wherever
-//! that one is defined, since a change of coordinates changes neither the constraint nor the norm.
+//! Q, and Eq. 11's minimum-norm solution is τ = Q (QᵗQ)⁻¹ (…), which for backbones evenly spaced on a circle is 2/(n r²) Q (…). It
+//! equals the paper's form wherever that one is defined, since a change of coordinates changes neither the constraint nor the norm.
+//!
+//! Effects may change the constants ([`Snake`]): backbones that are not evenly spaced on a circle, a load, a material that softens.
 
 use super::{PerBackbone, Robot};
-use nalgebra::{Matrix2, Vector2, Vector6};
+use nalgebra::{Matrix2, Rotation2, Vector2, Vector6};
 
-impl Robot {
-    /// E, N·mm: the bending energy of all backbones at a bend vector (rad).
-    pub fn elastic_energy(&self, bend: Vector2<f64>) -> f64 {
-        let lengths = self.backbone_lengths(bend);
-        let compliance: f64 = lengths.iter().map(|length| self.secondary.bending_stiffness_n_mm2() / length).sum();
-        0.5 * bend.norm_squared() * (self.primary.bending_stiffness_n_mm2() / self.length_mm + compliance)
+/// Step of the central difference by which a load's share of the Hessian is taken, rad: the differences are good to the step's square.
+///
+/// Convention: numerical.
+const LOAD_STEP_RAD: f64 = 1e-4;
+
+/// The snake's constants, which effects may change.
+#[derive(Debug, Clone)]
+pub struct Snake {
+    /// Distance r_i of each backbone from the middle, mm.
+    pub radii_mm: PerBackbone,
+    /// Unit vectors in {b} from the middle to each backbone.
+    pub directions: PerBackbone<Vector2<f64>>,
+    /// k in ∇E (1 − k θ²), 1/rad².
+    pub softening_per_rad2: f64,
+    /// Force (N) at the centre of the end disk's far face, then moment (N·mm), that the environment applies on it, in {b}.
+    pub wrench: Option<Vector6<f64>>,
+}
+
+impl Snake {
+    /// A robot's snake as it was built, without a load.
+    pub fn of(robot: &Robot) -> Self {
+        Self {
+            radii_mm: PerBackbone::repeat(robot.backbone_count(), robot.backbone_circle_radius_mm),
+            directions: robot.backbone_directions(),
+            softening_per_rad2: 0.0,
+            wrench: None,
+        }
     }
 
-    /// ∇E by the bend vector, N·mm per rad.
-    pub fn elastic_gradient(&self, bend: Vector2<f64>) -> Vector2<f64> {
-        let mut gradient = bend * (self.primary.bending_stiffness_n_mm2() / self.length_mm);
-        for row in &self.displacement_by_bend() {
-            let length = self.length_mm + row.dot(&bend);
-            let stiffness = self.secondary.bending_stiffness_n_mm2() / length;
-            gradient += bend * stiffness - row * (0.5 * stiffness * bend.norm_squared() / length);
+    /// Q, mm per rad: q = Q b; row i is −r_i d_i.
+    pub fn q_by_bend(&self) -> PerBackbone<Vector2<f64>> {
+        self.directions.zip_map(&self.radii_mm, |direction, radius_mm| direction * -radius_mm)
+    }
+
+    /// Turns the backbones about the middle by these angles, rad.
+    pub fn turn_backbones(&mut self, angles: &PerBackbone) {
+        self.directions = self.directions.zip_map(angles, |direction, angle| Rotation2::new(angle) * direction);
+    }
+
+    /// Adds a force (N) and a moment (N·mm) on the end disk, in {b}.
+    pub fn add_wrench(&mut self, wrench: Vector6<f64>) {
+        self.wrench = Some(self.wrench.unwrap_or_default() + wrench);
+    }
+}
+
+/// Eq. 1 and 9–11 of one snake.
+#[derive(Debug, Clone)]
+pub struct Statics<'a> {
+    robot: &'a Robot,
+    snake: Snake,
+    /// E_p I_p / L, N·mm.
+    primary_n_mm: f64,
+    /// E_s I_s, N·mm².
+    secondary_n_mm2: f64,
+    /// Q.
+    q_by_bend: PerBackbone<Vector2<f64>>,
+    /// Q (QᵗQ)⁻¹, 1/mm: from the generalised force on b to τ of least norm.
+    forces_by_generalised: PerBackbone<Vector2<f64>>,
+}
+
+impl<'a> Statics<'a> {
+    /// The statics of a robot whose snake has these constants.
+    pub fn new(robot: &'a Robot, snake: Snake) -> Self {
+        let q_by_bend = snake.q_by_bend();
+        // Singular only where all backbones lie in one plane, which no robot's do: then there are no forces to speak of.
+        let inverse_gram = q_by_bend.cross_gram(&q_by_bend).try_inverse().unwrap_or_else(Matrix2::zeros);
+        Self {
+            robot,
+            primary_n_mm: robot.primary.bending_stiffness_n_mm2() / robot.length_mm,
+            secondary_n_mm2: robot.secondary.bending_stiffness_n_mm2(),
+            q_by_bend,
+            forces_by_generalised: q_by_bend * inverse_gram,
+            snake,
+        }
+    }
+
+    /// The robot.
+    pub fn robot(&self) -> &'a Robot {
+        self.robot
+    }
+
+    /// The snake's constants.
+    pub fn snake(&self) -> &Snake {
+        &self.snake
+    }
+
+    /// Q, mm per rad.
+    pub fn q_by_bend(&self) -> &PerBackbone<Vector2<f64>> {
+        &self.q_by_bend
+    }
+
+    /// Eq. 1: q at a bend vector, mm.
+    pub fn q_mm(&self, bend: Vector2<f64>) -> PerBackbone {
+        self.q_by_bend * bend
+    }
+
+    /// E at a bend vector, N·mm: the bending energy of all backbones, without softening, which is defined by its gradient.
+    pub fn energy(&self, bend: Vector2<f64>) -> f64 {
+        let lengths = self.q_mm(bend).add_scalar(self.robot.length_mm);
+        let secondary = lengths.map(|length| self.secondary_n_mm2 / length).sum();
+        0.5 * bend.norm_squared() * (self.primary_n_mm + secondary)
+    }
+
+    /// ∇E, N·mm per rad, without softening and load.
+    fn elastic_gradient(&self, bend: Vector2<f64>) -> Vector2<f64> {
+        let squared = bend.norm_squared();
+        let mut gradient = bend * self.primary_n_mm;
+        for row in &self.q_by_bend {
+            let length = self.robot.length_mm + row.dot(&bend);
+            let per_length = self.secondary_n_mm2 / length;
+            gradient += bend * per_length - row * (0.5 * per_length * squared / length);
         }
         gradient
     }
 
-    /// The Hessian of E by the bend vector, N·mm per rad².
-    pub fn elastic_hessian(&self, bend: Vector2<f64>) -> Matrix2<f64> {
-        let mut hessian = Matrix2::identity() * (self.primary.bending_stiffness_n_mm2() / self.length_mm);
-        for row in &self.displacement_by_bend() {
-            let length = self.length_mm + row.dot(&bend);
-            let stiffness = self.secondary.bending_stiffness_n_mm2() / length;
+    /// The Hessian of E, N·mm per rad², without softening and load.
+    fn elastic_hessian(&self, bend: Vector2<f64>) -> Matrix2<f64> {
+        let mut hessian = Matrix2::identity() * self.primary_n_mm;
+        for row in &self.q_by_bend {
+            let length = self.robot.length_mm + row.dot(&bend);
+            let per_length = self.secondary_n_mm2 / length;
             let mixed = bend * row.transpose();
-            hessian += Matrix2::identity() * stiffness - (mixed + mixed.transpose()) * (stiffness / length)
-                + row * row.transpose() * (stiffness * bend.norm_squared() / length.powi(2));
+            hessian += Matrix2::identity() * per_length - (mixed + mixed.transpose()) * (per_length / length)
+                + row * row.transpose() * (per_length * bend.norm_squared() / length.powi(2));
         }
         hessian
+    }
+
+    /// The right-hand side of Eq. 9 in b, N·mm per rad: the generalised force that the backbones must exert, Qᵗτ.
+    pub fn generalised_force(&self, bend: Vector2<f64>) -> Vector2<f64> {
+        let elastic = self.elastic_gradient(bend) * (1.0 - self.snake.softening_per_rad2 * bend.norm_squared());
+        elastic - self.load(bend)
+    }
+
+    /// Its derivative by the bend vector, N·mm per rad².
+    pub fn generalised_force_by_bend(&self, bend: Vector2<f64>) -> Matrix2<f64> {
+        let softening = self.snake.softening_per_rad2;
+        let mut slope = self.elastic_hessian(bend);
+        if softening != 0.0 {
+            slope *= 1.0 - softening * bend.norm_squared();
+            slope -= self.elastic_gradient(bend) * bend.transpose() * (2.0 * softening);
+        }
+        if self.snake.wrench.is_some() {
+            slope -= Matrix2::from_columns(&[0, 1].map(|axis| {
+                let step = Vector2::ith(axis, LOAD_STEP_RAD);
+                (self.load(bend + step) - self.load(bend - step)) / (2.0 * LOAD_STEP_RAD)
+            }));
+        }
+        slope
+    }
+
+    /// J_xbᵗ w_e, N·mm per rad.
+    fn load(&self, bend: Vector2<f64>) -> Vector2<f64> {
+        let by_tip = |wrench: Vector6<f64>| self.robot.tip_jacobian_bend(bend).tr_mul(&wrench);
+        self.snake.wrench.map_or_else(Vector2::zeros, by_tip)
+    }
+
+    /// Eq. 11: the forces τ (N, positive towards +q_i) of least norm that hold the snake at a bend vector.
+    pub fn forces_n(&self, bend: Vector2<f64>) -> PerBackbone {
+        self.forces_by_generalised * self.generalised_force(bend)
+    }
+
+    /// ∂τ/∂b, N per rad.
+    pub fn forces_by_bend(&self, bend: Vector2<f64>) -> PerBackbone<Vector2<f64>> {
+        self.forces_by_generalised * self.generalised_force_by_bend(bend)
+    }
+}
+
+impl Robot {
+    /// E, N·mm: the bending energy of all backbones at a bend vector (rad).
+    pub fn elastic_energy(&self, bend: Vector2<f64>) -> f64 {
+        Statics::new(self, Snake::of(self)).energy(bend)
     }
 
     /// Eq. 9–11: the forces τ (N, positive towards +q_i) of least norm that hold the snake at a bend vector.
@@ -59,21 +203,7 @@ impl Robot {
     /// `wrench` is what the environment applies on the end disk: force (N) at the centre of its far face, then moment
     /// (N·mm), both in {b}.
     pub fn actuation_forces(&self, bend: Vector2<f64>, wrench: Option<&Vector6<f64>>) -> PerBackbone {
-        let mut generalised = self.elastic_gradient(bend);
-        if let Some(wrench) = wrench {
-            generalised -= self.tip_jacobian_bend(bend).transpose() * wrench;
-        }
-        self.forces_by_generalised() * generalised
-    }
-
-    /// ∂τ/∂b of the unloaded snake, N per rad.
-    pub fn actuation_forces_by_bend(&self, bend: Vector2<f64>) -> PerBackbone<Vector2<f64>> {
-        self.forces_by_generalised() * self.elastic_hessian(bend)
-    }
-
-    /// Q (QᵗQ)⁻¹, 1/mm: from the generalised force on b to τ of least norm.
-    fn forces_by_generalised(&self) -> PerBackbone<Vector2<f64>> {
-        self.bend_by_displacement()
+        Statics::new(self, Snake { wrench: wrench.copied(), ..Snake::of(self) }).forces_n(bend)
     }
 }
 
@@ -95,13 +225,14 @@ mod tests {
         #[test]
         fn gradient_and_hessian_are_the_derivatives_of_the_energy(bend in any_bend(), backbones in 3..9u8) {
             let robot = Robot { backbones, ..Robot::default() };
+            let statics = Statics::new(&robot, Snake::of(&robot));
             let h = 1e-4;
             for axis in 0..2 {
                 let step = Vector2::ith(axis, h);
-                let slope = (robot.elastic_energy(bend + step) - robot.elastic_energy(bend - step)) / (2.0 * h);
-                prop_assert!((slope - robot.elastic_gradient(bend)[axis]).abs() < 1e-5);
-                let bow = (robot.elastic_gradient(bend + step) - robot.elastic_gradient(bend - step)) / (2.0 * h);
-                prop_assert!((bow - robot.elastic_hessian(bend).column(axis)).norm() < 1e-5);
+                let slope = (statics.energy(bend + step) - statics.energy(bend - step)) / (2.0 * h);
+                prop_assert!((slope - statics.generalised_force(bend)[axis]).abs() < 1e-5);
+                let bow = (statics.generalised_force(bend + step) - statics.generalised_force(bend - step)) / (2.0 * h);
+                prop_assert!((bow - statics.generalised_force_by_bend(bend).column(axis)).norm() < 1e-5);
             }
         }
 
@@ -113,7 +244,8 @@ mod tests {
             let wrench = Vector6::from(load);
             let tau = robot.actuation_forces(bend, Some(&wrench));
             let work = robot.displacement_by_bend().tr_mul(&tau);
-            let needed = robot.elastic_gradient(bend) - robot.tip_jacobian_bend(bend).transpose() * wrench;
+            let elastic = Statics::new(&robot, Snake::of(&robot)).generalised_force(bend);
+            let needed = elastic - robot.tip_jacobian_bend(bend).transpose() * wrench;
             prop_assert!((work - needed).norm() < 1e-9);
             // The only freedom left is in forces that do no work; any of them makes τ longer.
             for part in robot.internal_parts() {
@@ -127,7 +259,8 @@ mod tests {
             let robot = Robot::default();
             let psi = Configuration::from_bend_vector(bend);
             let jacobian = robot.jacobian_q_psi(psi);
-            let gradient = crate::robot::kinematics::bend_by_configuration(psi).transpose() * robot.elastic_gradient(bend);
+            let gradient = crate::robot::kinematics::bend_by_configuration(psi).transpose()
+                * Statics::new(&robot, Snake::of(&robot)).generalised_force(bend);
             let printed = jacobian * (jacobian.cross_gram(&jacobian).try_inverse().unwrap() * gradient);
             prop_assert!((printed - robot.actuation_forces(bend, None)).norm() < 1e-8);
         }

@@ -1,7 +1,7 @@
 //! The compensation table: what to command for every pose of a grid.
 
 use super::PerBackbone;
-use super::compensation::MAX_THETA;
+use super::kinematics::MAX_THETA;
 use super::model::Model;
 use super::redundancy::{ForceLimits, Sharing};
 use crate::error::{ArgumentError, Error, GridError, Result};

@@ -63,7 +63,7 @@ const MOTION_DIRECTED: Physics = Physics {
     reading: "play in the actuators that is crossed whenever a backbone reverses; half the gap at a reversal",
     parameters: |_| const { &[ParameterSpec::positive("half_gap_mm", "mm", (-1.0, 1.0), 0.05)] },
     changes: Changes::Line(|at, p| at.motion.direction * p[0]),
-    history: Some(|memory, _| memory.direction = true),
+    history: Some(|history, _| history.direction = true),
     ..LINEAR
 };
 
@@ -77,8 +77,8 @@ pub(super) static MOTION_DIRECTED_PLAY: Physics = Physics {
     reading: "play in the actuators that a backbone has to travel through whenever it reverses",
     parameters: |_| const { &[ParameterSpec::positive("half_gap_mm", "mm", (0.0, 1.0), 0.05)] },
     starts: Starts::At(&[&[0.06]]),
-    changes: Changes::Line(|at, _| at.motion.taken_up_mm),
-    history: Some(|memory, p| memory.half_play_mm = Some(p[0])),
+    changes: Changes::Line(|at, _| at.motion.play_mm),
+    history: Some(|history, p| history.half_play_mm = Some(p[0])),
     ..MOTION_DIRECTED
 };
 
@@ -89,9 +89,9 @@ pub(super) static DISC_FRICTION: Physics = Physics {
     reading: "friction between backbones and disks: a share of each backbone's force, always against its motion",
     parameters: |_| const { &[ParameterSpec::positive("coefficient", "1", (-2.0, 2.0), 0.05)] },
     changes: Changes::Line(|at, p| {
-        at.tau_n.map(f64::abs).component_mul(&at.motion.direction) * (p[0] * at.snake.line_compliance_mm_per_n)
+        at.tau_n.map(f64::abs).component_mul(&at.motion.direction) * (p[0] * at.line.compliance_mm_per_n)
     }),
-    history: Some(|memory, _| memory.direction = true),
+    history: Some(|history, _| history.direction = true),
     ..LINEAR
 };
 
@@ -100,18 +100,18 @@ const CONE: Physics = Physics {
     name: "cone_friction_reversal",
     reading: "friction in the snake cone that turns round with the motion instead of always adding (w = 1: all of it)",
     parameters: |_| const { &[ParameterSpec::positive("share", "1", (-10.0, 20.0), 0.5)] },
-    history: Some(|memory, _| memory.direction = true),
+    history: Some(|history, _| history.direction = true),
     ..LINEAR
 };
 
 /// What Eq. 16's cone adds with a capstan exponent and an f_s of each backbone's own, beyond what Eq. 18 adds, mm.
 fn in_the_cone(at: &Instant, share: f64, own: impl Fn(usize) -> (f64, f64)) -> PerBackbone {
-    let snake = at.snake;
+    let line = at.line;
     PerBackbone::from_fn(at.tau_n.len(), |i| {
-        let force = snake.eta * at.tau_n[i];
+        let force = line.eta * at.tau_n[i];
         let (exponent, static_force_n) = own(i);
-        let paper = (force + snake.static_force_n) * snake.capstan_exponent.exp();
-        share * snake.cone_compliance_mm_per_n * (force * exponent.exp() + static_force_n - paper)
+        let paper = (force + line.static_force_n) * line.capstan_exponent.exp();
+        share * line.cone_compliance_mm_per_n * (force * exponent.exp() + static_force_n - paper)
     })
 }
 
@@ -122,8 +122,8 @@ pub(super) static CONE_FRICTION_REVERSAL: Physics = Physics {
     changes: Changes::Line(|at, p| {
         in_the_cone(at, p[0], |i| {
             let along = at.motion.direction[i];
-            let exponent = at.snake.capstan_exponent * along * smooth_sign(at.tau_n[i]);
-            (exponent, along * at.snake.static_force_n * exponent.exp())
+            let exponent = at.line.capstan_exponent * along * smooth_sign(at.tau_n[i]);
+            (exponent, along * at.line.static_force_n * exponent.exp())
         })
     }),
     ..CONE
@@ -135,9 +135,9 @@ pub(super) static CONE_FRICTION_STATIC: Physics = Physics {
     equation: "ε_i += w K_c⁻¹ [η τ_i e^{2μφ s_i sign τ_i} + s_i f_s e^{2μφ} − (η τ_i + f_s) e^{2μφ}]",
     changes: Changes::Line(|at, p| {
         in_the_cone(at, p[0], |i| {
-            let (snake, along) = (at.snake, at.motion.direction[i]);
-            let exponent = snake.capstan_exponent * along * smooth_sign(at.tau_n[i]);
-            (exponent, along * snake.static_force_n * snake.capstan_exponent.exp())
+            let (line, along) = (at.line, at.motion.direction[i]);
+            let exponent = line.capstan_exponent * along * smooth_sign(at.tau_n[i]);
+            (exponent, along * line.static_force_n * line.capstan_exponent.exp())
         })
     }),
     ..CONE
@@ -150,8 +150,8 @@ pub(super) static CONE_FRICTION_MOTION: Physics = Physics {
     changes: Changes::Line(|at, p| {
         in_the_cone(at, p[0], |i| {
             let along = at.motion.direction[i];
-            let exponent = at.snake.capstan_exponent * along;
-            (exponent, along * at.snake.static_force_n * exponent.exp())
+            let exponent = at.line.capstan_exponent * along;
+            (exponent, along * at.line.static_force_n * exponent.exp())
         })
     }),
     ..CONE

@@ -80,7 +80,7 @@ pub static LEARNED_CORRECTION: Physics = Physics {
             basis.iter().zip(&p[1 + i * TERMS..]).map(|(basis, weight)| basis * weight).sum()
         })
     }),
-    history: Some(|memory, _| memory.direction = true),
+    history: Some(|history, _| history.direction = true),
     fitted: false,
     ..LINEAR
 };

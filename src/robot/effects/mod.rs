@@ -3,7 +3,7 @@
 //! Each effect is one [`Physics`], which says all that the program knows of it: a name, an equation, a reading in words, parameters
 //! with units and ranges, where a search for them starts, the one function by which it acts, what it must know of the path, what it
 //! is confounded with. A [`Model`](super::Model) holds a list of [`Effect`]s, and everything that predicts obeys them through
-//! [`motion`](super::motion). They act in five places:
+//! [`mechanics`](super::mechanics). They act in five places:
 //!
 //! | where | what it is given | what it changes |
 //! | --- | --- | --- |

@@ -1,6 +1,8 @@
 //! What an effect says of itself: its equation, its parameters, what it changes, and how it is searched for.
 
-use crate::robot::motion::{Memory, Motion, Snake};
+use crate::robot::history::{History, Motion};
+use crate::robot::line::Line;
+use crate::robot::statics::Snake;
 use crate::robot::{BACKBONES, PerBackbone};
 use nalgebra::Vector2;
 
@@ -53,6 +55,8 @@ impl ParameterSpec {
 pub struct Instant<'a> {
     /// The snake's constants, with the effects on them applied.
     pub snake: &'a Snake,
+    /// The actuation line's constants, η and λ.
+    pub line: &'a Line,
     /// The bend vector, rad.
     pub bend: Vector2<f64>,
     /// q, mm.
@@ -138,7 +142,7 @@ pub struct Physics {
     /// What it changes.
     pub changes: Changes,
     /// What must be known of the path, beside the bend and the time.
-    pub history: Option<fn(&mut Memory, &[f64])>,
+    pub history: Option<fn(&mut History, &[f64])>,
     /// The largest first parameter for which its equation has one answer, given the others; none where any has.
     pub largest_size: Option<fn(&[f64]) -> f64>,
     /// What it must gain in Schwarz's criterion beyond the price of its parameters before it is believed.

@@ -54,8 +54,7 @@ pub(super) static TIP_LOAD: Physics = Physics {
     reading: "a force of constant size and direction that pulls at the tip",
     parameters: |_| const { &[force("fx_n"), force("fy_n"), force("fz_n")] },
     changes: Changes::Snake(|snake, p| {
-        let wrench = Vector6::new(p[0], p[1], p[2], 0.0, 0.0, 0.0);
-        snake.wrench = Some(snake.wrench.unwrap_or_default() + wrench);
+        snake.add_wrench(Vector6::new(p[0], p[1], p[2], 0.0, 0.0, 0.0));
     }),
     ..LINEAR
 };
@@ -74,8 +73,7 @@ pub(super) static TIP_WRENCH: Physics = Physics {
         const { &[force("fx_n"), force("fy_n"), force("fz_n"), moment("mx_n_mm"), moment("my_n_mm"), moment("mz_n_mm")] }
     },
     changes: Changes::Snake(|snake, p| {
-        let wrench = Vector6::new(p[0], p[1], p[2], p[3], p[4], p[5]);
-        snake.wrench = Some(snake.wrench.unwrap_or_default() + wrench);
+        snake.add_wrench(Vector6::new(p[0], p[1], p[2], p[3], p[4], p[5]));
     }),
     ..LINEAR
 };
@@ -134,13 +132,17 @@ pub(super) static BACKBONE_RADII_IN_Q: Physics = Physics {
     ..IN_Q_ALONE
 };
 
+fn in_radians(angles_deg: &[f64]) -> PerBackbone {
+    PerBackbone::from_fn(angles_deg.len(), |i| angles_deg[i].to_radians())
+}
+
 /// Each backbone stands at another azimuth than −(i−1)β.
 pub(super) static BACKBONE_AZIMUTH: Physics = Physics {
     name: "backbone_azimuth",
     equation: "a_i → −(i−1)β + Δa_i",
     reading: "backbones that are not evenly spaced",
     parameters: |backbones| &AZIMUTHS[..backbones],
-    changes: Changes::Snake(|snake, p| snake.azimuths += PerBackbone::from_fn(p.len(), |i| p[i].to_radians())),
+    changes: Changes::Snake(|snake, p| snake.turn_backbones(&in_radians(p))),
     ..LINEAR
 };
 
@@ -151,10 +153,9 @@ pub(super) static BACKBONE_AZIMUTH_IN_Q: Physics = Physics {
     reading: "backbones that are not evenly spaced",
     parameters: |backbones| &AZIMUTHS[..backbones],
     changes: Changes::Line(|at, p| {
-        PerBackbone::from_fn(p.len(), |i| {
-            let (sin, cos) = (at.snake.azimuths[i] + p[i].to_radians()).sin_cos();
-            -at.snake.radii_mm[i] * (at.bend.x * cos + at.bend.y * sin) - at.q_mm[i]
-        })
+        let mut turned = at.snake.clone();
+        turned.turn_backbones(&in_radians(p));
+        turned.q_by_bend() * at.bend - at.q_mm
     }),
     ..IN_Q_ALONE
 };

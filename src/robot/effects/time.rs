@@ -34,14 +34,14 @@ const CREEPING: Physics = Physics {
 
 /// ε of a share of a load, mm.
 fn stretch(at: &Instant, share: f64, load_n: PerBackbone) -> PerBackbone {
-    load_n * (share * at.snake.line_compliance_mm_per_n)
+    load_n * (share * at.line.compliance_mm_per_n)
 }
 
 /// The lines go on stretching for a while under load: a first-order lag beside the spring.
 pub(super) static CREEP: Physics = Physics {
     equation: "ε_i += κ c x_i, T ẋ_i = τ_i − x_i, x = 0 at the first reading",
-    changes: Changes::Line(|at, p| stretch(at, p[0], at.motion.relaxed_n)),
-    history: Some(|memory, p| memory.creep_s = Some(p[1])),
+    changes: Changes::Line(|at, p| stretch(at, p[0], at.motion.crept_load_n)),
+    history: Some(|history, p| history.creep_time_constant_s = Some(p[1])),
     ..CREEPING
 };
 
@@ -49,8 +49,10 @@ pub(super) static CREEP: Physics = Physics {
 pub(super) static CREEP_SETTLED: Physics = Physics {
     form: "settled before",
     equation: "ε_i += κ c x_i, T ẋ_i = τ_i − x_i, x = τ at the first reading",
-    changes: Changes::Line(|at, p| stretch(at, p[0], at.motion.relaxed_n)),
-    history: Some(|memory, p| (memory.creep_s, memory.settled) = (Some(p[1]), true)),
+    changes: Changes::Line(|at, p| stretch(at, p[0], at.motion.crept_load_n)),
+    history: Some(|history, p| {
+        (history.creep_time_constant_s, history.creep_ended_before) = (Some(p[1]), true);
+    }),
     ..CREEPING
 };
 
@@ -79,7 +81,7 @@ const DRAGGING: Physics = Physics {
     reading: "a drag on the backbones that grows with their speed",
     parameters: |_| const { &[ParameterSpec::positive("drag_n_s_per_mm", "N·s/mm", (-200.0, 200.0), 0.5)] },
     changes: Changes::Line(|at, p| stretch(at, p[0], at.motion.speed_mm_per_s)),
-    history: Some(|memory, _| memory.speed = true),
+    history: Some(|history, _| history.speed = true),
     ..LINEAR
 };
 

@@ -1,0 +1,182 @@
+//! The mechanics of a model: what its lines travel and what its encoders read at a bend, Eq. 18 and 23 with the model's effects.
+//!
+//! Without effects this is the paper's model. With effects Eq. 23 is q̃ = g(Q b + ε(b; how the snake got there)), g being what the
+//! actuators' encoders add. Along a path the *how* is a [`Motion`]: in which direction each q_i last moved, how fast it moves, how far
+//! the lines have crept, how much time has passed.
+//!
+//! For a single pose ([`Model::command`], tables) there is no path: each q_i is taken to have moved away from straight, slowly,
+//! and to have been held until creep ended, at the time of the first reading.
+//!
+//! The other directions stand beside this file: from q̃ to the bend in [`forward`](super::forward), along paths in
+//! [`path`](super::path).
+
+use super::effects::{Changes, Effect, Instant};
+use super::history::{History, Motion};
+use super::line::Line;
+use super::statics::{Snake, Statics};
+use super::{Model, PerBackbone};
+use nalgebra::Vector2;
+
+/// A q_i nearer to 0 than this has not moved away from straight, mm: a nanometre, which no encoder resolves and the solver does.
+///
+/// Convention: numerical.
+const STRAIGHT_MM: f64 = 1e-6;
+/// Repetitions by which the encoders' errors, which are a function of what they read, and the reading agree, ...
+///
+/// Convention: errors of a slope of 0.75 shrink below [`ENCODER_TOLERANCE_MM`] in as many.
+const ENCODER_STEPS: usize = 100;
+/// ... and the step that is the last, mm.
+///
+/// Convention: numerical.
+const ENCODER_TOLERANCE_MM: f64 = 1e-13;
+/// Repetitions by which the eye's errors are taken off a measured bend. They are small and smooth.
+///
+/// Convention: errors of a slope of 0.3, the largest in the effects' ranges, shrink below 1e-10 in as many.
+const EYE_STEPS: usize = 20;
+
+/// How the snake got to a bend.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Past<'m> {
+    /// Along a path.
+    Path(&'m Motion),
+    /// Nobody knows, but that each q_i last moved in this direction.
+    Pose(PerBackbone),
+}
+
+/// A model made ready to predict with its effects.
+#[derive(Debug, Clone)]
+pub struct Mechanics<'a> {
+    /// Eq. 1 and 9–11 with the effects on the snake.
+    pub(super) statics: Statics<'a>,
+    /// Eq. 12–17.
+    pub(super) line: Line,
+    pub(super) effects: &'a [Effect],
+    /// What the effects need to know of the path.
+    pub(super) history: History,
+    /// Q⁺ of the nominal geometry, by columns: what removes the internal parts.
+    pub(super) bend_by_q: PerBackbone<Vector2<f64>>,
+    /// Whether an effect adds to ε.
+    pub(super) effects_on_line: bool,
+    /// Whether an effect adds to what the encoders read.
+    pub(super) effects_on_encoders: bool,
+}
+
+impl<'a> Mechanics<'a> {
+    /// Makes a model ready.
+    pub fn new(model: &'a Model) -> Self {
+        let robot = &model.robot;
+        let (mut snake, mut history) = (Snake::of(robot), History::default());
+        let (mut effects_on_line, mut effects_on_encoders) = (false, false);
+        for effect in &model.effects {
+            match effect.physics.changes {
+                Changes::Snake(change) => change(&mut snake, &effect.values),
+                Changes::Line(_) => effects_on_line = true,
+                Changes::Encoders(_) => effects_on_encoders = true,
+                Changes::Eye(_) | Changes::Exposure(_) => {}
+            }
+            if let Some(needs) = effect.physics.history {
+                needs(&mut history, &effect.values);
+            }
+        }
+        Self {
+            statics: Statics::new(robot, snake),
+            line: model.line(),
+            effects: &model.effects,
+            history,
+            bend_by_q: robot.bend_by_displacement(),
+            effects_on_line,
+            effects_on_encoders,
+        }
+    }
+
+    /// τ at a bend vector, N, before η.
+    pub fn forces_n(&self, bend: Vector2<f64>) -> PerBackbone {
+        self.statics.forces_n(bend)
+    }
+
+    /// H = ∂ε/∂(η, λ) at a bend vector, mm: a row block of Eq. 20.
+    pub fn epsilon_by_parameters(&self, bend: Vector2<f64>) -> PerBackbone<Vector2<f64>> {
+        (self.forces_n(bend) * self.line.compliance_mm_per_n).map(|elastic| Vector2::new(elastic, 1.0))
+    }
+
+    /// The same for every backbone.
+    pub(super) fn alike(&self, value: f64) -> PerBackbone {
+        PerBackbone::repeat(self.statics.robot().backbone_count(), value)
+    }
+
+    /// Eq. 18 with the effects on the line, plus q: what the lines travel at a bend, q + ε, mm.
+    pub(super) fn travel(&self, bend: Vector2<f64>, past: Past) -> PerBackbone {
+        let (q_mm, tau_n, line) = (self.statics.q_mm(bend), self.forces_n(bend), &self.line);
+        let paper =
+            q_mm + tau_n * (line.eta * line.compliance_mm_per_n) + self.alike(line.static_friction_mm + line.lambda_mm);
+        if !self.effects_on_line {
+            return paper;
+        }
+        let of_pose;
+        let motion = match past {
+            Past::Path(motion) => motion,
+            Past::Pose(direction) => {
+                let play = |half: f64| q_mm.map(|q| q.clamp(-half, half));
+                let play_mm = self.history.half_play_mm.map_or(q_mm, play);
+                of_pose = Motion { direction, play_mm, crept_load_n: tau_n, ..Motion::none(q_mm.len()) };
+                &of_pose
+            }
+        };
+        self.effects.iter().fold(paper, |line_mm, effect| match effect.physics.changes {
+            Changes::Line(summand) => {
+                let snake = self.statics.snake();
+                let at = Instant { snake, line: &self.line, bend, q_mm, tau_n, line_mm, motion };
+                line_mm + summand(&at, &effect.values)
+            }
+            _ => line_mm,
+        })
+    }
+
+    /// The past of a single pose: each q_i moved away from straight.
+    pub(super) fn pose(&self, bend: Vector2<f64>) -> Past<'static> {
+        Past::Pose(self.statics.q_mm(bend).map(|q| if q.abs() < STRAIGHT_MM { 0.0 } else { q.signum() }))
+    }
+
+    /// What the encoders read beyond the lines' travel, mm.
+    pub(super) fn encoder_errors(&self, q_tilde: &PerBackbone) -> PerBackbone {
+        let mut sum = self.alike(0.0);
+        if self.effects_on_encoders {
+            for effect in self.effects {
+                if let Changes::Encoders(error) = effect.physics.changes {
+                    sum += error(q_tilde, &effect.values);
+                }
+            }
+        }
+        sum
+    }
+
+    /// Eq. 23: q̃ of a bend, mm; without a motion, that of a single pose.
+    pub fn command(&self, bend: Vector2<f64>, motion: Option<&Motion>) -> PerBackbone {
+        let travel = self.travel(bend, motion.map_or_else(|| self.pose(bend), Past::Path));
+        let mut q_tilde = travel;
+        if self.effects_on_encoders {
+            for _ in 0..ENCODER_STEPS {
+                let next = travel + self.encoder_errors(&q_tilde);
+                let step = (next - q_tilde).amax();
+                q_tilde = next;
+                if step < ENCODER_TOLERANCE_MM {
+                    break;
+                }
+            }
+        }
+        q_tilde
+    }
+
+    /// The bend that an eye without noise measures in a frame that shows `bend`.
+    pub fn apparent_bend(&self, bend: Vector2<f64>) -> Vector2<f64> {
+        self.effects.iter().fold(bend, |bend, effect| match effect.physics.changes {
+            Changes::Eye(distort) => distort(bend, &effect.values),
+            _ => bend,
+        })
+    }
+
+    /// The bend that a frame showed, from the one that an eye without noise measured in it.
+    pub fn true_bend(&self, apparent: Vector2<f64>) -> Vector2<f64> {
+        (0..EYE_STEPS).fold(apparent, |bend, _| bend + apparent - self.apparent_bend(bend))
+    }
+}
