@@ -11,7 +11,7 @@
 use super::data::Data;
 use crate::observation::Measured;
 
-use crate::robot::{Effect, Estimate, ForwardSolution, LineJacobian, Mechanics, Model, Motion, PerBackbone};
+use crate::robot::{ForwardSolution, LineJacobian, Mechanics, Model, Motion, PerBackbone};
 use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2};
 use std::f64::consts::PI;
 
@@ -183,7 +183,7 @@ impl<'a> Problem<'a> {
             .collect();
         let data = (&self.data.times_s[..], &self.data.q_mm[..]);
         let (scales, ranges) = scales_and_ranges(model);
-        let x = vector(model);
+        let x = model.parameter_values();
         let n = self.data.backbones();
         let mut jacobian = DMatrix::zeros(self.data.numbers(), x.len());
         for j in 0..x.len() {
@@ -191,7 +191,7 @@ impl<'a> Problem<'a> {
             let h = 1e-3 * if x[j] + 1e-3 * scales[j] > ranges[j].1 { -1.0 } else { 1.0 };
             let mut nudged = x.clone();
             nudged[j] += h * scales[j];
-            let nudged = with_vector(model, &nudged);
+            let nudged = model.with_parameter_values(&nudged);
             let changed = Mechanics::new(&nudged);
             let solutions = mechanics.perturbed_path(&changed, data, (&run.solutions, &run.motions, &slopes));
             let moved = self.whitened(&changed, &solutions);
@@ -213,7 +213,7 @@ impl<'a> Problem<'a> {
             counted.map(|(_, r)| r.iter().map(|&r| rho(r)).sum::<f64>()).sum()
         };
         let (scales, ranges) = scales_and_ranges(start);
-        let mut x = vector(start);
+        let mut x = start.parameter_values();
         let mut model = start.clone();
         let mut run = self.run(&model, guess.unwrap_or(&self.start));
         let mut cost = total(&run.residuals);
@@ -237,7 +237,7 @@ impl<'a> Problem<'a> {
                 let step = factor.solve(&gradient);
                 let next: Vec<f64> =
                     (0..x.len()).map(|j| (x[j] - step[j] * scales[j]).clamp(ranges[j].0, ranges[j].1)).collect();
-                let candidate = with_vector(&model, &next);
+                let candidate = model.with_parameter_values(&next);
                 let next_run = self.run(&candidate, &run.path());
                 let next_cost = total(&next_run.residuals);
                 if next_cost < cost {
@@ -278,18 +278,12 @@ impl<'a> Problem<'a> {
         // A direction that the data do not pin gets an sd of a hundred typical sizes, not infinity.
         let damped = &information + DMatrix::identity(scales.len(), scales.len()) * 1e-4;
         let Some(inverse) = damped.cholesky().map(|factor| factor.inverse()) else { return model };
-        let covariance = |a: usize, b: usize| inverse[(a, b)] * scales[a] * scales[b];
         if let Some(estimate) = &mut model.estimate {
-            estimate.covariance = Matrix2::from_fn(covariance);
             estimate.samples = self.data.len();
         }
-        let mut next = 2;
-        for effect in model.effects.iter_mut().filter(|effect| effect.physics.fitted) {
-            let after = next + effect.values.len();
-            effect.covariance = (next..after).map(|a| (0..after).map(|b| covariance(a, b)).collect()).collect();
-            effect.sds = (next..after).map(|a| covariance(a, a).max(0.0).sqrt()).collect();
-            next = after;
-        }
+        model.set_covariance(&DMatrix::from_fn(scales.len(), scales.len(), |a, b| {
+            inverse[(a, b)] * scales[a] * scales[b]
+        }));
         model
     }
 
@@ -336,30 +330,7 @@ fn bend_covariance(measured: &Measured, bend: Vector2<f64>) -> Matrix2<f64> {
     turn * Matrix2::new(along, cross, cross, across) * turn.inverse()
 }
 
-/// The effects whose parameters a fit may change.
-fn fitted(model: &Model) -> impl Iterator<Item = &Effect> {
-    model.effects.iter().filter(|effect| effect.physics.fitted)
-}
-
-/// η, λ and the effects' values in a row.
-fn vector(model: &Model) -> Vec<f64> {
-    let x = model.parameters();
-    [x.x, x.y].into_iter().chain(fitted(model).flat_map(|effect| effect.values.iter().copied())).collect()
-}
-
-fn with_vector(model: &Model, x: &[f64]) -> Model {
-    let mut values = x[2..].iter();
-    let effects = model.effects.iter().map(|effect| match effect.physics.fitted {
-        true => Effect { values: values.by_ref().take(effect.values.len()).copied().collect(), ..effect.clone() },
-        false => effect.clone(),
-    });
-    let estimate = Estimate { eta: x[0], lambda_mm: x[1], covariance: Matrix2::zeros(), samples: 0 };
-    Model { effects: effects.collect(), estimate: Some(estimate), robot: model.robot.clone(), friction: model.friction }
-}
-
 /// The size of each parameter that matters, and its range.
 fn scales_and_ranges(model: &Model) -> (Vec<f64>, Vec<(f64, f64)>) {
-    let specs = fitted(model).flat_map(Effect::parameters);
-    let of_effects = specs.map(|spec| (spec.typical, spec.range));
-    [(0.03, (0.05, 10.0)), (0.02, (-2.0, 2.0))].into_iter().chain(of_effects).unzip()
+    model.parameter_specs().iter().map(|spec| (spec.typical, spec.range)).unzip()
 }

@@ -7,7 +7,7 @@
 use super::data::Data;
 use super::fit::Problem;
 use super::plans::{Plan, plans, repeated};
-use super::search::{Named, with_effect, without_effect};
+use super::search::{Named, with_effect};
 use super::verdict::{Discovery, Verdict};
 use crate::observation::{Measured, Measurement, Status, Waypoint};
 use crate::robot::effects::{Confounded, Poses, physics};
@@ -138,7 +138,7 @@ fn rivals(found: &Discovery, data: &Data) -> Vec<Question> {
         .collect();
     let question = |(k, rival): (usize, &str)| {
         let physics = physics(rival)?;
-        let without = problem.fit(&without_effect(&found.model, k), None, None);
+        let without = problem.fit(&found.model.without_effect(k), None, None);
         let other = with_effect(&problem, &without, physics).model;
         let words =
             format!("{} and {rival} explain these data about equally well", found.model.effects[k].physics.name);
@@ -168,8 +168,8 @@ fn open_rivals(named: &Named, model: &Model, samples: usize) -> Vec<&'static str
 fn values(found: &Discovery) -> Vec<Question> {
     let mut questions = Vec::new();
     for (k, effect) in found.model.effects.iter().enumerate() {
-        for (j, (spec, sd)) in effect.parameters().iter().zip(&effect.sds).enumerate() {
-            if sd / spec.typical > 1.0 / 3.0 && effect.sds[j] > 0.1 * effect.values[j].abs() {
+        for (j, (spec, sd)) in effect.parameters().iter().zip(&found.model.effect_sds(k)).enumerate() {
+            if sd / spec.typical > 1.0 / 3.0 && *sd > 0.1 * effect.values[j].abs() {
                 let words = format!(
                     "the data hardly pin {} of {}: {:.3} ± {sd:.3} {}",
                     spec.name, effect.physics.name, effect.values[j], spec.unit
@@ -251,7 +251,7 @@ impl Eye {
                 let Some(data) = self.data(model, waypoints) else { return 0.0 };
                 let problem = Problem::new(&data, model);
                 let fitted = problem.with_covariance(&problem.fit(model, None, None));
-                let (sd, typical) = (fitted.effects[*k].sds[*j], model.effects[*k].parameters()[*j].typical);
+                let (sd, typical) = (fitted.effect_sds(*k)[*j], model.effects[*k].parameters()[*j].typical);
                 if sd > 0.0 { (typical / sd).powi(2) } else { 0.0 }
             }
         }

@@ -129,7 +129,7 @@ impl Search<'_> {
 
     /// The fit without effect k.
     fn without(&self, fit: &Fit, k: usize) -> Fit {
-        let model = without_effect(&fit.model, k);
+        let model = fit.model.without_effect(k);
         let without = self.problem.fit(&model, Some(&fit.path), None);
         // One start may lead to a lesser answer than another.
         if model.effects.len() == self.given && self.before.cost < without.cost { self.before.clone() } else { without }
@@ -184,12 +184,6 @@ pub(super) fn with_effect(problem: &Problem, fit: &Fit, physics: &'static Physic
         .filter(|(other, _)| other.name == physics.name)
         .map(|(_, model)| problem.fit(&model, Some(&fit.path), None));
     fits.min_by(|a, b| a.bic().total_cmp(&b.bic())).unwrap_or_else(|| fit.clone())
-}
-
-pub(super) fn without_effect(model: &Model, k: usize) -> Model {
-    let mut model = model.clone();
-    model.effects.remove(k);
-    model
 }
 
 /// The effect that a fit was given last.

@@ -162,15 +162,9 @@ pub fn discover_in_frames(mut model: Model, data: &Data) -> Result<Discovery> {
     model.effects.push(Effect::of(&RIG_ERROR, vec![0.0; (RIG_ERROR.parameters)(data.backbones()).len()]));
     let mut found = discover(&model, data)?;
     if let Some(k) = found.model.effects.iter().position(|effect| effect.physics == &RIG_ERROR) {
-        let effect = found.model.effects.remove(k);
-        let given = found.model.effects[..k].iter().filter(|effect| effect.physics.fitted);
-        let before: usize = given.map(|effect| effect.values.len()).sum();
-        for later in found.model.effects[k..].iter_mut() {
-            for row in later.covariance.iter_mut() {
-                row.drain(2 + before..2 + before + effect.values.len());
-            }
-        }
-        let texts = effect.parameters().iter().zip(effect.values.iter().zip(&effect.sds));
+        let (effect, sds) = (found.model.effects[k].clone(), found.model.effect_sds(k));
+        found.model = found.model.without_effect(k);
+        let texts = effect.parameters().iter().zip(effect.values.iter().zip(&sds));
         let texts: Vec<String> =
             texts.map(|(spec, (value, sd))| format!("{} = {value:.3} ± {sd:.3}°", spec.name)).collect();
         found.remarks.push(format!("the rig's own error, the same in all frames, was left free: {}", texts.join(", ")));
@@ -188,8 +182,8 @@ fn with_estimate(model: &Model) -> Model {
 /// Parameters that the data do not pin, in words.
 fn unpinned(model: &Model) -> Vec<String> {
     let mut remarks = Vec::new();
-    for effect in &model.effects {
-        for ((spec, value), sd) in effect.parameters().iter().zip(&effect.values).zip(&effect.sds) {
+    for (k, effect) in model.effects.iter().enumerate() {
+        for ((spec, value), sd) in effect.parameters().iter().zip(&effect.values).zip(&model.effect_sds(k)) {
             if *sd > 10.0 * spec.typical && *sd > value.abs() {
                 remarks.push(format!("{}: the data do not pin {}", effect.physics.name, spec.name));
             }
@@ -325,7 +319,9 @@ impl Discovery {
             let effect = self.model.effects.get(given + k).filter(|effect| effect.physics == named.physics);
             let mut parameters = Map::new();
             if let Some(effect) = effect {
-                for ((spec, value), sd) in effect.parameters().iter().zip(&effect.values).zip(&effect.sds) {
+                for ((spec, value), sd) in
+                    effect.parameters().iter().zip(&effect.values).zip(&self.model.effect_sds(given + k))
+                {
                     parameters.insert(spec.name.into(), json!({"value": value, "sd": sd, "unit": spec.unit}));
                 }
             }

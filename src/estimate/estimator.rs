@@ -605,5 +605,5 @@ fn one_round(
         settled = estimator.settled();
     }
     open.into_iter().try_for_each(each)?;
-    Ok(Model { effects: model.effects.clone(), ..estimator.model })
+    Ok(model.with_estimate(estimator.model.estimate))
 }

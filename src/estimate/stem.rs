@@ -251,7 +251,7 @@ pub fn estimate_stem(
             }
         })
         .collect();
-    Ok((rows, Model { effects: model.effects.clone(), ..stem.model() }))
+    Ok((rows, Model { robot: stem.model().robot, ..model.clone() }))
 }
 
 #[cfg(test)]

@@ -77,11 +77,10 @@ impl OnlineEstimator {
 
     /// The model with its effects and what is estimated so far.
     pub fn model(&self) -> Model {
-        let estimated = match &self.subject {
-            Subject::Parameters(estimator) => estimator.model().clone(),
-            Subject::Stem(stem) => stem.model(),
-        };
-        Model { effects: self.start.effects.clone(), ..estimated }
+        match &self.subject {
+            Subject::Parameters(estimator) => self.start.with_estimate(estimator.model().estimate),
+            Subject::Stem(stem) => Model { robot: stem.model().robot, ..self.start.clone() },
+        }
     }
 
     /// The stem's angle as it stands, where it is followed.

@@ -2,6 +2,7 @@
 
 pub mod c_header;
 pub mod compensation;
+mod covariance;
 pub mod encoders;
 pub mod estimates;
 pub mod experiment;

@@ -189,10 +189,10 @@ pub fn sentence(found: &Discovery) -> String {
 
 /// "play_mm = 0.110 ± 0.001 mm" for each parameter, as far as its sd is worth digits.
 fn parameters(found: &Discovery, name: &str) -> Vec<String> {
-    let Some(effect) = found.model.effects.iter().find(|effect| effect.physics.name == name) else {
-        return Vec::new();
-    };
-    let values = effect.parameters().iter().zip(effect.values.iter().zip(&effect.sds));
+    let effects = &found.model.effects;
+    let Some(k) = effects.iter().position(|effect| effect.physics.name == name) else { return Vec::new() };
+    let sds = found.model.effect_sds(k);
+    let values = effects[k].parameters().iter().zip(effects[k].values.iter().zip(&sds));
     values
         .map(|(spec, (value, sd))| {
             let unit = if spec.unit == "1" { "" } else { spec.unit };

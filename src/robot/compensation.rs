@@ -20,12 +20,6 @@
 //! with H_E the Hessian of the elastic energy. Eq. 26 in b is (I + Q⁺ ∂ε/∂b)⁻¹ Q⁺, and for ψ it is that, turned by
 //! (∂b/∂ψ)⁻¹: the two inverses of Eq. 26 combine into one 2×2 that is regular at θ = 0.
 //!
-//! # Uncertainty
-//!
-//! All parameters p, η and λ and those of the effects, have one covariance matrix P ([`Model::covariance`]). To first order that of q̃
-//! is J P Jᵗ with J = ∂q̃/∂p at a bend, and that of the bend which a given q̃ leads to is A P Aᵗ with A = −∂b/∂q̃ · ∂q̃/∂p, since b
-//! moves so that q̃ stays.
-//!
 //! The model answers up to θ = 120° ([`MAX_THETA`]). The paper's experiments end below 90°; the margin lets a command or a
 //! noisy reading near that end have an answer, and beyond it nothing was ever checked.
 
@@ -172,35 +166,10 @@ impl Model {
         let answered = found.converged || !self.effects.is_empty();
         if answered && found.bend.norm() <= MAX_THETA { Ok((found.bend, found.residual_mm)) } else { Err(outside()) }
     }
-
-    /// Standard deviations of [`command`](Self::command), mm, from the covariance of (η, λ).
-    pub fn command_sds(&self, psi: Configuration) -> PerBackbone {
-        let covariance = self.parameter_covariance();
-        // A variance may come out as a rounding below zero.
-        self.epsilon_by_parameters(psi.bend_vector()).map(|by| by.dot(&(covariance * by)).max(0.0).sqrt())
-    }
-
-    /// Covariance of the bend vector (rad²) that a given q̃ leads to, from that of (η, λ).
-    ///
-    /// # Errors
-    /// As [`updated_jacobian_bend`](Self::updated_jacobian_bend).
-    pub fn response_covariance_bend(&self, bend: Vector2<f64>) -> Result<Matrix2<f64>> {
-        let by_parameters = self.updated_jacobian_bend(bend)?.cross_gram(&self.epsilon_by_parameters(bend));
-        Ok(by_parameters * self.parameter_covariance() * by_parameters.transpose())
-    }
-
-    /// Covariance of (θ, δ), rad², that a given q̃ leads to, from that of (η, λ).
-    ///
-    /// # Errors
-    /// As [`updated_jacobian`](Self::updated_jacobian).
-    pub fn response_covariance(&self, psi: Configuration) -> Result<Matrix2<f64>> {
-        let turn = polar(psi)?;
-        Ok(turn * self.response_covariance_bend(psi.bend_vector())? * turn.transpose())
-    }
 }
 
 /// (∂b/∂ψ)⁻¹, an error at θ = 0.
-fn polar(psi: Configuration) -> Result<Matrix2<f64>> {
+pub(super) fn polar(psi: Configuration) -> Result<Matrix2<f64>> {
     configuration_by_bend(psi)
         .ok_or_else(|| Error::Domain("δ is not defined at θ = 0; use the bend vector there".into()))
 }
@@ -318,33 +287,5 @@ mod tests {
         assert!(model.forward(&PerBackbone::from([f64::NAN, 0.0, 0.0])).is_err());
         assert!(model.forward(&PerBackbone::from([f64::INFINITY, 0.0, 0.0])).is_err());
         assert!(model.updated_jacobian(Configuration::new(0.0, 0.0)).is_err());
-    }
-
-    #[test]
-    fn covariances_are_those_of_redrawn_parameters() {
-        let model = paper();
-        let psi = Configuration::from_degrees(70.0, -140.0);
-        let q_tilde = model.command(psi);
-        let lower = model.parameter_covariance().cholesky().unwrap().l();
-        // Points at ±√2 along both axes of the parameters' ellipse carry its covariance exactly.
-        let mut command = PerBackbone::repeat(3, 0.0);
-        let mut response = Matrix2::zeros();
-        for axis in 0..2 {
-            for sign in [-1.0, 1.0] {
-                let shift = lower.column(axis) * sign * 2f64.sqrt();
-                let mut moved = model.clone();
-                let estimate = moved.estimate.as_mut().unwrap();
-                estimate.eta += shift.x;
-                estimate.lambda_mm += shift.y;
-                let by_command = moved.command(psi) - q_tilde;
-                let by_response = moved.forward(&q_tilde).unwrap().configuration;
-                let by_response = Vector2::new(by_response.theta - psi.theta, by_response.delta - psi.delta);
-                command += by_command.component_mul(&by_command) / 4.0;
-                response += by_response * by_response.transpose() / 4.0;
-            }
-        }
-        assert!((command.map(f64::sqrt) - model.command_sds(psi)).amax() < 1e-9);
-        let predicted = model.response_covariance(psi).unwrap();
-        assert!((response - predicted).norm() < 0.02 * predicted.norm(), "{response} {predicted}");
     }
 }

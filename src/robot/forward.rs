@@ -176,9 +176,9 @@ impl Mechanics<'_> {
 mod tests {
     use super::*;
     use crate::robot::Model;
-    use nalgebra::Matrix2;
     use crate::robot::effects::LIBRARY;
     use crate::robot::model::fixtures::with_example;
+    use nalgebra::Matrix2;
     use proptest::prelude::*;
     use std::f64::consts::PI;
 

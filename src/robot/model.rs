@@ -1,7 +1,13 @@
 //! The model: what a prediction needs to know about one robot.
 
+use super::effects::ParameterSpec;
 use super::{Effect, Friction, Robot};
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
+
+/// η as a parameter.
+pub static ETA: ParameterSpec = ParameterSpec::positive("eta", "1", (0.05, 10.0), 0.03);
+/// λ as a parameter.
+pub static LAMBDA: ParameterSpec = ParameterSpec::size("lambda_mm", "mm", 2.0, 0.02);
 
 /// The estimated parameters x = (η, λ) of Eq. 18.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,7 +43,10 @@ impl Estimate {
 /// The robot, its friction, and what has been learned about its actuation line.
 ///
 /// The default is the paper's robot with the calibrated friction and no estimate: naive compensation.
-#[derive(Debug, Clone, PartialEq, Default)]
+///
+/// Its *parameters* are η, λ and the values of all effects that a fit may change, in the order of the list; they have one
+/// [covariance](Self::covariance).
+#[derive(Debug, Clone, PartialEq)]
 pub struct Model {
     /// Constants of the robot.
     pub robot: Robot,
@@ -47,6 +56,21 @@ pub struct Model {
     pub estimate: Option<Estimate>,
     /// What else acts, beyond Eq. 18.
     pub effects: Vec<Effect>,
+    /// The rows of the parameters' covariance that belong to the effects, m × (2 + m). It may be smaller: parameters beyond its end are
+    /// exactly known.
+    pub effects_covariance: DMatrix<f64>,
+}
+
+impl Default for Model {
+    fn default() -> Self {
+        Self {
+            robot: Robot::default(),
+            friction: Friction::default(),
+            estimate: None,
+            effects: Vec::new(),
+            effects_covariance: DMatrix::zeros(0, 0),
+        }
+    }
 }
 
 impl Model {
@@ -55,21 +79,152 @@ impl Model {
         self.estimate.map_or(Vector2::new(1.0, 0.0), |estimate| Vector2::new(estimate.eta, estimate.lambda_mm))
     }
 
-    /// Covariance of x; zero where nothing was estimated.
+    /// Covariance of (η, λ in mm); zero where nothing was estimated.
     pub fn parameter_covariance(&self) -> Matrix2<f64> {
         self.estimate.map_or(Matrix2::zeros(), |estimate| estimate.covariance)
     }
 
+    /// The effects whose values are parameters, each with its place in the list and the index of its first parameter.
+    fn fitted_effects(&self) -> impl Iterator<Item = (usize, usize, &Effect)> {
+        let fitted = self.effects.iter().enumerate().filter(|(_, effect)| effect.physics.fitted);
+        fitted.scan(2, |next, (k, effect)| {
+            let first = *next;
+            *next += effect.values.len();
+            Some((k, first, effect))
+        })
+    }
+
+    /// The number of parameters, 2 + m.
+    pub fn parameter_count(&self) -> usize {
+        2 + self.fitted_effects().map(|(_, _, effect)| effect.values.len()).sum::<usize>()
+    }
+
+    /// What is known of each parameter.
+    pub fn parameter_specs(&self) -> Vec<ParameterSpec> {
+        let of_effects = self.fitted_effects().flat_map(|(_, _, effect)| effect.parameters().iter().copied());
+        [ETA, LAMBDA].into_iter().chain(of_effects).collect()
+    }
+
+    /// The parameters' names, those of an effect as `effect.parameter`.
+    pub fn parameter_names(&self) -> Vec<String> {
+        let name = |effect: &Effect, spec: &ParameterSpec| format!("{}.{}", effect.physics.name, spec.name);
+        let of_effects =
+            self.fitted_effects().flat_map(|(_, _, e)| e.parameters().iter().map(move |spec| name(e, spec)));
+        [ETA.name, LAMBDA.name].map(str::to_owned).into_iter().chain(of_effects).collect()
+    }
+
+    /// The parameters' values.
+    pub fn parameter_values(&self) -> Vec<f64> {
+        let x = self.parameters();
+        let of_effects = self.fitted_effects().flat_map(|(_, _, effect)| effect.values.iter().copied());
+        [x.x, x.y].into_iter().chain(of_effects).collect()
+    }
+
+    /// The model with other values of its parameters.
+    pub fn with_parameter_values(&self, values: &[f64]) -> Self {
+        let mut model = self.clone();
+        let covariance = self.parameter_covariance();
+        let samples = self.estimate.map_or(0, |estimate| estimate.samples);
+        model.estimate = Some(Estimate { eta: values[0], lambda_mm: values[1], covariance, samples });
+        for (k, first, effect) in self.fitted_effects() {
+            model.effects[k].values.copy_from_slice(&values[first..first + effect.values.len()]);
+        }
+        model
+    }
+
+    /// P, the covariance of the parameters, each in its own unit.
+    pub fn covariance(&self) -> DMatrix<f64> {
+        let n = self.parameter_count();
+        let (rows, columns) = self.effects_covariance.shape();
+        let known = |a: usize, b: usize| if a < rows && b < columns { self.effects_covariance[(a, b)] } else { 0.0 };
+        let of_estimate = self.parameter_covariance();
+        DMatrix::from_fn(n, n, |a, b| match (a.max(b), a.min(b)) {
+            (0 | 1, _) => of_estimate[(a, b)],
+            (later, earlier) => known(later - 2, earlier),
+        })
+    }
+
+    /// Sets the covariance of the parameters. η and λ must have been estimated, or be exactly known.
+    pub fn set_covariance(&mut self, covariance: &DMatrix<f64>) {
+        if let Some(estimate) = &mut self.estimate {
+            estimate.covariance = covariance.fixed_view::<2, 2>(0, 0).into_owned();
+        }
+        self.effects_covariance = covariance.rows(2, covariance.nrows() - 2).into_owned();
+    }
+
+    /// Standard deviations of the values of an effect of the list; 0 where they are given and not estimated.
+    pub fn effect_sds(&self, k: usize) -> Vec<f64> {
+        let covariance = self.covariance();
+        let first = self.fitted_effects().find(|(place, _, _)| *place == k).map(|(_, first, _)| first);
+        let sd = |j: usize| first.map_or(0.0, |first| covariance[(first + j, first + j)].max(0.0).sqrt());
+        (0..self.effects[k].values.len()).map(sd).collect()
+    }
+
+    /// The model without effect k of its list; what is known of the other parameters stays.
+    pub fn without_effect(&self, k: usize) -> Self {
+        let mut model = self.clone();
+        if let Some((_, first, effect)) = self.fitted_effects().find(|(place, _, _)| *place == k) {
+            let covariance = self.covariance().remove_rows(first, effect.values.len());
+            model.effects.remove(k);
+            model.set_covariance(&covariance.remove_columns(first, effect.values.len()));
+        } else {
+            model.effects.remove(k);
+        }
+        model
+    }
+
+    /// The model with η and λ as they were estimated with its effects given. What is uncertain in the effects makes η and λ uncertain
+    /// besides: they move with the effects' parameters e by S = P_xe P_ee⁻¹, as they did where the effects were fitted, so that
+    ///
+    /// ```text
+    /// P_xx = P_x|e + S P_ee Sᵗ,     P_xe = S P_ee
+    /// ```
+    pub fn with_estimate(&self, estimate: Option<Estimate>) -> Self {
+        let mut model = Self { estimate, ..self.clone() };
+        let (m, covariance) = (self.parameter_count() - 2, self.covariance());
+        if m == 0 {
+            return model;
+        }
+        match (estimate, explained(&covariance)) {
+            (Some(estimate), Some(explained)) => {
+                let mut covariance = covariance;
+                let total = estimate.covariance + explained;
+                covariance.fixed_view_mut::<2, 2>(0, 0).copy_from(&total);
+                model.set_covariance(&covariance);
+            }
+            _ => model.effects_covariance.columns_mut(0, 2.min(self.effects_covariance.ncols())).fill(0.0),
+        }
+        model
+    }
+
     /// This model without its effects.
     pub fn plain(&self) -> Self {
-        Self { effects: Vec::new(), ..self.clone() }
+        Self { effects: Vec::new(), effects_covariance: DMatrix::zeros(0, 0), ..self.clone() }
     }
 }
+
+/// S P_ee Sᵗ: the covariance of η and λ that the effects' parameters explain, for the joint covariance of all. `None` where the
+/// decomposition fails.
+fn explained(covariance: &DMatrix<f64>) -> Option<Matrix2<f64>> {
+    let m = covariance.nrows() - 2;
+    // In units of their standard deviations, since the parameters' own units are worlds apart.
+    let sds = DVector::from_fn(m, |j, _| covariance[(2 + j, 2 + j)].max(f64::MIN_POSITIVE).sqrt());
+    let correlations = DMatrix::from_fn(m, m, |a, b| covariance[(2 + a, 2 + b)] / (sds[a] * sds[b]));
+    let cross = DMatrix::from_fn(2, m, |x, b| covariance[(x, 2 + b)] / sds[b]);
+    let inverse = correlations.pseudo_inverse(SINGULAR).ok()?;
+    let explained = &cross * inverse * cross.transpose();
+    Some(Matrix2::from_fn(|a, b| explained[(a, b)]))
+}
+
+/// Directions in which correlated parameters vary by less than this share are taken for exactly known.
+///
+/// Convention: numerical.
+const SINGULAR: f64 = 1e-9;
 
 #[cfg(test)]
 pub(crate) mod fixtures {
     use super::*;
-    use crate::robot::effects::{ParameterSpec, Physics, Role};
+    use crate::robot::effects::{Physics, Role};
 
     /// A robot of so many backbones with an effect of its typical size times `scale`, and η and λ.
     pub fn with_example(physics: &'static Physics, backbones: u8, scale: f64) -> Model {
@@ -81,5 +236,58 @@ pub(crate) mod fixtures {
         let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
         let robot = Robot { backbones, ..Robot::default() };
         Model { robot, estimate: Some(estimate), effects: vec![Effect::of(physics, values)], ..Model::default() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A model with two effects of three parameters, and any covariance of all five.
+    fn with_covariance() -> (Model, DMatrix<f64>) {
+        let effects = ["load_directed_backlash:play_mm=0.08", "creep:share=0.1,time_constant_s=4"];
+        let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
+        let effects = effects.iter().map(|text| Effect::parse(text).unwrap()).collect();
+        let mut model = Model { estimate: Some(estimate), effects, ..Model::default() };
+        let factor =
+            DMatrix::from_fn(5, 5, |a, b| (1.3 * a as f64 + 0.7 * b as f64 + 0.2).sin() * 10f64.powi(-(a as i32)));
+        let covariance = &factor * factor.transpose();
+        model.set_covariance(&covariance);
+        (model, covariance)
+    }
+
+    #[test]
+    fn the_covariance_is_one_matrix_of_all_parameters() {
+        let (mut model, covariance) = with_covariance();
+        assert!((model.covariance() - &covariance).amax() < 1e-15);
+        let names = ["eta", "lambda_mm", "load_directed_backlash.play_mm", "creep.share", "creep.time_constant_s"];
+        assert_eq!(model.parameter_names(), names);
+        assert_eq!(model.parameter_values(), [1.2, 0.17, 0.08, 0.1, 4.0]);
+        let sds = [3, 4].map(|k| covariance[(k, k)].sqrt());
+        assert_eq!(model.effect_sds(1), sds);
+        // Without an effect, what is known of the others is the matrix without its rows and columns.
+        let less = model.without_effect(0);
+        assert!((less.covariance() - covariance.clone().remove_row(2).remove_column(2)).amax() < 1e-15);
+        assert_eq!(less.effect_sds(0), sds);
+        // An effect that is added is known exactly, until somebody says otherwise.
+        model.effects.push(Effect::parse("thermal_drift:rate_mm_per_s=0.001").unwrap());
+        assert_eq!((model.covariance().shape(), model.effect_sds(2)), ((6, 6), vec![0.0]));
+        assert_eq!(model.plain().covariance().shape(), (2, 2));
+    }
+
+    #[test]
+    fn a_new_estimate_of_eta_and_lambda_is_as_uncertain_as_the_effects_make_it() {
+        let (model, covariance) = with_covariance();
+        // What is left of η and λ once the effects are known: the Schur complement. An estimate with just that changes nothing.
+        let (own, cross) = (covariance.view((2, 2), (3, 3)), covariance.view((0, 2), (2, 3)));
+        let explained = cross * own.into_owned().try_inverse().unwrap() * cross.transpose();
+        let left = Matrix2::from_fn(|a, b| covariance[(a, b)] - explained[(a, b)]);
+        let estimate = Estimate { eta: 1.3, lambda_mm: 0.1, covariance: left, samples: 50 };
+        let again = model.with_estimate(Some(estimate));
+        assert!((again.covariance() - &covariance).amax() < 1e-9 * covariance.amax());
+        assert_eq!(again.parameters(), Vector2::new(1.3, 0.1));
+        // Without η and λ nothing moves with the effects.
+        let none = model.with_estimate(None).covariance();
+        assert!(none.view((0, 0), (2, 5)).amax() == 0.0 && none.view((2, 2), (3, 3)) == own);
     }
 }

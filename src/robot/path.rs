@@ -181,8 +181,9 @@ mod tests {
         for (backbones, physics) in LIBRARY.iter().map(|physics| (3, physics)).chain(more_backbones) {
             let model = with_example(physics, backbones, 1.0);
             let worst = furthest_from_the_path(&model);
-            // A path with a history ends when a pass moves it by less than CONVERGED_RAD; a pass halves what is left, or better.
-            let tolerance = if Mechanics::new(&model).history.is_long() { 2.0 * CONVERGED_RAD } else { 1e-8 };
+            // A path with a history ends when a pass moves it by less than CONVERGED_RAD. Of what is left a pass leaves up to 0.8: within
+            // a play ε follows q one to one. That makes 0.8/(1 − 0.8) of the last move.
+            let tolerance = if Mechanics::new(&model).history.is_long() { 4.0 * CONVERGED_RAD } else { 1e-8 };
             assert!(worst < tolerance, "{} {} on {backbones}: {worst} rad", physics.name, physics.form);
         }
     }

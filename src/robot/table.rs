@@ -100,7 +100,7 @@ pub struct TableRow {
     pub q_mm: PerBackbone,
     /// q̃, what to command, mm.
     pub command_mm: PerBackbone,
-    /// Standard deviation of q̃ from the covariance of η and λ, mm.
+    /// Standard deviation of q̃ from the covariance of all of the model's parameters, mm.
     pub sd_command_mm: PerBackbone,
     /// How the backbones share the load, where the actuation unit's limits were given; q̃ then has it in.
     pub sharing: Option<Sharing>,

@@ -165,9 +165,9 @@ fn judged(sealed: &Sealed) -> Outcome {
     let found: Discovery = discover(&Model::default(), &data).expect("a verdict");
     let seconds = began.elapsed().as_secs_f64();
     let (mut within, mut parameters) = (0, 0);
-    for effect in &found.model.effects {
+    for (k, effect) in found.model.effects.iter().enumerate() {
         let Some(truth) = sealed.truth.effects.iter().find(|truth| truth.physics == effect.physics) else { continue };
-        for ((value, sd), truth) in effect.values.iter().zip(&effect.sds).zip(&truth.values) {
+        for ((value, sd), truth) in effect.values.iter().zip(&found.model.effect_sds(k)).zip(&truth.values) {
             parameters += 1;
             within += usize::from((value - truth).abs() <= 1.96 * sd);
         }

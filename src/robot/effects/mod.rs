@@ -24,6 +24,8 @@ mod learned;
 mod physics;
 mod rig;
 mod snake;
+#[cfg(test)]
+mod tests;
 mod time;
 
 pub use learned::{LEARNED_CORRECTION, POWERS, TERMS, basis};
@@ -89,11 +91,6 @@ pub struct Effect {
     pub physics: &'static Physics,
     /// Values of its parameters.
     pub values: Vec<f64>,
-    /// Their standard deviations; 0 where a value is given and not estimated.
-    pub sds: Vec<f64>,
-    /// Covariances of each parameter, in its row, with η, λ (mm), every parameter of the effects before this one in the model,
-    /// and every parameter of this one; empty where nothing was estimated.
-    pub covariance: Vec<Vec<f64>>,
     /// Where it was found; empty where nobody says.
     pub found: String,
 }
@@ -101,7 +98,7 @@ pub struct Effect {
 impl Effect {
     /// An effect of a physics with these values.
     pub fn of(physics: &'static Physics, values: Vec<f64>) -> Self {
-        Self { physics, sds: vec![0.0; values.len()], values, covariance: Vec::new(), found: String::new() }
+        Self { physics, values, found: String::new() }
     }
 
     /// The specifications of its values.
@@ -173,43 +170,5 @@ impl Effect {
         }
         let on = |backbones| Self::new(name.trim(), None, &parameters, backbones);
         BACKBONES.map(on).find(Result::is_ok).unwrap_or_else(|| on(*BACKBONES.start()))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_are_unique_and_every_start_lies_in_its_range() {
-        for (k, physics) in LIBRARY.iter().enumerate() {
-            assert!(LIBRARY[..k].iter().all(|other| other != physics), "{} {}", physics.name, physics.form);
-            assert_eq!(forms(physics.name).next().unwrap().form, "");
-            assert!(!physics.equation.is_empty() && !physics.reading.is_empty());
-            for (backbones, start) in BACKBONES.flat_map(|n| physics.given_starts(n).map(move |start| (n, start))) {
-                let specs = (physics.parameters)(backbones);
-                assert_eq!(Effect::of(physics, start.clone()).parameters(), specs, "{}", physics.name);
-                for (value, spec) in start.iter().zip(specs) {
-                    assert!((spec.range.0..=spec.range.1).contains(value), "{} {}", physics.name, spec.name);
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn what_is_written_wrongly_is_an_error_that_says_what_to_write() {
-        let good = Effect::parse("load_directed_backlash:play_mm=0.08").unwrap();
-        assert_eq!(good.values, [0.08]);
-        for (text, message) in [
-            ("gremlins:size=1", "it knows load_directed_backlash, motion"),
-            ("creep:share=0.1", "time_constant_s is missing"),
-            ("creep:shares=0.1,time_constant_s=2", "no parameter \"shares\""),
-            ("load_directed_backlash:play_mm=20", "expected -1 to 1 (mm)"),
-            ("load_directed_backlash:play_mm=nan", "expected -1 to 1"),
-            ("load_directed_backlash", "expected name:parameter=value"),
-        ] {
-            let error = Effect::parse(text).unwrap_err();
-            assert!(error.to_string().contains(message), "{error}");
-        }
     }
 }

@@ -40,12 +40,12 @@ pub enum Role {
 
 impl ParameterSpec {
     /// A size that may have either sign.
-    pub(super) const fn size(name: &'static str, unit: &'static str, most: f64, typical: f64) -> Self {
+    pub const fn size(name: &'static str, unit: &'static str, most: f64, typical: f64) -> Self {
         Self { name, unit, range: (-most, most), typical, role: Role::Size { either_sign: true } }
     }
 
     /// A size that is positive in nature. A fit may make it negative, where the range allows it.
-    pub(super) const fn positive(name: &'static str, unit: &'static str, range: (f64, f64), typical: f64) -> Self {
+    pub const fn positive(name: &'static str, unit: &'static str, range: (f64, f64), typical: f64) -> Self {
         Self { name, unit, range, typical, role: Role::Size { either_sign: false } }
     }
 }

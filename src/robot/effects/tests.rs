@@ -1,0 +1,290 @@
+//! Each effect against its equation, written out anew.
+
+use super::*;
+use crate::geometry::{Configuration, wrap_angle};
+use crate::robot::model::fixtures::with_example;
+use crate::robot::{Mechanics, Model, Motion, PerBackbone};
+use nalgebra::{DMatrix, DVector, Vector2, Vector6};
+use std::f64::consts::TAU;
+
+/// A pose at which no q_i and no τ_i is near zero.
+fn pose() -> Configuration {
+    Configuration::from_degrees(55.0, 47.0)
+}
+
+/// A model with η and λ and one effect, as on a command line.
+fn with(effect: &str) -> Model {
+    let effect = Effect::parse(effect).unwrap();
+    Model { effects: vec![effect], ..with_example(LIBRARY[0], 3, 1.0) }
+}
+
+/// What an effect adds to q̃ at the pose, mm, how the snake got there being given.
+fn added(model: &Model, motion: &Motion) -> PerBackbone {
+    let bend = pose().bend_vector();
+    let plain = model.plain();
+    Mechanics::new(model).command(bend, Some(motion)) - Mechanics::new(&plain).command(bend, Some(motion))
+}
+
+/// A motion with all that effects ask for.
+fn moving() -> Motion {
+    Motion {
+        direction: PerBackbone::from([1.0, -1.0, -1.0]),
+        speed_mm_per_s: PerBackbone::from([0.4, -0.1, -0.3]),
+        speed_before_mm_per_s: PerBackbone::from([0.5, -0.2, -0.4]),
+        play_mm: PerBackbone::from([0.03, -0.05, 0.01]),
+        crept_load_n: PerBackbone::from([3.0, -2.0, 1.0]),
+        elapsed_s: 7.0,
+    }
+}
+
+#[test]
+fn summands_of_epsilon_are_what_their_equations_say() {
+    let (model, motion) = (with("thermal_drift:rate_mm_per_s=0"), moving());
+    let tau = model.robot.actuation_forces(pose().bend_vector(), None);
+    let kappa = model.line_compliance_mm_per_n();
+    let each = |f: &dyn Fn(f64) -> f64| tau.map(f);
+    let alike = |value: f64| PerBackbone::repeat(3, value);
+    let cases = [
+        ("load_directed_backlash:play_mm=0.08", each(&|tau| 0.08 * (tau / 0.3).tanh())),
+        ("load_directed_backlash:play_mm=0.08,width_n=0.5", each(&|tau| 0.08 * (tau / 0.5).tanh())),
+        ("motion_directed_backlash:half_gap_mm=0.06", PerBackbone::from([0.06, -0.06, -0.06])),
+        ("disc_friction:coefficient=0.1", tau.map(f64::abs).component_mul(&motion.direction) * (0.1 * kappa)),
+        ("thermal_drift:rate_mm_per_s=0.002", alike(0.014)),
+        ("creep:share=0.1,time_constant_s=3", motion.crept_load_n * (0.1 * kappa)),
+        ("viscous_drag:drag_n_s_per_mm=2", motion.speed_mm_per_s * (2.0 * kappa)),
+        ("primary_compression:compliance_mm_per_n=0.003", alike(0.003 * tau.map(f64::abs).sum())),
+    ];
+    for (effect, expected) in cases {
+        let off = added(&with(effect), &motion) - expected;
+        assert!(off.amax() < 1e-12 && expected.amax() > 0.01, "{effect}: {off:?} of {expected:?}");
+    }
+}
+
+#[test]
+fn friction_in_the_cone_turns_round_with_the_motion() {
+    // Eq. 16's cone with the force behind it: (ητ + f_s) e^{2μφ} where a backbone is pushed on, (ητ − f_s) e^{−2μφ} where it gives way.
+    let model = with("cone_friction_reversal:share=1");
+    let tau = model.robot.actuation_forces(pose().bend_vector(), None);
+    let (friction, line) = (model.friction, model.line());
+    let capstan = friction.capstan_factor(model.robot.line.cone_bend_angle());
+    for sign in [1.0, -1.0] {
+        let direction = tau.map(|tau| sign * tau.signum());
+        let expected = tau.zip_map(&direction, |tau, direction| {
+            let force = line.eta * tau;
+            let behind = (force + direction * friction.static_force_n) * capstan.powf(sign);
+            line.cone_compliance_mm_per_n * (behind - (force + friction.static_force_n) * capstan)
+        });
+        let off = added(&model, &Motion { direction, ..moving() }) - expected;
+        // The sign of τ is smooth over 0.3 N; τ is some newtons here.
+        assert!(off.amax() < 1e-6 && expected.amax() > 1e-3, "{off:?} of {expected:?}");
+    }
+}
+
+#[test]
+fn encoders_err_by_what_they_read() {
+    let travel = with("actuator_scale:scale_1=0,scale_2=0,scale_3=0").command(pose());
+    let scaled = with("actuator_scale:scale_1=0.03,scale_2=-0.02,scale_3=0.01").command(pose());
+    let expected = travel.component_div(&PerBackbone::from([0.97, 1.02, 0.99]));
+    assert!((scaled - expected).amax() < 1e-12);
+    let offset = with("actuator_offset:offset_1_mm=0.05,offset_2_mm=-0.02").command(pose()) - travel;
+    assert!((offset - PerBackbone::from([0.05, -0.02, -0.03])).amax() < 1e-12);
+    let read = with("screw_periodic:amplitude_mm=0.04,pitch_mm=1,phase_deg=30").command(pose());
+    let error = read.map(|q| 0.04 * (TAU * q + 30f64.to_radians()).sin());
+    assert!((read - error - travel).amax() < 1e-12 && error.amax() > 0.01);
+}
+
+#[test]
+fn the_snake_obeys_virtual_work_with_its_constants_changed() {
+    let (bend, plain) = (pose().bend_vector(), with("thermal_drift:rate_mm_per_s=0"));
+    let robot = &plain.robot;
+    let forces = |effect: &str| Mechanics::new(&with(effect)).forces_n(bend);
+    let paper = robot.actuation_forces(bend, None);
+    let softened = forces("superelastic_softening:softening_per_rad2=0.1");
+    assert!((softened - paper * (1.0 - 0.1 * bend.norm_squared())).amax() < 1e-12);
+    let loaded = forces("tip_load:fx_n=0.3,fy_n=-0.4,fz_n=0.2,mx_n_mm=2,my_n_mm=0,mz_n_mm=1");
+    let wrench = Vector6::new(0.3, -0.4, 0.2, 2.0, 0.0, 1.0);
+    assert!((loaded - robot.actuation_forces(bend, Some(&wrench))).amax() < 1e-12);
+    // q_i = −(r + Δr_i) θ cos(δ − a_i − Δa_i), and a robot built that way in the first place is the same.
+    let psi = pose();
+    let q = |radius: f64, azimuth: f64| -radius * psi.theta * (psi.delta - azimuth).cos();
+    let azimuths = robot.backbone_azimuths();
+    let turned = with("backbone_azimuth:azimuth_error_1_deg=2,azimuth_error_2_deg=-3,azimuth_error_3_deg=1");
+    let errors = PerBackbone::from([2f64, -3.0, 1.0]).map(f64::to_radians);
+    let expected = azimuths.zip_map(&errors, |azimuth, error| q(1.5, azimuth + error));
+    assert!((Mechanics::new(&turned).statics.q_mm(bend) - expected).amax() < 1e-12);
+    let wider = with("backbone_radius:radius_error_mm=0.1");
+    let mut built = plain.plain();
+    built.robot.backbone_circle_radius_mm = 1.6;
+    assert!((wider.command(psi) - built.command(psi)).amax() < 1e-12);
+}
+
+#[test]
+fn the_eye_errs_as_its_equations_say() {
+    let measured = |effect: &str| {
+        let model = with(effect);
+        let mechanics = Mechanics::new(&model);
+        let apparent = mechanics.apparent_bend(pose().bend_vector());
+        assert!((mechanics.true_bend(apparent) - pose().bend_vector()).norm() < 1e-10, "{effect}");
+        Configuration::from_bend_vector(apparent)
+    };
+    let psi = pose();
+    let turned = measured("plane_misalignment:angle_deg=3");
+    assert!((turned.theta - psi.theta).abs() < 1e-12);
+    assert!((wrap_angle(turned.delta - psi.delta) - 3f64.to_radians()).abs() < 1e-12);
+    let bent = measured("bend_offset:angle_deg=-1");
+    assert!((bent.theta - psi.theta + 1f64.to_radians()).abs() < 1e-12 && (bent.delta - psi.delta).abs() < 1e-12);
+    let shaped = measured("non_circular_shape:shape_per_rad=0.05");
+    assert!((shaped.theta - psi.theta - 0.05 * psi.theta.powi(2)).abs() < 1e-12);
+}
+
+#[test]
+fn what_follows_the_path_follows_its_equation_of_motion() {
+    // Held at a pose: the creep's load is τ (1 − e^{−t/T}), and the other forms have their closed forms, too.
+    let bend = pose().bend_vector();
+    let times: Vec<f64> = (0..40).map(|k| 0.3 * f64::from(k)).collect();
+    let held = vec![bend; times.len()];
+    let last = |model: &Model| {
+        let mechanics = Mechanics::new(model);
+        *mechanics.motions(&times, &held).last().unwrap()
+    };
+    let tau = with("thermal_drift:rate_mm_per_s=0").robot.actuation_forces(bend, None);
+    let creep = with("creep:share=0.1,time_constant_s=4");
+    let expected = tau * (1.0 - (-11.7f64 / 4.0).exp());
+    assert!((last(&creep).crept_load_n - expected).amax() < 1e-9);
+    assert_eq!(last(&creep).elapsed_s, 11.7);
+    let settled = form("creep", "settled before", &[("share", 0.1), ("time_constant_s", 4.0)]);
+    assert!((last(&settled).crept_load_n - tau).amax() < 1e-9);
+    // Along an even sweep of b: the drag's speed is Q ḃ, within and at the ends.
+    let sweep: Vec<_> = times.iter().map(|t| bend * (0.1 * t)).collect();
+    let drag = with("viscous_drag:drag_n_s_per_mm=2");
+    let speed = drag.robot.displacement_by_bend() * (bend * 0.1);
+    let motions = Mechanics::new(&drag).motions(&times, &sweep);
+    assert!(motions.iter().all(|motion| (motion.speed_mm_per_s - speed).amax() < 1e-9));
+    // A play of half width a: taken up after a travel of 2a, and held there.
+    let play = form("motion_directed_backlash", "crossed by travel", &[("half_gap_mm", 0.06)]);
+    let up_and_down: Vec<_> = (0..40).map(|k| bend * (0.5 - (0.05 * f64::from(k) - 1.0).abs() * 0.4)).collect();
+    let motions = Mechanics::new(&play).motions(&times, &up_and_down);
+    let q = play.robot.displacement_by_bend() * bend;
+    let sign = q.map(f64::signum);
+    assert!((motions[20].play_mm - sign * 0.06).amax() < 1e-12);
+    assert!((motions[39].play_mm + sign * 0.06).amax() < 1e-12);
+    let back = motions[21].play_mm - (sign * 0.06 - q * 0.02);
+    assert!(back.amax() < 1e-12, "one sample after the reversal it has followed q");
+}
+
+fn form(name: &str, form: &str, parameters: &[(&str, f64)]) -> Model {
+    let parameters: Vec<_> = parameters.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect();
+    let effect = Effect::new(name, Some(form), &parameters, 3).unwrap();
+    Model { effects: vec![effect], ..with_example(LIBRARY[0], 3, 1.0) }
+}
+
+#[test]
+fn an_effect_of_size_zero_is_the_plain_model() {
+    for physics in LIBRARY {
+        for backbones in [3u8, 5] {
+            let model = with_example(physics, backbones, 0.0);
+            let (plain, motion) = (model.plain(), Motion { elapsed_s: 9.0, ..Motion::none(usize::from(backbones)) });
+            let (mechanics, plain) = (Mechanics::new(&model), Mechanics::new(&plain));
+            let bend = pose().bend_vector();
+            for motion in [None, Some(&motion)] {
+                let off = mechanics.command(bend, motion) - plain.command(bend, motion);
+                assert!(off.amax() < 1e-12, "{} {}: {off:?}", physics.name, physics.form);
+            }
+            assert!((mechanics.apparent_bend(bend) - bend).norm() < 1e-12, "{}", physics.name);
+        }
+    }
+}
+
+/// q̃ along poses, by one effect, less the plain model's, in a row.
+fn response(physics: &'static Physics, values: Vec<f64>, poses: &[Vector2<f64>]) -> DVector<f64> {
+    let plain = Model { effects: Vec::new(), ..with_example(LIBRARY[0], 3, 1.0) };
+    let model = Model { effects: vec![Effect::of(physics, values)], ..plain.clone() };
+    let (mechanics, plain) = (Mechanics::new(&model), Mechanics::new(&plain));
+    let added = poses.iter().map(|&bend| mechanics.command(bend, None) - plain.command(bend, None));
+    DVector::from_vec(added.flat_map(|q| q.to_vec()).collect())
+}
+
+#[test]
+fn what_is_said_to_be_confounded_is_and_elsewhere_is_not() {
+    let in_planes = |planes: &[f64]| -> Vec<_> {
+        let poses = planes.iter().flat_map(|&delta| (1..16).map(move |k| (5.0 * f64::from(k), delta)));
+        poses.map(|(theta, delta)| Configuration::from_degrees(theta, delta).bend_vector()).collect()
+    };
+    let (one, all) = (in_planes(&[20.0]), in_planes(&[20.0, 110.0, -160.0, -70.0]));
+    /// The share of a response that η, λ and the columns of another effect leave.
+    fn left(physics: &'static Physics, other: Option<&'static Physics>, poses: &[Vector2<f64>]) -> f64 {
+        let model = with_example(LIBRARY[0], 3, 1.0);
+        let h: Vec<_> = poses.iter().map(|&bend| model.epsilon_by_parameters(bend)).collect();
+        let column = |axis: usize| DVector::from_vec(h.iter().flat_map(|h| h.column(axis).to_vec()).collect());
+        let mut columns = vec![column(0), column(1)];
+        let count = other.map_or(0, |other| (other.parameters)(3).len());
+        for k in 0..count {
+            let mut values = vec![0.0; count];
+            values[k] = (other.unwrap().parameters)(3)[k].typical * 1e-3;
+            columns.push(response(other.unwrap(), values, poses));
+        }
+        let basis = DMatrix::from_columns(&columns).qr().q();
+        let values = physics.example(3).iter().map(|value| value * 1e-3).collect();
+        let own = response(physics, values, poses);
+        (&own - &basis * (basis.transpose() * &own)).norm() / own.norm()
+    }
+    for effect in LIBRARY {
+        for confounded in effect.confounded_with {
+            let other = physics(confounded.with);
+            assert!(other.is_some() || ["eta", "lambda_mm"].contains(&confounded.with), "{}", confounded.with);
+            assert!(other.is_none_or(|other| other.confounded_with.iter().any(|back| back.with == effect.name)));
+            let poses = if confounded.on == Poses::OnePlane { &one } else { &all };
+            // The scales are more than a compression can imitate; it is the compression that the scales can.
+            let hides = left(effect, other, poses).min(other.map_or(1.0, |other| left(other, Some(effect), poses)));
+            assert!(hides < 0.2, "{} and {}: {hides}", effect.name, confounded.with);
+            if let Some(other) = other {
+                let apart = left(effect, Some(other), &all).min(left(other, Some(effect), &all));
+                assert!(apart > 3.0 * hides, "{} and {} in all planes: {apart}", effect.name, other.name);
+            }
+        }
+    }
+}
+
+#[test]
+fn names_are_unique_and_every_start_lies_in_its_range() {
+    for (k, physics) in LIBRARY.iter().enumerate() {
+        assert!(LIBRARY[..k].iter().all(|other| other != physics), "{} {}", physics.name, physics.form);
+        assert_eq!(forms(physics.name).next().unwrap().form, "");
+        assert!(!physics.equation.is_empty() && !physics.reading.is_empty());
+        for backbones in BACKBONES {
+            let specs = (physics.parameters)(backbones);
+            let example = physics.example(backbones);
+            assert_eq!(Effect::of(physics, example.clone()).parameters(), specs, "{}", physics.name);
+            let mut starts: Vec<_> = physics.given_starts(backbones).collect();
+            if physics.form.is_empty() && physics.history.is_none() {
+                starts.push(example);
+            }
+            for (value, spec) in starts.iter().flat_map(|start| start.iter().zip(specs)) {
+                assert!((spec.range.0..=spec.range.1).contains(value), "{} {}", physics.name, spec.name);
+            }
+            for spec in specs {
+                if let Role::Shape { example, drawn } = spec.role {
+                    let range = spec.range.0..=spec.range.1;
+                    assert!([example, drawn.0, drawn.1].iter().all(|value| range.contains(value)), "{}", spec.name);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_written_wrongly_is_an_error_that_says_what_to_write() {
+    let good = Effect::parse("load_directed_backlash:play_mm=0.08").unwrap();
+    assert_eq!(good.values, [0.08]);
+    for (text, message) in [
+        ("gremlins:size=1", "it knows load_directed_backlash, motion"),
+        ("creep:share=0.1", "time_constant_s is missing"),
+        ("creep:shares=0.1,time_constant_s=2", "no parameter \"shares\""),
+        ("load_directed_backlash:play_mm=20", "expected -1 to 1 (mm)"),
+        ("load_directed_backlash:play_mm=nan", "expected -1 to 1"),
+        ("load_directed_backlash", "expected name:parameter=value"),
+    ] {
+        let error = Effect::parse(text).unwrap_err();
+        assert!(error.to_string().contains(message), "{error}");
+    }
+}
