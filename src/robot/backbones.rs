@@ -6,9 +6,13 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::ops::{Add, AddAssign, Deref, DerefMut, Div, Mul, Neg, RangeInclusive, Sub};
 
 /// How many secondary backbones a robot can have: with fewer than three it cannot be bent to all sides.
+///
+/// Convention: the upper end is the room that [`PerBackbone`] has.
 pub const BACKBONES: RangeInclusive<usize> = 3..=MOST;
 
 /// The room that there is for them, so that nothing need be allocated in the loops that run at the camera's pace.
+///
+/// Convention: a resource limit.
 const MOST: usize = 8;
 
 /// One value for each secondary backbone, element 0 being backbone 1.

@@ -15,6 +15,8 @@ use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
 
 /// Standard gravity, m/s².
+///
+/// Source: 3rd General Conference on Weights and Measures, 1901.
 pub const STANDARD_GRAVITY: f64 = 9.80665;
 
 /// The friction constants of one snake cone, and how well they are known.
@@ -116,13 +118,13 @@ pub struct FrictionFit {
 }
 
 impl FrictionFit {
-    /// μ as the paper prints it.
+    /// μ as the paper prints it. Source: its Section III-B.
     pub const PAPER_MU: f64 = 0.1727;
-    /// f_s as the paper prints it, N.
+    /// f_s as the paper prints it, N. Source: its Section III-B.
     pub const PAPER_STATIC_FORCE_N: f64 = 1.959;
-    /// dμ as the paper's Eq. 14 prints it.
+    /// dμ as the paper prints it. Source: its Eq. 14.
     pub const PAPER_MU_LIMIT: f64 = 0.0135;
-    /// df_s as the paper's Eq. 14 prints it, N.
+    /// df_s as the paper prints it, N. Source: its Eq. 14.
     pub const PAPER_STATIC_FORCE_LIMIT_N: f64 = 0.020;
 
     /// The least-squares line τ̃ = e^{2μφ} (τ + f_s) through the weighings, for sections of angle `phi` (rad).
@@ -262,8 +264,9 @@ mod tests {
         let mean = |value: &dyn Fn(&FrictionFit) -> f64| fits.iter().map(value).sum::<f64>() / fits.len() as f64;
         let mu_variance = mean(&|f| (f.mu - mu).powi(2));
         let static_variance = mean(&|f| (f.static_g - static_g).powi(2));
-        assert_relative_eq!(mean(&|f| f.covariance[(0, 0)]), mu_variance, max_relative = 0.1);
-        assert_relative_eq!(mean(&|f| f.covariance[(1, 1)]), static_variance, max_relative = 0.1);
+        // A variance of 3000 draws scatters by √(2/3000), 2.6 %: three of that.
+        assert_relative_eq!(mean(&|f| f.covariance[(0, 0)]), mu_variance, max_relative = 0.08);
+        assert_relative_eq!(mean(&|f| f.covariance[(1, 1)]), static_variance, max_relative = 0.08);
     }
 
     #[test]

@@ -77,18 +77,18 @@ impl Robot {
         [wave(0, 0.0)].into_iter().chain(higher)
     }
 
-    /// What the backbones' numbers say about bend and common part, in coordinates that keep lengths and angles: along the two
-    /// columns of Q, and along (1, …, 1). With three backbones that is all they say; with more it leaves the other internal parts out.
+    /// The coordinates of displacements along the two columns of Q and along (1, …, 1), each of unit length: bend and common part.
+    /// Lengths and angles stay. With three backbones these are all coordinates; with more the other internal parts are left out.
     pub fn bend_and_common(&self, q_mm: &PerBackbone) -> Vector3<f64> {
         let n = self.backbone_count() as f64;
         let bend = self.backbone_directions().tr_mul(q_mm) * -(2.0 / n).sqrt();
         Vector3::new(bend.x, bend.y, q_mm.sum() / n.sqrt())
     }
 
-    /// The backbones' numbers of which [`bend_and_common`](Self::bend_and_common) says this, without other internal parts.
-    pub fn from_bend_and_common(&self, told: &Vector3<f64>) -> PerBackbone {
+    /// The displacements with these [coordinates](Self::bend_and_common), without other internal parts.
+    pub fn from_bend_and_common(&self, coordinates: &Vector3<f64>) -> PerBackbone {
         let n = self.backbone_count() as f64;
-        (self.backbone_directions() * (told.xy() * -(2.0 / n).sqrt())).add_scalar(told.z / n.sqrt())
+        (self.backbone_directions() * (coordinates.xy() * -(2.0 / n).sqrt())).add_scalar(coordinates.z / n.sqrt())
     }
 
     /// The part of displacements that bends nothing.
@@ -291,11 +291,11 @@ mod tests {
                 let q_mm = robot.joint_displacements(psi) + part * common;
                 prop_assert!((robot.configuration(&q_mm).bend_vector() - psi.bend_vector()).norm() < 1e-12);
             }
-            // What is said of bend and common part keeps lengths, and tells all of it there is.
+            // The coordinates keep lengths, and bend and common part are all of such a q.
             let q_mm = robot.joint_displacements(psi).add_scalar(common);
-            let told = robot.bend_and_common(&q_mm);
-            prop_assert!((told.norm() - q_mm.norm()).abs() < 1e-12);
-            prop_assert!((robot.from_bend_and_common(&told) - q_mm).norm() < 1e-12);
+            let coordinates = robot.bend_and_common(&q_mm);
+            prop_assert!((coordinates.norm() - q_mm.norm()).abs() < 1e-12);
+            prop_assert!((robot.from_bend_and_common(&coordinates) - q_mm).norm() < 1e-12);
         }
 
         #[test]

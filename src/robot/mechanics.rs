@@ -31,8 +31,8 @@ const ENCODER_STEPS: usize = 100;
 const ENCODER_TOLERANCE_MM: f64 = 1e-13;
 /// Repetitions by which the eye's errors are taken off a measured bend. They are small and smooth.
 ///
-/// Convention: errors of a slope of 0.3, the largest in the effects' ranges, shrink below 1e-10 in as many.
-const EYE_STEPS: usize = 20;
+/// Convention: of errors of a slope of 0.5, as a turn by 30° has, 1e-12 are left after as many.
+const EYE_STEPS: usize = 40;
 
 /// How the snake got to a bend.
 #[derive(Debug, Clone, Copy, PartialEq)]

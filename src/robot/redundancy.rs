@@ -26,6 +26,20 @@ use crate::error::{ArgumentError, Result};
 use crate::geometry::Configuration;
 use nalgebra::Vector2;
 
+/// A force counts as within limits that it misses by less than this, N.
+///
+/// Convention: numerical.
+const LIMIT_TOLERANCE_N: f64 = 1e-9;
+/// The multipliers ν are sought within so many times the largest limit of f: with the directions of three to eight backbones they lie
+/// there.
+///
+/// Convention: the bracket of a bisection.
+const FARTHEST_MULTIPLIER: f64 = 16.0;
+/// Halvings of a bisection.
+///
+/// Convention: as many as resolve a double.
+const BISECTIONS: usize = 60;
+
 /// What the actuation unit can do: forces τ̃, N, positive where they push.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ForceLimits {
@@ -46,7 +60,7 @@ impl ForceLimits {
     }
 
     fn contain(&self, force_n: f64) -> bool {
-        (self.least_n - 1e-9..=self.most_n + 1e-9).contains(&force_n)
+        (self.least_n - LIMIT_TOLERANCE_N..=self.most_n + LIMIT_TOLERANCE_N).contains(&force_n)
     }
 }
 
@@ -100,8 +114,7 @@ impl Room {
         let missing = self.missing();
         self.least = self.least.add_scalar(-missing);
         self.most = self.most.add_scalar(missing);
-        // With the directions of three to eight backbones ν lies within 16 times the largest f.
-        let far = 16.0 * self.least.amax().max(self.most.amax());
+        let far = FARTHEST_MULTIPLIER * self.least.amax().max(self.most.amax());
         let y_of = |x| bisected(far, |y| self.bending(Vector2::new(x, y)).y);
         let x = bisected(far, |x| self.bending(Vector2::new(x, y_of(x))).x);
         self.forces(Vector2::new(x, y_of(x)))
@@ -137,7 +150,7 @@ impl Room {
 /// Where a function that does not fall crosses zero between −far and far; the end that is nearer to it where it does not.
 fn bisected(far: f64, grows: impl Fn(f64) -> f64) -> f64 {
     let (mut low, mut high) = (-far, far);
-    for _ in 0..60 {
+    for _ in 0..BISECTIONS {
         let middle = 0.5 * (low + high);
         match grows(middle) {
             value if value < 0.0 => low = middle,

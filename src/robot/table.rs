@@ -9,7 +9,9 @@ use crate::geometry::Configuration;
 use std::fmt;
 use std::str::FromStr;
 
-/// More poses than this are a slip of the pen.
+/// The most poses of a table. More are a mistyped grid.
+///
+/// Convention: a resource limit.
 const MOST_POSES: usize = 10_000_000;
 
 /// Evenly spaced angles, degrees, written `start:stop:step`. The stop belongs to them where a step falls on it.

@@ -16,6 +16,24 @@ use rand::{RngExt, SeedableRng};
 /// Convention: how hard a sealed experiment may be.
 const LARGEST_SHARE: f64 = 0.75;
 
+/// The rms that an effect leaves in ε, mm.
+///
+/// Convention: it defines what a sealed experiment is.
+const EFFECT_RMS_MM: std::ops::Range<f64> = 0.04..0.12;
+/// The values of sizes before they are scaled to that, in typical sizes.
+///
+/// Convention: how much parameters of one effect differ from each other.
+const TYPICAL_SIZES: std::ops::Range<f64> = 0.4..1.0;
+/// η and λ (mm) that are drawn.
+///
+/// Convention: about the paper's 1.221 and 0.1765 mm.
+const DRAWN_ETA: std::ops::Range<f64> = 0.9..1.5;
+const DRAWN_LAMBDA_MM: std::ops::Range<f64> = 0.05..0.25;
+/// Standard deviation of an encoder reading, mm.
+///
+/// Convention: the project's own; the default of every command that asks for it.
+const SD_ENCODER_MM: f64 = 0.0015;
+
 /// A sealed experiment.
 #[derive(Debug, Clone)]
 pub struct Sealed {
@@ -46,8 +64,8 @@ impl Sealed {
         let mut random = StdRng::seed_from_u64(seed);
         let trajectory = ride(&mut random, seed, sweep, round)?;
         let estimate = Estimate {
-            eta: random.random_range(0.9..1.5),
-            lambda_mm: random.random_range(0.05..0.25),
+            eta: random.random_range(DRAWN_ETA),
+            lambda_mm: random.random_range(DRAWN_LAMBDA_MM),
             covariance: Matrix2::zeros(),
             samples: 0,
         };
@@ -55,7 +73,7 @@ impl Sealed {
         for physics in hidden {
             let backbones = truth.robot.backbone_count();
             let mut effect = drawn(physics, backbones, &mut random);
-            let size_mm = random.random_range(0.04..0.12);
+            let size_mm = random.random_range(EFFECT_RMS_MM);
             // Twice, since not all effects are linear in their size.
             for _ in 0..2 {
                 let alone =
@@ -85,7 +103,8 @@ impl Sealed {
     }
 
     fn observed(truth: Model, trajectory: &[Waypoint], seed: u64) -> Self {
-        let samples = Plant { model: truth.clone(), sd_encoder_mm: 0.0015 }.run(trajectory, seed.wrapping_add(1));
+        let samples =
+            Plant { model: truth.clone(), sd_encoder_mm: SD_ENCODER_MM }.run(trajectory, seed.wrapping_add(1));
         let measurements = SimulatedEye::default().observe(&samples, seed.wrapping_add(2));
         let shown = samples.iter().map(|sample| Truth { index: sample.truth.index, configuration: sample.apparent });
         Self { truth, measurements, shown: shown.collect(), readings: samples.iter().map(|s| s.reading).collect() }
@@ -127,7 +146,7 @@ fn drawn(physics: &'static Physics, backbones: usize, random: &mut StdRng) -> Ef
     let mut size = |spec: &ParameterSpec| {
         let negative = matches!(spec.role, Role::Size { either_sign: true }) && random.random_bool(0.5);
         let sign = if negative { -1.0 } else { 1.0 };
-        sign * spec.typical * random.random_range(0.4..1.0)
+        sign * spec.typical * random.random_range(TYPICAL_SIZES)
     };
     let mut values: Vec<f64> = specs.iter().map(&mut size).collect();
     for (value, spec) in values.iter_mut().zip(specs) {

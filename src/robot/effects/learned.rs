@@ -5,6 +5,8 @@ use crate::robot::PerBackbone;
 use nalgebra::Vector2;
 
 /// Functions of the bend for each backbone: powers up to the fourth, and the direction of motion times powers up to the first.
+///
+/// Convention: what the effect's equation is.
 pub const TERMS: usize = 18;
 
 const fn term(name: &'static str, unit: &'static str) -> ParameterSpec {

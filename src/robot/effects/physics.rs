@@ -15,7 +15,7 @@ pub struct ParameterSpec {
     pub unit: &'static str,
     /// Least and largest value that such a robot can have.
     pub range: (f64, f64),
-    /// A change of this size matters: for a size about 0.05 mm of effect. The unit of steps in a fit.
+    /// A change of this size matters: for a size about 0.05 mm of effect on the paper's robot. The unit of steps in a fit.
     pub typical: f64,
     /// What the parameter does to the effect.
     pub role: Role,
@@ -171,6 +171,8 @@ pub(super) const LINEAR: Physics = Physics {
 
 /// Shares of the typical size that differ from one parameter to the next, so that an example is not hidden in η and λ, which are
 /// what the backbones share.
+///
+/// Convention: any that differ.
 const EXAMPLE_SHARES: [f64; 8] = [1.0, -0.7, 0.4, -0.9, 0.6, -0.3, 0.8, -0.5];
 
 impl PartialEq for Physics {
