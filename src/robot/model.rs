@@ -149,7 +149,9 @@ impl Model {
         if let Some(estimate) = &mut self.estimate {
             estimate.covariance = covariance.fixed_view::<2, 2>(0, 0).into_owned();
         }
-        self.effects_covariance = covariance.rows(2, covariance.nrows() - 2).into_owned();
+        let of_effects = covariance.nrows() - 2;
+        let columns = if of_effects > 0 { covariance.ncols() } else { 0 };
+        self.effects_covariance = covariance.view((2, 0), (of_effects, columns)).into_owned();
     }
 
     /// Standard deviations of the values of an effect of the list; 0 where they are given and not estimated.
@@ -249,8 +251,10 @@ mod tests {
         let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
         let effects = effects.iter().map(|text| Effect::parse(text).unwrap()).collect();
         let mut model = Model { estimate: Some(estimate), effects, ..Model::default() };
-        let factor =
-            DMatrix::from_fn(5, 5, |a, b| (1.3 * a as f64 + 0.7 * b as f64 + 0.2).sin() * 10f64.powi(-(a as i32)));
+        let factor = DMatrix::from_fn(5, 5, |a, b| {
+            let own = if a == b { 1.5 } else { 0.0 };
+            (own + (1.3 * a as f64 + 0.7 * b as f64 + 0.2).sin()) * 10f64.powi(-(a as i32))
+        });
         let covariance = &factor * factor.transpose();
         model.set_covariance(&covariance);
         (model, covariance)
