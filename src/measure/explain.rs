@@ -3,9 +3,10 @@
 use crate::camera::{Frame, Samples};
 use crate::geometry::Configuration;
 use crate::measure::body::Outline;
-use crate::measure::eye::{Eye, FrameMeasurement};
-use crate::measure::fit::{EdgeFinder, FINE_SEARCH_PX, PartVisibility, robust_weights};
+use crate::measure::eye::Eye;
+use crate::measure::fit::{EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase};
 use crate::measure::image::plane::Region;
+use crate::measure::measurement::FrameMeasurement;
 use crate::measure::target::grid::project_paper;
 use nalgebra::Point2;
 
@@ -86,7 +87,7 @@ impl Eye {
 fn places(outline: &Outline, finder: &EdgeFinder) -> Vec<Place> {
     let edges: Vec<_> = outline.points.iter().map(|point| (point, finder.find(point, FINE_SEARCH_PX))).collect();
     let misfits: Vec<f64> = edges.iter().filter_map(|(_, edge)| edge.map(|e| e.offset_px / e.sigma_px)).collect();
-    let mut told = misfits.iter().zip(robust_weights(&misfits, false));
+    let mut told = misfits.iter().zip(RobustPhase::Redescending.roots(&misfits));
     let place = |(point, edge): &(&crate::measure::body::OutlinePoint, Option<crate::measure::fit::Edge>)| Place {
         expected: point.pixel,
         seen: edge.and_then(|edge| {

@@ -15,8 +15,11 @@ mod body;
 mod explain;
 mod eye;
 mod fit;
+#[cfg(test)]
+mod fixture;
 mod follow;
 mod image;
+mod measurement;
 mod refine;
 mod rig;
 mod several;
@@ -24,9 +27,10 @@ mod target;
 
 pub use body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 pub use explain::{Explanation, Place};
-pub use eye::{Bend, Eye, FrameMeasurement};
+pub use eye::Eye;
 pub use fit::EdgeBias;
 pub use image::appearance::Appearance;
+pub use measurement::{Bend, FrameMeasurement};
 pub use rig::calibrate::{Rig, RigOptions, calibrate_rig};
 pub use rig::drift::Print;
 pub use several::fused;

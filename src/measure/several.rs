@@ -1,6 +1,6 @@
 //! Several views of one snake at one moment.
 
-use crate::measure::eye::{Bend, FrameMeasurement, failed};
+use crate::measure::measurement::{Bend, FrameMeasurement};
 use crate::observation::{Quality, Status};
 use nalgebra::{Matrix2, Vector2};
 
@@ -20,13 +20,13 @@ pub fn fused(measurements: &[FrameMeasurement]) -> FrameMeasurement {
     let seen: Vec<(Bend, Quality)> = measurements.iter().filter_map(|s| s.bend.zip(s.quality)).collect();
     let alone = || measurements.iter().find(|s| s.bend.is_some()).or(measurements.first()).cloned();
     if seen.len() < 2 {
-        return alone().unwrap_or(failed(Status::NoSnake, None));
+        return alone().unwrap_or(FrameMeasurement::failed(Status::NoSnake, None));
     }
     let informed: Option<Vec<(Bend, Matrix2<f64>)>> =
         seen.iter().map(|(bend, _)| Some((*bend, bend.covariance.try_inverse()?))).collect();
-    let Some(informed) = informed else { return failed(Status::NoSnake, None) };
+    let Some(informed) = informed else { return FrameMeasurement::failed(Status::NoSnake, None) };
     let information: Matrix2<f64> = informed.iter().map(|(_, information)| information).sum();
-    let Some(covariance) = information.try_inverse() else { return failed(Status::NoSnake, None) };
+    let Some(covariance) = information.try_inverse() else { return FrameMeasurement::failed(Status::NoSnake, None) };
     let mean = covariance * informed.iter().map(|(bend, weight)| weight * bend.vector).sum::<Vector2<f64>>();
 
     let off = |(bend, weight): &(Bend, Matrix2<f64>)| {
@@ -37,7 +37,7 @@ pub fn fused(measurements: &[FrameMeasurement]) -> FrameMeasurement {
     let quality = together(&seen);
     let apart = seen.iter().any(|(bend, _)| (bend.vector - mean).norm() > APART_RAD);
     if excess > ALLOWED && apart {
-        return failed(Status::ViewsDisagree, Some(quality));
+        return FrameMeasurement::failed(Status::ViewsDisagree, Some(quality));
     }
     FrameMeasurement::of(Bend { vector: mean, covariance: covariance * excess.max(1.0) }, quality)
 }
@@ -83,9 +83,10 @@ mod tests {
     #[test]
     fn a_view_that_fails_leaves_the_other_to_answer() {
         let seen = measurement(0.3, 0.1, 1e-3, 1e-3);
-        let together = fused(&[failed(Status::Occluded, None), seen.clone()]);
+        let together = fused(&[FrameMeasurement::failed(Status::Occluded, None), seen.clone()]);
         assert_eq!(together, seen);
-        let none = fused(&[failed(Status::Occluded, None), failed(Status::Blurred, None)]);
+        let none =
+            fused(&[FrameMeasurement::failed(Status::Occluded, None), FrameMeasurement::failed(Status::Blurred, None)]);
         assert_eq!(none.status, Status::Occluded);
     }
 
