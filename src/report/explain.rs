@@ -3,7 +3,7 @@
 use super::overlay::{Shape, angles, overlay, rgb, stroke};
 use super::page::document;
 use crate::camera::Frame;
-use crate::measure::{Explanation, Place};
+use crate::measure::{Explanation, SearchedPoint, WeightedEdge};
 use crate::observation::{Measurement, Status};
 use image::{Rgb, RgbImage, imageops};
 use maud::html;
@@ -50,8 +50,8 @@ pub fn stages(
         stage(
             "2-snakeness.png",
             "How much each pixel looks like the snake rather than the paper, by the colours learned from the straight \
-             picture: the snake should be light, the paper dark and the print hardly seen.",
-            rgb(&explanation.snakeness),
+             picture: the snake should be light, the target dark and the print hardly seen.",
+            rgb(&explanation.discriminant),
         ),
     ];
 
@@ -77,14 +77,14 @@ pub fn stages(
         picture,
     ));
 
-    if !explanation.places.is_empty() {
+    if !explanation.points.is_empty() {
         let caption = format!(
             "The best fit's outline and the edges found near it, {ENLARGED} times as large. Green: an edge that agrees; red: \
              one that does not and hardly counts, with a line from where it was expected; blue: no edge where one should \
              be. {}",
-            counted(&explanation.places)
+            counted(&explanation.points)
         );
-        stages.push(Stage { file: "5-edges.png", caption, picture: edges(frame, &explanation.places) });
+        stages.push(Stage { file: "5-edges.png", caption, picture: edges(frame, &explanation.points) });
     }
 
     let drawn = explanation.fits.first().map(|psi| shape(*psi));
@@ -103,12 +103,12 @@ fn faded(frame: &Frame) -> RgbImage {
     picture
 }
 
-/// The part of the frame with places in it, enlarged, with every place and its edge.
-fn edges(frame: &Frame, places: &[Place]) -> RgbImage {
+/// The part of the frame with the points in it, enlarged, with every point and its edge.
+fn edges(frame: &Frame, points: &[SearchedPoint]) -> RgbImage {
     const MARGIN_PX: f64 = 15.0;
     let bound = |value: f64, size: u32| value.clamp(0.0, f64::from(size - 1)) as u32;
-    let start = |axis: usize| places.iter().map(|p| p.expected[axis]).fold(f64::INFINITY, f64::min) - MARGIN_PX;
-    let end = |axis: usize| places.iter().map(|p| p.expected[axis]).fold(0.0, f64::max) + MARGIN_PX;
+    let start = |axis: usize| points.iter().map(|p| p.expected[axis]).fold(f64::INFINITY, f64::min) - MARGIN_PX;
+    let end = |axis: usize| points.iter().map(|p| p.expected[axis]).fold(0.0, f64::max) + MARGIN_PX;
     let (x0, y0) = (bound(start(0), frame.width), bound(start(1), frame.height));
     let (x1, y1) = (bound(end(0), frame.width), bound(end(1), frame.height));
     let part = imageops::crop_imm(&rgb(frame), x0, y0, x1 - x0 + 1, y1 - y0 + 1).to_image();
@@ -120,12 +120,12 @@ fn edges(frame: &Frame, places: &[Place]) -> RgbImage {
         let to = |value: f64, from: u32| scale * (value - f64::from(from) + 0.5) - 0.5;
         Point2::new(to(p.x, x0), to(p.y, y0))
     };
-    for place in places {
-        let expected = enlarged(&place.expected);
-        match place.seen {
+    for point in points {
+        let expected = enlarged(&point.expected);
+        match point.edge {
             None => stroke(&mut picture, &[expected], 1.3 * scale, NO_EDGE),
-            Some((seen, _, weight)) => {
-                let seen = enlarged(&seen);
+            Some(WeightedEdge { pixel, weight }) => {
+                let seen = enlarged(&pixel);
                 let mix = |k: usize| {
                     (f64::from(AGREES.0[k]) * weight + f64::from(DISAGREES.0[k]) * (1.0 - weight)).round() as u8
                 };
@@ -138,13 +138,13 @@ fn edges(frame: &Frame, places: &[Place]) -> RgbImage {
     picture
 }
 
-fn counted(places: &[Place]) -> String {
-    let agree = places.iter().filter(|p| p.seen.is_some_and(|(_, _, weight)| weight > 0.25)).count();
-    let missing = places.iter().filter(|p| p.seen.is_none()).count();
+fn counted(points: &[SearchedPoint]) -> String {
+    let agree = points.iter().filter(|p| p.edge.is_some_and(|edge| edge.weight > 0.25)).count();
+    let missing = points.iter().filter(|p| p.edge.is_none()).count();
     format!(
-        "{} places: {agree} agree, {} disagree, {missing} show no edge.",
-        places.len(),
-        places.len() - agree - missing
+        "{} points: {agree} agree, {} disagree, {missing} show no edge.",
+        points.len(),
+        points.len() - agree - missing
     )
 }
 
@@ -226,15 +226,15 @@ mod tests {
         Frame { width: 64, height: 48, channels: 1, samples: Samples::Bits8(vec![100; 64 * 48]) }
     }
 
-    fn explanation(places: Vec<Place>) -> Explanation {
+    fn explanation(points: Vec<SearchedPoint>) -> Explanation {
         Explanation {
             measurement: FrameMeasurement { status: Status::NoSnake, measured: None, bend: None, quality: None },
-            snakeness: frame(),
+            discriminant: frame(),
             grid: vec![vec![Point2::new(10.0, 0.0), Point2::new(10.0, 47.0)]],
             candidates: vec![Configuration::from_degrees(30.0, 0.0)],
-            fits: if places.is_empty() { Vec::new() } else { vec![Configuration::from_degrees(31.0, 2.0)] },
+            fits: if points.is_empty() { Vec::new() } else { vec![Configuration::from_degrees(31.0, 2.0)] },
             disks: Vec::new(),
-            places,
+            points,
         }
     }
 
@@ -243,14 +243,14 @@ mod tests {
     }
 
     #[test]
-    fn places_are_drawn_where_they_are_and_as_they_agree() {
-        let place = |x: f64, weight: f64| Place {
+    fn points_are_drawn_where_they_are_and_as_they_agree() {
+        let point = |x: f64, weight: f64| SearchedPoint {
             expected: Point2::new(x, 24.0),
-            seen: Some((Point2::new(x, 24.0), 0.0, weight)),
+            edge: Some(WeightedEdge { pixel: Point2::new(x, 24.0), weight }),
         };
-        let missing = Place { expected: Point2::new(40.0, 24.0), seen: None };
-        let picture = edges(&frame(), &[place(20.0, 1.0), place(30.0, 0.0), missing]);
-        // The part starts 15 px left of the first place and above them all.
+        let missing = SearchedPoint { expected: Point2::new(40.0, 24.0), edge: None };
+        let picture = edges(&frame(), &[point(20.0, 1.0), point(30.0, 0.0), missing]);
+        // The part starts 15 px left of the first point and above them all.
         assert_eq!(picture.dimensions(), (4 * (40 - 20 + 31), 4 * 31));
         let at = |x: u32| *picture.get_pixel(4 * (x - 5) + 2, 4 * (24 - 9) + 2);
         assert_eq!([at(20), at(30), at(40)], [AGREES, DISAGREES, NO_EDGE]);
@@ -269,10 +269,10 @@ mod tests {
     }
 
     #[test]
-    fn places_are_counted() {
-        let seen = |weight| Some((Point2::origin(), 0.5, weight));
-        let place = |seen| Place { expected: Point2::new(20.0, 20.0), seen };
-        let places = [place(seen(1.0)), place(seen(0.1)), place(None), place(seen(0.9))];
-        assert_eq!(counted(&places), "4 places: 2 agree, 1 disagree, 1 show no edge.");
+    fn points_are_counted() {
+        let edge = |weight| Some(WeightedEdge { pixel: Point2::origin(), weight });
+        let point = |edge| SearchedPoint { expected: Point2::new(20.0, 20.0), edge };
+        let points = [point(edge(1.0)), point(edge(0.1)), point(None), point(edge(0.9))];
+        assert_eq!(counted(&points), "4 points: 2 agree, 1 disagree, 1 show no edge.");
     }
 }

@@ -163,7 +163,8 @@ mod tests {
             assert!(!silhouette.has_border_at(&border, &-right));
             assert!(!silhouette.has_border_at(&Point2::new(60.0, 70.0), &right));
             let gap_px = silhouette.run_length(&border, right, false);
-            assert!((gap_px - 6.0).abs() <= cell_px, "{gap_px}");
+            // The first step of 0.4 px, and a cell that is half covered counts as empty.
+            assert!((gap_px - 6.0).abs() <= 1.5 * cell_px, "{gap_px}");
             assert_eq!(silhouette.run_length(&border, -right, true), REACH_PX);
         }
     }

@@ -105,7 +105,8 @@ impl CoarseSearch {
 /// All bend vectors of a hexagonal lattice, which covers a disk with the fewest points, rad.
 fn lattice() -> Vec<Vector2<f64>> {
     let spacing = SPACING_DEG.to_radians();
-    let count = (LARGEST_BEND_DEG / SPACING_DEG).ceil() as i32;
+    // The lattice's axes enclose 60°: a disk of radius R reaches R/sin 60° along each.
+    let count = (LARGEST_BEND_DEG / SPACING_DEG / 0.75_f64.sqrt()).ceil() as i32;
     (-count..=count)
         .flat_map(|i| (-count..=count).map(move |j| (f64::from(i), f64::from(j))))
         .map(|(i, j)| spacing * Vector2::new(i + j / 2.0, j * 0.75_f64.sqrt()))

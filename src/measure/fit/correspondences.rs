@@ -86,6 +86,26 @@ impl Correspondences {
         found
     }
 
+    /// Edges of known errors: at every clear point of an outline that bends, displaced outwards by one of `displacements_px`, which
+    /// are in the order of the outline's points. Each has the standard deviation `sigma_px`.
+    #[cfg(test)]
+    pub fn displaced(outline: &Outline, displacements_px: &[f64], sigma_px: f64) -> Self {
+        let mut edges = Self { all: vec![], sections_mm: vec![], section_of: vec![], searched: vec![], blur_px: 1.0 };
+        let points = outline.points.iter().zip(displacements_px);
+        for (point, displacement_px) in points.filter(|(point, _)| is_clear(point) && point.piece.bends()) {
+            if edges.sections_mm.last() != Some(&point.body.s_mm) {
+                edges.sections_mm.push(point.body.s_mm);
+            }
+            edges.section_of.push(edges.sections_mm.len() - 1);
+            edges.searched.push((point.piece, Some(Edge { offset_px: *displacement_px, sigma_px, blur_px: 1.0 })));
+            let normal = point.normal.into_inner();
+            let seen = point.pixel + normal * *displacement_px;
+            let OutlinePoint { body, piece, lateral, .. } = *point;
+            edges.all.push(Correspondence { body, piece, lateral, seen, normal, sigma_px });
+        }
+        edges
+    }
+
     pub fn len(&self) -> usize {
         self.all.len()
     }

@@ -227,7 +227,8 @@ impl<'a> EdgeFinder<'a> {
 mod tests {
     use super::*;
     use crate::measure::body::{BodyPoint, Piece};
-    use crate::measure::image::plane::median;
+    use crate::statistics::moments::rms;
+    use crate::statistics::order::median;
     use nalgebra::{Point2, Unit, Vector2, Vector3};
     use rand::{SeedableRng, rngs::StdRng};
     use rand_distr::{Distribution, Normal};
@@ -265,17 +266,17 @@ mod tests {
         }
     }
 
-    /// The median softness of the edges that a finder sees, and the scatter of their places, px.
+    /// The median blur of the edges that a finder sees, and their root mean square distance from the border, px.
     fn seen(finder: &EdgeFinder) -> (f64, f64) {
         let edges: Vec<Edge> = (20..HEIGHT - 20).step_by(10).filter_map(|y| finder.find(&point(y), 6.0)).collect();
         assert!(edges.len() > 30, "{} edges", edges.len());
         let blur_px = median(&mut edges.iter().map(|e| e.blur_px as f32).collect::<Vec<_>>());
-        let scatter_px = (edges.iter().map(|e| e.offset_px.powi(2)).sum::<f64>() / edges.len() as f64).sqrt();
+        let scatter_px = rms(edges.iter().map(|edge| edge.offset_px));
         (f64::from(blur_px), scatter_px)
     }
 
     #[test]
-    fn a_clean_edge_is_as_soft_as_it_was_made() {
+    fn a_clean_edge_has_the_blur_it_was_made_with() {
         for blur_px in [0.9, 1.5, 3.0, 5.0] {
             let plane = picture(blur_px, 0.0);
             let finder = EdgeFinder::new(&plane, false);
@@ -290,7 +291,28 @@ mod tests {
     }
 
     #[test]
-    fn a_soft_edge_in_noise_takes_a_wide_filter() {
+    fn the_sigma_of_an_edge_is_the_scatter_that_noise_gives_it_but_for_interpolation() {
+        for (blur_px, noise) in [(0.9, 0.01), (1.5, 0.02), (2.5, 0.02)] {
+            let plane = picture(blur_px, noise);
+            let finder = EdgeFinder::new(&plane, false).coarse_for_blur(blur_px);
+            // Profiles along rows, at all positions between them, and so far apart that their noise is independent.
+            let at = |row: usize| OutlinePoint {
+                pixel: Point2::new(BORDER_PX, row as f64 + 0.01 * (row % 100) as f64),
+                ..point(row)
+            };
+            let edges: Vec<Edge> = (5..HEIGHT - 5).step_by(3).filter_map(|row| finder.find(&at(row), 6.0)).collect();
+            assert_eq!(edges.len(), 130);
+            let scatter_px = rms(edges.iter().map(|edge| edge.offset_px));
+            let sigma_px = rms(edges.iter().map(|edge| edge.sigma_px));
+            // Samples two a pixel share pixels, which doubles the variance of the slope. Interpolation between rows leaves 2/3 of a
+            // pixel's variance on the average. σ counts neither: the ratio is √(4/3) = 1.15, certain to 6 %.
+            let ratio = scatter_px / sigma_px;
+            assert!((0.98..1.35).contains(&ratio), "{blur_px}: {scatter_px} for {sigma_px} px");
+        }
+    }
+
+    #[test]
+    fn a_blurred_edge_in_noise_takes_a_wide_filter() {
         const BLUR_PX: f64 = 5.0;
         let plane = picture(BLUR_PX, 0.03);
         let narrow = EdgeFinder::new(&plane, false);

@@ -133,3 +133,60 @@ impl Linearised {
         self
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measure::body::Outline;
+    use crate::measure::fixture::Scene;
+    use crate::measure::target::grid::nudged;
+    use nalgebra::Vector2;
+
+    #[test]
+    fn derivatives_by_state_and_pose_are_the_differences() {
+        let mut scene = Scene::new(Vector3::new(0.1, -0.15, 0.05));
+        scene.lens.distortion[0] = -0.1;
+        let view = scene.view();
+        let bias = EdgeBias { side_px: 0.1, tube_px: -0.2, rim_px: 0.05 };
+        let state = State { bend: Vector2::new(0.5, -0.7), bias };
+        let outline = Outline::spaced(&view, state.psi(), 8.0);
+        let displacements: Vec<f64> = (0..outline.points.len()).map(|k| 0.1 * (k as f64).sin()).collect();
+        let edges = Correspondences::displaced(&outline, &displacements, 0.3);
+        let linear = Linearised::new(&edges, &view, &state);
+        assert!(edges.len() > 100, "{}", edges.len());
+
+        const STEP: f64 = 1e-6;
+        let differences = |ahead: Vec<f64>, behind: Vec<f64>| -> Vec<f64> {
+            ahead.into_iter().zip(behind).map(|(ahead, behind)| (ahead - behind) / (2.0 * STEP)).collect()
+        };
+        let by_state = |k: usize| {
+            let at = |step: f64| {
+                let mut by = SVector::<f64, STATE>::zeros();
+                by[k] = step;
+                let moved = state.moved(&by);
+                edges.residuals(&view, moved.psi(), moved.bias)
+            };
+            differences(at(STEP), at(-STEP))
+        };
+        let by_pose = |k: usize| {
+            let at = |step: f64| {
+                let mut by = DVector::zeros(6);
+                by[k] = step;
+                let moved = Projection { camera_from_base: nudged(&view.camera_from_base, &by), ..view.clone() };
+                edges.residuals(&moved, state.psi(), state.bias)
+            };
+            differences(at(STEP), at(-STEP))
+        };
+        let check = |closed: &DMatrix<f64>, k: usize, differences: Vec<f64>| {
+            let scale = closed.column(k).amax();
+            for (row, difference) in differences.into_iter().enumerate() {
+                let error = (closed[(row, k)] - difference).abs();
+                assert!(error < 1e-5 * scale, "column {k}, row {row}: {} is {difference}", closed[(row, k)]);
+            }
+        };
+        (0..STATE).for_each(|k| check(&linear.by_state, k, by_state(k)));
+        (0..6).for_each(|k| check(&linear.by_pose, k, by_pose(k)));
+        let residuals = edges.residuals(&view, state.psi(), state.bias);
+        assert!(linear.residuals.iter().zip(&residuals).all(|(a, b)| (a - b).abs() < 1e-9));
+    }
+}

@@ -66,8 +66,9 @@ impl Appearance {
     /// `None` if one of the classes has too few pixels or they do not differ.
     pub fn learn(frame: &Frame, label: impl Fn(u32, u32) -> Option<(bool, f64)>) -> Option<Self> {
         let channels = frame.channels;
-        let places =
-            (0..frame.height).step_by(LEARNING_STRIDE).flat_map(|y| (0..frame.width).step_by(LEARNING_STRIDE).map(move |x| (x, y)));
+        let places = (0..frame.height)
+            .step_by(LEARNING_STRIDE)
+            .flat_map(|y| (0..frame.width).step_by(LEARNING_STRIDE).map(move |x| (x, y)));
         let pixels: Vec<_> = places.filter_map(|(x, y)| Some((x, y, label(x, y)?))).collect();
         let colour = |x: u32, y: u32| {
             let first = (y as usize * frame.width as usize + x as usize) * channels;
@@ -155,9 +156,9 @@ impl Appearance {
         }
         let weights = self.weights_for(frame.channels);
         let width = frame.width as usize;
-        let pixels = (0..frame.height as usize)
-            .step_by(EXPOSURE_STRIDE)
-            .flat_map(|row| (row * width..(row + 1) * width).step_by(EXPOSURE_STRIDE).map(|pixel| pixel * frame.channels));
+        let pixels = (0..frame.height as usize).step_by(EXPOSURE_STRIDE).flat_map(|row| {
+            (row * width..(row + 1) * width).step_by(EXPOSURE_STRIDE).map(|pixel| pixel * frame.channels)
+        });
         let mut levels: Vec<f32> =
             pixels.map(|first| weights.iter().zip(first..).map(|(w, k)| light(&frame.samples, k) * w).sum()).collect();
         // The target's light adds up to minus the offset in the picture that was learned from.
