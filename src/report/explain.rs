@@ -9,11 +9,12 @@ use image::{Rgb, RgbImage, imageops};
 use maud::html;
 use nalgebra::Point2;
 
+// Colours. Convention: display choices.
 const GRID: Rgb<u8> = Rgb([0, 200, 255]);
 const AGREES: Rgb<u8> = Rgb([40, 235, 70]);
 const DISAGREES: Rgb<u8> = Rgb([255, 50, 50]);
 const NO_EDGE: Rgb<u8> = Rgb([80, 130, 255]);
-/// Colours of the coarse search's bends, best first.
+/// Colours of the coarse search's candidates, best first.
 const CANDIDATES: [Rgb<u8>; 6] = [
     Rgb([255, 70, 70]),
     Rgb([255, 160, 0]),
@@ -22,7 +23,7 @@ const CANDIDATES: [Rgb<u8>; 6] = [
     Rgb([0, 200, 255]),
     Rgb([220, 110, 255]),
 ];
-/// How much larger the picture of the edges is than the frame.
+/// How much larger the picture of the edges is than the frame. Convention: a display choice.
 const ENLARGED: u32 = 4;
 
 /// One stage's picture.
@@ -49,8 +50,8 @@ pub fn stages(
         stage("1-frame.png", "The frame as it was read.", rgb(frame)),
         stage(
             "2-snakeness.png",
-            "How much each pixel looks like the snake rather than the paper, by the colours learned from the straight \
-             picture: the snake should be light, the target dark and the print hardly seen.",
+            "How much each pixel looks like the snake rather than the grid target behind it, by the colours learned from the \
+             straight picture: the snake should be light, the target dark and its lines hardly seen.",
             rgb(&explanation.discriminant),
         ),
     ];
@@ -61,7 +62,7 @@ pub fn stages(
     }
     stages.push(stage(
         "3-grid.png",
-        "The grid where the rig says it is. Where these lines leave the printed ones, camera or paper have moved since the \
+        "The grid where the rig says it is. Where these lines leave the printed ones, camera or target have moved since the \
          rig was calibrated, or the lens is another.",
         picture,
     ));
@@ -72,8 +73,8 @@ pub fn stages(
     }
     stages.push(stage(
         "4-search.png",
-        "The bends that the coarse search found worth a look; red was the best, then orange, yellow, green, blue and violet. \
-         One of them should lie roughly on the snake.",
+        "The candidates of the coarse search; red is the best, then orange, yellow, green, blue and violet. One of them should lie \
+         roughly on the snake.",
         picture,
     ));
 
@@ -105,6 +106,7 @@ fn faded(frame: &Frame) -> RgbImage {
 
 /// The part of the frame with the points in it, enlarged, with every point and its edge.
 fn edges(frame: &Frame, points: &[SearchedPoint]) -> RgbImage {
+    /// Convention: a display choice, as the widths of the lines are.
     const MARGIN_PX: f64 = 15.0;
     let bound = |value: f64, size: u32| value.clamp(0.0, f64::from(size - 1)) as u32;
     let start = |axis: usize| points.iter().map(|p| p.expected[axis]).fold(f64::INFINITY, f64::min) - MARGIN_PX;
@@ -139,7 +141,9 @@ fn edges(frame: &Frame, points: &[SearchedPoint]) -> RgbImage {
 }
 
 fn counted(points: &[SearchedPoint]) -> String {
-    let agree = points.iter().filter(|p| p.edge.is_some_and(|edge| edge.weight > 0.25)).count();
+    /// Weight of an edge in the fit above which it is said to agree. Convention: a display choice.
+    const AGREES_FROM: f64 = 0.25;
+    let agree = points.iter().filter(|p| p.edge.is_some_and(|edge| edge.weight > AGREES_FROM)).count();
     let missing = points.iter().filter(|p| p.edge.is_none()).count();
     format!(
         "{} points: {agree} agree, {} disagree, {missing} show no edge.",
@@ -153,14 +157,14 @@ fn meaning(status: &Status) -> &'static str {
     match status {
         Status::Ok => "Measured.",
         Status::NoSnake => {
-            "Nothing here looks like the snake: is it in the picture (1), does it stand out from the paper (2), and did the \
+            "Nothing here looks like the snake: is it in the picture (1), does it stand out from the target (2), and did the \
              search find it (4)? A light that changed much since the straight picture can do this."
         }
         Status::Occluded => {
             "Too little of the snake's outline is confirmed by edges (5): something hides it or the model lies wrong (6)."
         }
         Status::Ambiguous => "Two bends explain the picture about equally well, so that neither is given.",
-        Status::Blurred => "The outline is too soft for its edges to be placed: focus, or a shorter exposure.",
+        Status::Blurred => "The outline is too blurred for its edges to be placed: focus, or a shorter exposure.",
         Status::Saturated => "Nearly all of the picture is black or white: exposure.",
         Status::OutOfFrame => "Too much of the snake lies outside the picture.",
         Status::CameraMoved => {
