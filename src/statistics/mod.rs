@@ -14,6 +14,7 @@
 //! | [`order`] | median, MAD and quantiles |
 //! | [`moments`] | mean, standard deviation and root mean square |
 //! | [`bootstrap`] | seeded bootstrap over blocks |
+//! | [`sign_flip`] | whether paired gains have a mean above zero |
 //! | [`null_distribution`] | quantiles of a statistic that was simulated under the null hypothesis |
 
 pub mod bootstrap;
@@ -25,4 +26,5 @@ pub mod moments;
 pub mod null_distribution;
 pub mod order;
 pub mod robust;
+pub mod sign_flip;
 pub mod trimmed;
