@@ -5,6 +5,8 @@ use super::directions::{clear_steps, moved};
 use super::effects::Changes;
 use super::history::Motion;
 use super::mechanics::Mechanics;
+use super::without_effects::Observation;
+use crate::geometry::Configuration;
 use nalgebra::Vector2;
 
 impl Mechanics<'_> {
@@ -70,6 +72,18 @@ impl Mechanics<'_> {
             motion.crept_load_n = self.forces_n(bend);
         }
         motion
+    }
+
+    /// What encoders and an eye without noise observe while the snake takes these bends.
+    pub fn observations(&self, times_s: &[f64], bends: &[Vector2<f64>]) -> Vec<Observation> {
+        let motions = self.motions(times_s, bends);
+        let exposed = self.exposed_bends(times_s, bends);
+        let at = |k: usize| Observation {
+            time_s: times_s[k],
+            q_mm: self.command(bends[k], Some(&motions[k])),
+            configuration: Configuration::from_bend_vector(self.apparent_bend(exposed[k])),
+        };
+        (0..bends.len()).map(at).collect()
     }
 
     /// The bend that the frame shows at each instant of a path: that of some time ago, where the camera is late.

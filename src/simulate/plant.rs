@@ -37,21 +37,19 @@ impl Plant {
         let bends: Vec<_> = trajectory.iter().map(|waypoint| waypoint.configuration.bend_vector()).collect();
         let backbones = self.model.robot.backbone_count();
         let mechanics = Mechanics::new(&self.model);
-        let motions = mechanics.motions(&times_s, &bends);
         let exposed = mechanics.exposed_bends(&times_s, &bends);
-        (0..trajectory.len())
-            .map(|k| {
-                let index = k as u64;
-                let noise =
-                    PerBackbone::from_fn(backbones, |_| StandardNormal.sample(&mut random)) * self.sd_encoder_mm;
-                let q_mm = mechanics.command(bends[k], Some(&motions[k])) + noise;
-                Sample {
-                    reading: EncoderReading { index, time_s: times_s[k], q_mm },
-                    truth: Truth { index, configuration: Configuration::from_bend_vector(exposed[k]) },
-                    apparent: Configuration::from_bend_vector(mechanics.apparent_bend(exposed[k])),
-                }
-            })
-            .collect()
+        let observations = mechanics.observations(&times_s, &bends);
+        let all = observations.iter().zip(exposed).enumerate();
+        all.map(|(k, (observation, exposed))| {
+            let index = k as u64;
+            let noise = PerBackbone::from_fn(backbones, |_| StandardNormal.sample(&mut random)) * self.sd_encoder_mm;
+            Sample {
+                reading: EncoderReading { index, time_s: observation.time_s, q_mm: observation.q_mm + noise },
+                truth: Truth { index, configuration: Configuration::from_bend_vector(exposed) },
+                apparent: observation.configuration,
+            }
+        })
+        .collect()
     }
 }
 
