@@ -1,27 +1,14 @@
-//! Bad input to `discover`, through the program: used as far as it goes, what cannot be decided is said, and nothing gets a false
-//! name.
+//! Bad input to `discover`, through the program: what is usable is used, what cannot be decided is said, and no effect is named
+//! that is not there.
 
+use crate::program::{Sandbox, json};
 use serde_json::Value;
-use std::fs;
-use std::path::Path;
-use std::process::{Command, Output};
 
-fn snakeloop(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_snakeloop")).current_dir(folder).args(arguments).output().unwrap()
-}
-
-/// An experiment with nothing hidden.
-fn simulate(folder: &Path, more: &[&str]) {
-    let output = snakeloop(folder, &[&["simulate", "--observe", "-o", ".", "--quiet"], more].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-}
-
-const SWEEPS: [&str; 5] = ["--sweeps=0,80,160,-110", "--sweep-poses", "20", "--round-poses", "30"];
+const SWEEPS: &str = "--sweeps=0,80,160,-110 --sweep-poses 20 --round-poses 30";
 
 /// Rewrites a file's rows: the row's number and its fields by column.
-fn rewrite(folder: &Path, file: &str, change: impl Fn(usize, &mut Vec<String>)) {
-    let path = folder.join(file);
-    let text = fs::read_to_string(&path).unwrap();
+fn rewrite(sandbox: &Sandbox, file: &str, change: impl Fn(usize, &mut Vec<String>)) {
+    let text = sandbox.read(file);
     let mut lines = text.lines().map(str::to_owned);
     let mut out = lines.next().unwrap() + "\n";
     for (k, line) in lines.enumerate() {
@@ -29,63 +16,58 @@ fn rewrite(folder: &Path, file: &str, change: impl Fn(usize, &mut Vec<String>)) 
         change(k, &mut fields);
         out += &(fields.join(",") + "\n");
     }
-    fs::write(path, out).unwrap();
+    sandbox.write(file, &out);
 }
 
-fn discover(folder: &Path) -> Output {
-    let data = ["discover", "--measurements", "measurements.csv", "--encoders", "encoders.csv", "-o", "out"];
-    snakeloop(folder, &[&data[..], &["--next", "--correction", "--json"]].concat())
-}
+const DISCOVER: &str =
+    "discover --measurements measurements.csv --encoders encoders.csv -o out --next --correction --json";
 
-/// What comes of it, and everything that was said.
-fn answer(folder: &Path) -> (Value, String) {
-    let output = discover(folder);
+/// What comes of it, and what is said besides.
+fn answer(sandbox: &Sandbox) -> (Value, String) {
+    let output = sandbox.call(DISCOVER);
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success() && !said.contains("panicked"), "{said}");
-    assert!(fs::read_to_string(folder.join("out/report.html")).unwrap().ends_with("</html>\n"));
-    (serde_json::from_slice(&output.stdout).unwrap(), said)
+    assert!(sandbox.read("out/report.html").trim_end().ends_with("</html>"));
+    (json(&String::from_utf8(output.stdout).unwrap()), said)
 }
 
-fn refusal(folder: &Path) -> String {
-    let output = discover(folder);
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(!said.contains("panicked"), "{said}");
-    said
+fn refusal(sandbox: &Sandbox) -> String {
+    sandbox.fail(DISCOVER, 1)
 }
 
-fn with_experiment(more: &[&str], check: impl FnOnce(&Path)) {
-    let folder = tempfile::tempdir().unwrap();
-    simulate(folder.path(), more);
-    check(folder.path());
+/// An experiment with nothing hidden, and what is checked of it.
+fn with_experiment(more: &str, check: impl FnOnce(&Sandbox)) {
+    let sandbox = Sandbox::new();
+    sandbox.simulate(".", more);
+    check(&sandbox);
 }
 
 #[test]
 fn too_few_samples_or_no_motion_are_refused() {
-    with_experiment(&["--sweep-poses", "4", "--round-poses", "4"], |folder| {
-        assert!(refusal(folder).contains("20 usable samples, and 24"));
+    with_experiment("--sweep-poses 4 --round-poses 4", |sandbox| {
+        assert!(refusal(sandbox).contains("20 usable samples, and 24"));
     });
-    with_experiment(&SWEEPS, |folder| {
-        rewrite(folder, "encoders.csv", |_, row| {
+    with_experiment(SWEEPS, |sandbox| {
+        rewrite(sandbox, "encoders.csv", |_, row| {
             row.splice(2.., ["0.1", "0.2", "0.3"].map(str::to_owned)).for_each(drop)
         });
-        assert!(refusal(folder).contains("encoders hardly move"));
-        rewrite(folder, "measurements.csv", |_, row| row[6] = "no_snake".into());
-        assert!(refusal(folder).contains("measurements.csv") || refusal(folder).contains("0 usable samples"));
+        assert!(refusal(sandbox).contains("encoders hardly move"));
+        rewrite(sandbox, "measurements.csv", |_, row| row[6] = "no_snake".into());
+        assert!(refusal(sandbox).contains("measurements.csv") || refusal(sandbox).contains("0 usable samples"));
     });
 }
 
 #[test]
 fn one_plane_and_small_bends_are_told_and_nothing_is_named() {
-    with_experiment(&["--sweeps=30,30", "--sweep-poses", "40", "--round-poses", "0"], |folder| {
-        let (found, said) = answer(folder);
+    with_experiment("--sweeps=30,30 --sweep-poses 40 --round-poses 0", |sandbox| {
+        let (found, said) = answer(sandbox);
         assert_eq!(found["verdict"], "none", "{found:#}");
         assert!(said.contains("one plane"), "{said}");
         assert!(found["next"]["because"].to_string().contains("one plane"), "{found:#}");
     });
-    let small = ["--sweep-theta", "0,3", "--round-theta", "2", "--jitter", "0.2"];
-    with_experiment(&[&SWEEPS[..], &small].concat(), |folder| {
-        let (found, said) = answer(folder);
+    let small = "--sweep-theta 0,3 --round-theta 2 --jitter 0.2";
+    with_experiment(&format!("{SWEEPS} {small}"), |sandbox| {
+        let (found, said) = answer(sandbox);
         assert_eq!(found["verdict"], "none", "{found:#}");
         assert!(said.contains("no bend is above"), "{said}");
     });
@@ -93,15 +75,15 @@ fn one_plane_and_small_bends_are_told_and_nothing_is_named() {
 
 #[test]
 fn a_stuck_encoder_or_camera_gets_no_false_name() {
-    with_experiment(&SWEEPS, |folder| {
-        rewrite(folder, "encoders.csv", |_, row| row[4] = "0.25".into());
-        let (found, said) = answer(folder);
+    with_experiment(SWEEPS, |sandbox| {
+        rewrite(sandbox, "encoders.csv", |_, row| row[4] = "0.25".into());
+        let (found, said) = answer(sandbox);
         assert_eq!(found["verdict"], "unexplained", "{found:#}");
         assert!(said.contains("q3_mm is the same"), "{said}");
     });
-    with_experiment(&SWEEPS, |folder| {
-        rewrite(folder, "measurements.csv", |_, row| (row[2], row[3]) = ("30".into(), "40".into()));
-        assert_eq!(answer(folder).0["verdict"], "unexplained");
+    with_experiment(SWEEPS, |sandbox| {
+        rewrite(sandbox, "measurements.csv", |_, row| (row[2], row[3]) = ("30".into(), "40".into()));
+        assert_eq!(answer(sandbox).0["verdict"], "unexplained");
     });
 }
 
@@ -114,11 +96,11 @@ fn a_clock_that_fails_is_told_and_nothing_is_named() {
         (|k, t| if k > 100 { t - 40.0 } else { t }, "times do not rise"),
     ];
     for (clock, words) in clocks {
-        with_experiment(&SWEEPS, |folder| {
+        with_experiment(SWEEPS, |sandbox| {
             for file in ["encoders.csv", "measurements.csv"] {
-                rewrite(folder, file, |k, row| row[1] = clock(k, row[1].parse().unwrap()).to_string());
+                rewrite(sandbox, file, |k, row| row[1] = clock(k, row[1].parse().unwrap()).to_string());
             }
-            let (found, said) = answer(folder);
+            let (found, said) = answer(sandbox);
             assert_eq!(found["verdict"], "none", "{words}: {found:#}");
             assert!(said.contains(words), "{said}");
         });
@@ -127,8 +109,8 @@ fn a_clock_that_fails_is_told_and_nothing_is_named() {
 
 #[test]
 fn rows_with_a_status_or_without_numbers_are_passed_over() {
-    with_experiment(&SWEEPS, |folder| {
-        rewrite(folder, "measurements.csv", |k, row| match k % 10 {
+    with_experiment(SWEEPS, |sandbox| {
+        rewrite(sandbox, "measurements.csv", |k, row| match k % 10 {
             3 => {
                 row[6] = "occluded".into();
                 row[2..6].fill(String::new());
@@ -136,12 +118,12 @@ fn rows_with_a_status_or_without_numbers_are_passed_over() {
             5 => row[2] = "NaN".into(),
             _ => {}
         });
-        rewrite(folder, "encoders.csv", |k, row| {
+        rewrite(sandbox, "encoders.csv", |k, row| {
             if k % 10 == 7 {
                 row[3] = "inf".into();
             }
         });
-        let (found, said) = answer(folder);
+        let (found, said) = answer(sandbox);
         assert_eq!(found["verdict"], "none", "{found:#}");
         assert_eq!(found["samples"], 190 * 7 / 10, "{found:#}");
         assert!(said.contains("theta_deg is \"NaN\"") && said.contains("q2_mm is \"inf\""), "{said}");

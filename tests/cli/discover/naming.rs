@@ -1,74 +1,39 @@
 //! `discover` from the outside: a hidden effect is named, added, obeyed, and not found again.
 
-use serde_json::Value;
-use std::path::Path;
-use std::process::{Command, Output};
-
-fn snakeloop(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_snakeloop")).current_dir(folder).args(arguments).output().unwrap()
-}
-
-fn json(output: &Output) -> Value {
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
-}
-
-fn simulate(folder: &Path, out: &str, seed: &str) {
-    let arguments = ["simulate", "--observe", "--sweeps=0,80,160,-110", "--sweep-poses", "30", "--round-poses", "40"];
-    let effect = ["--effect", "load_directed_backlash:play_mm=0.08", "--seed", seed, "-o", out, "--json"];
-    json(&snakeloop(folder, &[&arguments[..], &effect[..]].concat()));
-}
+use crate::program::{Sandbox, data, json, number};
 
 #[test]
 fn the_hidden_effect_is_named_added_and_not_found_again() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    simulate(folder, "one", "1");
-    simulate(folder, "two", "9");
-    let data = |name: &str| [format!("{name}/measurements.csv"), format!("{name}/encoders.csv")];
-    let discover = |name: &str, model: &[&str], out: &str| {
-        let [measurements, encoders] = data(name);
-        let arguments = ["discover", "--measurements", &measurements, "--encoders", &encoders, "-o", out, "--json"];
-        json(&snakeloop(folder, &[&arguments[..], model].concat()))
-    };
+    let sandbox = Sandbox::new();
+    let hidden =
+        "--sweeps=0,80,160,-110 --sweep-poses 30 --round-poses 40 --effect load_directed_backlash:play_mm=0.08";
+    sandbox.simulate("one", &format!("{hidden} --seed 1"));
+    sandbox.simulate("two", &format!("{hidden} --seed 9"));
 
-    let found = discover("one", &[], "found");
+    let found = sandbox.json(&format!("discover {} -o found", data("one")));
     assert_eq!(found["verdict"], "named", "{found:#}");
     assert_eq!(found["effects"][0]["name"], "load_directed_backlash");
     let play = &found["effects"][0]["parameters"]["play_mm"];
-    let (value, sd) = (play["value"].as_f64().unwrap(), play["sd"].as_f64().unwrap());
+    let (value, sd) = (number(play, "value"), number(play, "sd"));
     assert!((value - 0.08).abs() < 4.0 * sd && sd < 0.002 && play["unit"] == "mm", "{play}");
-    let gap = |key: &str| found["gap"][key].as_f64().unwrap();
+    let gap = |key: &str| number(&found["gap"], key);
     assert!(gap("after_mm") < 1.15 * gap("noise_floor_mm") && gap("before_mm") > 2.0 * gap("noise_floor_mm"));
-    assert_eq!(
-        serde_json::from_slice::<Value>(&std::fs::read(folder.join("found/discrepancy.json")).unwrap()).unwrap(),
-        found
-    );
-    assert!(std::fs::read_to_string(folder.join("found/report.html")).unwrap().contains("play in the actuators"));
+    assert_eq!(json(&sandbox.read("found/discrepancy.json")), found);
+    assert!(sandbox.read("found/report.html").contains("play in the actuators"));
 
-    let again = discover("two", &["--model", "found/model.toml"], "again");
+    let again = sandbox.json(&format!("discover {} --model found/model.toml -o again", data("two")));
     assert_eq!(again["verdict"], "none", "{again:#}");
-    let [measurements, encoders] = data("two");
-    let evaluated =
-        ["evaluate", "--model", "found/model.toml", "--measurements", &measurements, "--encoders", &encoders];
-    let evaluated = json(&snakeloop(folder, &[&evaluated[..], &["--json"]].concat()));
-    let ratio = evaluated["rms_eps_mm"].as_f64().unwrap() / evaluated["noise_floor_mm"].as_f64().unwrap();
+    let evaluated = sandbox.json(&format!("evaluate --model found/model.toml {}", data("two")));
+    let ratio = number(&evaluated, "rms_eps_mm") / number(&evaluated, "noise_floor_mm");
     assert!(ratio < 1.15, "{evaluated:#}");
 }
 
 #[test]
 fn what_cannot_be_decided_is_said() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    json(&snakeloop(
-        folder,
-        &["simulate", "--observe", "--sweep-poses", "3", "--round-poses", "0", "-o", "few", "--json"],
-    ));
-    let few = ["discover", "--measurements", "few/measurements.csv", "--encoders", "few/encoders.csv", "-o", "out"];
-    let output = snakeloop(folder, &few);
-    assert_eq!(output.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&output.stderr).contains("12 usable samples"), "{output:?}");
-    let output = snakeloop(folder, &["simulate", "--effect", "gremlins:size=1", "-o", "out"]);
-    assert_eq!(output.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&output.stderr).contains("load_directed_backlash"), "{output:?}");
+    let sandbox = Sandbox::new();
+    sandbox.simulate("few", "--sweep-poses 3 --round-poses 0");
+    let message = sandbox.fail(&format!("discover {} -o out", data("few")), 1);
+    assert!(message.contains("12 usable samples"), "{message}");
+    let message = sandbox.fail("simulate --effect gremlins:size=1 -o out", 2);
+    assert!(message.contains("load_directed_backlash"), "{message}");
 }
