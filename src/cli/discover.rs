@@ -8,7 +8,8 @@ use super::shard::Shard;
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::discover::{
-    Correction, Data, Discovery, Next, Whereabouts, discover, discover_in_frames, learn_correction, next_experiment,
+    Correction, Data, Discovery, Localisation, NextExperiment, discover, discover_in_frames, learn_correction,
+    next_experiment,
 };
 use crate::estimate::Options;
 use crate::observation::{EncoderReading, Measurement};
@@ -47,12 +48,12 @@ pub struct Args {
     /// Standard deviation of an encoder reading, mm
     #[arg(long, value_name = "MM", default_value_t = Options::default().sd_encoder_mm)]
     encoder_sd: f64,
-    /// Also propose the experiment that would settle what these data leave open: writes OUT/next.csv, a trajectory that
+    /// Also propose the experiment that would decide what these data leave open: writes OUT/next.csv, a trajectory that
     /// `simulate --trajectory` takes (index,time_s,theta_deg,delta_deg) with the q̃ to command (qc1_mm,qc2_mm,qc3_mm)
     #[arg(long)]
     next: bool,
     /// Where the verdict is `unexplained`, learn a smooth correction of ε from the gap, and add it to model.toml as
-    /// `learned_correction` if it helps on sweeps left out
+    /// `learned_correction` if it helps on held-out sweeps
     #[arg(long)]
     correction: bool,
 }
@@ -68,12 +69,12 @@ impl Args {
         let (model, measurements, readings) = self.inputs(console)?;
         let data = Data::new(&measurements, &readings, self.encoder_sd)?;
         let from_frames = measurements.iter().any(|measurement| measurement.quality.is_some());
-        let found = if from_frames { discover_in_frames(model, &data)? } else { discover(&model, &data)? };
-        let gap = Whereabouts::of(&found, &data);
+        let found = if from_frames { discover_in_frames(model, &data) } else { discover(&model, &data) };
+        let gap = Localisation::new(&found, &data);
         let correction = self.correction.then(|| learn_correction(&found, &data));
 
         let mut json = found.json();
-        json["where"] = gap.as_ref().map(Whereabouts::json).into();
+        json["where"] = gap.as_ref().map(Localisation::json).into();
         if let Some(correction) = &correction {
             json["correction"] = correction.json();
         }
@@ -113,7 +114,7 @@ impl Args {
         Ok(())
     }
 
-    fn propose(&self, found: &Discovery, data: &Data) -> Result<Option<Next>> {
+    fn propose(&self, found: &Discovery, data: &Data) -> Result<Option<NextExperiment>> {
         let next = next_experiment(found, data);
         if let Some(next) = &next {
             self.write(NEXT, &trajectory_csv(&next.waypoints, &next.commands_mm))?;
@@ -121,10 +122,10 @@ impl Args {
         Ok(next)
     }
 
-    fn next_in_words(&self, next: Option<&Next>) -> String {
+    fn next_in_words(&self, next: Option<&NextExperiment>) -> String {
         match next {
             None if !self.next => String::new(),
-            None => "\nnothing is open that another ride would settle".to_owned(),
+            None => "\nnothing is open that another trajectory would decide".to_owned(),
             Some(next) => format!("\n{}\n{}", next.sentence(), self.output.join(NEXT).display()),
         }
     }

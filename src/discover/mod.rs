@@ -1,28 +1,52 @@
-//! Where simulation and measurement disagree, which effect is missing, and whether the gap shrinks with it.
+//! Which effect the model lacks, whether the gap shrinks with it, and what to measure next.
 //!
-//! 1. [`Data`]: samples in the order of time, cut into sweeps.
-//! 2. [`Problem`]: the gap in units of its predicted noise, in what was measured; η and λ are fitted anew with every effect.
-//! 3. `chance`: what the best of the library would gain on these poses if there were nothing but noise, and what η and λ hide.
-//!    `search`: forward steps over the library, exchange, backward elimination; by Schwarz's criterion beyond chance, on sweeps
-//!    left out and on sweeps drawn anew.
-//! 4. [`Discovery`]: the verdict, held to noise and to what structure is left; nothing in it is judged on data that the fit saw.
-//! 5. [`Whereabouts`]: where the gap lives; [`learn_correction`]: a smooth function in place of an explanation.
-//! 6. [`next_experiment`]: the ride that would settle what these data leave open.
+//! The method, one stage a file, in the order in which they run:
+//!
+//! 1. `clock`, `sweeps`, [`data`](Data): readings and measurements are paired, put on one clock and cut into sweeps.
+//! 2. `residuals`: what was measured less what a model predicts, in units of the predicted noise.
+//! 3. `fit`: robust least squares over η, λ and the parameters of the model's effects.
+//! 4. `periodogram`, `hypotheses`: every effect of the library that the model lacks, at the values where its fit begins.
+//! 5. `tangent_spaces`: what each hypothesis can do to the residuals beyond what η and λ can, to first order.
+//! 6. `null_distribution`: what the best hypothesis gains on noise alone. `confounding`: which effects η and λ could imitate.
+//! 7. `sweep_equations`, `comparison`: the evidence for an effect (information criterion, share of the gap, held-out sweeps,
+//!    bootstrap of the sweeps), and the criteria that it must fulfil.
+//! 8. `search`: stepwise selection over a beam of models, with exchange and backward elimination.
+//! 9. `held_out`, `structure`, [`verdict`](Verdict): the gap on sweeps that the fit did not see, what the residuals still follow,
+//!    and the answer. `discovery` runs the stages so far; `discrepancy` writes the answer down.
+//! 10. [`localisation`](Localisation): in which backbone, at which bends and when the gap is.
+//! 11. [`correction`](learn_correction): a smooth function in place of an explanation.
+//! 12. `candidate_trajectories`, [`next_experiment`]: the trajectory that would decide what these data leave open.
 
-mod chance;
+mod candidate_trajectories;
+mod clock;
+mod comparison;
+mod confounding;
 mod correction;
 mod data;
+mod discovery;
+mod discrepancy;
 mod fit;
-mod next;
-mod plans;
+mod held_out;
+mod hypotheses;
+mod localisation;
+mod next_experiment;
+mod null_distribution;
+mod periodogram;
+mod residuals;
 mod search;
+mod structure;
+mod sweep_equations;
+mod sweeps;
+mod tangent_spaces;
 mod verdict;
-mod whereabouts;
 
+pub use comparison::Evidence;
 pub use correction::{Correction, learn_correction};
 pub use data::{Data, LEAST_SAMPLES};
-pub use fit::{Fit, Problem};
-pub use next::{Next, next_experiment};
+pub use discovery::{Discovery, discover, discover_in_frames};
+pub use held_out::Gap;
+pub use localisation::{Localisation, Part};
+pub use next_experiment::{NextExperiment, next_experiment};
 pub use search::Named;
-pub use verdict::{Discovery, Gap, Structure, Verdict, discover, discover_in_frames};
-pub use whereabouts::{Part, Whereabouts};
+pub use structure::{NoiseQuantiles, Structure};
+pub use verdict::Verdict;

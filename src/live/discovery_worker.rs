@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// After an answer `discover` is not started for this time. Convention: a resource limit.
+/// After an answer `discover` is not started for this time. Convention: it takes about as long itself.
 const REST: Duration = Duration::from_secs(60);
 
 /// Starts `discover` when it is asked to, one search at a time.
@@ -54,7 +54,7 @@ impl DiscoveryWorker {
         std::thread::spawn(move || {
             let found = on_one_thread(|| -> Result<Discovery> {
                 let data = Data::new(&measurements, &readings, sd_encoder_mm)?;
-                let found = discover_in_frames(model, &data)?;
+                let found = discover_in_frames(model, &data);
                 write(&output, &found)?;
                 Ok(found)
             });

@@ -4,7 +4,6 @@ pub mod bend_map;
 pub mod decimation;
 pub mod discovery;
 pub mod explain;
-mod html;
 pub mod learning;
 pub mod overlay;
 mod page;

@@ -4,6 +4,5 @@
 mod corpus;
 mod estimator;
 mod extremes;
-mod house;
 mod numbers;
 mod sealed;

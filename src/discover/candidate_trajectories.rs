@@ -1,42 +1,82 @@
-//! Candidate experiments: rides that each bring out something that others hide.
+//! Candidate trajectories for the next experiment, each of which shows something that the others hide.
 
 use super::data::Data;
 use crate::geometry::Configuration;
 use crate::observation::Waypoint;
 use crate::robot::MAX_THETA;
+use crate::statistics::order::median;
 
-/// The least bend of a ride, degrees: below it a camera hardly sees δ.
+/// The least bend of a trajectory, degrees.
+///
+/// Convention: below it a camera hardly sees δ.
 const LEAST_THETA_DEG: f64 = 6.0;
-/// Poses of a ride.
+
+/// The number of poses of a trajectory.
+///
+/// Convention: what a laboratory does in a few minutes.
 const POSES: std::ops::RangeInclusive<f64> = 140.0..=360.0;
 
-/// A ride.
+/// The largest bend of a trajectory, degrees, whatever the experiment at hand reached.
+///
+/// Convention: bends that show loads and that the paper's snake allows.
+const LARGEST_THETA_DEG: std::ops::RangeInclusive<f64> = 60.0..=85.0;
+
+/// By how much `larger_bends` goes beyond it, and the share of the model's range that it keeps to.
+///
+/// Convention: a choice among experiments.
+const FURTHER: (f64, f64) = (1.3, 0.9);
+
+/// Steps of the bend between samples above this move, degrees.
+///
+/// Convention: above the noise of θ.
+const MOVING_DEG: f64 = 0.5;
+
+/// The interval and the step of a trajectory where the experiment at hand tells none, s and degrees, and their ranges.
+///
+/// Convention: the project's own experiments.
+const USUAL_INTERVAL_S: f64 = 0.35;
+const INTERVALS_S: (f64, f64) = (0.01, 60.0);
+const USUAL_STEP_DEG: f64 = 2.0;
+const STEPS_DEG: (f64, f64) = (1.0, 8.0);
+
+/// A candidate.
 #[derive(Debug, Clone)]
-pub struct Plan {
+pub struct CandidateTrajectory {
     /// Its name, in snake_case.
     pub name: &'static str,
-    /// What it is and what it brings out, in words.
+    /// What it is and what it shows, in words.
     pub words: &'static str,
     /// The poses.
     pub waypoints: Vec<Waypoint>,
 }
 
-/// One stretch of a ride.
+/// One stretch of a trajectory.
 #[derive(Debug, Clone, Copy)]
 enum Leg {
-    /// To (θ, δ) in degrees, at a pace in units of the usual one.
+    /// To (θ, δ) in degrees, at a pace in units of the experiment's.
     To(f64, f64, f64),
     /// Rest for so many poses.
     Rest(usize),
 }
 
-/// The candidates, at the pace and the rate of an experiment that was made: what a lab could do then it can do now.
-pub fn plans(data: &Data) -> Vec<Plan> {
-    let largest = data.measured.iter().map(|m| m.configuration.theta_deg()).fold(0.0, f64::max).clamp(60.0, 85.0);
-    let further = (1.3 * largest).min(0.9 * MAX_THETA.to_degrees());
+/// The candidates, at the pace and the rate of an experiment that was made: what a laboratory could do then it can do now.
+pub fn candidate_trajectories(data: &Data) -> Vec<CandidateTrajectory> {
+    let largest = data.measured.iter().map(|m| m.configuration.theta_deg()).fold(0.0, f64::max);
+    let largest = largest.clamp(*LARGEST_THETA_DEG.start(), *LARGEST_THETA_DEG.end());
+    let further = (FURTHER.0 * largest).min(FURTHER.1 * MAX_THETA.to_degrees());
+    let (interval_s, step_deg) = rate(data);
+    let all = candidates(largest, further).into_iter();
+    all.map(|(name, words, legs)| CandidateTrajectory { name, words, waypoints: poses(&legs, interval_s, step_deg) })
+        .collect()
+}
+
+/// Name, words and stretches of each candidate, with sweeps to these bends, degrees.
+///
+/// Convention: the candidates are choices; which of them is proposed follows from the data.
+fn candidates(largest: f64, further: f64) -> [(&'static str, &'static str, Vec<Leg>); 8] {
     let three = [0.0, 120.0, -120.0];
     let six = [0.0, 60.0, 120.0, 180.0, -120.0, -60.0];
-    let rides: [(&'static str, &'static str, Vec<Leg>); 8] = [
+    [
         (
             "many_planes",
             "up and down in six planes: what differs from backbone to backbone, or has a direction in space, shows only there",
@@ -86,12 +126,10 @@ pub fn plans(data: &Data) -> Vec<Plan> {
             ]
             .concat(),
         ),
-    ];
-    let (interval_s, step_deg) = rate(data);
-    rides.map(|(name, words, legs)| Plan { name, words, waypoints: ride(&legs, interval_s, step_deg) }).into()
+    ]
 }
 
-/// The same ride so many times over.
+/// The same trajectory so many times over.
 pub fn repeated(waypoints: &[Waypoint], times: usize) -> Vec<Waypoint> {
     let Some(last) = waypoints.last() else { return Vec::new() };
     let pause_s = last.time_s / waypoints.len().max(2) as f64;
@@ -130,22 +168,20 @@ fn rounds(theta_deg: f64) -> Vec<Leg> {
 
 /// The interval of an experiment, s, and how far it goes in one, degrees: medians over the samples that move.
 fn rate(data: &Data) -> (f64, f64) {
-    let median = |mut values: Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied()
-    };
-    let intervals = data.times_s.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
+    let intervals = data.times_s.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0);
     let bends: Vec<_> = data.measured.iter().map(|m| m.configuration.bend_vector()).collect();
-    let steps = bends.windows(2).map(|pair| (pair[1] - pair[0]).norm().to_degrees()).filter(|step| *step > 0.5);
-    let (interval_s, step_deg) = (median(intervals).unwrap_or(0.35), median(steps.collect()).unwrap_or(2.0));
-    (interval_s.clamp(0.01, 60.0), step_deg.clamp(1.0, 8.0))
+    let steps = bends.windows(2).map(|pair| (pair[1] - pair[0]).norm().to_degrees()).filter(|step| *step > MOVING_DEG);
+    let median_or = |mut values: Vec<f64>, usual: f64| if values.is_empty() { usual } else { median(&mut values) };
+    let interval_s = median_or(intervals.collect(), USUAL_INTERVAL_S);
+    let step_deg = median_or(steps.collect(), USUAL_STEP_DEG);
+    (interval_s.clamp(INTERVALS_S.0, INTERVALS_S.1), step_deg.clamp(STEPS_DEG.0, STEPS_DEG.1))
 }
 
-/// The poses of a ride. The pace is changed as a whole where there would be too few poses or too many.
-fn ride(legs: &[Leg], interval_s: f64, step_deg: f64) -> Vec<Waypoint> {
+/// The poses of a trajectory. The pace is changed as a whole where there would be too few poses or too many.
+fn poses(legs: &[Leg], interval_s: f64, step_deg: f64) -> Vec<Waypoint> {
     let at_pace = walk(legs, step_deg).len() as f64;
-    let poses = at_pace.clamp(*POSES.start(), *POSES.end());
-    let places = walk(legs, step_deg * at_pace / poses);
+    let wanted = at_pace.clamp(*POSES.start(), *POSES.end());
+    let places = walk(legs, step_deg * at_pace / wanted);
     let at = |(k, &(theta, delta)): (usize, &(f64, f64))| Waypoint {
         time_s: interval_s * k as f64,
         configuration: Configuration::from_degrees(theta, delta),
@@ -175,4 +211,37 @@ fn walk(legs: &[Leg], step_deg: f64) -> Vec<(f64, f64)> {
         }
     }
     places
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn poses_are_a_step_apart_on_the_way_and_stay_where_they_rest() {
+        let places =
+            walk(&[Leg::To(10.0, 0.0, 1.0), Leg::To(20.0, 0.0, 1.0), Leg::Rest(3), Leg::To(20.0, 90.0, 2.0)], 2.0);
+        assert_eq!(places[..6], [10.0, 12.0, 14.0, 16.0, 18.0, 20.0].map(|theta| (theta, 0.0)));
+        assert_eq!(places[6..9], [(20.0, 0.0); 3]);
+        // A quarter of a round at θ = 20° is 31.4° long: eight steps of twice 2°.
+        assert_eq!(places.len(), 9 + 8);
+        assert_eq!(places.last(), Some(&(20.0, 90.0)));
+    }
+
+    #[test]
+    fn the_pace_changes_where_there_would_be_too_many_poses() {
+        let legs: Vec<Leg> = (0..40).map(|k| Leg::To(if k % 2 == 0 { 5.0 } else { 80.0 }, 0.0, 1.0)).collect();
+        let slow = poses(&legs, 0.5, 1.0);
+        assert!((POSES.start() / 1.1..POSES.end() * 1.1).contains(&(slow.len() as f64)), "{}", slow.len());
+        assert!(slow.windows(2).all(|pair| (pair[1].time_s - pair[0].time_s - 0.5).abs() < 1e-9));
+    }
+
+    #[test]
+    fn a_repetition_begins_one_interval_after_the_end() {
+        let once = poses(&[Leg::To(5.0, 0.0, 1.0), Leg::To(80.0, 0.0, 1.0)], 0.5, 1.0);
+        let twice = repeated(&once, 2);
+        assert_eq!(twice.len(), 2 * once.len());
+        assert!(twice.windows(2).all(|pair| pair[1].time_s > pair[0].time_s));
+        assert_eq!(twice[once.len()].configuration, once[0].configuration);
+    }
 }

@@ -1,0 +1,78 @@
+//! What discrepancy.json says.
+
+use super::discovery::Discovery;
+use super::search::Named;
+use super::verdict::Verdict;
+use serde_json::{Map, Value, json};
+
+/// Alternatives that are listed.
+///
+/// Convention: a display choice.
+const MOST_ALTERNATIVES: usize = 5;
+
+impl Discovery {
+    /// discrepancy.json.
+    pub fn json(&self) -> Value {
+        let given = self.given_effects();
+        let effects: Vec<Value> =
+            self.named.iter().enumerate().map(|(k, named)| self.effect_json(named, given + k)).collect();
+        let (effects, considered) =
+            if self.verdict == Verdict::Named { (effects, Vec::new()) } else { (Vec::new(), effects) };
+        let x = self.model.parameters();
+        let structure = &self.structure_after;
+        let follows: Vec<_> =
+            structure.follows.iter().map(|(what, z)| json!({"what": what, "standard_errors": z})).collect();
+        json!({
+            "verdict": self.verdict.word(),
+            "effects": effects,
+            "considered": considered,
+            "gap": {
+                "before_mm": self.before.eps_mm,
+                "after_mm": self.after.eps_mm,
+                "noise_floor_mm": self.noise_floor_mm,
+                "before_theta_deg": self.before.theta_deg,
+                "after_theta_deg": self.after.theta_deg,
+                "before_delta_deg": self.before.delta_deg,
+                "after_delta_deg": self.after.delta_deg,
+            },
+            "eta": x.x,
+            "lambda_mm": x.y,
+            "samples": self.samples,
+            "residuals": {
+                "mean_square_bend": structure.mean_square[0],
+                "mean_square_common": structure.mean_square[1],
+                "successive_correlation_standard_errors": structure.successive,
+                "follow": follows,
+            },
+            "remarks": self.remarks,
+        })
+    }
+
+    /// One effect; it is effect k of the model where the model has it.
+    fn effect_json(&self, named: &Named, k: usize) -> Value {
+        let effect = self.model.effects.get(k).filter(|effect| effect.physics == named.physics);
+        let mut parameters = Map::new();
+        if let Some(effect) = effect {
+            for ((spec, value), sd) in effect.parameters().iter().zip(&effect.values).zip(&self.model.effect_sds(k)) {
+                parameters.insert(spec.name.into(), json!({"value": value, "sd": sd, "unit": spec.unit}));
+            }
+        }
+        let alternatives = named.alternatives.iter().take(MOST_ALTERNATIVES);
+        let alternatives: Vec<_> =
+            alternatives.map(|(name, worse)| json!({"name": name, "bic_worse": worse})).collect();
+        json!({
+            "name": named.physics.name,
+            "form": named.physics.form,
+            "equation": named.physics.equation,
+            "reading": named.physics.reading,
+            "parameters": parameters,
+            "evidence": {
+                "bic_gain": named.evidence.bic_gain,
+                "held_out_gain": named.evidence.held_out_gain,
+                "inclusion_probability": named.evidence.inclusion,
+                "rivals": alternatives,
+            },
+            "indistinguishable_from": named.indistinguishable_from,
+        })
+    }
+}

@@ -1,0 +1,205 @@
+//! The whitened residuals: what was measured less what a model predicts, in units of the predicted noise.
+//!
+//! ε = q̃ − q(ψ) has q̃ on both sides, so that a column that holds q̃ would explain any data. The residual is therefore taken where
+//! something was measured: the forward problem leads from q̃ to a bend, and from there to the bend that the eye should have seen.
+//! The residual of the bend is the measured bend vector less that one, whitened by the eye's covariance and by the encoders'
+//! noise propagated through the forward problem. Its further components are the parts of q̃ that bend nothing (the null space of
+//! Q⁺), which encoders alone tell: with three backbones the mean of all, with n of them n − 2 parts. They are independent of the
+//! bend.
+//!
+//! Directions of loads and motions are taken from the bend that the encoders imply, not from the measured one, which is noisier.
+
+use super::data::Data;
+use crate::observation::Measured;
+use crate::robot::{ForwardSolution, LineJacobian, Mechanics, Model, Motion, PerBackbone};
+use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2};
+use std::f64::consts::PI;
+
+/// The step of a difference quotient, in units of each parameter's scale.
+///
+/// Convention: a numerical step; the residuals are known to about 1e-9 of it.
+const DIFFERENCE_STEP: f64 = 1e-3;
+
+/// The least standard deviation that the parts of q̃ which bend nothing are weighted with, mm.
+///
+/// Convention: a numerical guard against an encoder noise of zero.
+const LEAST_SD_INTERNAL_MM: f64 = 1e-5;
+
+/// A sample's whitened residuals, as many as there are backbones: two of the bend, then the parts that bend nothing, their mean
+/// first.
+pub type Residual = PerBackbone;
+
+/// The noise of one sample.
+#[derive(Debug, Clone)]
+struct Noise {
+    /// L⁻¹ of the covariance L Lᵗ of the bend residual, 1/rad.
+    whitening: Matrix2<f64>,
+    /// The derivatives of the line's displacement at the sample's bend.
+    line: LineJacobian,
+    /// Variance of ε that the noise of eye and encoders leaves, mean over the backbones, mm².
+    floor_mm2: f64,
+}
+
+/// The samples with their noise: everything that the residuals of a model need.
+#[derive(Debug, Clone)]
+pub struct Problem<'a> {
+    /// The samples.
+    pub data: &'a Data,
+    noise: Vec<Noise>,
+    sd_internal_mm: f64,
+    /// Orthonormal directions of q̃ that bend nothing.
+    internal: Vec<PerBackbone>,
+    /// The path that the model at hand implies, rad: where every forward problem starts.
+    start: Vec<Vector2<f64>>,
+}
+
+/// What a model predicts from the readings.
+#[derive(Debug, Clone)]
+pub struct Prediction {
+    forward: Vec<ForwardSolution>,
+    motions: Vec<Motion>,
+    /// The whitened residuals of each sample.
+    pub residuals: Vec<Residual>,
+}
+
+impl Prediction {
+    /// The bends that the encoders imply, rad.
+    pub fn path(&self) -> Vec<Vector2<f64>> {
+        self.forward.iter().map(|solution| solution.bend).collect()
+    }
+}
+
+/// The residuals of all samples as one vector.
+pub fn stacked(residuals: &[Residual]) -> DVector<f64> {
+    DVector::from_vec(residuals.iter().flat_map(|r| r.iter().copied()).collect())
+}
+
+impl<'a> Problem<'a> {
+    /// The noise at the bends that a model implies.
+    pub fn new(data: &'a Data, model: &Model) -> Self {
+        let mechanics = Mechanics::new(model);
+        let start: Vec<_> =
+            mechanics.solve_path(&data.times_s, &data.q_mm, None).iter().map(|solution| solution.bend).collect();
+        let motions = mechanics.motions_from_readings(&data.times_s, &start, &data.q_mm);
+        let variance = data.sd_encoder_mm.powi(2);
+        let noise = data.measured.iter().zip(start.iter().zip(&motions)).map(|(measured, (&bend, motion))| {
+            let line = mechanics.line_jacobian(bend, motion);
+            let eye = bend_covariance(measured, bend);
+            let covariance = eye + line.bend_by_line.cross_gram(&line.bend_by_line) * variance;
+            let whitening = covariance.cholesky().and_then(|factor| factor.l().try_inverse());
+            let floor = line.line_by_bend.map(|by| by.dot(&(eye * by))).mean() + variance;
+            Noise { whitening: whitening.unwrap_or_else(Matrix2::zeros), line, floor_mm2: floor }
+        });
+        Self {
+            data,
+            noise: noise.collect(),
+            sd_internal_mm: data.sd_encoder_mm.max(LEAST_SD_INTERNAL_MM),
+            internal: model.robot.internal_parts().collect(),
+            start,
+        }
+    }
+
+    /// What a model predicts. `guess` is a path near its own; without one, that of the model that the noise was taken at.
+    pub fn predict(&self, model: &Model, guess: Option<&[Vector2<f64>]>) -> Prediction {
+        let mechanics = Mechanics::new(model);
+        let first = self.data.measured[0].configuration.bend_vector();
+        let guess = guess.unwrap_or(&self.start);
+        let (forward, motions) = mechanics.solve_path_near(&self.data.times_s, &self.data.q_mm, guess, Some(first));
+        let residuals = self.whitened(&mechanics, &forward);
+        Prediction { forward, motions, residuals }
+    }
+
+    /// ∂(residuals)/∂(parameter / its scale) by forward differences: a row for each component of each sample.
+    pub fn jacobian(&self, model: &Model, prediction: &Prediction) -> DMatrix<f64> {
+        let mechanics = Mechanics::new(model);
+        let Prediction { forward, motions, residuals } = prediction;
+        let lines: Vec<LineJacobian> = forward
+            .iter()
+            .zip(motions)
+            .map(|(solution, motion)| mechanics.line_jacobian(solution.bend, motion))
+            .collect();
+        let data = (&self.data.times_s[..], &self.data.q_mm[..]);
+        let x = model.parameter_values();
+        let n = self.data.backbones();
+        let mut jacobian = DMatrix::zeros(self.data.residual_count(), x.len());
+        for (j, spec) in model.parameter_specs().iter().enumerate() {
+            // Towards the inside, where the range ends.
+            let outside = x[j] + DIFFERENCE_STEP * spec.typical > spec.range.1;
+            let h = if outside { -DIFFERENCE_STEP } else { DIFFERENCE_STEP };
+            let mut nudged = x.clone();
+            nudged[j] += h * spec.typical;
+            let nudged = model.with_parameter_values(&nudged);
+            let changed = Mechanics::new(&nudged);
+            let moved = mechanics.perturbed_path(&changed, data, (forward, motions, &lines));
+            for (k, (after, before)) in self.whitened(&changed, &moved).iter().zip(residuals).enumerate() {
+                for c in 0..n {
+                    jacobian[(n * k + c, j)] = (after[c] - before[c]) / h;
+                }
+            }
+        }
+        jacobian
+    }
+
+    /// What a summand of q̃ at sample k (mm) does to its residuals, to first order.
+    pub fn response(&self, k: usize, summand_mm: &PerBackbone) -> Residual {
+        let noise = &self.noise[k];
+        self.residual(noise.whitening * noise.line.bend_by_line.tr_mul(summand_mm), summand_mm)
+    }
+
+    /// The gap of ε at sample k, mm: what the model leaves of q̃ at the measured bend.
+    pub fn eps_gap_mm(&self, residuals: &[Residual], k: usize) -> PerBackbone {
+        let by_bend = -self.noise[k].line.line_by_bend * self.bend_residual(residuals, k);
+        let internal = self.internal.iter().zip(&residuals[k][2..]);
+        internal.fold(by_bend, |sum, (part, r)| sum + *part * (r * self.sd_internal_mm))
+    }
+
+    /// The gap of the bend vector at sample k, rad, along and across the measured bend.
+    pub fn bend_gap(&self, residuals: &[Residual], k: usize) -> Vector2<f64> {
+        Rotation2::new(-self.data.measured[k].configuration.delta) * self.bend_residual(residuals, k)
+    }
+
+    /// The rms of ε that noise alone leaves, over all samples and backbones, mm.
+    pub fn noise_floor_mm(&self) -> f64 {
+        let sum: f64 = self.noise.iter().map(|noise| noise.floor_mm2).sum();
+        (sum / self.noise.len() as f64).sqrt()
+    }
+
+    /// The residual of the bend at sample k before whitening, rad.
+    fn bend_residual(&self, residuals: &[Residual], k: usize) -> Vector2<f64> {
+        let r = residuals[k];
+        let whitening = &self.noise[k].whitening;
+        whitening.try_inverse().unwrap_or_else(Matrix2::zeros) * Vector2::new(r[0], r[1])
+    }
+
+    /// A sample's residuals from its whitened bend and the part of q̃ that the model does not explain, mm.
+    fn residual(&self, bend: Vector2<f64>, unexplained_mm: &PerBackbone) -> Residual {
+        let internal = |part: usize| self.internal[part].dot(unexplained_mm) / self.sd_internal_mm;
+        Residual::from_fn(unexplained_mm.len(), |c| if c < 2 { bend[c] } else { internal(c - 2) })
+    }
+
+    /// The whitened residuals of forward solutions.
+    fn whitened(&self, mechanics: &Mechanics, forward: &[ForwardSolution]) -> Vec<Residual> {
+        let path: Vec<_> = forward.iter().map(|solution| solution.bend).collect();
+        let exposed = mechanics.exposed_bends(&self.data.times_s, &path);
+        let residuals = (0..path.len()).map(|k| {
+            let gap = self.data.measured[k].configuration.bend_vector() - mechanics.apparent_bend(exposed[k]);
+            self.residual(self.noise[k].whitening * gap, &forward[k].residual_mm)
+        });
+        residuals.collect()
+    }
+}
+
+/// Covariance of the measured bend vector θ (cos δ, sin δ) at a bend, rad²: σ_θ along it, θ σ_δ across it.
+///
+/// σ_δ is not above π/√3, that of a uniform angle. Near straight neither θ nor σ_δ is well known, while their product is; so the
+/// measured θ is taken with them, and the second-order terms of the polar map are added (var of θ cos Δδ along, of θ sin Δδ with
+/// E θ² = θ² + σ_θ² across).
+fn bend_covariance(measured: &Measured, bend: Vector2<f64>) -> Matrix2<f64> {
+    let sigma_delta = measured.sigma_delta.min(PI / 3f64.sqrt());
+    let theta = measured.configuration.theta;
+    let along = measured.sigma_theta.powi(2) + theta.powi(2) * sigma_delta.powi(4) / 2.0;
+    let across = (theta.powi(2) + measured.sigma_theta.powi(2)) * sigma_delta.powi(2);
+    let cross = measured.correlation * measured.sigma_theta * theta * sigma_delta;
+    let turn = Rotation2::new(bend.y.atan2(bend.x));
+    turn * Matrix2::new(along, cross, cross, across) * turn.inverse()
+}

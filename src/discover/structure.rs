@@ -1,0 +1,295 @@
+//! The structure of residuals: whether they exceed noise, and what they follow.
+//!
+//! Whitened residuals of a model that lacks nothing are independent and of unit variance. Three statistics are compared with
+//! their null distribution: the mean square, the correlation of successive samples, and the share that families of functions of
+//! bend, motion and time explain. A mean square above noise alone may come from sigmas that are stated too small, so something is
+//! only said to be missing where the residuals have an order as well.
+
+use super::data::Data;
+use super::fit::Fit;
+use super::null_distribution::LEVEL;
+use super::residuals::{Residual, stacked};
+use crate::robot::{Mechanics, PerBackbone};
+use crate::statistics::null_distribution::NullDistribution;
+use nalgebra::DMatrix;
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+
+/// Residuals count as this many standard deviations at most, so that a few samples far out make no structure.
+///
+/// Convention: twice the limit of the fit's loss.
+const MOST_SIGMAS: f64 = 6.0;
+
+/// Draws of noise.
+///
+/// Derived: ten of them lie beyond the quantile at half of [`LEVEL`].
+const DRAWS: usize = 2000;
+
+/// The most samples of a draw. The statistics' null distributions hardly depend on their number.
+///
+/// Convention: a bound on computing time.
+const MOST_SAMPLES: usize = 320;
+
+/// Columns shorter than this share of their length after orthogonalisation depend on the others.
+///
+/// Convention: a numerical guard.
+const LEAST_INDEPENDENT: f64 = 1e-6;
+
+/// The variance of residuals that a family explains wholly.
+///
+/// Convention: a numerical guard.
+const LEAST_VARIANCE: f64 = 1e-12;
+
+/// The quantile of the standard normal distribution at 1 − [`LEVEL`].
+///
+/// Source: any table of the normal distribution.
+const NORMAL_QUANTILE: f64 = 2.326_348;
+
+/// The components of a residual that belong to the bend; the others are parts of q̃ that bend nothing.
+const BEND: usize = 2;
+
+/// What residuals of a fit still hold.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Structure {
+    /// Mean square of the whitened residuals of the bend, and of what bends nothing; 1 is noise.
+    pub mean_square: [f64; 2],
+    /// Correlation of successive residuals in standard errors: bend along and across, then what bends nothing.
+    pub successive: Vec<f64>,
+    /// How much of the residuals each family of functions explains beyond what it would of noise, in standard errors; the largest
+    /// first.
+    pub follows: Vec<(&'static str, f64)>,
+    /// What noise alone reaches.
+    pub noise: NoiseQuantiles,
+}
+
+/// What the statistics exceed in a share of experiments of pure noise: [`LEVEL`] for the mean squares, half of it for each of the
+/// two statistics of order, of which one suffices (Bonferroni).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NoiseQuantiles {
+    /// Of the mean squares.
+    pub mean_square: [f64; 2],
+    /// Of the largest correlation of successive residuals, for the bend and for what bends nothing.
+    pub successive: [f64; 2],
+    /// Of the largest of what the families explain.
+    pub follows: f64,
+}
+
+impl Structure {
+    /// Of a fit's residuals.
+    pub fn new(data: &Data, fit: &Fit) -> Self {
+        let clipped: Vec<Residual> =
+            fit.residuals.iter().map(|r| r.map(|r| r.clamp(-MOST_SIGMAS, MOST_SIGMAS))).collect();
+        let n = data.backbones();
+        let clipped = DMatrix::from_row_slice(data.len(), n, stacked(&clipped).as_slice());
+        let families = families(data, fit, 1);
+        let mut follows: Vec<(&'static str, f64)> =
+            families.iter().map(|family| (family.name, family.explained(&clipped))).collect();
+        follows.sort_by(|a, b| b.1.total_cmp(&a.1));
+        // The parameters have taken their share of the degrees of freedom.
+        let count = data.residual_count() as f64;
+        let freedom = count / (count - fit.parameter_count() as f64).max(1.0);
+        let mean_square = |first: usize, count: usize| {
+            clipped.columns(first, count).norm_squared() / (data.len() * count) as f64 * freedom
+        };
+        Self {
+            mean_square: [mean_square(0, BEND), mean_square(BEND, n - BEND)],
+            successive: clipped.column_iter().map(|r| successive(r.iter().copied())).collect(),
+            follows,
+            noise: NoiseQuantiles::new(data, fit),
+        }
+    }
+
+    /// Whether a part (0 the bend, 1 what bends nothing) is more than noise: larger, and with an order.
+    pub fn exceeds_noise(&self, part: usize) -> bool {
+        let own = if part == 0 { &self.successive[..BEND] } else { &self.successive[BEND..] };
+        let largest = own.iter().fold(0.0f64, |most, correlation| most.max(correlation.abs()));
+        let follows = self.follows.first().map_or(0.0, |(_, explained)| *explained);
+        let has_order = largest > self.noise.successive[part] || follows > self.noise.follows;
+        self.mean_square[part] > self.noise.mean_square[part] && has_order
+    }
+
+    /// By how much the mean square of a part exceeds that of noise.
+    pub fn excess(&self, part: usize) -> f64 {
+        (self.mean_square[part] - 1.0).max(0.0)
+    }
+}
+
+impl NoiseQuantiles {
+    /// Simulated on the functions of the families. What the fit takes of noise is left in it, which makes the quantiles larger by
+    /// a little.
+    fn new(data: &Data, fit: &Fit) -> Self {
+        let stride = data.len().div_ceil(MOST_SAMPLES);
+        let families = families(data, fit, stride);
+        let (samples, n) = (data.len().div_ceil(stride), data.backbones());
+        let mut random = StdRng::seed_from_u64(3);
+        let [mut bend, mut internal, mut explained] = [const { Vec::new() }; 3];
+        for _ in 0..DRAWS {
+            let noise = DMatrix::from_fn(samples, n, |_, _| random.sample::<f64, _>(StandardNormal));
+            let largest = |first: usize, count: usize| {
+                let columns = noise.columns(first, count);
+                columns.column_iter().map(|r| successive(r.iter().copied()).abs()).fold(0.0, f64::max)
+            };
+            bend.push(largest(0, BEND));
+            internal.push(largest(BEND, n - BEND));
+            explained.push(families.iter().map(|family| family.explained(&noise)).fold(0.0, f64::max));
+        }
+        let quantile = |draws: Vec<f64>| NullDistribution::new(draws).quantile(1.0 - LEVEL / 2.0);
+        let mean_square = |count: usize| mean_square_quantile((count * data.len()) as f64);
+        Self {
+            mean_square: [mean_square(BEND), mean_square(n - BEND)],
+            successive: [quantile(bend), quantile(internal)],
+            follows: quantile(explained),
+        }
+    }
+}
+
+/// The quantile of χ²_f / f at 1 − [`LEVEL`].
+///
+/// Source: Wilson and Hilferty 1931, The distribution of chi-square, Proc. Natl. Acad. Sci. 17:684.
+fn mean_square_quantile(freedom: f64) -> f64 {
+    let variance = 2.0 / (9.0 * freedom);
+    (1.0 - variance + NORMAL_QUANTILE * variance.sqrt()).powi(3)
+}
+
+/// The correlation of successive values in standard errors, √n times the lag-one autocorrelation about zero.
+fn successive(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let squares: f64 = values.clone().map(|r| r * r).sum();
+    let products: f64 = values.clone().zip(values.clone().skip(1)).map(|(a, b)| a * b).sum();
+    if squares > 0.0 { products / squares * (values.count() as f64).sqrt() } else { 0.0 }
+}
+
+/// Functions that residuals may follow.
+#[derive(Debug, Clone)]
+struct Family {
+    name: &'static str,
+    /// An orthonormal basis of the functions and a constant, a row for each sample.
+    basis: DMatrix<f64>,
+}
+
+impl Family {
+    /// Of functions with these values at each sample.
+    fn new(name: &'static str, rows: &[Vec<f64>]) -> Self {
+        let functions = rows.first().map_or(0, Vec::len);
+        let values = DMatrix::from_fn(rows.len(), functions + 1, |k, c| if c == 0 { 1.0 } else { rows[k][c - 1] });
+        Self { name, basis: orthonormal(values) }
+    }
+
+    /// How much of the residuals it explains, in standard errors of what it would explain of noise, in the component of which it
+    /// explains most: (χ² − f) / √(2 f) for f functions.
+    fn explained(&self, residuals: &DMatrix<f64>) -> f64 {
+        let projections = self.basis.tr_mul(residuals);
+        let freedom = self.basis.ncols() as f64;
+        let of_component = |c: usize| {
+            let squares = projections.column(c).norm_squared();
+            let variance = (residuals.column(c).norm_squared() - squares) / residuals.nrows() as f64;
+            (squares / variance.max(LEAST_VARIANCE) - freedom) / (2.0 * freedom).sqrt()
+        };
+        (0..residuals.ncols()).map(of_component).fold(0.0, f64::max)
+    }
+}
+
+/// An orthonormal basis of columns; those that depend on columns before them are left out.
+fn orthonormal(columns: DMatrix<f64>) -> DMatrix<f64> {
+    let mut basis: Vec<nalgebra::DVector<f64>> = Vec::new();
+    for column in columns.column_iter() {
+        let mut own = column.into_owned();
+        // Twice, since one pass of Gram and Schmidt loses digits.
+        for _ in 0..2 {
+            for other in &basis {
+                let share = other.dot(&own);
+                own.axpy(-share, other, 1.0);
+            }
+        }
+        if own.norm() > LEAST_INDEPENDENT * column.norm() {
+            basis.push(own.normalize());
+        }
+    }
+    if basis.is_empty() { DMatrix::zeros(columns.nrows(), 0) } else { DMatrix::from_columns(&basis) }
+}
+
+/// The families, evaluated at every so many samples of a fit.
+fn families(data: &Data, fit: &Fit, stride: usize) -> Vec<Family> {
+    let motions = Mechanics::new(&fit.model).motions_from_readings(&data.times_s, &fit.path, &data.q_mm);
+    let first_s = data.times_s[0];
+    let duration_s = data.times_s[data.len() - 1] - first_s;
+    let list = |of: &PerBackbone| of.iter().copied().collect::<Vec<f64>>();
+    let theta = |k: usize| {
+        let theta = fit.path[k].norm();
+        vec![theta, theta.powi(2), theta.powi(3)]
+    };
+    let delta = |k: usize| {
+        let delta = fit.path[k].y.atan2(fit.path[k].x);
+        (1..=3).map(|order| (f64::from(order) * delta).sin_cos()).flat_map(|(sin, cos)| [sin, cos]).collect()
+    };
+    // A drift, and a swing of about one and a half periods.
+    let time = |k: usize| {
+        let t = (data.times_s[k] - first_s) / duration_s;
+        vec![t, t * t, (9.0 * t).sin(), (9.0 * t).cos()]
+    };
+    let q_tilde = |k: usize| data.q_mm[k].iter().flat_map(|q| [q.powi(2), q.powi(3)]).collect();
+    let family = |name: &'static str, functions: &dyn Fn(usize) -> Vec<f64>| {
+        Family::new(name, &(0..data.len()).step_by(stride).map(functions).collect::<Vec<_>>())
+    };
+    vec![
+        family("the bend θ", &theta),
+        family("the azimuth δ", &delta),
+        family("the direction of motion", &|k| list(&motions[k].direction)),
+        family("the speed", &|k| list(&motions[k].speed_mm_per_s)),
+        family("time", &time),
+        family("q̃", &q_tilde),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn noise(samples: usize, seed: u64) -> DMatrix<f64> {
+        let mut random = StdRng::seed_from_u64(seed);
+        DMatrix::from_fn(samples, 1, |_, _| random.sample::<f64, _>(StandardNormal))
+    }
+
+    fn sine(samples: usize) -> Family {
+        Family::new("a sine", &(0..samples).map(|k| vec![(0.1 * k as f64).sin()]).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn the_mean_squares_quantile_is_that_of_chi_square() {
+        // χ² at 0.99: 23.209 for 10, 135.807 for 100 degrees of freedom (any table).
+        assert!((mean_square_quantile(10.0) - 2.3209).abs() < 0.005);
+        assert!((mean_square_quantile(100.0) - 1.35807).abs() < 0.0005);
+    }
+
+    #[test]
+    fn a_family_explains_of_noise_what_chi_square_says() {
+        let family = sine(300);
+        let explained: Vec<f64> = (0..2000).map(|seed| family.explained(&noise(300, seed))).collect();
+        // With two functions (χ² − 2) / 2 exceeds 3.605 in 1 % (χ² at 0.99: 9.210).
+        let beyond = explained.iter().filter(|z| **z > 3.605).count();
+        assert!((8..=36).contains(&beyond), "{beyond} of 2000");
+    }
+
+    #[test]
+    fn a_family_finds_its_own_function() {
+        let residuals = noise(300, 1) + DMatrix::from_fn(300, 1, |k, _| (0.1 * k as f64).sin());
+        // χ² is about 300 · ½ on two degrees of freedom.
+        let explained = sine(300).explained(&residuals);
+        assert!((60.0..95.0).contains(&explained), "{explained}");
+    }
+
+    #[test]
+    fn successive_values_that_alternate_are_anticorrelated_and_noise_is_not() {
+        let alternating = (0..100).map(|k| if k % 2 == 0 { 1.0 } else { -1.0 });
+        assert!((successive(alternating) + 9.9).abs() < 1e-9);
+        let of_noise: Vec<f64> = (0..400).map(|seed| successive(noise(300, seed).iter().copied())).collect();
+        let square = of_noise.iter().map(|z| z * z).sum::<f64>() / 400.0;
+        assert!((square - 1.0).abs() < 0.25, "{square}");
+    }
+
+    #[test]
+    fn a_column_that_depends_on_others_adds_no_freedom() {
+        let rows: Vec<Vec<f64>> = (0..50).map(|k| vec![f64::from(k), 3.0 - 2.0 * f64::from(k)]).collect();
+        assert_eq!(Family::new("a line twice", &rows).basis.ncols(), 2);
+    }
+}
