@@ -14,13 +14,17 @@ use snakeloop::simulate::{FrameFormat, write_experiment};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 const FPS: f64 = 60.0;
 /// Frames of the closed path.
 const ROUND: usize = 180;
+/// Time between two lines of progress, s. Convention: a display choice.
+const PROGRESS_EVERY_S: f64 = 30.0;
+/// Time after the last frame in which its row must come, s. Convention.
+const LAST_ROWS_S: f64 = 2.0;
 
 fn path(frame: usize) -> Configuration {
     let angle = (frame % ROUND) as f64 / ROUND as f64 * std::f64::consts::TAU;
@@ -99,6 +103,61 @@ fn latency(row: &Value, sent: &[f64]) -> Option<f64> {
     Some(done_s - sent[frame])
 }
 
+/// A running `live` and its address.
+fn start_live(experiment: &Path, stream: &str, lines: &str) -> (Child, String) {
+    let output = experiment.join("out");
+    let mut live = Command::new(env!("CARGO_BIN_EXE_snakeloop"))
+        .args(["live", experiment.to_str().unwrap(), "--source", stream, "--encoders", lines])
+        .args(["--serve", "127.0.0.1:0", "-o", output.to_str().unwrap()])
+        .stdout(Stdio::inherit())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut said = String::new();
+    BufReader::new(live.stderr.take().unwrap()).read_line(&mut said).unwrap();
+    (live, said.trim().trim_start_matches("dashboard: http://").trim_end_matches('/').to_owned())
+}
+
+/// Counts and memory so far, for whoever watches.
+fn print_progress(address: &str, sent: usize) {
+    let metrics = get(address, "/metrics");
+    let figure = |name: &str| metrics.lines().find_map(|line| line.strip_prefix(name)?.trim().parse::<f64>().ok());
+    println!(
+        "{sent:>6} sent, {:>6} came, {:>4} dropped, {:.1} MB",
+        figure("snakeloop_frames_total ").unwrap_or(0.0),
+        figure("snakeloop_frames_dropped_total ").unwrap_or(0.0),
+        figure("snakeloop_resident_memory_bytes ").unwrap_or(0.0) / 1e6
+    );
+}
+
+/// The latencies of all rows until the last frame was sent.
+fn latencies_until_the_end(address: &str, frames: usize, sent: &Mutex<Vec<f64>>) -> Histogram {
+    let (mut since, mut latencies, mut next_progress_s) = (-1, Histogram::default(), 0.0);
+    let began = Instant::now();
+    loop {
+        std::thread::sleep(Duration::from_millis(500));
+        let target = if since < 0 { "/api/measurements".into() } else { format!("/api/measurements?since={since}") };
+        let rows: Value = serde_json::from_str(&get(address, &target)).unwrap();
+        let sent = sent.lock().unwrap().clone();
+        for row in rows["measurements"].as_array().unwrap() {
+            since = row["index"].as_i64().unwrap();
+            // In the first second the decoder finds out what it was given.
+            if since > FPS as i64
+                && let Some(seconds) = latency(row, &sent)
+            {
+                latencies.add(seconds);
+            }
+        }
+        if began.elapsed().as_secs_f64() > next_progress_s {
+            print_progress(address, sent.len());
+            next_progress_s += PROGRESS_EVERY_S;
+        }
+        if sent.len() == frames && unix_s() - sent[frames - 1] > LAST_ROWS_S {
+            return latencies;
+        }
+    }
+}
+
 fn main() {
     let frames: usize = std::env::var("LIVE_FRAMES").ok().and_then(|text| text.parse().ok()).unwrap_or(1200);
     let folder = tempfile::tempdir().unwrap();
@@ -109,51 +168,9 @@ fn main() {
     let sent = Arc::new(Mutex::new(Vec::new()));
     let stream = format!("http://{}/", camera(folder.path(), frames, Arc::clone(&sent)));
     let lines = format!("tcp://{}", encoders(Model { estimate: Some(truth), ..Model::default() }, Arc::clone(&sent)));
-    let output = folder.path().join("out");
-    let mut live = Command::new(env!("CARGO_BIN_EXE_snakeloop"))
-        .args(["live", folder.path().to_str().unwrap(), "--source", &stream, "--encoders", &lines])
-        .args(["--serve", "127.0.0.1:0", "-o", output.to_str().unwrap()])
-        .stdout(Stdio::inherit())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut said = String::new();
-    BufReader::new(live.stderr.take().unwrap()).read_line(&mut said).unwrap();
-    let address = said.trim().trim_start_matches("dashboard: http://").trim_end_matches('/').to_owned();
 
-    let (mut since, mut latencies, mut next_memory) = (-1, Histogram::default(), 0.0);
-    let began = Instant::now();
-    loop {
-        std::thread::sleep(Duration::from_millis(500));
-        let target = if since < 0 { "/api/measurements".into() } else { format!("/api/measurements?since={since}") };
-        let rows: Value = serde_json::from_str(&get(&address, &target)).unwrap();
-        let sent = sent.lock().unwrap().clone();
-        for row in rows["measurements"].as_array().unwrap() {
-            since = row["index"].as_i64().unwrap();
-            // The first second is the decoder finding out what it got.
-            if since > 60
-                && let Some(seconds) = latency(row, &sent)
-            {
-                latencies.add(seconds);
-            }
-        }
-        if began.elapsed().as_secs_f64() > next_memory {
-            let metrics = get(&address, "/metrics");
-            let figure =
-                |name: &str| metrics.lines().find_map(|line| line.strip_prefix(name)?.trim().parse::<f64>().ok());
-            println!(
-                "{:>6} sent, {:>6} came, {:>4} dropped, {:.1} MB",
-                sent.len(),
-                figure("snakeloop_frames_total ").unwrap_or(0.0),
-                figure("snakeloop_frames_dropped_total ").unwrap_or(0.0),
-                figure("snakeloop_resident_memory_bytes ").unwrap_or(0.0) / 1e6
-            );
-            next_memory += 30.0;
-        }
-        if sent.len() == frames && unix_s() - sent[frames - 1] > 2.0 {
-            break;
-        }
-    }
+    let (mut live, address) = start_live(folder.path(), &stream, &lines);
+    let latencies = latencies_until_the_end(&address, frames, &sent);
     let state: Value = serde_json::from_str(&get(&address, "/api/state")).unwrap();
     println!("from sending to estimate: {}", serde_json::to_string(&latencies.status(0.0)).unwrap());
     print!("{}", latencies.text());

@@ -98,6 +98,11 @@ pub struct Args {
 /// memory of 2000 measurements, half a minute at 60 frames/s.
 const KEEP: f64 = 0.9995;
 
+/// Rates and times beyond this are slips, frames/s or s. Convention: a limit that keeps durations representable.
+const LARGEST: f64 = 1e6;
+/// Time between two looks at whether the run is over. Convention.
+const POLL: Duration = Duration::from_millis(50);
+
 fn size(text: &str) -> std::result::Result<(u32, u32), String> {
     let parts =
         text.split_once(['x', '×']).and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
@@ -105,7 +110,7 @@ fn size(text: &str) -> std::result::Result<(u32, u32), String> {
 }
 
 fn positive(text: &str) -> std::result::Result<f64, String> {
-    let value = text.parse::<f64>().ok().filter(|value| *value > 0.0 && *value < 1e6);
+    let value = text.parse::<f64>().ok().filter(|value| *value > 0.0 && *value < LARGEST);
     value.ok_or_else(|| "expected a number above 0".into())
 }
 
@@ -149,7 +154,7 @@ impl Args {
         Ok(())
     }
 
-    /// Until the person has had enough; without a dashboard also until a recording has ended.
+    /// Waits until the user ends the run; without a dashboard also until a recording has ended.
     fn wait(&self, live: &Live) -> Result<(), Failure> {
         let asked = Arc::new(AtomicBool::new(false));
         let theirs = Arc::clone(&asked);
@@ -161,7 +166,7 @@ impl Args {
             return tui::show(&live.shared, &live.commands(), over).map_err(Failure::of_call);
         }
         while !over() {
-            std::thread::sleep(Duration::from_millis(50));
+            std::thread::sleep(POLL);
         }
         Ok(())
     }

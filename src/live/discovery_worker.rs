@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// After an answer `discover` is not started for this time. Convention: it takes about as long itself.
+/// After an answer `discover` is not started for this time. Convention: a resource limit.
 const REST: Duration = Duration::from_secs(60);
 
 /// Starts `discover` when it is asked to, one search at a time.

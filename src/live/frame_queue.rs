@@ -75,7 +75,7 @@ impl FrameQueue {
     /// An empty queue; the first frame of a camera or stream gets the number `first_index`.
     pub fn new(first_index: u64) -> Self {
         Self {
-            status: SourceStatus::at_start(),
+            status: SourceStatus::default(),
             stop: false,
             waiting: VecDeque::new(),
             undecoded: VecDeque::new(),

@@ -190,7 +190,7 @@ mod tests {
     fn a_slow_loop_is_behind_and_a_held_up_frame_late() {
         let began = Instant::now();
         let at = |s: f64| began + Duration::from_secs_f64(s);
-        let source = |frames, dropped| SourceStatus { frames, dropped, ..SourceStatus::at_start() };
+        let source = |frames, dropped| SourceStatus { frames, dropped, ..SourceStatus::default() };
         let mut timing = FrameTiming::new(began);
         (0..50).for_each(|k| timing.measured(at(f64::from(k) / 25.0), 0.03, 0.0));
         assert_eq!(timing.status(at(2.0), &source(50, 0)).state, FrameTimingState::Fresh);

@@ -23,8 +23,8 @@ use crate::estimate::{Consistency, Verdict, Whitened};
 use nalgebra::Vector2;
 use std::collections::VecDeque;
 
-/// Mean number of poses between two false alarms of each test. Convention: a false alarm costs one search of `discover`, a minute of
-/// one core; at ten new poses a second each test gives one in 28 hours.
+/// Mean number of poses between two false alarms of each test. Convention: a false alarm costs one needless search of
+/// `discover`; at ten new poses a second each test gives one in 28 hours.
 const POSES_BETWEEN_FALSE_ALARMS: f64 = 1e6;
 /// The mean square of the innovations that is to be found, where 1 is noise. Convention: the smallest gap worth a search, 1.2 times the
 /// noise in rms (√(2.5 − 1)). Sigmas that are too small by a fifth (mean square 1.5) raise no alarm.

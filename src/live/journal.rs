@@ -1,8 +1,8 @@
 //! The journal: every measurement, written down before anything else is done with it.
 //!
-//! One line of JSON a measurement or event, appended with a single write. A process that is killed leaves all of them but
-//! the one in hand; the system writes them to the disk at once every few seconds ([`Journal::sync_handle`]), which is what a loss
-//! of power can cost. A last line that is torn is cut off when the journal is opened again.
+//! Each measurement or event is one line of JSON, appended with a single write. A process that is killed leaves all of them but the
+//! one in hand. They are brought to the disk every second ([`Journal::sync_handle`]); that much a loss of power can cost. A last line
+//! that is torn is cut off when the journal is opened again.
 
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
@@ -17,8 +17,8 @@ use std::path::{Path, PathBuf};
 /// The journal's name in the output folder.
 pub const JOURNAL: &str = "journal.jsonl";
 
-/// A longer line is no entry: some twenty times what one has.
-const LONGEST_LINE: usize = 16_384;
+/// A longer line is no entry, bytes. Convention: a resource limit, some twenty times what an entry has.
+const MAX_LINE: usize = 16_384;
 
 /// One line of the journal.
 // Entries are written and read one at a time, so that their size costs nothing.
@@ -86,7 +86,7 @@ impl From<&Entry> for Line {
             angles,
             quality: measurement.quality.map(|q| (q.edges, q.inlier_fraction, q.rms_px)),
             moved_px: measurement.quality.map(|q| (q.base_moved_px, q.grid_moved_px)),
-            // What is no number would make the line one that cannot be read.
+            // JSON has no NaN; a line with one could not be read again.
             shape: shape.filter(|shape| shape.iter().all(|value| value.is_finite())),
             q_mm: reading.map(|reading| reading.q_mm),
             encoder_time_s: reading.map(|reading| reading.time_s),
@@ -212,8 +212,7 @@ pub fn read(path: &Path, mut each: impl FnMut(Entry)) -> Result<(u64, Option<Str
     let (mut whole, mut bad, mut torn) = (0, 0, false);
     let mut line = Vec::new();
     loop {
-        let LineRead { length, ended } =
-            read_line(&mut lines, LONGEST_LINE, &mut line).map_err(Error::io(path, "read"))?;
+        let LineRead { length, ended } = read_line(&mut lines, MAX_LINE, &mut line).map_err(Error::io(path, "read"))?;
         if length == 0 {
             break;
         }
@@ -223,7 +222,7 @@ pub fn read(path: &Path, mut each: impl FnMut(Entry)) -> Result<(u64, Option<Str
         }
         whole += length;
         let entry = || serde_json::from_slice::<Line>(&line).ok().and_then(Line::entry);
-        match if length > LONGEST_LINE as u64 { None } else { entry() } {
+        match if length > MAX_LINE as u64 { None } else { entry() } {
             Some(entry) => each(entry),
             None => bad += 1,
         }
@@ -351,7 +350,7 @@ mod tests {
         journal.append(&failed(1)).unwrap();
         journal.file.write_all(&[b"[".repeat(5_000_000), b"\n".to_vec()].concat()).unwrap();
         // Too long even where it would be an entry, were it cut.
-        journal.file.write_all(format!("{{\"event\":\"reset\"}}{}\n", " ".repeat(LONGEST_LINE)).as_bytes()).unwrap();
+        journal.file.write_all(format!("{{\"event\":\"reset\"}}{}\n", " ".repeat(MAX_LINE)).as_bytes()).unwrap();
         journal.append(&failed(2)).unwrap();
         let mut count = 0;
         let (_, remark) = Journal::resume(folder.path(), |_| count += 1).unwrap();

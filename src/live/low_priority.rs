@@ -1,6 +1,6 @@
 //! Threads of low priority, for work that must not hold up the loop.
 
-/// By how much such a thread is nicer than others. Convention: half of what a Unix system allows.
+/// By how much such a thread is nicer than others. Convention: about half of what a Unix system allows.
 #[cfg(target_os = "linux")]
 const NICENESS: i32 = 10;
 

@@ -8,8 +8,8 @@
 //!
 //! What must not hold up another has a thread of its own. The threads share [`SharedState`], which is locked for moments only, and hand
 //! on the newest value there is, never a queue that grows. Whatever decides something is apart from the threads and does no input or
-//! output, so that it can be tested by itself: [`frame_queue`], [`frame_timing`], [`multipart`], [`encoders`]' parser and readings, [`clock_offset`],
-//! [`motion_lag`], [`cusum`] and [`gap_monitor`].
+//! output, so that it can be tested by itself: `frame_queue`, `frame_timing`, `multipart`, the parser and readings of `encoders`,
+//! `clock_offset`, `motion_lag`, `cusum` and `gap_monitor`.
 
 mod access_control;
 mod annotated_video;

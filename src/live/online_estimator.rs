@@ -165,6 +165,7 @@ impl Subject {
 mod tests {
     use super::*;
     use crate::estimate::{estimate, estimate_stem};
+    use crate::live::status::GapState;
     use crate::robot::{Effect, Estimate};
     use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
     use nalgebra::Matrix2;
@@ -211,10 +212,36 @@ mod tests {
         assert!(OnlineEstimator::new(Model::default(), Options::default(), Some(StemOptions::default())).is_err());
     }
 
+    #[test]
+    fn the_gap_is_noise_where_the_model_holds_and_is_found_where_an_effect_is_missing() {
+        let truth = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
+        let plain = Model { estimate: Some(truth), ..Model::default() };
+        let hidden = vec![Effect::parse("load_directed_backlash:play_mm=0.08").unwrap()];
+        let with_effect = Model { effects: hidden, ..plain.clone() };
+        let mut estimator = OnlineEstimator::new(Model::default(), Options::default(), None).unwrap();
+        let mut states = Vec::new();
+        for (plant, seeds) in [(&plain, 0..25), (&with_effect, 25..28)] {
+            for seed in seeds {
+                let (measurements, readings) = noisy_experiment(plant, seed);
+                let pairs = measurements.iter().zip(&readings);
+                states.extend(pairs.map(|(m, reading)| estimator.update(m, Some(reading)).gap.state));
+            }
+        }
+        let change = states.len() * 25 / 28;
+        assert!(states[..40].iter().all(|state| *state == GapState::Unknown));
+        assert!(states[60..change].iter().all(|state| *state == GapState::Noise));
+        let found = states[change..].iter().position(|state| *state == GapState::Above);
+        assert!(found.is_some_and(|poses| poses < 36), "{found:?}");
+    }
+
     fn experiment(plant: &Model) -> (Vec<Measurement>, Vec<EncoderReading>) {
+        noisy_experiment(plant, 1)
+    }
+
+    fn noisy_experiment(plant: &Model, seed: u64) -> (Vec<Measurement>, Vec<EncoderReading>) {
         let waypoints = BendingExperiment::default().waypoints().unwrap();
-        let samples = Plant { model: plant.clone(), sd_encoder_mm: 0.0015 }.run(&waypoints, 1);
-        let measurements = SimulatedEye::default().observe(&samples, 2);
+        let samples = Plant { model: plant.clone(), sd_encoder_mm: 0.0015 }.run(&waypoints, seed);
+        let measurements = SimulatedEye::default().observe(&samples, seed + 1);
         (measurements, samples.iter().map(|sample| sample.reading).collect())
     }
 }

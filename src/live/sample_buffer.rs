@@ -2,8 +2,8 @@
 
 use crate::observation::{EncoderReading, Measurement};
 
-/// Samples that are kept at least once so many came; there are never twice as many. Convention: a resource limit, by which `discover`
-/// takes minutes on one core.
+/// Samples that are kept at least once so many came; there are never twice as many. Convention: a resource limit;
+/// `discover` takes the longer the more there are.
 const MIN_KEPT: usize = 250;
 
 /// Samples spread evenly over all that came.

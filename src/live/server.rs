@@ -147,8 +147,11 @@ static PLOTLY: LazyLock<String> = LazyLock::new(|| {
     script.split_once("</script>").map_or(script, |(script, _)| script).to_owned()
 });
 
+/// Time for which browsers keep plotly.js: a day. Convention.
+const PLOTLY_CACHE: &str = "max-age=86400";
+
 async fn plotly() -> impl IntoResponse {
-    ([(CONTENT_TYPE, "text/javascript; charset=utf-8"), (CACHE_CONTROL, "max-age=86400")], PLOTLY.as_str())
+    ([(CONTENT_TYPE, "text/javascript; charset=utf-8"), (CACHE_CONTROL, PLOTLY_CACHE)], PLOTLY.as_str())
 }
 
 /// A failure as JSON: `{"error": "…"}`.

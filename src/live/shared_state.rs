@@ -8,7 +8,7 @@ use crate::robot::Model;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Rows kept for `GET /api/measurements`: 200 s of 60 frames/s. Convention: a resource limit, about 5 MB.
+/// Rows kept for `GET /api/measurements`: 200 s of 60 frames/s. Convention: a resource limit.
 const MAX_ROWS: usize = 12_000;
 /// Notices kept. Convention: a display choice.
 const MAX_NOTICES: usize = 20;

@@ -10,7 +10,7 @@ use crate::robot::{Model, PerBackbone};
 use serde::Serialize;
 
 /// Everything at one moment, as `GET /api/state` gives it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct State {
     /// The program's version.
     pub version: &'static str,
@@ -58,33 +58,12 @@ pub struct State {
 impl State {
     /// Before the first frame.
     pub fn at_start(source_name: String, encoders: EncoderStatus) -> Self {
-        Self {
-            version: env!("CARGO_PKG_VERSION"),
-            source_name,
-            elapsed_s: 0.0,
-            paused: false,
-            ended: false,
-            resumed: 0,
-            measurements: 0,
-            measured: 0,
-            rejected: 0,
-            source: SourceStatus::at_start(),
-            encoders,
-            latency: LatencyStatus::default(),
-            timing: FrameTimingStatus::at_start(),
-            latest: None,
-            estimate: None,
-            stem: None,
-            gap: GapStatus::at_start(),
-            discovery: None,
-            saved_at_s: None,
-            notices: Vec::new(),
-        }
+        Self { version: env!("CARGO_PKG_VERSION"), source_name, encoders, ..Self::default() }
     }
 }
 
 /// One measurement and what the estimator did with it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Row {
     /// The frame's index.
     pub index: u64,
@@ -132,15 +111,8 @@ impl Row {
             delta_deg: measured.map(|m| m.configuration.delta_deg()),
             sigma_theta_deg: measured.map(|m| m.sigma_theta.to_degrees()),
             sigma_delta_deg: measured.map(|m| m.sigma_delta.to_degrees()),
-            q_mm: None,
-            expected_theta_deg: None,
-            expected_delta_deg: None,
             verdict: Verdict::Skipped.to_string(),
-            reason: String::new(),
-            residual_mm: None,
-            estimate: None,
-            stem: None,
-            latency_ms: 0.0,
+            ..Self::default()
         }
     }
 }
@@ -189,10 +161,11 @@ impl From<StemAngle> for StemStatus {
 }
 
 /// What a source of frames is doing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SourceState {
     /// No frame has come yet.
+    #[default]
     Waiting,
     /// Frames come.
     Running,
@@ -203,7 +176,7 @@ pub enum SourceState {
 }
 
 /// The frames' source.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct SourceStatus {
     /// What it is doing.
     pub state: SourceState,
@@ -221,26 +194,12 @@ pub struct SourceStatus {
     pub settings: Option<CaptureSettings>,
 }
 
-impl SourceStatus {
-    /// Before the first frame.
-    pub fn at_start() -> Self {
-        Self {
-            state: SourceState::Waiting,
-            trouble: None,
-            frames: 0,
-            dropped: 0,
-            reconnects: 0,
-            rate_fps: 0.0,
-            settings: None,
-        }
-    }
-}
-
 /// Whose clock the encoders' time stamps are in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ClockState {
     /// Nothing is known yet.
+    #[default]
     Unknown,
     /// The frames' clock, as far as can be told.
     Shared,
@@ -260,7 +219,7 @@ pub struct Lag {
 }
 
 /// The encoders.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct EncoderStatus {
     /// `none`, `log` (a finished file, matched by index), `waiting`, `running` or `lost`.
     pub state: &'static str,
@@ -283,16 +242,7 @@ pub struct EncoderStatus {
 impl EncoderStatus {
     /// Encoders that are not read while the loop runs: `none`, or a finished `log` of so many readings.
     pub fn at_rest(state: &'static str, readings: u64) -> Self {
-        Self {
-            state,
-            trouble: None,
-            readings,
-            bad_lines: 0,
-            last_bad: None,
-            clock: ClockState::Shared,
-            offset_s: 0.0,
-            lag: None,
-        }
+        Self { state, readings, clock: ClockState::Shared, ..Self::default() }
     }
 }
 
@@ -310,10 +260,11 @@ pub struct LatencyStatus {
 }
 
 /// Whether frames arrive on time and are measured at once.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FrameTimingState {
     /// They arrive on time and are measured at once.
+    #[default]
     Fresh,
     /// They arrive on time, but faster than they can be measured: many are dropped, or all are old when they are measured.
     Behind,
@@ -322,7 +273,7 @@ pub enum FrameTimingState {
 }
 
 /// The frames' timing.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct FrameTimingStatus {
     /// The verdict.
     pub state: FrameTimingState,
@@ -334,13 +285,6 @@ pub struct FrameTimingStatus {
     pub late: u64,
     /// What is wrong and what to do about it.
     pub sentence: Option<String>,
-}
-
-impl FrameTimingStatus {
-    /// Before the first frame.
-    pub fn at_start() -> Self {
-        Self { state: FrameTimingState::Fresh, age_ms: 0.0, dropped: 0.0, late: 0, sentence: None }
-    }
 }
 
 /// Whether the model accounts for what is measured.
@@ -368,9 +312,9 @@ pub struct GapStatus {
     pub rejected: f64,
 }
 
-impl GapStatus {
+impl Default for GapStatus {
     /// Before the first measurement.
-    pub fn at_start() -> Self {
+    fn default() -> Self {
         Self { state: GapState::Unknown, bending: 1.0, common: 1.0, rejected: 0.0 }
     }
 }

@@ -16,6 +16,8 @@ use std::time::Duration;
 const EVERY: Duration = Duration::from_millis(200);
 /// Latest values of θ that are drawn. Convention: a display choice.
 const HISTORY: usize = 300;
+/// The largest θ drawn, in the units of the drawing. Convention: finer than a terminal shows.
+const FULL_HEIGHT: u64 = 1000;
 
 /// Shows the state until the user leaves (q) or `is_over`.
 ///
@@ -90,9 +92,12 @@ fn draw(frame: &mut Frame, state: &State, theta_deg: &[f64], answer: &str) {
     // The latest, as many as there are columns.
     let columns = usize::from(line.width.saturating_sub(2));
     let shown = &theta_deg[theta_deg.len().saturating_sub(columns)..];
-    let heights: Vec<u64> = shown.iter().map(|theta| (1000.0 * theta / largest) as u64).collect();
+    let heights: Vec<u64> = shown.iter().map(|theta| (FULL_HEIGHT as f64 * theta / largest) as u64).collect();
     let title = format!(" θ, up to {largest:.0}° ");
-    frame.render_widget(Sparkline::default().block(Block::bordered().title(title)).data(&heights).max(1000), line);
+    frame.render_widget(
+        Sparkline::default().block(Block::bordered().title(title)).data(&heights).max(FULL_HEIGHT),
+        line,
+    );
     let notice = state.notices.last().cloned().unwrap_or_default();
     frame.render_widget(boxed(" ", vec![Line::from(notice), Line::from(answer.to_owned()).dim()]), foot);
 }

@@ -1,45 +1,68 @@
-//! What the eye made of one frame, stage by stage, for a person who wants to know why.
+//! The stages of the measurement of one frame, for a person who wants to know why it came out as it did.
 
 use crate::camera::{Frame, Samples};
 use crate::geometry::Configuration;
-use crate::measure::body::Outline;
-use crate::measure::eye::{Eye, FrameMeasurement};
-use crate::measure::fit::{EdgeFinder, FINE_SEARCH_PX, PartVisibility, robust_weights};
+use crate::measure::body::{Outline, OutlinePoint};
+use crate::measure::eye::Eye;
+use crate::measure::fit::{Edge, EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase};
 use crate::measure::image::plane::Region;
+use crate::measure::measurement::FrameMeasurement;
 use crate::measure::target::grid::project_paper;
 use nalgebra::Point2;
+
+/// Grey of the target and of the snake in the picture of the discriminant, 0 to 255.
+///
+/// Convention: leaves a quarter of the range on either side.
+const TARGET_GREY: f32 = 64.0;
+const SNAKE_GREY: f32 = 191.0;
+/// How many grid lines are drawn to either side of the target's origin.
+///
+/// Convention: enough for any picture in which single lines can be told apart.
+const GRID_LINES: i32 = 150;
+/// How far outside the picture lines are drawn, px.
+///
+/// Convention: so that they end outside it.
+const OVERHANG_PX: f64 = 50.0;
 
 /// Every stage of measuring one frame.
 #[derive(Debug, Clone)]
 pub struct Explanation {
     /// The result.
     pub measurement: FrameMeasurement,
-    /// How much each pixel looks like the snake, as a grey picture: 64 is paper and 191 is snake.
-    pub snakeness: Frame,
+    /// The discriminant between snake and target of each pixel, as a grey picture: 64 is target and 191 is snake.
+    pub discriminant: Frame,
     /// The printed lines, or the borders of the squares, where the rig says they are, px.
     pub grid: Vec<Vec<Point2<f64>>>,
-    /// The bends that the coarse search found worth a look, best first.
+    /// The candidates of the coarse search, best first.
     pub candidates: Vec<Configuration>,
-    /// The bends that were fitted to the end, best first; the verdict is on the first, whatever it is.
+    /// The local minima of the fit, best first; the verdict is on the first.
     pub fits: Vec<Configuration>,
-    /// The places of the best fit's outline at which an edge was looked for.
-    pub places: Vec<Place>,
-    /// The share of each disk's outline, by its number from the base, that has its edge, 0 to 1.
+    /// The points of the best fit's outline at which an edge was searched.
+    pub points: Vec<SearchedPoint>,
+    /// The share of each disk's outline, by its number from the base, that is visible, 0 to 1.
     pub disks: Vec<(u8, f64)>,
 }
 
-/// A place of the outline and the edge that was found there.
+/// A point of the outline and the edge that was found near it.
 #[derive(Debug, Clone, Copy)]
-pub struct Place {
+pub struct SearchedPoint {
     /// Where the model puts the border, px.
     pub expected: Point2<f64>,
-    /// Where the edge is, px, how far outside the border in units of its σ, and its robust weight, 0 to 1; `None` where no
-    /// edge stands out.
-    pub seen: Option<(Point2<f64>, f64, f64)>,
+    /// The edge; `None` where none stands out.
+    pub edge: Option<WeightedEdge>,
+}
+
+/// An edge and what it counts in a robust fit.
+#[derive(Debug, Clone, Copy)]
+pub struct WeightedEdge {
+    /// Where it is, px.
+    pub pixel: Point2<f64>,
+    /// Its robust weight, 0 to 1.
+    pub weight: f64,
 }
 
 impl Eye {
-    /// Measures one frame and tells every stage of it.
+    /// Measures one frame and describes every stage.
     pub fn explain(&self, frame: &Frame) -> Explanation {
         let stages = self.measure_in_stages(frame);
         let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
@@ -48,51 +71,55 @@ impl Eye {
         let outline = fits.first().map(|&psi| Outline::new(&self.projection(), psi));
         let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
         let disks = outline.as_ref().map(|outline| PartVisibility::new(outline, &finder).disk_shares().collect());
-        let places = outline.as_ref().map(|outline| places(outline, &finder));
+        let points = outline.as_ref().map(|outline| searched_points(outline, &finder));
         Explanation {
             disks: disks.unwrap_or_default(),
-            snakeness: Frame {
+            discriminant: Frame {
                 width: frame.width,
                 height: frame.height,
                 channels: 1,
-                samples: Samples::Bits8(plane.data.iter().map(|v| (64.0 + 127.0 * v) as u8).collect()),
+                samples: Samples::Bits8(
+                    plane.data.iter().map(|v| (TARGET_GREY + (SNAKE_GREY - TARGET_GREY) * v) as u8).collect(),
+                ),
             },
             grid: self.grid_lines(),
             candidates: stages.candidates.iter().map(|&bend| Configuration::from_bend_vector(bend)).collect(),
             fits,
-            places: places.unwrap_or_default(),
+            points: points.unwrap_or_default(),
             measurement: stages.measurement,
         }
     }
 
     /// The lines of both directions that cross the picture.
     fn grid_lines(&self) -> Vec<Vec<Point2<f64>>> {
-        /// Enough for any picture in which single lines can be told apart.
-        const REACH: i32 = 150;
         let pixel = |axis: usize, line: i32, along: i32| {
-            let mut paper = Point2::origin();
-            paper[axis] = f64::from(line) * self.rig.grid_pitch_mm;
-            paper[1 - axis] = f64::from(along) * self.rig.grid_pitch_mm;
-            project_paper(&self.lens, &self.rig.camera_from_grid, &paper)
+            let mut target = Point2::origin();
+            target[axis] = f64::from(line) * self.rig.grid_pitch_mm;
+            target[1 - axis] = f64::from(along) * self.rig.grid_pitch_mm;
+            project_paper(&self.lens, &self.rig.camera_from_grid, &target)
         };
         let line = |axis: usize, line: i32| -> Vec<Point2<f64>> {
-            (-REACH..=REACH).map(|along| pixel(axis, line, along)).filter(|p| self.lens.contains(p, -50.0)).collect()
+            (-GRID_LINES..=GRID_LINES)
+                .map(|along| pixel(axis, line, along))
+                .filter(|p| self.lens.contains(p, -OVERHANG_PX))
+                .collect()
         };
-        let lines = [0, 1].into_iter().flat_map(|axis| (-REACH..=REACH).map(move |k| line(axis, k)));
+        let lines = [0, 1].into_iter().flat_map(|axis| (-GRID_LINES..=GRID_LINES).map(move |k| line(axis, k)));
         lines.filter(|line| line.len() > 1).collect()
     }
 }
 
-fn places(outline: &Outline, finder: &EdgeFinder) -> Vec<Place> {
+/// Searches an edge near every point of an outline, and weighs the edges as the fit's redescending phase does.
+fn searched_points(outline: &Outline, finder: &EdgeFinder) -> Vec<SearchedPoint> {
     let edges: Vec<_> = outline.points.iter().map(|point| (point, finder.find(point, FINE_SEARCH_PX))).collect();
-    let misfits: Vec<f64> = edges.iter().filter_map(|(_, edge)| edge.map(|e| e.offset_px / e.sigma_px)).collect();
-    let mut told = misfits.iter().zip(robust_weights(&misfits, false));
-    let place = |(point, edge): &(&crate::measure::body::OutlinePoint, Option<crate::measure::fit::Edge>)| Place {
+    let residuals: Vec<f64> = edges.iter().filter_map(|(_, edge)| edge.map(|e| e.offset_px / e.sigma_px)).collect();
+    let mut roots = RobustPhase::Redescending.roots(&residuals).into_iter();
+    let searched = |(point, edge): (&OutlinePoint, Option<Edge>)| SearchedPoint {
         expected: point.pixel,
-        seen: edge.and_then(|edge| {
-            let (misfit, root) = told.next()?;
-            Some((point.pixel + point.normal.into_inner() * edge.offset_px, *misfit, root * root))
+        edge: edge.zip(edge.and_then(|_| roots.next())).map(|(edge, root)| WeightedEdge {
+            pixel: point.pixel + point.normal.into_inner() * edge.offset_px,
+            weight: root * root,
         }),
     };
-    edges.iter().map(place).collect()
+    edges.into_iter().map(searched).collect()
 }

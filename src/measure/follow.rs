@@ -7,8 +7,9 @@
 use crate::camera::Frame;
 use crate::geometry::Pose;
 use crate::measure::body::Projection;
-use crate::measure::eye::{Eye, is_saturated};
+use crate::measure::eye::Eye;
 use crate::measure::fit::{CoarseSearch, EdgeFinder};
+use crate::measure::image::exposure::is_saturated;
 use crate::measure::rig::calibrate::Rig;
 use crate::measure::rig::drift::{Watch, Watched};
 use crate::measure::rig::locate::{Colours, find_start, locate_holders};

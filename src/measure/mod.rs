@@ -1,13 +1,14 @@
-//! The eye: pictures of the snake before a grid to θ and δ, with their uncertainty.
+//! The eye: pictures of the snake before a grid target to θ and δ, with their uncertainty.
 //!
-//! A rig is calibrated once from a picture of the unbent snake ([`calibrate_rig`]); an [`Eye`] then measures frames:
+//! A rig is calibrated once from a picture of the unbent snake ([`calibrate_rig`]); an [`Eye`] then measures frames. Its rooms, each of
+//! which uses only those above it:
 //!
-//! 1. `appearance`: colours become one plane in which the snake stands out and the print does not.
-//! 2. `search`: every bend's outline is tried at low resolution; the best few are starts.
-//! 3. `outline`, `edges`: the model's outline is projected and the picture's edges near it are placed to a fraction of a
-//!    pixel.
-//! 4. `matches`, `fit`: bend and edge bias are adjusted until outline and edges agree, what disagrees losing its weight.
-//! 5. `certainty`: the covariance counts pieces of the outline, not pixels, as evidence.
+//! 1. `image`: pictures of one channel, in which the snake is 1 and the target 0 (Fisher's discriminant of the colours).
+//! 2. `body`: the snake's disks and tubes, projected, and the border of their silhouette.
+//! 3. `fit`: sub-pixel edges near that border, the robust fit of bend and edge bias to them, its covariance, and the selection among
+//!    its local minima.
+//! 4. `target`: the grid's lines and its pose.
+//! 5. `rig`: where camera, target and base are, and whether they stay there.
 //!
 //! Frames of bent snakes tell more about the rig than the straight picture does: [`Eye::refined`].
 
@@ -15,18 +16,22 @@ mod body;
 mod explain;
 mod eye;
 mod fit;
+#[cfg(test)]
+mod fixture;
 mod follow;
 mod image;
+mod measurement;
 mod refine;
 mod rig;
 mod several;
 mod target;
 
 pub use body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
-pub use explain::{Explanation, Place};
-pub use eye::{Bend, Eye, FrameMeasurement};
+pub use explain::{Explanation, SearchedPoint, WeightedEdge};
+pub use eye::Eye;
 pub use fit::EdgeBias;
 pub use image::appearance::Appearance;
+pub use measurement::{Bend, FrameMeasurement};
 pub use rig::calibrate::{Rig, RigOptions, calibrate_rig};
 pub use rig::drift::Print;
 pub use several::fused;

@@ -5,10 +5,10 @@
 
 use crate::camera::Frame;
 use crate::measure::body::{Outline, Piece, Projection};
-use crate::measure::eye::{Eye, FRAME_BIAS_SIGMA_PX, MeasurementStages};
+use crate::measure::eye::{Eye, MeasurementStages};
 use crate::measure::fit::{
-    BIASES, BiasPrior, Correspondences, EdgeFinder, FitSchedule, Linearised, Start, State, fine_filter, fit_bend,
-    inliers, predict_blur, robust_weights,
+    BIASES, BiasPrior, Correspondences, EdgeFinder, FRAME_BIAS_SIGMA_PX, FitSchedule, Linearised, RobustPhase, Start,
+    State, fine_filter, fit_bend, inliers, predict_blur,
 };
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::rig::calibrate::Rig;
@@ -102,8 +102,8 @@ fn shared_evidence(view: &Projection, finder: &EdgeFinder, state: &State, blur_p
     let finder = fine_filter(finder, view, blur_px);
     predict_blur(&mut outline, blur_px, &finder);
     let matches = Correspondences::find(&outline, &finder, 3.0, |_| true);
-    let linear = matches.linearised(view, state);
-    let roots = robust_weights(linear.residuals.as_slice(), false);
+    let linear = Linearised::new(&matches, view, state);
+    let roots = RobustPhase::Redescending.roots(linear.residuals.as_slice());
     let (_, scatter_px) = inliers(&matches.in_px(linear.residuals.as_slice()), &roots);
     let Linearised { residuals, by_state, by_pose: pose } = linear.weighted(&roots);
     let (bend, bias) = (by_state.columns(0, 2), by_state.columns(2, BIASES));
@@ -111,10 +111,9 @@ fn shared_evidence(view: &Projection, finder: &EdgeFinder, state: &State, blur_p
     // What the picture's own bend could have done as well is no evidence.
     let projected = &shared - bend * (bend.transpose() * bend).cholesky()?.solve(&(bend.transpose() * &shared));
     let mut pieces = BTreeMap::new();
-    for (row, piece) in matches.pieces().into_iter().enumerate() {
+    for (row, cluster) in matches.clusters().enumerate() {
         let along = Shared::from_iterator(projected.row(row).iter().copied());
-        let (information, score) =
-            pieces.entry(piece.cluster()).or_insert((SharedInformation::zeros(), Shared::zeros()));
+        let (information, score) = pieces.entry(cluster).or_insert((SharedInformation::zeros(), Shared::zeros()));
         *information += along * along.transpose();
         *score += along * residuals[row];
     }

@@ -1,45 +1,48 @@
 //! Several views of one snake at one moment.
 
-use crate::measure::eye::{Bend, FrameMeasurement, failed};
+use crate::measure::measurement::{Bend, FrameMeasurement};
 use crate::observation::{Quality, Status};
 use nalgebra::{Matrix2, Vector2};
 
-/// Two views that differ by more than this, rad, and by more than their sigmas allow, do not see the same snake.
-const APART_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// The squared distance of the views' bends from their mean, in units of their covariance and per degree of freedom, that
-/// their sigmas allow: sigmas that are a third too large or small are common.
-const ALLOWED: f64 = 12.0;
-
-/// What several views say together: their bends' mean, weighted by their information. To first order this is the fit to
-/// the edges of all of them at once, since each view's errors are its own.
+/// Views whose bends lie within this distance of their mean, rad, do not contradict each other whatever their sigmas say.
 ///
-/// A view that cannot measure leaves the others to answer; where none can, the first one's reason stands. Views that
-/// scatter more than their sigmas say widen the sigma of the mean; views that contradict each other give
-/// [`Status::ViewsDisagree`] and no angles.
+/// Convention: half a degree; what they differ by widens the sigma of their mean instead.
+const CONTRADICTION_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
+/// Views contradict each other if the squared normalised distances of their bends from the mean exceed this per degree of freedom.
+///
+/// Derived: two views whose sigmas are a third too small exceed it once in 200 moments, e^(−12/1.5²).
+const CONTRADICTION_CHI2: f64 = 12.0;
+
+/// What several views say together: the mean of their bends, weighted by their information. To first order this is the fit to
+/// the edges of all of them at once, since the errors of the views are independent.
+///
+/// A view that cannot measure is left out; where none can, the first one's reason stands. Views that scatter more than their sigmas
+/// say widen the sigma of the mean by Birge's ratio; views that contradict each other give [`Status::ViewsDisagree`] and no angles.
 pub fn fused(measurements: &[FrameMeasurement]) -> FrameMeasurement {
     let seen: Vec<(Bend, Quality)> = measurements.iter().filter_map(|s| s.bend.zip(s.quality)).collect();
     let alone = || measurements.iter().find(|s| s.bend.is_some()).or(measurements.first()).cloned();
     if seen.len() < 2 {
-        return alone().unwrap_or(failed(Status::NoSnake, None));
+        return alone().unwrap_or(FrameMeasurement::failed(Status::NoSnake, None));
     }
     let informed: Option<Vec<(Bend, Matrix2<f64>)>> =
         seen.iter().map(|(bend, _)| Some((*bend, bend.covariance.try_inverse()?))).collect();
-    let Some(informed) = informed else { return failed(Status::NoSnake, None) };
+    let Some(informed) = informed else { return FrameMeasurement::failed(Status::NoSnake, None) };
     let information: Matrix2<f64> = informed.iter().map(|(_, information)| information).sum();
-    let Some(covariance) = information.try_inverse() else { return failed(Status::NoSnake, None) };
+    let Some(covariance) = information.try_inverse() else { return FrameMeasurement::failed(Status::NoSnake, None) };
     let mean = covariance * informed.iter().map(|(bend, weight)| weight * bend.vector).sum::<Vector2<f64>>();
 
+    // Birge's ratio squared: χ² per degree of freedom.
     let off = |(bend, weight): &(Bend, Matrix2<f64>)| {
         let off = bend.vector - mean;
         off.dot(&(weight * off))
     };
-    let excess = informed.iter().map(off).sum::<f64>() / (2.0 * (seen.len() as f64 - 1.0));
+    let chi2_per_dof = informed.iter().map(off).sum::<f64>() / (2.0 * (seen.len() as f64 - 1.0));
     let quality = together(&seen);
-    let apart = seen.iter().any(|(bend, _)| (bend.vector - mean).norm() > APART_RAD);
-    if excess > ALLOWED && apart {
-        return failed(Status::ViewsDisagree, Some(quality));
+    let apart = seen.iter().any(|(bend, _)| (bend.vector - mean).norm() > CONTRADICTION_RAD);
+    if chi2_per_dof > CONTRADICTION_CHI2 && apart {
+        return FrameMeasurement::failed(Status::ViewsDisagree, Some(quality));
     }
-    FrameMeasurement::of(Bend { vector: mean, covariance: covariance * excess.max(1.0) }, quality)
+    FrameMeasurement::of(Bend { vector: mean, covariance: covariance * chi2_per_dof.max(1.0) }, quality)
 }
 
 fn together(seen: &[(Bend, Quality)]) -> Quality {
@@ -83,9 +86,10 @@ mod tests {
     #[test]
     fn a_view_that_fails_leaves_the_other_to_answer() {
         let seen = measurement(0.3, 0.1, 1e-3, 1e-3);
-        let together = fused(&[failed(Status::Occluded, None), seen.clone()]);
+        let together = fused(&[FrameMeasurement::failed(Status::Occluded, None), seen.clone()]);
         assert_eq!(together, seen);
-        let none = fused(&[failed(Status::Occluded, None), failed(Status::Blurred, None)]);
+        let none =
+            fused(&[FrameMeasurement::failed(Status::Occluded, None), FrameMeasurement::failed(Status::Blurred, None)]);
         assert_eq!(none.status, Status::Occluded);
     }
 

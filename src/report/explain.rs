@@ -3,17 +3,18 @@
 use super::overlay::{Shape, angles, overlay, rgb, stroke};
 use super::page::document;
 use crate::camera::Frame;
-use crate::measure::{Explanation, Place};
+use crate::measure::{Explanation, SearchedPoint, WeightedEdge};
 use crate::observation::{Measurement, Status};
 use image::{Rgb, RgbImage, imageops};
 use maud::html;
 use nalgebra::Point2;
 
+// Colours. Convention: display choices.
 const GRID: Rgb<u8> = Rgb([0, 200, 255]);
 const AGREES: Rgb<u8> = Rgb([40, 235, 70]);
 const DISAGREES: Rgb<u8> = Rgb([255, 50, 50]);
 const NO_EDGE: Rgb<u8> = Rgb([80, 130, 255]);
-/// Colours of the coarse search's bends, best first.
+/// Colours of the coarse search's candidates, best first.
 const CANDIDATES: [Rgb<u8>; 6] = [
     Rgb([255, 70, 70]),
     Rgb([255, 160, 0]),
@@ -22,7 +23,7 @@ const CANDIDATES: [Rgb<u8>; 6] = [
     Rgb([0, 200, 255]),
     Rgb([220, 110, 255]),
 ];
-/// How much larger the picture of the edges is than the frame.
+/// How much larger the picture of the edges is than the frame. Convention: a display choice.
 const ENLARGED: u32 = 4;
 
 /// One stage's picture.
@@ -49,9 +50,9 @@ pub fn stages(
         stage("1-frame.png", "The frame as it was read.", rgb(frame)),
         stage(
             "2-snakeness.png",
-            "How much each pixel looks like the snake rather than the paper, by the colours learned from the straight \
-             picture: the snake should be light, the paper dark and the print hardly seen.",
-            rgb(&explanation.snakeness),
+            "How much each pixel looks like the snake rather than the grid target behind it, by the colours learned from the \
+             straight picture: the snake should be light, the target dark and its lines hardly seen.",
+            rgb(&explanation.discriminant),
         ),
     ];
 
@@ -61,7 +62,7 @@ pub fn stages(
     }
     stages.push(stage(
         "3-grid.png",
-        "The grid where the rig says it is. Where these lines leave the printed ones, camera or paper have moved since the \
+        "The grid where the rig says it is. Where these lines leave the printed ones, camera or target have moved since the \
          rig was calibrated, or the lens is another.",
         picture,
     ));
@@ -72,19 +73,19 @@ pub fn stages(
     }
     stages.push(stage(
         "4-search.png",
-        "The bends that the coarse search found worth a look; red was the best, then orange, yellow, green, blue and violet. \
-         One of them should lie roughly on the snake.",
+        "The candidates of the coarse search; red is the best, then orange, yellow, green, blue and violet. One of them should lie \
+         roughly on the snake.",
         picture,
     ));
 
-    if !explanation.places.is_empty() {
+    if !explanation.points.is_empty() {
         let caption = format!(
             "The best fit's outline and the edges found near it, {ENLARGED} times as large. Green: an edge that agrees; red: \
              one that does not and hardly counts, with a line from where it was expected; blue: no edge where one should \
              be. {}",
-            counted(&explanation.places)
+            counted(&explanation.points)
         );
-        stages.push(Stage { file: "5-edges.png", caption, picture: edges(frame, &explanation.places) });
+        stages.push(Stage { file: "5-edges.png", caption, picture: edges(frame, &explanation.points) });
     }
 
     let drawn = explanation.fits.first().map(|psi| shape(*psi));
@@ -103,12 +104,13 @@ fn faded(frame: &Frame) -> RgbImage {
     picture
 }
 
-/// The part of the frame with places in it, enlarged, with every place and its edge.
-fn edges(frame: &Frame, places: &[Place]) -> RgbImage {
+/// The part of the frame with the points in it, enlarged, with every point and its edge.
+fn edges(frame: &Frame, points: &[SearchedPoint]) -> RgbImage {
+    /// Convention: a display choice, as the widths of the lines are.
     const MARGIN_PX: f64 = 15.0;
     let bound = |value: f64, size: u32| value.clamp(0.0, f64::from(size - 1)) as u32;
-    let start = |axis: usize| places.iter().map(|p| p.expected[axis]).fold(f64::INFINITY, f64::min) - MARGIN_PX;
-    let end = |axis: usize| places.iter().map(|p| p.expected[axis]).fold(0.0, f64::max) + MARGIN_PX;
+    let start = |axis: usize| points.iter().map(|p| p.expected[axis]).fold(f64::INFINITY, f64::min) - MARGIN_PX;
+    let end = |axis: usize| points.iter().map(|p| p.expected[axis]).fold(0.0, f64::max) + MARGIN_PX;
     let (x0, y0) = (bound(start(0), frame.width), bound(start(1), frame.height));
     let (x1, y1) = (bound(end(0), frame.width), bound(end(1), frame.height));
     let part = imageops::crop_imm(&rgb(frame), x0, y0, x1 - x0 + 1, y1 - y0 + 1).to_image();
@@ -120,12 +122,12 @@ fn edges(frame: &Frame, places: &[Place]) -> RgbImage {
         let to = |value: f64, from: u32| scale * (value - f64::from(from) + 0.5) - 0.5;
         Point2::new(to(p.x, x0), to(p.y, y0))
     };
-    for place in places {
-        let expected = enlarged(&place.expected);
-        match place.seen {
+    for point in points {
+        let expected = enlarged(&point.expected);
+        match point.edge {
             None => stroke(&mut picture, &[expected], 1.3 * scale, NO_EDGE),
-            Some((seen, _, weight)) => {
-                let seen = enlarged(&seen);
+            Some(WeightedEdge { pixel, weight }) => {
+                let seen = enlarged(&pixel);
                 let mix = |k: usize| {
                     (f64::from(AGREES.0[k]) * weight + f64::from(DISAGREES.0[k]) * (1.0 - weight)).round() as u8
                 };
@@ -138,13 +140,15 @@ fn edges(frame: &Frame, places: &[Place]) -> RgbImage {
     picture
 }
 
-fn counted(places: &[Place]) -> String {
-    let agree = places.iter().filter(|p| p.seen.is_some_and(|(_, _, weight)| weight > 0.25)).count();
-    let missing = places.iter().filter(|p| p.seen.is_none()).count();
+fn counted(points: &[SearchedPoint]) -> String {
+    /// Weight of an edge in the fit above which it is said to agree. Convention: a display choice.
+    const AGREES_FROM: f64 = 0.25;
+    let agree = points.iter().filter(|p| p.edge.is_some_and(|edge| edge.weight > AGREES_FROM)).count();
+    let missing = points.iter().filter(|p| p.edge.is_none()).count();
     format!(
-        "{} places: {agree} agree, {} disagree, {missing} show no edge.",
-        places.len(),
-        places.len() - agree - missing
+        "{} points: {agree} agree, {} disagree, {missing} show no edge.",
+        points.len(),
+        points.len() - agree - missing
     )
 }
 
@@ -153,14 +157,14 @@ fn meaning(status: &Status) -> &'static str {
     match status {
         Status::Ok => "Measured.",
         Status::NoSnake => {
-            "Nothing here looks like the snake: is it in the picture (1), does it stand out from the paper (2), and did the \
+            "Nothing here looks like the snake: is it in the picture (1), does it stand out from the target (2), and did the \
              search find it (4)? A light that changed much since the straight picture can do this."
         }
         Status::Occluded => {
             "Too little of the snake's outline is confirmed by edges (5): something hides it or the model lies wrong (6)."
         }
         Status::Ambiguous => "Two bends explain the picture about equally well, so that neither is given.",
-        Status::Blurred => "The outline is too soft for its edges to be placed: focus, or a shorter exposure.",
+        Status::Blurred => "The outline is too blurred for its edges to be placed: focus, or a shorter exposure.",
         Status::Saturated => "Nearly all of the picture is black or white: exposure.",
         Status::OutOfFrame => "Too much of the snake lies outside the picture.",
         Status::CameraMoved => {
@@ -226,15 +230,15 @@ mod tests {
         Frame { width: 64, height: 48, channels: 1, samples: Samples::Bits8(vec![100; 64 * 48]) }
     }
 
-    fn explanation(places: Vec<Place>) -> Explanation {
+    fn explanation(points: Vec<SearchedPoint>) -> Explanation {
         Explanation {
             measurement: FrameMeasurement { status: Status::NoSnake, measured: None, bend: None, quality: None },
-            snakeness: frame(),
+            discriminant: frame(),
             grid: vec![vec![Point2::new(10.0, 0.0), Point2::new(10.0, 47.0)]],
             candidates: vec![Configuration::from_degrees(30.0, 0.0)],
-            fits: if places.is_empty() { Vec::new() } else { vec![Configuration::from_degrees(31.0, 2.0)] },
+            fits: if points.is_empty() { Vec::new() } else { vec![Configuration::from_degrees(31.0, 2.0)] },
             disks: Vec::new(),
-            places,
+            points,
         }
     }
 
@@ -243,14 +247,14 @@ mod tests {
     }
 
     #[test]
-    fn places_are_drawn_where_they_are_and_as_they_agree() {
-        let place = |x: f64, weight: f64| Place {
+    fn points_are_drawn_where_they_are_and_as_they_agree() {
+        let point = |x: f64, weight: f64| SearchedPoint {
             expected: Point2::new(x, 24.0),
-            seen: Some((Point2::new(x, 24.0), 0.0, weight)),
+            edge: Some(WeightedEdge { pixel: Point2::new(x, 24.0), weight }),
         };
-        let missing = Place { expected: Point2::new(40.0, 24.0), seen: None };
-        let picture = edges(&frame(), &[place(20.0, 1.0), place(30.0, 0.0), missing]);
-        // The part starts 15 px left of the first place and above them all.
+        let missing = SearchedPoint { expected: Point2::new(40.0, 24.0), edge: None };
+        let picture = edges(&frame(), &[point(20.0, 1.0), point(30.0, 0.0), missing]);
+        // The part starts 15 px left of the first point and above them all.
         assert_eq!(picture.dimensions(), (4 * (40 - 20 + 31), 4 * 31));
         let at = |x: u32| *picture.get_pixel(4 * (x - 5) + 2, 4 * (24 - 9) + 2);
         assert_eq!([at(20), at(30), at(40)], [AGREES, DISAGREES, NO_EDGE]);
@@ -269,10 +273,10 @@ mod tests {
     }
 
     #[test]
-    fn places_are_counted() {
-        let seen = |weight| Some((Point2::origin(), 0.5, weight));
-        let place = |seen| Place { expected: Point2::new(20.0, 20.0), seen };
-        let places = [place(seen(1.0)), place(seen(0.1)), place(None), place(seen(0.9))];
-        assert_eq!(counted(&places), "4 places: 2 agree, 1 disagree, 1 show no edge.");
+    fn points_are_counted() {
+        let edge = |weight| Some(WeightedEdge { pixel: Point2::origin(), weight });
+        let point = |edge| SearchedPoint { expected: Point2::new(20.0, 20.0), edge };
+        let points = [point(edge(1.0)), point(edge(0.1)), point(None), point(edge(0.9))];
+        assert_eq!(counted(&points), "4 points: 2 agree, 1 disagree, 1 show no edge.");
     }
 }

@@ -3,12 +3,14 @@
 use super::plot::{Plot, Point, Series, Style};
 use crate::closed_loop::Turn;
 
+/// Smaller errors are drawn as this, degrees. Convention: a display choice.
+const LEAST_DEG: f64 = 1e-4;
+
 /// The table's rms error and each command's own over the number of measurements, as SVG; `naive_deg` is the error before any.
 pub fn learning_curve(naive_deg: f64, turns: &[Turn]) -> Option<String> {
     let point = |measurements: usize, error_deg: f64| Point {
         x: measurements as f64,
-        // Below a ten-thousandth of a degree nothing is left to show.
-        y: error_deg.max(1e-4).log10(),
+        y: error_deg.max(LEAST_DEG).log10(),
         sd: 0.0,
     };
     let after = turns.iter().enumerate().map(|(k, turn)| point(k + 1, turn.table_error_deg));

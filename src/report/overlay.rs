@@ -11,6 +11,7 @@ use nalgebra::{Point2, Point3};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
+// Colours. Convention: display choices.
 const ARC: Rgb<u8> = Rgb([255, 120, 0]);
 const OUTLINE: Rgb<u8> = Rgb([0, 235, 255]);
 const BASE: Rgb<u8> = Rgb([60, 230, 60]);
@@ -18,6 +19,21 @@ const TIP: Rgb<u8> = Rgb([255, 60, 220]);
 const GOOD_TEXT: Rgb<u8> = Rgb([255, 255, 255]);
 const BAD_TEXT: Rgb<u8> = Rgb([255, 190, 90]);
 const BOX: Rgb<u8> = Rgb([16, 20, 26]);
+
+// Lengths, px, in a frame whose shorter side has REFERENCE_SIDE_PX; they grow with the frame. Convention: display choices.
+const REFERENCE_SIDE_PX: f64 = 360.0;
+const OUTLINE_DOT_PX: f64 = 0.8;
+const ARC_WIDTH_PX: f64 = 1.2;
+const END_DOT_PX: f64 = 5.0;
+const TEXT_PX: f64 = 13.0;
+/// Text is not smaller, px. Convention: a display choice.
+const MIN_TEXT_PX: f64 = 9.0;
+/// Share of the box behind the text in its pixels. Convention: a display choice.
+const BOX_OPACITY: f64 = 0.7;
+/// An angle with a larger σ is told as unknown, degrees. Convention: a display choice.
+const UNKNOWN_DEG: f64 = 90.0;
+/// Points of the drawn arc. Convention: a display choice.
+const ARC_POINTS: usize = 60;
 
 /// The model's shape in one picture, px.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -31,9 +47,8 @@ pub struct Shape {
 impl Shape {
     /// The model's shape at a bend, as a view shows it.
     pub fn of(view: &Projection, psi: Configuration) -> Self {
-        const POINTS: usize = 60;
-        let arc = (0..=POINTS).map(|i| {
-            let s_mm = view.robot.length_mm * i as f64 / POINTS as f64;
+        let arc = (0..=ARC_POINTS).map(|i| {
+            let s_mm = view.robot.length_mm * i as f64 / ARC_POINTS as f64;
             let point = Point3::from(view.robot.frame_at(psi, s_mm).translation.vector);
             view.lens.project(&(view.camera_from_base * point))
         });
@@ -42,24 +57,24 @@ impl Shape {
     }
 }
 
-/// Draws outline, arc, base (green), tip (magenta) and the figures on a copy of the frame.
+/// Draws outline, arc, base (green), tip (magenta) and the measured angles on a copy of the frame.
 ///
 /// A frame without angles gets its status instead.
 pub fn overlay(frame: &Frame, measurement: &Measurement, shape: Option<&Shape>) -> RgbImage {
     let mut picture = rgb(frame);
-    let unit = f64::from(frame.height.min(frame.width)) / 360.0;
+    let unit = f64::from(frame.height.min(frame.width)) / REFERENCE_SIDE_PX;
     if let Some(shape) = shape {
         for point in &shape.outline {
-            stroke(&mut picture, &[*point], 0.8 * unit, OUTLINE);
+            stroke(&mut picture, &[*point], OUTLINE_DOT_PX * unit, OUTLINE);
         }
-        stroke(&mut picture, &shape.arc, 1.2 * unit, ARC);
+        stroke(&mut picture, &shape.arc, ARC_WIDTH_PX * unit, ARC);
         if let (Some(base), Some(tip)) = (shape.arc.first(), shape.arc.last()) {
-            stroke(&mut picture, &[*base], 5.0 * unit, BASE);
-            stroke(&mut picture, &[*tip], 5.0 * unit, TIP);
+            stroke(&mut picture, &[*base], END_DOT_PX * unit, BASE);
+            stroke(&mut picture, &[*tip], END_DOT_PX * unit, TIP);
         }
     }
     let colour = if measurement.status == Status::Ok { GOOD_TEXT } else { BAD_TEXT };
-    label(&mut picture, &caption(measurement), 13.0 * unit, colour);
+    label(&mut picture, &caption(measurement), TEXT_PX * unit, colour);
     picture
 }
 
@@ -85,9 +100,10 @@ pub fn angles(measured: &Measured) -> (String, String) {
     (plus_minus(psi.theta_deg(), measured.sigma_theta), plus_minus(psi.delta_deg(), measured.sigma_delta))
 }
 
+/// An angle with its σ, with as many decimals as leave σ one or two digits.
 fn plus_minus(angle_deg: f64, sigma: f64) -> String {
     let sigma_deg = sigma.to_degrees();
-    if sigma_deg > 90.0 {
+    if sigma_deg > UNKNOWN_DEG {
         return "unknown".to_owned();
     }
     let places = if sigma_deg < 0.095 {
@@ -159,14 +175,14 @@ fn blend(pixel: &mut Rgb<u8>, colour: Rgb<u8>, share: f64) {
 /// Writes lines of text on a dark box in the top left corner, `size` px high each.
 fn label(picture: &mut RgbImage, lines: &[String], size: f64, colour: Rgb<u8>) {
     let Ok(font) = FontRef::try_from_slice(epaint_default_fonts::HACK_REGULAR) else { return };
-    let size = size.max(9.0);
+    let size = size.max(MIN_TEXT_PX);
     let scale = PxScale::from(size as f32);
     let (step, pad) = ((1.25 * size) as u32, (0.5 * size) as u32);
     let width = lines.iter().map(|line| text_size(scale, &font, line).0).max().unwrap_or(0);
     let (right, bottom) = (width + 2 * pad, step * lines.len() as u32 + pad);
     for y in 0..bottom.min(picture.height()) {
         for x in 0..right.min(picture.width()) {
-            blend(picture.get_pixel_mut(x, y), BOX, 0.7);
+            blend(picture.get_pixel_mut(x, y), BOX, BOX_OPACITY);
         }
     }
     for (row, line) in lines.iter().enumerate() {

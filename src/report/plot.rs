@@ -3,18 +3,20 @@
 //! Text and lines of the axes are drawn in [`INK`] and [`GRID`], so that a page's style sheet can give them its own
 //! colours, for dark mode say.
 
+use crate::statistics::order::median;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-/// Colour of text and axes.
+/// Colour of text and axes. Convention: a display choice.
 pub const INK: &str = "#1B1F24";
-/// Colour of the grid lines.
+/// Colour of the grid lines. Convention: a display choice.
 pub const GRID: &str = "#D0D4DA";
 
+/// Width and height. Convention: a display choice.
 const SIZE_PX: (u32, u32) = (560, 300);
-/// Share of the y range that is left free above the points for each line of the legend.
+/// Share of the y range that is left free above the points for each line of the legend. Convention: a display choice.
 const LEGEND_ROOM: f64 = 0.115;
-/// As many as a robot can have backbones.
+/// Colours of the series, as many as a robot can have backbones. Convention: a display choice.
 const PALETTE: [RGBColor; 8] = [
     RGBColor(47, 120, 200),
     RGBColor(214, 98, 30),
@@ -93,8 +95,10 @@ impl Plot {
     fn ranges(&self) -> Option<([f64; 2], [f64; 2])> {
         let all = || self.series.iter().flat_map(|s| s.points.iter().filter(|p| p.x.is_finite() && p.y.is_finite()));
         let mut xs: Vec<f64> = all().map(|p| p.x).collect();
-        xs.sort_by(f64::total_cmp);
-        let middle = *xs.get(xs.len() / 2)?;
+        if xs.is_empty() {
+            return None;
+        }
+        let middle = median(&mut xs);
         let settled = all().filter(|p| p.x >= middle && p.sd.is_finite()).flat_map(|p| [p.y - p.sd, p.y + p.sd]);
         let shown = self.y_shown.iter().copied().filter(|y| y.is_finite());
         let mut y_range = widened(all().map(|p| p.y).chain(settled).chain(shown));
@@ -165,7 +169,8 @@ impl Plot {
     }
 }
 
-/// The least range that holds all values, and a little more on both sides.
+/// The least range that holds all values, with a margin on both sides. Convention: the margin is a display choice, and keeps the range
+/// of equal values above rounding.
 fn widened(values: impl Iterator<Item = f64>) -> [f64; 2] {
     let (least, most) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), v| (least.min(v), most.max(v)));
     let margin = (0.06 * (most - least)).max(1e-6 * most.abs()).max(1e-9);

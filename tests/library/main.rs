@@ -4,5 +4,6 @@
 mod corpus;
 mod estimator;
 mod extremes;
+mod house;
 mod numbers;
 mod sealed;

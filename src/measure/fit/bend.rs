@@ -1,139 +1,135 @@
 //! Fits the snake's bend to the edges of one picture.
+//!
+//! Each round draws the model's outline, searches the picture's edges near it, and moves bend and edge bias to where the edges agree
+//! with the model best (Gauss–Newton with iteratively reweighted least squares). The search distances shrink from round to round.
 
-use super::correspondences::{BiasPrior, Correspondences, EdgeBias, SHARP_PX, State, fine_filter, predict_blur};
+use super::blur::{fine_filter, predict_blur};
+use super::correspondences::Correspondences;
 use super::edges::EdgeFinder;
+use super::linearised::Linearised;
+use super::noise_model::SHARP_PX;
 use super::shape::{Departure, departure};
-use super::solve::covariance;
-use super::uncertainty::{clustered_covariance, inliers, systematic_covariance, whole_covariance};
+use super::state::{BiasPrior, EdgeBias, State};
+use super::uncertainty::{FitCovariance, RobustPhase, inliers};
 use super::visibility::PartVisibility;
 use crate::measure::body::{Outline, Piece, Projection};
 use nalgebra::{Matrix2, Matrix2x6, Vector2};
 
-/// Edges are searched for within this distance, px, once the model has settled.
+/// From this search distance on, px, the model is close enough to the picture for the redescending loss.
+///
+/// Fitted: by hand on renders; judged by `tests/robustness`.
 pub(crate) const FINE_SEARCH_PX: f64 = 4.0;
-
-/// Another bend explains a picture as well if its cost is within this factor of the best one's.
-pub(crate) const ALTERNATIVE_COST_RATIO: f64 = 1.5;
+/// The largest bend that a fit may reach, rad.
+///
+/// Convention: 126°, beyond the 110° at which the coarse search ends; a fit that goes further has lost the snake.
+const LARGEST_BEND_RAD: f64 = 2.2;
+/// The least length of outline that must have edges, px.
+///
+/// Convention: a guard for the solver. Whether a fit may be believed is decided by its share of inliers.
+const LEAST_MATCHED_PX: f64 = 60.0;
+/// A round that moves the bend by no more than this, rad, starts the redescending phase.
+///
+/// Fitted: by hand on renders; judged by `tests/robustness`.
+const REDESCENDING_RAD: f64 = 2e-3;
+/// A bend that differs by less than this, rad, leaves the border on the same points of the body, near enough for the coarse stages.
+/// The fine stage draws the outline anew in each round: which rims of disks seen edge-on are on the border depends on every hundredth
+/// of a degree.
+///
+/// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
+const REPROJECTED_RAD: f64 = 0.03;
+/// The most linearisations for the edges of one round.
+///
+/// Convention: an iteration cap; the next round goes on from there.
+const LINEARISATIONS: usize = 4;
+/// The longest step of the bend, rad.
+///
+/// Convention: a trust region, a tenth of the range of bends.
+const LONGEST_STEP_RAD: f64 = 0.2;
+/// A step of the bend shorter than this, rad, is the last of a round: what the linearisation leaves out goes with the step's square,
+/// 2.5e-5 rad here.
+///
+/// Derived: its square is a fortieth of what a fit must move by to go on.
+const LINEAR_RAD: f64 = 5e-3;
 
 /// The snake's bend in one picture.
 #[derive(Debug, Clone)]
 pub(crate) struct BendFit {
+    /// The bend vector θ (cos δ, sin δ), rad.
     pub bend: Vector2<f64>,
     pub bias: EdgeBias,
     /// Covariance of the bend vector from this picture alone, rad².
     pub covariance: Matrix2<f64>,
     /// Change of the bend vector with the camera's pose (see [`nudged`](crate::measure::target::grid::nudged)).
     pub by_pose: Matrix2x6<f64>,
-    /// Edges that agree with the model.
+    /// The number of edges that agree with the model.
     pub inliers: usize,
+    /// Root mean square of their distances from it, px.
     pub rms_px: f64,
+    /// Median blur of the edges, σ in px.
     pub blur_px: f64,
     /// Share of the outline that lies outside the picture.
     pub out_of_frame: f64,
-    /// Mean over all places of the squared distance, cut off at the last search distance, in units of that: 0 if every
-    /// place has its edge where the model says, 1 if none has.
+    /// The mean over all searched points of the squared distance, cut off at the last search distance, in units of that: 0 if every
+    /// point has its edge where the model says, 1 if none has.
     pub cost: f64,
-    /// The edges that were matched last.
-    matches: Correspondences,
+    /// The edges of the last round.
+    edges: Correspondences,
 }
 
 impl BendFit {
-    /// How the snake departs from a circle; `None` where the edges do not tell.
+    /// How the snake departs from a circle; `None` where the edges do not determine it.
     pub fn departure(&self, view: &Projection, bias: &BiasPrior) -> Option<Departure> {
-        departure(view, &self.matches, &self.start().state, &bias.at_blur(self.blur_px), self.rms_px)
+        departure(view, &self.edges, &self.start().state, &bias.at_blur(self.blur_px), self.rms_px)
     }
 
-    /// The share of the places that were looked at whose edges agree with the model.
+    /// The share of the searched points whose edges agree with the model.
     pub fn inlier_fraction(&self) -> f64 {
-        self.inliers as f64 / self.matches.places().max(1) as f64
+        self.inliers as f64 / self.edges.searched().len().max(1) as f64
     }
 
-    /// What of the snake is there to be seen.
+    /// How much of each part's outline has its edge.
     pub fn visibility(&self) -> PartVisibility {
-        PartVisibility::of(self.matches.asked())
+        PartVisibility::of(self.edges.searched())
     }
 
-    /// Whether all of the outline is where the fit says, so that no other bend needs to be looked at.
-    pub fn explains_all(&self) -> bool {
-        const HARDLY_OFF: f64 = 0.01;
-        const NEARLY_ALL: f64 = 0.95;
-        if self.cost >= HARDLY_OFF || self.inlier_fraction() < NEARLY_ALL {
-            return false;
-        }
-        let visibility = self.visibility();
-        visibility.visible_disk_share() == 1.0 && visibility.is_end_visible()
-    }
-
-    /// The better of two that end close together, with the doubt which of them is right.
-    pub fn or(self, other: Self) -> Self {
-        let apart = self.bend - other.bend;
-        let (mut better, worse) = if other.cost < self.cost { (other, self) } else { (self, other) };
-        if worse.cost < ALTERNATIVE_COST_RATIO * better.cost {
-            // The variance of two equally likely answers.
-            better.covariance += apart * apart.transpose() / 4.0;
-        }
-        better
-    }
-
-    /// Where to go on from here.
+    /// Where another fit may go on from here.
     pub fn start(&self) -> Start {
         Start { state: State { bend: self.bend, bias: self.bias }, blur_px: Some(self.blur_px) }
     }
 }
 
-/// Moves a state to where matched edges agree with it best, and the square roots of the weights that they have there.
-fn moved_to_edges(
-    matches: &Correspondences,
-    view: &Projection,
-    start: State,
-    bias: BiasPrior,
-    settling: bool,
-) -> Option<(State, Vec<f64>)> {
-    const LINEARISATIONS: usize = 4;
-    const FURTHEST_RAD: f64 = 0.2;
-    /// Steps of the bend this short, rad, leave nothing of what is not linear; the bias is.
-    const SHORT: f64 = 5e-3;
-    let (mut state, mut roots) = (start, Vec::new());
-    for _ in 0..LINEARISATIONS {
-        let step;
-        (step, roots) = matches.linearised(view, &state).step(&bias, &state, settling)?;
-        let step = step * (FURTHEST_RAD / step.xy().norm()).min(1.0);
-        if step.iter().any(|v| !v.is_finite()) {
-            return None;
-        }
-        state = state.moved(&step);
-        if step.xy().norm() < SHORT {
-            break;
-        }
-    }
-    Some((state, roots))
-}
-
-/// How thoroughly a picture is looked at.
+/// How a picture is fitted: the rounds, and what is done in each.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FitSchedule {
-    /// Search distances, px, one a round of matching; the last one is kept until nothing moves.
+    /// Search distances, px, one for each round; the last one is kept until the fit has converged.
     pub searches_px: &'static [f64],
-    /// Most rounds.
+    /// The most rounds.
     pub rounds: usize,
-    /// Whether the start is as good as the answer, so that what disagrees with it is not the snake's outline. Then every
-    /// place of it is asked; until then a few are enough to tell which bend it is.
+    /// Whether it is the fine stage, whose start is close to the answer: all outline points are searched, with the finest filter
+    /// and against a blurred model, and what disagrees is an outlier. The coarse stages search fewer points, enough to tell which
+    /// bend it is.
     pub is_fine: bool,
-    /// Nothing moves if the bend moves by less, rad.
+    /// A round that moves the bend by less than this, rad, is the last.
     pub converged_rad: f64,
+}
+
+impl FitSchedule {
+    fn search_px(&self, round: usize) -> Option<f64> {
+        self.searches_px.get(round).or(self.searches_px.last()).copied()
+    }
 }
 
 /// Where a fit starts.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Start {
     pub state: State,
-    /// How soft the picture's edges are, if that is known.
+    /// The blur of the picture's edges, σ in px, if it is known.
     pub blur_px: Option<f64>,
 }
 
 /// Fits bend and edge bias by matching edges within ever smaller distances.
 ///
-/// `None` where too little of the outline has edges, or the bend leaves what a snake can do.
+/// `None` where too little of the outline has edges, or the bend leaves the range of what a snake can do.
 pub(crate) fn fit_bend(
     view: &Projection,
     finder: &EdgeFinder,
@@ -141,92 +137,313 @@ pub(crate) fn fit_bend(
     bias: BiasPrior,
     schedule: &FitSchedule,
 ) -> Option<BendFit> {
-    const FURTHEST_RAD: f64 = 2.2;
-    const LEAST_OUTLINE_PX: f64 = 60.0;
-    /// While the bend moves by more, what disagrees with it may be right.
-    const SETTLING_RAD: f64 = 2e-3;
-    /// A bend that differs by less leaves the border on the same points of the body, near enough for a look. A measurement
-    /// draws it anew: which rims of disks seen edge-on are on the border hangs on every hundredth of a degree.
-    const CARRIED_RAD: f64 = 0.03;
-    let Start { mut state, blur_px } = start;
-    let mut settling = !schedule.is_fine;
-    let mut blur_px = blur_px.filter(|_| schedule.is_fine);
-    let bias = blur_px.map_or(bias, |blur_px| bias.at_blur(blur_px));
-    let mut filtered = blur_px.map_or_else(|| finder.clone(), |blur_px| fine_filter(finder, view, blur_px));
-    let spacing_px = if schedule.is_fine { Outline::SPACING_PX } else { view.coarse_spacing_px() };
-    let mut drawn: Option<(Vector2<f64>, Outline)> = None;
-    let mut last: Option<(Correspondences, Vec<f64>, f64)> = None;
-    let searches = schedule.searches_px.iter().chain(std::iter::repeat(schedule.searches_px.last()?));
-    for (round, &search_px) in searches.take(schedule.rounds).enumerate() {
-        // A picture that was thought sharper than it is was looked at with too narrow a filter.
-        if let Some((matches, ..)) = &last {
-            let seen_px = matches.blur_px;
-            match &mut blur_px {
-                None => filtered = finder.coarse_for_blur(seen_px),
-                Some(blur_px) if seen_px > SHARP_PX => {
-                    *blur_px = seen_px;
-                    filtered = fine_filter(finder, view, seen_px);
-                }
-                Some(_) => {}
-            }
-        }
-        let before = drawn.take();
-        let (_, outline) = drawn.insert(match before {
-            Some((at, mut outline)) if !schedule.is_fine && (state.bend - at).norm() < CARRIED_RAD => {
-                outline.carry(view, state.psi());
-                (at, outline)
-            }
-            _ => {
-                let mut outline = Outline::spaced(view, state.psi(), spacing_px);
-                if let Some(blur_px) = blur_px {
-                    predict_blur(&mut outline, blur_px, &filtered);
-                }
-                (state.bend, outline)
-            }
-        });
-        // The holder and the base disk do not bend.
-        let matches = Correspondences::find(outline, &filtered, search_px, |p| {
-            !matches!(p, Piece::HolderSide(_) | Piece::BaseRim)
-        });
-        if matches.len() as f64 * spacing_px < LEAST_OUTLINE_PX {
-            return None;
-        }
-        let before = state.bend;
-        let roots;
-        (state, roots) = moved_to_edges(&matches, view, state, bias, settling || search_px > FINE_SEARCH_PX)?;
-        if state.bend.norm() > FURTHEST_RAD {
-            return None;
-        }
-        let moved_rad = (state.bend - before).norm();
-        settling &= moved_rad > SETTLING_RAD;
-        last = Some((matches, roots, search_px));
+    let mut fitting = Fitting::new(view, finder, start, bias, schedule);
+    for round in 0..schedule.rounds {
+        fitting.follow_blur();
+        fitting.draw_outline();
+        let moved_rad = fitting.match_and_move(schedule.search_px(round)?)?;
         if round + 1 >= schedule.searches_px.len() && moved_rad < schedule.converged_rad {
             break;
         }
     }
+    fitting.finish()
+}
 
-    let (matches, roots, search_px) = last?;
-    let (_, outline) = drawn?;
-    let linear = matches.linearised(view, &state);
-    let misfits_px = matches.in_px(linear.residuals.as_slice());
-    let linear = linear.weighted(&roots).with_prior(&bias, &state);
-    let independent = covariance(&linear.by_state)?;
-    let clustered = clustered_covariance(&linear.by_state, &linear.residuals, &matches.pieces())?;
-    let (inliers, rms_px) = inliers(&misfits_px, &roots);
-    let light = systematic_covariance(&matches, &linear.by_state, &independent, view, &roots, rms_px);
-    let gain = &independent * linear.by_state.tr_mul(&linear.by_pose);
-    let near: f64 = misfits_px.iter().map(|d| 1.0 - (d / search_px).powi(2).min(1.0)).sum();
-    let covariance = whole_covariance([&clustered, &independent, &light], &[0, 1])?;
-    Some(BendFit {
-        bend: state.bend,
-        bias: state.bias,
-        covariance: covariance.fixed_view::<2, 2>(0, 0).into_owned(),
-        by_pose: Matrix2x6::from_fn(|row, column| -gain[(row, column)]),
-        inliers,
-        rms_px,
-        blur_px: matches.blur_px,
-        out_of_frame: outline.out_of_frame,
-        cost: 1.0 - near / matches.places() as f64,
-        matches,
-    })
+/// A fit under way.
+struct Fitting<'a> {
+    view: &'a Projection<'a>,
+    /// The picture's edge finder as it came.
+    finder: &'a EdgeFinder<'a>,
+    schedule: &'a FitSchedule,
+    bias: BiasPrior,
+    state: State,
+    phase: RobustPhase,
+    /// The blur that the model is given, in the fine stage.
+    blur_px: Option<f64>,
+    /// The finder with the filter in use.
+    filtered: EdgeFinder<'a>,
+    spacing_px: f64,
+    /// The outline, and the bend at which it was drawn.
+    drawn: Option<(Vector2<f64>, Outline)>,
+    last: Option<Round>,
+}
+
+/// What a round of matching leaves.
+struct Round {
+    edges: Correspondences,
+    /// Square roots of the edges' weights.
+    roots: Vec<f64>,
+    search_px: f64,
+}
+
+impl<'a> Fitting<'a> {
+    fn new(
+        view: &'a Projection<'a>,
+        finder: &'a EdgeFinder<'a>,
+        start: Start,
+        bias: BiasPrior,
+        schedule: &'a FitSchedule,
+    ) -> Self {
+        let blur_px = start.blur_px.filter(|_| schedule.is_fine);
+        Self {
+            view,
+            finder,
+            schedule,
+            bias: blur_px.map_or(bias, |blur_px| bias.at_blur(blur_px)),
+            state: start.state,
+            phase: if schedule.is_fine { RobustPhase::Redescending } else { RobustPhase::Monotone },
+            blur_px,
+            filtered: blur_px.map_or_else(|| finder.clone(), |blur_px| fine_filter(finder, view, blur_px)),
+            spacing_px: if schedule.is_fine { Outline::SPACING_PX } else { view.coarse_spacing_px() },
+            drawn: None,
+            last: None,
+        }
+    }
+
+    /// Adapts the edge filter to the blur of the last round's edges: a picture that was taken for sharper than it is was searched
+    /// with too narrow a filter.
+    fn follow_blur(&mut self) {
+        let Some(Round { edges, .. }) = &self.last else { return };
+        match &mut self.blur_px {
+            None => self.filtered = self.finder.coarse_for_blur(edges.blur_px),
+            Some(blur_px) if edges.blur_px > SHARP_PX => {
+                *blur_px = edges.blur_px;
+                self.filtered = fine_filter(self.finder, self.view, edges.blur_px);
+            }
+            Some(_) => {}
+        }
+    }
+
+    /// Draws the outline at the present bend, or reprojects the last one in the coarse stages.
+    fn draw_outline(&mut self) {
+        let (view, state) = (self.view, self.state);
+        self.drawn = Some(match self.drawn.take() {
+            Some((at, mut outline)) if !self.schedule.is_fine && (state.bend - at).norm() < REPROJECTED_RAD => {
+                outline.reproject(view, state.psi());
+                (at, outline)
+            }
+            _ => {
+                let mut outline = Outline::spaced(view, state.psi(), self.spacing_px);
+                if let Some(blur_px) = self.blur_px {
+                    predict_blur(&mut outline, blur_px, &self.filtered);
+                }
+                (state.bend, outline)
+            }
+        });
+    }
+
+    /// Searches the outline's edges and moves the state to them; returns by how much the bend moved, rad.
+    fn match_and_move(&mut self, search_px: f64) -> Option<f64> {
+        let (_, outline) = self.drawn.as_ref()?;
+        let edges = Correspondences::find(outline, &self.filtered, search_px, Piece::bends);
+        if edges.len() as f64 * self.spacing_px < LEAST_MATCHED_PX {
+            return None;
+        }
+        let phase = if search_px > FINE_SEARCH_PX { RobustPhase::Monotone } else { self.phase };
+        let before = self.state.bend;
+        let (state, roots) = gauss_newton(&edges, self.view, self.state, self.bias, phase)?;
+        if state.bend.norm() > LARGEST_BEND_RAD {
+            return None;
+        }
+        let moved_rad = (state.bend - before).norm();
+        if moved_rad <= REDESCENDING_RAD {
+            self.phase = RobustPhase::Redescending;
+        }
+        self.state = state;
+        self.last = Some(Round { edges, roots, search_px });
+        Some(moved_rad)
+    }
+
+    /// The fit with its covariance, from the last round.
+    fn finish(self) -> Option<BendFit> {
+        let Self { view, state, bias, .. } = self;
+        let Round { edges, roots, search_px } = self.last?;
+        let linear = Linearised::new(&edges, view, &state);
+        let distances_px = edges.in_px(linear.residuals.as_slice());
+        let (inliers, rms_px) = inliers(&distances_px, &roots);
+        let linear = linear.weighted(&roots).with_prior(&bias, &state);
+        let covariance = FitCovariance::new(&edges, &linear.by_state, &linear.residuals, view, &roots, rms_px)?;
+        let gain = &covariance.independent * linear.by_state.tr_mul(&linear.by_pose);
+        let agreement: f64 = distances_px.iter().map(|d| 1.0 - (d / search_px).powi(2).min(1.0)).sum();
+        Some(BendFit {
+            bend: state.bend,
+            bias: state.bias,
+            covariance: covariance.total(&[0, 1])?.fixed_view::<2, 2>(0, 0).into_owned(),
+            by_pose: Matrix2x6::from_fn(|row, column| -gain[(row, column)]),
+            inliers,
+            rms_px,
+            blur_px: edges.blur_px,
+            out_of_frame: self.drawn?.1.out_of_frame,
+            cost: 1.0 - agreement / edges.searched().len() as f64,
+            edges,
+        })
+    }
+}
+
+/// Moves a state to where it agrees best with edges, by Gauss–Newton steps under a robust loss; returns with it the square roots of
+/// the edges' weights.
+fn gauss_newton(
+    edges: &Correspondences,
+    view: &Projection,
+    start: State,
+    bias: BiasPrior,
+    phase: RobustPhase,
+) -> Option<(State, Vec<f64>)> {
+    let (mut state, mut roots) = (start, Vec::new());
+    for _ in 0..LINEARISATIONS {
+        let step;
+        (step, roots) = Linearised::new(edges, view, &state).step(&bias, &state, phase)?;
+        let step = step * (LONGEST_STEP_RAD / step.xy().norm()).min(1.0);
+        if step.iter().any(|v| !v.is_finite()) {
+            return None;
+        }
+        state = state.moved(&step);
+        // The residuals are linear in the bias, so that only the bend's step counts.
+        if step.xy().norm() < LINEAR_RAD {
+            break;
+        }
+    }
+    Some((state, roots))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::alternatives::{Alternative, mirrored};
+    use super::super::coarse::CoarseSearch;
+    use super::super::noise_model::FRAME_BIAS_SIGMA_PX;
+    use super::*;
+    use crate::geometry::Configuration;
+    use crate::measure::fixture::Scene;
+    use crate::measure::image::plane::Plane;
+    use nalgebra::{Point2, Vector3};
+    use rand::{SeedableRng, rngs::StdRng};
+    use rand_distr::{Distribution, Normal};
+
+    const NO_BIAS: BiasPrior =
+        BiasPrior { mean: EdgeBias { side_px: 0.0, tube_px: 0.0, rim_px: 0.0 }, sigma_px: FRAME_BIAS_SIGMA_PX };
+    const COARSE: FitSchedule =
+        FitSchedule { searches_px: &[14.0, 6.0, 3.0], rounds: 20, is_fine: false, converged_rad: 1e-4 };
+    const FINE: FitSchedule = FitSchedule { searches_px: &[3.0], rounds: 9, is_fine: true, converged_rad: 1e-5 };
+
+    fn state(bend: Vector2<f64>) -> State {
+        State { bend, bias: EdgeBias::default() }
+    }
+
+    /// The whole picture of a bent snake, 1 on it and 0 beside it, with a blur of 1 px.
+    fn picture(scene: &Scene, bend: Vector2<f64>) -> Plane {
+        let outline = Outline::new(&scene.view(), Configuration::from_bend_vector(bend));
+        let part = outline.blurred_silhouette(1.0);
+        let (width, height) = (scene.lens.width as usize, scene.lens.height as usize);
+        let value = |k: usize| part.sample(&Point2::new((k % width) as f64, (k / width) as f64));
+        Plane::new(width, height, (0..width * height).map(value).collect())
+    }
+
+    fn fitted(scene: &Scene, plane: &Plane, start: Vector2<f64>) -> BendFit {
+        let (view, finder) = (scene.view(), EdgeFinder::new(plane, false));
+        let start = Start { state: state(start), blur_px: None };
+        let coarse = fit_bend(&view, &finder, start, NO_BIAS, &COARSE).unwrap();
+        fit_bend(&view, &finder, coarse.start(), NO_BIAS, &FINE).unwrap()
+    }
+
+    #[test]
+    fn outliers_on_a_third_of_the_edges_leave_the_fit_alone() {
+        let scene = Scene::new(Vector3::new(0.05, -0.1, 0.0));
+        let view = scene.view();
+        let truth = state(Vector2::new(0.6, 0.4));
+        let outline = Outline::spaced(&view, truth.psi(), 4.0);
+        let mut random = StdRng::seed_from_u64(3);
+        let noise = Normal::new(0.0, 0.2).unwrap();
+        // All edges of the middle disks lie far outside, as a hand's or a cable's border would.
+        let is_outlier = |piece: Piece| piece.disk().is_some_and(|disk| (3..=4).contains(&disk));
+        let displacement = |piece: Piece| noise.sample(&mut random) + if is_outlier(piece) { 5.0 } else { 0.0 };
+        let displacements: Vec<f64> = outline.points.iter().map(|p| p.piece).map(displacement).collect();
+        let edges = Correspondences::displaced(&outline, &displacements, 0.2);
+        let start = state(truth.bend + Vector2::new(0.02, -0.02));
+        let error = |phases: &[RobustPhase]| {
+            let fitted = phases
+                .iter()
+                .fold(start, |state, &phase| gauss_newton(&edges, &view, state, NO_BIAS, phase).unwrap().0);
+            (fitted.bend - truth.bend).norm()
+        };
+        let monotone = error(&[RobustPhase::Monotone]);
+        let both = error(&[RobustPhase::Monotone, RobustPhase::Redescending]);
+        assert!(both < 1e-3 && both < monotone, "{both} rad, with the monotone phase alone {monotone} rad");
+    }
+
+    #[test]
+    fn a_bend_is_found_in_a_picture_of_its_silhouette_from_some_degrees_away() {
+        for turn in [Vector3::new(0.05, -0.1, 0.0), Vector3::new(-0.3, 0.2, 0.1)] {
+            let scene = Scene::new(turn);
+            let bend = Vector2::new(0.6, 0.35);
+            let fit = fitted(&scene, &picture(&scene, bend), bend + Vector2::new(0.05, -0.05));
+            let error = (fit.bend - bend).norm();
+            assert!(error < 1e-3, "{error} rad");
+            assert!(fit.inlier_fraction() > 0.9 && fit.rms_px < 0.1, "{} {}", fit.inlier_fraction(), fit.rms_px);
+            assert!((fit.blur_px - 1.0).abs() < 0.25, "{}", fit.blur_px);
+            assert!(fit.explains_all(), "{}", fit.cost);
+        }
+    }
+
+    #[test]
+    fn a_hidden_end_leaves_the_bend_but_is_not_visible() {
+        let scene = Scene::new(Vector3::new(0.05, -0.1, 0.0));
+        let bend = Vector2::new(0.6, 0.35);
+        let mut plane = picture(&scene, bend);
+        // The background covers the last two disks.
+        let robot = &scene.robot;
+        let covered = [robot.length_mm, robot.length_mm - robot.disk_pitch_mm()].map(|s_mm| {
+            let point = crate::measure::body::BodyPoint { s_mm, local: Vector3::zeros() };
+            scene.view().pixel(Configuration::from_bend_vector(bend), &point)
+        });
+        for (k, value) in plane.data.iter_mut().enumerate() {
+            let pixel = Point2::new((k % plane.width) as f64, (k / plane.width) as f64);
+            if covered.iter().any(|middle| (pixel - middle).norm() < 32.0) {
+                *value = 0.0;
+            }
+        }
+        let fit = fitted(&scene, &plane, bend + Vector2::new(0.02, -0.02));
+        assert!((fit.bend - bend).norm() < 5e-3, "{}", (fit.bend - bend).norm());
+        let visibility = fit.visibility();
+        assert!(!visibility.is_end_visible() && !fit.explains_all());
+        assert!(visibility.visible_disk_share() > 0.6, "{}", visibility.visible_disk_share());
+    }
+
+    #[test]
+    fn the_coarse_search_hands_on_the_bend_or_its_mirrored_solution() {
+        let scene = Scene::new(Vector3::new(0.05, -0.1, 0.0));
+        let search = CoarseSearch::new(&scene.lens, scene.camera_from_base, &scene.robot);
+        // Bent towards the side and away from the camera; how far away a nearly straight one leans is not visible at low resolution.
+        for bend in [Vector2::new(0.6, 0.35), Vector2::new(-0.2, 1.1)] {
+            let candidates = search.candidates(&picture(&scene, bend), false, 3);
+            let mirrored = mirrored(bend, &scene.camera_from_base);
+            let nearest = candidates.iter().map(|c| (c - bend).norm().min((c - mirrored).norm()));
+            let nearest = nearest.fold(f64::INFINITY, f64::min);
+            // The lattice leaves 2.3°, and the next point of it may have a little more contrast.
+            assert!(nearest < 0.1, "{bend}: {candidates:?}");
+        }
+    }
+
+    #[test]
+    fn alternatives_are_told_apart_by_distance_cost_and_scatter() {
+        let scene = Scene::new(Vector3::new(0.05, -0.1, 0.0));
+        let bend = Vector2::new(0.6, 0.35);
+        let best = BendFit { cost: 0.1, rms_px: 0.2, ..fitted(&scene, &picture(&scene, bend), bend) };
+        let compare = |apart: f64, cost: f64, rms_px: f64| {
+            let other = BendFit { bend: best.bend + Vector2::new(apart, 0.0), cost, rms_px, ..best.clone() };
+            Alternative::of(&other, &best, 52.0)
+        };
+        assert_eq!(compare(0.05, 0.5, 0.9), Alternative::EdgeOn);
+        assert_eq!(compare(0.3, 0.14, 0.25), Alternative::AsGood);
+        assert_eq!(compare(0.3, 0.16, 0.25), Alternative::Worse);
+        assert_eq!(compare(0.3, 0.14, 0.27), Alternative::Worse);
+        // In a coarse picture rims open alike further apart.
+        let other = BendFit { bend: best.bend + Vector2::new(0.3, 0.0), ..best.clone() };
+        assert_eq!(Alternative::of(&other, &best, 12.0), Alternative::EdgeOn);
+        // Two equally likely values ±a/2 about their mean have the variance a²/4.
+        let other = BendFit { bend: best.bend + Vector2::new(0.04, 0.0), cost: 0.12, ..best.clone() };
+        let joined = best.clone().or_edge_on(other);
+        assert_eq!(joined.bend, best.bend);
+        let added = joined.covariance - best.covariance;
+        assert!((added[(0, 0)] - 4e-4).abs() < 1e-12 && added[(1, 1)].abs() < 1e-12);
+    }
 }

@@ -1,19 +1,33 @@
-//! From the picture's edges to the bend: candidates, matched edges, the fit, its uncertainty, and which parts of the snake are
-//! visible.
+//! From the picture's edges to the bend.
+//!
+//! Bottom up: `edges` (sub-pixel edges near a border point), `noise_model` (how far they may be off), `state` (what is fitted),
+//! `correspondences` (the model's outline matched with the picture's edges), `blur` (what a blurred picture makes of the model),
+//! `uncertainty` (robust weights, covariance), `linearised` (residuals and their derivatives), `visibility` (which parts are seen),
+//! `shape` (the test for a circle), `bend` (the fit), `coarse` (candidates for it) and `alternatives` (selection among its minima).
 
+mod alternatives;
 mod bend;
+mod blur;
 mod coarse;
 mod correspondences;
 mod edges;
+mod linearised;
+mod noise_model;
 mod shape;
 pub mod solve;
+mod state;
 mod uncertainty;
 mod visibility;
 
-pub(super) use bend::{ALTERNATIVE_COST_RATIO, BendFit, FINE_SEARCH_PX, FitSchedule, Start, fit_bend};
+pub(super) use alternatives::{Alternative, EDGE_ON_RAD, distinct, mirrored};
+pub(super) use bend::{BendFit, FINE_SEARCH_PX, FitSchedule, Start, fit_bend};
+pub(super) use blur::{fine_filter, predict_blur};
 pub(super) use coarse::CoarseSearch;
-pub use correspondences::EdgeBias;
-pub(super) use correspondences::{BIASES, BiasPrior, Correspondences, Linearised, State, fine_filter, predict_blur};
+pub(super) use correspondences::Correspondences;
 pub use edges::{Edge, EdgeFinder};
-pub(super) use uncertainty::{clustered_covariance, inliers, robust_weights, systematic_covariance};
+pub(super) use linearised::Linearised;
+pub(super) use noise_model::FRAME_BIAS_SIGMA_PX;
+pub use state::EdgeBias;
+pub(super) use state::{BIASES, BiasPrior, State};
+pub(super) use uncertainty::{RobustPhase, inliers, systematic_covariance};
 pub use visibility::PartVisibility;

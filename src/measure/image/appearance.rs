@@ -1,15 +1,52 @@
-//! What tells snake from paper: the mix of colour channels that separates them best.
+//! What distinguishes the snake from the grid target: the mix of colour channels that separates them best.
 
 use crate::camera::{Frame, Sample, Samples};
-use crate::measure::image::plane::{Plane, Region, median};
+use crate::measure::image::plane::{Plane, Region};
+use crate::statistics::order::median;
 use nalgebra::{DMatrix, DVector, Vector2};
 use serde::{Deserialize, Serialize};
 use std::sync::LazyLock;
 
-/// A linear map from colour to "snakeness": about 1 on the snake and 0 on the paper, with the printed grid suppressed.
+/// Colours are learned from one pixel of so many in each direction.
 ///
-/// Fisher's linear discriminant: the grid's lines are part of the background's scatter, so the direction that separates
-/// the two classes best is also the one in which the lines' colour shows least.
+/// Convention: of a megapixel a quarter of a million is left.
+const LEARNING_STRIDE: usize = 2;
+/// The exposure is measured on one pixel of so many in each direction.
+///
+/// Convention: a prime, so that no pattern of the target is sampled in step; of a megapixel 6,000 pixels are left.
+const EXPOSURE_STRIDE: usize = 13;
+/// The fewest pixels of a class from which it can be learned.
+///
+/// Convention: a guard for the covariance of three channels.
+const FEWEST_PIXELS: f64 = 50.0;
+/// Variance of the light that is added to each channel, full light being 1, so that pictures without noise have a solution.
+///
+/// Derived: σ = 0.3 %, about one level of 8 bits.
+const LIGHT_VARIANCE_FLOOR: f64 = 1e-5;
+/// A background pixel is on the snake's side above this value of the discriminant, which is 1 on the snake and 0 on the target.
+///
+/// Convention: a little nearer to the snake than to the target.
+const LIKE_SNAKE: f32 = 0.6;
+/// The share of the background on the snake's side from which on edges may go either way.
+///
+/// Fitted: by hand on renders: shadows and thick grid lines cover less of the target than that, a checkerboard's dark squares half of
+/// it.
+const TWO_SIDED_SHARE: f64 = 0.2;
+/// The least offset of the discriminant for which the background's brightness tells the exposure.
+///
+/// Convention: the offset is what the target's light contributes, the difference between the classes being 1.
+const LEAST_TELLING_OFFSET: f64 = 0.5;
+/// The least and largest exposure, relative to the picture that was learned from.
+///
+/// Convention: a guard; a picture darker or brighter than that is not measured for other reasons.
+const EXPOSURE_RANGE: (f64, f64) = (0.02, 5.0);
+
+/// A linear map from colour to a discriminant that is about 1 on the snake and 0 on the target, with the printed grid suppressed.
+///
+/// The grid's lines are part of the background's scatter, so the direction that separates the two classes best is also the one in which
+/// the lines' colour shows least.
+///
+/// Source: R. A. Fisher, "The Use of Multiple Measurements in Taxonomic Problems", Annals of Eugenics 7, 1936.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Appearance {
@@ -17,7 +54,7 @@ pub struct Appearance {
     pub weights: Vec<f64>,
     /// Added to the weighted sum.
     pub offset: f64,
-    /// Whether much of the background is on the snake's side of the paper, as on a checkerboard with squares darker than
+    /// Whether much of the background is on the snake's side of the target's mean, as on a checkerboard with squares darker than
     /// the snake: edges may then go either way.
     pub two_sided: bool,
 }
@@ -28,11 +65,10 @@ impl Appearance {
     ///
     /// `None` if one of the classes has too few pixels or they do not differ.
     pub fn learn(frame: &Frame, label: impl Fn(u32, u32) -> Option<(bool, f64)>) -> Option<Self> {
-        const STRIDE: usize = 2;
-        const MIN_PIXELS: f64 = 50.0;
         let channels = frame.channels;
-        let places =
-            (0..frame.height).step_by(STRIDE).flat_map(|y| (0..frame.width).step_by(STRIDE).map(move |x| (x, y)));
+        let places = (0..frame.height)
+            .step_by(LEARNING_STRIDE)
+            .flat_map(|y| (0..frame.width).step_by(LEARNING_STRIDE).map(move |x| (x, y)));
         let pixels: Vec<_> = places.filter_map(|(x, y)| Some((x, y, label(x, y)?))).collect();
         let colour = |x: u32, y: u32| {
             let first = (y as usize * frame.width as usize + x as usize) * channels;
@@ -44,7 +80,7 @@ impl Appearance {
             count[usize::from(is_snake)] += 1.0;
             mean[usize::from(is_snake)] += colour(x, y);
         }
-        if count[0] < MIN_PIXELS || count[1] < MIN_PIXELS {
+        if count[0] < FEWEST_PIXELS || count[1] < FEWEST_PIXELS {
             return None;
         }
         mean.iter_mut().zip(count).for_each(|(mean, count)| *mean /= count);
@@ -55,8 +91,7 @@ impl Appearance {
             weights += weight;
         }
         square.fill_upper_triangle_with_lower_triangle();
-        // A noise floor keeps the solution finite on pictures without noise.
-        let floor = DMatrix::identity(channels, channels) * 1e-5;
+        let floor = DMatrix::identity(channels, channels) * LIGHT_VARIANCE_FLOOR;
         let scatter = square / weights + floor;
         let difference = &mean[1] - &mean[0];
         let direction = scatter.cholesky()?.solve(&difference);
@@ -67,16 +102,14 @@ impl Appearance {
         let weights = direction / scale;
         let mut appearance =
             Self { offset: -weights.dot(&mean[0]), weights: weights.iter().copied().collect(), two_sided: false };
-        // Shadows and thick lines cover less of the paper than that.
-        const MUCH: f64 = 0.2;
         let plane = appearance.plane(frame);
         let background = pixels.iter().filter(|(_, _, (is_snake, _))| !is_snake);
-        let like_snake = background.filter(|&&(x, y, _)| plane.get(i64::from(x), i64::from(y)) > 0.6).count();
-        appearance.two_sided = like_snake as f64 > MUCH * count[0];
+        let like_snake = background.filter(|&&(x, y, _)| plane.get(i64::from(x), i64::from(y)) > LIKE_SNAKE).count();
+        appearance.two_sided = like_snake as f64 > TWO_SIDED_SHARE * count[0];
         Some(appearance)
     }
 
-    /// The snakeness of every pixel. A grey frame seen with a colour appearance counts as neutral colours, and a colour
+    /// The discriminant of every pixel. A grey frame seen with a colour appearance counts as neutral colours, and a colour
     /// frame seen with a grey appearance is averaged.
     pub fn plane(&self, frame: &Frame) -> Plane {
         self.plane_within(frame, &Region::whole(frame.width, frame.height))
@@ -93,15 +126,15 @@ impl Appearance {
             let first = row * frame.width as usize;
             let colours = (first + columns.start) * frame.channels..(first + columns.end) * frame.channels;
             match &frame.samples {
-                Samples::Bits8(samples) => self.tell(&samples[colours], &weights, &LIGHT_8, pixels),
-                Samples::Bits16(samples) => self.tell(&samples[colours], &weights, &LIGHT_16, pixels),
+                Samples::Bits8(samples) => self.discriminate(&samples[colours], &weights, &LIGHT_8, pixels),
+                Samples::Bits16(samples) => self.discriminate(&samples[colours], &weights, &LIGHT_16, pixels),
             }
         }
         Plane { width, height, first: Vector2::new(x.start as f64, y.start as f64), data }
     }
 
-    /// The snakeness of pixels, from their colours, the weights of their channels and the light behind each number.
-    fn tell<S: Sample>(&self, colours: &[S], weights: &[f32], light: &[f32], pixels: &mut [f32]) {
+    /// Writes the discriminant of pixels, from their colours, the weights of their channels and the light behind each number.
+    fn discriminate<S: Sample>(&self, colours: &[S], weights: &[f32], light: &[f32], pixels: &mut [f32]) {
         let offset = self.offset as f32;
         let of = |v: S| light[v.into()];
         match *weights {
@@ -114,24 +147,23 @@ impl Appearance {
         }
     }
 
-    /// The same appearance in a frame that is exposed otherwise than the picture that was learned from: in that the paper,
-    /// which is most of a picture, was at 0. A background that is as much snake as paper, or one that differs from the snake
-    /// in colour alone, does not tell, and is taken for exposed alike.
+    /// The same appearance in a frame with another exposure than the picture that was learned from. The target, which covers most of
+    /// a picture, was at 0 there, and its median gives the exposure. A two-sided background, or one that differs from the snake in
+    /// colour alone, does not tell; the exposure is then taken for the same.
     pub fn exposed_as(&self, frame: &Frame) -> Self {
-        const STRIDE: usize = 13;
-        const TELLS: f64 = 0.5;
-        if self.two_sided || self.offset.abs() < TELLS {
+        if self.two_sided || self.offset.abs() < LEAST_TELLING_OFFSET {
             return self.clone();
         }
         let weights = self.weights_for(frame.channels);
         let width = frame.width as usize;
-        let pixels = (0..frame.height as usize)
-            .step_by(STRIDE)
-            .flat_map(|row| (row * width..(row + 1) * width).step_by(STRIDE).map(|pixel| pixel * frame.channels));
+        let pixels = (0..frame.height as usize).step_by(EXPOSURE_STRIDE).flat_map(|row| {
+            (row * width..(row + 1) * width).step_by(EXPOSURE_STRIDE).map(|pixel| pixel * frame.channels)
+        });
         let mut levels: Vec<f32> =
             pixels.map(|first| weights.iter().zip(first..).map(|(w, k)| light(&frame.samples, k) * w).sum()).collect();
-        // Without light the plane would be at the offset.
-        let exposure = (-f64::from(median(&mut levels)) / self.offset).clamp(0.02, 5.0);
+        // The target's light adds up to minus the offset in the picture that was learned from.
+        let (least, largest) = EXPOSURE_RANGE;
+        let exposure = (-f64::from(median(&mut levels)) / self.offset).clamp(least, largest);
         Self { weights: self.weights.iter().map(|w| w / exposure).collect(), ..self.clone() }
     }
 
@@ -173,10 +205,10 @@ mod tests {
 
     /// Dark and bluish above, light below; the brightness is sharp, the blue runs over the border as a JPEG makes it.
     #[test]
-    fn what_is_sharp_at_the_border_tells_snake_from_paper() {
+    fn what_is_sharp_at_the_border_tells_snake_from_target() {
         const BORDER: u32 = 60;
         let picture = RgbImage::from_fn(120, 120, |x, y| {
-            // The snake is shaded and the paper printed, so that far from the border blue tells the most.
+            // The snake is shaded and the target printed, so that far from the border blue tells the most.
             let shade = if y < BORDER { 30.0 * f64::from(x % 7) } else { 40.0 * f64::from(u8::from(x % 10 == 0)) };
             let below = ((f64::from(y) - f64::from(BORDER) + 8.0) / 8.0).clamp(0.0, 1.0);
             let grey = if y < BORDER { 120.0 - shade / 2.0 } else { 200.0 - shade / 2.0 };

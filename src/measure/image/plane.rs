@@ -1,7 +1,30 @@
 //! A single-channel picture with real values, and how it is sampled.
 
+use crate::statistics::order::SD_BY_MAD;
+pub use crate::statistics::order::median;
 use nalgebra::{Point2, Vector2};
 use std::ops::Range;
+
+/// Fractions of a pixel along a profile are whole numbers of this part of it, which is twice as fast as floating-point numbers and as
+/// exact as their `f32` products.
+///
+/// Derived: `f32` has a mantissa of 24 bits.
+const FIXED_POINT: f64 = 1.0 / (1 << FIXED_POINT_BITS) as f64;
+/// The bits of such a fraction.
+const FIXED_POINT_BITS: u32 = 24;
+/// How far a Gaussian kernel reaches to either side, in units of its σ.
+///
+/// Convention: 0.3 % of its weight lies beyond; the kernel is normalised without it.
+const KERNEL_REACH: f32 = 3.0;
+/// For the noise every so many rows and columns one pixel is used.
+///
+/// Convention: a prime, so that no pattern of the target is sampled in step; a megapixel leaves 20,000 pixels, whose median scatters
+/// by 1 %.
+const NOISE_STRIDE: usize = 7;
+/// The norm of the noise mask [1 −2 1; −2 4 −2; 1 −2 1].
+///
+/// Source: Immerkær 1996, see [`Plane::noise`].
+const NOISE_MASK_NORM: f64 = 6.0;
 
 /// A grey picture of `f32`, row by row, or a part of one.
 #[derive(Debug, Clone)]
@@ -28,7 +51,7 @@ impl Region {
         Self { rows: vec![0..width as usize; height as usize] }
     }
 
-    /// What lies within `reach_px` of a line's points to the side, above or below, in a picture this large.
+    /// What lies within `reach_px` of a line's points, to the side, above or below, in a picture of this width and height.
     pub fn along(line: impl IntoIterator<Item = Point2<f64>>, reach_px: f64, (width, height): (u32, u32)) -> Self {
         let range = |middle: f64, most: u32| {
             let limit = |v: f64| v.clamp(0.0, f64::from(most)) as usize;
@@ -109,14 +132,13 @@ impl Plane {
             into.iter_mut().enumerate().for_each(|(k, value)| *value = self.sample_own(&at(k)));
             return;
         }
-        // Whole numbers of this part of a pixel: twice as quick, and as exact.
-        const PART: f64 = 1.0 / (1 << 24) as f64;
-        let fixed = |v: f64| (v / PART) as i64;
+        let fixed = |v: f64| (v / FIXED_POINT) as i64;
         let (mut x, mut y) = (fixed(start.x), fixed(start.y));
         let (dx, dy) = (fixed(step.x), fixed(step.y));
-        let share = |v: i64| (v & 0xff_ffff) as f32 * PART as f32;
+        let fraction = |v: i64| (v & ((1 << FIXED_POINT_BITS) - 1)) as f32 * FIXED_POINT as f32;
         for value in into {
-            *value = self.mixed((x >> 24) as usize, (y >> 24) as usize, share(x), share(y));
+            let (column, row) = ((x >> FIXED_POINT_BITS) as usize, (y >> FIXED_POINT_BITS) as usize);
+            *value = self.bilinear(column, row, fraction(x), fraction(y));
             (x, y) = (x + dx, y + dy);
         }
     }
@@ -130,12 +152,12 @@ impl Plane {
     #[inline]
     fn sample_inside(&self, at: &Point2<f64>) -> f32 {
         let (x, y) = (at.x as usize, at.y as usize);
-        self.mixed(x, y, (at.x - x as f64) as f32, (at.y - y as f64) as f32)
+        self.bilinear(x, y, (at.x - x as f64) as f32, (at.y - y as f64) as f32)
     }
 
-    /// The value these shares of a pixel right of and below its own pixel (x, y).
+    /// Bilinear interpolation at the fractions fx and fy of a pixel right of and below its own pixel (x, y).
     #[inline]
-    fn mixed(&self, x: usize, y: usize, fx: f32, fy: f32) -> f32 {
+    fn bilinear(&self, x: usize, y: usize, fx: f32, fy: f32) -> f32 {
         let first = y * self.width + x;
         let (above, below) = (&self.data[first..first + 2], &self.data[first + self.width..first + self.width + 2]);
         let top = above[0] * (1.0 - fx) + above[1] * fx;
@@ -163,7 +185,7 @@ impl Plane {
 
     /// The picture, whose margins are 0, blurred by a Gaussian of this σ, px.
     pub fn blurred(&self, sigma_px: f32) -> Self {
-        let reach = (3.0 * sigma_px).ceil() as usize;
+        let reach = (KERNEL_REACH * sigma_px).ceil() as usize;
         let mut kernel: Vec<f32> = (0..=reach).map(|k| (-0.5 * (k as f32 / sigma_px).powi(2)).exp()).collect();
         let sum = kernel[0] + 2.0 * kernel[1..].iter().sum::<f32>();
         kernel.iter_mut().for_each(|weight| *weight /= sum);
@@ -189,19 +211,18 @@ impl Plane {
 
     /// An estimate of the pixel noise σ within a region, robust against everything that is not noise.
     ///
-    /// Source: J. Immerkær, "Fast Noise Variance Estimation", 1996: the difference of two Laplacians kills all structure
-    /// that is locally linear; the median instead of the mean survives the edges.
+    /// Source: J. Immerkær, "Fast Noise Variance Estimation", Computer Vision and Image Understanding 64, 1996: the difference of two
+    /// Laplacians removes all structure that is locally linear. Here the median replaces the mean, so that edges do not count.
     pub fn noise(&self, within: &Region) -> f64 {
-        const STRIDE: usize = 7;
         let (left, top) = (self.first.x as usize, self.first.y as usize);
         let mut responses: Vec<f32> = Vec::new();
-        for (row, columns) in within.rows().step_by(STRIDE) {
+        for (row, columns) in within.rows().step_by(NOISE_STRIDE) {
             let y = row.saturating_sub(top);
             let (from, to) = (columns.start.saturating_sub(left), columns.end.saturating_sub(left));
             if y == 0 || y + 1 >= self.height {
                 continue;
             }
-            for x in (from + 1..to.min(self.width).saturating_sub(1)).step_by(STRIDE) {
+            for x in (from + 1..to.min(self.width).saturating_sub(1)).step_by(NOISE_STRIDE) {
                 let line = |dy: usize| &self.data[(y + dy - 1) * self.width + x - 1..][..3];
                 let (above, here, below) = (line(0), line(1), line(2));
                 let laplacians = above[0] + above[2] + below[0] + below[2]
@@ -210,16 +231,90 @@ impl Plane {
                 responses.push(laplacians.abs());
             }
         }
-        // The mask's norm is 6; the median of |N(0, σ)| is 0.6745 σ.
-        f64::from(median(&mut responses)) / (6.0 * 0.6745)
+        SD_BY_MAD * f64::from(median(&mut responses)) / NOISE_MASK_NORM
     }
 }
 
-/// The median of some values (0 for none); reorders them.
-pub fn median(values: &mut [f32]) -> f32 {
-    if values.is_empty() {
-        return 0.0;
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rand::{SeedableRng, rngs::StdRng};
+    use rand_distr::{Distribution, Normal};
+
+    /// A picture whose values are a plane, which bilinear interpolation gives exactly.
+    fn ramp(width: usize, height: usize) -> Plane {
+        let value = |k: usize| 0.3 * (k % width) as f32 - 0.2 * (k / width) as f32;
+        Plane::new(width, height, (0..width * height).map(value).collect())
     }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+
+    proptest! {
+        #[test]
+        fn a_ramp_is_sampled_exactly_by_point_and_by_profile(
+            (x, y) in (1.0..20.0f64, 1.0..20.0f64),
+            (dx, dy) in (-0.5..0.5f64, -0.5..0.5f64),
+        ) {
+            let plane = ramp(40, 40);
+            let (start, step) = (Point2::new(x + 10.0, y + 10.0), Vector2::new(dx, dy));
+            let mut profile = [0.0; 9];
+            plane.profile(&start, step, &mut profile);
+            for (k, value) in profile.into_iter().enumerate() {
+                let at = start + step * k as f64;
+                let expected = 0.3 * at.x - 0.2 * at.y;
+                prop_assert!((f64::from(value) - expected).abs() < 2e-5);
+                prop_assert!((f64::from(plane.sample(&at)) - expected).abs() < 2e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn a_block_of_a_shrunk_picture_is_the_mean_at_its_centre() {
+        let small = ramp(40, 24).shrunk(4);
+        assert_eq!((small.width, small.height), (10, 6));
+        // Block (3, 2) has its centre at pixel (13.5, 9.5).
+        assert!((small.get(3, 2) - (0.3 * 13.5 - 0.2 * 9.5)).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_blurred_point_is_a_gaussian() {
+        const SIGMA: f32 = 2.0;
+        let mut plane = Plane::new(31, 31, vec![0.0; 31 * 31]);
+        plane.data[15 * 31 + 15] = 1.0;
+        let blurred = plane.blurred(SIGMA);
+        assert!((blurred.data.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+        let gaussian = |x: f32, y: f32| {
+            (-(x * x + y * y) / (2.0 * SIGMA * SIGMA)).exp() / (2.0 * std::f32::consts::PI * SIGMA * SIGMA)
+        };
+        for (x, y) in [(0, 0), (1, 0), (2, 3), (-4, 1)] {
+            let value = blurred.get(15 + x, 15 + y);
+            // Cutting the kernel at 3σ raises it by 0.6 %.
+            assert!((value / gaussian(x as f32, y as f32) - 1.0).abs() < 0.01, "{x} {y}: {value}");
+        }
+    }
+
+    #[test]
+    fn noise_is_found_on_a_ramp_with_a_grid_of_lines() {
+        const SIGMA: f64 = 0.02;
+        let mut random = StdRng::seed_from_u64(5);
+        let noise = Normal::new(0.0, SIGMA).unwrap();
+        let mut plane = ramp(400, 400);
+        for (k, value) in plane.data.iter_mut().enumerate() {
+            let is_line = (k % 400) % 20 == 0 || (k / 400) % 20 == 0;
+            *value = *value * 0.01 - if is_line { 0.5 } else { 0.0 } + noise.sample(&mut random) as f32;
+        }
+        let found = plane.noise(&Region::whole(400, 400));
+        // Lines are near 28 % of the pixels, whose responses are all above the median: the 0.69 quantile of |N|, 1.5 times it.
+        assert!(found > SIGMA && found < 1.8 * SIGMA, "{found}");
+        let clean = Plane::new(400, 400, plane.data.iter().map(|_| noise.sample(&mut random) as f32).collect());
+        // 3,136 samples; the median of |N| scatters by 0.787 σ/√n of the mask's response, 2 % of σ.
+        assert!((clean.noise(&Region::whole(400, 400)) / SIGMA - 1.0).abs() < 0.06);
+    }
+
+    #[test]
+    fn a_region_contains_what_lies_nearer_to_the_same_line() {
+        let line = || (0..50).map(|k| Point2::new(30.0 + f64::from(k), 20.0 + 0.5 * f64::from(k)));
+        let (near, far) = (Region::along(line(), 5.0, (120, 90)), Region::along(line(), 8.0, (120, 90)));
+        assert!(far.contains(&near) && !near.contains(&far));
+        assert_eq!(far.bounds(), (22..87, 12..53));
+    }
 }

@@ -5,8 +5,8 @@ use crate::geometry::{Configuration, Pose};
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::solve::{Solution, minimise};
 use crate::measure::fit::{
-    Correspondences, EdgeBias, EdgeFinder, FINE_SEARCH_PX, PartVisibility, clustered_covariance, fine_filter, inliers,
-    predict_blur, robust_weights, systematic_covariance,
+    Correspondences, EdgeBias, EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase, fine_filter, inliers,
+    predict_blur, systematic_covariance,
 };
 use crate::measure::image::appearance::Appearance;
 use crate::measure::image::plane::Plane;
@@ -16,6 +16,7 @@ use crate::measure::rig::refusal::{Refusal, Step};
 use crate::measure::rig::scale::contradiction;
 use crate::measure::target::grid::{Grid, Pattern, find_grid};
 use crate::robot::Robot;
+use crate::statistics::cluster::clustered_covariance;
 use nalgebra::{
     DMatrix, DVector, Matrix3, Matrix6, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
 };
@@ -276,15 +277,16 @@ fn fit_base(
             }
         }
         let matches = Correspondences::find(&outline, &finder, search_px, |_| true);
-        if matches.len() < 40 || matches.len() * 3 < matches.places() {
+        if matches.len() < 40 || matches.len() * 3 < matches.searched().len() {
             return Err(format!(
                 "only {} of {} places on the straight snake's outline show an edge; is the snake unbent, in focus, unlike the \
                  paper in colour and of the robot's dimensions?",
                 matches.len(),
-                matches.places()
+                matches.searched().len()
             ));
         }
-        let roots = robust_weights(&matches.residuals(&view, straight, edge_bias), search_px > FINE_SEARCH_PX);
+        let phase = if search_px > FINE_SEARCH_PX { RobustPhase::Monotone } else { RobustPhase::Redescending };
+        let roots = phase.roots(&matches.residuals(&view, straight, edge_bias));
         // While the model is off, a bias would take the blame and carry scale and tilt away.
         let bias_sigma_px = if search_px > FINE_SEARCH_PX { NO_BIAS_PX } else { STRAIGHT_BIAS_SIGMA_PX };
         let weighted = |x: &DVector<f64>| {
@@ -307,14 +309,14 @@ fn fit_base(
     let camera_from_base = grid.camera_from_grid * placement.grid_from_base(options);
     let view = Projection { lens, camera_from_base, robot };
     let (agreeing, edge_rms_px) = inliers(&matches.in_px(&matches.residuals(&view, straight, edge_bias)), &roots);
-    let covariance = clustered_covariance(&solution.jacobian, &solution.residuals, &matches.pieces())
+    let covariance = clustered_covariance(&solution.jacobian, &solution.residuals, matches.clusters())
         .zip(solution.covariance())
         .map(|(clustered, independent)| {
             let light = systematic_covariance(&matches, &solution.jacobian, &independent, &view, &roots, edge_rms_px);
             clustered + light
         })
         .ok_or("the snake's edges do not determine where its base is")?;
-    let share = agreeing as f64 / matches.places().max(1) as f64;
+    let share = agreeing as f64 / matches.searched().len().max(1) as f64;
     let bias_px = edge_bias.to_array().into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
     if share < ENOUGH_INLIERS || bias_px.abs() > MOST_BIAS_PX * matches.blur_px.max(1.0) {
         return Err(format!(

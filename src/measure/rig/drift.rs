@@ -8,7 +8,7 @@
 use crate::camera::{Frame, Lens, Sample, Samples};
 use crate::geometry::{Configuration, Pose};
 use crate::measure::body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
-use crate::measure::fit::{EdgeBias, EdgeFinder, robust_weights};
+use crate::measure::fit::{EdgeBias, EdgeFinder, RobustPhase};
 use crate::measure::image::plane::median;
 use crate::measure::rig::calibrate::Rig;
 use crate::measure::target::grid::{Pattern, nudged, paper_at, phases_from_paper, project_paper, waves_from_gradient};
@@ -653,7 +653,9 @@ fn robust_linear(jacobian: &DMatrix<f64>, right: &DVector<f64>, prior: &[f64], s
     for round in 0..ROUNDS {
         if round > 0 {
             let left: Vec<f64> = (right - jacobian * &x).iter().copied().collect();
-            roots = robust_weights(&left, settling || round < ROUNDS / 2);
+            let is_monotone = settling || round < ROUNDS / 2;
+            let phase = if is_monotone { RobustPhase::Monotone } else { RobustPhase::Redescending };
+            roots = phase.roots(&left);
         }
         let weight = DVector::from_iterator(right.len(), roots.iter().map(|w| w * w));
         let weighted = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |r, c| jacobian[(r, c)] * weight[r]);

@@ -1,0 +1,61 @@
+//! The body seen by a camera.
+
+use super::parts::{BodyPoint, HOLDER_MM};
+use crate::camera::Lens;
+use crate::geometry::{Configuration, Pose};
+use crate::measure::image::plane::Region;
+use crate::robot::Robot;
+use nalgebra::{Point2, Vector3};
+
+/// Distance between the points of the snake's axis from which its region of the picture is drawn, mm.
+///
+/// Convention: a small part of the diameter; the region's margin is far wider.
+const AXIS_STEP_MM: f64 = 0.5;
+/// Distance between outline points in the coarse stages, as a share of the snake's diameter in the picture.
+///
+/// Derived: π/0.1 = 31 points around a disk's two rims and sides, more than the two numbers of the bend need many times over.
+const COARSE_SPACING: f64 = 0.1;
+/// The least such distance, px.
+///
+/// Convention: a limit on the work; the fine stage, which gives the answer, takes every second pixel.
+const LEAST_COARSE_SPACING_PX: f64 = 6.0;
+
+/// What is needed to project the body: where the camera is and what it looks at.
+#[derive(Debug, Clone)]
+pub struct Projection<'a> {
+    /// Intrinsics.
+    pub lens: &'a Lens,
+    /// The view's camera pose.
+    pub camera_from_base: Pose,
+    /// The robot.
+    pub robot: &'a Robot,
+}
+
+impl<'a> Projection<'a> {
+    /// The pixel of a body point.
+    pub fn pixel(&self, psi: Configuration, point: &BodyPoint) -> Point2<f64> {
+        self.lens.project(&(self.camera_from_base * point.in_base(self.robot, psi)))
+    }
+
+    /// The part of the picture that the body covers, and `reach_px` around it.
+    pub(crate) fn image_region(&self, psi: Configuration, reach_px: f64) -> Region {
+        let (robot, lens) = (self.robot, self.lens);
+        let steps = ((robot.length_mm + HOLDER_MM) / AXIS_STEP_MM).ceil() as usize;
+        let axis_pixel = |k: usize| {
+            let s_mm = robot.length_mm - k as f64 * AXIS_STEP_MM;
+            self.pixel(psi, &BodyPoint { s_mm, local: Vector3::zeros() })
+        };
+        Region::along((0..=steps).map(axis_pixel), 0.5 * self.diameter_px() + reach_px, (lens.width, lens.height))
+    }
+
+    /// The snake's diameter in the picture at the base, px.
+    pub(crate) fn diameter_px(&self) -> f64 {
+        let depth_mm = self.camera_from_base.translation.vector.z.max(1.0);
+        self.robot.body.disk_diameter_mm * self.lens.focal_px.max() / depth_mm
+    }
+
+    /// Distance between outline points in the coarse stages of a fit, px.
+    pub(crate) fn coarse_spacing_px(&self) -> f64 {
+        (COARSE_SPACING * self.diameter_px()).max(LEAST_COARSE_SPACING_PX)
+    }
+}

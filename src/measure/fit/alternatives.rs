@@ -1,0 +1,100 @@
+//! Model selection among the local minima of a fit: which other bends explain a picture as well as the best one.
+//!
+//! The picture of one camera hardly tells towards it from away from it, so that a fit has local minima: the mirrored solution, and
+//! bends whose disks fall on their neighbours' places. Two fits are compared by their cost and by the scatter of their edges.
+
+use super::bend::BendFit;
+use crate::geometry::Pose;
+use nalgebra::Vector2;
+
+/// Another fit explains the picture as well only if its cost is below this many times the best one's.
+///
+/// Fitted: by hand on renders; judged by `tests/robustness`.
+const COST_RATIO: f64 = 1.5;
+/// And only if the scatter of its edges is below this many times the best one's.
+///
+/// Fitted: on renders of snakes bent by 3°, which have a second minimum with a third more scatter; judged by `tests/robustness`.
+const SCATTER_RATIO: f64 = 1.3;
+/// Fits this close together, rad, differ by how the disks are tilted, which does not show where they are seen edge-on.
+///
+/// Fitted: by hand on renders; judged by `tests/robustness`.
+pub(crate) const EDGE_ON_RAD: f64 = 0.1;
+/// The same in a coarse picture: so close that the rims of the tip's disk open by the same amount, px.
+///
+/// Fitted: by hand on coarse renders; judged by `tests/robustness`.
+const EDGE_ON_PX: f64 = 2.0;
+/// A fit explains all of the outline only if its cost is below this.
+///
+/// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
+const EXPLAINING_COST: f64 = 0.01;
+/// And only if this share of the outline agrees with it.
+///
+/// Fitted: together with [`EXPLAINING_COST`].
+const EXPLAINING_INLIERS: f64 = 0.95;
+
+/// What another local minimum means beside the best one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Alternative {
+    /// The same snake with disks seen edge-on that tilt the other way: the doubt belongs into the covariance.
+    EdgeOn,
+    /// Another bend that explains the picture as well: the picture is ambiguous.
+    AsGood,
+    /// A bend that explains the picture worse.
+    Worse,
+}
+
+impl Alternative {
+    /// Compares a fit with the best one, of a snake that is `diameter_px` wide in the picture.
+    pub fn of(other: &BendFit, best: &BendFit, diameter_px: f64) -> Self {
+        let edge_on_rad = EDGE_ON_RAD.max(2.0 * EDGE_ON_PX / diameter_px);
+        if (other.bend - best.bend).norm() < edge_on_rad {
+            Self::EdgeOn
+        } else if other.cost < COST_RATIO * best.cost && other.rms_px < SCATTER_RATIO * best.rms_px {
+            Self::AsGood
+        } else {
+            Self::Worse
+        }
+    }
+}
+
+impl BendFit {
+    /// The better of two fits of a snake seen edge-on. If the other one is as good, the covariance contains the doubt between them:
+    /// the variance of two equally likely values.
+    pub fn or_edge_on(self, other: Self) -> Self {
+        let apart = self.bend - other.bend;
+        let (mut better, worse) = if other.cost < self.cost { (other, self) } else { (self, other) };
+        if worse.cost < COST_RATIO * better.cost {
+            better.covariance += apart * apart.transpose() / 4.0;
+        }
+        better
+    }
+
+    /// Whether the fit explains all of the outline, with every disk visible, so that no other bend needs to be tried.
+    pub fn explains_all(&self) -> bool {
+        if self.cost >= EXPLAINING_COST || self.inlier_fraction() < EXPLAINING_INLIERS {
+            return false;
+        }
+        let visibility = self.visibility();
+        visibility.visible_disk_share() == 1.0 && visibility.is_end_visible()
+    }
+}
+
+/// Local minima, best first; of those that ended within `apart_rad` of each other only the best.
+pub(crate) fn distinct(mut fits: Vec<BendFit>, apart_rad: f64) -> Vec<BendFit> {
+    fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    let mut kept: Vec<BendFit> = Vec::new();
+    for fit in fits {
+        if kept.iter().all(|k| (k.bend - fit.bend).norm() > apart_rad) {
+            kept.push(fit);
+        }
+    }
+    kept
+}
+
+/// The bend whose outline is nearly the same for a camera at this pose: mirrored in the plane through the snake's axis that is
+/// perpendicular to the line of sight.
+pub(crate) fn mirrored(bend: Vector2<f64>, camera_from_base: &Pose) -> Vector2<f64> {
+    let sight = camera_from_base.inverse() * camera_from_base.translation.vector;
+    let depth = sight.xy().normalize();
+    bend - 2.0 * depth * depth.dot(&bend)
+}

@@ -1,0 +1,192 @@
+//! The edges' residuals linearised in bend, edge bias and camera pose, and the robust step that follows.
+
+use super::correspondences::Correspondences;
+use super::state::{BIASES, BiasPrior, EdgeBias, STATE, State};
+use super::uncertainty::RobustPhase;
+use crate::geometry::Pose;
+use crate::measure::body::Projection;
+use crate::statistics::robust::Irls;
+use nalgebra::{DMatrix, DVector, Point3, SVector, Vector3};
+
+/// The most reweightings of one linearisation.
+///
+/// Convention: an iteration cap.
+const MOST_REWEIGHTINGS: usize = 10;
+/// A reweighting that moves the state by less (rad and px) is the last.
+///
+/// Convention: a hundredth of what a fit must move by to go on.
+const REWEIGHTING_TOLERANCE: f64 = 1e-5;
+/// The least scale of whitened residuals in robust weights: their σ may be too large for a clean picture, and a scale taken from
+/// them alone would then call good edges outliers.
+///
+/// Derived: 1 is the scale of residuals in units of their own σ.
+pub(super) const LEAST_SCALE: f64 = 1.0;
+
+/// Residuals of edges in units of σ, and their derivatives (rows: edges).
+#[derive(Debug, Clone)]
+pub(crate) struct Linearised {
+    pub residuals: DVector<f64>,
+    /// By bend vector (rad) and edge biases (px): the components of [`State`].
+    pub by_state: DMatrix<f64>,
+    /// By the camera's pose (see [`nudged`](crate::measure::target::grid::nudged)).
+    pub by_pose: DMatrix<f64>,
+}
+
+/// A section in the camera's frame, and how it moves with either component of the bend: translation (mm/rad) and rotation (rad/rad).
+struct MovingSection {
+    camera_from_section: Pose,
+    by_bend: [(Vector3<f64>, Vector3<f64>); 2],
+}
+
+impl MovingSection {
+    fn new(view: &Projection, state: &State, s_mm: f64) -> Self {
+        let twist = view.robot.section_jacobian_bend(state.bend, s_mm);
+        let in_camera =
+            |row: usize, axis: usize| view.camera_from_base.rotation * twist.fixed_view::<3, 1>(row, axis).into_owned();
+        Self {
+            camera_from_section: view.camera_from_base * view.robot.frame_at(state.psi(), s_mm),
+            by_bend: [0, 1].map(|axis| (in_camera(0, axis), in_camera(3, axis))),
+        }
+    }
+}
+
+impl Linearised {
+    /// Linearises the residuals of `edges` at a state, in closed form.
+    pub fn new(edges: &Correspondences, view: &Projection, state: &State) -> Self {
+        let sections: Vec<MovingSection> =
+            edges.sections_mm.iter().map(|&s_mm| MovingSection::new(view, state, s_mm)).collect();
+        let mut linear = Self {
+            residuals: DVector::zeros(edges.len()),
+            by_state: DMatrix::zeros(edges.len(), STATE),
+            by_pose: DMatrix::zeros(edges.len(), 6),
+        };
+        for (row, (edge, &section)) in edges.all.iter().zip(&edges.section_of).enumerate() {
+            let MovingSection { camera_from_section, by_bend } = &sections[section];
+            let arm = camera_from_section.rotation * edge.body.local;
+            let point = Point3::from(camera_from_section.translation.vector + arm);
+            let (expected, jacobian) = view.lens.project_with_jacobian(&point);
+            // ∂(distance along the normal, in units of σ)/∂(point in the camera's frame, mm).
+            let by_point = jacobian.transpose() * edge.normal / edge.sigma_px;
+            let distance_px = edge.normal.dot(&(edge.seen - expected));
+            linear.residuals[row] = (distance_px - state.bias.of(edge.piece)) / edge.sigma_px;
+            for (axis, (translation, rotation)) in by_bend.iter().enumerate() {
+                linear.by_state[(row, axis)] = -by_point.dot(&(translation + rotation.cross(&arm)));
+            }
+            linear.by_state[(row, 2 + EdgeBias::kind(edge.piece))] = -1.0 / edge.sigma_px;
+            let by_rotation = (point.coords - view.camera_from_base.translation.vector).cross(&by_point);
+            for axis in 0..3 {
+                linear.by_pose[(row, axis)] = -by_rotation[axis];
+                linear.by_pose[(row, axis + 3)] = -by_point[axis];
+            }
+        }
+        linear
+    }
+
+    /// The Gauss–Newton step of the state under a robust loss, by iteratively reweighted least squares, and the square roots of
+    /// the edges' weights. `None` where the edges do not determine the state.
+    pub fn step(
+        &self,
+        prior: &BiasPrior,
+        state: &State,
+        phase: RobustPhase,
+    ) -> Option<(SVector<f64, STATE>, Vec<f64>)> {
+        let irls = Irls {
+            loss: phase.loss(),
+            least_scale: LEAST_SCALE,
+            rounds: MOST_REWEIGHTINGS,
+            tolerance: REWEIGHTING_TOLERANCE,
+        };
+        let edges = self.residuals.len();
+        let (design, offset) = self.state_rows_with_prior(prior, state);
+        let fit = irls.fit(&design, &offset, edges)?;
+        let step = SVector::from_column_slice(fit.parameters.as_slice());
+        Some((step, fit.weights.iter().take(edges).map(|weight| weight.sqrt()).collect()))
+    }
+
+    /// `by_state` and the residuals with a row more for each bias: its prior.
+    fn state_rows_with_prior(&self, prior: &BiasPrior, state: &State) -> (DMatrix<f64>, DVector<f64>) {
+        let edges = self.residuals.len();
+        let root = prior.root();
+        let mut residuals = self.residuals.clone().insert_rows(edges, BIASES, 0.0);
+        let mut by_state = self.by_state.clone().insert_rows(edges, BIASES, 0.0);
+        for (k, offset) in prior.offsets(state).into_iter().enumerate() {
+            residuals[edges + k] = root * offset;
+            by_state[(edges + k, 2 + k)] = root;
+        }
+        (by_state, residuals)
+    }
+
+    /// With a row more for each bias: its prior.
+    pub fn with_prior(self, prior: &BiasPrior, state: &State) -> Self {
+        let edges = self.residuals.len();
+        let (by_state, residuals) = self.state_rows_with_prior(prior, state);
+        Self { residuals, by_state, by_pose: self.by_pose.insert_rows(edges, BIASES, 0.0) }
+    }
+
+    /// With every row times the square root of its weight; rows beyond `roots` keep the weight 1.
+    pub fn weighted(mut self, roots: &[f64]) -> Self {
+        for (row, root) in roots.iter().enumerate() {
+            self.residuals[row] *= root;
+            self.by_state.row_mut(row).scale_mut(*root);
+            self.by_pose.row_mut(row).scale_mut(*root);
+        }
+        self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measure::body::Outline;
+    use crate::measure::fixture::Scene;
+    use crate::measure::target::grid::nudged;
+    use nalgebra::Vector2;
+
+    #[test]
+    fn derivatives_by_state_and_pose_are_the_differences() {
+        let mut scene = Scene::new(Vector3::new(0.1, -0.15, 0.05));
+        scene.lens.distortion[0] = -0.1;
+        let view = scene.view();
+        let bias = EdgeBias { side_px: 0.1, tube_px: -0.2, rim_px: 0.05 };
+        let state = State { bend: Vector2::new(0.5, -0.7), bias };
+        let outline = Outline::spaced(&view, state.psi(), 8.0);
+        let displacements: Vec<f64> = (0..outline.points.len()).map(|k| 0.1 * (k as f64).sin()).collect();
+        let edges = Correspondences::displaced(&outline, &displacements, 0.3);
+        let linear = Linearised::new(&edges, &view, &state);
+        assert!(edges.len() > 100, "{}", edges.len());
+
+        const STEP: f64 = 1e-6;
+        let differences = |ahead: Vec<f64>, behind: Vec<f64>| -> Vec<f64> {
+            ahead.into_iter().zip(behind).map(|(ahead, behind)| (ahead - behind) / (2.0 * STEP)).collect()
+        };
+        let by_state = |k: usize| {
+            let at = |step: f64| {
+                let mut by = SVector::<f64, STATE>::zeros();
+                by[k] = step;
+                let moved = state.moved(&by);
+                edges.residuals(&view, moved.psi(), moved.bias)
+            };
+            differences(at(STEP), at(-STEP))
+        };
+        let by_pose = |k: usize| {
+            let at = |step: f64| {
+                let mut by = DVector::zeros(6);
+                by[k] = step;
+                let moved = Projection { camera_from_base: nudged(&view.camera_from_base, &by), ..view.clone() };
+                edges.residuals(&moved, state.psi(), state.bias)
+            };
+            differences(at(STEP), at(-STEP))
+        };
+        let check = |closed: &DMatrix<f64>, k: usize, differences: Vec<f64>| {
+            let scale = closed.column(k).amax();
+            for (row, difference) in differences.into_iter().enumerate() {
+                let error = (closed[(row, k)] - difference).abs();
+                assert!(error < 1e-5 * scale, "column {k}, row {row}: {} is {difference}", closed[(row, k)]);
+            }
+        };
+        (0..STATE).for_each(|k| check(&linear.by_state, k, by_state(k)));
+        (0..6).for_each(|k| check(&linear.by_pose, k, by_pose(k)));
+        let residuals = edges.residuals(&view, state.psi(), state.bias);
+        assert!(linear.residuals.iter().zip(&residuals).all(|(a, b)| (a - b).abs() < 1e-9));
+    }
+}

@@ -1,0 +1,145 @@
+//! The noise model of the edges: how far an edge may lie from the border that made it, for other reasons than the picture's noise.
+//!
+//! An edge has four errors. Each has its variance here, and nothing else in the fit decides on one:
+//!
+//! 1. Pixel noise, which the edge finder works out of each edge ([`Edge::sigma_px`](super::edges::Edge::sigma_px)).
+//! 2. A floor for every single edge, by which shading and print displace it however clean it looks: [`edge_floor_px`].
+//! 3. A bias of each kind of edge in each frame, which is fitted under a prior: [`FRAME_BIAS_SIGMA_PX`].
+//! 4. Systematic error modes, displacements of many edges at once that look like a bend: [`systematic_modes`].
+//!
+//! The figures were fitted to renders by the project's own path tracer of random rigs, lights and materials. Two surveys there judge
+//! the whole model, not its single numbers:
+//!
+//! ```sh
+//! cargo test --release --no-default-features --test uncertainty -- --ignored --nocapture
+//! cargo test --release --no-default-features --test robustness -- --ignored --nocapture
+//! ```
+
+use super::edges::filter_px;
+use crate::measure::body::Piece;
+use nalgebra::Vector2;
+
+/// The standard deviation by which each bias of the edges differs between the straight picture and a frame, px.
+///
+/// Fitted: by hand on renders; judged as part of the whole by `tests/uncertainty`.
+pub(crate) const FRAME_BIAS_SIGMA_PX: f64 = 0.05;
+/// The design effect of the edges against the prior of their bias: how many neighbouring edges err alike and so count as one.
+///
+/// Fitted: by hand on renders; judged as part of the whole by `tests/uncertainty`.
+pub(super) const BIAS_DESIGN_EFFECT: f64 = 10.0;
+/// Standard deviation of a single edge for other reasons than noise, px.
+///
+/// Fitted: by hand on renders; judged as part of the whole by `tests/uncertainty`.
+const EDGE_FLOOR_PX: f64 = 0.08;
+/// The same at a tube, whose brightness changes within the pixels that place an edge.
+///
+/// Fitted: on the rigs of `tests/uncertainty`, where edges of tubes lie up to 0.5 px outside the border, by a different amount on
+/// each side, and those of disks at most 0.1 px.
+const TUBE_FLOOR_PX: f64 = 0.3;
+/// Standard deviation of each systematic mode of the rims, px.
+///
+/// Fitted: to the squared normalised errors of the bend on the rigs of `tests/uncertainty`.
+const RIM_MODE_PX: f64 = 0.0108;
+/// Standard deviation of each systematic mode of the sides, px.
+///
+/// Fitted: to the rigs of `tests/uncertainty`, where the sides of disks and holder are displaced to the right or to the left by
+/// 0.011 px in the median rig and 0.04 px in one of ten.
+const SIDE_MODE_PX: f64 = 0.0245;
+/// The scatter of the edges at which the modes are as large as that, px.
+///
+/// Fitted: the median over the rigs of `tests/uncertainty`.
+const TYPICAL_SCATTER_PX: f64 = 0.14;
+/// The blur up to which the figures hold, σ in px; a picture of no more is called sharp.
+///
+/// Fitted: by hand, together with the two above.
+pub(crate) const SHARP_PX: f64 = 1.5;
+/// A snake whose disks are narrower than this, px, is small: its parts are hardly wider than the edge filter.
+///
+/// Fitted: by hand on the rigs of `tests/uncertainty` and `tests/robustness`.
+pub(super) const SMALL_DIAMETER_PX: f64 = 40.0;
+
+/// How many systematic modes there are.
+pub(crate) const MODES: usize = 6;
+
+/// Standard deviation of a single edge for other reasons than the picture's noise, px.
+pub(super) fn edge_floor_px(piece: Piece) -> f64 {
+    if matches!(piece, Piece::Tube(..)) { TUBE_FLOOR_PX } else { EDGE_FLOOR_PX }
+}
+
+/// How many times further shading displaces edges in a picture of this blur than in a sharp one: a gradient of the brightness
+/// beside an edge displaces it in proportion to blur² + filter² (both σ, px).
+pub(super) fn blur_growth(blur_px: f64) -> f64 {
+    let variance = |blur_px: f64| blur_px.powi(2) + filter_px(blur_px).powi(2);
+    (variance(blur_px) / variance(SHARP_PX)).max(1.0)
+}
+
+/// What the size of the systematic modes depends on.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Conditions {
+    /// Median blur of the edges, σ in px.
+    pub blur_px: f64,
+    /// The snake's diameter in the picture, px.
+    pub diameter_px: f64,
+    /// Root mean square distance of the edges from the fit, px: what displaces edges one by one displaces them together as well.
+    pub scatter_px: f64,
+}
+
+impl Conditions {
+    /// How many times larger than in a sharp picture of a large snake the modes are.
+    pub fn growth(&self) -> f64 {
+        blur_growth(self.blur_px)
+            * (SMALL_DIAMETER_PX / self.diameter_px).max(1.0).powi(2)
+            * (self.scatter_px / TYPICAL_SCATTER_PX)
+    }
+}
+
+/// The displacement of an edge, px, in each systematic mode of one standard deviation; the modes are independent of each other.
+///
+/// Light and blur displace the edges of all disks alike, so that no number of disks averages it away: all rims along the snake, the
+/// same at the rims' ends only, all ends rounded off, disks that look thicker towards one end of the snake, and all sides to the
+/// right or downwards in the picture. `along` runs from −1 at the base to 1 at the tip; `lateral` is
+/// [`OutlinePoint::lateral`](crate::measure::OutlinePoint::lateral).
+pub(super) fn systematic_modes(piece: Piece, lateral: f64, along: f64, normal: &Vector2<f64>) -> [f64; MODES] {
+    let end = lateral.powi(2);
+    let of_rim = |face: f64| [face, face * end, end, along, 0.0, 0.0].map(|share| RIM_MODE_PX * share);
+    match piece {
+        Piece::Rim(_, far) => of_rim(if far { 1.0 } else { -1.0 }),
+        Piece::BaseRim => of_rim(1.0),
+        Piece::HolderSide(_) | Piece::DiskSide(..) | Piece::Tube(..) => {
+            [0.0, 0.0, 0.0, 0.0, normal.x, normal.y].map(|share| SIDE_MODE_PX * share)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn the_modes_are_as_large_as_stated_in_a_sharp_picture_of_a_large_snake_and_grow_from_there() {
+        let typical = Conditions { blur_px: 1.0, diameter_px: 60.0, scatter_px: TYPICAL_SCATTER_PX };
+        assert_eq!(typical.growth(), 1.0);
+        assert_eq!(Conditions { diameter_px: 20.0, ..typical }.growth(), 4.0);
+        assert_eq!(Conditions { scatter_px: 0.28, ..typical }.growth(), 2.0);
+        // The filter is as wide as the blur between 1.2 and 3 px, so that the growth is that of the blur's square.
+        let soft = Conditions { blur_px: 3.0, ..typical }.growth();
+        assert!((soft - 4.0).abs() < 1e-12, "{soft}");
+    }
+
+    proptest! {
+        #[test]
+        fn more_blur_never_makes_shading_displace_less(a in 0.0..10.0f64, b in 0.0..10.0f64) {
+            prop_assert!(blur_growth(a.min(b)) <= blur_growth(a.max(b)));
+            prop_assert!(blur_growth(a) >= 1.0);
+        }
+
+        #[test]
+        fn a_side_is_displaced_by_the_same_amount_whichever_way_it_faces(angle in 0.0..std::f64::consts::TAU) {
+            let normal = Vector2::new(angle.cos(), angle.sin());
+            let modes = systematic_modes(Piece::DiskSide(2, 1), 0.0, 0.3, &normal);
+            let sigma = modes.iter().map(|mode| mode * mode).sum::<f64>().sqrt();
+            prop_assert!((sigma - SIDE_MODE_PX).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! Whether a picture is too bright or too dark to be measured.
+
+use crate::camera::Frame;
+
+/// A pixel is white if all its channels are at least at this level, 0 to 255.
+///
+/// Convention: three steps below the top, which noise and compression leave of full white.
+const WHITE: f32 = 252.0;
+/// A pixel is black if all its channels are at most at this level.
+///
+/// Convention: three steps above the bottom.
+const BLACK: f32 = 3.0;
+/// The share of black and white pixels above which a picture is saturated.
+///
+/// Convention: what is left, one pixel of fifty, is less than a snake's own area in any usable picture.
+const SATURATED_SHARE: f64 = 0.98;
+/// The share of white pixels above which it is: most of it is so overexposed that edges are no longer where half of the light is.
+///
+/// Fitted: by hand on renders; judged by `tests/robustness`.
+const WHITE_SHARE: f64 = 0.5;
+/// Every so many pixels one is looked at.
+///
+/// Convention: a prime, so that no pattern of the target is sampled in step; a picture of a megapixel leaves 10,000.
+const STRIDE: usize = 101;
+
+/// Whether nearly all of a picture is black or white, or most of it white.
+pub fn is_saturated(frame: &Frame) -> bool {
+    let pixels = || (0..frame.samples.len() / frame.channels).step_by(STRIDE).map(|pixel| pixel * frame.channels);
+    let share = |is_so: fn(f32) -> bool| {
+        let is_all_so = |first: &usize| (0..frame.channels).all(|c| is_so(frame.samples.level(first + c)));
+        pixels().filter(is_all_so).count() as f64 / pixels().count().max(1) as f64
+    };
+    let (white, black) = (share(|level| level >= WHITE), share(|level| level <= BLACK));
+    white > WHITE_SHARE || white + black > SATURATED_SHARE
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{DynamicImage, GrayImage, Luma};
+
+    /// A picture whose pixels are white, black and grey in these shares.
+    fn picture(white: f64, black: f64) -> Frame {
+        let size = 300;
+        let grey = GrayImage::from_fn(size, size, |_, y| {
+            let share = f64::from(y) / f64::from(size);
+            Luma([if share < white {
+                255
+            } else if share < white + black {
+                0
+            } else {
+                128
+            }])
+        });
+        Frame::from_image(DynamicImage::ImageLuma8(grey)).unwrap()
+    }
+
+    #[test]
+    fn a_picture_is_saturated_if_most_is_white_or_nearly_all_is_black_or_white() {
+        for (white, black, expected) in [
+            (0.0, 0.0, false),
+            (0.45, 0.0, false),
+            (0.55, 0.0, true),
+            (0.0, 0.96, false),
+            (0.0, 1.0, true),
+            (0.4, 0.59, true),
+            (0.4, 0.5, false),
+        ] {
+            assert_eq!(is_saturated(&picture(white, black)), expected, "{white} {black}");
+        }
+    }
+}
