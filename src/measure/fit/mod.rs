@@ -14,7 +14,6 @@ mod edges;
 mod linearised;
 mod noise_model;
 mod shape;
-pub mod solve;
 mod state;
 mod uncertainty;
 mod visibility;

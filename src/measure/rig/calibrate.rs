@@ -3,7 +3,6 @@
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose};
 use crate::measure::body::{Outline, Projection};
-use crate::measure::fit::solve::{Solution, minimise};
 use crate::measure::fit::{
     Correspondences, EdgeBias, EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase, fine_filter, inliers,
     predict_blur, systematic_covariance,
@@ -16,6 +15,7 @@ use crate::measure::rig::refusal::{Refusal, Step};
 use crate::measure::rig::scale::contradiction;
 use crate::measure::target::grid::{Grid, Pattern, find_grid};
 use crate::robot::Robot;
+use crate::statistics::least_squares::{self, Solution, minimise};
 use crate::statistics::cluster::clustered_covariance;
 use nalgebra::{
     DMatrix, DVector, Matrix3, Matrix6, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
@@ -299,7 +299,8 @@ fn fit_base(
         };
         let start = edge_bias.to_array().into_iter().fold(placement.0.clone(), |x, bias| x.push(bias));
         let steps = DVector::from_column_slice(&[1e-4, 1e-4, 1e-5, 1e-4, 1e-5, 1e-3, 1e-3, 1e-3]);
-        let solution = minimise(weighted, start, &steps).ok_or("the fit of the snake's base did not converge")?;
+        let solution = minimise(weighted, start, &steps, &least_squares::Options::default())
+            .map_err(|_| "the fit of the snake's base did not converge")?;
         placement = Placement(solution.parameters.rows(0, 5).into_owned());
         edge_bias = EdgeBias::default().moved(&solution.parameters.as_slice()[5..]);
         outcome = Some((matches, roots, solution));

@@ -7,8 +7,8 @@
 
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
-use crate::measure::fit::solve::{Solution, minimise};
 use crate::measure::image::plane::{Plane, median};
+use crate::statistics::least_squares::{self, Solution, minimise};
 use nalgebra::{DMatrix, DVector, Matrix2, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rustfft::{FftPlanner, num_complex::Complex};
 use serde::{Deserialize, Serialize};
@@ -494,7 +494,8 @@ impl<F: Fn(&Point2<f64>) -> bool> Lines<'_, F> {
                 let moved = nudged(&pose, x);
                 DVector::from_iterator(kept.len(), kept.iter().map(|p| distance(&moved, p)))
             };
-            let solution = minimise(residuals, DVector::zeros(6), &pose_steps())?;
+            let solution =
+                minimise(residuals, DVector::zeros(6), &pose_steps(), &least_squares::Options::default()).ok()?;
             pose = nudged(&pose, &solution.parameters);
             // Neighbouring places of one line share its printing's errors.
             const CORRELATED: f64 = 10.0;
@@ -686,7 +687,8 @@ fn fit_pose(lens: &Lens, points: &[GridPoint], start: &Pose) -> Option<PoseFit> 
             });
             DVector::from_iterator(2 * kept.len(), errors)
         };
-        let solution = minimise(residuals, DVector::zeros(6), &pose_steps())?;
+        let solution =
+            minimise(residuals, DVector::zeros(6), &pose_steps(), &least_squares::Options::default()).ok()?;
         pose = nudged(&pose, &solution.parameters);
         let error = |p: &GridPoint| (project_paper(lens, &pose, &p.paper_mm) - p.pixel).norm();
         let mut sizes: Vec<f32> = points.iter().map(|p| error(p) as f32).collect();
