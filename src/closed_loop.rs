@@ -1,12 +1,13 @@
-//! The whole loop, rehearsed without a robot: a controller commands through its table, a simulated snake obeys its own hidden model, a
-//! rendered frame shows where it went, the eye measures it, the estimator learns, and the next command uses what was learned.
+//! Closed-loop simulation of controller, robot and camera: the controller commands through its compensation table, a simulated snake
+//! obeys its own hidden model, a rendered frame shows where it went, the eye measures it, the estimator updates η and λ, and the next
+//! command uses them.
 //!
 //! The controller knows the robot's constants and nothing of η and λ: it starts with Section IV's naive compensation. The camera is
-//! calibrated from a rendered straight picture, as a real one is. After each frame the table is judged over a grid of poses by where
-//! the snake would really go.
+//! calibrated from a rendered straight picture, as a real one is. After each frame the table's error is computed over a grid of poses,
+//! from where the simulated snake would go.
 //!
-//! λ is not learned here: it is common to all backbones, moves no bend, and what the controller leaves out of its own commands the
-//! redundancy takes up as internal force.
+//! λ is not learned here. It is common to all backbones and moves no bend: what the controller leaves out of its own commands becomes
+//! internal force of the redundant backbones.
 
 use crate::camera::Frame;
 use crate::error::{Error, Result};
@@ -16,6 +17,7 @@ use crate::measure::{Eye, RigOptions, calibrate_rig};
 use crate::observation::{EncoderReading, Measured, Measurement, Status};
 use crate::robot::{Estimate, Model};
 use crate::simulate::{Scene, render};
+use crate::statistics::moments::RunningSquares;
 use image::DynamicImage;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
@@ -23,9 +25,9 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
 use std::path::Path;
 
-/// What is rehearsed.
+/// A closed-loop simulation.
 #[derive(Debug, Clone)]
-pub struct Rehearsal {
+pub struct ClosedLoop {
     /// What the snake obeys. History, as of motion-directed effects, acts as for a single pose.
     pub plant: Model,
     /// Camera, paper and light.
@@ -38,9 +40,9 @@ pub struct Rehearsal {
     pub seed: u64,
 }
 
-/// One turn of the loop.
+/// One cycle of the loop: a command, its frame and the estimate after it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Turn {
+pub struct Cycle {
     /// Number of the command, from 0.
     pub index: u64,
     /// Where the snake was to go: θ, degrees.
@@ -71,40 +73,40 @@ pub struct Turn {
     pub table_error_deg: f64,
 }
 
-impl Rehearsal {
-    /// Goes round once for each desired pose; `done` is called after each. Gives the turns and the controller's model at the end.
+impl ClosedLoop {
+    /// Runs one cycle for each desired pose; `done` is called after each. Gives the cycles and the controller's model at the end.
     ///
     /// # Errors
     /// A scene that cannot be drawn or from which no rig can be calibrated; a pose that the plant cannot reach.
-    pub fn run(&self, poses: &[Configuration], done: &dyn Fn()) -> Result<(Vec<Turn>, Model)> {
+    pub fn run(&self, poses: &[Configuration], done: &dyn Fn()) -> Result<(Vec<Cycle>, Model)> {
         self.scene.check()?;
         let eye = self.eye()?;
         let naive = self.naive();
         let options = Options { sd_encoder_mm: self.sd_encoder_mm.max(1e-6), ..Options::default() };
         let mut estimator = Estimator::new(&naive, options)?;
         let mut random = StdRng::seed_from_u64(self.seed);
-        let mut turns = Vec::with_capacity(poses.len());
+        let mut cycles = Vec::with_capacity(poses.len());
         let mut controller = naive;
         for (index, &desired) in (0u64..).zip(poses) {
             let command = controller.command(desired);
             let reached = self.plant.forward(&command)?.configuration;
             let noise = command.map(|_| StandardNormal.sample(&mut random)) * self.sd_encoder_mm;
             let reading = EncoderReading { index, time_s: index as f64, q_mm: command + noise };
-            let measurement = eye.measure(&frame(&self.scene, reached, self.seed.wrapping_add(1 + index))?);
+            let seen = eye.measure(&frame(&self.scene, reached, self.seed.wrapping_add(1 + index))?);
             let measurement = Measurement {
                 index,
                 time_s: Some(reading.time_s),
-                status: measurement.status,
-                measured: measurement.measured,
-                quality: measurement.quality,
+                status: seen.status,
+                measured: seen.measured,
+                quality: seen.quality,
                 view: None,
             };
             estimator.update(&measurement, Some(&reading));
             controller = estimator.model().clone();
-            turns.push(turn(desired, reached, &measurement, controller.estimate, self.table_error_deg(&controller)?));
+            cycles.push(cycle(desired, reached, &measurement, controller.estimate, self.table_error_deg(&controller)?));
             done();
         }
-        Ok((turns, controller))
+        Ok((cycles, controller))
     }
 
     /// What the controller knows at the start: the robot and its friction.
@@ -112,19 +114,19 @@ impl Rehearsal {
         Model { estimate: None, effects: Vec::new(), ..self.plant.clone() }
     }
 
-    /// The rms miss (degrees, as a bend vector) of a controller's table: θ 15–75°, δ once round.
+    /// The rms error (degrees, as a bend vector) of a controller's table: θ 15–75°, δ once round.
     ///
     /// # Errors
     /// A pose that the plant cannot reach.
     pub fn table_error_deg(&self, controller: &Model) -> Result<f64> {
         let grid = (1..=5).flat_map(|t| (0..8).map(move |d| (15.0 * f64::from(t), 45.0 * f64::from(d))));
-        let mut squares = Vec::new();
+        let mut errors = RunningSquares::default();
         for (theta_deg, delta_deg) in grid {
             let desired = Configuration::from_degrees(theta_deg, delta_deg);
             let reached = self.plant.forward(&controller.command(desired))?.configuration;
-            squares.push((reached.bend_vector() - desired.bend_vector()).norm_squared());
+            errors.add((reached.bend_vector() - desired.bend_vector()).norm());
         }
-        Ok((squares.iter().sum::<f64>() / squares.len() as f64).sqrt().to_degrees())
+        Ok(errors.rms().to_degrees())
     }
 
     /// The camera, calibrated from a straight picture.
@@ -147,16 +149,16 @@ fn frame(scene: &Scene, psi: Configuration, seed: u64) -> Result<Frame> {
         .ok_or(Error::Scene("lens: the picture must have pixels"))
 }
 
-fn turn(
+fn cycle(
     desired: Configuration,
     reached: Configuration,
     measurement: &Measurement,
     estimate: Option<Estimate>,
     table_error_deg: f64,
-) -> Turn {
+) -> Cycle {
     let ok = measurement.status == Status::Ok;
     let measured: Option<Measured> = measurement.measured.filter(|_| ok);
-    Turn {
+    Cycle {
         index: measurement.index,
         desired_theta_deg: desired.theta_deg(),
         desired_delta_deg: desired.delta_deg(),
@@ -182,21 +184,21 @@ mod tests {
     #[test]
     fn the_error_falls_once_the_eye_has_seen_a_few_bends() {
         let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
-        let rehearsal = Rehearsal {
+        let simulation = ClosedLoop {
             plant: Model { estimate: Some(estimate), ..Model::default() },
             scene: Scene::default(),
             grid_pitch_mm: 1.0,
             sd_encoder_mm: 0.0015,
             seed: 3,
         };
-        let naive = rehearsal.table_error_deg(&rehearsal.naive()).unwrap();
-        assert!(rehearsal.table_error_deg(&rehearsal.plant).unwrap() < 1e-6);
+        let naive = simulation.table_error_deg(&simulation.naive()).unwrap();
+        assert!(simulation.table_error_deg(&simulation.plant).unwrap() < 1e-6);
         let poses = [(30.0, 20.0), (55.0, 160.0), (70.0, 0.0)].map(|(t, d)| Configuration::from_degrees(t, d));
-        let (turns, model) = rehearsal.run(&poses, &|| ()).unwrap();
-        assert!(turns.iter().all(|turn| turn.status == "ok"), "{turns:?}");
-        assert!((turns[0].table_error_deg - naive).abs() < 1e-9 && naive > 3.0, "one measurement pins nothing");
-        assert!(turns[2].table_error_deg < 0.1 * naive, "{naive}° at first, {}° at last", turns[2].table_error_deg);
-        assert!(turns[0].error_deg > 2.0 && turns[2].error_deg < 0.7, "{turns:?}");
+        let (cycles, model) = simulation.run(&poses, &|| ()).unwrap();
+        assert!(cycles.iter().all(|cycle| cycle.status == "ok"), "{cycles:?}");
+        assert!((cycles[0].table_error_deg - naive).abs() < 1e-9 && naive > 3.0, "one measurement pins nothing");
+        assert!(cycles[2].table_error_deg < 0.1 * naive, "{naive}° at first, {}° at last", cycles[2].table_error_deg);
+        assert!(cycles[0].error_deg > 2.0 && cycles[2].error_deg < 0.7, "{cycles:?}");
         assert!((model.estimate.unwrap().eta - 1.221).abs() < 0.03);
     }
 }

@@ -21,6 +21,8 @@ pub use halves::Halves;
 
 use super::{Board, Lens, opencv, read_frame};
 use crate::error::{DataError, Error, Result};
+use crate::statistics::moments;
+use crate::statistics::order::{mad_scale, median};
 use fit::{Fit, parameters};
 use halves::{halves, predicted_deg};
 use nalgebra::{Point2, SMatrix, Vector2, Vector3};
@@ -153,14 +155,13 @@ fn find(path: &Path, board: &Board) -> Result<Found> {
 }
 
 fn rms<'a>(residuals: impl Iterator<Item = &'a Vector2<f64>>) -> f64 {
-    let (sum, count) = residuals.fold((0.0, 0), |(sum, count), r| (sum + r.norm_squared(), count + 1));
-    (sum / f64::from(count)).sqrt()
+    moments::rms(residuals.map(Vector2::norm))
 }
 
 fn board_views(paths: impl Iterator<Item = PathBuf>, fit: &Fit) -> Vec<BoardView> {
     let view_rms: Vec<f64> = fit.residuals.iter().map(|view| rms(view.iter())).collect();
-    let middle = median(view_rms.clone());
-    let spread = 1.4826 * median(view_rms.iter().map(|r| (r - middle).abs()).collect());
+    let middle = median(&mut view_rms.clone());
+    let spread = mad_scale(view_rms.iter().map(|r| r - middle));
     paths
         .zip(&fit.residuals)
         .zip(&fit.camera_from_board)
@@ -173,16 +174,6 @@ fn board_views(paths: impl Iterator<Item = PathBuf>, fit: &Fit) -> Vec<BoardView
             outlier: rms_px > OUTLIER_RATIO * middle && rms_px > middle + OUTLIER_SIGMAS * spread,
         })
         .collect()
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let half = values.len() / 2;
-    match values.len() {
-        0 => f64::NAN,
-        n if n % 2 == 1 => values[half],
-        _ => (values[half - 1] + values[half]) / 2.0,
-    }
 }
 
 /// The share of the picture's [`CELLS`] with a corner in them.

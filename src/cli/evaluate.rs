@@ -3,8 +3,9 @@
 use super::console::Console;
 use super::inputs::{measurements_and_readings, model_or_paper, rows};
 use crate::cli::failure::Failure;
+use crate::estimate::accuracy::{Accuracy, AngleScore, accuracy};
+use crate::estimate::gap::{Gap, gap};
 use crate::record::read_truth;
-use crate::simulate::score::{self, Accuracy, AngleScore, Gap};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -48,7 +49,7 @@ impl Args {
         let gap = match &self.encoders {
             None => None,
             Some(path) => {
-                let gap = score::gap(&model, &measurements, &readings);
+                let gap = gap(&model, &measurements, &readings);
                 if gap.samples == 0 {
                     let message = "no measurement with angles has an encoder reading of the same index in this file";
                     return Err(Error::content(path, message).into());
@@ -59,7 +60,7 @@ impl Args {
         let accuracy = match &self.truth {
             None => None,
             Some(path) => {
-                let accuracy = score::accuracy(&measurements, &rows(console, read_truth(path)?));
+                let accuracy = accuracy(&measurements, &rows(console, read_truth(path)?));
                 if accuracy.frames == 0 {
                     return Err(Error::content(path, "no measurement has the index of a frame in this file").into());
                 }

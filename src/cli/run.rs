@@ -11,6 +11,7 @@ use super::table::largest_correction_mm;
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::estimate::estimate_each;
+use crate::estimate::gap::{Gap, gap_of};
 use crate::observation::EncoderReading;
 use crate::record::{
     Checked, Experiment, MeasurementRows, PendingFile, Warning, estimate_line, estimates_header, write_atomically,
@@ -19,7 +20,6 @@ use crate::record::{
 use crate::report::run_history::RunHistory;
 use crate::report::run_page::Report;
 use crate::robot::{Grid, Model};
-use crate::simulate::score::{self, Gap};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -151,8 +151,8 @@ pub fn finish(
         frames: count.frames,
         statuses: count.statuses,
         estimated,
-        gap: score::gap_of(&model, rows()?, encoders)?,
-        naive_gap: score::gap_of(&naive, rows()?, encoders)?,
+        gap: gap_of(&model, rows()?, encoders)?,
+        naive_gap: gap_of(&naive, rows()?, encoders)?,
         poses: table.len(),
         largest_correction_mm: largest_correction_mm(&table),
         throughput,

@@ -4,7 +4,7 @@ use super::console::Console;
 use super::inputs::{model_or_paper, rows, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
-use crate::closed_loop::Rehearsal;
+use crate::closed_loop::ClosedLoop;
 use crate::observation::Waypoint;
 use crate::record::{
     csv_of, encoders_csv, measurements_csv, read_trajectory, truth_csv, write_atomically, write_compensation,
@@ -126,7 +126,7 @@ impl Args {
     fn close_the_loop(&self, console: &Console, plant: Model, trajectory: &[Waypoint]) -> Result<()> {
         let clean = || Ok(Scene { robot: plant.robot.clone(), ..Scene::default() });
         let scene = self.scene.as_deref().map_or_else(clean, Scene::read)?;
-        let rehearsal = Rehearsal {
+        let simulation = ClosedLoop {
             plant,
             grid_pitch_mm: scene.grid_pitch_mm()?,
             scene,
@@ -135,20 +135,20 @@ impl Args {
         };
         let poses: Vec<_> = trajectory.iter().map(|waypoint| waypoint.configuration).collect();
         let bar = console.progress(Some(poses.len()), "closing the loop");
-        let (turns, model) = rehearsal.run(&poses, &|| bar.inc(1))?;
+        let (cycles, model) = simulation.run(&poses, &|| bar.inc(1))?;
         bar.finish_and_clear();
-        let first = rehearsal.table_error_deg(&rehearsal.naive())?;
-        self.write("closed_loop.csv", &csv_of(&turns)?)?;
-        if let Some(svg) = learning_curve(first, &turns) {
+        let first = simulation.table_error_deg(&simulation.naive())?;
+        self.write("closed_loop.csv", &csv_of(&cycles)?)?;
+        if let Some(svg) = learning_curve(first, &cycles) {
             self.write("closed_loop.svg", &svg)?;
         }
         let model_path = self.output.join("model.toml");
         write_model(&model_path, &model)?;
         write_compensation(&self.output, &model, &model_path.display().to_string(), &Grid::default())?;
         let summary = Closed {
-            frames: turns.len(),
+            frames: cycles.len(),
             table_error_before_deg: first,
-            table_error_after_deg: turns.last().map_or(first, |turn| turn.table_error_deg),
+            table_error_after_deg: cycles.last().map_or(first, |cycle| cycle.table_error_deg),
             eta: model.estimate.map(|estimate| estimate.eta),
             lambda_mm: model.estimate.map(|estimate| estimate.lambda_mm),
             output: self.output.clone(),

@@ -3,8 +3,8 @@
 use super::fit::Fit;
 use super::residuals::Problem;
 use super::sweeps::FOLDS;
+use crate::estimate::gap::LEAST_THETA_FOR_DELTA;
 use crate::robot::PerBackbone;
-use crate::simulate::score::LEAST_THETA_FOR_DELTA;
 use crate::statistics::moments::rms;
 use rayon::prelude::*;
 

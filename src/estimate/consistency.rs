@@ -6,11 +6,16 @@
 //! promise, so that a model that is wrong in one, by microns that matter only against the encoders' noise, leaves the other's
 //! sigma alone.
 //!
-//! A part's variance is inflated by the reduced χ², where that is above 1, and by (1 + ρ)/(1 − ρ) with ρ the correlation
-//! of one residual with the next: errors that last from frame to frame average out more slowly than independent ones.
+//! A part's variance is inflated by the reduced χ², where that is above 1, and by the design effect of the correlation of one
+//! residual with the next ([`SerialScatter::variance_inflation`]): errors that last from frame to frame average out more slowly than
+//! independent ones.
+//!
+//! Source: the normalised innovation squared of Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
+//! Navigation*, Wiley 2001, ch. 5.4.
 
-use super::Row;
-use nalgebra::{Matrix2, Matrix3, SMatrix, Vector1, Vector2, Vector3};
+use super::LinearisedMeasurement;
+use crate::statistics::correlation::SerialScatter;
+use nalgebra::{Matrix2, Matrix3, Vector1, Vector2, Vector3};
 
 /// One residual, split into its parts and divided by what their covariances promise.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -22,7 +27,7 @@ pub struct Whitened {
 }
 
 impl Whitened {
-    /// Splits and whitens a row's residual (mm) of a given covariance (mm²); `None` where that is not positive definite.
+    /// Splits and whitens a residual (mm) of a given covariance (mm²); `None` where that is not positive definite.
     pub fn new(residual: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<Self> {
         let lower = covariance.fixed_view::<2, 2>(0, 0).into_owned().cholesky()?.l();
         Some(Self {
@@ -30,58 +35,30 @@ impl Whitened {
             common: residual.z / covariance[(2, 2)].sqrt(),
         })
     }
-}
 
-/// Sums over the residuals of one part, of D numbers each.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Scatter<const D: usize> {
-    squares: f64,
-    degrees_of_freedom: f64,
-    with_the_last: f64,
-    last: SMatrix<f64, D, 1>,
-}
-
-impl<const D: usize> Scatter<D> {
-    fn new(parameters: usize) -> Self {
-        Self { squares: 0.0, degrees_of_freedom: -(parameters as f64), with_the_last: 0.0, last: SMatrix::zeros() }
-    }
-
-    fn add(&mut self, residual: SMatrix<f64, D, 1>) {
-        self.squares += residual.norm_squared();
-        self.degrees_of_freedom += D as f64;
-        self.with_the_last += residual.dot(&self.last);
-        self.last = residual;
-    }
-
-    fn fade(&mut self, keep: f64) {
-        self.squares *= keep;
-        self.degrees_of_freedom *= keep;
-        self.with_the_last *= keep;
-    }
-
-    fn reduced_chi_square(&self) -> f64 {
-        if self.degrees_of_freedom > 0.0 { self.squares / self.degrees_of_freedom } else { 1.0 }
-    }
-
-    fn inflation(&self) -> f64 {
-        let correlation = if self.squares > 0.0 { (self.with_the_last / self.squares).clamp(0.0, 0.9) } else { 0.0 };
-        self.reduced_chi_square().max(1.0) * (1.0 + correlation) / (1.0 - correlation)
+    /// The innovation of a measurement that had no part in an estimate x with its covariance.
+    pub fn innovation(linearised: &LinearisedMeasurement, x: &Vector2<f64>, covariance: &Matrix2<f64>) -> Option<Self> {
+        let predicted = linearised.h * covariance * linearised.h.transpose() + linearised.covariance;
+        Self::new(&linearised.residual(x), &predicted)
     }
 }
 
 /// The running comparison of residuals with their promised covariances.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Consistency {
-    bending: Scatter<2>,
-    common: Scatter<1>,
+    bending: SerialScatter<2>,
+    common: SerialScatter<1>,
 }
 
 impl Consistency {
-    /// Of the residuals that a fit of η and λ leaves of its own rows.
-    pub(super) fn of_fit<'a>(x: &Vector2<f64>, rows: impl IntoIterator<Item = &'a Row>) -> Self {
-        let mut consistency = Self { bending: Scatter::new(1), common: Scatter::new(1) };
-        for row in rows {
-            if let Some(whitened) = Whitened::new(&row.residual(x), &row.covariance) {
+    /// Of the residuals that a fit of η and λ leaves of its own measurements.
+    pub(super) fn of_fit<'a>(
+        x: &Vector2<f64>,
+        measurements: impl IntoIterator<Item = &'a LinearisedMeasurement>,
+    ) -> Self {
+        let mut consistency = Self { bending: SerialScatter::new(1), common: SerialScatter::new(1) };
+        for linearised in measurements {
+            if let Some(whitened) = Whitened::new(&linearised.residual(x), &linearised.covariance) {
                 consistency.add(&whitened);
             }
         }
@@ -94,10 +71,10 @@ impl Consistency {
         self.common.add(Vector1::new(whitened.common));
     }
 
-    /// Fading memory, as in [`Filter::fade`](super::Filter::fade).
-    pub(super) fn fade(&mut self, keep: f64) {
-        self.bending.fade(keep);
-        self.common.fade(keep);
+    /// Multiplies all sums so far by the forgetting factor.
+    pub(super) fn forget(&mut self, factor: f64) {
+        self.bending.forget(factor);
+        self.common.forget(factor);
     }
 
     /// Reduced χ² of the bending part: about 1 where the camera's sigmas are right and the model holds.
@@ -112,8 +89,9 @@ impl Consistency {
 
     /// A covariance of (η, λ) as promised, inflated to what the residuals show.
     pub(super) fn inflate(&self, covariance: &Matrix2<f64>) -> Matrix2<f64> {
-        let scale =
-            Matrix2::from_diagonal(&Vector2::new(self.bending.inflation(), self.common.inflation()).map(f64::sqrt));
+        let scale = Matrix2::from_diagonal(
+            &Vector2::new(self.bending.variance_inflation(), self.common.variance_inflation()).map(f64::sqrt),
+        );
         scale * covariance * scale
     }
 }
@@ -139,19 +117,5 @@ mod tests {
             sums[2] += whitened.common.powi(2);
         }
         assert!(sums.iter().all(|sum| (sum / f64::from(draws) - 1.0).abs() < 0.05), "{sums:?}");
-    }
-
-    #[test]
-    fn errors_that_last_inflate_the_mean_as_they_should() {
-        // The mean of an autoregressive series with ρ = 0.6 has (1 + ρ)/(1 − ρ) = 4 times the variance of white noise.
-        let mut random = rand::rngs::StdRng::seed_from_u64(6);
-        let mut scatter = Scatter::<1>::new(1);
-        let mut value = 0.0;
-        for _ in 0..20_000 {
-            let fresh: f64 = StandardNormal.sample(&mut random);
-            value = 0.6 * value + 0.8 * fresh;
-            scatter.add(Vector1::new(value));
-        }
-        assert!((scatter.inflation() - 4.0).abs() < 0.3, "{}", scatter.inflation());
     }
 }

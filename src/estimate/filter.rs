@@ -1,223 +1,140 @@
-//! The recursion of Eq. 19 in square-root information form.
+//! The recursion of Eq. 19 as a square-root information filter of x = (η, λ).
 //!
-//! The filter keeps the upper triangle U and y with UᵗU = Σ HᵗR⁻¹H and Uᵗy = Σ HᵗR⁻¹z over all rows so far; a new row, whitened by its
-//! own covariance R, is stacked below and the triangle restored by orthogonal rotations (Bierman, *Factorization Methods for
-//! Discrete Sequential Estimation*, 1977, ch. V). Eq. 19's P_k = (HᵗH)⁻¹ over all rows so far is U⁻¹U⁻ᵗ, symmetric and positive by
-//! construction, and x̂ = U⁻¹y is what Eq. 19 arrives at. There is no prior: the first rows alone make the first estimate.
+//! Eq. 19's P_k = (HᵗR⁻¹H)⁻¹ over all measurements so far and its x̂ are what [`SquareRootInformation`] arrives at; each linearised
+//! measurement is whitened by its own covariance R before it is absorbed. There is no prior: the first measurements alone make the
+//! first estimate.
 
-use super::Row;
-use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2};
+use super::LinearisedMeasurement;
+use crate::statistics::information::SquareRootInformation;
+use nalgebra::{Matrix2, Vector2};
 
 /// The largest standard deviation of η, and of λ in mm, that counts as knowing them: an estimate with more is none.
+///
+/// Convention: as wide as the range in which any robot's η (about 1) and λ (below 1 mm) are looked for.
 const KNOWN_SD: f64 = 1.0;
-/// The standard deviation, likewise, at which fading memory stops to forget.
-const FADED_SD: f64 = 0.5;
+/// The standard deviation, likewise, at which forgetting stops.
+///
+/// Convention: half of [`KNOWN_SD`], so that an estimate that was known does not cease to be while nothing excites it.
+const FORGOTTEN_SD: f64 = 0.5;
 
-/// What all rows so far say about x = (η, λ).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Filter {
-    upper: Matrix2<f64>,
-    y: Vector2<f64>,
-    rows: usize,
+/// What all measurements so far say about x = (η, λ).
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct InformationFilter {
+    information: SquareRootInformation<2>,
+    measurements: usize,
 }
 
-impl Default for Filter {
-    /// Nothing known.
-    fn default() -> Self {
-        Self { upper: Matrix2::zeros(), y: Vector2::zeros(), rows: 0 }
-    }
-}
-
-impl Filter {
-    /// What these rows say together.
-    pub fn of<'a>(rows: impl IntoIterator<Item = &'a Row>) -> Self {
-        rows.into_iter().fold(Self::default(), |mut filter, row| {
-            filter.absorb(row);
+impl InformationFilter {
+    /// What these measurements say together.
+    pub fn of<'a>(measurements: impl IntoIterator<Item = &'a LinearisedMeasurement>) -> Self {
+        measurements.into_iter().fold(Self::default(), |mut filter, linearised| {
+            filter.absorb(linearised);
             filter
         })
     }
 
-    /// Adds a row. One whose covariance is not positive definite, or whose numbers or their squares are not all finite, says
-    /// nothing and changes nothing.
-    pub fn absorb(&mut self, row: &Row) {
-        let Some(factor) = row.covariance.cholesky() else { return };
-        let whitened_h = factor.l_dirty().solve_lower_triangular(&row.h);
-        let whitened_z = factor.l_dirty().solve_lower_triangular(&row.z);
-        let (Some(h), Some(z)) = (whitened_h, whitened_z) else { return };
-        let mut stacked = SMatrix::<f64, 5, 3>::zeros();
-        stacked.fixed_view_mut::<2, 2>(0, 0).copy_from(&self.upper);
-        stacked.fixed_view_mut::<2, 1>(0, 2).copy_from(&self.y);
-        stacked.fixed_view_mut::<3, 2>(2, 0).copy_from(&h);
-        stacked.fixed_view_mut::<3, 1>(2, 2).copy_from(&z);
-        let triangle = stacked.qr().r();
-        // Where the row, or the square of a number in it, is not finite.
-        if !triangle.iter().all(|value| value.is_finite()) {
-            return;
+    /// Adds a measurement. One whose covariance is not positive definite, or whose numbers or their squares are not all finite,
+    /// says nothing and changes nothing.
+    pub fn absorb(&mut self, linearised: &LinearisedMeasurement) {
+        let Some(factor) = linearised.covariance.cholesky() else { return };
+        let h = factor.l_dirty().solve_lower_triangular(&linearised.h);
+        let z = factor.l_dirty().solve_lower_triangular(&linearised.z);
+        let (Some(h), Some(z)) = (h, z) else { return };
+        if self.information.absorb(&h, &z) {
+            self.measurements += 1;
         }
-        self.restore(triangle);
-        self.rows += 1;
     }
 
-    /// Adds what other rows say: UᵗU and Uᵗy of both are summed, so that the order of rows and of parts makes no difference but
-    /// rounding.
-    pub fn join(&mut self, other: &Self) {
-        let mut stacked = SMatrix::<f64, 4, 3>::zeros();
-        for (at, part) in [(0, &*self), (2, other)] {
-            stacked.fixed_view_mut::<2, 2>(at, 0).copy_from(&part.upper);
-            stacked.fixed_view_mut::<2, 1>(at, 2).copy_from(&part.y);
-        }
-        self.restore(stacked.qr().r());
-        self.rows += other.rows;
+    /// Multiplies all information so far by the forgetting factor in (0, 1], but lets no direction's standard deviation grow beyond
+    /// 0.5, see [`SquareRootInformation::forget`]. x̂ does not move.
+    pub fn forget(&mut self, factor: f64) {
+        self.information.forget(factor, FORGOTTEN_SD);
     }
 
-    fn restore(&mut self, triangle: Matrix3<f64>) {
-        self.upper = triangle.fixed_view::<2, 2>(0, 0).into();
-        self.y = triangle.fixed_view::<2, 1>(0, 2).into();
-    }
-
-    /// Fading memory: scales all information so far by `keep` in (0, 1], except along directions where so little is known
-    /// that forgetting more would leave nothing. However long nothing excites a direction, the largest eigenvalue of P
-    /// grows to `FADED_SD`² and stays there, or where it was if it was above. x̂ does not move.
-    ///
-    /// With U = W S Vᵗ, both sides of U x = y are multiplied by D Wᵗ, D being what is kept of each singular value. Nothing is
-    /// squared, so what is barely known survives beside what is known 10⁸ times better.
-    pub fn fade(&mut self, keep: f64) {
-        let svd = self.upper.svd(true, false);
-        let Some(w) = svd.u else { return };
-        let kept = svd.singular_values.map(|value| keep.sqrt().max((1.0 / (FADED_SD * value)).min(1.0)));
-        let faded = Matrix2::from_diagonal(&kept) * w.transpose();
-        let both = faded * Matrix2x3::from_columns(&[self.upper.column(0), self.upper.column(1), self.y.column(0)]);
-        let triangle = both.qr().r();
-        self.upper = triangle.fixed_view::<2, 2>(0, 0).into();
-        self.y = triangle.fixed_view::<2, 1>(0, 2).into();
-    }
-
-    /// x̂ and P, without inflation; `None` while the rows do not pin both parameters.
+    /// x̂ and P, without inflation; `None` while the measurements do not pin both parameters.
     pub fn solution(&self) -> Option<(Vector2<f64>, Matrix2<f64>)> {
-        let inverse = self.upper.solve_upper_triangular(&Matrix2::identity())?;
-        let covariance = inverse * inverse.transpose();
-        let known = covariance.diagonal().iter().all(|variance| *variance < KNOWN_SD.powi(2));
-        known.then(|| (inverse * self.y, covariance))
+        let known = |p: &Matrix2<f64>| p.diagonal().iter().all(|variance| *variance < KNOWN_SD.powi(2));
+        self.information.solution().filter(|(_, covariance)| known(covariance))
     }
 
-    /// How many rows were added.
-    pub fn rows(&self) -> usize {
-        self.rows
+    /// How many measurements were added.
+    pub fn measurements(&self) -> usize {
+        self.measurements
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Matrix3x2, Vector3};
+    use nalgebra::{Matrix3, Matrix3x2, Vector3};
     use proptest::prelude::*;
 
-    fn any_row() -> impl Strategy<Value = Row> {
+    fn any_measurement() -> impl Strategy<Value = LinearisedMeasurement> {
         (proptest::array::uniform3(-2.0..2.0f64), proptest::array::uniform3(-1.0..1.0f64), 1e-3..1.0f64).prop_map(
             |(z, elastic, sd)| {
                 let h = Matrix3x2::from_columns(&[Vector3::from(elastic), Vector3::repeat(1.0)]);
                 let skew = Vector3::from(elastic) * sd;
-                Row { z: z.into(), h, covariance: Matrix3::identity() * sd.powi(2) + skew * skew.transpose() }
+                let covariance = Matrix3::identity() * sd.powi(2) + skew * skew.transpose();
+                LinearisedMeasurement { z: z.into(), h, covariance }
             },
         )
     }
 
-    /// The normal equations over all rows at once, in plain form.
-    fn batch(rows: &[Row], keep: f64) -> (Vector2<f64>, Matrix2<f64>) {
-        let mut information = Matrix2::zeros();
-        let mut right = Vector2::zeros();
-        for (age, row) in rows.iter().rev().enumerate() {
-            let weight = row.covariance.try_inverse().unwrap() * keep.powi(age as i32);
-            information += row.h.transpose() * weight * row.h;
-            right += row.h.transpose() * weight * row.z;
+    /// A measurement of a straight snake: λ = 0.2 mm, nothing of η.
+    fn straight() -> LinearisedMeasurement {
+        LinearisedMeasurement {
+            z: Vector3::repeat(0.2),
+            h: Matrix3x2::from_columns(&[Vector3::zeros(), Vector3::repeat(1.0)]),
+            covariance: Matrix3::identity() * 1e-4,
         }
-        let covariance = information.try_inverse().unwrap();
-        (covariance * right, covariance)
     }
 
     proptest! {
         #[test]
-        fn recursion_and_batch_agree(rows in proptest::collection::vec(any_row(), 2..60)) {
-            let (x, covariance) = batch(&rows, 1.0);
-            prop_assume!(covariance.diagonal().max() < 0.9);
-            let (ours, p) = Filter::of(&rows).solution().unwrap();
-            prop_assert!((ours - x).norm() <= 1e-9 * x.norm(), "{ours} {x}");
-            prop_assert!((p - covariance).norm() <= 1e-9 * covariance.norm());
-        }
-
-        #[test]
-        fn parts_joined_in_any_order_are_the_recursion_over_all(
-            rows in proptest::collection::vec(any_row(), 4..60), parts in 1..9usize
-        ) {
-            let whole = Filter::of(&rows);
-            let Some((x, covariance)) = whole.solution() else { return Ok(()) };
-            prop_assume!(covariance.diagonal().max() < 0.9);
-            let mut joined = Filter::default();
-            for part in (0..parts).rev() {
-                joined.join(&Filter::of(rows.iter().skip(part).step_by(parts)));
-            }
-            let (ours, p) = joined.solution().unwrap();
-            prop_assert!((ours - x).norm() <= 1e-9 * x.norm(), "{ours} {x}");
-            prop_assert!((p - covariance).norm() <= 1e-9 * covariance.norm());
-            prop_assert_eq!(joined.rows(), whole.rows());
-        }
-
-        #[test]
-        fn fading_memory_is_a_batch_with_fading_weights(rows in proptest::collection::vec(any_row(), 20..60)) {
-            let keep = 0.95;
-            let mut filter = Filter::default();
+        fn recursion_and_weighted_batch_agree(rows in proptest::collection::vec(any_measurement(), 2..60)) {
+            let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
             for row in &rows {
-                filter.fade(keep);
-                filter.absorb(row);
+                let weight = row.covariance.try_inverse().unwrap();
+                information += row.h.transpose() * weight * row.h;
+                right += row.h.transpose() * weight * row.z;
             }
-            let (x, covariance) = batch(&rows, keep);
-            prop_assume!(covariance.diagonal().max() < 0.5);
-            let (ours, p) = filter.solution().unwrap();
-            // The floor of what is kept plays a part only while next to nothing is known.
-            prop_assert!((ours - x).norm() < 0.05 * (1.0 + x.norm()));
-            prop_assert!((p - covariance).norm() < 0.3 * covariance.norm());
+            let covariance = information.try_inverse().unwrap();
+            prop_assume!(covariance.diagonal().max() < 0.9);
+            let (ours, p) = InformationFilter::of(&rows).solution().unwrap();
+            prop_assert!((ours - covariance * right).norm() <= 1e-9 * ours.norm(), "{ours}");
+            prop_assert!((p - covariance).norm() <= 1e-9 * covariance.norm());
         }
 
         #[test]
-        fn the_covariance_stays_symmetric_positive_and_bounded(
-            rows in proptest::collection::vec(any_row(), 2..20), keep in 0.01..0.999f64
+        fn the_covariance_stays_positive_and_bounded_while_only_lambda_is_excited(
+            rows in proptest::collection::vec(any_measurement(), 2..20), factor in 0.01..0.999f64
         ) {
-            // After some rows, a long time in which only λ is excited.
-            let mut filter = Filter::of(&rows);
-            prop_assume!(filter.solution().is_some_and(|(_, p)| p.symmetric_eigenvalues().max() < FADED_SD.powi(2)));
+            let largest = |filter: &InformationFilter| {
+                filter.information.solution().map(|(_, p)| p.symmetric_eigenvalues())
+            };
+            let mut filter = InformationFilter::of(&rows);
+            prop_assume!(largest(&filter).is_some_and(|own| own.max() < FORGOTTEN_SD.powi(2)));
             for _ in 0..2000 {
-                filter.fade(keep);
-                filter.absorb(&Row {
-                    z: Vector3::repeat(0.2),
-                    h: Matrix3x2::from_columns(&[Vector3::zeros(), Vector3::repeat(1.0)]),
-                    covariance: Matrix3::identity() * 1e-4,
-                });
+                filter.forget(factor);
+                filter.absorb(&straight());
             }
-            let information = filter.upper.transpose() * filter.upper;
-            let p = information.try_inverse().unwrap();
-            prop_assert!(p[(0, 1)] == p[(1, 0)] || (p[(0, 1)] - p[(1, 0)]).abs() < 1e-12);
-            prop_assert!(p.symmetric_eigenvalues().min() > 0.0);
-            prop_assert!(p.symmetric_eigenvalues().max() <= (1.0 + 1e-9) * FADED_SD.powi(2), "{p}");
-            prop_assert!((filter.upper.solve_upper_triangular(&filter.y).unwrap().y - 0.2).abs() < 1e-3);
+            let own = largest(&filter).unwrap();
+            prop_assert!(own.min() > 0.0 && own.max() <= (1.0 + 1e-9) * FORGOTTEN_SD.powi(2), "{own}");
+            prop_assert!((filter.solution().unwrap().0.y - 0.2).abs() < 1e-3);
         }
     }
 
     #[test]
     fn a_straight_snake_alone_tells_nothing_of_eta() {
-        let row = Row {
-            z: Vector3::repeat(0.2),
-            h: Matrix3x2::from_columns(&[Vector3::zeros(), Vector3::repeat(1.0)]),
-            covariance: Matrix3::identity() * 1e-4,
-        };
-        assert!(Filter::of(&[row, row, row]).solution().is_none());
+        assert!(InformationFilter::of(&[straight(), straight(), straight()]).solution().is_none());
     }
 
     #[test]
-    fn a_row_without_a_proper_covariance_changes_nothing() {
-        let mut filter = Filter::default();
-        let h = Matrix3x2::repeat(1.0);
-        filter.absorb(&Row { z: Vector3::zeros(), h, covariance: Matrix3::zeros() });
-        filter.absorb(&Row { z: Vector3::zeros(), h, covariance: Matrix3::repeat(f64::NAN) });
-        assert_eq!(filter, Filter::default());
+    fn a_measurement_without_a_proper_covariance_changes_nothing() {
+        let mut filter = InformationFilter::default();
+        let bad = |covariance| LinearisedMeasurement { z: Vector3::zeros(), h: Matrix3x2::repeat(1.0), covariance };
+        filter.absorb(&bad(Matrix3::zeros()));
+        filter.absorb(&bad(Matrix3::repeat(f64::NAN)));
+        assert_eq!(filter, InformationFilter::default());
     }
 }

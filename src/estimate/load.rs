@@ -7,7 +7,7 @@
 //! ```
 //!
 //! linear in the force F (N, in {b}) that the environment applies at the centre of the end disk's far face. The noise is that of a
-//! [`Row`](super::Row); the errors of η and λ are common to all measurements and estimated beside F, held by their covariance.
+//! [`LinearisedMeasurement`](super::LinearisedMeasurement); the errors of η and λ are common to all measurements and estimated beside F, held by their covariance.
 //!
 //! # What cannot be seen
 //!
@@ -16,8 +16,9 @@
 //! force have different blind directions and together see all three. A direction along which the force would be known to no
 //! better than [`BLIND_SD_N`] counts as unseen; the force has no part along it, and its covariance says nothing there.
 
-use super::estimator::usable;
-use super::row::{bend_covariance, by_parameters};
+use super::linearised::{bend_covariance, by_parameters};
+use super::options::check_sd_encoder;
+use super::usable::usable;
 use super::without_effects;
 use crate::error::{ArgumentError, DataError, Result};
 use crate::geometry::Configuration;
@@ -26,7 +27,9 @@ use crate::robot::{Model, PerBackbone};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
 use std::collections::HashMap;
 
-/// The standard deviation, N, from which a direction counts as unseen: more than such a snake bears.
+/// The standard deviation, N, from which a direction counts as unseen.
+///
+/// Convention: ten newtons are more than such a snake bears, so that a force known no better is not known.
 pub const BLIND_SD_N: f64 = 10.0;
 
 /// A force on the tip, and how well it is known.
@@ -64,15 +67,16 @@ pub struct ForceRow {
     pub reason: Option<String>,
 }
 
-/// What measurements say together about one force.
+/// The normal equations of one force F beside η and λ, summed over measurements: information and right-hand side of each, and the
+/// information that they share.
 #[derive(Debug, Clone)]
-struct Gathered {
+struct NormalEquations {
     force: (Matrix3<f64>, Vector3<f64>),
     parameters: (Matrix2<f64>, Vector2<f64>),
     both: Matrix3x2<f64>,
 }
 
-impl Gathered {
+impl NormalEquations {
     fn new(model: &Model) -> Self {
         // η and λ that are known exactly have no covariance to invert; they are then not estimated.
         let prior = model.parameter_covariance().try_inverse().unwrap_or_default();
@@ -84,7 +88,7 @@ impl Gathered {
         let psi = measured.configuration;
         let bend = psi.bend_vector();
         let slope = model.robot.displacement_by_bend() + model.epsilon_by_bend(bend);
-        // As in a row, the bend and the common part hold all that there is.
+        // The bend and the common part hold all that there is.
         let parts = |q_mm: PerBackbone| model.robot.bend_and_common(&q_mm);
         let slope = Matrix3x2::from_columns(&[0, 1].map(|axis| parts(slope.column(axis))));
         let covariance =
@@ -145,14 +149,12 @@ pub fn tip_force(
     if model.estimate.is_none() {
         return Err(ArgumentError::NoEstimate { what: "a force" }.into());
     }
-    if !(sd_encoder_mm > 0.0 && sd_encoder_mm <= 10.0) {
-        return Err(ArgumentError::out_of_range("encoder noise", sd_encoder_mm, " mm", "above 0 and at most 10").into());
-    }
+    check_sd_encoder(sd_encoder_mm)?;
     let (measurements, readings) = without_effects(model, measurements, readings);
     let plain = model.plain();
     let known = plain.parameter_covariance().try_inverse().is_none();
     let readings: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
-    let mut all = Gathered::new(&plain);
+    let mut all = NormalEquations::new(&plain);
     let mut used = 0;
     let rows = measurements
         .iter()
@@ -161,7 +163,7 @@ pub fn tip_force(
             let found = usable.map(|(measured, q_tilde)| {
                 used += 1;
                 all.add(&plain, sd_encoder_mm, &measured, &q_tilde);
-                let mut alone = Gathered::new(&plain);
+                let mut alone = NormalEquations::new(&plain);
                 alone.add(&plain, sd_encoder_mm, &measured, &q_tilde);
                 alone.solved(known)
             });

@@ -3,15 +3,19 @@
 use crate::geometry::{Configuration, sinc};
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Robot;
+use crate::statistics::order::mad_scale;
 use nalgebra::{Matrix2x3, Matrix3, Rotation2, Vector2, Vector3};
 use std::collections::HashMap;
 use std::f64::consts::PI;
 
-/// The median of |x| of a normal x is this share of its standard deviation.
-const MEDIAN_BY_SD: f64 = 0.6745;
 /// Fewer steps than this say nothing about noise.
+///
+/// Convention: the standard error of a scale by the MAD is 1.17/√n of it (Rousseeuw and Croux 1993), 40 % here; such a sigma is still
+/// better than one from nowhere.
 const LEAST_STEPS: usize = 8;
-/// What is assumed where nothing can be said: the repeatability that the paper states, rad (0.5°).
+/// What is assumed where nothing can be said, rad (0.5°).
+///
+/// Source: the repeatability that the paper states above Eq. 22.
 const REPEATABILITY: f64 = 0.5 * PI / 180.0;
 
 /// Gives measurements without sigmas (NaN) those that their own scatter shows, and says so in words.
@@ -71,12 +75,8 @@ fn scatter(measurements: &[Measurement], readings: &[EncoderReading]) -> Option<
         Vector2::new(step.x, step.y * sinc(psi.theta))
     };
     let steps: Vec<Vector2<f64>> = (1..left.len()).map(|k| turned(k, pairs[k].3)).collect();
-    let sd = |part: fn(&Vector2<f64>) -> f64| {
-        let mut sizes: Vec<f64> = steps.iter().map(|step| part(step).abs()).collect();
-        sizes.sort_by(f64::total_cmp);
-        // Two measurements' noise is in a step.
-        sizes[sizes.len() / 2] / (MEDIAN_BY_SD * 2f64.sqrt())
-    };
+    // Two measurements' noise is in a step.
+    let sd = |part: fn(&Vector2<f64>) -> f64| mad_scale(steps.iter().map(part)) / 2f64.sqrt();
     let (along, across) = (sd(|step| step.x), sd(|step| step.y));
     (along > 0.0 && across > 0.0).then_some((along, across))
 }

@@ -12,9 +12,10 @@
 
 use super::bending::{REPEATABILITY_DEG, paper_model, ten_poses};
 use super::{Comparison, PAPER_ETA, PAPER_LAMBDA_MM};
-use crate::estimate::{Filter, Row};
+use crate::estimate::{InformationFilter, LinearisedMeasurement};
 use crate::geometry::Configuration;
 use crate::robot::{Model, PerBackbone};
+use crate::statistics::moments::{mean, rms};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, RowVector2, Vector2};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
@@ -71,8 +72,7 @@ pub fn table_iii(seed: u64) -> Vec<RecursionStep> {
         .map(|k| {
             let after = shown[k];
             let off = |value: fn(Vector2<f64>) -> f64| {
-                let squares = repeats.iter().filter_map(|run| Some(value(run[k]?.0).powi(2)));
-                after.map(|_| (squares.sum::<f64>() / REPEATS as f64).sqrt())
+                after.map(|_| rms(repeats.iter().filter_map(|run| Some(value(run[k]?.0)))))
             };
             RecursionStep {
                 measurement: k + 1,
@@ -96,7 +96,7 @@ fn experiment(seed: u64) -> AfterEach {
     let mut random = StdRng::seed_from_u64(seed);
     let plant = paper_model();
     let known = Model { estimate: None, ..plant.clone() };
-    let mut filter = Filter::default();
+    let mut filter = InformationFilter::default();
     ten_poses()
         .into_iter()
         .map(|truth| {
@@ -104,17 +104,17 @@ fn experiment(seed: u64) -> AfterEach {
             let noise = Vector2::from_fn(|_, _| -> f64 { StandardNormal.sample(&mut random) });
             let seen = truth.bend_vector() + noise * REPEATABILITY_DEG.to_radians();
             filter.absorb(&row(&known, Configuration::from_bend_vector(seen), &q_tilde));
-            filter.solution().filter(|_| filter.rows() > 1)
+            filter.solution().filter(|_| filter.measurements() > 1)
         })
         .collect()
 }
 
-/// Eq. 20's row with the paper's flat σ.
-fn row(model: &Model, psi: Configuration, q_tilde: &PerBackbone) -> Row {
+/// Eq. 20's equations of a measurement with the paper's flat σ.
+fn row(model: &Model, psi: Configuration, q_tilde: &PerBackbone) -> LinearisedMeasurement {
     let parts = |q_mm: PerBackbone| model.robot.bend_and_common(&q_mm);
     let h = model.epsilon_by_parameters(psi.bend_vector());
     let sigma_mm = model.robot.backbone_circle_radius_mm * ASSUMED_SIGMA_DEG.to_radians();
-    Row {
+    LinearisedMeasurement {
         z: parts(*q_tilde - model.robot.joint_displacements(psi) - model.epsilon_fixed()),
         h: Matrix3x2::from_columns(&[0, 1].map(|axis| parts(h.column(axis)))),
         covariance: Matrix3::identity() * sigma_mm.powi(2),
@@ -138,9 +138,7 @@ fn correlation(sign: fn(f64) -> f64) -> f64 {
 
 /// Correlation of the printed pairs.
 fn printed_correlation() -> f64 {
-    let n = TABLE_III.len() as f64;
-    let mean = |value: fn(&(f64, f64)) -> f64| TABLE_III.iter().map(value).sum::<f64>() / n;
-    let (eta, lambda) = (mean(|row| row.0), mean(|row| row.1));
+    let (eta, lambda) = (mean(TABLE_III.iter().map(|row| row.0)), mean(TABLE_III.iter().map(|row| row.1)));
     let sum = |f: &dyn Fn(f64, f64) -> f64| TABLE_III.iter().map(|row| f(row.0 - eta, row.1 - lambda)).sum::<f64>();
     sum(&|a, b| a * b) / (sum(&|a, _| a * a) * sum(&|_, b| b * b)).sqrt()
 }

@@ -11,6 +11,7 @@
 //! do, and they are what a [`Friction`] carries.
 
 use crate::error::{DataError, Result};
+use crate::statistics::moments::{mean, rms};
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
 
@@ -136,7 +137,7 @@ impl FrictionFit {
         if samples.len() < 3 {
             return Err(DataError::TooFewWeighings { found: samples.len(), needed: 3 }.into());
         }
-        let mean = |value: fn(&FrictionSample) -> f64| samples.iter().map(value).sum::<f64>() / n;
+        let mean = |value: fn(&FrictionSample) -> f64| mean(samples.iter().map(value));
         let (tau, tau_tilde) = (mean(|s| s.tau_g), mean(|s| s.tau_tilde_g));
         let spread: f64 = samples.iter().map(|s| (s.tau_g - tau).powi(2)).sum();
         let joint: f64 = samples.iter().map(|s| (s.tau_g - tau) * (s.tau_tilde_g - tau_tilde)).sum();
@@ -161,8 +162,8 @@ impl FrictionFit {
             static_g: intercept / slope,
             covariance: by_line * Matrix2::new(slope_variance, cross, cross, intercept_variance) * by_line.transpose(),
             scatter_g: variance.sqrt(),
-            tau_limit_g: mean(|s| s.tau_limit_g.powi(2)).sqrt(),
-            tau_tilde_limit_g: mean(|s| s.tau_tilde_limit_g.powi(2)).sqrt(),
+            tau_limit_g: rms(samples.iter().map(|s| s.tau_limit_g)),
+            tau_tilde_limit_g: rms(samples.iter().map(|s| s.tau_tilde_limit_g)),
         })
     }
 

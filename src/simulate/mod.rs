@@ -1,12 +1,10 @@
-//! The other way round, for tests and for whoever has no robot: encoders and pictures of a snake whose bend is known, and
-//! the score of a model or an eye against them.
+//! The other way round, for tests and for whoever has no robot: encoders and pictures of a snake whose bend is known.
 
 mod body;
 pub mod experiment;
 pub mod plant;
 pub mod render;
 pub mod scene;
-pub mod score;
 pub mod sealed;
 pub mod trajectory;
 

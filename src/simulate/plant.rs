@@ -105,6 +105,7 @@ mod tests {
     use super::*;
     use crate::geometry::wrap_angle;
     use crate::simulate::trajectory::BendingExperiment;
+    use crate::statistics::moments::rms;
 
     fn plant() -> Plant {
         Plant { model: Model::default(), sd_encoder_mm: 0.0015 }
@@ -114,11 +115,8 @@ mod tests {
     fn encoders_read_the_command_that_leads_there_plus_noise() {
         let trajectory = BendingExperiment { sweep_poses: 200, ..Default::default() }.waypoints().unwrap();
         let samples = plant().run(&trajectory, 3);
-        let square: f64 = samples
-            .iter()
-            .map(|s| (s.reading.q_mm - Model::default().command(s.truth.configuration)).norm_squared())
-            .sum();
-        let sd = (square / (3.0 * samples.len() as f64)).sqrt();
+        let noise = |s: &Sample| (s.reading.q_mm - Model::default().command(s.truth.configuration)).norm();
+        let sd = rms(samples.iter().map(noise)) / 3f64.sqrt();
         // Of n numbers the sd scatters by 1/√(2n): four of that.
         let scatter = 1.0 / (2.0 * 3.0 * samples.len() as f64).sqrt();
         assert!((sd / 0.0015 - 1.0).abs() < 4.0 * scatter, "{sd}");

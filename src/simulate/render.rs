@@ -445,6 +445,7 @@ mod tests {
     use super::super::scene::{Lines, Sensor, Stain, Viewpoint};
     use super::*;
     use crate::camera::Lens;
+    use crate::statistics::moments::{mean, standard_deviation};
     use approx::assert_abs_diff_eq;
 
     const BLACK: Colour = [0.0; 3];
@@ -612,9 +613,7 @@ mod tests {
         assert_eq!(noisy, render(&scene, straight(), 7));
         assert_ne!(noisy, render(&scene, straight(), 8));
         let error: Vec<f64> = noisy.iter().zip(clean.iter()).map(|(&a, &b)| f64::from(a) - f64::from(b)).collect();
-        let count = error.len() as f64;
-        let mean = error.iter().sum::<f64>() / count;
-        let sigma = (error.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / count).sqrt();
+        let (mean, sigma) = (mean(error.iter().copied()), standard_deviation(&error));
         assert!(mean.abs() < 0.1, "{mean}");
         // Rounding adds 1/12 of a level squared.
         assert_abs_diff_eq!(sigma, (25.0f64 + 1.0 / 12.0).sqrt(), epsilon = 0.1);

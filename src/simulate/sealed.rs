@@ -7,6 +7,7 @@ use crate::error::Result;
 use crate::observation::{EncoderReading, Measurement, Truth, Waypoint};
 use crate::robot::effects::{ParameterSpec, Role};
 use crate::robot::{Effect, Estimate, Model, Observation, Physics};
+use crate::statistics::moments::rms;
 use nalgebra::Matrix2;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -136,8 +137,7 @@ fn size(plant: &Plant, trajectory: &[Waypoint]) -> f64 {
         .map(|s| Observation { time_s: s.reading.time_s, q_mm: s.reading.q_mm, configuration: s.apparent })
         .collect();
     let left = |o: &Observation| o.q_mm - plain.command(o.configuration);
-    let squares: f64 = observations.iter().map(|o| left(o).norm_squared() / o.q_mm.len() as f64).sum();
-    (squares / observations.len() as f64).sqrt()
+    rms(observations.iter().flat_map(|o| left(o).iter().copied().collect::<Vec<_>>()))
 }
 
 /// An effect with random parameters; sizes have their typical size, more or less.

@@ -18,6 +18,31 @@ pub fn standard_deviation(values: &[f64]) -> f64 {
     rms(values.iter().map(|value| value - centre))
 }
 
+/// A sum of squares that grows one value at a time, where the values are too many to hold.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct RunningSquares {
+    sum: f64,
+    count: usize,
+}
+
+impl RunningSquares {
+    /// Adds a value.
+    pub fn add(&mut self, value: f64) {
+        self.sum += value * value;
+        self.count += 1;
+    }
+
+    /// How many values there are.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Their root mean square; 0 of nothing.
+    pub fn rms(&self) -> f64 {
+        if self.count > 0 { (self.sum / self.count as f64).sqrt() } else { 0.0 }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -30,6 +55,9 @@ mod tests {
             assert!((mean(values.iter().copied()) - (count + 1.0) / 2.0).abs() < 1e-12);
             let square = (count + 1.0) * (2.0 * count + 1.0) / 6.0;
             assert!((rms(values.iter().copied()) - square.sqrt()).abs() < 1e-12);
+            let mut running = RunningSquares::default();
+            values.iter().for_each(|&value| running.add(value));
+            assert!((running.rms() - square.sqrt()).abs() < 1e-12 && running.count() == values.len());
             let variance = (count * count - 1.0) / 12.0;
             assert!((standard_deviation(&values) - variance.sqrt()).abs() < 1e-12);
         }
@@ -37,6 +65,6 @@ mod tests {
 
     #[test]
     fn of_nothing_they_are_zero() {
-        assert_eq!((mean([]), rms([]), standard_deviation(&[])), (0.0, 0.0, 0.0));
+        assert_eq!((mean([]), rms([]), standard_deviation(&[]), RunningSquares::default().rms()), (0.0, 0.0, 0.0, 0.0));
     }
 }

@@ -257,7 +257,7 @@ fn after_a_change_of_the_robot_the_estimate_starts_afresh() {
 }
 
 #[test]
-fn fading_memory_follows_a_robot_that_wears() {
+fn a_forgetting_factor_follows_a_robot_that_wears() {
     let trajectory = BendingExperiment { sweep_delta_deg: vec![0.0; 10], sweep_poses: 40, ..Default::default() };
     let waypoints = trajectory.waypoints().unwrap();
     let eta_at = |k: usize| 1.2 + 0.3 * k as f64 / waypoints.len() as f64;
@@ -272,8 +272,8 @@ fn fading_memory_follows_a_robot_that_wears() {
         })
         .collect();
     let measurements = SimulatedEye::default().observe(&samples, 2);
-    let error = |keep| {
-        let options = Options { keep, ..Options::default() };
+    let error = |forgetting| {
+        let options = Options { forgetting, ..Options::default() };
         let start = exact_friction(Friction::default());
         let (_, model) = estimate(&start, options, &measurements, &readings(&samples)).unwrap();
         (model.estimate.unwrap().eta - eta_at(waypoints.len())).abs()
@@ -322,8 +322,8 @@ fn a_snake_that_never_bends_tells_no_eta() {
 fn options_out_of_range_are_usage_errors() {
     let good = Options::default();
     for bad in [
-        Options { keep: 0.0, ..good },
-        Options { keep: 1.1, ..good },
+        Options { forgetting: 0.0, ..good },
+        Options { forgetting: 1.1, ..good },
         Options { gate: f64::NAN, ..good },
         Options { sd_encoder_mm: 0.0, ..good },
         Options { weighting: Weighting::Flat { sigma_deg: -1.0 }, ..good },

@@ -177,7 +177,7 @@ proptest! {
         rows in prop::collection::vec((prop::array::uniform8(extreme()), any::<bool>()), 1..30), gated in any::<bool>()
     ) {
         let gate = if gated { 4.5 } else { f64::INFINITY };
-        let mut estimator = Estimator::new(&Model::default(), Options { gate, keep: 0.99, ..Options::default() }).unwrap();
+        let mut estimator = Estimator::new(&Model::default(), Options { gate, forgetting: 0.99, ..Options::default() }).unwrap();
         for (k, (numbers, good)) in rows.iter().enumerate() {
             let [theta, delta, sigma_theta, sigma_delta, correlation, q1, q2, q3] = *numbers;
             let psi = Configuration::from_degrees(20.0 + k as f64, 30.0);

@@ -1,9 +1,9 @@
-//! The estimator's arithmetic over a very long life: against the batch solution, and with fading memory while nothing
-//! excites it.
+//! The estimator's arithmetic over a very long life: against the batch solution, and with a forgetting factor while
+//! nothing excites it.
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
-use snakeloop::estimate::{Estimator, Filter, Options, Row, Verdict, Weighting};
+use snakeloop::estimate::{Estimator, InformationFilter, LinearisedMeasurement, Options, Verdict, Weighting};
 use snakeloop::geometry::Configuration;
 use snakeloop::observation::Waypoint;
 use snakeloop::robot::{Estimate, Model};
@@ -49,17 +49,17 @@ fn on_a_grid(value: f64) -> f64 {
 fn ten_million_rows_are_the_batch_solution() {
     let mut random = StdRng::seed_from_u64(1);
     let x = Vector2::new(ETA, LAMBDA_MM);
-    let mut kinds: Vec<(Row, u64, Vector3<f64>)> = (0..97)
+    let mut kinds: Vec<(LinearisedMeasurement, u64, Vector3<f64>)> = (0..97)
         .map(|_| {
             let elastic = Vector3::from_fn(|_, _| random.random_range(-0.3..0.3));
             let h = Matrix3x2::from_columns(&[elastic, Vector3::repeat(1.0)]);
             // The camera's noise along the bend is a hundred times that of the encoders.
             let along = elastic * random.random_range(0.1..1.0);
             let covariance = Matrix3::identity() * 0.0015f64.powi(2) + along * along.transpose();
-            (Row { z: Vector3::zeros(), h, covariance }, 0, Vector3::zeros())
+            (LinearisedMeasurement { z: Vector3::zeros(), h, covariance }, 0, Vector3::zeros())
         })
         .collect();
-    let mut filter = Filter::default();
+    let mut filter = InformationFilter::default();
     for k in 0..10_000_000 {
         let kind = k % kinds.len();
         let (row, rows, sum_of_z) = &mut kinds[kind];
@@ -72,7 +72,7 @@ fn ten_million_rows_are_the_batch_solution() {
             assert_symmetric_and_positive(&filter.solution().unwrap().1);
         }
     }
-    assert_eq!(filter.rows(), 10_000_000);
+    assert_eq!(filter.measurements(), 10_000_000);
     let mut batch = Batch::default();
     for (row, rows, sum_of_z) in &kinds {
         batch.add(&row.h, &row.covariance.try_inverse().unwrap(), *rows, sum_of_z);
@@ -93,7 +93,7 @@ fn naive() -> Model {
     Model { estimate: None, ..plant().model }
 }
 
-/// The paper's form of the whole estimator (jury, gate, consistency) over many updates, against batch least squares.
+/// The paper's form of the whole estimator (start, gate, consistency) over many updates, against batch least squares.
 fn estimator_against_batch(updates: usize) {
     let samples = plant().run(&BendingExperiment { jitter_deg: 1.5, ..Default::default() }.waypoints().unwrap(), 3);
     let measurements = SimulatedEye::default().observe(&samples, 4);
@@ -140,12 +140,12 @@ fn ten_million_updates_of_the_estimator_are_the_batch_solution() {
 }
 
 #[test]
-fn fading_memory_does_not_wind_up_while_nothing_moves() {
+fn forgetting_does_not_wind_up_while_nothing_moves() {
     let bending = plant().run(&BendingExperiment { jitter_deg: 1.5, ..Default::default() }.waypoints().unwrap(), 3);
     let eye = SimulatedEye { sigma_theta_deg: 0.1, sigma_across_deg: 0.1 };
     let measured = eye.observe(&bending, 4);
-    for (keep, theta_deg) in [(0.9, 0.0), (0.99, 0.0), (0.999, 0.0), (1.0, 0.0), (0.99, 0.3), (0.99, 30.0)] {
-        let mut estimator = Estimator::new(&naive(), Options { keep, ..Options::default() }).unwrap();
+    for (forgetting, theta_deg) in [(0.9, 0.0), (0.99, 0.0), (0.999, 0.0), (1.0, 0.0), (0.99, 0.3), (0.99, 30.0)] {
+        let mut estimator = Estimator::new(&naive(), Options { forgetting, ..Options::default() }).unwrap();
         let excite = |estimator: &mut Estimator| {
             for (measurement, sample) in measured.iter().zip(&bending) {
                 estimator.update(measurement, Some(&sample.reading));
@@ -164,10 +164,11 @@ fn fading_memory_does_not_wind_up_while_nothing_moves() {
             widest = widest.max(estimate.sd_eta());
             farthest = farthest.max((estimate.eta - ETA).abs() / estimate.sd_eta());
         }
-        let says =
-            format!("keep {keep}, θ = {theta_deg}°: sd of η at most {widest:.3}, η off by at most {farthest:.1} sd");
+        let says = format!(
+            "factor {forgetting}, θ = {theta_deg}°: sd of η at most {widest:.3}, η off by at most {farthest:.1} sd"
+        );
         println!("{says}");
-        // Forgetting ends at an sd of 0.5. The scatter of the last few residuals, ten at keep = 0.9, is put on top.
+        // Forgetting ends at an sd of 0.5. The scatter of the last few residuals, ten at a factor of 0.9, is put on top.
         assert!(widest < 3.0 && farthest < 6.0, "{says}");
         let after = excite(&mut estimator);
         assert!((after.eta - ETA).abs() < 4.0 * after.sd_eta() && after.sd_eta() < 0.004, "{says}; then {after:?}");

@@ -5,8 +5,9 @@
 
 use rayon::prelude::*;
 use snakeloop::discover::{Data, Discovery, Verdict, discover};
+use snakeloop::estimate::gap::gap;
 use snakeloop::robot::{LIBRARY, Model, PerBackbone, Physics};
-use snakeloop::simulate::{Sealed, score};
+use snakeloop::simulate::Sealed;
 use std::collections::BTreeMap;
 use std::time::Instant;
 
@@ -82,7 +83,7 @@ fn the_model_found_leaves_nothing_to_find_on_another_trajectory() {
 
 /// The rms of ε that a model leaves on another trajectory, as a multiple of what noise alone leaves there.
 fn on_another(model: &Model, other: &Sealed) -> f64 {
-    let gap = score::gap(model, &other.measurements, &other.readings);
+    let gap = gap(model, &other.measurements, &other.readings);
     gap.rms_eps_mm / gap.noise_floor_mm
 }
 

@@ -15,8 +15,8 @@ use crate::measure::rig::refusal::{Refusal, Step};
 use crate::measure::rig::scale::contradiction;
 use crate::measure::target::grid::{Grid, Pattern, find_grid};
 use crate::robot::Robot;
-use crate::statistics::least_squares::{self, Solution, minimise};
 use crate::statistics::cluster::clustered_covariance;
+use crate::statistics::least_squares::{self, Solution, minimise};
 use nalgebra::{
     DMatrix, DVector, Matrix3, Matrix6, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
 };

@@ -1,4 +1,4 @@
-//! One measurement as linear equations for x = (η, λ): a row block of Eq. 20, and its covariance.
+//! One measurement linearised: its equations for x = (η, λ), which are rows of Eq. 20, and their covariance.
 //!
 //! Eq. 20 (with the inverses of K_d and K_c that Eq. 18 needs) says z = H x with z = q̃ − q(ψ) − ε_0 and H of
 //! [`Model::epsilon_by_parameters`]. Both sides are computed from the measured ψ, which is noisy; the encoders hardly
@@ -12,10 +12,10 @@
 //!
 //! **Three numbers, however many backbones.** Q, A and H's first column lie in the span of Q's two columns, ε_0 and H's second
 //! along (1, …, 1): of n equations two tell the bend, one the common part, and n − 3 hold the encoders' noise alone and nothing of
-//! x. A row keeps the three, in coordinates that keep lengths ([`bend_and_common`](crate::robot::Robot::bend_and_common)), so
+//! x. The three are kept, in coordinates that keep lengths ([`bend_and_common`](crate::robot::Robot::bend_and_common)), so
 //! that the encoders' noise stays σ_q² I.
 //!
-//! **Weights.** The covariance of a row is A Σ_b Aᵗ + σ_q² I: the camera's through the kinematics *and* through ε, and the
+//! **Weights.** The covariance of the three is A Σ_b Aᵗ + σ_q² I: the camera's through the kinematics *and* through ε, and the
 //! encoders'. A has rank 2. In the common part only the encoders' noise is left, and rightly so: a common part of q̃ moves neither
 //! θ nor δ, so the camera's noise cannot reach it. Where the model is wrong there by more than the encoders' noise, the
 //! [`Consistency`](super::Consistency) of that part shows it.
@@ -26,7 +26,7 @@
 //! mean of both, so H soon depends on the quiet encoders alone, and the bias dies away with the number of measurements.
 //!
 //! **Standing straight.** A bend that cannot be told from none has an H that is noise alone, and a long time of that would,
-//! with fading memory, pull η to where the noise is. Such a row takes b* = 0, where H says nothing of η and λ alone is learnt.
+//! with forgetting, pull η to where the noise is. Such a measurement takes b* = 0, where H says nothing of η and λ alone is learnt.
 
 use crate::geometry::Configuration;
 use crate::observation::Measured;
@@ -49,7 +49,7 @@ pub enum Weighting {
 
 /// One measurement's equations z = H x + noise: two for the bend, one for the common part.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Row {
+pub struct LinearisedMeasurement {
     /// z, mm.
     pub z: Vector3<f64>,
     /// H: columns for η (mm) and λ (1).
@@ -58,13 +58,13 @@ pub struct Row {
     pub covariance: Matrix3<f64>,
 }
 
-impl Row {
+impl LinearisedMeasurement {
     /// z − H x, mm.
     pub fn residual(&self, x: &Vector2<f64>) -> Vector3<f64> {
         self.z - self.h * x
     }
 
-    /// The row of one measurement; `model` carries the estimate so far, if there is one.
+    /// Linearises one measurement; `model` carries the estimate so far, if there is one.
     pub(super) fn new(
         model: &Model,
         weighting: Weighting,
@@ -102,7 +102,9 @@ pub(super) fn by_parameters(model: &Model, bend: Vector2<f64>) -> Matrix3x2<f64>
     Matrix3x2::from_columns(&[0, 1].map(|axis| model.robot.bend_and_common(&h.column(axis))))
 }
 
-/// A bend of fewer standard deviations than this counts as straight: what noise adds to |H|² is then 1 % at most.
+/// A bend of fewer standard deviations than this counts as straight.
+///
+/// Derived: |H|² grows with θ², to which noise of standard deviation σ adds σ²; from ten standard deviations on that is 1 % at most.
 const TOLD_FROM_STRAIGHT_SD: f64 = 10.0;
 
 /// The mean of the measured bend vector and the one the encoders imply, weighted by their covariances (none where that
@@ -189,7 +191,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_rows_covariance_can_always_be_factored(
+        fn the_covariance_can_always_be_factored(
             theta_deg in 0.0..120.0f64, delta_deg in -180.0..180.0f64, sigma in 0.0..10.0f64, sigma_delta in 0.0..1e4f64,
             rho in -1.0..1.0f64
         ) {
@@ -198,22 +200,22 @@ mod tests {
             let estimate = Estimate { eta: 1.1, lambda_mm: 0.1, covariance: Matrix2::identity() * 1e-4, samples: 3 };
             for estimate in [None, Some(estimate)] {
                 let model = Model { estimate, ..Model::default() };
-                let row = Row::new(&model, Weighting::Measured, 1.5e-3, &measured, &q_tilde);
-                prop_assert!(row.covariance.cholesky().is_some());
-                prop_assert!(row.h.iter().chain(row.z.iter()).all(|v| v.is_finite()));
+                let linearised = LinearisedMeasurement::new(&model, Weighting::Measured, 1.5e-3, &measured, &q_tilde);
+                prop_assert!(linearised.covariance.cholesky().is_some());
+                prop_assert!(linearised.h.iter().chain(linearised.z.iter()).all(|v| v.is_finite()));
             }
         }
 
         #[test]
-        fn without_noise_a_row_is_equation_20_wherever_it_is_linearised(theta_deg in 0.0..110.0f64, delta_deg in -180.0..180.0f64) {
+        fn without_noise_it_is_equation_20_wherever_it_is_linearised(theta_deg in 0.0..110.0f64, delta_deg in -180.0..180.0f64) {
             let estimate = Estimate { eta: 1.1, lambda_mm: 0.1, covariance: Matrix2::identity() * 1e-4, samples: 3 };
             let model = Model { estimate: Some(estimate), ..Model::default() };
             let measured = measured(theta_deg, delta_deg, 0.1, 0.2, 0.0);
             let q_tilde = model.command(measured.configuration);
             for weighting in [Weighting::Measured, Weighting::Flat { sigma_deg: 1.0 }] {
-                let row = Row::new(&model, weighting, 1.5e-3, &measured, &q_tilde);
+                let linearised = LinearisedMeasurement::new(&model, weighting, 1.5e-3, &measured, &q_tilde);
                 // A bend that counts as straight is linearised there: at 0.3° its third order is 7e-10 mm.
-                prop_assert!(row.residual(&model.parameters()).norm() < 1e-9);
+                prop_assert!(linearised.residual(&model.parameters()).norm() < 1e-9);
             }
         }
     }
@@ -222,8 +224,9 @@ mod tests {
     fn the_cameras_noise_does_not_reach_the_common_part() {
         let measured = measured(50.0, 20.0, 2.0, 3.0, 0.2);
         let q_tilde = Model::default().command(measured.configuration);
-        let row = Row::new(&Model::default(), Weighting::Measured, 1.5e-3, &measured, &q_tilde);
-        assert!((row.covariance[(2, 2)] - 1.5e-3f64.powi(2)).abs() < 1e-15);
-        assert!(row.covariance.fixed_view::<2, 1>(0, 2).norm() < 1e-15);
+        let linearised =
+            LinearisedMeasurement::new(&Model::default(), Weighting::Measured, 1.5e-3, &measured, &q_tilde);
+        assert!((linearised.covariance[(2, 2)] - 1.5e-3f64.powi(2)).abs() < 1e-15);
+        assert!(linearised.covariance.fixed_view::<2, 1>(0, 2).norm() < 1e-15);
     }
 }

@@ -1,0 +1,168 @@
+//! The start of the recursion: η and λ from a few measurements of which some may be outliers.
+//!
+//! Least trimmed squares over all pairs of the measurements finds the majority that agrees best; those within the gate of the
+//! majority's estimate join it. With two measurements there is one pair: the paper's first estimate.
+
+use super::gate::{self, SquaredDistances, squared_distances, trusted};
+use super::{InformationFilter, LinearisedMeasurement, Options, Reason};
+use crate::observation::Measured;
+use crate::robot::{Estimate, Model, PerBackbone};
+use crate::statistics::trimmed::{least_trimmed_squares, majority, subsets};
+use nalgebra::{Matrix2, Vector2};
+
+/// The most measurements that are taken together.
+///
+/// Fitted: chosen on the simulated experiments of `tests/estimator.rs`, whose first two measurements are outliers; not judged elsewhere. Least
+/// trimmed squares of eight bears three outliers.
+pub(super) const MOST: usize = 8;
+/// How many of [`MOST`] must agree with each other for an estimate that replaces a running one.
+///
+/// Fitted: chosen with [`MOST`]; one more than the majority, so that chance does not end a good estimate.
+pub(super) const AGREEING: usize = 6;
+/// Concentration steps from each pair.
+///
+/// Source: Rousseeuw and Van Driessen 2006, who take two before they choose among starts.
+const CONCENTRATION_STEPS: usize = 2;
+/// How often the gate is asked which measurements join the majority.
+///
+/// Convention: once for the majority's estimate, once for that of all who joined.
+const GATE_ROUNDS: usize = 2;
+
+/// A measurement that can be used.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sample {
+    /// Counted in updates of the estimator from 0.
+    pub update: usize,
+    pub measured: Measured,
+    pub q_tilde: PerBackbone,
+    /// Whether it was last reported as used.
+    pub reported_used: bool,
+}
+
+impl Sample {
+    /// Linearised under a model with the estimate so far, if there is one.
+    pub fn linearised(&self, model: &Model, options: &Options) -> LinearisedMeasurement {
+        LinearisedMeasurement::new(model, options.weighting, options.sd_encoder_mm, &self.measured, &self.q_tilde)
+    }
+}
+
+/// What a few measurements say together, and which of them are outliers.
+pub(super) struct InitialEstimate {
+    /// Of those that are none.
+    pub filter: InformationFilter,
+    pub x: Vector2<f64>,
+    pub covariance: Matrix2<f64>,
+    /// All measurements, linearised.
+    pub linearised: Vec<LinearisedMeasurement>,
+    /// For each, why it is an outlier.
+    pub outliers: Vec<Option<Reason>>,
+}
+
+impl InitialEstimate {
+    /// Of these samples, on the robot and the friction of `model`; `None` while they do not pin both parameters.
+    pub fn of(samples: &[Sample], model: &Model, options: &Options) -> Option<Self> {
+        let linearised_under = |model: &Model| samples.iter().map(|sample| sample.linearised(model, options)).collect();
+        // Weights need an η; that of the naive model does for a first estimate, that of the first for the second.
+        let naive = Model { estimate: None, ..model.clone() };
+        let first = Self::trimmed(linearised_under(&naive), options.gate)?;
+        let estimate = Estimate { eta: first.x.x, lambda_mm: first.x.y, covariance: first.covariance, samples: 0 };
+        if estimate.eta <= 0.0 {
+            return Some(first);
+        }
+        let informed = Model { estimate: Some(estimate), ..naive };
+        Self::trimmed(linearised_under(&informed), options.gate).or(Some(first))
+    }
+
+    /// Least trimmed squares, and all within the gate of it.
+    fn trimmed(linearised: Vec<LinearisedMeasurement>, gate_sds: f64) -> Option<Self> {
+        let count = linearised.len();
+        let filter = |members: &[usize]| InformationFilter::of(members.iter().map(|&k| &linearised[k]));
+        let kept = least_trimmed_squares(
+            count,
+            majority(count),
+            subsets(count, 2, MOST * (MOST - 1) / 2, 0),
+            CONCENTRATION_STEPS,
+            |members| Some(filter(members).solution()?.0),
+            |x, k| squared_misfit(&linearised[k], x),
+        )?;
+        let mut members = kept.members;
+        let mut outliers = vec![None; count];
+        for _ in 0..GATE_ROUNDS {
+            let (x, covariance) = filter(&members).solution()?;
+            let distances: Vec<_> = linearised.iter().map(|one| squared_distances(one, &x, &covariance)).collect();
+            outliers = gated(&distances, gate_sds);
+            members = (0..count).filter(|&k| outliers[k].is_none()).collect();
+        }
+        let filter = filter(&members);
+        let (x, covariance) = filter.solution()?;
+        Some(Self { filter, x, covariance, linearised, outliers })
+    }
+
+    /// The measurements that are no outliers.
+    pub fn agreeing(&self) -> impl Iterator<Item = &LinearisedMeasurement> {
+        self.linearised.iter().zip(&self.outliers).filter(|(_, outlier)| outlier.is_none()).map(|(one, _)| one)
+    }
+
+    /// All measurements' distances from the estimate.
+    pub fn squared_distances(&self) -> impl Iterator<Item = SquaredDistances> {
+        self.linearised.iter().filter_map(|one| squared_distances(one, &self.x, &self.covariance))
+    }
+}
+
+/// Which distances are beyond the gate; of two neither is, since two measurements always agree.
+fn gated(distances: &[Option<SquaredDistances>], gate_sds: f64) -> Vec<Option<Reason>> {
+    let outlier = |squared: &Option<SquaredDistances>| match squared {
+        Some(squared) if distances.len() > 2 => gate::outlier(gate_sds, squared, distances.iter().flatten()),
+        Some(_) => None,
+        None => Some(Reason::NotFinite),
+    };
+    distances.iter().map(outlier).collect()
+}
+
+/// rᵗR⁻¹r of a measurement at x, as the gate trusts it; infinite where R is not positive definite.
+fn squared_misfit(linearised: &LinearisedMeasurement, x: &Vector2<f64>) -> f64 {
+    let residual = linearised.residual(x);
+    trusted(linearised).covariance.cholesky().map_or(f64::INFINITY, |factor| residual.dot(&factor.solve(&residual)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Configuration;
+    use crate::observation::Measured;
+
+    /// Exact measurements of a robot with η = 1.221 and λ = 0.1765 mm; those in `wrong` are of a bend 10° off.
+    fn samples(count: usize, wrong: &[usize]) -> Vec<Sample> {
+        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
+        let robot = Model { estimate: Some(estimate), ..Model::default() };
+        (0..count)
+            .map(|update| {
+                let psi = Configuration::from_degrees(20.0 + 7.0 * update as f64, 50.0 * update as f64);
+                let off = if wrong.contains(&update) { 10.0 } else { 0.0 };
+                let configuration = Configuration::from_degrees(psi.theta_deg() + off, psi.delta_deg());
+                let sigma = 0.1f64.to_radians();
+                let measured = Measured { configuration, sigma_theta: sigma, sigma_delta: sigma, correlation: 0.0 };
+                Sample { update, measured, q_tilde: robot.command(psi), reported_used: true }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn any_three_outliers_of_eight_are_named_and_have_no_say() {
+        for wrong in subsets(8, 3, 100, 0) {
+            let found = InitialEstimate::of(&samples(8, &wrong), &Model::default(), &Options::default()).unwrap();
+            let named: Vec<usize> = (0..8).filter(|&k| found.outliers[k].is_some()).collect();
+            assert_eq!(named, wrong);
+            assert!((found.x - Vector2::new(1.221, 0.1765)).norm() < 1e-3, "{}", found.x);
+            assert_eq!(found.filter.measurements(), 5);
+        }
+    }
+
+    #[test]
+    fn two_measurements_are_the_papers_first_estimate_and_one_is_none() {
+        let found = InitialEstimate::of(&samples(2, &[]), &Model::default(), &Options::default()).unwrap();
+        assert!((found.x - Vector2::new(1.221, 0.1765)).norm() < 1e-3, "{}", found.x);
+        assert_eq!(found.outliers, [None, None]);
+        assert!(InitialEstimate::of(&samples(1, &[]), &Model::default(), &Options::default()).is_none());
+    }
+}
