@@ -31,12 +31,24 @@ const FURTHER: (f64, f64) = (1.3, 0.9);
 /// Convention: above the noise of θ.
 const MOVING_DEG: f64 = 0.5;
 
-/// The interval and the step of a trajectory where the experiment at hand tells none, s and degrees, and their ranges.
+/// The interval of a trajectory where the experiment at hand has none, s.
 ///
-/// Convention: the project's own experiments.
+/// Convention: that of the project's own experiments.
 const USUAL_INTERVAL_S: f64 = 0.35;
+
+/// The least and the largest interval, s.
+///
+/// Convention: keeps a trajectory between seconds and hours.
 const INTERVALS_S: (f64, f64) = (0.01, 60.0);
+
+/// The step between poses where the experiment at hand does not move, degrees.
+///
+/// Convention: that of the project's own experiments.
 const USUAL_STEP_DEG: f64 = 2.0;
+
+/// The least and the largest step, degrees.
+///
+/// Convention: several times the noise of θ, and several steps to a sweep.
 const STEPS_DEG: (f64, f64) = (1.0, 8.0);
 
 /// A candidate.

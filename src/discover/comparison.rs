@@ -7,7 +7,7 @@ use super::sweep_equations::{SweepEquations, selection_shares};
 /// An effect must explain at least this share of the gap's excess over noise. One that explains less may be the trace of another
 /// effect, whose form the library does not have quite right.
 ///
-/// Fitted: on the project's sealed experiments (tools/sealed) by trial; not judged elsewhere.
+/// Fitted: to the project's sealed experiments, as far as is known (how was not recorded); judged on tools/sealed only.
 const LEAST_EXCESS_SHARE: f64 = 0.004;
 
 /// An effect must be selected in this share of the bootstrap resamples, so that a few sweeps alone do not name it.

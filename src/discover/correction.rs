@@ -29,10 +29,14 @@ const RIDGES: [f64; 9] = [1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6];
 /// Convention: the unit of the ridge; cross-validation chooses the ridge.
 const SIZE_MM: f64 = 0.1;
 
-/// The largest coefficient that is written, mm per radᵐ, and the range of the largest bend, degrees.
+/// The largest coefficient that is written, mm per radᵐ.
 ///
-/// Convention: the ranges of the effect's parameters.
+/// Convention: the range of the effect's parameter.
 const LARGEST_COEFFICIENT: f64 = 50.0;
+
+/// The least and the largest bend to which the correction holds, degrees.
+///
+/// Convention: the range of the effect's parameter.
 const LARGEST_BEND_DEG: (f64, f64) = (1.0, 120.0);
 
 /// What came of learning a correction.

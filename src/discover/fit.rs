@@ -172,3 +172,37 @@ impl least_squares::Problem for Objective<'_> {
         self.weights.as_ref()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::discover::data::Data;
+    use crate::discover::fixture::{experiment, truth};
+    use crate::discover::sweeps::FOLDS;
+
+    #[test]
+    fn eta_and_lambda_scatter_as_their_covariance_says() {
+        let mut squares = 0.0;
+        for seed in 0..40 {
+            let data = experiment(seed);
+            let problem = Problem::new(&data, &truth());
+            let fitted = problem.with_covariance(&problem.fit(&Model { estimate: None, ..truth() }, None, None));
+            let error = fitted.parameters() - truth().parameters();
+            let inverse = fitted.parameter_covariance().try_inverse().unwrap();
+            squares += error.dot(&(inverse * error));
+        }
+        // χ² of 80 degrees of freedom lies between 53.5 and 112.3 in 98 of 100 (any table).
+        assert!((53.5..112.3).contains(&squares), "{squares}");
+    }
+
+    #[test]
+    fn samples_of_a_fold_held_out_have_no_part_in_the_fit() {
+        let mut data = experiment(3);
+        let fit = |data: &Data| Problem::new(data, &truth()).fit(&truth(), None, Some(1)).model.parameters();
+        let before = fit(&data);
+        for k in (0..data.len()).filter(|&k| data.sweeps[k] % FOLDS == 1) {
+            data.measured[k].configuration.theta += 0.1;
+        }
+        assert!((fit(&data) - before).norm() < 1e-12);
+    }
+}

@@ -26,6 +26,8 @@ mod data;
 mod discovery;
 mod discrepancy;
 mod fit;
+#[cfg(test)]
+mod fixture;
 mod held_out;
 mod hypotheses;
 mod localisation;

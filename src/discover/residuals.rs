@@ -140,10 +140,11 @@ impl<'a> Problem<'a> {
         jacobian
     }
 
-    /// What a summand of q̃ at sample k (mm) does to its residuals, to first order.
+    /// What a summand of ε at sample k (mm) does to its residuals, to first order: the predicted bend gives way, and what bends
+    /// nothing is no longer left of q̃.
     pub fn response(&self, k: usize, summand_mm: &PerBackbone) -> Residual {
         let noise = &self.noise[k];
-        self.residual(noise.whitening * noise.line.bend_by_line.tr_mul(summand_mm), summand_mm)
+        self.residual(noise.whitening * noise.line.bend_by_line.tr_mul(summand_mm), &-*summand_mm)
     }
 
     /// The gap of ε at sample k, mm: what the model leaves of q̃ at the measured bend.
@@ -202,4 +203,43 @@ fn bend_covariance(measured: &Measured, bend: Vector2<f64>) -> Matrix2<f64> {
     let cross = measured.correlation * measured.sigma_theta * theta * sigma_delta;
     let turn = Rotation2::new(bend.y.atan2(bend.x));
     turn * Matrix2::new(along, cross, cross, across) * turn.inverse()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::discover::fixture::{experiment, truth};
+
+    #[test]
+    fn the_residuals_of_the_true_model_have_unit_variance() {
+        let (mut squares, mut count) = (0.0, 0.0);
+        for seed in 0..4 {
+            let data = experiment(seed);
+            let residuals = stacked(&Problem::new(&data, &truth()).predict(&truth(), None).residuals);
+            squares += residuals.norm_squared();
+            count += residuals.len() as f64;
+        }
+        // χ²/n scatters by √(2/n).
+        assert!((squares / count - 1.0).abs() < 4.0 * (2.0 / count).sqrt(), "{}", squares / count);
+    }
+
+    #[test]
+    fn a_shift_of_an_encoder_is_the_gap_of_its_backbones_eps() {
+        let data = experiment(1);
+        let mut shifted = data.clone();
+        let shift = PerBackbone::from([0.0, 1e-4, 0.0]);
+        shifted.q_mm.iter_mut().for_each(|q_mm| *q_mm += shift);
+        // The noise of both is taken at the same bends.
+        let problem = Problem::new(&data, &truth());
+        let with_shift = Problem { data: &shifted, ..problem.clone() };
+        let before = problem.predict(&truth(), None).residuals;
+        let after = with_shift.predict(&truth(), None).residuals;
+        for k in 0..data.len() {
+            let gap = with_shift.eps_gap_mm(&after, k) - problem.eps_gap_mm(&before, k);
+            assert!((gap - shift).norm() < 0.02 * shift.norm(), "{k}: {gap:?}");
+            // A summand of ε is a shift of the encoder with the opposite sign.
+            let response = problem.response(k, &shift);
+            assert!((before[k] - after[k] - response).norm() < 0.02 * response.norm(), "{k}: {response:?}");
+        }
+    }
 }

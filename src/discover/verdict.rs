@@ -4,7 +4,7 @@ use super::structure::Structure;
 
 /// The share of the gap's excess over noise that a right effect may leave, where its form is not quite that of the machine.
 ///
-/// Fitted: on the project's sealed experiments (tools/sealed) by trial; not judged elsewhere.
+/// Fitted: to the project's sealed experiments, as far as is known (how was not recorded); judged on tools/sealed only.
 const LEFT_BY_FORM: f64 = 0.04;
 
 /// The answer of a discovery.
