@@ -163,7 +163,7 @@ fn idle_and_slow_clients_hold_up_nobody_and_strangers_are_refused() {
 }
 
 #[test]
-fn an_effect_that_the_model_lacks_raises_the_watch_and_is_named() {
+fn an_effect_that_the_model_lacks_raises_an_alarm_and_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let (experiment, output) = (folder.path().join("experiment"), folder.path().join("out"));
     fs::create_dir(&experiment).unwrap();
@@ -177,10 +177,6 @@ fn an_effect_that_the_model_lacks_raises_the_watch_and_is_named() {
     fixture::write(&experiment, &robot, &(0..90).map(bend).collect::<Vec<_>>());
     let live = Live::start_on(&experiment, &output, &["--rate", "6"]);
     let state = live.until("the gap", |state| state["gap"]["state"] == "above");
-    assert!(
-        state["gap"]["bending"].as_f64().unwrap().max(state["gap"]["rejected"].as_f64().unwrap()) > 0.3,
-        "{state:#}"
-    );
     assert!(state["notices"].to_string().contains("has left the noise"), "{state:#}");
     let state = live.until("a name", |state| state["discovery"]["verdict"] == "named");
     let found = &state["discovery"];
