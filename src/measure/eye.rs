@@ -37,7 +37,7 @@ const CANDIDATES: usize = 6;
 const CANDIDATES_AT_A_TIME: usize = 2;
 /// How many coarse fits are refined.
 ///
-/// Derived: the best and, at most, its mirrored solution or a neighbour that only refinement can tell from it.
+/// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
 const REFINED: usize = 2;
 /// A fit has converged when a round moves the bend by less than this, rad: the tip then moves by less than half a pixel, and the same
 /// edges would be found again.
@@ -85,7 +85,7 @@ const LEAST_INLIERS: f64 = 0.45;
 const LEAST_INLIERS_OF_A_SNAKE: f64 = 0.25;
 /// The share of the disks that must be visible: one may be hidden and one half hidden, though not both at the tip.
 ///
-/// Fitted: by hand; when the visibility of parts and the mirrored solution were first asked for, frames of `tests/robustness` that were
+/// Fitted: by hand; when the visibility of parts was first demanded and the mirrored solution tried, frames of `tests/robustness` that were
 /// measured falsely went from 11 of 290 to 1 of 320.
 const LEAST_VISIBLE_DISKS: f64 = 0.6;
 /// The share of the outline outside the picture from which on the snake is out of frame.
@@ -201,7 +201,7 @@ impl Eye {
         self.rig.appearance.exposed_as(frame).plane_within(frame, region)
     }
 
-    /// Why a frame cannot be measured, before it is looked at.
+    /// Why a frame cannot be measured whatever it shows.
     fn unusable(&self, frame: &Frame) -> Option<Status> {
         if (frame.width, frame.height) != (self.lens.width, self.lens.height) {
             return Some(Status::WrongSize);
@@ -294,10 +294,10 @@ impl Eye {
         let Some(mut best) = finest else { return Selection { fits, has_fine_fit: false, is_ambiguous: false } };
         let diameter_px = self.projection().diameter_px();
         let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, diameter_px);
-        let rivals = fits[1..].iter().filter(|other| compare(other, &fits[0]) != Alternative::Worse);
+        let alternatives = fits[1..].iter().filter(|other| compare(other, &fits[0]) != Alternative::Worse);
         let mut is_ambiguous = false;
         // An alternative that looked as good may end at the same bend in the fine stage, or prove to be worse.
-        for other in rivals.filter_map(|rival| self.fit(finder, rival.start(), fine)) {
+        for other in alternatives.filter_map(|other| self.fit(finder, other.start(), fine)) {
             match compare(&other, &best) {
                 Alternative::EdgeOn => best = best.or_edge_on(other),
                 Alternative::AsGood => is_ambiguous = true,

@@ -60,9 +60,9 @@ impl FrameMeasurement {
 
 /// θ, δ and their errors for a bend vector with a covariance (rad²).
 ///
-/// Far from straight this is the linear propagation. Near straight δ may be anything, so the errors are mean squares over
-/// the bend vector's distribution, here by a grid of ±3.5σ; where straight itself is as near as three sigmas reach, three
-/// sigmas of δ reach all round.
+/// Far from straight this is the linear propagation. Near straight δ may be anything, so the errors are mean squares over the bend
+/// vector's distribution, computed on a grid of ±3.5σ. If straight lies within three sigmas, the σ of δ is at least π/3, so that three
+/// sigmas of it cover the whole circle.
 fn in_polar_terms(bend: Vector2<f64>, covariance: &Matrix2<f64>) -> Measured {
     let configuration = Configuration::from_bend_vector(bend);
     let eigen = covariance.symmetric_eigen();

@@ -49,7 +49,7 @@ pub fn stages(
     let mut stages = vec![
         stage("1-frame.png", "The frame as it was read.", rgb(frame)),
         stage(
-            "2-snakeness.png",
+            "2-discriminant.png",
             "How much each pixel looks like the snake rather than the grid target behind it, by the colours learned from the \
              straight picture: the snake should be light, the target dark and its lines hardly seen.",
             rgb(&explanation.discriminant),
@@ -266,7 +266,7 @@ mod tests {
         let explained = explanation(Vec::new());
         let stages = stages(&frame(), &explained, &measurement(), |_| Shape::default());
         let files: Vec<&str> = stages.iter().map(|stage| stage.file).collect();
-        assert_eq!(files, ["1-frame.png", "2-snakeness.png", "3-grid.png", "4-search.png", "6-model.png"]);
+        assert_eq!(files, ["1-frame.png", "2-discriminant.png", "3-grid.png", "4-search.png", "6-model.png"]);
         let page = page("a <lab>, frame 7", &explained, &measurement(), &stages);
         assert!(page.contains("a &lt;lab&gt;, frame 7: no_snake") && page.contains("src=\"3-grid.png\""), "{page}");
         assert!(page.contains("Nothing here looks like the snake"), "{page}");

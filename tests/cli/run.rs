@@ -115,7 +115,7 @@ fn a_frame_is_explained_stage_by_stage() {
 
     let said = explain(4);
     assert_eq!(said[0]["status"], "ok");
-    let stages = ["1-frame.png", "2-snakeness.png", "3-grid.png", "4-search.png", "5-edges.png", "6-model.png"];
+    let stages = ["1-frame.png", "2-discriminant.png", "3-grid.png", "4-search.png", "5-edges.png", "6-model.png"];
     assert_eq!(files("out/explain-00004-side")[..6], stages);
     let page = sandbox.read(said[0]["page"].as_str().unwrap());
     assert!(stages.iter().all(|stage| page.contains(stage)) && page.contains("share of the outline"), "{page}");

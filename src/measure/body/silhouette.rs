@@ -12,7 +12,7 @@ use nalgebra::{Point2, Vector2};
 pub(super) const REACH_PX: f64 = 12.0;
 /// The distance from a border point at which the raster must have changed sides, px.
 ///
-/// Derived: less than half a pixel, so that the next pixel is not asked, and more than the rasteriser's rounding.
+/// Derived: less than half a pixel, so that the next pixel does not count, and more than the rasteriser's rounding.
 const BORDER_STEP_PX: f64 = 0.4;
 /// Parts of the snake further outside the picture than this are not drawn, px.
 ///

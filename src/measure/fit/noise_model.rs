@@ -38,7 +38,7 @@ const EDGE_FLOOR_PX: f64 = 0.08;
 const TUBE_FLOOR_PX: f64 = 0.3;
 /// Standard deviation of each systematic mode of the rims, px.
 ///
-/// Fitted: to the squared normalised errors of the bend on the rigs of `tests/uncertainty`.
+/// Fitted: by hand to the covariance of the normalised errors on the rigs of `tests/uncertainty`.
 const RIM_MODE_PX: f64 = 0.0108;
 /// Standard deviation of each systematic mode of the sides, px.
 ///

@@ -36,7 +36,7 @@ const VISIBLE_SHARE: f64 = 0.5;
 const FAINTLY_VISIBLE_SHARE: f64 = 0.4;
 /// How many disks count as the snake's end.
 ///
-/// Derived: one of them may be hidden, or its edges drowned by the other's.
+/// Convention: one of the two may be hidden.
 const END_DISKS: usize = 2;
 
 /// How much of the outline of each part has its edge where the model says.

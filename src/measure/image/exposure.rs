@@ -12,13 +12,13 @@ const WHITE: f32 = 252.0;
 const BLACK: f32 = 3.0;
 /// The share of black and white pixels above which a picture is saturated.
 ///
-/// Convention: what is left, one pixel of fifty, is less than a snake's own area in any usable picture.
+/// Convention: at most one pixel of fifty is left that shows something.
 const SATURATED_SHARE: f64 = 0.98;
 /// The share of white pixels above which it is: most of it is so overexposed that edges are no longer where half of the light is.
 ///
 /// Fitted: by hand on renders; judged by `tests/robustness`.
 const WHITE_SHARE: f64 = 0.5;
-/// Every so many pixels one is looked at.
+/// One pixel of so many is examined.
 ///
 /// Convention: a prime, so that no pattern of the target is sampled in step; a picture of a megapixel leaves 10,000.
 const STRIDE: usize = 101;
