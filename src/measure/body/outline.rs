@@ -21,7 +21,9 @@ use nalgebra::{Point2, Unit, Vector2, Vector3};
 ///
 /// Convention: only the coarse stages of a fit use outlines as sparse as this, and drawing is most of their time.
 const SPARSE_PX: f64 = 4.0;
-/// Outline points lie in the picture with at least this margin, px: what bilinear interpolation needs.
+/// Outline points lie in the picture with at least this margin, px.
+///
+/// Derived: bilinear interpolation needs the next pixel.
 const PICTURE_MARGIN_PX: f64 = 1.0;
 /// The blur, σ in px, that an edge of the unblurred raster has: the share of a pixel that is covered (a box of one pixel, variance
 /// 1/12) and the bilinear interpolation between pixels (1/6 on the average over positions), and the sampling of the edge filter.
@@ -82,7 +84,9 @@ impl Outline {
     ///
     /// Convention: about as far as the blur of a sharp picture reaches, so that closer points would show the same pixels again.
     pub const SPACING_PX: f64 = 2.0;
-    /// How far gap and depth are looked for, px.
+    /// The largest gap and depth that are told apart, px.
+    ///
+    /// Convention: how far the raster is explored around a border point.
     pub const REACH_PX: f64 = REACH_PX;
 
     /// Projects the body and keeps what lies on the border of its silhouette and within the picture.

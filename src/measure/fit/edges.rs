@@ -58,6 +58,8 @@ const WIDEST_PX: f64 = 3.0;
 /// Convention: beyond, the derivative of a Gaussian is below 6 % of its largest value.
 const REACH: f64 = 3.0;
 /// The number of steps that the widest filter reaches.
+///
+/// Derived: from the three above.
 const MOST_REACH: usize = (REACH * WIDEST_PX / STEP_PX) as usize;
 /// The least slope that counts as an edge, of the contrast between snake and background per px.
 ///
@@ -85,6 +87,8 @@ const NEIGHBOUR_PULL_PX: f64 = 1.0;
 /// Convention: bounds the arrays; it is the widest search distance of all schedules.
 const FURTHEST_PX: f64 = 14.0;
 /// The most slopes along a profile to either side of its middle.
+///
+/// Derived: from the furthest search and the neighbourhood of an edge at its end.
 const MOST_SLOPES: usize = ((FURTHEST_PX + NEIGHBOURHOOD_PX) / STEP_PX) as usize + 1;
 
 /// σ of the filter for edges of this blur, px: as wide as the blur, within what is useful.

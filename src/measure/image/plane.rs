@@ -8,9 +8,11 @@ use std::ops::Range;
 /// Fractions of a pixel along a profile are whole numbers of this part of it, which is twice as fast as floating-point numbers and as
 /// exact as their `f32` products.
 ///
-/// Derived: `f32` has a mantissa of 24 bits.
+/// Derived: from its bits, below.
 const FIXED_POINT: f64 = 1.0 / (1 << FIXED_POINT_BITS) as f64;
 /// The bits of such a fraction.
+///
+/// Derived: `f32` has a mantissa of 24 bits.
 const FIXED_POINT_BITS: u32 = 24;
 /// How far a Gaussian kernel reaches to either side, in units of its σ.
 ///
