@@ -1,6 +1,6 @@
 //! The frames that wait between the thread that reads them and the loop that measures them: a short queue that drops old frames.
 //!
-//! Nothing here reads, waits or looks at a clock; [`FrameReader`](super::source::FrameReader) does that and locks the queue.
+//! Nothing here reads, waits or looks at a clock; the frame reader of source.rs does that, and locks the queue.
 
 use super::frame_timing::Lateness;
 use super::status::{SourceState, SourceStatus};
