@@ -1,6 +1,6 @@
 //! Single frames in every condition: the errors of θ and δ against bounds, and against the σ that come with them.
 
-use crate::scenes::{STRAIGHT, eye, eye_with, frame, laboratory, rig, rig_options};
+use crate::scenes::{STRAIGHT, eye, eye_with, frame, laboratory, rig, rig_options, smaller};
 use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use snakeloop::camera::{Frame, Samples};
@@ -150,11 +150,7 @@ fn a_wrong_standoff_or_a_bent_snake_is_refused_with_a_reason() {
 /// A small picture tells less, to a degree or a few, but not nothing: bends in the view's plane and askew.
 #[test]
 fn a_picture_of_a_quarter_of_the_size_is_measured() {
-    let mut scene = Scene::default();
-    scene.lens.width /= 4;
-    scene.lens.height /= 4;
-    scene.lens.focal_px /= 4.0;
-    scene.lens.centre_px = scene.lens.centre_px.map(|c| (c - 1.5) / 4.0);
+    let scene = smaller(Scene::default(), 4);
     let eye = eye(&scene);
     check_poses(&eye, &scene, &[(40.0, 0.0), (60.0, 180.0), (50.0, 60.0), (35.0, -120.0)], 1.5, 4.0);
 }

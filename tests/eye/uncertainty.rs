@@ -10,8 +10,11 @@
 //! of the picture's noise.
 
 use crate::rigs::{self, Random};
-use crate::scenes::{eye_with, frame, rig};
-use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, UnitQuaternion, Vector2, Vector3};
+use crate::scenes::{eye, eye_with, frame, frame_of, rig, smaller};
+use image::RgbImage;
+use nalgebra::{DMatrix, Matrix2, Rotation2, UnitQuaternion, Vector2, Vector3};
+use rand::{SeedableRng, rngs::StdRng};
+use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use snakeloop::camera::Frame;
 use snakeloop::geometry::{Configuration, Pose};
@@ -185,7 +188,7 @@ fn rigs_of_the_survey() -> impl Iterator<Item = u64> {
 /// Of the straight picture's rig alone. As last run the eigenvalues were 0.86 and 1.13, and 94.6 % lay within 95 %. They vary by 0.08 with
 /// the rigs (1σ, bootstrap over them).
 #[test]
-#[ignore = "takes minutes; a later test is a slice of it"]
+#[ignore = "takes minutes: cargo test --release --test eye two_hundred_renders -- --ignored; a later test is a slice of it"]
 fn over_two_hundred_renders_the_sigmas_are_those_of_the_errors() {
     survey(rigs_of_the_survey(), 4, 0, 2).assert_honest();
 }
@@ -193,34 +196,63 @@ fn over_two_hundred_renders_the_sigmas_are_those_of_the_errors() {
 /// The same with the rigs that a sequence leads to: errors are smaller then. As last run the eigenvalues were 0.97 and 1.08 (0.06 and 0.10
 /// with the rigs), and 94.4 % lay within 95 %.
 #[test]
-#[ignore = "takes minutes"]
+#[ignore = "takes minutes: cargo test --release --test eye with_refined_rigs -- --ignored"]
 fn with_refined_rigs_the_sigmas_are_those_of_the_errors() {
     survey(rigs_of_the_survey(), 4, 8, 0).assert_honest();
 }
 
-/// A dozen errors before three rigs: sigmas that are twice or half what they should be would show.
-#[test]
-fn a_slice_of_them_has_no_sigma_that_is_far_off() {
-    let Honesty { count, eigenvalues, within } = survey(5000..5003, 4, 0, 0);
-    assert!(count >= 8, "{count} bends measured");
-    assert!(eigenvalues.min() > 0.05 && eigenvalues.max() < 5.0, "{eigenvalues}");
-    assert!(within > 0.7, "{within}");
+/// Rigs that nothing was chosen on, with small pictures.
+fn rigs_of_the_slice() -> impl Iterator<Item = u64> {
+    (5500..).filter(|&seed| rigs::varied(&mut Random::new(seed)).lens.width == 640).take(20)
 }
 
-/// The bound itself, where it is known: a picture's noise twice as large doubles it.
+/// A survey in small. The mean square of honest normalised errors is 1. Its limits are a factor of 1.5 away on both sides, so that
+/// where this passes it would fail with every σ 1.5 times as large, or as small: that changes the mean square by 2.25. By the larger
+/// survey's scatter from rig to rig the mean square over twenty rigs is good to about 0.17 (1σ).
 #[test]
-fn the_bound_goes_with_the_noise() {
-    let mut scene = Scene::default();
-    scene.lens.width = 320;
-    scene.lens.height = 180;
-    scene.lens.focal_px /= 4.0;
-    scene.lens.centre_px = [159.5, 89.5].into();
-    scene.sensor = Sensor { rays_per_pixel: 4, blur_px: 0.5, noise: 4.0 };
+fn a_slice_of_them_has_sigmas_that_are_right_to_a_factor_of_one_and_a_half() {
+    let honesty = survey(rigs_of_the_slice(), 4, 0, 0);
+    let mean_square = honesty.eigenvalues.mean();
+    assert!(honesty.count >= 70, "{} bends measured", honesty.count);
+    assert!((1.0 / 1.5..1.5).contains(&mean_square), "mean square {mean_square:.2}, within 95 % {}", honesty.within);
+}
+
+/// Adds a camera's noise to a picture.
+fn with_noise(picture: &RgbImage, sigma: f64, seed: u64) -> RgbImage {
+    let mut random = StdRng::seed_from_u64(seed);
+    let mut noisy = picture.clone();
+    for level in noisy.iter_mut() {
+        let noise: f64 = StandardNormal.sample(&mut random);
+        *level = (f64::from(*level) + sigma * noise).round().clamp(0.0, 255.0) as u8;
+    }
+    noisy
+}
+
+/// No unbiased estimator scatters less than the Cramér–Rao bound. The bound knows the camera's pose, the light and the shadow, and uses
+/// every pixel; the eye looks at edges only, and scattered by 8 and 10 times the bound when this was written. The σ that it reports must
+/// cover this scatter, since the noise is a part of them. The picture is the same but for its noise.
+#[test]
+fn noise_alone_scatters_the_bend_by_no_less_than_the_bound_and_no_more_than_sigma() {
+    const DRAWS: u64 = 60;
+    let mut scene = smaller(Scene::default(), 2);
+    scene.sensor = Sensor { rays_per_pixel: 16, blur_px: 0.5, noise: 3.0 };
+    let eye = eye(&scene);
     let psi = Configuration::from_degrees(40.0, 20.0);
-    let [once, free] = bounds(&scene, psi).unwrap();
-    scene.sensor.noise = 8.0;
-    let [twice, _] = bounds(&scene, psi).unwrap();
-    let ratios = DVector::from_vec(vec![twice.x / once.x, twice.y / once.y]);
-    assert!(ratios.iter().all(|ratio| (ratio - 2.0).abs() < 0.02), "{ratios}");
-    assert!(free.x >= once.x && free.y >= once.y, "{free} {once}");
+    let [bound, _] = bounds(&scene, psi).unwrap();
+    let clean = render(&Scene { sensor: Sensor { noise: 0.0, ..scene.sensor }, ..scene.clone() }, psi, 0);
+    let along = Rotation2::new(-psi.delta);
+    let seen: Vec<_> = (0..DRAWS)
+        .into_par_iter()
+        .map(|seed| eye.measure(&frame_of(with_noise(&clean, scene.sensor.noise, seed))).bend.unwrap())
+        .collect();
+    let bends: Vec<Vector2<f64>> = seen.iter().map(|bend| along * bend.vector).collect();
+    let mean = bends.iter().sum::<Vector2<f64>>() / DRAWS as f64;
+    let squares = bends.iter().map(|bend| (bend - mean).component_mul(&(bend - mean))).sum::<Vector2<f64>>();
+    let scatter = (squares / (DRAWS - 1) as f64).map(f64::sqrt);
+    let ratio = scatter.component_div(&bound);
+    // The scatter of sixty draws is known to 9 %: three of that below the bound.
+    assert!(ratio.iter().all(|ratio| (0.73..15.0).contains(ratio)), "{ratio:.2} times the bound {bound:.2e}");
+    let covariance = along.matrix() * seen[0].covariance * along.matrix().transpose();
+    let sigma = covariance.diagonal().map(f64::sqrt);
+    assert!(scatter.x < sigma.x && scatter.y < sigma.y, "scatter {scatter:.2e}, σ {sigma:.2e}");
 }

@@ -37,6 +37,16 @@ pub fn checkered_laboratory() -> Scene {
     scene
 }
 
+/// The same scene in a picture of 1/divisor of the width and the height. Pixel centres are at integers.
+pub fn smaller(mut scene: Scene, divisor: u32) -> Scene {
+    scene.lens.width /= divisor;
+    scene.lens.height /= divisor;
+    let divisor = f64::from(divisor);
+    scene.lens.focal_px /= divisor;
+    scene.lens.centre_px = scene.lens.centre_px.map(|c| (c - (divisor - 1.0) / 2.0) / divisor);
+    scene
+}
+
 /// What a user measures on the scene's grid target and tells `calibrate rig`.
 pub fn rig_options(scene: &Scene) -> RigOptions {
     let grid_pitch_mm = match &scene.paper.pattern {

@@ -1,6 +1,7 @@
 //! A numbered sequence of pictures: what is written, what survives a kill, who is let in.
 
 use super::fixture::{self, Live, assert_learned, experiment};
+use crate::program::{Sandbox, text};
 use snakeloop::geometry::Configuration;
 use snakeloop::record::{read_encoders, read_measurements, read_model, write_model};
 use snakeloop::robot::{Effect, Model};
@@ -9,7 +10,6 @@ use std::f64::consts::TAU;
 use std::fs;
 use std::io::Write;
 use std::net::TcpStream;
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 /// The indices in a journal, which must be in order.
@@ -24,8 +24,8 @@ fn journaled(output: &std::path::Path) -> Vec<u64> {
 
 #[test]
 fn a_killed_run_goes_on_with_all_but_the_frame_in_hand() {
-    let folder = tempfile::tempdir().unwrap();
-    let output = folder.path().join("out");
+    let sandbox = Sandbox::new();
+    let output = sandbox.join("out");
     let mut live = Live::start(&output, &["--rate", "4"]);
     let before = live.until("eight measurements", |state| state["measurements"].as_u64() >= Some(8));
     live.kill();
@@ -33,12 +33,8 @@ fn a_killed_run_goes_on_with_all_but_the_frame_in_hand() {
     let shown = before["latest"]["index"].as_u64().unwrap();
     assert!(kept.contains(&shown) && kept.len() as u64 >= before["measurements"].as_u64().unwrap());
 
-    let again = Command::new(env!("CARGO_BIN_EXE_snakeloop"))
-        .args(["live", experiment().to_str().unwrap(), "-o", output.to_str().unwrap()])
-        .output()
-        .unwrap();
-    assert_eq!(again.status.code(), Some(1), "a journal in the way is not overwritten");
-    assert!(String::from_utf8_lossy(&again.stderr).contains("--resume"));
+    // A journal in the way is not overwritten.
+    assert!(sandbox.fail(&format!("live {} -o out", text(experiment())), 1).contains("--resume"));
 
     // What a kill in the middle of a write leaves.
     let mut journal = fs::OpenOptions::new().append(true).open(output.join("journal.jsonl")).unwrap();
@@ -117,8 +113,8 @@ fn readings_from_a_file_are_matched_by_time_and_the_machine_interface_tells() {
 
 #[test]
 fn idle_and_slow_clients_hold_up_nobody_and_strangers_are_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    let live = Live::start(&folder.path().join("out"), &["--rate", "2"]);
+    let sandbox = Sandbox::new();
+    let live = Live::start(&sandbox.join("out"), &["--rate", "2"]);
     let mut guests = Vec::new();
     for k in 0..50 {
         let mut stream = TcpStream::connect(live.address).unwrap();
@@ -154,12 +150,8 @@ fn idle_and_slow_clients_hold_up_nobody_and_strangers_are_refused() {
     assert!((400..500).contains(&status("GET", "/", &long, "")));
 
     // Beyond loopback a token is needed, and nothing is done before that is settled.
-    let open = Command::new(env!("CARGO_BIN_EXE_snakeloop"))
-        .args(["live", experiment().to_str().unwrap(), "-o", "nowhere", "--serve", "0.0.0.0:0"])
-        .output()
-        .unwrap();
-    assert_eq!(open.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&open.stderr).contains("--token-file"));
+    let open = format!("live {} -o nowhere --serve 0.0.0.0:0", text(experiment()));
+    assert!(sandbox.fail(&open, 2).contains("--token-file"));
 }
 
 #[test]

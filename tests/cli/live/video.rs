@@ -1,12 +1,12 @@
 //! A video file, made here: played live, and measured as a whole.
 
 use super::fixture::{FRAMES, Live, assert_learned, experiment};
+use crate::program::Sandbox;
 use opencv::core::{Mat, Size, Vec3b};
 use opencv::videoio::{VideoWriter, VideoWriterTrait};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 /// The experiment's frames as a video at 4 frames/s.
@@ -42,8 +42,8 @@ fn written(out: &Path) -> BTreeMap<String, Vec<u8>> {
 
 #[test]
 fn a_run_over_a_video_gives_the_same_with_any_threads_shared_out_and_after_a_kill() {
-    let folder = tempfile::tempdir().unwrap();
-    let ride = folder.path().join("ride");
+    let sandbox = Sandbox::new();
+    let ride = sandbox.join("ride");
     fs::create_dir(&ride).unwrap();
     write_video(&ride.join("ride.avi"));
     for name in ["camera.yaml", "straight.jpg", "encoders.csv"] {
@@ -51,25 +51,18 @@ fn a_run_over_a_video_gives_the_same_with_any_threads_shared_out_and_after_a_kil
     }
     let settings = fs::read_to_string(experiment().join("experiment.toml")).unwrap();
     fs::write(ride.join("experiment.toml"), settings.replace("frames/*.jpg", "ride.avi")).unwrap();
-    // Called beside the experiment, so that it has the same name whatever the folder is called.
-    let call = |arguments: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_snakeloop"));
-        command.current_dir(folder.path()).args(arguments);
-        command
+    let run = |out: &str, more: &str| {
+        sandbox.succeed(&format!("run ride -o {out} {more}"));
+        written(&sandbox.join(out))
     };
-    let run = |out: &str, more: &[&str]| {
-        let done = call(&[&["run", "ride", "-o", out], more].concat()).output().unwrap();
-        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
-        written(&folder.path().join(out))
-    };
-    let whole = run("one", &["--jobs", "1"]);
+    let whole = run("one", "--jobs 1");
     let rows = String::from_utf8(whole["measurements.csv"].clone()).unwrap();
     assert_eq!(rows.lines().count() as u64, 1 + FRAMES);
     assert_eq!(rows.matches(",ok,").count() as u64, FRAMES, "{rows}");
-    assert!(run("two", &["--jobs", "2"]) == whole);
+    assert!(run("two", "--jobs 2") == whole);
 
-    let mut child = call(&["run", "ride", "-o", "killed", "--jobs", "1"]).spawn().unwrap();
-    let journal = folder.path().join("killed/measurements.journal");
+    let mut child = sandbox.command("run ride -o killed --jobs 1").spawn().unwrap();
+    let journal = sandbox.join("killed/measurements.journal");
     let deadline = Instant::now() + Duration::from_secs(60);
     while fs::read_to_string(&journal).unwrap_or_default().matches(",ok,").count() < 3 {
         assert!(Instant::now() < deadline, "no rows came");
@@ -77,11 +70,10 @@ fn a_run_over_a_video_gives_the_same_with_any_threads_shared_out_and_after_a_kil
     }
     child.kill().unwrap();
     child.wait().unwrap();
-    assert!(run("killed", &["--resume", "--jobs", "2"]) == whole);
+    assert!(run("killed", "--resume --jobs 2") == whole);
 
-    run("part1", &["--shard", "1/2"]);
-    run("part2", &["--shard", "2/2"]);
-    let merged = call(&["merge", "part1", "part2", "-o", "merged"]).output().unwrap();
-    assert!(merged.status.success(), "{}", String::from_utf8_lossy(&merged.stderr));
-    assert!(written(&folder.path().join("merged")) == whole);
+    run("part1", "--shard 1/2");
+    run("part2", "--shard 2/2");
+    sandbox.succeed("merge part1 part2 -o merged");
+    assert!(written(&sandbox.join("merged")) == whole);
 }

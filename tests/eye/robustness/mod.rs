@@ -13,7 +13,7 @@ mod disturbances;
 
 use crate::rigs::{self, Random};
 use crate::scenes::{self, frame_of};
-use conditions::{Condition, Survey};
+use conditions::Condition;
 use disturbances::{Disturbance, disturbed};
 use rayon::prelude::*;
 use snakeloop::geometry::{Configuration, wrap_degrees};
@@ -98,8 +98,26 @@ fn squares_do_not_hide_the_snake() {
     }
 }
 
-/// Measures frames before many rigs, prints what became of them, and gives how many were measured and those that are false.
-fn survey(seeds: std::ops::Range<u64>, frames: usize) -> (usize, Vec<String>) {
+/// What a survey counts.
+struct Survey {
+    frames: usize,
+    /// Frames with the status `ok`.
+    measured: usize,
+    /// Frames that nothing spoilt, and how many of them have the status `ok`.
+    unspoilt: usize,
+    unspoilt_measured: usize,
+    /// The false angles, in words.
+    false_ones: Vec<String>,
+}
+
+impl Survey {
+    fn assert_none_is_false(&self) {
+        assert!(self.false_ones.is_empty(), "{} false:\n{}", self.false_ones.len(), self.false_ones.join("\n"));
+    }
+}
+
+/// Measures frames before many rigs, prints what became of each kind, and counts.
+fn survey(seeds: std::ops::Range<u64>, frames: usize) -> Survey {
     let of_rigs: Vec<_> = seeds.into_par_iter().map(|seed| outcomes(seed, frames)).collect();
     let refused: Vec<&String> = of_rigs.iter().filter_map(|of_rig| of_rig.as_ref().err()).collect();
     println!("{} rigs, {} refused", of_rigs.len(), refused.len());
@@ -123,40 +141,51 @@ fn survey(seeds: std::ops::Range<u64>, frames: usize) -> (usize, Vec<String>) {
             rms(1)
         );
     }
-    let told = outcomes.iter().filter(|o| o.is_false).map(|o| o.told.clone()).collect();
-    (outcomes.len(), told)
+    let unspoilt: Vec<_> = outcomes.iter().filter(|o| o.disturbance == Disturbance::None).collect();
+    Survey {
+        frames: outcomes.len(),
+        measured: outcomes.iter().filter(|o| o.status == Status::Ok).count(),
+        unspoilt: unspoilt.len(),
+        unspoilt_measured: unspoilt.iter().filter(|o| o.status == Status::Ok).count(),
+        false_ones: outcomes.iter().filter(|o| o.is_false).map(|o| o.told.clone()).collect(),
+    }
 }
 
 #[test]
-#[ignore = "takes minutes; the next test is a slice of it"]
+#[ignore = "takes minutes: cargo test --release --test eye thousand_frames -- --ignored; the next test is a slice of it"]
 fn no_angle_of_a_thousand_frames_is_false() {
-    let (measured, false_ones) = survey(1000..1064, 19);
-    assert!(measured >= 1000, "{measured} frames measured");
-    assert!(false_ones.is_empty(), "{} false:\n{}", false_ones.len(), false_ones.join("\n"));
+    let survey = survey(1000..1064, 19);
+    assert!(survey.frames >= 1000, "{} frames", survey.frames);
+    survey.assert_none_is_false();
 }
 
-/// The test above in small: 1,178 frames without a false one take minutes.
+/// The test above in small. To refuse every frame would be no way to pass: those that nothing spoilt are measured, and so is half
+/// of all, among which there are some that show no snake, or half of one.
 #[test]
 fn no_angle_of_a_slice_of_them_is_false() {
-    let (measured, false_ones) = survey(2001..2005, 19);
-    assert!(measured >= 50, "{measured} frames measured");
-    assert!(false_ones.is_empty(), "{} false:\n{}", false_ones.len(), false_ones.join("\n"));
+    let survey = survey(2001..2005, 19);
+    survey.assert_none_is_false();
+    assert_eq!((survey.frames, survey.unspoilt_measured), (4 * 19, survey.unspoilt));
+    assert!(2 * survey.measured >= survey.frames, "{} of {} measured", survey.measured, survey.frames);
 }
 
-/// Prints what is left of the accuracy on bad days, and asks for 0.2° of θ and 1° of δ.
+/// About one and a half times the errors of the table in the book's "How well it measures"; a mean square above 4 would be σ that
+/// are half of what they should be.
 #[test]
-#[ignore = "takes minutes"]
+#[ignore = "takes minutes: cargo test --release --test eye bad_days -- --ignored"]
 fn bad_days_cost_precision_and_not_truth() {
     println!("{:8} {:>7} {:>8}  rms θ, δ      χ² θ, δ    the rest", "", "frames", "measured");
     for condition in Condition::ALL {
         let survey = conditions::survey(condition, 3000..3003, 8);
-        let Survey { frames, errors, told } = &survey;
+        let conditions::Survey { frames, errors, told } = &survey;
         let ([theta, delta], [chi2_theta, chi2_delta]) = (survey.rms_deg(), survey.chi2());
         println!(
             "{:8} {frames:7} {:8}  {theta:.3}° {delta:.3}°  {chi2_theta:.2} {chi2_delta:.2}  {told:?}",
             format!("{condition:?}"),
             errors.len(),
         );
-        assert!(theta <= 0.2 && delta <= 1.0, "{condition:?}: θ {theta:.3}°, δ {delta:.3}°");
+        assert!(theta <= 0.15 && delta <= 0.5, "{condition:?}: θ {theta:.3}°, δ {delta:.3}°");
+        assert!(chi2_theta.max(chi2_delta) <= 4.0, "{condition:?}: χ² {chi2_theta:.1}, {chi2_delta:.1}");
+        assert!(errors.len() + 2 >= *frames, "{condition:?}: {} of {frames} measured", errors.len());
     }
 }
