@@ -30,9 +30,9 @@ use std::path::Path;
 pub struct ClosedLoop {
     /// What the snake obeys. History, as of motion-directed effects, acts as for a single pose.
     pub plant: Model,
-    /// Camera, paper and light.
+    /// Camera, grid target and light.
     pub scene: Scene,
-    /// Distance of the paper's thin lines, mm.
+    /// Pitch of the grid target's thin lines, mm.
     pub grid_pitch_mm: f64,
     /// Standard deviation of an encoder reading, mm.
     pub sd_encoder_mm: f64,

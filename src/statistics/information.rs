@@ -40,13 +40,6 @@ impl<const N: usize> SquareRootInformation<N> {
         finite
     }
 
-    /// Adds what another filter knows: the sum of both informations.
-    pub fn join(&mut self, other: &Self) {
-        for row in 0..N {
-            self.rotate_in(other.upper.row(row).transpose(), other.y[row]);
-        }
-    }
-
     /// Turns one row into the triangle: a Givens rotation for each of its numbers makes that number zero.
     fn rotate_in(&mut self, mut h: SVector<f64, N>, mut z: f64) {
         for j in 0..N {
@@ -144,15 +137,6 @@ mod tests {
             let (ours, p) = ours.solution().unwrap();
             prop_assert!((ours - x).norm() <= 1e-8 * (1.0 + x.norm()), "{ours} {x}");
             prop_assert!((p - covariance).norm() <= 1e-8 * covariance.norm());
-        }
-
-        #[test]
-        fn parts_join_to_the_whole(rows in any_rows(), at in 0.0..1.0f64) {
-            let cut = (at * rows.len() as f64) as usize;
-            let mut joined = filter(&rows[..cut].to_vec());
-            joined.join(&filter(&rows[cut..].to_vec()));
-            let Some((x, _)) = batch(&rows, 1.0) else { return Ok(()) };
-            prop_assert!((joined.solution().unwrap().0 - x).norm() <= 1e-8 * (1.0 + x.norm()));
         }
     }
 

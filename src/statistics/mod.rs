@@ -6,10 +6,10 @@
 //! | tool | for |
 //! | --- | --- |
 //! | [`least_squares`] | nonlinear least squares: Levenberg–Marquardt with box bounds and a robust loss |
-//! | [`robust`] | losses of Huber, Tukey and Talwar, scale by the MAD, iteratively reweighted least squares (IRLS) |
+//! | [`robust`] | losses of Huber and Tukey, weights in units of the MAD, iteratively reweighted least squares (IRLS) |
 //! | [`trimmed`] | least trimmed squares (LTS): a start that outliers cannot spoil |
 //! | [`cluster`] | cluster-robust covariance of a fit whose errors come in groups |
-//! | [`correlation`] | autocorrelation, design effect and effective sample size of correlated errors |
+//! | [`correlation`] | autocorrelation and design effect of errors that come in order |
 //! | [`information`] | square-root information filter: recursive least squares with a forgetting factor |
 //! | [`order`] | median, MAD and quantiles |
 //! | [`moments`] | mean, standard deviation and root mean square |

@@ -8,6 +8,8 @@ use super::order::quantile;
 use std::f64::consts::PI;
 
 /// The Euler–Mascheroni constant, the mean of the standard Gumbel distribution.
+///
+/// Source: Gumbel 1958, ch. 5.
 const EULER_GAMMA: f64 = 0.577_215_664_901_532_9;
 
 /// A statistic drawn under the null hypothesis.
