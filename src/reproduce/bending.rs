@@ -12,7 +12,7 @@
 //! Without any, q̃ = q. The naive one is Section IV's (η = 1, λ = 0). The estimated one has η and λ from ten simulated measurements
 //! with the paper's repeatability of 0.5°. On the robot with play a fourth knows of the play and estimates η and λ beside it.
 
-use super::{Comparison, PAPER_ETA, PAPER_LAMBDA_MM};
+use super::comparison::{Comparison, PAPER_ETA, PAPER_LAMBDA_MM};
 use crate::error::Result;
 use crate::estimate::{Options, estimate};
 use crate::geometry::{Configuration, wrap_angle};

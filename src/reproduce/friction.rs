@@ -1,6 +1,6 @@
 //! Table II, Fig. 8 and Eq. 14: the friction of the snake cone.
 
-use super::Comparison;
+use super::comparison::Comparison;
 use crate::error::Result;
 use crate::robot::friction::{STANDARD_GRAVITY, table_ii};
 use crate::robot::{FrictionFit, FrictionSample, Robot};

@@ -1,7 +1,7 @@
 //! Eq. 26's Jacobian, and Eq. 5, 7 and 9, against finite differences.
 
-use super::Comparison;
 use super::bending::paper_model;
+use super::comparison::Comparison;
 use crate::error::Result;
 use crate::geometry::{Configuration, wrap_angle};
 use crate::robot::{Model, PerBackbone};

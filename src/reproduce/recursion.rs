@@ -11,7 +11,7 @@
 //! the sign of each backbone's load: then what η takes, λ gives back.
 
 use super::bending::{REPEATABILITY_DEG, paper_model, ten_poses};
-use super::{Comparison, PAPER_ETA, PAPER_LAMBDA_MM};
+use super::comparison::{Comparison, PAPER_ETA, PAPER_LAMBDA_MM};
 use crate::estimate::{InformationFilter, LinearisedMeasurement};
 use crate::geometry::Configuration;
 use crate::robot::{Model, PerBackbone};
@@ -203,8 +203,8 @@ mod tests {
         let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
         for truth in ten_poses() {
             let noise = Vector2::from_fn(|_, _| -> f64 { StandardNormal.sample(&mut random) });
-            let seen = Configuration::from_bend_vector(truth.bend_vector() + noise * 0.5f64.to_radians());
-            let row = row(&known, seen, &plant.command(truth));
+            let measured = Configuration::from_bend_vector(truth.bend_vector() + noise * 0.5f64.to_radians());
+            let row = row(&known, measured, &plant.command(truth));
             information += row.h.transpose() * row.h;
             right += row.h.transpose() * row.z;
         }

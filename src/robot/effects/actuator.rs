@@ -1,6 +1,6 @@
 //! The actuators and their encoders: errors that are a function of q̃ alone.
 
-use super::physics::{Changes, Confounded, LINEAR, ParameterSpec, Phases, Physics, Poses, Role, Starts};
+use super::physics::{Changes, Confounded, LINEAR, ParameterSpec, Phases, Physics, Poses, Role, Starts, per_backbone};
 use crate::robot::PerBackbone;
 use std::f64::consts::TAU;
 
@@ -12,26 +12,8 @@ const fn offset(name: &'static str) -> ParameterSpec {
     ParameterSpec::size(name, "mm", 2.0, 0.05)
 }
 
-static SCALES: [ParameterSpec; 8] = [
-    scale("scale_1"),
-    scale("scale_2"),
-    scale("scale_3"),
-    scale("scale_4"),
-    scale("scale_5"),
-    scale("scale_6"),
-    scale("scale_7"),
-    scale("scale_8"),
-];
-
-static OFFSETS: [ParameterSpec; 7] = [
-    offset("offset_1_mm"),
-    offset("offset_2_mm"),
-    offset("offset_3_mm"),
-    offset("offset_4_mm"),
-    offset("offset_5_mm"),
-    offset("offset_6_mm"),
-    offset("offset_7_mm"),
-];
+static SCALES: [ParameterSpec; 8] = per_backbone!(scale, "scale_", "");
+static OFFSETS: [ParameterSpec; 8] = per_backbone!(offset, "offset_", "_mm");
 
 /// Each actuator's travel per count is off by its own share.
 pub(super) static ACTUATOR_SCALE: Physics = Physics {
@@ -82,18 +64,7 @@ const SCREW: Physics = Physics {
 };
 
 static ONE_PHASE: [ParameterSpec; 3] = [AMPLITUDE, PITCH, phase("phase_deg")];
-static PHASES: [ParameterSpec; 10] = [
-    AMPLITUDE,
-    PITCH,
-    phase("phase_1_deg"),
-    phase("phase_2_deg"),
-    phase("phase_3_deg"),
-    phase("phase_4_deg"),
-    phase("phase_5_deg"),
-    phase("phase_6_deg"),
-    phase("phase_7_deg"),
-    phase("phase_8_deg"),
-];
+static PHASES: [ParameterSpec; 10] = per_backbone!([AMPLITUDE, PITCH,] phase, "phase_", "_deg");
 
 /// A sin(2π x_i / p + φ_i).
 fn wave(x_mm: &PerBackbone, p: &[f64], phase_deg: impl Fn(usize) -> f64) -> PerBackbone {

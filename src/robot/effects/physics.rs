@@ -50,6 +50,27 @@ impl ParameterSpec {
     }
 }
 
+/// One parameter for each backbone, whose name has the backbone's number between the two texts; others may come first.
+macro_rules! per_backbone {
+    ([$($first:expr,)*] $spec:ident, $before:literal, $after:literal) => {
+        [
+            $($first,)*
+            $spec(concat!($before, "1", $after)),
+            $spec(concat!($before, "2", $after)),
+            $spec(concat!($before, "3", $after)),
+            $spec(concat!($before, "4", $after)),
+            $spec(concat!($before, "5", $after)),
+            $spec(concat!($before, "6", $after)),
+            $spec(concat!($before, "7", $after)),
+            $spec(concat!($before, "8", $after)),
+        ]
+    };
+    ($spec:ident, $before:literal, $after:literal) => {
+        per_backbone!([] $spec, $before, $after)
+    };
+}
+pub(super) use per_backbone;
+
 /// The snake at one instant, as effects on the line see it.
 #[derive(Debug, Clone, Copy)]
 pub struct Instant<'a> {

@@ -1,7 +1,7 @@
 //! The snake itself: its geometry, its stiffness, what hangs on it.
 
 use super::actuator::summing_to_zero;
-use super::physics::{Changes, Confounded, LINEAR, ParameterSpec, Physics, Poses};
+use super::physics::{Changes, Confounded, LINEAR, ParameterSpec, Physics, Poses, per_backbone};
 use crate::robot::PerBackbone;
 use nalgebra::Vector6;
 
@@ -22,16 +22,7 @@ const fn azimuth(name: &'static str) -> ParameterSpec {
     ParameterSpec::size(name, "deg", 30.0, 2.0)
 }
 
-static AZIMUTHS: [ParameterSpec; 8] = [
-    azimuth("azimuth_error_1_deg"),
-    azimuth("azimuth_error_2_deg"),
-    azimuth("azimuth_error_3_deg"),
-    azimuth("azimuth_error_4_deg"),
-    azimuth("azimuth_error_5_deg"),
-    azimuth("azimuth_error_6_deg"),
-    azimuth("azimuth_error_7_deg"),
-    azimuth("azimuth_error_8_deg"),
-];
+static AZIMUTHS: [ParameterSpec; 8] = per_backbone!(azimuth, "azimuth_error_", "_deg");
 
 const fn radius(name: &'static str) -> ParameterSpec {
     ParameterSpec::size(name, "mm", 0.4, 0.04)
@@ -90,16 +81,7 @@ pub(super) static BACKBONE_RADIUS: Physics = Physics {
     ..LINEAR
 };
 
-static RADII: [ParameterSpec; 8] = [
-    radius("radius_error_1_mm"),
-    radius("radius_error_2_mm"),
-    radius("radius_error_3_mm"),
-    radius("radius_error_4_mm"),
-    radius("radius_error_5_mm"),
-    radius("radius_error_6_mm"),
-    radius("radius_error_7_mm"),
-    radius("radius_error_8_mm"),
-];
+static RADII: [ParameterSpec; 8] = per_backbone!(radius, "radius_error_", "_mm");
 
 /// Each backbone stands at its own radius. Their mean is all but η, so the errors sum to zero.
 pub(super) static BACKBONE_RADII: Physics = Physics {
