@@ -27,6 +27,8 @@
 //! | [`closed_loop`] | controller and robot played together, through rendered frames |
 //! | `report` (feature `report`) | overlays, plots, the HTML page |
 //! | `live` (feature `live`) | the loop while the robot moves, with its dashboard |
+#![doc = ""]
+#![doc = include_str!("../docs/src/reference/library.md")]
 #![warn(missing_docs)]
 
 pub mod camera;
@@ -53,8 +55,3 @@ pub mod statistics;
 pub mod cli;
 
 pub use error::{Error, Result};
-
-/// The examples in the book, compiled and run with the documentation's own.
-#[cfg(doctest)]
-#[doc = include_str!("../docs/src/reference/library.md")]
-pub struct BookExamples;

@@ -3,7 +3,7 @@
 //! The lookup is the product of two cubics through the four nearest angles of the grid, δ going once round. Between the angles of the
 //! default grid it is within 2 µm of the model.
 
-use super::table::backbone_columns;
+use super::columns::backbone_columns;
 use crate::error::{ArgumentError, GridError, Result};
 use crate::robot::{Grid, TableRow};
 use std::fmt::Write;

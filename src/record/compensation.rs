@@ -13,8 +13,8 @@
 //! The JSON has the same rows under `rows`, the model under `model` with model.toml's keys, and under `provenance` what
 //! made them.
 
+use super::columns::{azimuth, backbone_columns, backbone_decimals, csv_text, decimals};
 use super::model::ModelFile;
-use super::table::{azimuth, backbone_columns, backbone_decimals, decimals};
 use super::write::write_atomically;
 use crate::error::{Error, Result};
 use crate::robot::{Grid, Model, Sharing, TableRow, compensation_table};
@@ -35,8 +35,8 @@ pub fn compensation_csv(rows: &[TableRow]) -> String {
         columns.extend(backbone_columns("f", "n", backbones));
         columns.push("within_limits".to_owned());
     }
-    let mut text = columns.join(",") + "\n";
-    for TableRow { configuration, q_mm, command_mm, sd_command_mm, sharing } in rows {
+    csv_text([columns].into_iter().chain(rows.iter().map(|row| {
+        let TableRow { configuration, q_mm, command_mm, sd_command_mm, sharing } = row;
         let mut fields = vec![decimals(configuration.theta_deg(), 6), azimuth(configuration.delta_deg())];
         fields.extend([q_mm, command_mm, sd_command_mm].into_iter().flat_map(|mm| backbone_decimals(mm, 6)));
         if let Some(sharing) = sharing {
@@ -44,9 +44,8 @@ pub fn compensation_csv(rows: &[TableRow]) -> String {
             fields.extend(backbone_decimals(&sharing.actuation_n, 6));
             fields.push(u8::from(sharing.within).to_string());
         }
-        text += &(fields.join(",") + "\n");
-    }
-    text
+        fields
+    })))
 }
 
 /// compensation.json as text. `source` says where the model comes from: a file's name, or "built in".

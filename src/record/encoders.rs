@@ -1,6 +1,7 @@
 //! encoders.csv: `index,time_s,q1_mm,q2_mm,q3_mm`, what the actuators' encoders read at each frame; a column for each backbone.
 
-use super::table::{self, Checked, Indexed, backbone_columns, backbone_decimals, decimals};
+use super::columns::{backbone_columns, backbone_decimals, csv_text, decimals};
+use super::table::{self, Checked, Indexed};
 use crate::error::Result;
 use crate::observation::EncoderReading;
 use crate::robot::{BACKBONES, PerBackbone};
@@ -43,12 +44,10 @@ pub fn read_encoders(path: &Path, backbones: usize) -> Result<Checked<EncoderRea
 
 /// The encoders.csv of a robot of so many backbones as text: time to 0.1 ms, q̃ to 1 nm.
 pub fn encoders_csv(readings: &[EncoderReading], backbones: usize) -> String {
-    let mut text = columns(backbones).join(",") + "\n";
-    for reading in readings {
-        let q: Vec<_> = backbone_decimals(&reading.q_mm, 6).collect();
-        text += &format!("{},{},{}\n", reading.index, decimals(reading.time_s, 4), q.join(","));
-    }
-    text
+    csv_text([columns(backbones)].into_iter().chain(readings.iter().map(|reading| {
+        let frame = [reading.index.to_string(), decimals(reading.time_s, 4)];
+        frame.into_iter().chain(backbone_decimals(&reading.q_mm, 6)).collect()
+    })))
 }
 
 #[cfg(test)]

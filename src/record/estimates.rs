@@ -9,36 +9,43 @@
 //! | `residual1_mm` … `residualn_mm` | measured ε less the ε that the estimate before it predicted, per backbone |
 //! | `view` | the view's name in experiment.toml |
 
-use super::table::{backbone_columns, backbone_decimals, decimals, decimals_or_empty};
+use super::columns::{backbone_columns, backbone_decimals, csv_line, csv_text, decimals, decimals_or_empty};
 use crate::estimate::EstimateRow;
 
 /// The estimate.csv of a robot of so many backbones as text; lengths to 1 nm.
 pub fn estimates_csv(rows: &[EstimateRow], backbones: usize) -> String {
-    let lines = rows.iter().map(|row| estimate_line(row, backbones) + "\n");
-    estimates_header(backbones) + "\n" + &lines.collect::<String>()
+    csv_text([columns(backbones)].into_iter().chain(rows.iter().map(|row| fields(row, backbones))))
 }
 
 /// The first line of estimate.csv, without its end.
 pub fn estimates_header(backbones: usize) -> String {
-    let residuals: Vec<_> = backbone_columns("residual", "mm", backbones).collect();
-    format!("index,time_s,eta,lambda_mm,sd_eta,sd_lambda_mm,status,reason,{},view", residuals.join(","))
+    csv_line(columns(backbones))
 }
 
 /// One line of estimate.csv, without its end.
 pub fn estimate_line(row: &EstimateRow, backbones: usize) -> String {
+    csv_line(fields(row, backbones))
+}
+
+fn columns(backbones: usize) -> Vec<String> {
+    let estimate =
+        ["index", "time_s", "eta", "lambda_mm", "sd_eta", "sd_lambda_mm", "status", "reason"].map(str::to_owned);
+    estimate.into_iter().chain(backbone_columns("residual", "mm", backbones)).chain(["view".to_owned()]).collect()
+}
+
+fn fields(row: &EstimateRow, backbones: usize) -> Vec<String> {
     let estimate: [String; 4] = row.estimate.map_or_else(Default::default, |e| {
         [e.eta, e.lambda_mm, e.sd_eta, e.sd_lambda_mm].map(|value| decimals(value, 6))
     });
     let empty = || vec![String::new(); backbones];
-    let residual = row.residual_mm.map_or_else(empty, |mm| backbone_decimals(&mm, 6).collect());
-    let fields = [
+    [
         &[row.index.to_string(), decimals_or_empty(row.time_s, 4)],
         &estimate[..],
         &[row.verdict.to_string(), row.reason.clone()],
-        &residual[..],
+        &row.residual_mm.map_or_else(empty, |mm| backbone_decimals(&mm, 6).collect()),
         &[row.view.clone().unwrap_or_default()],
-    ];
-    fields.concat().join(",")
+    ]
+    .concat()
 }
 
 #[cfg(test)]

@@ -8,27 +8,31 @@
 //! | `unseen_x` … `unseen_z` | the direction, a unit vector, along which a force moves nothing |
 //! | `status` | `used`, or why the measurement was not |
 
-use super::table::{decimals, decimals_or_empty};
+use super::columns::{csv_text, decimals, decimals_or_empty};
 use crate::estimate::ForceRow;
 use nalgebra::Vector3;
 
+const COLUMNS: [&str; 12] = [
+    "index", "time_s", "fx_n", "fy_n", "fz_n", "sd_fx_n", "sd_fy_n", "sd_fz_n", "unseen_x", "unseen_y", "unseen_z",
+    "status",
+];
+
 /// force.csv as text.
 pub fn forces_csv(rows: &[ForceRow]) -> String {
-    let mut text = "index,time_s,fx_n,fy_n,fz_n,sd_fx_n,sd_fy_n,sd_fz_n,unseen_x,unseen_y,unseen_z,status\n".to_owned();
-    for row in rows {
-        let numbers = |vector: Option<Vector3<f64>>| -> [String; 3] {
-            vector.map_or_else(Default::default, |v| [v.x, v.y, v.z].map(|value| decimals(value, 5)))
-        };
-        let fields = [
-            vec![row.index.to_string(), decimals_or_empty(row.time_s, 4)],
-            numbers(row.force.map(|found| found.force_n)).to_vec(),
-            numbers(row.force.map(|found| found.sd_n)).to_vec(),
-            numbers(row.force.and_then(|found| found.unseen)).to_vec(),
-            vec![row.reason.clone().unwrap_or_else(|| "used".to_owned())],
-        ];
-        text += &(fields.concat().join(",") + "\n");
-    }
-    text
+    let numbers = |vector: Option<Vector3<f64>>| -> [String; 3] {
+        vector.map_or_else(Default::default, |v| [v.x, v.y, v.z].map(|value| decimals(value, 5)))
+    };
+    let header = COLUMNS.map(str::to_owned).to_vec();
+    csv_text([header].into_iter().chain(rows.iter().map(|row| {
+        [
+            &[row.index.to_string(), decimals_or_empty(row.time_s, 4)],
+            &numbers(row.force.map(|found| found.force_n))[..],
+            &numbers(row.force.map(|found| found.sd_n)),
+            &numbers(row.force.and_then(|found| found.unseen)),
+            &[row.reason.clone().unwrap_or_else(|| "used".to_owned())],
+        ]
+        .concat()
+    })))
 }
 
 #[cfg(test)]

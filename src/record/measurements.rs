@@ -14,7 +14,8 @@
 //! | `shape_along_deg`, `shape_across_deg` | departure from the circle in the bend's plane and out of it (see [`Shape`]); with sigmas |
 //! | `shape_chi2` | the departure's square in units of its covariance: 2 on the average for a circle |
 
-use super::table::{self, Checked, Indexed, OwnColumns, Row, RowResult, azimuth, decimals, decimals_or_empty};
+use super::columns::{azimuth, csv_line, csv_text, decimals, decimals_or_empty};
+use super::table::{self, Checked, Indexed, OwnColumns, Row, RowResult};
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::input::{LINE_BYTES, read_line};
@@ -200,7 +201,7 @@ pub(super) struct RowReader(OwnColumns);
 
 impl Default for RowReader {
     fn default() -> Self {
-        Self(OwnColumns::new(FIXED.into_iter().chain(FURTHER)))
+        Self(OwnColumns::new(columns()))
     }
 }
 
@@ -212,17 +213,25 @@ impl RowReader {
 
 /// measurements.csv as text; angles and sigmas to 1e-6 degrees.
 pub fn measurements_csv(measurements: &[Measurement]) -> String {
-    let lines = measurements.iter().map(|measurement| measurement_line(measurement) + "\n");
-    measurements_header() + "\n" + &lines.collect::<String>()
+    let header = columns().map(str::to_owned).collect();
+    csv_text([header].into_iter().chain(measurements.iter().map(fields)))
 }
 
 /// The first line of measurements.csv, without its end.
 pub fn measurements_header() -> String {
-    [&FIXED[..], &FURTHER[..]].concat().join(",")
+    csv_line(columns())
 }
 
 /// One line of measurements.csv, without its end.
-pub fn measurement_line(row: &Measurement) -> String {
+pub fn measurement_line(measurement: &Measurement) -> String {
+    csv_line(fields(measurement))
+}
+
+fn columns() -> impl Iterator<Item = &'static str> {
+    FIXED.into_iter().chain(FURTHER)
+}
+
+fn fields(row: &Measurement) -> Vec<String> {
     let angles = match &row.measured {
         Some(m) => [
             decimals(m.configuration.theta_deg(), 6),
@@ -263,7 +272,6 @@ pub fn measurement_line(row: &Measurement) -> String {
         &shape[..],
     ]
     .concat()
-    .join(",")
 }
 
 /// A sigma in degrees that stays above zero when rounded, and finite, or it could not be read back.

@@ -1,6 +1,7 @@
 //! The files of an experiment: what they hold, how they are read, checked and written.
 
 pub mod c_header;
+mod columns;
 pub mod compensation;
 mod covariance;
 pub mod encoders;
@@ -20,6 +21,7 @@ pub mod truth;
 pub mod write;
 
 pub use c_header::compensation_c_header;
+pub use columns::csv_of;
 pub use compensation::{compensation_csv, compensation_json, write_compensation, write_compensation_rows};
 pub use encoders::{encoders_csv, read_encoders};
 pub use estimates::{estimate_line, estimates_csv, estimates_header};
@@ -35,4 +37,4 @@ pub use stem::stems_csv;
 pub use table::{Checked, Warning};
 pub use trajectory::{read_trajectory, trajectory_csv};
 pub use truth::{read_truth, truth_csv};
-pub use write::{PendingFile, csv_of, remove_abandoned, write_atomically};
+pub use write::{PendingFile, remove_abandoned, write_atomically};

@@ -8,6 +8,7 @@
 //! Messages are JSON, their schemas JSON Schema, their times the rows' own `time_s`. All tables are gone through at once, row by row, so
 //! that messages come in order of time and memory does not grow with the rows.
 
+use super::columns::fields_of;
 use super::mcap::Recorder;
 use super::table::{Warning, Warnings};
 use super::{Experiment, View};
@@ -125,7 +126,7 @@ impl<'a> Table<'a> {
         let (lines, warnings) = (BufReader::new(file), Warnings::new(path));
         let mut table = Self { name, channel: 0, path, lines, line: 0, columns: Vec::new(), next: None, warnings };
         let header = table.next_line()?.unwrap_or_default();
-        table.columns = fields(header.trim_start_matches('\u{feff}')).map(str::to_owned).collect();
+        table.columns = fields_of(header.trim_start_matches('\u{feff}')).iter().map(str::to_owned).collect();
         let count = |name: &str| table.columns.iter().filter(|column| *column == name).count();
         if count("time_s") == 0 {
             return Err(Error::at_line(path, 1, "column time_s is missing; a recording is ordered by it"));
@@ -183,12 +184,12 @@ impl<'a> Table<'a> {
     }
 
     fn row(&self, line: &str) -> std::result::Result<Row, String> {
-        let found = fields(line).count();
-        if found != self.columns.len() {
-            return Err(format!("{found} fields, expected {}", self.columns.len()));
+        let fields = fields_of(line);
+        if fields.len() != self.columns.len() {
+            return Err(format!("{} fields, expected {}", fields.len(), self.columns.len()));
         }
         let (mut index, mut time_ns, mut message) = (None, None, Vec::new());
-        for (column, text) in self.columns.iter().map(String::as_str).zip(fields(line)) {
+        for (column, text) in self.columns.iter().map(String::as_str).zip(&fields) {
             if text.is_empty() {
                 continue;
             }
@@ -204,11 +205,6 @@ impl<'a> Table<'a> {
         let json = serde_json::to_vec(&Message(message)).map_err(|e| e.to_string())?;
         Ok(Row { index, time_ns, json })
     }
-}
-
-/// The fields of a line. Quotes are taken off; within them no field of these tables has a comma.
-fn fields(line: &str) -> impl Iterator<Item = &str> {
-    line.trim_end().split(',').map(|field| field.trim().trim_matches('"'))
 }
 
 /// A field of a message.

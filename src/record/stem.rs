@@ -6,23 +6,21 @@
 //! | `phi_deg`, `sd_phi_deg` | the stem's total bending angle after this measurement, and its standard deviation |
 //! | `status` | `used`, or why the measurement was not |
 
-use super::table::{decimals, decimals_or_empty};
+use super::columns::{csv_text, decimals, decimals_or_empty};
 use crate::estimate::StemRow;
 
 /// stem.csv as text.
 pub fn stems_csv(rows: &[StemRow]) -> String {
-    let mut text = "index,time_s,phi_deg,sd_phi_deg,status\n".to_owned();
-    for row in rows {
-        let fields = [
+    let header = ["index", "time_s", "phi_deg", "sd_phi_deg", "status"].map(str::to_owned);
+    csv_text([header].into_iter().chain(rows.iter().map(|row| {
+        [
             row.index.to_string(),
             decimals_or_empty(row.time_s, 4),
             decimals(row.phi.to_degrees(), 4),
             decimals(row.sd_phi.to_degrees(), 4),
             row.reason.clone().unwrap_or_else(|| "used".to_owned()),
-        ];
-        text += &(fields.join(",") + "\n");
-    }
-    text
+        ]
+    })))
 }
 
 #[cfg(test)]

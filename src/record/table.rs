@@ -3,9 +3,9 @@
 //! A file without the needed columns, or without a single good row, is an error. A bad row is passed over with a
 //! [`Warning`] that says where and why, and the other rows are used.
 
+use super::columns::fields_of;
 use crate::error::{Error, Result};
 use crate::input::{TABLE_BYTES, read_bytes};
-use crate::robot::PerBackbone;
 use std::collections::HashMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -112,9 +112,9 @@ impl OwnColumns {
         Self(names.into_iter().enumerate().map(|(at, name)| (name.to_owned(), at)).collect())
     }
 
-    /// One line, in which nothing is quoted.
+    /// One line.
     pub fn row(&self, line: &str) -> RowResult<Row<'_>> {
-        let fields: csv::StringRecord = line.split(',').collect();
+        let fields = fields_of(line);
         if fields.len() != self.0.len() {
             return Err(format!("{} fields, expected {}", fields.len(), self.0.len()));
         }
@@ -143,16 +143,6 @@ pub(super) fn read_where<T: Indexed>(
 ) -> Result<Checked<T>> {
     let bytes = read_bytes(path, TABLE_BYTES)?;
     parse_table(path, &bytes, required, fits, parse)
-}
-
-/// The names of columns that there are one of for each backbone, such as q1_mm, q2_mm, q3_mm.
-pub(super) fn backbone_columns(name: &str, unit: &str, backbones: usize) -> impl Iterator<Item = String> {
-    (1..=backbones).map(move |i| format!("{name}{i}_{unit}"))
-}
-
-/// The numbers of the backbones with a fixed count of decimals.
-pub(super) fn backbone_decimals(values: &PerBackbone, places: usize) -> impl Iterator<Item = String> {
-    values.iter().map(move |&value| decimals(value, places))
 }
 
 /// [`read_where`] on bytes; `path` is for the messages.
@@ -290,27 +280,6 @@ fn in_order_once<T: Indexed>(mut numbered: Vec<(u64, T)>, warnings: &mut Warning
     rows
 }
 
-/// A number with a fixed count of decimals, never "-0.000".
-pub(super) fn decimals(value: f64, places: usize) -> String {
-    let text = format!("{value:.places$}");
-    if text.starts_with('-') && text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.')) {
-        text[1..].to_owned()
-    } else {
-        text
-    }
-}
-
-/// [`decimals`], or nothing.
-pub(super) fn decimals_or_empty(value: Option<f64>, places: usize) -> String {
-    value.map(|value| decimals(value, places)).unwrap_or_default()
-}
-
-/// An azimuth as files hold it: degrees in (−180, 180], six decimals.
-pub(super) fn azimuth(angle_deg: f64) -> String {
-    let text = decimals(angle_deg, 6);
-    if text == "-180.000000" { "180.000000".to_owned() } else { text }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -410,13 +379,6 @@ mod tests {
         assert_eq!(message("index,x_mm,x_mm\n0,1,1\n"), "a.csv:1: column x_mm is there twice; remove one");
         assert_eq!(message("index,x_mm\n"), "a.csv: no rows below the header; expected one a frame");
         assert!(message("index,x_mm\n0,a\n").contains("no usable row; the first fault, in line 2"));
-    }
-
-    #[test]
-    fn written_numbers_have_no_negative_zero() {
-        assert_eq!(decimals(-1e-9, 3), "0.000");
-        assert_eq!(decimals(-0.001, 3), "-0.001");
-        assert_eq!(azimuth(-179.99999999), "180.000000");
     }
 
     proptest! {

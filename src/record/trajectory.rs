@@ -1,7 +1,8 @@
 //! A trajectory: `index,time_s,theta_deg,delta_deg`, the poses to lead the snake to, and when. Further columns are for whoever
 //! leads it: `qc1_mm,qc2_mm,qc3_mm`, one for each backbone, are the q̃ that a model would command.
 
-use super::table::{self, Checked, Indexed, azimuth, backbone_columns, backbone_decimals, decimals};
+use super::columns::{azimuth, backbone_columns, backbone_decimals, csv_text, decimals};
+use super::table::{self, Checked, Indexed};
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::observation::Waypoint;
@@ -49,17 +50,15 @@ pub fn read_trajectory(path: &Path) -> Result<Checked<Waypoint>> {
 /// A trajectory as text, with the q̃ to command at each pose, mm: time to 0.1 ms, angles to 1e-6 degrees, q̃ to 0.1 µm.
 pub fn trajectory_csv(waypoints: &[Waypoint], commands_mm: &[PerBackbone]) -> String {
     let backbones = commands_mm.first().map_or(0, |q| q.len());
-    let columns: Vec<_> =
+    let header: Vec<_> =
         COLUMNS.map(str::to_owned).into_iter().chain(backbone_columns("qc", "mm", backbones)).collect();
-    let mut text = columns.join(",") + "\n";
-    for (index, (waypoint, command)) in waypoints.iter().zip(commands_mm).enumerate() {
-        let psi = waypoint.configuration;
-        let angles = [decimals(psi.theta_deg(), 6), azimuth(psi.delta_deg())];
-        let fields = [index.to_string(), decimals(waypoint.time_s, 4)].into_iter().chain(angles);
-        let fields: Vec<_> = fields.chain(backbone_decimals(command, 4)).collect();
-        text += &(fields.join(",") + "\n");
-    }
-    text
+    csv_text([header].into_iter().chain(waypoints.iter().zip(commands_mm).enumerate().map(
+        |(index, (waypoint, command))| {
+            let psi = waypoint.configuration;
+            let pose = [decimals(waypoint.time_s, 4), decimals(psi.theta_deg(), 6), azimuth(psi.delta_deg())];
+            [index.to_string()].into_iter().chain(pose).chain(backbone_decimals(command, 4)).collect()
+        },
+    )))
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! truth.csv: `index,theta_deg,delta_deg`, what synthetic frames show. Only tests and scoring read it.
 
-use super::table::{self, Checked, Indexed, azimuth, decimals};
+use super::columns::{azimuth, csv_text, decimals};
+use super::table::{self, Checked, Indexed};
 use crate::error::Result;
 use crate::geometry::Configuration;
 use crate::observation::Truth;
@@ -29,12 +30,11 @@ pub fn read_truth(path: &Path) -> Result<Checked<Truth>> {
 
 /// truth.csv as text, to 1e-6 degrees.
 pub fn truth_csv(truths: &[Truth]) -> String {
-    let mut text = COLUMNS.join(",") + "\n";
-    for truth in truths {
+    let header = COLUMNS.map(str::to_owned);
+    csv_text([header].into_iter().chain(truths.iter().map(|truth| {
         let psi = truth.configuration;
-        text += &format!("{},{},{}\n", truth.index, decimals(psi.theta_deg(), 6), azimuth(psi.delta_deg()));
-    }
-    text
+        [truth.index.to_string(), decimals(psi.theta_deg(), 6), azimuth(psi.delta_deg())]
+    })))
 }
 
 #[cfg(test)]

@@ -4,7 +4,6 @@
 //! that is killed half-way leaves the former file, or none, never a part of one.
 
 use crate::error::{Error, Result};
-use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
@@ -93,20 +92,6 @@ pub fn remove_abandoned(folder: &Path) -> Result<()> {
         }
     }
     Ok(())
-}
-
-/// Rows as CSV, the columns named after the fields; a field that is `None` is empty.
-///
-/// # Errors
-/// [`Error::Encode`] for a row whose fields are not single values.
-pub fn csv_of<T: Serialize>(rows: &[T]) -> Result<String> {
-    let fault = |message: String| Error::Encode { what: "the rows", message };
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    for row in rows {
-        writer.serialize(row).map_err(|e| fault(e.to_string()))?;
-    }
-    let bytes = writer.into_inner().map_err(|e| fault(e.to_string()))?;
-    String::from_utf8(bytes).map_err(|e| fault(e.to_string()))
 }
 
 #[cfg(test)]
