@@ -10,7 +10,6 @@ pub mod experiment;
 pub mod force;
 pub mod friction;
 pub mod journal;
-mod mcap;
 pub mod measurements;
 pub mod model;
 pub mod recording;

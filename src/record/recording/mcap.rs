@@ -5,8 +5,8 @@
 //! are 0, which means none. That is little enough to be written here: the format's own crate would bring twenty more, and one of them
 //! has most dependencies built anew in another form.
 
-use super::write::PendingFile;
 use crate::error::{Error, Result};
+use crate::record::write::PendingFile;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
