@@ -54,12 +54,6 @@ pub enum Error {
     /// The data do not say what they were asked for.
     #[error(transparent)]
     Data(#[from] DataError),
-    #[doc(hidden)]
-    #[error("{0}")]
-    Domain(String),
-    #[doc(hidden)]
-    #[error("{0}")]
-    Usage(String),
     /// A scene that cannot be drawn.
     #[error("{0}")]
     Scene(&'static str),

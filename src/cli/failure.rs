@@ -22,7 +22,7 @@ impl Failure {
     /// The process exit code: 2 for a wrong call, 1 for work that failed.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Usage(_) | Self::Work(Error::Argument(_) | Error::Usage(_)) => 2,
+            Self::Usage(_) | Self::Work(Error::Argument(_)) => 2,
             Self::Work(_) => 1,
         }
     }

@@ -1,7 +1,7 @@
 //! The joint covariance of a model's parameters as model.toml shows it.
 
 use super::model::EffectTable;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::robot::Model;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
@@ -32,10 +32,10 @@ impl CovarianceTable {
 
     /// The matrix: of the model's parameters, finite, symmetric, with the squares of the sds on its diagonal, and without
     /// correlations above 1.
-    pub(super) fn matrix(&self, model: &Model, sds: &[f64]) -> Result<DMatrix<f64>> {
+    pub(super) fn matrix(&self, model: &Model, sds: &[f64]) -> Result<DMatrix<f64>, String> {
         let names = model.parameter_names();
         let n = names.len();
-        let wrong = |what: String| Err(Error::Usage(format!("covariance: {what}")));
+        let wrong = |what: String| Err(format!("covariance: {what}"));
         if self.of != names {
             return wrong(format!("of is {:?}, expected {names:?}", self.of));
         }
@@ -48,7 +48,7 @@ impl CovarianceTable {
 }
 
 /// A matrix that can be a covariance with these sds; else what is wrong with it.
-fn checked(matrix: &DMatrix<f64>, names: &[String], sds: &[f64]) -> std::result::Result<DMatrix<f64>, String> {
+fn checked(matrix: &DMatrix<f64>, names: &[String], sds: &[f64]) -> Result<DMatrix<f64>, String> {
     if let Some(a) = (0..names.len()).find(|a| matrix.row(*a).iter().any(|value| !value.is_finite())) {
         return Err(format!("the row of {} has a number that is not finite", names[a]));
     }
@@ -85,7 +85,7 @@ impl Known {
     }
 
     /// Adds the last effect of a model, which this table tells of.
-    pub(super) fn add(&mut self, model: &Model, table: &EffectTable) -> Result<()> {
+    pub(super) fn add(&mut self, model: &Model, table: &EffectTable) -> Result<(), String> {
         let Some(effect) = model.effects.last().filter(|effect| effect.physics.fitted) else { return Ok(()) };
         let before = self.sds.len();
         let sd = |name: &str| table.parameters.get(name).map_or(0.0, |parameter| parameter.sd);
@@ -99,7 +99,7 @@ impl Known {
         }
         let names = model.parameter_names();
         let (n, count) = (names.len(), names.len() - before);
-        let wrong = |what: String| Err(Error::Usage(format!("effect {}: covariance: {what}", table.name)));
+        let wrong = |what: String| Err(format!("effect {}: covariance: {what}", table.name));
         if table.covariance_of != names {
             return wrong(format!("covariance_of is {:?}, expected {names:?}", table.covariance_of));
         }

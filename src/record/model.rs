@@ -177,9 +177,9 @@ pub fn write_model(path: &Path, model: &Model) -> Result<()> {
 /// A number that is not finite or out of its physical range, by its key.
 pub fn model_toml(model: &Model) -> Result<String> {
     if let Some(fault) = model.out_of_range() {
-        return Err(Error::Domain(format!("cannot write the model: {fault}")));
+        return Err(Error::encode("the model")(fault));
     }
-    toml::to_string(&ModelFile::from(model)).map_err(|e| Error::Domain(format!("cannot write the model: {e}")))
+    toml::to_string(&ModelFile::from(model)).map_err(Error::encode("the model"))
 }
 
 /// A model as JSON with model.toml's keys.
@@ -188,9 +188,9 @@ pub fn model_toml(model: &Model) -> Result<String> {
 /// As [`model_toml`].
 pub fn model_json(model: &Model) -> Result<serde_json::Value> {
     if let Some(fault) = model.out_of_range() {
-        return Err(Error::Domain(format!("cannot write the model: {fault}")));
+        return Err(Error::encode("the model")(fault));
     }
-    serde_json::to_value(ModelFile::from(model)).map_err(|e| Error::Domain(format!("cannot write the model: {e}")))
+    serde_json::to_value(ModelFile::from(model)).map_err(Error::encode("the model"))
 }
 
 fn parse(path: &Path, text: &str) -> Result<Model> {
@@ -209,7 +209,7 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
     let mut known = Known::of(&model);
     for table in file.effect {
         let line = line_at(text, table.span().start);
-        let at = |why: Error| Error::at_line(path, line, why.to_string());
+        let at = |why: String| Error::at_line(path, line, why);
         let table = table.into_inner();
         model.effects.push(effect(&table, model.robot.backbone_count()).map_err(at)?);
         known.add(&model, &table).map_err(at)?;
@@ -219,7 +219,7 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
         Some(table) => {
             let line = line_at(text, table.span().start);
             let matrix = table.get_ref().matrix(&model, &known.sds);
-            matrix.map_err(|why| Error::at_line(path, line, why.to_string()))?
+            matrix.map_err(|why| Error::at_line(path, line, why))?
         }
     };
     model.set_covariance(&covariance);
@@ -233,16 +233,16 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
 }
 
 /// One `[[effect]]` as an effect.
-fn effect(table: &EffectTable, backbones: usize) -> Result<Effect> {
+fn effect(table: &EffectTable, backbones: usize) -> Result<Effect, String> {
     let values: Vec<(String, f64)> = table.parameters.iter().map(|(name, p)| (name.clone(), p.value)).collect();
-    let effect = Effect::new(&table.name, table.form.as_deref(), &values, backbones)?;
+    let effect = Effect::new(&table.name, table.form.as_deref(), &values, backbones).map_err(|why| why.to_string())?;
     for spec in effect.parameters() {
         let Some(parameter) = table.parameters.get(spec.name) else { continue };
         if parameter.unit != spec.unit || !(parameter.sd >= 0.0 && parameter.sd.is_finite()) {
-            return Err(Error::Usage(format!(
+            return Err(format!(
                 "effect {}: {} has sd = {} and unit = {:?}, expected an sd of 0 or more and {:?}",
                 table.name, spec.name, parameter.sd, parameter.unit, spec.unit
-            )));
+            ));
         }
     }
     Ok(Effect { found: table.found.clone(), ..effect })

@@ -28,7 +28,7 @@ use super::kinematics::{MAX_THETA, bend_by_configuration, configuration_by_bend}
 use super::line::Line;
 use super::mechanics::Mechanics;
 use super::model::Model;
-use crate::error::{Error, Result};
+use crate::error::{NoSolution, Result};
 use crate::geometry::Configuration;
 use nalgebra::{Matrix2, Vector2};
 
@@ -101,13 +101,9 @@ impl Model {
     /// [`NoSolution::Singular`] where the model's derivative is singular, which no η > 0 makes it.
     pub fn updated_jacobian_bend(&self, bend: Vector2<f64>) -> Result<PerBackbone<Vector2<f64>>> {
         let mechanics = Mechanics::new(self);
-        let by_line = mechanics.bend_by_line(&mechanics.line_by_bend(bend, mechanics.pose(bend))).ok_or_else(|| {
-            Error::Domain(format!(
-                "the model has no unique bend at θ = {:.2}°: η = {} makes its derivative singular; check the estimate",
-                bend.norm().to_degrees(),
-                self.parameters().x
-            ))
-        })?;
+        let by_line = mechanics
+            .bend_by_line(&mechanics.line_by_bend(bend, mechanics.pose(bend)))
+            .ok_or_else(|| NoSolution::Singular { theta_deg: bend.norm().to_degrees(), eta: self.parameters().x })?;
         let by_reading = mechanics.travel_by_reading(&mechanics.command(bend, None));
         Ok(by_line.zip_map(&by_reading, |column, by_reading| column * by_reading))
     }
@@ -149,13 +145,8 @@ impl Model {
 
     fn forward_from(&self, q_tilde_mm: &PerBackbone, start: Vector2<f64>) -> Result<(Vector2<f64>, PerBackbone)> {
         let outside = || {
-            let numbers: Vec<_> = q_tilde_mm.iter().map(|q| format!("{q:.3}")).collect();
-            Error::Domain(format!(
-                "q̃ = ({}) mm bends the snake beyond {:.0}°, where the model does not hold; command less, or check the \
-                 encoders' units and zero",
-                numbers.join(", "),
-                MAX_THETA.to_degrees()
-            ))
+            NoSolution::BeyondWorkspace { q_mm: q_tilde_mm.iter().copied().collect(), most_deg: MAX_THETA.to_degrees() }
+                .into()
         };
         // Also where a square of them overflows: against a tolerance without end anything would do.
         if !q_tilde_mm.norm().is_finite() {
@@ -170,8 +161,7 @@ impl Model {
 
 /// (∂b/∂ψ)⁻¹, an error at θ = 0.
 pub(super) fn polar(psi: Configuration) -> Result<Matrix2<f64>> {
-    configuration_by_bend(psi)
-        .ok_or_else(|| Error::Domain("δ is not defined at θ = 0; use the bend vector there".into()))
+    Ok(configuration_by_bend(psi).ok_or(NoSolution::Straight)?)
 }
 
 #[cfg(test)]

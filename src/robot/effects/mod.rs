@@ -33,7 +33,7 @@ pub use physics::{Changes, Confounded, Instant, ParameterSpec, Phases, Physics, 
 pub use rig::RIG_ERROR;
 
 use super::BACKBONES;
-use crate::error::{Error, Result};
+use crate::error::{ArgumentError, Result};
 
 /// Every effect that `discover` searches for, in every form; the first form of a name has none.
 pub static LIBRARY: [&Physics; 35] = [
@@ -110,7 +110,7 @@ impl Effect {
     /// are.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a name or form that is not in the library, an unknown or missing parameter, a value out of its range.
+    /// [`ArgumentError`] for a name or form that is not in the library, an unknown or missing parameter, a value out of its range.
     pub fn new(name: &str, form: Option<&str>, parameters: &[(String, f64)], backbones: usize) -> Result<Self> {
         let fits = |physics: &&Physics| {
             let specs = (physics.parameters)(backbones);
@@ -118,37 +118,34 @@ impl Effect {
                 && specs.iter().all(|spec| parameters.iter().any(|(name, _)| name == spec.name))
         };
         let Some(first) = physics(name) else {
-            let mut known: Vec<_> = LIBRARY.iter().map(|physics| physics.name).collect();
+            let mut known: Vec<_> = LIBRARY.iter().map(|physics| physics.name.to_owned()).collect();
             known.dedup();
-            let known = known.join(", ");
-            return Err(Error::Usage(format!("effect {name:?} is not known to this version; it knows {known}")));
+            return Err(ArgumentError::Unknown { what: "effect".into(), name: name.into(), known }.into());
         };
         let physics = match form {
             None => forms(name).find(fits).unwrap_or(first),
             Some(form) => forms(name).find(|physics| physics.form == form).ok_or_else(|| {
-                let known: Vec<_> = forms(name).map(|physics| format!("{:?}", physics.form)).collect();
-                Error::Usage(format!(
-                    "effect {name}: form {form:?} is not known to this version; it knows {}",
-                    known.join(", ")
-                ))
+                let known = forms(name).map(|physics| format!("{:?}", physics.form)).collect();
+                ArgumentError::Unknown { what: format!("effect {name}: form"), name: form.into(), known }
             })?,
         };
         let specs = (physics.parameters)(backbones);
-        let names = || specs.iter().map(|p| p.name).collect::<Vec<_>>().join(", ");
+        let takes = || specs.iter().map(|p| p.name).collect();
         if let Some((unknown, _)) = parameters.iter().find(|(n, _)| !specs.iter().any(|p| p.name == n)) {
-            return Err(Error::Usage(format!("effect {name} has no parameter {unknown:?}; it has {}", names())));
+            let (effect, parameter) = (name.to_owned(), unknown.clone());
+            return Err(ArgumentError::UnknownParameter { effect, parameter, takes: takes() }.into());
         }
         let mut values = Vec::new();
         for spec in specs {
             let Some((_, value)) = parameters.iter().find(|(n, _)| n == spec.name) else {
-                return Err(Error::Usage(format!("effect {name}: {} is missing; it takes {}", spec.name, names())));
+                let (effect, parameter) = (name.to_owned(), spec.name);
+                return Err(ArgumentError::MissingParameter { effect, parameter, takes: takes() }.into());
             };
             let (least, most) = spec.range;
             if !(least..=most).contains(value) {
-                return Err(Error::Usage(format!(
-                    "effect {name}: {} = {value}, expected {least} to {most} ({})",
-                    spec.name, spec.unit
-                )));
+                let (quantity, expected) =
+                    (format!("effect {name}: {}", spec.name), format!("{least} to {most} ({})", spec.unit));
+                return Err(ArgumentError::out_of_range(quantity, *value, "", expected).into());
             }
             values.push(*value);
         }
@@ -159,9 +156,13 @@ impl Effect {
     /// its parameters are for.
     ///
     /// # Errors
-    /// As [`new`](Self::new), and [`Error::Usage`] for another form.
+    /// As [`new`](Self::new), and [`ArgumentError::Syntax`] for another form.
     pub fn parse(text: &str) -> Result<Self> {
-        let form = || Error::Usage(format!("effect {text:?}: expected name:parameter=value,parameter=value"));
+        let form = || ArgumentError::Syntax {
+            what: "effect",
+            text: text.to_owned(),
+            expected: "name:parameter=value,parameter=value",
+        };
         let (name, list) = text.split_once(':').ok_or_else(form)?;
         let mut parameters = Vec::new();
         for pair in list.split(',') {
