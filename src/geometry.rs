@@ -9,11 +9,22 @@
 //!
 //! A pose is named so that it chains by eye: `camera_from_base * point_in_base` is a point in the camera's frame.
 
-use nalgebra::{Isometry3, Vector2};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector6};
 use std::f64::consts::{PI, TAU};
 
 /// A rigid transform between two frames, named `a_from_b`.
 pub type Pose = Isometry3<f64>;
+
+/// The pose `a_from_b` after a small motion `by`: the first three numbers turn it (a rotation vector, rad) about the origin of `b`, the
+/// last three shift it (mm), both along the axes of `a`. Covariances of poses are in these terms.
+///
+/// Source: T. D. Barfoot, *State Estimation for Robotics*, Cambridge University Press 2017, section 7.1 (a perturbation on the left), with rotation and
+/// translation kept apart.
+pub fn perturbed(pose: &Pose, by: &Vector6<f64>) -> Pose {
+    let turn = UnitQuaternion::from_scaled_axis(by.fixed_rows::<3>(0).into_owned());
+    let shift = by.fixed_rows::<3>(3).into_owned();
+    Pose::from_parts(Translation3::from(pose.translation.vector + shift), turn * pose.rotation)
+}
 
 /// An angle in radians, brought into (−π, π].
 pub fn wrap_angle(angle: f64) -> f64 {

@@ -7,7 +7,7 @@ use crate::measure::eye::Eye;
 use crate::measure::fit::{Edge, EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase};
 use crate::measure::image::plane::Region;
 use crate::measure::measurement::FrameMeasurement;
-use crate::measure::target::grid::project_paper;
+use crate::measure::target::project_target;
 use nalgebra::Point2;
 
 /// Grey of the target and of the snake in the picture of the discriminant, 0 to 255.
@@ -96,7 +96,7 @@ impl Eye {
             let mut target = Point2::origin();
             target[axis] = f64::from(line) * self.rig.grid_pitch_mm;
             target[1 - axis] = f64::from(along) * self.rig.grid_pitch_mm;
-            project_paper(&self.lens, &self.rig.camera_from_grid, &target)
+            project_target(&self.lens, &self.rig.camera_from_grid, &target)
         };
         let line = |axis: usize, line: i32| -> Vec<Point2<f64>> {
             (-GRID_LINES..=GRID_LINES)

@@ -19,8 +19,7 @@ use crate::measure::fit::{
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::measurement::{Bend, FrameMeasurement};
-use crate::measure::rig::calibrate::Rig;
-use crate::measure::rig::drift::Watch;
+use crate::measure::rig::{Rig, RigDriftMonitor};
 use crate::observation::{Quality, Status};
 use crate::robot::Robot;
 use nalgebra::{Matrix6, Vector2};
@@ -106,9 +105,9 @@ pub struct Eye {
     /// The coarse search, and the camera's pose that it was made for.
     pub(super) search: Arc<CoarseSearch>,
     pub(super) search_pose: Pose,
-    pub(super) watch: Arc<Watch>,
+    pub(super) drift_monitor: Arc<RigDriftMonitor>,
     /// The pose's covariance as calibrated, before a moving camera was followed.
-    pub(super) still_covariance: Matrix6<f64>,
+    pub(super) calibrated_covariance: Matrix6<f64>,
 }
 
 /// The stages of one measurement.
@@ -134,10 +133,10 @@ impl Eye {
     /// An eye for one view. Prepares the coarse search, which takes about as long as measuring a few frames.
     pub fn new(lens: Lens, rig: Rig, robot: Robot) -> Self {
         let search = Arc::new(CoarseSearch::new(&lens, rig.camera_from_base, &robot));
-        let (search_pose, still_covariance) = (rig.camera_from_base, rig.pose_covariance);
+        let (search_pose, calibrated_covariance) = (rig.camera_from_base, rig.pose_covariance);
         let view = Projection { lens: &lens, camera_from_base: rig.camera_from_base, robot: &robot };
-        let watch = Arc::new(Watch::new(&lens, &rig, &view));
-        Self { lens, rig, robot, search, search_pose, watch, still_covariance }
+        let drift_monitor = Arc::new(RigDriftMonitor::new(&lens, &rig, &view));
+        Self { lens, rig, robot, search, search_pose, drift_monitor, calibrated_covariance }
     }
 
     /// The rig that this eye measures by.
@@ -261,17 +260,17 @@ impl Eye {
         fine: &FitSchedule,
     ) -> (Vec<BendFit>, FrameMeasurement) {
         let select = || self.select(minima, finder, fine);
-        let (selection, watched) = rayon::join(select, || self.watch.look(frame, finder));
+        let (selection, drift) = rayon::join(select, || self.drift_monitor.check(frame, finder));
         let Selection { fits, has_fine_fit, is_ambiguous } = selection;
         let mut measurement = match fits.first().filter(|_| has_fine_fit) {
             Some(best) => self.verdict(best, is_ambiguous),
             None => FrameMeasurement::failed(Status::NoSnake, None),
         };
         if let Some(quality) = &mut measurement.quality {
-            quality.base_moved_px = watched.base.map(|base| base.by.norm());
-            quality.grid_moved_px = watched.grid.map(|grid| grid.px);
+            quality.base_moved_px = drift.base.map(|base| base.by.norm());
+            quality.grid_moved_px = drift.grid.map(|grid| grid.px);
         }
-        match watched.status() {
+        match drift.status() {
             Some(status) => (fits, FrameMeasurement::failed(status, measurement.quality)),
             None => (fits, measurement),
         }

@@ -18,11 +18,10 @@ mod eye;
 mod fit;
 #[cfg(test)]
 mod fixture;
-mod follow;
 mod image;
 mod measurement;
-mod refine;
 mod rig;
+mod sequence;
 mod several;
 mod target;
 
@@ -32,7 +31,6 @@ pub use eye::Eye;
 pub use fit::EdgeBias;
 pub use image::appearance::Appearance;
 pub use measurement::{Bend, FrameMeasurement};
-pub use rig::calibrate::{Rig, RigOptions, calibrate_rig};
-pub use rig::drift::Print;
+pub use rig::{CalibrationStep, Rig, RigError, RigOptions, SnakePart, calibrate_rig};
 pub use several::fused;
-pub use target::grid::Pattern;
+pub use target::{GridPattern, PatternKind};

@@ -13,6 +13,7 @@ pub mod journal;
 pub mod measurements;
 pub mod model;
 pub mod recording;
+mod rig;
 pub mod stem;
 pub mod table;
 pub mod trajectory;

@@ -1,11 +1,11 @@
-//! Cameras, bases and papers that move after the rig was calibrated, on rendered frames: the angles are right, or there are
-//! none.
+//! Cameras, bases and grid targets that move after the rig was calibrated, on rendered frames: the angles are right, or there
+//! are none.
 
 use crate::scenes::{STRAIGHT, checkered_laboratory, eye, frame, laboratory, rig_options};
 use nalgebra::{Translation3, Vector3};
 use snakeloop::camera::{Frame, Samples};
 use snakeloop::geometry::{Configuration, Pose, wrap_degrees};
-use snakeloop::measure::{FrameMeasurement, RigOptions, calibrate_rig};
+use snakeloop::measure::{FrameMeasurement, RigError, RigOptions, calibrate_rig};
 use snakeloop::observation::Status;
 use snakeloop::simulate::scene::{Pattern, Scene, Viewpoint};
 
@@ -19,7 +19,7 @@ fn camera_moved(scene: &Scene, turn_deg: [f64; 3], shift_mm: [f64; 3]) -> Scene 
     Scene { view: Viewpoint::from_pose(&moved), ..scene.clone() }
 }
 
-/// The snake moved along x_b and z_b before the same paper and camera.
+/// The snake moved along x_b and z_b before the same target and camera.
 fn base_moved(scene: &Scene, x_mm: f64, z_mm: f64) -> Scene {
     let mut moved = scene.clone();
     let shift = Translation3::new(x_mm, 0.0, z_mm);
@@ -72,7 +72,7 @@ fn a_base_that_moved_is_told_from_a_camera_that_did() {
 }
 
 #[test]
-fn a_paper_that_slid_is_noticed_and_changes_no_angle() {
+fn a_target_that_slid_is_noticed_and_changes_no_angle() {
     let scene = laboratory();
     let eye = eye(&scene);
     let psi = Configuration::from_degrees(50.0, 20.0);
@@ -87,7 +87,7 @@ fn a_paper_that_slid_is_noticed_and_changes_no_angle() {
     assert!((3.0..6.0).contains(&moved_px), "{moved_px} px");
 }
 
-/// A camera that drifts, shakes and is knocked, and a paper that slides on the way.
+/// A camera that drifts, shakes and is knocked, and a target that slides on the way.
 #[test]
 fn a_camera_that_moves_is_followed() {
     let scene = laboratory();
@@ -134,7 +134,15 @@ fn a_wrong_grid_pitch_is_an_error_that_names_both_figures() {
             lines.iter_mut().for_each(|lines| lines.pitch_mm *= true_mm);
         }
         let straight = frame(&scene, STRAIGHT, 7);
-        let message = calibrate_rig(&straight, &scene.lens, &scene.robot, &options).map(drop).unwrap_err();
+        let error = calibrate_rig(&straight, &scene.lens, &scene.robot, &options).map(drop).unwrap_err();
+        match error {
+            RigError::PitchContradiction { stated_mm, found_mm, .. } => assert_eq!((stated_mm, found_mm), (told_mm, true_mm)),
+            RigError::ScaleContradiction { agreeing_pitch_mm, .. } => {
+                assert!((agreeing_pitch_mm / true_mm - 1.0).abs() < 0.01, "{agreeing_pitch_mm} mm");
+            }
+            other => panic!("{true_mm} mm, told {told_mm} mm: {other}"),
+        }
+        let message = error.to_string();
         for part in [format!("grid_pitch_mm = {told_mm}"), "4.2 mm".into(), format!("{true_mm:.2} mm")] {
             assert!(message.contains(&part), "{part}: {message}");
         }

@@ -5,7 +5,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use snakeloop::camera::{Frame, Samples};
 use snakeloop::geometry::{Configuration, wrap_degrees};
-use snakeloop::measure::{Eye, Rig, RigOptions, calibrate_rig};
+use snakeloop::measure::{Eye, Rig, RigError, RigOptions, calibrate_rig};
 use snakeloop::observation::Status;
 use snakeloop::simulate::scene::{Pattern, Scene, Surface, Wire};
 
@@ -136,13 +136,15 @@ fn a_wrong_standoff_or_a_bent_snake_is_refused_with_a_reason() {
     let scene = laboratory();
     let bent = frame(&scene, Configuration::from_degrees(40.0, 30.0), 4);
     let options = rig_options(&scene);
-    let message = calibrate_rig(&bent, &scene.lens, &scene.robot, &options).unwrap_err();
-    assert!(message.contains("unbent"), "{message}");
+    let error = calibrate_rig(&bent, &scene.lens, &scene.robot, &options).unwrap_err();
+    assert!(error.to_string().contains("unbent"), "{error}");
 
     let straight = frame(&scene, STRAIGHT, 7);
     let wrong = RigOptions { standoff_mm: 15.0, ..options };
-    let message = calibrate_rig(&straight, &scene.lens, &scene.robot, &wrong).unwrap_err();
-    assert!(message.contains("standoff") || message.contains("outline"), "{message}");
+    let error = calibrate_rig(&straight, &scene.lens, &scene.robot, &wrong).unwrap_err();
+    let RigError::ScaleContradiction { agreeing_standoff_mm, .. } = error else { panic!("{error:?}") };
+    // The snake's size tells its distance to about a millimetre in 250.
+    assert!((agreeing_standoff_mm - scene.paper.standoff_mm).abs() < 2.0, "{agreeing_standoff_mm} mm");
     let wrong = RigOptions { grid_pitch_mm: 5.0, ..options };
     assert!(calibrate_rig(&straight, &scene.lens, &scene.robot, &wrong).is_err());
 }

@@ -3,7 +3,7 @@
 use image::{DynamicImage, RgbImage};
 use snakeloop::camera::Frame;
 use snakeloop::geometry::Configuration;
-use snakeloop::measure::{Eye, Rig, RigOptions, calibrate_rig};
+use snakeloop::measure::{Eye, Rig, RigError, RigOptions, calibrate_rig};
 use snakeloop::simulate::render::render;
 use snakeloop::simulate::scene::{Light, Pattern, Scene, Sensor, Viewpoint};
 
@@ -58,7 +58,7 @@ pub fn rig_options(scene: &Scene) -> RigOptions {
 }
 
 /// The rig of the scene's straight picture.
-pub fn rig(scene: &Scene, seed: u64) -> Result<Rig, String> {
+pub fn rig(scene: &Scene, seed: u64) -> Result<Rig, RigError> {
     calibrate_rig(&frame(scene, STRAIGHT, seed), &scene.lens, &scene.robot, &rig_options(scene))
 }
 

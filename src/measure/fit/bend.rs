@@ -59,7 +59,7 @@ pub(crate) struct BendFit {
     pub bias: EdgeBias,
     /// Covariance of the bend vector from this picture alone, rad².
     pub covariance: Matrix2<f64>,
-    /// Change of the bend vector with the camera's pose (see [`nudged`](crate::measure::target::grid::nudged)).
+    /// Change of the bend vector with the camera's pose (see [`perturbed`](crate::geometry::perturbed)).
     pub by_pose: Matrix2x6<f64>,
     /// The number of edges that agree with the model.
     pub inliers: usize,

@@ -28,7 +28,7 @@ pub(crate) struct Linearised {
     pub residuals: DVector<f64>,
     /// By bend vector (rad) and edge biases (px): the components of [`State`].
     pub by_state: DMatrix<f64>,
-    /// By the camera's pose (see [`nudged`](crate::measure::target::grid::nudged)).
+    /// By the camera's pose (see [`perturbed`](crate::geometry::perturbed)).
     pub by_pose: DMatrix<f64>,
 }
 
@@ -139,7 +139,7 @@ mod tests {
     use super::*;
     use crate::measure::body::Outline;
     use crate::measure::fixture::Scene;
-    use crate::measure::target::grid::nudged;
+    use crate::geometry::perturbed;
     use nalgebra::Vector2;
 
     #[test]
@@ -172,7 +172,7 @@ mod tests {
             let at = |step: f64| {
                 let mut by = DVector::zeros(6);
                 by[k] = step;
-                let moved = Projection { camera_from_base: nudged(&view.camera_from_base, &by), ..view.clone() };
+                let moved = Projection { camera_from_base: perturbed(&view.camera_from_base, &by), ..view.clone() };
                 edges.residuals(&moved, state.psi(), state.bias)
             };
             differences(at(STEP), at(-STEP))

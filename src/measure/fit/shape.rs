@@ -33,7 +33,7 @@ pub(crate) struct Departure {
     found: Vector4<f64>,
     /// Covariance from this picture alone.
     covariance: Matrix4<f64>,
-    /// Change with the camera's pose (see [`nudged`](crate::measure::target::grid::nudged)).
+    /// Change with the camera's pose (see [`perturbed`](crate::geometry::perturbed)).
     by_pose: SMatrix<f64, 4, 6>,
 }
 

@@ -1,8 +1,35 @@
-//! Where camera, grid target and base are: calibrated from the straight picture, kept in a file, watched for drift.
+//! Where camera, grid target and snake are: the rig, and all that is done with it.
+//!
+//! | file | what it does |
+//! | --- | --- |
+//! | `parameters` | the rig as data (its file, rig.toml, is `record`'s) |
+//! | `error` | why a rig could not be calibrated |
+//! | `background`, `locate`, `holder_sides` | find the snake in a picture of which nothing is known |
+//! | `placement`, `base_fit`, `scale` | fit the straight snake before its grid, and check the scale that was stated |
+//! | `calibrate` | the calibration from the straight picture, which calls these in order |
+//! | `base_monitor`, `drift` | whether holder and target are still where the rig says |
+//! | `refine` | the rig once more, from frames of bent snakes |
+//! | `follow` | the rig of a camera that moves |
+//!
+//! Nothing here knows the eye, which stands on top.
 
-pub mod calibrate;
-pub mod drift;
-pub mod file;
-pub mod locate;
-pub mod refusal;
-pub mod scale;
+mod background;
+mod base_fit;
+mod base_monitor;
+mod calibrate;
+mod drift;
+mod error;
+mod follow;
+mod holder_sides;
+mod locate;
+mod parameters;
+mod placement;
+mod refine;
+mod scale;
+
+pub use calibrate::calibrate_rig;
+pub(super) use drift::RigDriftMonitor;
+pub use error::{CalibrationStep, RigError, SnakePart};
+pub(super) use follow::{Followed, RigFollower};
+pub use parameters::{Rig, RigOptions};
+pub(super) use refine::refined_rig;

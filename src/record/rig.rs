@@ -5,19 +5,16 @@
 //! rotation = [[…], […], […]]      # rows of R in x_camera = R x_base + t
 //! translation_mm = [x, y, z]
 //! covariance = [[…] × 6]          # of a small turn (rad) and a shift (mm) along the camera's axes
-//! [grid]                    # the camera's pose to the paper
+//! [grid]                    # the camera's pose to the grid target
 //! [print]                   # what is on it, and the colours in which it shows; files of older versions have none
-//! [appearance]              # what tells snake from paper
+//! [appearance]              # what tells snake from grid target
 //! [fit]                     # how well the calibration fitted
 //! ```
 
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::input::read_text;
-use crate::measure::fit::EdgeBias;
-use crate::measure::image::appearance::Appearance;
-use crate::measure::rig::calibrate::Rig;
-use crate::measure::rig::drift::Print;
+use crate::measure::{Appearance, EdgeBias, GridPattern, Rig};
 use crate::record::{line_at, write_atomically};
 use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -29,7 +26,7 @@ struct RigFile {
     base: BaseTable,
     grid: GridTable,
     #[serde(default)]
-    print: Print,
+    print: GridPattern,
     appearance: Appearance,
     fit: FitTable,
 }
@@ -97,7 +94,7 @@ impl Rig {
             camera_from_grid: pose(&file.grid.rotation, &file.grid.translation_mm)
                 .ok_or_else(|| wrong("[grid] is not a pose"))?,
             grid_pitch_mm: file.grid.pitch_mm,
-            print: file.print,
+            pattern: file.print,
             appearance: file.appearance,
             edge_bias: EdgeBias {
                 side_px: fit.edge_bias_px,
@@ -124,7 +121,7 @@ impl Rig {
                 covariance: std::array::from_fn(|r| std::array::from_fn(|c| covariance[(r, c)])),
             },
             grid: GridTable { pitch_mm: self.grid_pitch_mm, rotation: grid.0, translation_mm: grid.1 },
-            print: self.print.clone(),
+            print: self.pattern.clone(),
             appearance: self.appearance.clone(),
             fit: FitTable {
                 edge_bias_px: self.edge_bias.side_px,
@@ -158,7 +155,7 @@ fn pose(rotation: &[[f64; 3]; 3], translation_mm: &[f64; 3]) -> Option<Pose> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measure::target::grid::Pattern;
+    use crate::measure::PatternKind;
 
     fn rig() -> Rig {
         Rig {
@@ -166,7 +163,7 @@ mod tests {
             pose_covariance: Matrix6::from_diagonal_element(1e-6),
             camera_from_grid: Pose::new(Vector3::new(0.0, 0.0, 255.0), Vector3::new(0.02, 0.01, 0.03)),
             grid_pitch_mm: 1.0,
-            print: Print { pattern: Pattern::Checkerboard, weights: vec![0.5, 0.25, -0.5] },
+            pattern: GridPattern { kind: PatternKind::Checkerboard, weights: vec![0.5, 0.25, -0.5] },
             appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },
             edge_bias: EdgeBias { side_px: -0.05, tube_px: 0.2, rim_px: 0.01 },
             grid_rms_px: 0.1,
@@ -182,7 +179,7 @@ mod tests {
         let read = Rig::read(&path).unwrap();
         assert!((read.camera_from_base.rotation.angle_to(&rig().camera_from_base.rotation)) < 1e-12);
         assert_eq!(read.camera_from_base.translation, rig().camera_from_base.translation);
-        assert_eq!((read.print, read.appearance, read.edge_bias), (rig().print, rig().appearance, rig().edge_bias));
+        assert_eq!((read.pattern, read.appearance, read.edge_bias), (rig().pattern, rig().appearance, rig().edge_bias));
         assert_eq!(read.pose_covariance, rig().pose_covariance);
     }
 

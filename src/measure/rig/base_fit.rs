@@ -1,0 +1,293 @@
+//! Fits the straight snake to its picture: the place of its base before the grid target.
+//!
+//! Rounds of projecting the model's outline, matching the picture's edges near it and moving the base, the search narrowing from
+//! round to round. While the search is wide the loss is Huber's, for a whole family of edges may be far off because the model is, and
+//! must go on pulling; then Tukey's biweight, to which what is still far off counts nothing.
+
+use super::error::{RigError, SnakePart};
+use super::holder_sides::SnakeStart;
+use super::parameters::{Rig, RigOptions};
+use super::placement::{PLACEMENT, Placement};
+use crate::camera::{Frame, Lens};
+use crate::geometry::Configuration;
+use crate::measure::body::{Outline, Projection};
+use crate::measure::fit::{
+    BIASES, Correspondences, EdgeBias, EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase, fine_filter, inliers,
+    predict_blur, systematic_covariance,
+};
+use crate::measure::image::appearance::Appearance;
+use crate::measure::image::plane::Plane;
+use crate::measure::target::{Grid, GridPattern};
+use crate::robot::Robot;
+use crate::statistics::cluster::clustered_covariance;
+use crate::statistics::least_squares::{Options, Solution, minimise};
+use nalgebra::{DMatrix, DVector, Point2};
+use std::f64::consts::PI;
+
+/// How far from the outline edges are searched for in each round, px.
+///
+/// Fitted: by hand on the project's renders (tests/eye/robustness), from the holder's end being found to some 10 px down to the fine search;
+/// not judged elsewhere.
+const SEARCHES_PX: [f64; 11] = [14.0, 12.0, 10.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 3.0, 3.0];
+/// The appearance is learned anew every so many rounds.
+///
+/// Convention: a limit of time.
+const LEARNING_ROUNDS: usize = 3;
+/// How far the standoff may be from what was stated, mm (1σ).
+///
+/// Convention: a ruler's precision.
+pub const STANDOFF_SIGMA_MM: f64 = 0.1;
+/// How far the snake may be from parallel to the grid, rad (1σ).
+///
+/// Convention: a jig's precision, 0.05 mm over the snake's length.
+const TILT_SIGMA: f64 = 0.1 * PI / 180.0;
+/// How far outside the snake's border its edges may be seen, px (1σ), and what stands for none at all: while the model is off, a bias would
+/// take the blame and carry scale and tilt away.
+///
+/// Fitted: the former by hand to the rigs of tests/eye/uncertainty, where edges of tubes lie up to 0.25 px outside; not judged elsewhere.
+const BIAS_SIGMA_PX: f64 = 0.3;
+const NO_BIAS_PX: f64 = 1e-3;
+/// Fewest edges, and least share of the places, with which a round goes on.
+///
+/// Convention: eight parameters, and a third of the outline; whether the model is right is judged at the end.
+const FEWEST_EDGES: usize = 40;
+const LEAST_SHARE: f64 = 1.0 / 3.0;
+/// Share of the straight snake's outline that must be confirmed by edges.
+///
+/// Convention: a majority.
+const LEAST_AGREEING: f64 = 0.5;
+/// An edge bias beyond this, px, is no edge's but a wrong model's; blurred edges are displaced by as much more as they are wider than
+/// a pixel.
+///
+/// Fitted: by hand on the project's renders (tests/eye/robustness); not judged elsewhere.
+const MOST_BIAS_PX: f64 = 0.8;
+/// A camera whose direction is less certain than this, rad (1σ), was not found.
+///
+/// Fitted: to the rigs of tests/eye/robustness (`cargo test --release --no-default-features --test eye robustness -- --ignored`), where a grid in good view tells it to
+/// 0.02° to 0.3°; not judged elsewhere.
+const MOST_TURN_SIGMA: f64 = 1.0 * PI / 180.0;
+/// So long as edges are searched for further away than this, px, the border is not known so well that colours beside it are asked for most.
+///
+/// Convention: about the width of the border's surroundings that are then asked.
+const WELL_PLACED_PX: f64 = 5.0;
+/// What tells snake from target is asked for most where edges are placed, so near the border, px (σ of a blur of the silhouette), and so
+/// many times as much: a JPEG and many a camera keep less of the colours than of the brightness, and what looks the most unlike far from the
+/// border has the worst edges. Pixels that an edge mixes of both sides lie between the two and change nothing.
+///
+/// Fitted: by hand to the rms errors of tests/eye/uncertainty; not judged elsewhere.
+const BORDER_PX: f64 = 2.0;
+const BORDER_WEIGHT: f64 = 20.0;
+/// The shares of snake that pixels at the border have, once the silhouette is blurred by that.
+///
+/// Convention: ±1.6 σ of the blur.
+const BORDER_SHARES: std::ops::Range<f32> = 0.05..0.95;
+/// Steps of central differences: placement (mm, mm, rad, mm, rad) and edge biases (px).
+///
+/// Convention: far below what edges tell, far above rounding.
+const STEPS: [f64; PLACEMENT + BIASES] = [1e-4, 1e-4, 1e-5, 1e-4, 1e-5, 1e-3, 1e-3, 1e-3];
+
+const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
+
+/// The picture of the straight snake, and what is known about it.
+#[derive(Clone, Copy)]
+pub struct StraightPicture<'a> {
+    pub frame: &'a Frame,
+    pub lens: &'a Lens,
+    pub robot: &'a Robot,
+    pub options: &'a RigOptions,
+}
+
+/// The edges of one round, their weights' roots, and the fit to them.
+struct Round {
+    edges: Correspondences,
+    roots: Vec<f64>,
+    solution: Solution,
+}
+
+/// The state of the fit between rounds.
+struct BaseFit<'a> {
+    picture: StraightPicture<'a>,
+    grid: &'a Grid,
+    placement: Placement,
+    bias: EdgeBias,
+    /// What tells snake from target, and the picture seen through it.
+    learned: Option<(Appearance, Plane)>,
+    last: Option<Round>,
+}
+
+/// Fits the base from where the snake was found to begin.
+///
+/// # Errors
+///
+/// Why the picture does not show the straight snake before this grid.
+pub fn fit_base(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Result<Rig, RigError> {
+    let options = picture.options;
+    let placement = Placement::from_picture(picture.lens, options, grid, &start.base, start.axis);
+    let behind = || {
+        let target_mm = grid.distance_mm(&picture.lens.ray(&start.base));
+        RigError::BehindCamera { target_mm, standoff_mm: options.standoff_mm }
+    };
+    let mut fit = BaseFit {
+        picture,
+        grid,
+        placement: placement.ok_or_else(behind)?,
+        bias: EdgeBias::default(),
+        learned: None,
+        last: None,
+    };
+    for (round, search_px) in SEARCHES_PX.into_iter().enumerate() {
+        fit.improve(round, search_px)?;
+    }
+    fit.rig()
+}
+
+impl<'a> BaseFit<'a> {
+    /// How the camera sees a base at this place.
+    fn view(&self, placement: &Placement) -> Projection<'a> {
+        let StraightPicture { lens, robot, options, .. } = self.picture;
+        Projection { lens, camera_from_base: placement.camera_from_base(options, self.grid), robot }
+    }
+
+    /// One round: edges within `search_px` of the outline, and the base and the biases that agree with them best.
+    fn improve(&mut self, round: usize, search_px: f64) -> Result<(), RigError> {
+        let view = self.view(&self.placement);
+        let mut outline = Outline::new(&view, STRAIGHT);
+        // The model's own outline tells which pixels are snake, the better the better it lies.
+        if round % LEARNING_ROUNDS == 0 || self.learned.is_none() {
+            let frame = self.picture.frame;
+            let appearance = appearance_of(frame, &outline, search_px <= WELL_PLACED_PX);
+            self.learned = appearance.map(|appearance| {
+                let plane = appearance.plane(frame);
+                (appearance, plane)
+            });
+        }
+        let edges = self.edges(&view, &mut outline, search_px)?;
+        let is_coarse = search_px > FINE_SEARCH_PX;
+        let phase = if is_coarse { RobustPhase::Monotone } else { RobustPhase::Redescending };
+        let roots = phase.roots(&edges.residuals(&view, STRAIGHT, self.bias));
+        let bias_sigma_px = if is_coarse { NO_BIAS_PX } else { BIAS_SIGMA_PX };
+        let solution = self.solve(&edges, &roots, bias_sigma_px)?;
+        self.placement = Placement(solution.parameters.rows(0, PLACEMENT).into_owned());
+        self.bias = EdgeBias::default().moved(&solution.parameters.as_slice()[PLACEMENT..]);
+        self.last = Some(Round { edges, roots, solution });
+        Ok(())
+    }
+
+    /// The picture's edges near the outline, looked for with the filter that suits the blur of those found before.
+    fn edges(&self, view: &Projection, outline: &mut Outline, search_px: f64) -> Result<Correspondences, RigError> {
+        let (appearance, plane) = self.learned.as_ref().ok_or(RigError::NoContrast)?;
+        let mut finder = EdgeFinder::new(plane, appearance.two_sided);
+        if let Some(Round { edges, .. }) = &self.last {
+            if search_px > FINE_SEARCH_PX {
+                finder = finder.coarse_for_blur(edges.blur_px);
+            } else {
+                finder = fine_filter(&finder, view, edges.blur_px);
+                predict_blur(outline, edges.blur_px, &finder);
+            }
+        }
+        let edges = Correspondences::find(outline, &finder, search_px, |_| true);
+        let (found, places) = (edges.len(), edges.searched().len());
+        let is_enough = found >= FEWEST_EDGES && found as f64 >= LEAST_SHARE * places as f64;
+        if is_enough { Ok(edges) } else { Err(RigError::TooFewEdges { edges: found, places }) }
+    }
+
+    /// The placement and the biases that agree best with weighted edges and with what is known beforehand.
+    fn solve(&self, edges: &Correspondences, roots: &[f64], bias_sigma_px: f64) -> Result<Solution, RigError> {
+        let residuals = |x: &DVector<f64>| {
+            let placement = Placement(x.rows(0, PLACEMENT).into_owned());
+            let bias = EdgeBias::default().moved(&x.as_slice()[PLACEMENT..]);
+            let of_edges = edges.residuals(&self.view(&placement), STRAIGHT, bias);
+            let weighted = of_edges.iter().zip(roots).map(|(r, root)| r * root);
+            let priors = [placement.height_mm() / STANDOFF_SIGMA_MM, placement.tilt() / TILT_SIGMA];
+            let biases = bias.to_array().map(|bias_px| bias_px / bias_sigma_px);
+            DVector::from_vec(weighted.chain(priors).chain(biases).collect())
+        };
+        let start = self.placement.0.iter().copied().chain(self.bias.to_array());
+        let start = DVector::from_iterator(STEPS.len(), start);
+        let steps = DVector::from_column_slice(&STEPS);
+        minimise(residuals, start, &steps, &Options::default()).map_err(|_| RigError::Undetermined)
+    }
+
+    /// The rig of the last round, if the picture confirms it.
+    fn rig(self) -> Result<Rig, RigError> {
+        let (Some(Round { edges, roots, solution }), Some((appearance, plane))) = (&self.last, &self.learned) else {
+            return Err(RigError::Undetermined);
+        };
+        let StraightPicture { robot, options, .. } = self.picture;
+        let view = self.view(&self.placement);
+        let residuals_px = edges.in_px(&edges.residuals(&view, STRAIGHT, self.bias));
+        let (agreeing, edge_rms_px) = inliers(&residuals_px, roots);
+        let covariance = covariance(edges, roots, solution, &view, edge_rms_px).ok_or(RigError::Undetermined)?;
+        self.check_agreement(edges, agreeing, edge_rms_px)?;
+        let finder = EdgeFinder::new(plane, appearance.two_sided);
+        check_visibility(&PartVisibility::new(&Outline::new(&view, STRAIGHT), &finder), robot)?;
+        let pose_covariance = self.placement.pose_covariance(&covariance, options, self.grid);
+        let turn_sigma = (0..3).map(|axis| pose_covariance[(axis, axis)]).fold(0.0, f64::max).sqrt();
+        if turn_sigma > MOST_TURN_SIGMA {
+            let (sigma_deg, most_deg) = (turn_sigma.to_degrees(), MOST_TURN_SIGMA.to_degrees());
+            return Err(RigError::UncertainDirection { sigma_deg, most_deg });
+        }
+        Ok(Rig {
+            camera_from_base: view.camera_from_base,
+            pose_covariance,
+            camera_from_grid: self.grid.camera_from_grid,
+            grid_pitch_mm: options.grid_pitch_mm,
+            pattern: GridPattern::dark(self.grid.kind),
+            appearance: appearance.clone(),
+            edge_bias: self.bias,
+            grid_rms_px: self.grid.rms_px,
+            edge_rms_px,
+        })
+    }
+
+    /// Whether enough of the outline agrees with the model, without a bias that no edge has.
+    fn check_agreement(&self, edges: &Correspondences, agreeing: usize, rms_px: f64) -> Result<(), RigError> {
+        let agreeing = agreeing as f64 / edges.searched().len().max(1) as f64;
+        let bias_px = self.bias.to_array().into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
+        let most_bias_px = MOST_BIAS_PX * edges.blur_px.max(1.0);
+        if agreeing < LEAST_AGREEING || bias_px.abs() > most_bias_px {
+            let least_agreeing = LEAST_AGREEING;
+            return Err(RigError::ModelDisagrees { agreeing, least_agreeing, bias_px, most_bias_px, rms_px });
+        }
+        Ok(())
+    }
+}
+
+/// Covariance of placement and biases: cluster-robust, and what errs alike on all pieces added.
+fn covariance(
+    edges: &Correspondences,
+    roots: &[f64],
+    solution: &Solution,
+    view: &Projection,
+    edge_rms_px: f64,
+) -> Option<DMatrix<f64>> {
+    let clustered = clustered_covariance(&solution.jacobian, &solution.residuals, edges.clusters())?;
+    let independent = solution.covariance()?;
+    let systematic = systematic_covariance(edges, &solution.jacobian, &independent, view, roots, edge_rms_px);
+    Some(clustered + systematic)
+}
+
+/// Whether holder, first and end disk are seen where the model says, or at least all parts faintly.
+fn check_visibility(visibility: &PartVisibility, robot: &Robot) -> Result<(), RigError> {
+    let end = robot.body.spacer_disk_count + 1;
+    let parts = [(SnakePart::Holder, 0), (SnakePart::FirstDisk, 1), (SnakePart::EndDisk, end)];
+    match parts.into_iter().find(|&(_, part)| !visibility.is_visible(part)) {
+        Some((part, _)) if !visibility.are_all_faintly_visible(end) => Err(RigError::PartNotVisible(part)),
+        _ => Ok(()),
+    }
+}
+
+/// What tells snake from target, learned from inside and outside of the outline: of one that is well placed, at its border above all.
+fn appearance_of(frame: &Frame, outline: &Outline, is_well_placed: bool) -> Option<Appearance> {
+    let (x0, y0, x1, y1) = outline.bounds();
+    let margin = x1 - x0;
+    let silhouette = is_well_placed.then(|| outline.blurred_silhouette(BORDER_PX));
+    let is_at_border = |pixel: &Point2<f64>| {
+        silhouette.as_ref().is_some_and(|silhouette| BORDER_SHARES.contains(&silhouette.sample(pixel)))
+    };
+    Appearance::learn(frame, |x, y| {
+        let pixel = Point2::new(f64::from(x), f64::from(y));
+        let near = pixel.x > x0 - margin && pixel.x < x1 + margin && pixel.y > y0 - margin && pixel.y < y1 + margin;
+        near.then(|| (outline.covers(&pixel), if is_at_border(&pixel) { BORDER_WEIGHT } else { 1.0 }))
+    })
+}

@@ -1,0 +1,262 @@
+//! Why a rig could not be calibrated.
+
+use std::fmt;
+
+/// A part of the snake that a picture must show.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SnakePart {
+    /// The holder below the base disk.
+    Holder,
+    /// The disk next to the base.
+    FirstDisk,
+    /// The disk at the tip.
+    EndDisk,
+}
+
+impl fmt::Display for SnakePart {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(match self {
+            Self::Holder => "the holder",
+            Self::FirstDisk => "the first disk",
+            Self::EndDisk => "the end disk",
+        })
+    }
+}
+
+/// Why a rig could not be calibrated from a picture of the straight snake, with the values that tell.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RigError {
+    /// The picture is not of the camera file's size.
+    #[error(
+        "the picture is {}×{} px but the camera file says {}×{}; use the camera file of this camera and resolution",
+        picture_px[0], picture_px[1], lens_px[0], lens_px[1]
+    )]
+    WrongSize {
+        /// Width and height of the picture, px.
+        picture_px: [u32; 2],
+        /// Those that the camera file states, px.
+        lens_px: [u32; 2],
+    },
+    /// Nothing stands out from the grid target.
+    #[error("no object stands out from the grid target; is the snake in the picture?")]
+    NoObject,
+    /// What stands out is no holder: no border of the picture cuts it.
+    #[error("the object that stands out does not reach the picture's border, as the snake's holder would")]
+    ObjectWithinBorders,
+    /// What stands out is too large to be a holder.
+    #[error(
+        "what stands out from the grid target is far too large for a snake's holder: {width_px:.0} px wide, and \
+         {:.0} % of the picture (at most {most_width_px:.0} px and {:.0} % are looked at)",
+        100.0 * area_share,
+        100.0 * most_area_share
+    )]
+    ObjectTooLarge {
+        /// Its width where the border cuts it, px.
+        width_px: f64,
+        /// The most that a holder may have, px.
+        most_width_px: f64,
+        /// The share of the picture that it covers.
+        area_share: f64,
+        /// The most that a holder may cover.
+        most_area_share: f64,
+    },
+    /// There is no grid of this pitch where the snake's size puts it.
+    #[error(
+        "no grid of {grid_pitch_mm} mm pitch was found on the grid target; by the snake's size its lines should be {:.0} to \
+         {:.0} px apart. Check grid_pitch_mm and that the lines can be seen",
+        pitch_px[0], pitch_px[1]
+    )]
+    NoGrid {
+        /// The pitch that was looked for, mm.
+        grid_pitch_mm: f64,
+        /// The range of pitches that was looked at, px.
+        pitch_px: [f64; 2],
+    },
+    /// The snake, a standoff before the grid target, would be behind the camera.
+    #[error(
+        "the standoff puts the snake behind the camera: the grid target is {target_mm:.0} mm away and standoff_mm = {standoff_mm}; \
+         check standoff_mm and grid_pitch_mm"
+    )]
+    BehindCamera {
+        /// Depth of the grid target where the holder is seen, mm.
+        target_mm: f64,
+        /// The standoff that was stated, mm.
+        standoff_mm: f64,
+    },
+    /// The holder was not found at the border.
+    #[error(
+        "the snake's holder was not found at the picture's border: it must be seen for at least half its width below the \
+         snake, which is {width_px:.0} px wide"
+    )]
+    NoHolder {
+        /// The holder's expected width, px.
+        width_px: f64,
+    },
+    /// No mix of colours tells the snake from the grid target.
+    #[error("the snake does not stand out from the grid target")]
+    NoContrast,
+    /// Too few places of the straight snake's outline show an edge.
+    #[error(
+        "only {edges} of {places} places on the straight snake's outline show an edge; is the snake unbent, in focus, unlike \
+         the grid target in colour and of the robot's dimensions?"
+    )]
+    TooFewEdges {
+        /// Places with an edge.
+        edges: usize,
+        /// Places that were looked at.
+        places: usize,
+    },
+    /// The fit of the base did not converge, or its edges leave its place open.
+    #[error("the snake's edges do not determine where its base is")]
+    Undetermined,
+    /// Too little of the outline agrees with the model.
+    #[error(
+        "only {:.0} % of the straight snake's outline agrees with the model (edges lie {bias_px:.2} px outside it); is the snake \
+         unbent, in focus, unlike the grid target in colour and of the robot's dimensions?",
+        100.0 * agreeing
+    )]
+    ModelDisagrees {
+        /// The share of the outline's places whose edges agree with the model.
+        agreeing: f64,
+        /// The share that must agree.
+        least_agreeing: f64,
+        /// How far outside the model the edges lie, px, where that is most.
+        bias_px: f64,
+        /// The most that it may be, px.
+        most_bias_px: f64,
+        /// Scatter of the agreeing edges about the model, px.
+        rms_px: f64,
+    },
+    /// A part of the snake is not where the model says.
+    #[error("{0} is not where the model says; is the snake unbent, and all of it in the picture?")]
+    PartNotVisible(SnakePart),
+    /// Snake and grid do not tell the camera's direction.
+    #[error(
+        "snake and grid tell the camera's direction no better than to {sigma_deg:.1}° (1σ, at most {most_deg:.1}°); is \
+         grid_pitch_mm that of its finest lines, and enough of the grid in the picture?"
+    )]
+    UncertainDirection {
+        /// Standard deviation of the camera's direction about the worst axis, degrees.
+        sigma_deg: f64,
+        /// The most that it may be, degrees.
+        most_deg: f64,
+    },
+    /// The snake's size contradicts the scale that was stated.
+    #[error(
+        "the scale contradicts the snake's size: with grid_pitch_mm = {grid_pitch_mm} and standoff_mm = {standoff_mm} it would be {apparent_diameter_mm:.2} mm \
+         thick and {apparent_length_mm:.1} mm long, but the robot is {diameter_mm} mm and {length_mm} mm; a pitch of \
+         {agreeing_pitch_mm:.2} mm or a standoff of {agreeing_standoff_mm:.0} mm would agree. Measure the grid target and correct what is \
+         wrong; or the camera file is, or the snake is not unbent"
+    )]
+    ScaleContradiction {
+        /// The pitch that was stated, mm.
+        grid_pitch_mm: f64,
+        /// The standoff that was stated, mm.
+        standoff_mm: f64,
+        /// The snake's diameter by that scale, mm.
+        apparent_diameter_mm: f64,
+        /// The snake's length by that scale, mm.
+        apparent_length_mm: f64,
+        /// The robot's diameter, mm.
+        diameter_mm: f64,
+        /// The robot's length, mm.
+        length_mm: f64,
+        /// The pitch that would agree with the snake's size, mm.
+        agreeing_pitch_mm: f64,
+        /// The standoff that would agree with the snake's size, mm.
+        agreeing_standoff_mm: f64,
+    },
+    /// The lines are not as far apart as was stated.
+    #[error(
+        "the scale contradicts the snake's size: grid_pitch_mm = {stated_mm}, but beside a snake {diameter_mm} mm thick the grid \
+         target's lines are {found_mm:.2} mm apart. Measure the grid target, and correct grid_pitch_mm"
+    )]
+    PitchContradiction {
+        /// The pitch that was stated, mm.
+        stated_mm: f64,
+        /// The pitch that is seen, mm.
+        found_mm: f64,
+        /// The robot's diameter, mm.
+        diameter_mm: f64,
+    },
+}
+
+/// Where a try to calibrate a rig ended, the first step first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum CalibrationStep {
+    /// Before anything was looked for.
+    Input,
+    /// Finding what may be the holder.
+    Holder,
+    /// Finding the grid.
+    Grid,
+    /// Finding the holder's upper end.
+    Start,
+    /// Fitting the snake.
+    Snake,
+    /// All was found, but not where scale and standoff say.
+    Scale,
+}
+
+impl RigError {
+    /// The step at which this ends a calibration.
+    pub fn step(&self) -> CalibrationStep {
+        match self {
+            Self::WrongSize { .. } => CalibrationStep::Input,
+            Self::NoObject | Self::ObjectWithinBorders | Self::ObjectTooLarge { .. } => CalibrationStep::Holder,
+            Self::NoGrid { .. } | Self::BehindCamera { .. } => CalibrationStep::Grid,
+            Self::NoHolder { .. } => CalibrationStep::Start,
+            Self::NoContrast
+            | Self::TooFewEdges { .. }
+            | Self::Undetermined
+            | Self::ModelDisagrees { .. }
+            | Self::PartNotVisible(_)
+            | Self::UncertainDirection { .. } => CalibrationStep::Snake,
+            Self::ScaleContradiction { .. } | Self::PitchContradiction { .. } => CalibrationStep::Scale,
+        }
+    }
+
+    /// Of several tries the one that came furthest tells most; the first of two that came as far.
+    #[must_use]
+    pub(super) fn or_further(self, former: Option<Self>) -> Self {
+        match former {
+            Some(former) if former.step() >= self.step() => former,
+            _ => self,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_of_those_that_came_furthest_is_told() {
+        let few = |edges| RigError::TooFewEdges { edges, places: 100 };
+        let grid = RigError::NoGrid { grid_pitch_mm: 1.0, pitch_px: [10.0, 20.0] };
+        let tries = [grid, few(1), RigError::NoHolder { width_px: 60.0 }, few(2)];
+        let told = tries.into_iter().fold(None, |former, error| Some(error.or_further(former)));
+        assert_eq!(told, Some(few(1)));
+    }
+
+    #[test]
+    fn messages_name_the_values_and_what_to_do() {
+        let error = RigError::ScaleContradiction {
+            grid_pitch_mm: 1.0,
+            standoff_mm: 25.0,
+            apparent_diameter_mm: 8.4,
+            apparent_length_mm: 56.0,
+            diameter_mm: 4.2,
+            length_mm: 28.0,
+            agreeing_pitch_mm: 0.5,
+            agreeing_standoff_mm: 12.5,
+        };
+        let message = error.to_string();
+        for part in ["grid_pitch_mm = 1", "standoff_mm = 25", "8.40 mm thick", "4.2 mm", "0.50 mm", "Measure the grid target"] {
+            assert!(message.contains(part), "{part}: {message}");
+        }
+        let error = RigError::WrongSize { picture_px: [640, 480], lens_px: [1280, 720] };
+        assert!(error.to_string().contains("640×480") && error.to_string().contains("1280×720"));
+    }
+}

@@ -1,0 +1,72 @@
+//! An eye over a sequence of frames: its rig refined from them, or followed from one to the next.
+
+use crate::camera::Frame;
+use crate::geometry::Pose;
+use crate::measure::eye::{Eye, MeasurementStages};
+use crate::measure::fit::{CoarseSearch, EdgeFinder, Start};
+use crate::measure::image::exposure::is_saturated;
+use crate::measure::image::plane::{Plane, Region};
+use crate::measure::rig::{Followed, Rig, RigDriftMonitor, RigFollower, refined_rig};
+use crate::observation::Status;
+use nalgebra::Point3;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Where the snake's ends are seen further than this, px, from where the coarse search was made for, it is made anew.
+///
+/// Convention: a pixel or two of the search's small picture.
+const SEARCH_OFF_PX: f64 = 4.0;
+
+impl Eye {
+    /// This eye with its rig refined from frames of a sequence: the errors of pose and bias are then what the frames
+    /// leave, not what the straight picture did. Frames that cannot be measured are passed over; where fewer than three
+    /// can, the eye stays as it is.
+    pub fn refined(self, frames: impl ParallelIterator<Item = Frame>) -> Self {
+        let find = |frame: Frame| {
+            let MeasurementStages { measurement, fits, .. } = self.measure_in_stages(&frame);
+            let fit = fits.first().filter(|_| measurement.status == Status::Ok)?;
+            Some((self.plane(&frame, &Region::whole(frame.width, frame.height)), fit.start()))
+        };
+        let (planes, starts): (Vec<Plane>, Vec<Start>) = frames.filter_map(find).unzip();
+        match refined_rig(&self.lens, &self.robot, &self.rig, &planes, starts) {
+            Some(rig) => Self::new(self.lens, rig, self.robot),
+            None => self,
+        }
+    }
+
+    /// This eye where the camera of a frame is. A grid target that slid behind a snake that stayed is followed, too.
+    ///
+    /// Angles measured by the new eye have the uncertainty of this pose in them.
+    ///
+    /// # Errors
+    /// Why the camera is not known: most often [`Status::GridLost`].
+    pub fn following(&self, frame: &Frame) -> Result<Self, Status> {
+        if (frame.width, frame.height) != (self.lens.width, self.lens.height) {
+            return Err(Status::WrongSize);
+        }
+        if is_saturated(frame) {
+            return Err(Status::Saturated);
+        }
+        let plane = self.rig.appearance.plane(frame);
+        let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
+        let calibrated_covariance = &self.calibrated_covariance;
+        let follower = RigFollower { lens: &self.lens, robot: &self.robot, calibrated_covariance };
+        Ok(match follower.follow(&self.rig, &self.drift_monitor, frame, &finder)? {
+            Followed::Still => self.clone(),
+            Followed::Moved(moved) => self.with_rig(moved.0, moved.1),
+        })
+    }
+
+    /// The same eye with another rig, near enough for the coarse search to serve or with a new one.
+    fn with_rig(&self, rig: Rig, drift_monitor: RigDriftMonitor) -> Self {
+        let pixel = |pose: &Pose, along_mm: f64| self.lens.project(&(pose * Point3::new(0.0, 0.0, along_mm)));
+        let shift_px = |along_mm| (pixel(&rig.camera_from_base, along_mm) - pixel(&self.search_pose, along_mm)).norm();
+        let is_far = shift_px(0.0).max(shift_px(self.robot.length_mm)) > SEARCH_OFF_PX;
+        let mut eye = Self { rig, drift_monitor: Arc::new(drift_monitor), ..self.clone() };
+        if is_far {
+            eye.search_pose = eye.rig.camera_from_base;
+            eye.search = Arc::new(CoarseSearch::new(&eye.lens, eye.search_pose, &eye.robot));
+        }
+        eye
+    }
+}

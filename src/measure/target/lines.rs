@@ -1,0 +1,240 @@
+//! The printed lines themselves, placed one by one once a pose tells where to look.
+//!
+//! The waves average over windows that cannot reach the picture's border and that shadows and the snake cut into; the
+//! lines are seen everywhere, and each place of each line is a measurement of its own.
+
+use super::planar_pose::{PoseFit, fit_distances, project_target, target_at};
+use crate::camera::Lens;
+use crate::geometry::Pose;
+use crate::measure::image::plane::Plane;
+use nalgebra::{Point2, Translation3, Vector2};
+use std::ops::RangeInclusive;
+
+/// How far from its place, in pitches, a line is searched for.
+///
+/// Fitted: by hand on the project's renders (tests/eye/robustness): more than the waves are off, less than the way to the next line's flank.
+const SEARCH: f64 = 0.15;
+/// Most scatter of lines' places, in pitches.
+///
+/// Derived: places at random within ±[`SEARCH`] scatter by SEARCH/√3 = 0.087 pitches. A scatter of 0.08 is hardly less: the lines are not where
+/// the waves put them, so the waves were not the lines'.
+pub(super) const MOST_SCATTER: f64 = 0.08;
+/// Distance between the samples across a line, px, and the half width, in samples, of the second difference that finds its middle.
+///
+/// Fitted: by hand on the project's renders, whose lines are 1 to 5 px wide; not judged elsewhere.
+const STEP_PX: f64 = 0.5;
+const HALF_WIDTH: usize = 4;
+/// Half length of the mean along a line, in pitches: it stops short of the lines that cross it half a pitch away.
+///
+/// Convention: long against noise; the crossing lines, half a pitch away, may be 0.3 pitches wide.
+const HALF_LENGTH: f64 = 0.35;
+/// The picture's margin in which no line is looked for, px.
+///
+/// Convention: the profile across a line needs as much.
+const MARGIN_PX: f64 = 3.0;
+/// More lines than this in one direction are not a grid that can be seen.
+///
+/// Convention: a limit of resources; 2000 lines in a picture of 4000 px are 2 px apart.
+const MOST_LINES: f64 = 2000.0;
+/// Fewest places of lines to which a pose is fitted.
+///
+/// Convention: a pose has 6 parameters, and the grids of real pictures thousands of places.
+const FEWEST_PLACES: usize = 50;
+/// How many neighbouring places count as one: they share their line's printing errors.
+///
+/// Fitted: by hand on the project's renders, with the rotation's normalised errors in tests/eye/uncertainty; not judged elsewhere.
+const DESIGN_EFFECT: f64 = 10.0;
+/// The step along a line by which its direction in the picture is told, pitches.
+///
+/// Convention: short enough that the lens does not bend it.
+const ALONG: f64 = 0.3;
+
+/// Looks for lines in a picture.
+pub(super) struct Lines<'a, F> {
+    pub plane: &'a Plane,
+    pub lens: &'a Lens,
+    pub pitch_mm: f64,
+    pub is_snake: &'a F,
+}
+
+/// A place on a printed line: where it is on the target, where it was seen, and the line's normal in the picture.
+struct LinePlace {
+    target_mm: Point2<f64>,
+    seen: Point2<f64>,
+    normal: Vector2<f64>,
+    /// How much darker it is than its surroundings; negative if lighter.
+    darkness: f64,
+}
+
+impl<F: Fn(&Point2<f64>) -> bool> Lines<'_, F> {
+    /// Fits the pose to the lines' places, looked for where a pose that is nearly right puts them.
+    pub fn fit_pose(&self, start: &Pose) -> Option<PoseFit> {
+        let places = of_one_kind(self.places(start)?)?;
+        let distance_px = |pose: &Pose, k: usize| {
+            let place: &LinePlace = &places[k];
+            place.normal.dot(&(place.seen - project_target(self.lens, pose, &place.target_mm)))
+        };
+        fit_distances(start, places.len(), distance_px, DESIGN_EFFECT)
+    }
+
+    /// The waves' crests are the lines if these are light, and half way between them if they are dark. Lines are the
+    /// narrower of the two, so the place with the stronger second difference tells.
+    pub fn put_origin_on_a_line(&self, pose: Pose) -> Option<Pose> {
+        let shifted = |by: f64| pose * Translation3::new(by * self.pitch_mm, by * self.pitch_mm, 0.0);
+        let sharpness = |pose: &Pose| -> Option<f64> {
+            let places = self.places(pose)?;
+            Some((places.iter().map(|place| place.darkness).sum::<f64>() / places.len().max(1) as f64).abs())
+        };
+        let (crest, trough) = (shifted(0.0), shifted(0.5));
+        Some(if sharpness(&crest)? > sharpness(&trough)? { crest } else { trough })
+    }
+
+    /// Looks at every line of both directions, in the middle between the lines that cross it.
+    fn places(&self, pose: &Pose) -> Option<Vec<LinePlace>> {
+        let lines = self.lines_in_view(pose)?;
+        let mut found = Vec::new();
+        for axis in 0..2 {
+            for line in lines[axis].clone() {
+                for between in lines[1 - axis].clone() {
+                    let mut target_mm = Point2::origin();
+                    target_mm[axis] = line as f64 * self.pitch_mm;
+                    target_mm[1 - axis] = (between as f64 + 0.5) * self.pitch_mm;
+                    found.extend(self.place(pose, target_mm, axis));
+                }
+            }
+        }
+        Some(found)
+    }
+
+    /// The lines square to each of the target's axes that may be in the picture; `None` where they are too many.
+    fn lines_in_view(&self, pose: &Pose) -> Option<[RangeInclusive<i64>; 2]> {
+        let size = Vector2::new(self.plane.width as f64 - 1.0, self.plane.height as f64 - 1.0);
+        let mut reach = [(f64::MAX, f64::MIN); 2];
+        for (x, y) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
+            let (place_mm, _) = target_at(self.lens, pose, &Point2::new(x * size.x, y * size.y))?;
+            for axis in 0..2 {
+                let line = place_mm[axis] / self.pitch_mm;
+                reach[axis] = (reach[axis].0.min(line), reach[axis].1.max(line));
+            }
+        }
+        let few = reach.iter().all(|(low, high)| high - low <= MOST_LINES);
+        few.then(|| reach.map(|(low, high)| (low.ceil() as i64)..=(high.floor() as i64)))
+    }
+
+    /// The line square to an axis at a place of the target, where the picture shows it there.
+    fn place(&self, pose: &Pose, target_mm: Point2<f64>, axis: usize) -> Option<LinePlace> {
+        let pixel = project_target(self.lens, pose, &target_mm);
+        if !self.lens.contains(&pixel, MARGIN_PX) || (self.is_snake)(&pixel) {
+            return None;
+        }
+        let mut ahead = target_mm;
+        ahead[1 - axis] += ALONG * self.pitch_mm;
+        let along = (project_target(self.lens, pose, &ahead) - pixel) / ALONG;
+        let (darkness, seen, normal) = ridge(self.plane, &pixel, along)?;
+        Some(LinePlace { target_mm, seen, normal, darkness })
+    }
+}
+
+/// The middle of the darkest or lightest stripe near a pixel, along a vector of one pitch: how much darker than its surroundings it
+/// is, its place and the line's normal.
+fn ridge(plane: &Plane, pixel: &Point2<f64>, along: Vector2<f64>) -> Option<(f64, Point2<f64>, Vector2<f64>)> {
+    let pitch_px = along.norm();
+    let direction = along / pitch_px;
+    let normal = Vector2::new(-direction.y, direction.x);
+    let search = (SEARCH * pitch_px / STEP_PX).ceil() as i64;
+    let reach = search + HALF_WIDTH as i64 + 2;
+    let rows = (HALF_LENGTH * pitch_px).floor() as i64;
+    let profile: Vec<f64> = (-reach..=reach)
+        .map(|k| {
+            let centre = pixel + normal * (k as f64 * STEP_PX);
+            let sum: f64 = (-rows..=rows).map(|r| f64::from(plane.sample(&(centre + direction * r as f64)))).sum();
+            sum / (2 * rows + 1) as f64
+        })
+        .collect();
+    // A second difference about as wide as a line finds its middle whatever the target's slope of brightness.
+    let curve = |k: usize| profile[k - HALF_WIDTH] + profile[k + HALF_WIDTH] - 2.0 * profile[k];
+    let smooth = |k: usize| curve(k - 1) + 2.0 * curve(k) + curve(k + 1);
+    let inner = HALF_WIDTH + 2..profile.len().saturating_sub(HALF_WIDTH + 2);
+    let best = inner.clone().max_by(|&a, &b| smooth(a).abs().total_cmp(&smooth(b).abs()))?;
+    if best == inner.start || best + 1 == inner.end {
+        return None;
+    }
+    let (before, at, after) = (smooth(best - 1), smooth(best), smooth(best + 1));
+    let bow = 2.0 * at - before - after;
+    let vertex = if bow == 0.0 { return None } else { 0.5 * (after - before) / bow };
+    let offset = (best as f64 + vertex.clamp(-1.0, 1.0) - reach as f64) * STEP_PX;
+    Some((at, pixel + normal * offset, normal))
+}
+
+/// Lines are dark on a light target or light on a dark one; most places tell which, and the others saw something else.
+fn of_one_kind(found: Vec<LinePlace>) -> Option<Vec<LinePlace>> {
+    let is_dark = found.iter().map(|place| place.darkness).sum::<f64>() > 0.0;
+    let places: Vec<LinePlace> = found.into_iter().filter(|place| (place.darkness > 0.0) == is_dark).collect();
+    (places.len() >= FEWEST_PLACES).then_some(places)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::perturbed;
+    use crate::measure::target::phases::tests::noisy;
+    use nalgebra::Vector6;
+
+    /// Lines 2 px wide (σ 0.8 px) in both directions, `sign` times 60 from grey 150, one pitch of 1 mm apart on the target at a pose.
+    fn ruled(lens: &Lens, pose: &Pose, sign: f64) -> Plane {
+        let (width, height) = (lens.width as usize, lens.height as usize);
+        let value = |k: usize| {
+            let pixel = Point2::new((k % width) as f64, (k / width) as f64);
+            let (place, gradient) = target_at(lens, pose, &pixel).unwrap();
+            let line = |axis: usize| {
+                let distance_px = (place[axis] - place[axis].round()) / gradient.row(axis).norm();
+                (-0.5 * (distance_px / 0.8).powi(2)).exp()
+            };
+            150.0 + sign * 60.0 * line(0).max(line(1))
+        };
+        Plane::new(width, height, (0..width * height).map(|k| value(k) as f32).collect())
+    }
+
+    #[test]
+    fn lines_give_their_pose_whether_dark_or_light_and_the_origin_comes_to_lie_on_one() {
+        let mut lens = crate::simulate::scene::Scene::default().lens;
+        (lens.width, lens.height) = (400, 300);
+        lens.focal_px = [4000.0, 4000.0].into();
+        lens.centre_px = [199.5, 149.5].into();
+        let pose = perturbed(&Pose::translation(-2.0, 1.0, 250.0), &Vector6::new(0.05, -0.08, 0.1, 0.0, 0.0, 0.0));
+        for sign in [-1.0, 1.0] {
+            let plane = noisy(ruled(&lens, &pose, sign), 3.0, 1);
+            let lines = Lines { plane: &plane, lens: &lens, pitch_mm: 1.0, is_snake: &|_: &Point2<f64>| false };
+            // Off by half a pitch along both axes, as the waves leave it.
+            let between = pose * Translation3::new(0.5, 0.5, 0.0);
+            for start in [pose, between] {
+                let start = lines.put_origin_on_a_line(start).unwrap();
+                let near = perturbed(&start, &Vector6::new(1e-4, -1e-4, 1e-4, 0.03, -0.02, 0.1));
+                let fit = lines.fit_pose(&near).and_then(|fit| lines.fit_pose(&fit.camera_from_grid)).unwrap();
+                let error = fit.camera_from_grid.inverse() * pose;
+                // On another line at most, and turned by no more than four of its sigmas.
+                let slide = error.translation.vector.xy();
+                assert!((slide - slide.map(f64::round)).norm() < 0.005, "{slide}");
+                let turn = (fit.camera_from_grid.rotation * pose.rotation.inverse()).scaled_axis();
+                for axis in 0..3 {
+                    assert!(turn[axis].abs() < 4.0 * fit.rotation_variance[axis].sqrt(), "{turn} {fit:?}");
+                }
+                assert!(fit.rms_px < 0.3 && fit.rms_px < MOST_SCATTER * 16.0, "{}", fit.rms_px);
+            }
+        }
+    }
+
+    #[test]
+    fn a_ridge_is_found_where_it_is_to_a_hundredth_of_a_pixel() {
+        for offset in [-1.3, 0.0, 0.4, 2.2] {
+            let line = |y: usize| (-0.5 * ((y as f64 - 30.0 - offset) / 1.0).powi(2)).exp();
+            // Under a gradient of brightness.
+            let plane = Plane::new(60, 60, (0..3600).map(|k| (200.0 - 80.0 * line(k / 60) + 0.5 * (k / 60) as f64) as f32).collect());
+            let (darkness, seen, normal) = ridge(&plane, &Point2::new(30.0, 30.0), Vector2::new(20.0, 0.0)).unwrap();
+            assert!(darkness > 0.0 && normal == Vector2::new(0.0, 1.0));
+            assert!((seen.y - 30.0 - offset).abs() < 0.02, "{} for {offset}", seen.y - 30.0);
+        }
+        let flat = Plane::new(60, 60, vec![100.0; 3600]);
+        assert!(ridge(&flat, &Point2::new(30.0, 30.0), Vector2::new(20.0, 0.0)).is_none());
+    }
+}

@@ -1,0 +1,316 @@
+//! The phases of the target's two waves in windows all over the picture, unwrapped from neighbour to neighbour.
+//!
+//! In each window the phase of a wave is that of Σ w(x) I(x) exp(−2πi k·x), with a Hann window w, the picture I and the wave vector
+//! k: synchronous demodulation. It is known up to whole cycles. A window's neighbour has the phase that the wave vector
+//! predicts to well within half a cycle, so that a flood fill from the seed counts the cycles.
+
+use super::pattern::{PatternKind, wrap_cycles};
+use super::planar_pose::{TargetPoint, target_at};
+use super::seed::Seed;
+use crate::camera::Lens;
+use crate::geometry::Pose;
+use crate::measure::image::plane::Plane;
+use nalgebra::{Point2, Vector2};
+use rustfft::num_complex::Complex;
+use std::collections::VecDeque;
+use std::f64::consts::{PI, TAU};
+
+/// Least share of a window that shows the target, not the snake.
+///
+/// Fitted: by hand on the project's renders (tests/eye/robustness) to keep windows beside the snake's border; not judged elsewhere.
+const LEAST_SHARE: f64 = 0.85;
+/// Amplitude, as a share of that beside the seed, from which on a wave counts as the grid's.
+///
+/// Fitted: by hand on the project's renders with shadows (tests/eye/robustness); not judged elsewhere.
+const LEAST_AMPLITUDE: f64 = 1.0 / 3.0;
+/// Largest difference, cycles, between a phase and the one predicted.
+///
+/// Derived: a phase is certain up to whole cycles, so that half a cycle cannot be told from its opposite; half of that keeps both
+/// signs apart.
+const MOST_DEVIATION_CYCLES: f64 = 0.25;
+/// Places along each side of a window at which it is asked whether it shows the snake, and the part of the window's radius up to
+/// which they reach.
+///
+/// Convention: enough for steps of an eighth; beyond 0.7 of the radius a Hann window has 5 % of its weight.
+const PROBES: i32 = 9;
+const PROBED_REACH: f64 = 0.7;
+/// Fewest columns and rows of windows.
+///
+/// Convention: fewer could not show a target's tilt.
+const FEWEST_WINDOWS: i64 = 3;
+
+/// Distance between the centres of windows, in pitches: neighbours overlap, so that their phases cannot differ by much more
+/// than the seed's waves predict.
+///
+/// Fitted: by hand on the project's renders (tests/eye/robustness); for ruled lines the lines themselves decide in the end.
+fn spacing(kind: PatternKind) -> f64 {
+    match kind {
+        PatternKind::Lines => 1.7,
+        PatternKind::Checkerboard => 0.6,
+    }
+}
+
+/// In how many windows each part of the target is seen, so that their errors are alike: the variance of a mean over all windows is so
+/// many times what it would be if they did not overlap.
+///
+/// Derived: for noise that is independent from pixel to pixel the phases of two windows are correlated as the windows'
+/// autocorrelation; its sum over the lattice of windows is (∫w)²/∫w² over the distance of the windows, squared for the two directions, and
+/// for Hann's window of radius R that is 4 R/3.
+pub(super) fn design_effect(kind: PatternKind) -> f64 {
+    let radius = kind.window_radius() * kind.wavelength();
+    (4.0 / 3.0 * radius / spacing(kind)).powi(2)
+}
+
+/// The windows of one picture.
+pub(super) struct Windows<'a> {
+    plane: &'a Plane,
+    kind: PatternKind,
+    radius: f64,
+    columns: i64,
+    /// Row by row.
+    windows: Vec<Window>,
+    /// Amplitudes from which on the two waves count as the grid's.
+    enough: [f64; 2],
+}
+
+/// One window: its centre, whether it shows little but the target, and its phases in cycles, once counted.
+struct Window {
+    centre: Point2<f64>,
+    is_clear: bool,
+    phases: Option<Vector2<f64>>,
+}
+
+impl<'a> Windows<'a> {
+    /// Lays windows over the picture; `None` where it has too little room for them.
+    pub fn new(
+        plane: &'a Plane,
+        kind: PatternKind,
+        seed: &Seed,
+        is_snake: &impl Fn(&Point2<f64>) -> bool,
+    ) -> Option<Self> {
+        let radius = kind.window_radius() / seed.waves[0].norm();
+        let step = spacing(kind) / kind.gradients(seed.waves)[0].norm();
+        let count = |length: usize| ((length as f64 - 2.0 * radius - 2.0) / step).floor() as i64;
+        let (columns, rows) = (count(plane.width), count(plane.height));
+        if columns < FEWEST_WINDOWS || rows < FEWEST_WINDOWS {
+            return None;
+        }
+        let place = |x: i64, y: i64| Point2::new(radius + 1.0 + x as f64 * step, radius + 1.0 + y as f64 * step);
+        let window = |k: i64| {
+            let centre = place(k % columns, k / columns);
+            Window { centre, is_clear: target_share(&centre, radius, is_snake) > LEAST_SHARE, phases: None }
+        };
+        let windows = (0..rows * columns).map(window).collect();
+        let beside = clamp_into(plane, &seed.centre, radius);
+        let enough = seed.waves.map(|wave| LEAST_AMPLITUDE * phase_at(plane, &beside, wave, radius).1);
+        Some(Self { plane, kind, radius, columns, windows, enough })
+    }
+
+    /// Counts phases from the window next to the seed over the whole picture; `None` where no window is clear.
+    pub fn unwrap_from(&mut self, seed: &Seed) -> Option<()> {
+        let clear = (0..self.windows.len()).filter(|&k| self.windows[k].is_clear);
+        let start = clear.min_by(|&a, &b| {
+            let distance = |k: usize| (self.windows[k].centre - seed.centre).norm();
+            distance(a).total_cmp(&distance(b))
+        })?;
+        let first = seed.waves.map(|wave| phase_at(self.plane, &self.windows[start].centre, wave, self.radius).0);
+        self.windows[start].phases = Some(Vector2::new(first[0], first[1]));
+        let mut queue = VecDeque::from([start]);
+        while let Some(from) = queue.pop_front() {
+            let Some(known) = self.windows[from].phases else { continue };
+            for to in self.neighbours(from) {
+                if !self.windows[to].is_clear || self.windows[to].phases.is_some() {
+                    continue;
+                }
+                let moved = self.windows[to].centre - self.windows[from].centre;
+                let predicted = known + Vector2::new(seed.waves[0].dot(&moved), seed.waves[1].dot(&moved));
+                self.windows[to].phases = self.measured(to, predicted, seed.waves);
+                if self.windows[to].phases.is_some() {
+                    queue.push_back(to);
+                }
+            }
+        }
+        Some(())
+    }
+
+    /// Measures the phases of all clear windows again, with the waves and the cycles that a pose predicts; `None` where some of them
+    /// would not see the target.
+    pub fn measure_again(&mut self, lens: &Lens, pitch_mm: f64, camera_from_grid: &Pose) -> Option<()> {
+        for k in 0..self.windows.len() {
+            if !self.windows[k].is_clear {
+                continue;
+            }
+            let (place_mm, gradient) = target_at(lens, camera_from_grid, &self.windows[k].centre)?;
+            let predicted = self.kind.phases(place_mm.coords / pitch_mm);
+            self.windows[k].phases = self.measured(k, predicted, self.kind.waves(gradient / pitch_mm));
+        }
+        Some(())
+    }
+
+    /// How many windows show little but the target.
+    pub fn clear_count(&self) -> usize {
+        self.windows.iter().filter(|window| window.is_clear).count()
+    }
+
+    /// The places of the target that were seen.
+    pub fn points(&self, pitch_mm: f64) -> Vec<TargetPoint> {
+        let seen = self.windows.iter().filter_map(|window| Some((window.centre, window.phases?)));
+        seen.map(|(pixel, phases)| TargetPoint { pixel, target_mm: Point2::from(self.kind.place(phases) * pitch_mm) })
+            .collect()
+    }
+
+    /// The windows left, right, above and below one.
+    fn neighbours(&self, of: usize) -> impl Iterator<Item = usize> + use<> {
+        let (columns, rows) = (self.columns, self.windows.len() as i64 / self.columns);
+        let (x, y) = (of as i64 % columns, of as i64 / columns);
+        let all = [(x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)];
+        let inside = move |&(x, y): &(i64, i64)| (0..columns).contains(&x) && (0..rows).contains(&y);
+        all.into_iter().filter(inside).map(move |(x, y)| (y * columns + x) as usize)
+    }
+
+    /// The phases of a window near predicted ones; `None` where a wave is too weak or too far from there.
+    fn measured(&self, k: usize, predicted: Vector2<f64>, waves: [Vector2<f64>; 2]) -> Option<Vector2<f64>> {
+        let mut phases = Vector2::zeros();
+        for wave in 0..2 {
+            let (phase, amplitude) = phase_at(self.plane, &self.windows[k].centre, waves[wave], self.radius);
+            let deviation = wrap_cycles(phase - predicted[wave]);
+            if amplitude < self.enough[wave] || deviation.abs() > MOST_DEVIATION_CYCLES {
+                return None;
+            }
+            phases[wave] = predicted[wave] + deviation;
+        }
+        Some(phases)
+    }
+}
+
+/// The phase (cycles, in [−½, ½]) of a wave (cycles per px) at the centre of a window of this radius (px), and its amplitude.
+fn phase_at(plane: &Plane, centre: &Point2<f64>, wave: Vector2<f64>, radius: f64) -> (f64, f64) {
+    let reach = radius.floor() as i64;
+    let (cx, cy) = (centre.x.round() as i64, centre.y.round() as i64);
+    let taper: Vec<f64> = (-reach..=reach).map(|k| 0.5 + 0.5 * (PI * k as f64 / radius).cos()).collect();
+    let turn = |k: f64| Complex::from_polar(1.0, -TAU * k);
+    let columns: Vec<Complex<f64>> = (-reach..=reach).zip(&taper).map(|(k, t)| turn(wave.x * k as f64) * t).collect();
+    let column_sum: Complex<f64> = columns.iter().sum();
+    let (mut total, mut plain, mut weight) = (Complex::<f64>::ZERO, 0.0, Complex::<f64>::ZERO);
+    let mut plain_weight = 0.0;
+    for (dy, t) in (-reach..=reach).zip(&taper) {
+        let row = &plane.data[(cy + dy) as usize * plane.width + (cx - reach) as usize..][..taper.len()];
+        let turned = turn(wave.y * dy as f64) * t;
+        let (mut sum, mut grey) = (Complex::<f64>::ZERO, 0.0);
+        for ((&v, c), w) in row.iter().zip(&columns).zip(&taper) {
+            sum += c * f64::from(v);
+            grey += w * f64::from(v);
+        }
+        total += sum * turned;
+        weight += column_sum * turned;
+        plain += grey * t;
+        plain_weight += t * taper.iter().sum::<f64>();
+    }
+    // The mean grey must not leak into the wave.
+    let wave_part: Complex<f64> = (total - weight * (plain / plain_weight)) / plain_weight;
+    // The phase belongs to the window's pixel; carry it to the exact centre.
+    let shift = wave.dot(&(centre - Point2::new(cx as f64, cy as f64)));
+    (wrap_cycles(wave_part.arg() / TAU + shift), wave_part.norm())
+}
+
+/// The nearest place to a centre at which a window of this radius lies inside the picture.
+fn clamp_into(plane: &Plane, centre: &Point2<f64>, radius: f64) -> Point2<f64> {
+    let inside = |at: f64, length: usize| at.clamp(radius + 1.0, (length as f64 - radius - 2.0).max(radius + 1.0));
+    Point2::new(inside(centre.x, plane.width), inside(centre.y, plane.height))
+}
+
+/// The share of a window that shows the target.
+fn target_share(centre: &Point2<f64>, radius: f64, is_snake: &impl Fn(&Point2<f64>) -> bool) -> f64 {
+    let offsets = (0..PROBES * PROBES)
+        .map(|k| Vector2::new(f64::from(k % PROBES), f64::from(k / PROBES)) * 2.0 / f64::from(PROBES - 1));
+    let free = offsets.filter(|o| !is_snake(&(centre + (o - Vector2::new(1.0, 1.0)) * PROBED_REACH * radius)));
+    free.count() as f64 / f64::from(PROBES * PROBES)
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::statistics::moments::rms;
+    use nalgebra::Matrix2;
+    use rand::{SeedableRng, rngs::StdRng};
+    use rand_distr::{Distribution, Normal};
+
+    /// A picture of two cosine waves of amplitude 10 about grey 100, with these phases (cycles) at pixel (0, 0).
+    pub fn wave_plane(width: usize, height: usize, waves: [Vector2<f64>; 2], phases: [f64; 2]) -> Plane {
+        let value = |x: usize, y: usize| {
+            let at = Vector2::new(x as f64, y as f64);
+            100.0 + (0..2).map(|k| 10.0 * (TAU * (waves[k].dot(&at) + phases[k])).cos()).sum::<f64>()
+        };
+        Plane::new(width, height, (0..width * height).map(|k| value(k % width, k / width) as f32).collect())
+    }
+
+    /// The picture with normal noise of this σ on every pixel.
+    pub fn noisy(mut plane: Plane, sigma: f64, seed: u64) -> Plane {
+        let mut random = StdRng::seed_from_u64(seed);
+        let noise = Normal::new(0.0, sigma).unwrap();
+        plane.data.iter_mut().for_each(|value| *value += noise.sample(&mut random) as f32);
+        plane
+    }
+
+    #[test]
+    fn the_phase_of_a_wave_is_exact_without_noise_and_scatters_as_theory_says_with_it() {
+        let wave = Vector2::new(0.061, 0.013);
+        let (radius, centre) = (5.0 / wave.norm(), Point2::new(150.3, 120.8));
+        let plane = wave_plane(300, 240, [wave, Vector2::new(-0.013, 0.061)], [0.37, 0.1]);
+        let expected = wrap_cycles(wave.dot(&centre.coords) + 0.37);
+        let (phase, amplitude) = phase_at(&plane, &centre, wave, radius);
+        assert!(wrap_cycles(phase - expected).abs() < 1e-4, "{phase} for {expected}");
+        assert!((amplitude - 5.0).abs() < 0.01, "half the cosine's amplitude, {amplitude}");
+
+        // Of Σ w n exp(−i φ) with white noise n half the power lies across the wave: σ_φ = σ √(Σ w²/2) / (A/2 Σ w) rad.
+        let (sigma, draws) = (8.0, 200);
+        let errors = (0..draws)
+            .map(|seed| wrap_cycles(phase_at(&noisy(plane.clone(), sigma, seed), &centre, wave, radius).0 - expected));
+        let reach = radius.floor() as i64;
+        let taper = (-reach..=reach).map(|k| 0.5 + 0.5 * (PI * k as f64 / radius).cos());
+        let (sum, squares) = taper.fold((0.0, 0.0), |(sum, squares), t| (sum + t, squares + t * t));
+        let predicted = sigma * squares / 2.0_f64.sqrt() / (5.0 * sum * sum) / TAU;
+        let seen = rms(errors);
+        // 200 draws tell a standard deviation to 5 %; four times that.
+        assert!((seen / predicted - 1.0).abs() < 0.2, "{seen} seen, {predicted} predicted");
+    }
+
+    #[test]
+    fn unwrapped_phases_are_the_truth_up_to_whole_cycles_of_the_start_and_the_snake_is_left_out() {
+        for kind in [PatternKind::Lines, PatternKind::Checkerboard] {
+            let gradient = Matrix2::new(0.06, 0.004, -0.004, 0.06);
+            let waves = kind.waves(gradient);
+            let plane = noisy(wave_plane(640, 480, waves, [0.2, 0.4]), 2.0, 1);
+            // The seed's waves are off by 1 %, as those of a tilted target are at its far side.
+            let seed = Seed { centre: Point2::new(150.0, 150.0), waves: waves.map(|wave| wave * 1.01) };
+            let is_snake = |p: &Point2<f64>| (p.x - 320.0).abs() < 30.0 && p.y > 200.0;
+            let mut windows = Windows::new(&plane, kind, &seed, &is_snake).unwrap();
+            windows.unwrap_from(&seed).unwrap();
+            let errors: Vec<Vector2<f64>> = windows
+                .windows
+                .iter()
+                .filter_map(|window| {
+                    let true_phase = |k: usize| waves[k].dot(&window.centre.coords) + [0.2, 0.4][k];
+                    Some(window.phases? - Vector2::from_fn(|k, _| true_phase(k)))
+                })
+                .collect();
+            assert!(errors.len() as f64 > 0.7 * windows.windows.len() as f64, "{kind:?}: {}", errors.len());
+            assert!(windows.clear_count() < windows.windows.len());
+            let cycles = errors[0].map(f64::round);
+            assert!(errors.iter().all(|error| (error - cycles).amax() < 0.05), "{kind:?}");
+        }
+    }
+
+    #[test]
+    fn the_design_effect_is_the_sum_of_the_windows_autocorrelation() {
+        for kind in [PatternKind::Lines, PatternKind::Checkerboard] {
+            let radius = kind.window_radius() * kind.wavelength();
+            let hann = |x: f64| if x.abs() < radius { 0.5 + 0.5 * (PI * x / radius).cos() } else { 0.0 };
+            let overlap = |shift: f64| -> f64 {
+                (-4000..=4000).map(|k| f64::from(k) * radius / 2000.0).map(|x| hann(x) * hann(x - shift)).sum()
+            };
+            let sum: f64 = (-20..=20).map(|k| overlap(f64::from(k) * spacing(kind)) / overlap(0.0)).sum();
+            assert!((design_effect(kind) / sum.powi(2) - 1.0).abs() < 0.01, "{kind:?}");
+        }
+    }
+}
