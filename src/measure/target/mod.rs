@@ -25,6 +25,6 @@ mod sparse_window;
 
 pub use grid::{Grid, find_grid};
 pub use pattern::{GridPattern, PatternKind};
-pub use phase_monitor::{GridPhaseMonitor, GridShift, PHASE_SIGMA_PX};
+pub use phase_monitor::{DETECTION_SIGMAS, GridPhaseMonitor, GridShift, PHASE_SIGMA_PX};
 pub use planar_pose::project_target;
 pub use robust_linear::RobustLinear;
