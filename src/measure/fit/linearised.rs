@@ -137,10 +137,10 @@ impl Linearised {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::perturbed;
     use crate::measure::body::Outline;
     use crate::measure::fixture::Scene;
-    use crate::geometry::perturbed;
-    use nalgebra::Vector2;
+    use nalgebra::{Vector2, Vector6};
 
     #[test]
     fn derivatives_by_state_and_pose_are_the_differences() {
@@ -170,7 +170,7 @@ mod tests {
         };
         let by_pose = |k: usize| {
             let at = |step: f64| {
-                let mut by = DVector::zeros(6);
+                let mut by = Vector6::zeros();
                 by[k] = step;
                 let moved = Projection { camera_from_base: perturbed(&view.camera_from_base, &by), ..view.clone() };
                 edges.residuals(&moved, state.psi(), state.bias)
