@@ -29,6 +29,8 @@ pub enum Loss {
     Huber(f64),
     /// Tukey's biweight: k²/3 · (1 − (1 − r²/k²)³) up to the limit k, k²/3 beyond, where a residual pulls no more.
     Tukey(f64),
+    /// Talwar's: r² up to the limit k, k² beyond; a residual counts in full or not at all.
+    Talwar(f64),
 }
 
 impl Loss {
@@ -43,6 +45,7 @@ impl Loss {
                 let left = (1.0 - square / (limit * limit)).max(0.0);
                 limit * limit / 3.0 * (1.0 - left.powi(3))
             }
+            Self::Talwar(limit) => square.min(limit * limit),
         }
     }
 
@@ -52,6 +55,7 @@ impl Loss {
             Self::Squares => 1.0,
             Self::Huber(limit) => (limit / residual.abs().max(f64::MIN_POSITIVE)).min(1.0),
             Self::Tukey(limit) => (1.0 - (residual / limit).powi(2)).max(0.0).powi(2),
+            Self::Talwar(limit) => f64::from(u8::from(residual.abs() <= limit)),
         }
     }
 
