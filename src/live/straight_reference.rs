@@ -32,7 +32,8 @@ impl RenewableEye {
     /// # Errors
     /// A frame in which grid or snake are not found as they should be; a file that cannot be written.
     pub fn renew(&self, frame: &Frame) -> std::result::Result<(), String> {
-        let rig = calibrate_rig(frame, &self.lens, &self.robot, &self.rig_options).map_err(|error| error.to_string())?;
+        let rig =
+            calibrate_rig(frame, &self.lens, &self.robot, &self.rig_options).map_err(|error| error.to_string())?;
         rig.write(&self.output.join("rig.toml")).map_err(|error| error.to_string())?;
         let eye = Eye::new(self.lens.clone(), rig, self.robot.clone());
         *self.eye.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(eye);

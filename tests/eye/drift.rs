@@ -136,7 +136,9 @@ fn a_wrong_grid_pitch_is_an_error_that_names_both_figures() {
         let straight = frame(&scene, STRAIGHT, 7);
         let error = calibrate_rig(&straight, &scene.lens, &scene.robot, &options).map(drop).unwrap_err();
         match error {
-            RigError::PitchContradiction { stated_mm, found_mm, .. } => assert_eq!((stated_mm, found_mm), (told_mm, true_mm)),
+            RigError::PitchContradiction { stated_mm, found_mm, .. } => {
+                assert_eq!((stated_mm, found_mm), (told_mm, true_mm))
+            }
             RigError::ScaleContradiction { agreeing_pitch_mm, .. } => {
                 assert!((agreeing_pitch_mm / true_mm - 1.0).abs() < 0.01, "{agreeing_pitch_mm} mm");
             }

@@ -107,12 +107,7 @@ fn calibrate_from(picture: StraightPicture, colours: &Colours, holder: &Holder) 
 }
 
 /// Calibrates the rig if these are the holder and the grid.
-fn calibrate_on(
-    picture: StraightPicture,
-    colours: &Colours,
-    holder: &Holder,
-    grid: &Grid,
-) -> Result<Rig, RigError> {
+fn calibrate_on(picture: StraightPicture, colours: &Colours, holder: &Holder, grid: &Grid) -> Result<Rig, RigError> {
     let StraightPicture { lens, robot, options, .. } = picture;
     // The snake is nearer than the grid by the standoff; where it is cut by the border its holder is this wide.
     let target_mm = grid.distance_mm(&lens.ray(&holder.root));

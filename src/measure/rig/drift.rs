@@ -193,10 +193,8 @@ mod tests {
 
     #[test]
     fn a_rig_is_followed_from_a_tenth_of_a_pixel_on_that_is_sure() {
-        let check = |base_px: f64, grid_px: f64| DriftCheck {
-            base: base(base_px, 0.0),
-            grid: grid(grid_px, [0.0, 0.0], true),
-        };
+        let check =
+            |base_px: f64, grid_px: f64| DriftCheck { base: base(base_px, 0.0), grid: grid(grid_px, [0.0, 0.0], true) };
         assert!(check(0.0, 0.0).is_still() && check(0.29, 0.14).is_still());
         assert!(!check(0.31, 0.0).is_still() && !check(0.0, 0.16).is_still());
         assert!(!DriftCheck { base: base(0.0, 0.0), grid: None }.is_still());

@@ -253,7 +253,9 @@ mod tests {
             agreeing_standoff_mm: 12.5,
         };
         let message = error.to_string();
-        for part in ["grid_pitch_mm = 1", "standoff_mm = 25", "8.40 mm thick", "4.2 mm", "0.50 mm", "Measure the grid target"] {
+        for part in
+            ["grid_pitch_mm = 1", "standoff_mm = 25", "8.40 mm thick", "4.2 mm", "0.50 mm", "Measure the grid target"]
+        {
             assert!(message.contains(part), "{part}: {message}");
         }
         let error = RigError::WrongSize { picture_px: [640, 480], lens_px: [1280, 720] };

@@ -113,7 +113,8 @@ fn shared_evidence(view: &Projection, finder: &EdgeFinder, state: &State, blur_p
     let (_, scatter_px) = inliers(&edges.in_px(linear.residuals.as_slice()), &roots);
     let Linearised { residuals, by_state, by_pose } = linear.weighted(&roots);
     let (bend, bias) = (by_state.columns(0, 2).into_owned(), by_state.columns(2, BIASES));
-    let shared = DMatrix::from_fn(by_pose.nrows(), SHARED, |r, c| if c < 6 { by_pose[(r, c)] } else { bias[(r, c - 6)] });
+    let shared =
+        DMatrix::from_fn(by_pose.nrows(), SHARED, |r, c| if c < 6 { by_pose[(r, c)] } else { bias[(r, c - 6)] });
     let projected = without(&shared, &bend)?;
     let row = |row: usize| Shared::from_iterator(projected.row(row).iter().copied());
     let mut clusters: BTreeMap<Piece, NormalEquations> = BTreeMap::new();

@@ -97,8 +97,7 @@ fn pose_by_windows(
         points = windows.points(pitch_mm);
         fit = fit_points(lens, &points, &fit.camera_from_grid, design_effect(kind))?;
     }
-    let is_enough =
-        points.len() >= FEWEST_POINTS && points.len() as f64 >= LEAST_SHARE * windows.clear_count() as f64;
+    let is_enough = points.len() >= FEWEST_POINTS && points.len() as f64 >= LEAST_SHARE * windows.clear_count() as f64;
     (is_enough && fit.rms_px <= MOST_WINDOW_SCATTER * seed.period_px()).then_some((points.len(), fit))
 }
 

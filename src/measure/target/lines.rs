@@ -229,7 +229,11 @@ mod tests {
         for offset in [-1.3, 0.0, 0.4, 2.2] {
             let line = |y: usize| (-0.5 * ((y as f64 - 30.0 - offset) / 1.0).powi(2)).exp();
             // Under a gradient of brightness.
-            let plane = Plane::new(60, 60, (0..3600).map(|k| (200.0 - 80.0 * line(k / 60) + 0.5 * (k / 60) as f64) as f32).collect());
+            let plane = Plane::new(
+                60,
+                60,
+                (0..3600).map(|k| (200.0 - 80.0 * line(k / 60) + 0.5 * (k / 60) as f64) as f32).collect(),
+            );
             let (darkness, seen, normal) = ridge(&plane, &Point2::new(30.0, 30.0), Vector2::new(20.0, 0.0)).unwrap();
             assert!(darkness > 0.0 && normal == Vector2::new(0.0, 1.0));
             assert!((seen.y - 30.0 - offset).abs() < 0.02, "{} for {offset}", seen.y - 30.0);

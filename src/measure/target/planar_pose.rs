@@ -8,9 +8,7 @@ use crate::camera::Lens;
 use crate::geometry::{Pose, perturbed};
 use crate::statistics::least_squares::{Options, minimise};
 use crate::statistics::order::{SD_BY_MAD, median};
-use nalgebra::{
-    DVector, Matrix2, Point2, Point3, SVector, Translation3, UnitQuaternion, Vector2, Vector3, Vector6,
-};
+use nalgebra::{DVector, Matrix2, Point2, Point3, SVector, Translation3, UnitQuaternion, Vector2, Vector3, Vector6};
 
 /// Rounds of fitting and trimming.
 ///

@@ -112,9 +112,8 @@ pub(super) fn find_seed(
     for k in 0..ROWS * COLUMNS {
         let x0 = k % COLUMNS * (plane.width - size) / (COLUMNS - 1);
         let y0 = k / COLUMNS * (plane.height - size) / (ROWS - 1);
-        let probe = |k: usize| {
-            Point2::new((x0 + k % PROBES * size / PROBES) as f64, (y0 + k / PROBES * size / PROBES) as f64)
-        };
+        let probe =
+            |k: usize| Point2::new((x0 + k % PROBES * size / PROBES) as f64, (y0 + k / PROBES * size / PROBES) as f64);
         let covered = (0..PROBES * PROBES).filter(|&k| is_snake(&probe(k))).count();
         if covered as f64 > MOST_SNAKE * (PROBES * PROBES) as f64 {
             continue;
@@ -259,7 +258,9 @@ mod tests {
 
     #[test]
     fn two_waves_under_noise_are_found_with_their_lengths_and_directions() {
-        for (kind, roll_deg) in [(PatternKind::Lines, 8.0_f64), (PatternKind::Lines, -20.0), (PatternKind::Checkerboard, 5.0)] {
+        for (kind, roll_deg) in
+            [(PatternKind::Lines, 8.0_f64), (PatternKind::Lines, -20.0), (PatternKind::Checkerboard, 5.0)]
+        {
             let pitch_px = 16.3;
             let (sin, cos) = roll_deg.to_radians().sin_cos();
             let gradient = nalgebra::Matrix2::new(cos, sin, -sin, cos) / pitch_px;

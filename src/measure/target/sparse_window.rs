@@ -153,10 +153,7 @@ fn jittered_rows(side: usize, stride: usize) -> Vec<(usize, usize)> {
         let bits = (k as u64 + salt).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         ((bits >> 40) % stride as u64) as usize
     };
-    (0..side / stride)
-        .map(|k| (k * stride + jitter(k, 1), jitter(k, 1000)))
-        .filter(|(row, _)| *row < side)
-        .collect()
+    (0..side / stride).map(|k| (k * stride + jitter(k, 1), jitter(k, 1000))).filter(|(row, _)| *row < side).collect()
 }
 
 /// The weighted sums of the channels of some pixels: every so many, from the `first` on.
