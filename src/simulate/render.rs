@@ -1,23 +1,29 @@
 //! Pictures of a scene, by casting rays.
 //!
 //! Nothing here knows how the eye looks for outlines: a pixel is the mean of the light along rays spread over its
-//! square, each of which meets the snake's shapes, a wire or the paper. The order of things is that of a camera:
+//! square, each of which meets the snake's shapes, a wire or the grid target. The order of things is that of a camera:
 //!
 //! 1. rays through each pixel, in linear light, times the lamp's gradient and the lens's vignetting;
 //! 2. Gaussian blur;
 //! 3. sRGB encoding, noise, rounding to 8 bits.
 
+mod light;
+mod printed_target;
+mod shadow;
+mod tiles;
+
 use super::body::{Hit, Ray, Shape, body};
-use super::scene::{Colour, Light, Paper, Pattern, Scene, Wire};
-use crate::geometry::{Configuration, Pose};
+use super::scene::{Light, Scene, Wire};
+use crate::geometry::Configuration;
 use image::RgbImage;
+use light::{Radiance, blurred, decoded, encoded};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
+use printed_target::PrintedTarget;
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
-
-/// Linear light: red, green, blue; white paper under full light is 1.
-type Radiance = Vector3<f64>;
+use shadow::Shadow;
+use tiles::Tiles;
 
 /// The picture of a snake bent to ψ. The same seed gives the same noise.
 ///
@@ -143,7 +149,7 @@ struct Stage<'a> {
     to_lamp: Vector3<f64>,
     skin: Radiance,
     wires: Vec<(&'a Wire, Radiance)>,
-    paper: Sheet<'a>,
+    target: PrintedTarget<'a>,
 }
 
 impl<'a> Stage<'a> {
@@ -158,7 +164,7 @@ impl<'a> Stage<'a> {
             to_lamp,
             skin: decoded(&scene.surface.colour),
             wires: scene.wires.iter().map(|wire| (wire, decoded(&wire.colour))).collect(),
-            paper: Sheet::new(&scene.paper),
+            target: PrintedTarget::new(&scene.paper),
         }
     }
 
@@ -175,7 +181,7 @@ impl<'a> Stage<'a> {
                 return Pixel { light: self.shade(&ray, &hit), snake: 1.0 };
             }
         }
-        Pixel { light: self.paper_seen(origin, direction), snake: 0.0 }
+        Pixel { light: self.target_seen(origin, direction), snake: 0.0 }
     }
 
     fn shade(&self, ray: &Ray, hit: &Hit) -> Radiance {
@@ -186,14 +192,14 @@ impl<'a> Stage<'a> {
         lit * self.skin + Radiance::repeat(highlight)
     }
 
-    fn paper_seen(&self, origin: &Point3<f64>, direction: &Vector3<f64>) -> Radiance {
+    fn target_seen(&self, origin: &Point3<f64>, direction: &Vector3<f64>) -> Radiance {
         let distance = (self.scene.paper.standoff_mm - origin.y) / direction.y;
         if distance.is_nan() || distance <= 0.0 {
             return Radiance::zeros();
         }
         let point = Point2::new(origin.x + distance * direction.x, origin.z + distance * direction.z);
         let shade = self.shadow.as_ref().map_or(0.0, |shadow| shadow.at(&point));
-        (1.0 - self.scene.light.shadow * shade) * self.paper.colour_at(&point)
+        (1.0 - self.scene.light.shadow * shade) * self.target.colour_at(&point)
     }
 }
 
@@ -206,243 +212,9 @@ impl Wire {
     }
 }
 
-/// The paper with its colours in linear light.
-struct Sheet<'a> {
-    paper: &'a Paper,
-    bare: Radiance,
-    inks: Vec<Radiance>,
-    stains: Vec<Radiance>,
-    turn: (f64, f64),
-}
-
-impl<'a> Sheet<'a> {
-    fn new(paper: &'a Paper) -> Self {
-        let inks = match &paper.pattern {
-            Pattern::Blank => Vec::new(),
-            Pattern::GraphPaper { lines } => lines.iter().map(|lines| decoded(&lines.colour)).collect(),
-            Pattern::Checkerboard { colour, .. } => vec![decoded(colour)],
-        };
-        let stains = paper.stains.iter().map(|stain| decoded(&stain.colour)).collect();
-        Self { paper, bare: decoded(&paper.colour), inks, stains, turn: paper.turn_deg.to_radians().sin_cos() }
-    }
-
-    /// The colour at (x_b, z_b).
-    fn colour_at(&self, point: &Point2<f64>) -> Radiance {
-        let mut colour = self.printed_at(point);
-        for (stain, tint) in self.paper.stains.iter().zip(&self.stains) {
-            let radius = (point - Point2::from(stain.centre_mm)).norm() / stain.radius_mm;
-            let strength = ((1.0 - radius) / 0.2).clamp(0.0, 1.0);
-            colour.component_mul_assign(&Radiance::repeat(1.0).lerp(tint, strength));
-        }
-        colour
-    }
-
-    fn printed_at(&self, point: &Point2<f64>) -> Radiance {
-        let from_origin = point - Point2::from(self.paper.origin_mm);
-        let (sin, cos) = self.turn;
-        let (x, z) = (cos * from_origin.x + sin * from_origin.y, cos * from_origin.y - sin * from_origin.x);
-        match &self.paper.pattern {
-            Pattern::Blank => self.bare,
-            Pattern::GraphPaper { lines } => {
-                // Truncation by a cast is several times as fast as rounding, and this is the renderer's innermost loop.
-                let off_line = |value: f64, pitch: f64| {
-                    let lines = (value / pitch).abs();
-                    let beyond = lines - lines as i64 as f64;
-                    pitch * beyond.min(1.0 - beyond)
-                };
-                let ink = lines.iter().zip(&self.inks).rev().find(|(lines, _)| {
-                    off_line(x, lines.pitch_mm).min(off_line(z, lines.pitch_mm)) <= lines.width_mm / 2.0
-                });
-                ink.map_or(self.bare, |(_, ink)| *ink)
-            }
-            Pattern::Checkerboard { square_mm, .. } => {
-                let odd = ((x / square_mm).floor() + (z / square_mm).floor()).rem_euclid(2.0) >= 1.0;
-                if odd { self.inks[0] } else { self.bare }
-            }
-        }
-    }
-}
-
-/// The picture cut into squares, each with the shapes that may show in it.
-struct Tiles {
-    columns: usize,
-    shapes: Vec<Vec<u16>>,
-}
-
-impl Tiles {
-    const SIDE: usize = 8;
-
-    fn new(scene: &Scene, shapes: &[Shape]) -> Self {
-        let count = |pixels: u32| (pixels as usize).div_ceil(Self::SIDE);
-        let (columns, rows) = (count(scene.lens.width), count(scene.lens.height));
-        let camera_from_base = scene.view.camera_from_base();
-        let windows: Vec<Window> = shapes.iter().map(|shape| Window::of_shape(shape, &camera_from_base)).collect();
-        let tile = |k: usize| {
-            let tile = Window::of_tile(scene, Self::SIDE * (k % columns), Self::SIDE * (k / columns), Self::SIDE);
-            (0..).zip(&windows).filter(|(_, window)| window.overlaps(&tile)).map(|(k, _)| k).collect()
-        };
-        Self { columns, shapes: (0..columns * rows).into_par_iter().map(tile).collect() }
-    }
-
-    fn near(&self, column: usize, row: usize) -> &[u16] {
-        &self.shapes[row / Self::SIDE * self.columns + column / Self::SIDE]
-    }
-}
-
-/// A rectangle of directions, as x/z and y/z in the camera's frame, before any distortion.
-struct Window {
-    low: Vector2<f64>,
-    high: Vector2<f64>,
-}
-
-impl Window {
-    /// Holds all of these; everything if one of them is no direction to the camera's front.
-    fn around(directions: impl Iterator<Item = Vector3<f64>>) -> Self {
-        let everything = Vector2::repeat(f64::INFINITY);
-        let mut window = Self { low: everything, high: -everything };
-        for direction in directions {
-            if direction.z.is_nan() || direction.z <= 0.0 {
-                return Self { low: -everything, high: everything };
-            }
-            let place = direction.xy() / direction.z;
-            window = Self { low: window.low.inf(&place), high: window.high.sup(&place) };
-        }
-        window
-    }
-
-    fn of_shape(shape: &Shape, camera_from_base: &Pose) -> Self {
-        Self::around(shape.bounds().into_iter().flat_map(|(centre, radius)| {
-            let centre = (camera_from_base * centre).coords;
-            let side = move |corner: i32, bit: i32| if corner & bit == 0 { -radius } else { radius };
-            (0..8).map(move |corner| centre + Vector3::new(side(corner, 1), side(corner, 2), side(corner, 4)))
-        }))
-    }
-
-    /// A pixel wider all round than the tile, for what distortion bends its sides.
-    fn of_tile(scene: &Scene, column: usize, row: usize, side: usize) -> Self {
-        let place = |start: usize, end: bool| if end { (start + side) as f64 + 0.5 } else { start as f64 - 1.5 };
-        let corners = [(false, false), (true, false), (false, true), (true, true)];
-        Self::around(corners.into_iter().map(|(x, y)| scene.lens.ray(&Point2::new(place(column, x), place(row, y)))))
-    }
-
-    fn overlaps(&self, other: &Self) -> bool {
-        (0..2).all(|axis| self.low[axis] <= other.high[axis] && other.low[axis] <= self.high[axis])
-    }
-}
-
-/// How dark the snake's shadow is on the paper, as a picture of it in (x_b, z_b).
-struct Shadow {
-    corner: Point2<f64>,
-    columns: usize,
-    rows: usize,
-    darkness: Vec<f64>,
-}
-
-impl Shadow {
-    /// Side of a cell, mm.
-    const CELL: f64 = 0.2;
-
-    fn new(scene: &Scene, shapes: &[Shape], to_lamp: &Vector3<f64>) -> Option<Self> {
-        // The lamp must be before the paper.
-        if scene.light.shadow <= 0.0 || to_lamp.y >= -0.05 {
-            return None;
-        }
-        let standoff = scene.paper.standoff_mm;
-        let fall = |point: &Point3<f64>| {
-            let drop = (standoff - point.y) / to_lamp.y;
-            Point2::new(point.x + drop * to_lamp.x, point.z + drop * to_lamp.z)
-        };
-        // The holder's far end lies outside any picture; its shadow is followed down to the length of the snake.
-        let depth = scene.robot.length_mm;
-        let blur = scene.light.shadow_blur_mm;
-        let mut low = Point2::new(f64::INFINITY, f64::INFINITY);
-        let mut high = -low;
-        for (centre, radius) in shapes.iter().flat_map(Shape::bounds) {
-            let centre = Point3::new(centre.x, centre.y, centre.z.max(-depth));
-            // A sphere's shadow is longer than wide where the light is slanted.
-            let reach = radius / to_lamp.y.abs() + 4.0 * blur + Self::CELL;
-            let at = fall(&centre);
-            low = low.inf(&(at - Vector2::repeat(reach)));
-            high = high.sup(&(at + Vector2::repeat(reach)));
-        }
-        let count = |length: f64| (length / Self::CELL).ceil().clamp(1.0, 2000.0) as usize;
-        let (columns, rows) = (count(high.x - low.x), count(high.y - low.y));
-        let darkness = (0..columns * rows)
-            .into_par_iter()
-            .map(|k| {
-                let at = low + Self::CELL * Vector2::new((k % columns) as f64 + 0.5, (k / columns) as f64 + 0.5);
-                let ray = Ray { origin: Point3::new(at.x, standoff, at.y), direction: *to_lamp };
-                let dark = shapes.iter().any(|shape| shape.meet(&ray).is_some());
-                Radiance::repeat(f64::from(u8::from(dark)))
-            })
-            .collect();
-        let darkness = blurred(darkness, columns, rows, blur / Self::CELL).into_iter().map(|v| v.x).collect();
-        Some(Self { corner: low, columns, rows, darkness })
-    }
-
-    /// Darkness at (x_b, z_b), 0 to 1, interpolated between the cells' middles.
-    fn at(&self, point: &Point2<f64>) -> f64 {
-        let place = (point - self.corner) / Self::CELL - Vector2::repeat(0.5);
-        let (column, row) = (place.x.floor(), place.y.floor());
-        let cell = |dx: f64, dy: f64| {
-            let (x, y) = (column + dx, row + dy);
-            let inside = x >= 0.0 && y >= 0.0 && x < self.columns as f64 && y < self.rows as f64;
-            if inside { self.darkness[y as usize * self.columns + x as usize] } else { 0.0 }
-        };
-        let (fx, fy) = (place.x - column, place.y - row);
-        let upper = cell(0.0, 0.0) * (1.0 - fx) + cell(1.0, 0.0) * fx;
-        let lower = cell(0.0, 1.0) * (1.0 - fx) + cell(1.0, 1.0) * fx;
-        upper * (1.0 - fy) + lower * fy
-    }
-}
-
-/// Gaussian blur of a picture, row by row and then column by column; the border continues as it is.
-fn blurred(picture: Vec<Radiance>, width: usize, height: usize, sigma: f64) -> Vec<Radiance> {
-    if sigma <= 0.0 || picture.is_empty() {
-        return picture;
-    }
-    let reach = (4.0 * sigma).ceil() as usize;
-    let weights: Vec<f64> =
-        (0..=2 * reach).map(|k| (-0.5 * ((k as f64 - reach as f64) / sigma).powi(2)).exp()).collect();
-    let total: f64 = weights.iter().sum();
-    let weights: Vec<f64> = weights.iter().map(|w| w / total).collect();
-    let clamped = |place: usize, k: usize, count: usize| (place + k).saturating_sub(reach).min(count - 1);
-
-    let mut along_rows = vec![Radiance::zeros(); picture.len()];
-    along_rows.par_chunks_mut(width).zip(picture.par_chunks(width)).for_each(|(to, from)| {
-        for (column, to) in to.iter_mut().enumerate() {
-            *to = weights.iter().enumerate().map(|(k, w)| *w * from[clamped(column, k, width)]).sum();
-        }
-    });
-    let mut along_columns = vec![Radiance::zeros(); picture.len()];
-    along_columns.par_chunks_mut(width).enumerate().for_each(|(row, to)| {
-        for (k, weight) in weights.iter().enumerate() {
-            let from = &along_rows[clamped(row, k, height) * width..][..width];
-            for (to, from) in to.iter_mut().zip(from) {
-                *to += *weight * from;
-            }
-        }
-    });
-    along_columns
-}
-
-/// Linear light of an sRGB colour (IEC 61966-2-1).
-fn decoded(colour: &Colour) -> Radiance {
-    Radiance::from(*colour).map(|level| {
-        let value = level / 255.0;
-        if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
-    })
-}
-
-/// The sRGB level, 0 to 255, of linear light.
-fn encoded(light: f64) -> f64 {
-    let light = light.clamp(0.0, 1.0);
-    255.0 * if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::scene::{Lines, Sensor, Stain, Viewpoint};
+    use super::super::scene::{Colour, Lines, Pattern, Sensor, Stain, Viewpoint};
     use super::*;
     use crate::camera::Lens;
     use crate::statistics::moments::{mean, standard_deviation};
@@ -586,22 +358,6 @@ mod tests {
     }
 
     #[test]
-    fn blur_spreads_light_and_keeps_it() {
-        let mut picture = vec![Radiance::zeros(); 61 * 41];
-        picture[20 * 61 + 30] = Radiance::repeat(1.0);
-        let sigma = 2.5;
-        let spread = blurred(picture, 61, 41, sigma);
-        let moment = |power: i32| -> f64 {
-            spread.iter().enumerate().map(|(k, v)| v.y * ((k % 61) as f64 - 30.0).powi(power)).sum()
-        };
-        assert_abs_diff_eq!(moment(0), 1.0, epsilon = 1e-9);
-        assert_abs_diff_eq!(moment(1), 0.0, epsilon = 1e-9);
-        assert_abs_diff_eq!(moment(2), sigma * sigma, epsilon = 0.01);
-        let grey = blurred(vec![Radiance::repeat(0.4); 61 * 41], 61, 41, sigma);
-        assert!(grey.iter().all(|v| (v.x - 0.4).abs() < 1e-12));
-    }
-
-    #[test]
     fn noise_has_its_sigma_and_its_seed() {
         let mut scene = small();
         scene.paper.pattern = Pattern::Blank;
@@ -674,14 +430,6 @@ mod tests {
         assert_eq!(render(&scene, straight(), 0).get_pixel(80, 40).0, [0, 0, 0]);
         scene.wires[0].width_px = 1000.0;
         assert_eq!(hidden_fraction(&scene, straight()), 1.0);
-    }
-
-    #[test]
-    fn srgb_goes_both_ways() {
-        for level in [0.0, 5.0, 10.0, 11.0, 100.0, 255.0] {
-            assert_abs_diff_eq!(encoded(decoded(&[level; 3]).x), level, epsilon = 1e-4);
-        }
-        assert_abs_diff_eq!(decoded(&[188.0; 3]).x, 0.5, epsilon = 0.005);
     }
 
     #[test]
