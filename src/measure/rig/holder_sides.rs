@@ -217,7 +217,8 @@ mod tests {
             let (sin, cos) = turn_deg.to_radians().sin_cos();
             let expected = Point2::new(150.0 + 90.0 * sin, 239.0 - 90.0 * cos);
             assert!((start.base - expected).norm() < 5.0, "{start:?} for {expected}");
-            assert!(start.axis.angle(&Vector2::new(sin, -cos)).to_degrees() < 1.0, "{start:?}");
+            // The fit of the base searches 14 px first: 2° over 400 px of snake.
+            assert!(start.axis.angle(&Vector2::new(sin, -cos)).to_degrees() < 2.0, "{start:?}");
         }
     }
 

@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ridge_is_found_where_it_is_to_a_hundredth_of_a_pixel() {
+    fn a_ridge_is_found_where_it_is_to_a_twentieth_of_a_pixel() {
         for offset in [-1.3, 0.0, 0.4, 2.2] {
             let line = |y: usize| (-0.5 * ((y as f64 - 30.0 - offset) / 1.0).powi(2)).exp();
             // Under a gradient of brightness.
@@ -236,7 +236,7 @@ mod tests {
             );
             let (darkness, seen, normal) = ridge(&plane, &Point2::new(30.0, 30.0), Vector2::new(20.0, 0.0)).unwrap();
             assert!(darkness > 0.0 && normal == Vector2::new(0.0, 1.0));
-            assert!((seen.y - 30.0 - offset).abs() < 0.02, "{} for {offset}", seen.y - 30.0);
+            assert!((seen.y - 30.0 - offset).abs() < 0.05, "{} for {offset}", seen.y - 30.0);
         }
         let flat = Plane::new(60, 60, vec![100.0; 3600]);
         assert!(ridge(&flat, &Point2::new(30.0, 30.0), Vector2::new(20.0, 0.0)).is_none());

@@ -352,12 +352,14 @@ mod tests {
                 [0.0, 0.0, 0.0, 0.0, 0.0, 0.024],
             ] {
                 let shift = monitor.shift(&phases(&monitor, motion, 0.0, 0), &base).unwrap();
+                // The phases are taken for linear in the motion; a turn of φ shrinks distances by φ²/2.
+                let second_order_mm = 0.5 * Vector3::new(motion[3], motion[4], motion[5]).norm_squared() * 255.0;
                 let moved = moved_target(&rig_pose(), &motion);
                 let off = shift.camera_from_grid.inverse() * moved;
                 assert!(off.rotation.angle() < 2e-4, "{kind:?} {motion:?}: {off:?}");
                 let slide = off.translation.vector.xy();
                 assert!((slide - slide.map(f64::round)).norm() < 0.02, "{kind:?} {motion:?}: {off:?}");
-                assert!(off.translation.z.abs() < 0.05, "{kind:?} {motion:?}: {off:?}");
+                assert!(off.translation.z.abs() < 0.05 + second_order_mm, "{kind:?} {motion:?}: {off:?}");
             }
         }
     }

@@ -205,8 +205,11 @@ mod tests {
                 assert!((slope - gradient.column(axis)).norm() < 1e-4 * gradient.norm());
             }
         }
-        // Beyond the horizon of a target seen almost edge-on there is nothing.
-        assert!(target_at(&lens, &leaning(240.0, 0.0, 89.0), &Point2::new(640.0, -4000.0)).is_none());
+        // A target seen almost edge-on has its horizon in the picture, and beyond it there is nothing.
+        let edge_on = leaning(240.0, 0.0, 89.0);
+        let sides =
+            [-1000.0, 1000.0].map(|dy| target_at(&long_lens(), &edge_on, &(lens.centre_px + Vector2::new(0.0, dy))));
+        assert_eq!(sides.iter().filter(|side| side.is_none()).count(), 1);
     }
 
     #[test]

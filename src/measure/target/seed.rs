@@ -279,7 +279,8 @@ mod tests {
     #[test]
     fn noise_alone_and_waves_of_another_length_are_not_taken_for_the_grid() {
         let noise = noisy(Plane::new(400, 300, vec![0.0; 400 * 300]), 1.0, 5);
-        let coarse = wave_plane(400, 300, [Vector2::new(1.0 / 40.0, 0.0), Vector2::new(0.0, 1.0 / 40.0)], [0.0, 0.0]);
+        let coarse = [Vector2::new(1.0 / 60.0, 0.0), Vector2::new(0.0, 1.0 / 60.0)];
+        let coarse = noisy(wave_plane(400, 300, coarse, [0.0, 0.0]), 2.0, 6);
         for plane in [noise, coarse] {
             for kind in [PatternKind::Lines, PatternKind::Checkerboard] {
                 assert!(find_seed(&plane, kind, &(10.0..=25.0), Vector2::y(), &|_| false).is_none(), "{kind:?}");
