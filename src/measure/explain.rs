@@ -67,7 +67,7 @@ impl Eye {
         let stages = self.measure_in_stages(frame);
         let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
         let fits: Vec<Configuration> =
-            stages.fits.iter().map(|fit| Configuration::from_bend_vector(fit.bend)).collect();
+            stages.fits.iter().map(|fit| Configuration::from_bend_vector(fit.bend())).collect();
         let outline = fits.first().map(|&psi| Outline::new(&self.projection(), psi));
         let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
         let disks = outline.as_ref().map(|outline| PartVisibility::new(outline, &finder).disk_shares().collect());

@@ -10,18 +10,18 @@
 //! 5. Verdict: the status, and for [`Status::Ok`] the bend with its covariance, to which the rig's uncertainty is added.
 
 use crate::camera::{Frame, Lens};
-use crate::geometry::{Configuration, Pose};
+use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    Alternative, BendFit, BiasPrior, CoarseSearch, EDGE_ON_RAD, EdgeFinder, FRAME_BIAS_SIGMA_PX, FitSchedule, Start,
+    Alternative, BendFit, CoarseSearch, EDGE_ON_RAD, EdgeFinder, FitSchedule, ProfileCovariance, Start,
     State, distinct, fit_bend, mirrored,
 };
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::measurement::{Bend, FrameMeasurement};
 use crate::measure::rig::{Rig, RigDriftMonitor};
-use crate::observation::{Quality, Status};
-use crate::robot::Robot;
+use crate::observation::{Quality, Shape, Status};
+use crate::robot::{BendProfile, Robot};
 use nalgebra::{Matrix6, Vector2};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -181,13 +181,12 @@ impl Eye {
             return None;
         }
         let view = self.projection();
-        let around = |bend, reach_px| view.image_region(Configuration::from_bend_vector(bend), reach_px);
-        let region = around(last, TRACKED_MOTION_PX);
+        let region = view.image_region(BendProfile::arc(last), TRACKED_MOTION_PX);
         let plane = self.plane(frame, &region);
         let finder = EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region);
         let near = self.fit(&finder, self.start(last), &COARSE_TO_REFINED)?;
         // A snake that reaches out of the region was not seen whole.
-        if !region.contains(&around(near.bend, Outline::REACH_PX)) {
+        if !region.contains(&view.image_region(near.profile, Outline::REACH_PX)) {
             return None;
         }
         let (_, measurement) = self.conclude(vec![near], frame, &finder, &TRACKED_FINE);
@@ -208,12 +207,8 @@ impl Eye {
         is_saturated(frame).then_some(Status::Saturated)
     }
 
-    fn bias_prior(&self) -> BiasPrior {
-        BiasPrior { mean: self.rig.edge_bias, sigma_px: FRAME_BIAS_SIGMA_PX }
-    }
-
     fn start(&self, bend: Vector2<f64>) -> Start {
-        Start { state: State { bend, bias: self.rig.edge_bias }, blur_px: None }
+        Start { state: State { profile: BendProfile::arc(bend), bias: self.rig.edge_bias }, blur_px: None }
     }
 
     fn mirrored(&self, bend: Vector2<f64>) -> Vector2<f64> {
@@ -221,7 +216,7 @@ impl Eye {
     }
 
     fn fit(&self, finder: &EdgeFinder, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
-        fit_bend(&self.projection(), finder, start, self.bias_prior(), schedule)
+        fit_bend(&self.projection(), finder, start, self.rig.prior(), schedule)
     }
 
     /// Fits the candidates, best first, until one explains all of the outline, and the mirrored solution of the best: the coarse
@@ -281,8 +276,8 @@ impl Eye {
         let fits = distinct(minima, SAME_MINIMUM_RAD);
         let Some(best) = fits.first() else { return Selection { fits, has_fine_fit: false, is_ambiguous: false } };
         let fit_mirrored = || {
-            let bend = self.mirrored(best.bend);
-            let is_close = (bend - best.bend).norm() < EDGE_ON_RAD;
+            let bend = self.mirrored(best.bend());
+            let is_close = (bend - best.bend()).norm() < EDGE_ON_RAD;
             self.fit(finder, self.start(bend), if is_close { &REFINEMENT } else { &COARSE_TO_REFINED })
         };
         let (mirrored, mut finest) = rayon::join(fit_mirrored, || self.fit(finder, best.start(), fine));
@@ -318,9 +313,8 @@ impl Eye {
         if let Some(status) = refusal_by_edges(fit) {
             return FrameMeasurement::failed(status, Some(quality));
         }
-        let departure = fit.departure(&self.projection(), &self.bias_prior());
-        let shape = departure.and_then(|departure| departure.shape(&self.rig.pose_covariance));
-        let quality = Quality { shape, ..quality };
+        let covariance = fit.covariance + fit.by_pose * self.rig.pose_covariance * fit.by_pose.transpose();
+        let quality = Quality { shape: shape(&fit.profile, &covariance), ..quality };
         let visibility = fit.visibility();
         if visibility.visible_disk_share() < LEAST_VISIBLE_DISKS || !visibility.is_end_visible() {
             return FrameMeasurement::failed(Status::Occluded, Some(quality));
@@ -328,9 +322,28 @@ impl Eye {
         if is_ambiguous {
             return FrameMeasurement::failed(Status::Ambiguous, Some(quality));
         }
-        let from_rig = fit.by_pose * self.rig.pose_covariance * fit.by_pose.transpose();
-        FrameMeasurement::of(Bend { vector: fit.bend, covariance: fit.covariance + from_rig }, quality)
+        let covariance = covariance.fixed_view::<2, 2>(0, 0).into_owned();
+        FrameMeasurement::of(Bend { vector: fit.bend(), covariance }, quality)
     }
+}
+
+/// How a profile departs from an arc. `None` where its covariance is not positive definite.
+fn shape(profile: &BendProfile, covariance: &ProfileCovariance) -> Option<Shape> {
+    let along = profile.tip.try_normalize(0.0).unwrap_or(Vector2::x());
+    let across = Vector2::new(-along.y, along.x);
+    let block = |k: usize| covariance.fixed_view::<2, 2>(2 * k, 2 * k).into_owned();
+    let sigma = |k: usize, direction: Vector2<f64>| direction.dot(&(block(k) * direction)).max(0.0).sqrt();
+    // e of the linear change of curvature is −4 a_1.
+    let departure = profile.modes[0] * -4.0;
+    Some(Shape {
+        tip_theta: profile.tip.norm(),
+        sigma_tip_theta: sigma(0, along),
+        along: departure.dot(&along),
+        sigma_along: 4.0 * sigma(1, along),
+        across: departure.dot(&across),
+        sigma_across: 4.0 * sigma(1, across),
+        chi2: profile.modes[0].dot(&(block(1).cholesky()?.solve(&profile.modes[0]))),
+    })
 }
 
 /// Why the edges of a fit do not suffice for a measurement.

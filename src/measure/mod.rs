@@ -28,7 +28,7 @@ mod target;
 pub use body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 pub use explain::{Explanation, SearchedPoint, WeightedEdge};
 pub use eye::Eye;
-pub use fit::EdgeBias;
+pub use fit::{EdgeBias, UNKNOWN_SHAPE_RAD};
 pub use image::appearance::Appearance;
 pub use measurement::{Bend, FrameMeasurement};
 pub use rig::{CalibrationStep, Rig, RigError, RigOptions, SnakePart, calibrate_rig};

@@ -14,8 +14,9 @@
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::input::read_text;
-use crate::measure::{Appearance, EdgeBias, GridPattern, Rig};
+use crate::measure::{Appearance, EdgeBias, GridPattern, Rig, UNKNOWN_SHAPE_RAD};
 use crate::record::{line_at, write_atomically};
+use crate::robot::MODES;
 use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -56,6 +57,13 @@ struct FitTable {
     tube_bias_px: Option<f64>,
     edge_rms_px: f64,
     grid_rms_px: f64,
+    /// Files of versions that took every snake for an arc have none.
+    #[serde(default = "unknown_shape_deg")]
+    mode_sigma_deg: [f64; MODES],
+}
+
+fn unknown_shape_deg() -> [f64; MODES] {
+    UNKNOWN_SHAPE_RAD.map(f64::to_degrees)
 }
 
 impl Rig {
@@ -82,6 +90,9 @@ impl Rig {
         if !numbers.chain([&fit.edge_bias_px]).chain(&fit.rim_bias_px).chain(&fit.tube_bias_px).all(|v| v.is_finite()) {
             return Err(wrong("a number is not finite"));
         }
+        if !fit.mode_sigma_deg.iter().all(|sigma| sigma.is_finite() && *sigma > 0.0) {
+            return Err(wrong("mode_sigma_deg must be positive"));
+        }
         if [&file.appearance.weights, &file.print.weights].iter().any(|weights| ![1, 3].contains(&weights.len())) {
             return Err(wrong(
                 "the weights of [appearance] and [print] must each have one number (grey) or three (colour)",
@@ -101,6 +112,7 @@ impl Rig {
                 tube_px: fit.tube_bias_px.unwrap_or(fit.edge_bias_px),
                 rim_px: fit.rim_bias_px.unwrap_or(fit.edge_bias_px),
             },
+            mode_sigma_rad: fit.mode_sigma_deg.map(f64::to_radians),
             edge_rms_px: fit.edge_rms_px,
             grid_rms_px: fit.grid_rms_px,
         })
@@ -129,6 +141,7 @@ impl Rig {
                 tube_bias_px: Some(self.edge_bias.tube_px),
                 edge_rms_px: self.edge_rms_px,
                 grid_rms_px: self.grid_rms_px,
+                mode_sigma_deg: self.mode_sigma_rad.map(f64::to_degrees),
             },
         };
         let text = toml::to_string(&file).map_err(|e| Error::content(path, e.to_string()))?;
@@ -165,6 +178,7 @@ mod tests {
             grid_pitch_mm: 1.0,
             pattern: GridPattern { kind: PatternKind::Checkerboard, weights: vec![0.5, 0.25, -0.5] },
             appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },
+            mode_sigma_rad: [0.01, 0.005, 0.0025],
             edge_bias: EdgeBias { side_px: -0.05, tube_px: 0.2, rim_px: 0.01 },
             grid_rms_px: 0.1,
             edge_rms_px: 0.12,

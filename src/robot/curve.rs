@@ -13,7 +13,7 @@
 
 use super::Robot;
 use super::kinematics::{arc_functions, rotation_vector};
-use crate::geometry::{Pose, sinc};
+use crate::geometry::{Configuration, Pose, sinc};
 use nalgebra::{Matrix3, Matrix3x2, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3};
 use std::f64::consts::PI;
 
@@ -23,7 +23,8 @@ pub const MODES: usize = 3;
 /// How many numbers a [`BendProfile`] has: two of the tip's bend vector and two of each mode.
 pub const PROFILE: usize = 2 + 2 * MODES;
 /// Pieces between which the centreline is known exactly.
-/// Derived: Simpson's rule over a millimetre of a snake bent by 120° errs by less than a nanometre.
+/// Derived: Simpson's rule over pieces of a millimetre errs by less than 0.03 µm in all, with modes of some degrees (h⁴/2880 · L · the
+/// tangent's fourth derivative, (3π/L)⁴ a_3 at most).
 const PIECES: usize = 26;
 
 /// The bend vector along the snake (see the module).
@@ -33,6 +34,13 @@ pub struct BendProfile {
     pub tip: Vector2<f64>,
     /// a_k along x_b and y_b, rad.
     pub modes: [Vector2<f64>; MODES],
+}
+
+impl From<Configuration> for BendProfile {
+    /// The circular arc of a configuration.
+    fn from(psi: Configuration) -> Self {
+        Self::arc(psi.bend_vector())
+    }
 }
 
 impl BendProfile {
@@ -50,6 +58,15 @@ impl BendProfile {
     pub fn at(&self, u: f64) -> Vector2<f64> {
         let weights = weights(u);
         self.modes.iter().zip(&weights[1..]).fold(self.tip * weights[0], |sum, (mode, weight)| sum + mode * *weight)
+    }
+
+    /// Its numbers, in the order of [`Curve::section_jacobian`].
+    pub fn to_array(&self) -> [f64; PROFILE] {
+        let mut all = [0.0; PROFILE];
+        for (pair, vector) in all.chunks_exact_mut(2).zip(std::iter::once(&self.tip).chain(&self.modes)) {
+            pair.copy_from_slice(vector.as_slice());
+        }
+        all
     }
 
     /// The profile after a step of its numbers, in the order of [`Curve::section_jacobian`].
@@ -207,7 +224,6 @@ impl Curve {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Configuration;
     use nalgebra::Point3;
     use proptest::prelude::*;
 
@@ -250,7 +266,7 @@ mod tests {
                 })
                 .sum();
             let curve = Curve::new(&robot, &profile);
-            prop_assert!((curve.frame_at(s).translation.vector - place).norm() < 1e-5);
+            prop_assert!((curve.frame_at(s).translation.vector - place).norm() < 3e-5);
         }
 
         #[test]

@@ -13,8 +13,8 @@ use super::section::{Section, SurfacePoint};
 use super::silhouette::{REACH_PX, Silhouette};
 use super::surfaces::Surfaces;
 use crate::camera::Lens;
-use crate::geometry::Configuration;
 use crate::measure::image::plane::Plane;
+use crate::robot::BendProfile;
 use nalgebra::{Point2, Unit, Vector2, Vector3};
 
 /// From this distance of outline points on, the silhouette that decides what hides what is drawn in cells of two by two pixels, px.
@@ -69,7 +69,7 @@ impl PredictedEdge {
     const STRAIGHT: Self = Self { offset_px: 0.0, blur_ratio: 1.0 };
 }
 
-/// The snake's outline for one configuration and one view.
+/// The snake's outline for one bend and one view.
 #[derive(Debug, Clone)]
 pub struct Outline {
     /// Border points, about [`Outline::SPACING_PX`] apart.
@@ -90,15 +90,15 @@ impl Outline {
     pub const REACH_PX: f64 = REACH_PX;
 
     /// Projects the body and keeps what lies on the border of its silhouette and within the picture.
-    pub fn new(view: &Projection, psi: Configuration) -> Self {
-        Self::spaced(view, psi, Self::SPACING_PX)
+    pub fn new(view: &Projection, profile: impl Into<BendProfile>) -> Self {
+        Self::spaced(view, profile, Self::SPACING_PX)
     }
 
     /// The same with border points about `spacing_px` apart.
-    pub(crate) fn spaced(view: &Projection, psi: Configuration, spacing_px: f64) -> Self {
+    pub(crate) fn spaced(view: &Projection, profile: impl Into<BendProfile>, spacing_px: f64) -> Self {
         let distance_mm = view.camera_from_base.translation.vector.norm().max(1.0);
         let mm_per_px = distance_mm / view.lens.focal_px.x;
-        let surfaces = Surfaces::new(view, psi, spacing_px, mm_per_px);
+        let surfaces = Surfaces::new(view, &view.curve(profile), spacing_px, mm_per_px);
         let cell_px = if spacing_px < SPARSE_PX { 1.0 } else { 2.0 };
         let silhouette = Silhouette::new(view.lens, &surfaces.polygons, cell_px);
         let candidates = &surfaces.points;
@@ -110,13 +110,14 @@ impl Outline {
 
     /// Projects the same material points at a bend that differs little, at which they are still on the border to first order. The
     /// silhouette, gaps and depths stay as they were.
-    pub(crate) fn reproject(&mut self, view: &Projection, psi: Configuration) {
-        let mut section = Section::new(view, psi, 0.0);
+    pub(crate) fn reproject(&mut self, view: &Projection, profile: impl Into<BendProfile>) {
+        let curve = view.curve(profile);
+        let mut section = Section::new(view, &curve, 0.0);
         self.points.retain_mut(|point| {
             let BodyPoint { s_mm, local } = point.body;
             // Points are ordered by section.
             if section.s_mm != s_mm {
-                section = Section::new(view, psi, s_mm);
+                section = Section::new(view, &curve, s_mm);
             }
             let along = if point.piece.is_rim() { Vector3::new(-local.y, local.x, 0.0) } else { Vector3::z() };
             let (pixel, along) = section.pixel_and_direction(local, along);
@@ -172,6 +173,8 @@ mod tests {
     use crate::measure::fixture::Scene;
     use approx::assert_relative_eq;
     use nalgebra::Point3;
+
+    use crate::geometry::Configuration;
 
     const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
 
@@ -240,9 +243,10 @@ mod tests {
         let scene = Scene::new(Vector3::zeros());
         let psi = Configuration::from_degrees(90.0, 0.0);
         let radius = scene.robot.length_mm / psi.theta;
-        let tip = scene.view().pixel(psi, &BodyPoint { s_mm: scene.robot.length_mm, local: Vector3::zeros() });
-        assert_relative_eq!(tip.x, 399.5 + 1500.0 * radius / 120.0, epsilon = 1e-6);
-        assert_relative_eq!(tip.y, 299.5 + 1500.0 * (12.0 - radius) / 120.0, epsilon = 1e-6);
+        let curve = scene.view().curve(psi);
+        let tip = scene.view().pixel(&curve, &BodyPoint { s_mm: scene.robot.length_mm, local: Vector3::zeros() });
+        assert_relative_eq!(tip.x, 399.5 + 1500.0 * radius / 120.0, epsilon = 1e-4);
+        assert_relative_eq!(tip.y, 299.5 + 1500.0 * (12.0 - radius) / 120.0, epsilon = 1e-4);
         let outline = Outline::new(&scene.view(), psi);
         assert!(outline.covers(&tip));
         // The tip's tangent points to the right: beyond its face is no snake.

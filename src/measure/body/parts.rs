@@ -1,7 +1,6 @@
 //! The parts of the body whose borders a picture shows, and points fixed to them.
 
-use crate::geometry::Configuration;
-use crate::robot::Robot;
+use crate::robot::Curve;
 use nalgebra::{Point3, Vector3};
 
 /// Length of the holder that is modelled below the base disk, mm.
@@ -21,8 +20,8 @@ pub struct BodyPoint {
 
 impl BodyPoint {
     /// Where the point is in the base frame, mm.
-    pub fn in_base(&self, robot: &Robot, psi: Configuration) -> Point3<f64> {
-        robot.frame_at(psi, self.s_mm) * Point3::from(self.local)
+    pub fn in_base(&self, curve: &Curve) -> Point3<f64> {
+        curve.frame_at(self.s_mm) * Point3::from(self.local)
     }
 }
 

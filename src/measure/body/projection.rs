@@ -2,10 +2,10 @@
 
 use super::parts::{BodyPoint, HOLDER_MM};
 use crate::camera::Lens;
-use crate::geometry::{Configuration, Pose};
+use crate::geometry::Pose;
 use crate::measure::image::plane::Region;
-use crate::robot::Robot;
-use nalgebra::{Point2, Vector3};
+use crate::robot::{BendProfile, Curve, Robot};
+use nalgebra::{Point2, Point3, Vector3};
 
 /// Distance between the points of the snake's axis from which its region of the picture is drawn, mm.
 ///
@@ -32,18 +32,29 @@ pub struct Projection<'a> {
 }
 
 impl<'a> Projection<'a> {
+    /// The centreline of the robot's snake with this bend.
+    pub fn curve(&self, profile: impl Into<BendProfile>) -> Curve {
+        Curve::new(self.robot, &profile.into())
+    }
+
     /// The pixel of a body point.
-    pub fn pixel(&self, psi: Configuration, point: &BodyPoint) -> Point2<f64> {
-        self.lens.project(&(self.camera_from_base * point.in_base(self.robot, psi)))
+    pub fn pixel(&self, curve: &Curve, point: &BodyPoint) -> Point2<f64> {
+        self.lens.project(&(self.camera_from_base * point.in_base(curve)))
+    }
+
+    /// The pixel of a point of the holder, which does not bend.
+    pub(crate) fn holder_pixel(&self, point: &BodyPoint) -> Point2<f64> {
+        self.lens.project(&(self.camera_from_base * Point3::from(point.local + Vector3::new(0.0, 0.0, point.s_mm))))
     }
 
     /// The part of the picture that the body covers, and `reach_px` around it.
-    pub(crate) fn image_region(&self, psi: Configuration, reach_px: f64) -> Region {
+    pub(crate) fn image_region(&self, profile: impl Into<BendProfile>, reach_px: f64) -> Region {
+        let curve = self.curve(profile);
         let (robot, lens) = (self.robot, self.lens);
         let steps = ((robot.length_mm + HOLDER_MM) / AXIS_STEP_MM).ceil() as usize;
         let axis_pixel = |k: usize| {
             let s_mm = robot.length_mm - k as f64 * AXIS_STEP_MM;
-            self.pixel(psi, &BodyPoint { s_mm, local: Vector3::zeros() })
+            self.pixel(&curve, &BodyPoint { s_mm, local: Vector3::zeros() })
         };
         Region::along((0..=steps).map(axis_pixel), 0.5 * self.diameter_px() + reach_px, (lens.width, lens.height))
     }

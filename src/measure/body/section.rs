@@ -3,7 +3,7 @@
 use super::parts::{BodyPoint, Piece};
 use super::projection::Projection;
 use crate::camera::Lens;
-use crate::geometry::Configuration;
+use crate::robot::Curve;
 use nalgebra::{Matrix3, Point2, Point3, Vector2, Vector3};
 
 /// A point of a surface that may lie on the silhouette's border; the rest of the body is not taken into account yet.
@@ -32,8 +32,8 @@ pub(super) struct Section<'a> {
 }
 
 impl<'a> Section<'a> {
-    pub fn new(view: &Projection<'a>, psi: Configuration, s_mm: f64) -> Self {
-        let pose = view.camera_from_base * view.robot.frame_at(psi, s_mm);
+    pub fn new(view: &Projection<'a>, curve: &Curve, s_mm: f64) -> Self {
+        let pose = view.camera_from_base * curve.frame_at(s_mm);
         let camera_from_section = pose.rotation.to_rotation_matrix().into_inner();
         Self { lens: view.lens, s_mm, camera_from_section, origin_mm: pose.translation.vector }
     }

@@ -5,7 +5,7 @@
 use super::parts::{HOLDER_MM, Piece};
 use super::projection::Projection;
 use super::section::{Section, SurfacePoint};
-use crate::geometry::Configuration;
+use crate::robot::Curve;
 use nalgebra::{Point2, Vector2, Vector3};
 use std::f64::consts::TAU;
 
@@ -38,15 +38,15 @@ pub(super) struct Surfaces {
 
 impl Surfaces {
     /// The surfaces of the whole body, with points about `spacing_px` apart; a pixel is `mm_per_px` large at the snake.
-    pub fn new(view: &Projection, psi: Configuration, spacing_px: f64, mm_per_px: f64) -> Self {
+    pub fn new(view: &Projection, curve: &Curve, spacing_px: f64, mm_per_px: f64) -> Self {
         let mut surfaces = Self::default();
-        surfaces.add_cylinders(view, psi, spacing_px * mm_per_px);
-        surfaces.add_tubes(view, psi, spacing_px, mm_per_px);
+        surfaces.add_cylinders(view, curve, spacing_px * mm_per_px);
+        surfaces.add_tubes(view, curve, spacing_px, mm_per_px);
         surfaces
     }
 
     /// Rims and side walls of the disks and the holder.
-    fn add_cylinders(&mut self, view: &Projection, psi: Configuration, spacing_mm: f64) {
+    fn add_cylinders(&mut self, view: &Projection, curve: &Curve, spacing_mm: f64) {
         let body = &view.robot.body;
         // (number, section that the axis is perpendicular to, near and far face from there): the holder is number 0, disks
         // count from 1.
@@ -55,7 +55,7 @@ impl Surfaces {
             view.robot.spacer_middles_mm().into_iter().zip(1..).map(|(middle, number)| (number, middle, -half, half));
         let end = (body.spacer_disk_count + 1, view.robot.length_mm, -body.disk_thickness_mm, 0.0);
         for (number, s_mm, near_mm, far_mm) in std::iter::once((0, 0.0, -HOLDER_MM, 0.0)).chain(spacers).chain([end]) {
-            let section = Section::new(view, psi, s_mm);
+            let section = Section::new(view, curve, s_mm);
             let radius_mm = body.disk_diameter_mm / 2.0;
             let cylinder = Cylinder { number, section, radius_mm, near_mm, far_mm, spacing_mm };
             self.polygons.push(cylinder.outline(&mut self.points));
@@ -63,7 +63,7 @@ impl Surfaces {
     }
 
     /// The two sides of each tube.
-    fn add_tubes(&mut self, view: &Projection, psi: Configuration, spacing_px: f64, mm_per_px: f64) {
+    fn add_tubes(&mut self, view: &Projection, curve: &Curve, spacing_px: f64, mm_per_px: f64) {
         let robot = view.robot;
         let steps = (robot.length_mm / (spacing_px * mm_per_px)).ceil().max(FEWEST_TUBE_SECTIONS) as usize;
         let mut axes = vec![(Vector2::zeros(), robot.primary.outer_diameter_mm / 2.0)];
@@ -73,7 +73,7 @@ impl Surfaces {
         }
         let mut sides = vec![[Vec::with_capacity(steps), Vec::with_capacity(steps)]; axes.len()];
         for step in 0..steps {
-            let section = Section::new(view, psi, robot.length_mm * (step as f64 + 0.5) / steps as f64);
+            let section = Section::new(view, curve, robot.length_mm * (step as f64 + 0.5) / steps as f64);
             let camera = section.camera_centre().coords.xy();
             for (number, &(offset, radius)) in axes.iter().enumerate() {
                 for (side, radial) in tangent_directions(camera - offset, radius) {

@@ -5,7 +5,7 @@
 
 use super::bend::BendFit;
 use crate::geometry::Pose;
-use nalgebra::Vector2;
+use nalgebra::{SVector, Vector2};
 
 /// Another fit explains the picture as well only if its cost is below this many times the best one's.
 ///
@@ -47,7 +47,7 @@ impl Alternative {
     /// Compares a fit with the best one, of a snake that is `diameter_px` wide in the picture.
     pub fn of(other: &BendFit, best: &BendFit, diameter_px: f64) -> Self {
         let edge_on_rad = EDGE_ON_RAD.max(2.0 * EDGE_ON_PX / diameter_px);
-        if (other.bend - best.bend).norm() < edge_on_rad {
+        if (other.bend() - best.bend()).norm() < edge_on_rad {
             Self::EdgeOn
         } else if other.cost < COST_RATIO * best.cost && other.rms_px < SCATTER_RATIO * best.rms_px {
             Self::AsGood
@@ -61,7 +61,7 @@ impl BendFit {
     /// The better of two fits of a snake seen edge-on. If the other one is as good, the covariance contains the doubt between them:
     /// the variance of two equally likely values.
     pub fn or_edge_on(self, other: Self) -> Self {
-        let apart = self.bend - other.bend;
+        let apart = SVector::from(self.profile.to_array()) - SVector::from(other.profile.to_array());
         let (mut better, worse) = if other.cost < self.cost { (other, self) } else { (self, other) };
         if worse.cost < COST_RATIO * better.cost {
             better.covariance += apart * apart.transpose() / 4.0;
@@ -84,7 +84,7 @@ pub(crate) fn distinct(mut fits: Vec<BendFit>, apart_rad: f64) -> Vec<BendFit> {
     fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let mut kept: Vec<BendFit> = Vec::new();
     for fit in fits {
-        if kept.iter().all(|k| (k.bend - fit.bend).norm() > apart_rad) {
+        if kept.iter().all(|k| (k.bend() - fit.bend()).norm() > apart_rad) {
             kept.push(fit);
         }
     }

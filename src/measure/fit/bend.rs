@@ -8,12 +8,12 @@ use super::correspondences::Correspondences;
 use super::edges::EdgeFinder;
 use super::linearised::Linearised;
 use super::noise_model::SHARP_PX;
-use super::shape::{Departure, departure};
-use super::state::{BiasPrior, EdgeBias, State};
+use super::state::{EdgeBias, FramePrior, STATE, State};
 use super::uncertainty::{FitCovariance, RobustPhase, inliers};
 use super::visibility::PartVisibility;
 use crate::measure::body::{Outline, Piece, Projection};
-use nalgebra::{Matrix2, Matrix2x6, Vector2};
+use crate::robot::{BendProfile, PROFILE};
+use nalgebra::{SMatrix, SVector, Vector2};
 
 /// From this search distance on, px, the model is close enough to the picture for the redescending loss.
 ///
@@ -54,13 +54,13 @@ const LINEAR_RAD: f64 = 5e-3;
 /// The snake's bend in one picture.
 #[derive(Debug, Clone)]
 pub(crate) struct BendFit {
-    /// The bend vector θ (cos δ, sin δ), rad.
-    pub bend: Vector2<f64>,
+    /// The bend along the snake.
+    pub profile: BendProfile,
     pub bias: EdgeBias,
-    /// Covariance of the bend vector from this picture alone, rad².
-    pub covariance: Matrix2<f64>,
-    /// Change of the bend vector with the camera's pose (see [`perturbed`](crate::geometry::perturbed)).
-    pub by_pose: Matrix2x6<f64>,
+    /// Covariance of the profile's numbers from this picture alone, rad².
+    pub covariance: ProfileCovariance,
+    /// Change of the profile's numbers with the camera's pose (see [`perturbed`](crate::geometry::perturbed)).
+    pub by_pose: SMatrix<f64, PROFILE, 6>,
     /// The number of edges that agree with the model.
     pub inliers: usize,
     /// Root mean square of their distances from it, px.
@@ -77,9 +77,9 @@ pub(crate) struct BendFit {
 }
 
 impl BendFit {
-    /// How the snake departs from a circle; `None` where the edges do not determine it.
-    pub fn departure(&self, view: &Projection, bias: &BiasPrior) -> Option<Departure> {
-        departure(view, &self.edges, &self.start().state, &bias.at_blur(self.blur_px), self.rms_px)
+    /// The tip's bend vector, rad.
+    pub fn bend(&self) -> Vector2<f64> {
+        self.profile.tip
     }
 
     /// The share of the searched points whose edges agree with the model.
@@ -94,9 +94,12 @@ impl BendFit {
 
     /// Where another fit may go on from here.
     pub fn start(&self) -> Start {
-        Start { state: State { bend: self.bend, bias: self.bias }, blur_px: Some(self.blur_px) }
+        Start { state: State { profile: self.profile, bias: self.bias }, blur_px: Some(self.blur_px) }
     }
 }
+
+/// The covariance of the numbers of a bend profile, rad².
+pub(crate) type ProfileCovariance = SMatrix<f64, PROFILE, PROFILE>;
 
 /// How a picture is fitted: the rounds, and what is done in each.
 #[derive(Debug, Clone, Copy)]
@@ -134,10 +137,10 @@ pub(crate) fn fit_bend(
     view: &Projection,
     finder: &EdgeFinder,
     start: Start,
-    bias: BiasPrior,
+    prior: FramePrior,
     schedule: &FitSchedule,
 ) -> Option<BendFit> {
-    let mut fitting = Fitting::new(view, finder, start, bias, schedule);
+    let mut fitting = Fitting::new(view, finder, start, prior, schedule);
     for round in 0..schedule.rounds {
         fitting.follow_blur();
         fitting.draw_outline();
@@ -155,7 +158,7 @@ struct Fitting<'a> {
     /// The picture's edge finder as it came.
     finder: &'a EdgeFinder<'a>,
     schedule: &'a FitSchedule,
-    bias: BiasPrior,
+    prior: FramePrior,
     state: State,
     phase: RobustPhase,
     /// The blur that the model is given, in the fine stage.
@@ -164,7 +167,7 @@ struct Fitting<'a> {
     filtered: EdgeFinder<'a>,
     spacing_px: f64,
     /// The outline, and the bend at which it was drawn.
-    drawn: Option<(Vector2<f64>, Outline)>,
+    drawn: Option<(BendProfile, Outline)>,
     last: Option<Round>,
 }
 
@@ -181,7 +184,7 @@ impl<'a> Fitting<'a> {
         view: &'a Projection<'a>,
         finder: &'a EdgeFinder<'a>,
         start: Start,
-        bias: BiasPrior,
+        prior: FramePrior,
         schedule: &'a FitSchedule,
     ) -> Self {
         let blur_px = start.blur_px.filter(|_| schedule.is_fine);
@@ -189,7 +192,7 @@ impl<'a> Fitting<'a> {
             view,
             finder,
             schedule,
-            bias: blur_px.map_or(bias, |blur_px| bias.at_blur(blur_px)),
+            prior: blur_px.map_or(prior, |blur_px| prior.at_blur(blur_px)),
             state: start.state,
             phase: if schedule.is_fine { RobustPhase::Redescending } else { RobustPhase::Monotone },
             blur_px,
@@ -218,16 +221,16 @@ impl<'a> Fitting<'a> {
     fn draw_outline(&mut self) {
         let (view, state) = (self.view, self.state);
         self.drawn = Some(match self.drawn.take() {
-            Some((at, mut outline)) if !self.schedule.is_fine && (state.bend - at).norm() < REPROJECTED_RAD => {
-                outline.reproject(view, state.psi());
+            Some((at, mut outline)) if !self.schedule.is_fine && apart(&state.profile, &at) < REPROJECTED_RAD => {
+                outline.reproject(view, state.profile);
                 (at, outline)
             }
             _ => {
-                let mut outline = Outline::spaced(view, state.psi(), self.spacing_px);
+                let mut outline = Outline::spaced(view, state.profile, self.spacing_px);
                 if let Some(blur_px) = self.blur_px {
                     predict_blur(&mut outline, blur_px, &self.filtered);
                 }
-                (state.bend, outline)
+                (state.profile, outline)
             }
         });
     }
@@ -240,12 +243,12 @@ impl<'a> Fitting<'a> {
             return None;
         }
         let phase = if search_px > FINE_SEARCH_PX { RobustPhase::Monotone } else { self.phase };
-        let before = self.state.bend;
-        let (state, roots) = gauss_newton(&edges, self.view, self.state, self.bias, phase)?;
-        if state.bend.norm() > LARGEST_BEND_RAD {
+        let before = self.state.profile;
+        let (state, roots) = gauss_newton(&edges, self.view, self.state, &self.prior, phase)?;
+        if state.profile.tip.norm() > LARGEST_BEND_RAD {
             return None;
         }
-        let moved_rad = (state.bend - before).norm();
+        let moved_rad = apart(&state.profile, &before);
         if moved_rad <= REDESCENDING_RAD {
             self.phase = RobustPhase::Redescending;
         }
@@ -256,20 +259,23 @@ impl<'a> Fitting<'a> {
 
     /// The fit with its covariance, from the last round.
     fn finish(self) -> Option<BendFit> {
-        let Self { view, state, bias, .. } = self;
+        let Self { view, state, prior, .. } = self;
         let Round { edges, roots, search_px } = self.last?;
         let linear = Linearised::new(&edges, view, &state);
         let distances_px = edges.in_px(linear.residuals.as_slice());
         let (inliers, rms_px) = inliers(&distances_px, &roots);
-        let linear = linear.weighted(&roots).with_prior(&bias, &state);
+        let linear = linear.weighted(&roots).with_prior(&prior, &state);
         let covariance = FitCovariance::new(&edges, &linear.by_state, &linear.residuals, view, &roots, rms_px)?;
         let gain = &covariance.independent * linear.by_state.tr_mul(&linear.by_pose);
         let agreement: f64 = distances_px.iter().map(|d| 1.0 - (d / search_px).powi(2).min(1.0)).sum();
         Some(BendFit {
-            bend: state.bend,
+            profile: state.profile,
             bias: state.bias,
-            covariance: covariance.total(&[0, 1])?.fixed_view::<2, 2>(0, 0).into_owned(),
-            by_pose: Matrix2x6::from_fn(|row, column| -gain[(row, column)]),
+            covariance: covariance
+                .total(&std::array::from_fn::<_, PROFILE, _>(|k| k))?
+                .fixed_view::<PROFILE, PROFILE>(0, 0)
+                .into_owned(),
+            by_pose: SMatrix::from_fn(|row, column| -gain[(row, column)]),
             inliers,
             rms_px,
             blur_px: edges.blur_px,
@@ -280,26 +286,33 @@ impl<'a> Fitting<'a> {
     }
 }
 
+/// The largest difference between the numbers of two profiles, rad.
+fn apart(a: &BendProfile, b: &BendProfile) -> f64 {
+    let pairs = a.to_array().into_iter().zip(b.to_array());
+    pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}
+
 /// Moves a state to where it agrees best with edges, by Gauss–Newton steps under a robust loss; returns with it the square roots of
 /// the edges' weights.
 fn gauss_newton(
     edges: &Correspondences,
     view: &Projection,
     start: State,
-    bias: BiasPrior,
+    prior: &FramePrior,
     phase: RobustPhase,
 ) -> Option<(State, Vec<f64>)> {
     let (mut state, mut roots) = (start, Vec::new());
     for _ in 0..LINEARISATIONS {
         let step;
-        (step, roots) = Linearised::new(edges, view, &state).step(&bias, &state, phase)?;
-        let step = step * (LONGEST_STEP_RAD / step.xy().norm()).min(1.0);
+        (step, roots) = Linearised::new(edges, view, &state).step(prior, &state, phase)?;
+        let bends = |step: &SVector<f64, STATE>| step.fixed_rows::<PROFILE>(0).amax();
+        let step = step * (LONGEST_STEP_RAD / bends(&step)).min(1.0);
         if step.iter().any(|v| !v.is_finite()) {
             return None;
         }
         state = state.moved(&step);
         // The residuals are linear in the bias, so that only the bend's step counts.
-        if step.xy().norm() < LINEAR_RAD {
+        if bends(&step) < LINEAR_RAD {
             break;
         }
     }
@@ -310,7 +323,6 @@ fn gauss_newton(
 mod tests {
     use super::super::alternatives::{Alternative, mirrored};
     use super::super::coarse::CoarseSearch;
-    use super::super::noise_model::FRAME_BIAS_SIGMA_PX;
     use super::*;
     use crate::geometry::Configuration;
     use crate::measure::fixture::Scene;
@@ -319,14 +331,12 @@ mod tests {
     use rand::{SeedableRng, rngs::StdRng};
     use rand_distr::{Distribution, Normal};
 
-    const NO_BIAS: BiasPrior =
-        BiasPrior { mean: EdgeBias { side_px: 0.0, tube_px: 0.0, rim_px: 0.0 }, sigma_px: FRAME_BIAS_SIGMA_PX };
     const COARSE: FitSchedule =
         FitSchedule { searches_px: &[14.0, 6.0, 3.0], rounds: 20, is_fine: false, converged_rad: 1e-4 };
     const FINE: FitSchedule = FitSchedule { searches_px: &[3.0], rounds: 9, is_fine: true, converged_rad: 1e-5 };
 
     fn state(bend: Vector2<f64>) -> State {
-        State { bend, bias: EdgeBias::default() }
+        State { profile: BendProfile::arc(bend), bias: EdgeBias::default() }
     }
 
     /// The whole picture of a bent snake, 1 on it and 0 beside it, with a blur of 1 px.
@@ -341,8 +351,8 @@ mod tests {
     fn fitted(scene: &Scene, plane: &Plane, start: Vector2<f64>) -> BendFit {
         let (view, finder) = (scene.view(), EdgeFinder::new(plane, false));
         let start = Start { state: state(start), blur_px: None };
-        let coarse = fit_bend(&view, &finder, start, NO_BIAS, &COARSE).unwrap();
-        fit_bend(&view, &finder, coarse.start(), NO_BIAS, &FINE).unwrap()
+        let coarse = fit_bend(&view, &finder, start, FramePrior::FIXTURE, &COARSE).unwrap();
+        fit_bend(&view, &finder, coarse.start(), FramePrior::FIXTURE, &FINE).unwrap()
     }
 
     #[test]
@@ -350,7 +360,7 @@ mod tests {
         let scene = Scene::new(Vector3::new(0.05, -0.1, 0.0));
         let view = scene.view();
         let truth = state(Vector2::new(0.6, 0.4));
-        let outline = Outline::spaced(&view, truth.psi(), 4.0);
+        let outline = Outline::spaced(&view, truth.profile, 4.0);
         let mut random = StdRng::seed_from_u64(3);
         let noise = Normal::new(0.0, 0.2).unwrap();
         // All edges of the middle disks lie far outside, as a hand's or a cable's border would.
@@ -358,12 +368,12 @@ mod tests {
         let displacement = |piece: Piece| noise.sample(&mut random) + if is_outlier(piece) { 5.0 } else { 0.0 };
         let displacements: Vec<f64> = outline.points.iter().map(|p| p.piece).map(displacement).collect();
         let edges = Correspondences::displaced(&outline, &displacements, 0.2);
-        let start = state(truth.bend + Vector2::new(0.02, -0.02));
+        let start = state(truth.profile.tip + Vector2::new(0.02, -0.02));
         let error = |phases: &[RobustPhase]| {
             let fitted = phases
                 .iter()
-                .fold(start, |state, &phase| gauss_newton(&edges, &view, state, NO_BIAS, phase).unwrap().0);
-            (fitted.bend - truth.bend).norm()
+                .fold(start, |state, &phase| gauss_newton(&edges, &view, state, &FramePrior::FIXTURE, phase).unwrap().0);
+            (fitted.profile.tip - truth.profile.tip).norm()
         };
         let monotone = error(&[RobustPhase::Monotone]);
         let both = error(&[RobustPhase::Monotone, RobustPhase::Redescending]);
@@ -376,7 +386,7 @@ mod tests {
             let scene = Scene::new(turn);
             let bend = Vector2::new(0.6, 0.35);
             let fit = fitted(&scene, &picture(&scene, bend), bend + Vector2::new(0.05, -0.05));
-            let error = (fit.bend - bend).norm();
+            let error = (fit.bend() - bend).norm();
             assert!(error < 1e-3, "{error} rad");
             assert!(fit.inlier_fraction() > 0.9 && fit.rms_px < 0.1, "{} {}", fit.inlier_fraction(), fit.rms_px);
             assert!((fit.blur_px - 1.0).abs() < 0.25, "{}", fit.blur_px);
@@ -393,7 +403,7 @@ mod tests {
         let robot = &scene.robot;
         let covered = [robot.length_mm, robot.length_mm - robot.disk_pitch_mm()].map(|s_mm| {
             let point = crate::measure::body::BodyPoint { s_mm, local: Vector3::zeros() };
-            scene.view().pixel(Configuration::from_bend_vector(bend), &point)
+            scene.view().pixel(&scene.view().curve(BendProfile::arc(bend)), &point)
         });
         for (k, value) in plane.data.iter_mut().enumerate() {
             let pixel = Point2::new((k % plane.width) as f64, (k / plane.width) as f64);
@@ -402,7 +412,7 @@ mod tests {
             }
         }
         let fit = fitted(&scene, &plane, bend + Vector2::new(0.02, -0.02));
-        assert!((fit.bend - bend).norm() < 5e-3, "{}", (fit.bend - bend).norm());
+        assert!((fit.bend() - bend).norm() < 5e-3, "{}", (fit.bend() - bend).norm());
         let visibility = fit.visibility();
         assert!(!visibility.is_end_visible() && !fit.explains_all());
         assert!(visibility.visible_disk_share() > 0.6, "{}", visibility.visible_disk_share());
@@ -428,8 +438,9 @@ mod tests {
         let scene = Scene::new(Vector3::new(0.05, -0.1, 0.0));
         let bend = Vector2::new(0.6, 0.35);
         let best = BendFit { cost: 0.1, rms_px: 0.2, ..fitted(&scene, &picture(&scene, bend), bend) };
+        let moved = |apart: f64| BendProfile { tip: best.bend() + Vector2::new(apart, 0.0), ..best.profile };
         let compare = |apart: f64, cost: f64, rms_px: f64| {
-            let other = BendFit { bend: best.bend + Vector2::new(apart, 0.0), cost, rms_px, ..best.clone() };
+            let other = BendFit { profile: moved(apart), cost, rms_px, ..best.clone() };
             Alternative::of(&other, &best, 52.0)
         };
         assert_eq!(compare(0.05, 0.5, 0.9), Alternative::EdgeOn);
@@ -437,12 +448,12 @@ mod tests {
         assert_eq!(compare(0.3, 0.16, 0.25), Alternative::Worse);
         assert_eq!(compare(0.3, 0.14, 0.27), Alternative::Worse);
         // In a coarse picture rims open alike further apart.
-        let other = BendFit { bend: best.bend + Vector2::new(0.3, 0.0), ..best.clone() };
+        let other = BendFit { profile: moved(0.3), ..best.clone() };
         assert_eq!(Alternative::of(&other, &best, 12.0), Alternative::EdgeOn);
         // Two equally likely values ±a/2 about their mean have the variance a²/4.
-        let other = BendFit { bend: best.bend + Vector2::new(0.04, 0.0), cost: 0.12, ..best.clone() };
+        let other = BendFit { profile: moved(0.04), cost: 0.12, ..best.clone() };
         let joined = best.clone().or_edge_on(other);
-        assert_eq!(joined.bend, best.bend);
+        assert_eq!(joined.profile, best.profile);
         let added = joined.covariance - best.covariance;
         assert!((added[(0, 0)] - 4e-4).abs() < 1e-12 && added[(1, 1)].abs() < 1e-12);
     }

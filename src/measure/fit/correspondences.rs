@@ -3,8 +3,9 @@
 use super::edges::{Edge, EdgeFinder};
 use super::noise_model::{Conditions, MODES, edge_floor_px, systematic_modes};
 use super::state::EdgeBias;
-use crate::geometry::{Configuration, Pose};
+use crate::geometry::Pose;
 use crate::measure::body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
+use crate::robot::BendProfile;
 use crate::statistics::order::median;
 use nalgebra::{DVector, Point2, Point3, Vector2};
 
@@ -116,13 +117,9 @@ impl Correspondences {
     }
 
     /// The signed distance of each edge outwards from where the model expects it, which is the border plus the bias, in units of σ.
-    pub fn residuals(&self, view: &Projection, psi: Configuration, bias: EdgeBias) -> Vec<f64> {
-        self.residuals_along(view, |s_mm| view.robot.frame_at(psi, s_mm), bias)
-    }
-
-    /// The same for a snake whose section at arc length s (mm) has the frame `frame_at(s)` in the base frame.
-    pub fn residuals_along(&self, view: &Projection, frame_at: impl Fn(f64) -> Pose, bias: EdgeBias) -> Vec<f64> {
-        let frames: Vec<Pose> = self.sections_mm.iter().map(|&s| view.camera_from_base * frame_at(s)).collect();
+    pub fn residuals(&self, view: &Projection, profile: impl Into<BendProfile>, bias: EdgeBias) -> Vec<f64> {
+        let curve = view.curve(profile);
+        let frames: Vec<Pose> = self.sections_mm.iter().map(|&s| view.camera_from_base * curve.frame_at(s)).collect();
         let points = self.all.iter().zip(&self.section_of);
         points
             .map(|(m, &section)| {

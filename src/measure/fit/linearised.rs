@@ -1,10 +1,11 @@
 //! The edges' residuals linearised in bend, edge bias and camera pose, and the robust step that follows.
 
 use super::correspondences::Correspondences;
-use super::state::{BIASES, BiasPrior, EdgeBias, STATE, State};
+use super::state::{EdgeBias, FramePrior, PRIORS, STATE, State};
 use super::uncertainty::RobustPhase;
 use crate::geometry::Pose;
 use crate::measure::body::Projection;
+use crate::robot::{Curve, PROFILE};
 use crate::statistics::robust::Irls;
 use nalgebra::{DMatrix, DVector, Point3, SVector, Vector3};
 
@@ -26,26 +27,27 @@ pub(super) const LEAST_SCALE: f64 = 1.0;
 #[derive(Debug, Clone)]
 pub(crate) struct Linearised {
     pub residuals: DVector<f64>,
-    /// By bend vector (rad) and edge biases (px): the components of [`State`].
+    /// By bend profile (rad) and edge biases (px): the components of [`State`].
     pub by_state: DMatrix<f64>,
     /// By the camera's pose (see [`perturbed`](crate::geometry::perturbed)).
     pub by_pose: DMatrix<f64>,
 }
 
-/// A section in the camera's frame, and how it moves with either component of the bend: translation (mm/rad) and rotation (rad/rad).
+/// A section in the camera's frame, and how it moves with each number of the bend profile: translation (mm/rad) and rotation
+/// (rad/rad).
 struct MovingSection {
     camera_from_section: Pose,
-    by_bend: [(Vector3<f64>, Vector3<f64>); 2],
+    by_profile: [(Vector3<f64>, Vector3<f64>); PROFILE],
 }
 
 impl MovingSection {
-    fn new(view: &Projection, state: &State, s_mm: f64) -> Self {
-        let twist = view.robot.section_jacobian_bend(state.bend, s_mm);
-        let in_camera =
-            |row: usize, axis: usize| view.camera_from_base.rotation * twist.fixed_view::<3, 1>(row, axis).into_owned();
+    fn new(view: &Projection, curve: &Curve, s_mm: f64) -> Self {
+        let twist = curve.section_jacobian(s_mm);
+        let camera_from_base = view.camera_from_base.rotation.to_rotation_matrix();
+        let in_camera = |row: usize, number: usize| camera_from_base * twist.fixed_view::<3, 1>(row, number);
         Self {
-            camera_from_section: view.camera_from_base * view.robot.frame_at(state.psi(), s_mm),
-            by_bend: [0, 1].map(|axis| (in_camera(0, axis), in_camera(3, axis))),
+            camera_from_section: view.camera_from_base * curve.frame_at(s_mm),
+            by_profile: std::array::from_fn(|number| (in_camera(0, number), in_camera(3, number))),
         }
     }
 }
@@ -53,15 +55,16 @@ impl MovingSection {
 impl Linearised {
     /// Linearises the residuals of `edges` at a state, in closed form.
     pub fn new(edges: &Correspondences, view: &Projection, state: &State) -> Self {
+        let curve = view.curve(state.profile);
         let sections: Vec<MovingSection> =
-            edges.sections_mm.iter().map(|&s_mm| MovingSection::new(view, state, s_mm)).collect();
+            edges.sections_mm.iter().map(|&s_mm| MovingSection::new(view, &curve, s_mm)).collect();
         let mut linear = Self {
             residuals: DVector::zeros(edges.len()),
             by_state: DMatrix::zeros(edges.len(), STATE),
             by_pose: DMatrix::zeros(edges.len(), 6),
         };
         for (row, (edge, &section)) in edges.all.iter().zip(&edges.section_of).enumerate() {
-            let MovingSection { camera_from_section, by_bend } = &sections[section];
+            let MovingSection { camera_from_section, by_profile } = &sections[section];
             let arm = camera_from_section.rotation * edge.body.local;
             let point = Point3::from(camera_from_section.translation.vector + arm);
             let (expected, jacobian) = view.lens.project_with_jacobian(&point);
@@ -69,10 +72,11 @@ impl Linearised {
             let by_point = jacobian.transpose() * edge.normal / edge.sigma_px;
             let distance_px = edge.normal.dot(&(edge.seen - expected));
             linear.residuals[row] = (distance_px - state.bias.of(edge.piece)) / edge.sigma_px;
-            for (axis, (translation, rotation)) in by_bend.iter().enumerate() {
-                linear.by_state[(row, axis)] = -by_point.dot(&(translation + rotation.cross(&arm)));
+            let by_turn = arm.cross(&by_point);
+            for (number, (translation, rotation)) in by_profile.iter().enumerate() {
+                linear.by_state[(row, number)] = -by_point.dot(translation) - by_turn.dot(rotation);
             }
-            linear.by_state[(row, 2 + EdgeBias::kind(edge.piece))] = -1.0 / edge.sigma_px;
+            linear.by_state[(row, PROFILE + EdgeBias::kind(edge.piece))] = -1.0 / edge.sigma_px;
             let by_rotation = (point.coords - view.camera_from_base.translation.vector).cross(&by_point);
             for axis in 0..3 {
                 linear.by_pose[(row, axis)] = -by_rotation[axis];
@@ -86,7 +90,7 @@ impl Linearised {
     /// the edges' weights. `None` where the edges do not determine the state.
     pub fn step(
         &self,
-        prior: &BiasPrior,
+        prior: &FramePrior,
         state: &State,
         phase: RobustPhase,
     ) -> Option<(SVector<f64, STATE>, Vec<f64>)> {
@@ -103,24 +107,23 @@ impl Linearised {
         Some((step, fit.weights.iter().take(edges).map(|weight| weight.sqrt()).collect()))
     }
 
-    /// `by_state` and the residuals with a row more for each bias: its prior.
-    fn state_rows_with_prior(&self, prior: &BiasPrior, state: &State) -> (DMatrix<f64>, DVector<f64>) {
+    /// `by_state` and the residuals with a row more for each number that has a prior.
+    fn state_rows_with_prior(&self, prior: &FramePrior, state: &State) -> (DMatrix<f64>, DVector<f64>) {
         let edges = self.residuals.len();
-        let root = prior.root();
-        let mut residuals = self.residuals.clone().insert_rows(edges, BIASES, 0.0);
-        let mut by_state = self.by_state.clone().insert_rows(edges, BIASES, 0.0);
-        for (k, offset) in prior.offsets(state).into_iter().enumerate() {
-            residuals[edges + k] = root * offset;
+        let mut residuals = self.residuals.clone().insert_rows(edges, PRIORS, 0.0);
+        let mut by_state = self.by_state.clone().insert_rows(edges, PRIORS, 0.0);
+        for (k, (offset, root)) in prior.rows(state).into_iter().enumerate() {
+            residuals[edges + k] = offset;
             by_state[(edges + k, 2 + k)] = root;
         }
         (by_state, residuals)
     }
 
-    /// With a row more for each bias: its prior.
-    pub fn with_prior(self, prior: &BiasPrior, state: &State) -> Self {
+    /// With a row more for each number that has a prior.
+    pub fn with_prior(self, prior: &FramePrior, state: &State) -> Self {
         let edges = self.residuals.len();
         let (by_state, residuals) = self.state_rows_with_prior(prior, state);
-        Self { residuals, by_state, by_pose: self.by_pose.insert_rows(edges, BIASES, 0.0) }
+        Self { residuals, by_state, by_pose: self.by_pose.insert_rows(edges, PRIORS, 0.0) }
     }
 
     /// With every row times the square root of its weight; rows beyond `roots` keep the weight 1.
@@ -140,6 +143,7 @@ mod tests {
     use crate::geometry::perturbed;
     use crate::measure::body::Outline;
     use crate::measure::fixture::Scene;
+    use crate::robot::BendProfile;
     use nalgebra::{Vector2, Vector6};
 
     #[test]
@@ -148,8 +152,10 @@ mod tests {
         scene.lens.distortion[0] = -0.1;
         let view = scene.view();
         let bias = EdgeBias { side_px: 0.1, tube_px: -0.2, rim_px: 0.05 };
-        let state = State { bend: Vector2::new(0.5, -0.7), bias };
-        let outline = Outline::spaced(&view, state.psi(), 8.0);
+        let modes = [Vector2::new(0.05, -0.02), Vector2::new(-0.03, 0.01), Vector2::new(0.01, 0.02)];
+        let profile = BendProfile { tip: Vector2::new(0.5, -0.7), modes };
+        let state = State { profile, bias };
+        let outline = Outline::spaced(&view, state.profile, 8.0);
         let displacements: Vec<f64> = (0..outline.points.len()).map(|k| 0.1 * (k as f64).sin()).collect();
         let edges = Correspondences::displaced(&outline, &displacements, 0.3);
         let linear = Linearised::new(&edges, &view, &state);
@@ -164,7 +170,7 @@ mod tests {
                 let mut by = SVector::<f64, STATE>::zeros();
                 by[k] = step;
                 let moved = state.moved(&by);
-                edges.residuals(&view, moved.psi(), moved.bias)
+                edges.residuals(&view, moved.profile, moved.bias)
             };
             differences(at(STEP), at(-STEP))
         };
@@ -173,7 +179,7 @@ mod tests {
                 let mut by = Vector6::zeros();
                 by[k] = step;
                 let moved = Projection { camera_from_base: perturbed(&view.camera_from_base, &by), ..view.clone() };
-                edges.residuals(&moved, state.psi(), state.bias)
+                edges.residuals(&moved, state.profile, state.bias)
             };
             differences(at(STEP), at(-STEP))
         };
@@ -186,7 +192,7 @@ mod tests {
         };
         (0..STATE).for_each(|k| check(&linear.by_state, k, by_state(k)));
         (0..6).for_each(|k| check(&linear.by_pose, k, by_pose(k)));
-        let residuals = edges.residuals(&view, state.psi(), state.bias);
+        let residuals = edges.residuals(&view, state.profile, state.bias);
         assert!(linear.residuals.iter().zip(&residuals).all(|(a, b)| (a - b).abs() < 1e-9));
     }
 }

@@ -1,9 +1,9 @@
 //! From the picture's edges to the bend.
 //!
-//! Bottom up: `edges` (sub-pixel edges near a border point), `noise_model` (how far they may be off), `state` (what is fitted),
+//! Bottom up: `edges` (sub-pixel edges near a border point), `noise_model` (how far they may be off), `state` (what is fitted), `shape_prior` (how far the snake departs from an arc),
 //! `correspondences` (the model's outline matched with the picture's edges), `blur` (what a blurred picture makes of the model),
 //! `uncertainty` (robust weights, covariance), `linearised` (residuals and their derivatives), `visibility` (which parts are seen),
-//! `shape` (the test for a circle), `bend` (the fit), `coarse` (candidates for it) and `alternatives` (selection among its minima).
+//! `bend` (the fit), `coarse` (candidates for it) and `alternatives` (selection among its minima).
 
 mod alternatives;
 mod bend;
@@ -13,20 +13,22 @@ mod correspondences;
 mod edges;
 mod linearised;
 mod noise_model;
-mod shape;
+mod shape_prior;
 mod state;
 mod uncertainty;
 mod visibility;
 
 pub(super) use alternatives::{Alternative, EDGE_ON_RAD, distinct, mirrored};
-pub(super) use bend::{BendFit, FINE_SEARCH_PX, FitSchedule, Start, fit_bend};
+pub(super) use bend::{BendFit, FINE_SEARCH_PX, FitSchedule, ProfileCovariance, Start, fit_bend};
 pub(super) use blur::{fine_filter, predict_blur};
 pub(super) use coarse::CoarseSearch;
 pub(super) use correspondences::Correspondences;
 pub use edges::{Edge, EdgeFinder};
 pub(super) use linearised::Linearised;
 pub(super) use noise_model::FRAME_BIAS_SIGMA_PX;
+pub use shape_prior::UNKNOWN_SHAPE_RAD;
+pub(super) use shape_prior::learned_mode_sigmas;
 pub use state::EdgeBias;
-pub(super) use state::{BIASES, BiasPrior, State};
+pub(super) use state::{BIASES, FramePrior, State};
 pub(super) use uncertainty::{RobustPhase, inliers, systematic_covariance};
 pub use visibility::PartVisibility;

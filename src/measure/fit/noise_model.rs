@@ -23,10 +23,10 @@ use nalgebra::Vector2;
 ///
 /// Fitted: by hand on renders; judged as part of the whole by `tests/uncertainty`.
 pub(crate) const FRAME_BIAS_SIGMA_PX: f64 = 0.05;
-/// The design effect of the edges against the prior of their bias: how many neighbouring edges err alike and so count as one.
+/// The design effect of the edges against the priors: how many neighbouring edges err alike and so count as one.
 ///
 /// Fitted: by hand on renders; judged as part of the whole by `tests/uncertainty`.
-pub(super) const BIAS_DESIGN_EFFECT: f64 = 10.0;
+pub(super) const DESIGN_EFFECT: f64 = 10.0;
 /// Standard deviation of a single edge for other reasons than noise, px.
 ///
 /// Fitted: by hand on renders; judged as part of the whole by `tests/uncertainty`.

@@ -1,9 +1,9 @@
-//! What one picture is fitted with: the bend and the biases of its edges, and what is known of the biases beforehand.
+//! What one picture is fitted with: the bend along the snake and the biases of its edges, and what is known of them beforehand.
 
-use super::noise_model::{BIAS_DESIGN_EFFECT, blur_growth};
-use crate::geometry::Configuration;
+use super::noise_model::{DESIGN_EFFECT, blur_growth};
 use crate::measure::body::Piece;
-use nalgebra::{SVector, Vector2};
+use crate::robot::{BendProfile, MODES, PROFILE};
+use nalgebra::SVector;
 
 /// How far outside the snake's true border its edges are seen, px.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -43,50 +43,65 @@ impl EdgeBias {
     }
 }
 
-/// A Gaussian prior of the three biases, independent of each other.
+/// A Gaussian prior of the modes of the bend profile and of the edges' biases, all independent of each other.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct BiasPrior {
-    pub mean: EdgeBias,
-    pub sigma_px: f64,
+pub(crate) struct FramePrior {
+    /// Standard deviation of either component of each mode about zero, rad.
+    pub mode_sigma_rad: [f64; MODES],
+    pub bias: EdgeBias,
+    pub bias_sigma_px: f64,
 }
 
-impl BiasPrior {
-    /// The square root of the prior's weight, per px. Edges are whitened as if they were independent, so that the prior counts
-    /// [`BIAS_DESIGN_EFFECT`] times to keep its share.
-    pub(super) fn root(&self) -> f64 {
-        BIAS_DESIGN_EFFECT.sqrt() / self.sigma_px
+/// How many of a state's numbers have a prior: all but the tip's bend vector.
+pub(crate) const PRIORS: usize = STATE - 2;
+
+impl FramePrior {
+    /// The prior of a state's numbers from the third on: how far each is from its mean, in units of σ, and 1/σ. Edges are whitened
+    /// as if they were independent, so that the prior counts [`DESIGN_EFFECT`] times to keep its share.
+    pub fn rows(&self, state: &State) -> [(f64, f64); PRIORS] {
+        let numbers = state.profile.to_array();
+        let (biases, means) = (state.bias.to_array(), self.bias.to_array());
+        std::array::from_fn(|k| {
+            let (offset, sigma) = match k.checked_sub(PROFILE - 2) {
+                None => (numbers[2 + k], self.mode_sigma_rad[k / 2]),
+                Some(bias) => (biases[bias] - means[bias], self.bias_sigma_px),
+            };
+            let root = DESIGN_EFFECT.sqrt() / sigma;
+            (offset * root, root)
+        })
     }
 
     /// The prior for a picture of this blur.
     pub fn at_blur(self, blur_px: f64) -> Self {
-        Self { sigma_px: self.sigma_px * blur_growth(blur_px), ..self }
+        Self { bias_sigma_px: self.bias_sigma_px * blur_growth(blur_px), ..self }
     }
+}
 
-    /// How far a state's biases are from the prior's means, px.
-    pub(super) fn offsets(&self, state: &State) -> [f64; BIASES] {
-        let (biases, means) = (state.bias.to_array(), self.mean.to_array());
-        std::array::from_fn(|k| biases[k] - means[k])
-    }
+#[cfg(test)]
+impl FramePrior {
+    /// That of the unit tests: modes of some degrees, no bias.
+    pub const FIXTURE: Self = Self {
+        mode_sigma_rad: [0.05, 0.03, 0.01],
+        bias: EdgeBias { side_px: 0.0, tube_px: 0.0, rim_px: 0.0 },
+        bias_sigma_px: 0.05,
+    };
 }
 
 /// What a picture is fitted with.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct State {
-    /// The bend vector θ (cos δ, sin δ), rad.
-    pub bend: Vector2<f64>,
+    /// The bend along the snake.
+    pub profile: BendProfile,
     pub bias: EdgeBias,
 }
 
-/// How many numbers a [`State`] has: the bend vector's two and the biases.
-pub(crate) const STATE: usize = 2 + BIASES;
+/// How many numbers a [`State`] has: those of the bend profile and the biases.
+pub(crate) const STATE: usize = PROFILE + BIASES;
 
 impl State {
-    pub fn psi(&self) -> Configuration {
-        Configuration::from_bend_vector(self.bend)
-    }
-
     pub fn moved(&self, by: &SVector<f64, STATE>) -> Self {
-        Self { bend: self.bend + by.xy(), bias: self.bias.moved(&by.as_slice()[2..]) }
+        let (profile, bias) = by.as_slice().split_at(PROFILE);
+        Self { profile: self.profile.stepped(profile), bias: self.bias.moved(bias) }
     }
 }
 

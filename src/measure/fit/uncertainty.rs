@@ -111,10 +111,11 @@ fn at_least(covariance: &DMatrix<f64>, least: &DMatrix<f64>) -> Option<DMatrix<f
 #[cfg(test)]
 mod tests {
     use super::super::linearised::Linearised;
-    use super::super::state::{BiasPrior, EdgeBias, State};
+    use super::super::state::{EdgeBias, FramePrior, State};
     use super::*;
     use crate::measure::body::{Outline, Piece};
     use crate::measure::fixture::Scene;
+    use crate::robot::BendProfile;
     use crate::statistics::moments::mean;
     use approx::assert_relative_eq;
     use nalgebra::{Vector2, Vector3};
@@ -170,9 +171,9 @@ mod tests {
     fn squared_normalised_errors(mut draw: impl FnMut(&Outline) -> Vec<f64>) -> [f64; 2] {
         let scene = Scene::new(Vector3::new(0.05, -0.1, 0.0));
         let view = scene.view();
-        let state = State { bend: Vector2::new(0.6, 0.4), bias: EdgeBias::default() };
-        let outline = Outline::spaced(&view, state.psi(), 4.0);
-        let prior = BiasPrior { mean: EdgeBias::default(), sigma_px: 0.05 };
+        let state = State { profile: BendProfile::arc(Vector2::new(0.6, 0.4)), bias: EdgeBias::default() };
+        let outline = Outline::spaced(&view, state.profile, 4.0);
+        let prior = FramePrior::FIXTURE;
         let squares: Vec<[f64; 2]> = (0..200)
             .map(|_| {
                 let edges = Correspondences::displaced(&outline, &draw(&outline), SIGMA_PX);
@@ -182,7 +183,7 @@ mod tests {
                 let linear = Linearised::new(&edges, &view, &fitted).weighted(&roots).with_prior(&prior, &fitted);
                 let (jacobian, residuals) = (&linear.by_state, &linear.residuals);
                 let covariance = FitCovariance::new(&edges, jacobian, residuals, &view, &roots, SIGMA_PX).unwrap();
-                let error = fitted.bend - state.bend;
+                let error = fitted.profile.tip - state.profile.tip;
                 [covariance.independent, covariance.clustered].map(|covariance| {
                     let of_bend = covariance.fixed_view::<2, 2>(0, 0).into_owned();
                     error.dot(&(of_bend.try_inverse().unwrap() * error))

@@ -12,8 +12,8 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::Configuration;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    BIASES, Correspondences, EdgeBias, EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase, fine_filter, inliers,
-    predict_blur, systematic_covariance,
+    BIASES, Correspondences, EdgeBias, EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase, UNKNOWN_SHAPE_RAD,
+    fine_filter, inliers, predict_blur, systematic_covariance,
 };
 use crate::measure::image::appearance::Appearance;
 use crate::measure::image::plane::Plane;
@@ -235,6 +235,7 @@ impl<'a> BaseFit<'a> {
             pattern: GridPattern::dark(self.grid.kind),
             appearance: appearance.clone(),
             edge_bias: self.bias,
+            mode_sigma_rad: UNKNOWN_SHAPE_RAD,
             grid_rms_px: self.grid.rms_px,
             edge_rms_px,
         })

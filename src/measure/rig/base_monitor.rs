@@ -186,7 +186,7 @@ impl HolderEdge {
             let mut by = Vector6::zeros();
             by[axis] = step;
             let moved = Projection { camera_from_base: perturbed(&view.camera_from_base, &by), ..view.clone() };
-            moved.pixel(STRAIGHT, &self.body)
+            moved.holder_pixel(&self.body)
         };
         std::array::from_fn(|axis| self.normal.dot(&(pixel(axis, STEP) - pixel(axis, -STEP))) / (2.0 * STEP))
     }
@@ -211,8 +211,8 @@ mod tests {
         let noise = Normal::new(0.0, 0.1).unwrap();
         let true_place = |point: &OutlinePoint| {
             // The place on the outline that the monitor shifted this one from, by its body point.
-            let arm = (view.pixel(STRAIGHT, &point.body) - monitor.middle) / BaseShift::ARM_PX;
-            view.pixel(STRAIGHT, &point.body) + Vector2::new(moved.x - moved.z * arm.y, moved.y + moved.z * arm.x)
+            let arm = (view.holder_pixel(&point.body) - monitor.middle) / BaseShift::ARM_PX;
+            view.holder_pixel(&point.body) + Vector2::new(moved.x - moved.z * arm.y, moved.y + moved.z * arm.x)
         };
         monitor.shift_of(|point, search_px| {
             let offset_px = point.normal.dot(&(true_place(point) - point.pixel)) + light_px + noise.sample(&mut random);

@@ -1,9 +1,10 @@
 //! The rig: where camera, grid target and snake are, and what the snake looks like. Data only.
 
 use crate::geometry::Pose;
-use crate::measure::fit::EdgeBias;
+use crate::measure::fit::{EdgeBias, FRAME_BIAS_SIGMA_PX, FramePrior};
 use crate::measure::image::appearance::Appearance;
 use crate::measure::target::GridPattern;
+use crate::robot::MODES;
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
 /// A calibrated view: everything that does not change from frame to frame.
@@ -23,6 +24,9 @@ pub struct Rig {
     pub appearance: Appearance,
     /// How far outside the snake's true border its edges are seen.
     pub edge_bias: EdgeBias,
+    /// Standard deviation of either component of each mode of the snake's [`BendProfile`](crate::robot::BendProfile), rad: what is
+    /// known of how far this snake departs from an arc.
+    pub mode_sigma_rad: [f64; MODES],
     /// Scatter of the grid about its pose, px.
     pub grid_rms_px: f64,
     /// Scatter of the straight snake's edges about the model, px.
@@ -47,6 +51,11 @@ impl Rig {
     pub fn looking_from(mut self, delta_offset: f64) -> Self {
         self.camera_from_base.rotation *= azimuth(delta_offset);
         self
+    }
+
+    /// What is known of a frame's state before it is looked at.
+    pub(crate) fn prior(&self) -> FramePrior {
+        FramePrior { mode_sigma_rad: self.mode_sigma_rad, bias: self.edge_bias, bias_sigma_px: FRAME_BIAS_SIGMA_PX }
     }
 
     /// Distance from the snake's base back to the grid target, mm.
@@ -82,6 +91,7 @@ pub(super) mod tests {
             pattern: GridPattern::default(),
             appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },
             edge_bias: EdgeBias { side_px: -0.05, tube_px: 0.2, rim_px: 0.01 },
+            mode_sigma_rad: [1e-3, 2e-4, 1e-4],
             grid_rms_px: 0.1,
             edge_rms_px: 0.12,
         }

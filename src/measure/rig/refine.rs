@@ -10,12 +10,12 @@ use crate::camera::Lens;
 use crate::geometry::perturbed;
 use crate::measure::body::{Outline, Piece, Projection};
 use crate::measure::fit::{
-    BIASES, BiasPrior, Correspondences, EdgeFinder, FRAME_BIAS_SIGMA_PX, FitSchedule, Linearised, RobustPhase, Start,
-    State, fine_filter, fit_bend, inliers, predict_blur,
+    BIASES, BendFit, Correspondences, EdgeFinder, FRAME_BIAS_SIGMA_PX, FitSchedule, FramePrior, Linearised,
+    RobustPhase, Start, State, fine_filter, fit_bend, inliers, learned_mode_sigmas, predict_blur,
 };
 use crate::measure::image::plane::Plane;
-use crate::robot::Robot;
-use nalgebra::{DMatrix, Matrix6, SMatrix, SVector};
+use crate::robot::{PROFILE, Robot};
+use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, SVector};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -69,23 +69,28 @@ pub fn refined_rig(
     let prior = Prior::new(calibrated, FRAME_BIAS_SIGMA_PX)?;
     let mut rig = calibrated.clone();
     let mut moved = Shared::zeros();
-    for _ in 0..ROUNDS {
+    for round in 0..ROUNDS {
         let view = Projection { lens, camera_from_base: rig.camera_from_base, robot };
-        let bias_prior = BiasPrior { mean: rig.edge_bias, sigma_px: FRAME_BIAS_SIGMA_PX };
+        let frame_prior = rig.prior();
         let evidence = |(plane, start): (&Plane, &mut Start)| {
             let finder = EdgeFinder::new(plane, rig.appearance.two_sided);
-            let state = State { bend: start.state.bend, bias: rig.edge_bias };
-            let fit = fit_bend(&view, &finder, Start { state, ..*start }, bias_prior, &SCHEDULE)?;
+            let state = State { bias: rig.edge_bias, ..start.state };
+            let fit = fit_bend(&view, &finder, Start { state, ..*start }, frame_prior, &SCHEDULE)?;
             *start = fit.start();
-            shared_evidence(&view, &finder, &State { bend: fit.bend, bias: rig.edge_bias }, fit.blur_px)
+            let state = State { profile: fit.profile, bias: rig.edge_bias };
+            let evidence = shared_evidence(&view, &finder, &state, &frame_prior, fit.blur_px)?;
+            Some((fit, evidence))
         };
-        let evidence: Vec<SharedEvidence> = planes.par_iter().zip(&mut starts).filter_map(evidence).collect();
+        let fitted: Vec<(BendFit, SharedEvidence)> = planes.par_iter().zip(&mut starts).filter_map(evidence).collect();
+        let (fits, evidence): (Vec<BendFit>, Vec<SharedEvidence>) = fitted.into_iter().unzip();
         if evidence.len() < FEWEST_FRAMES {
             return None;
         }
         let (step, covariance) = prior.combined(&moved, &evidence)?;
         moved += step;
-        rig = moved_rig(calibrated, &moved, &covariance);
+        let mode_sigma_rad =
+            if round == 0 { learned_mode_sigmas(&fits, &rig.pose_covariance) } else { rig.mode_sigma_rad };
+        rig = Rig { mode_sigma_rad, ..moved_rig(calibrated, &moved, &covariance) };
     }
     Some(rig)
 }
@@ -103,8 +108,14 @@ fn moved_rig(rig: &Rig, by: &Shared, covariance: &SharedInformation) -> Rig {
 /// Looks at a frame whose bend is known nearly, and lets the bend follow pose and bias.
 ///
 /// `None` where the edges do not determine the bend.
-fn shared_evidence(view: &Projection, finder: &EdgeFinder, state: &State, blur_px: f64) -> Option<SharedEvidence> {
-    let mut outline = Outline::new(view, state.psi());
+fn shared_evidence(
+    view: &Projection,
+    finder: &EdgeFinder,
+    state: &State,
+    prior: &FramePrior,
+    blur_px: f64,
+) -> Option<SharedEvidence> {
+    let mut outline = Outline::new(view, state.profile);
     let finder = fine_filter(finder, view, blur_px);
     predict_blur(&mut outline, blur_px, &finder);
     let edges = Correspondences::find(&outline, &finder, SEARCH_PX, |_| true);
@@ -112,10 +123,12 @@ fn shared_evidence(view: &Projection, finder: &EdgeFinder, state: &State, blur_p
     let roots = RobustPhase::Redescending.roots(linear.residuals.as_slice());
     let (_, scatter_px) = inliers(&edges.in_px(linear.residuals.as_slice()), &roots);
     let Linearised { residuals, by_state, by_pose } = linear.weighted(&roots);
-    let (bend, bias) = (by_state.columns(0, 2).into_owned(), by_state.columns(2, BIASES));
+    let (bend, bias) = (by_state.columns(0, PROFILE).into_owned(), by_state.columns(PROFILE, BIASES));
     let shared =
         DMatrix::from_fn(by_pose.nrows(), SHARED, |r, c| if c < 6 { by_pose[(r, c)] } else { bias[(r, c - 6)] });
-    let projected = without(&shared, &bend)?;
+    let known = prior.rows(state).map(|(_, root)| root * root);
+    let precision = DVector::from_fn(PROFILE, |k, _| k.checked_sub(2).map_or(0.0, |k| known[k]));
+    let projected = without(&shared, &bend, &precision)?;
     let row = |row: usize| Shared::from_iterator(projected.row(row).iter().copied());
     let mut clusters: BTreeMap<Piece, NormalEquations> = BTreeMap::new();
     for (k, cluster) in edges.clusters().enumerate() {
@@ -126,10 +139,11 @@ fn shared_evidence(view: &Projection, finder: &EdgeFinder, state: &State, blur_p
     Some(SharedEvidence { clusters, modes: modes.collect() })
 }
 
-/// The columns of `shared` without what the columns of `own` could have done as well: the projection onto the orthogonal
-/// complement. `None` where the latter are linearly dependent.
-fn without(shared: &DMatrix<f64>, own: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    Some(shared - own * own.tr_mul(own).cholesky()?.solve(&own.tr_mul(shared)))
+/// The columns of `shared` without what the columns of `own` could have done as well, whose parameters are known beforehand to
+/// this `precision`: without any, the projection onto the orthogonal complement. `None` where the latter are linearly dependent.
+fn without(shared: &DMatrix<f64>, own: &DMatrix<f64>, precision: &DVector<f64>) -> Option<DMatrix<f64>> {
+    let information = own.tr_mul(own) + DMatrix::from_diagonal(precision);
+    Some(shared - own * information.cholesky()?.solve(&own.tr_mul(shared)))
 }
 
 impl NormalEquations {
@@ -211,7 +225,7 @@ mod tests {
     fn what_a_frames_own_bend_could_do_is_no_evidence() {
         let own = DMatrix::from_fn(7, 2, |r, c| ((r + 1) as f64).powi(c as i32));
         let shared = DMatrix::from_fn(7, 3, |r, c| ((r * (c + 2)) as f64).sin());
-        let left = without(&shared, &own).unwrap();
+        let left = without(&shared, &own, &DVector::zeros(2)).unwrap();
         assert!(own.tr_mul(&left).amax() < 1e-12);
         // The same least squares: the shared parameters of a joint fit and those of the projected rows.
         let seen = nalgebra::DVector::from_fn(7, |r, _| (r as f64).cos());
