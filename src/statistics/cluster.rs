@@ -1,15 +1,19 @@
 //! Cluster-robust covariance: the covariance of a fit whose errors are alike within groups.
 //!
-//! With J_g and r_g the rows and residuals of the group g of G, and n parameters,
+//! With J_g and r_g the rows and residuals of the group g of G, B = (JᵗJ)⁻¹ over all rows, and A_g = J_gᵗJ_g,
 //!
 //! ```text
-//! V = G/(G − n) · (JᵗJ)⁻¹ (Σ_g J_gᵗ r_g r_gᵗ J_g) (JᵗJ)⁻¹ ,
+//! V = B ( (G − 1)/G Σ_g s_g s_gᵗ + v Σ_p j_p j_pᵗ ) B ,      s_g = (I − A_g B)⁻¹ J_gᵗ r_g ,
 //! ```
 //!
-//! which believes nothing of the errors but that groups are independent of each other.
+//! which believes nothing of the errors but that groups are independent of each other. s_g is what leaving the group out would move
+//! the fit by (the jackknife, CR3): with few groups, or groups of unequal weight, residuals are smaller than errors, since each group
+//! pulls the fit towards itself, and the plain J_gᵗ r_g (CR1) gives a covariance several times too small. Rows that are priors are no
+//! group of a sample: what they add is their stated variance v, not the offset that happens to be left of them.
 //!
-//! Source: A. C. Cameron, D. L. Miller, "A Practitioner's Guide to Cluster-Robust Inference", J. Human Resources 50, 2015, Eq. 11,
-//! with the finite-cluster factor G/(G − n) in place of its G/(G − 1).
+//! Source: R. M. Bell, D. F. McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage samples", Survey
+//! Methodology 28, 2002, Eq. 8; J. G. MacKinnon, M. Ø. Nielsen, M. D. Webb, "Cluster-robust inference: a guide to empirical practice",
+//! J. Econometrics 232, 2023, section 4, which recommend it.
 
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
@@ -17,27 +21,43 @@ use std::collections::BTreeMap;
 /// The covariance of a (weighted) fit whose errors come in clusters.
 ///
 /// `jacobian` and `residuals` are in units of σ and already multiplied by the roots of their weights. `clusters` names the cluster of
-/// each row; rows beyond it (priors) are clusters of their own. `None` where there are no more clusters than parameters, or the rows
-/// do not determine the parameters.
+/// each row; rows beyond it are priors, whose residuals have the variance `prior_variance`. `None` where there are no more clusters than
+/// parameters, or the rows do not determine the parameters without one of the clusters.
 pub fn clustered_covariance<K: Ord>(
     jacobian: &DMatrix<f64>,
     residuals: &DVector<f64>,
     clusters: impl IntoIterator<Item = K>,
+    prior_variance: f64,
 ) -> Option<DMatrix<f64>> {
     let parameters = jacobian.ncols();
     let bread = jacobian.tr_mul(jacobian).cholesky()?.inverse();
-    let mut scores: BTreeMap<Result<K, usize>, DVector<f64>> = BTreeMap::new();
+    let zero = || (DMatrix::zeros(parameters, parameters), DVector::zeros(parameters));
+    let mut sums: BTreeMap<K, (DMatrix<f64>, DVector<f64>)> = BTreeMap::new();
+    let mut priors = DMatrix::zeros(parameters, parameters);
     let mut names = clusters.into_iter();
     for row in 0..jacobian.nrows() {
-        let score = scores.entry(names.next().ok_or(row)).or_insert_with(|| DVector::zeros(parameters));
-        score.iter_mut().zip(jacobian.row(row).iter()).for_each(|(sum, slope)| *sum += slope * residuals[row]);
+        let slopes = jacobian.row(row).transpose();
+        match names.next() {
+            Some(name) => {
+                let (information, score) = sums.entry(name).or_insert_with(zero);
+                information.ger(1.0, &slopes, &slopes, 1.0);
+                score.axpy(residuals[row], &slopes, 1.0);
+            }
+            None => priors.ger(prior_variance, &slopes, &slopes, 1.0),
+        }
     }
-    let count = scores.len() as f64;
-    if count <= parameters as f64 {
+    if sums.len() <= parameters {
         return None;
     }
-    let meat = scores.values().fold(DMatrix::zeros(parameters, parameters), |sum, s| sum + s * s.transpose());
-    Some(&bread * meat * &bread * (count / (count - parameters as f64)))
+    let mut meat = DMatrix::zeros(parameters, parameters);
+    for (information, score) in sums.values() {
+        let without = DMatrix::identity(parameters, parameters) - information * &bread;
+        let score = without.lu().solve(score)?;
+        meat.ger(1.0, &score, &score, 1.0);
+    }
+    let count = sums.len() as f64;
+    let covariance = &bread * (meat * ((count - 1.0) / count) + priors) * &bread;
+    covariance.iter().all(|value| value.is_finite()).then_some(covariance)
 }
 
 #[cfg(test)]
@@ -53,20 +73,47 @@ mod tests {
     fn a_mean_over_clusters_has_the_closed_form() {
         let jacobian = DMatrix::from_element(8, 1, 1.0);
         let residuals = DVector::from_column_slice(&[1.0, 1.0, 1.0, -1.0, 0.5, -0.5, 0.5, -0.5]);
-        let apart = clustered_covariance(&jacobian, &residuals, 0..8).unwrap()[(0, 0)];
-        let together = clustered_covariance(&jacobian, &residuals, [1, 1, 2, 3, 4, 5, 6, 7]).unwrap()[(0, 0)];
-        // Σ s²: 1 + 1 + 1 + 1 + 4 · ¼ of eight clusters, 4 + 1 + 1 + 4 · ¼ of seven.
-        assert_relative_eq!(apart, 5.0 / 64.0 * 8.0 / 7.0, epsilon = 1e-12);
-        assert_relative_eq!(together, 7.0 / 64.0 * 7.0 / 6.0, epsilon = 1e-12);
+        let apart = clustered_covariance(&jacobian, &residuals, 0..8, 1.0).unwrap()[(0, 0)];
+        let together = clustered_covariance(&jacobian, &residuals, [1, 1, 2, 3, 4, 5, 6, 7], 1.0).unwrap()[(0, 0)];
+        // (G − 1)/G Σ (s_g/(1 − n_g/8))²/64: Σ s² is 1 + 1 + 1 + 1 + 4 · ¼ of eight clusters; of seven it is 4 and 1 + 1 + 4 · ¼.
+        assert_relative_eq!(apart, 7.0 / 8.0 * 5.0 * (8.0_f64 / 7.0).powi(2) / 64.0, epsilon = 1e-12);
+        let scores = 4.0 * (8.0_f64 / 6.0).powi(2) + 3.0 * (8.0_f64 / 7.0).powi(2);
+        assert_relative_eq!(together, 6.0 / 7.0 * scores / 64.0, epsilon = 1e-12);
     }
 
     #[test]
-    fn rows_without_a_cluster_stand_alone_and_too_few_clusters_say_nothing() {
+    fn it_is_the_jackknife_over_the_clusters() {
+        let mut random = StdRng::seed_from_u64(1);
+        let jacobian = DMatrix::from_fn(30, 3, |_, _| StandardNormal.sample(&mut random));
+        let residuals = DVector::from_fn(30, |_, _| StandardNormal.sample(&mut random));
+        let fit = |kept: &dyn Fn(usize) -> bool| {
+            let rows: Vec<usize> = (0..30).filter(|&row| kept(row)).collect();
+            let (j, r) = (jacobian.select_rows(&rows), residuals.select_rows(&rows));
+            j.tr_mul(&j).cholesky().unwrap().solve(&j.tr_mul(&r))
+        };
+        let whole = fit(&|_| true);
+        let left = &residuals - &jacobian * &whole;
+        let cluster = |row: usize| row / 5;
+        let moves = (0..6).map(|g| fit(&|row| cluster(row) != g) - &whole);
+        let jackknife = moves.fold(DMatrix::zeros(3, 3), |sum, by| sum + &by * by.transpose()) * (5.0 / 6.0);
+        let covariance = clustered_covariance(&jacobian, &left, (0..30).map(cluster), 1.0).unwrap();
+        assert_relative_eq!(covariance, jackknife, epsilon = 1e-10);
+    }
+
+    #[test]
+    fn a_prior_that_decides_alone_leaves_its_own_variance() {
+        // One parameter that rows of four clusters hardly tell, and a prior of σ = 0.1 whose offset happens to be nothing.
+        let jacobian = DMatrix::from_column_slice(5, 1, &[1e-3, 1e-3, 1e-3, 1e-3, 10.0]);
+        let residuals = DVector::from_column_slice(&[1.0, -1.0, 1.0, -1.0, 0.0]);
+        let covariance = clustered_covariance(&jacobian, &residuals, 0..4, 1.0).unwrap();
+        assert_relative_eq!(covariance[(0, 0)], 0.01, max_relative = 1e-6);
+    }
+
+    #[test]
+    fn too_few_clusters_say_nothing() {
         let jacobian = DMatrix::from_element(4, 1, 1.0);
         let residuals = DVector::from_column_slice(&[1.0, -1.0, 2.0, -2.0]);
-        let named = clustered_covariance(&jacobian, &residuals, [0, 0, 2, 3]).unwrap();
-        assert_eq!(named, clustered_covariance(&jacobian, &residuals, [0, 0]).unwrap());
-        assert!(clustered_covariance(&jacobian, &residuals, [0; 4]).is_none());
+        assert!(clustered_covariance(&jacobian, &residuals, [0; 4], 1.0).is_none());
     }
 
     #[test]
@@ -82,7 +129,7 @@ mod tests {
             let errors = DVector::from_fn(400, |r, _| shared[r / 10] + 0.5 * normal());
             let found = &bread * jacobian.tr_mul(&errors);
             let residuals = &errors - &jacobian * &found;
-            let covariance = clustered_covariance(&jacobian, &residuals, (0..400).map(|r| r / 10)).unwrap();
+            let covariance = clustered_covariance(&jacobian, &residuals, (0..400).map(|r| r / 10), 1.0).unwrap();
             slopes.push(found[1]);
             told.push(covariance[(1, 1)]);
         }

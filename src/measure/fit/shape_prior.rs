@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn an_arc_gets_a_prior_narrower_than_what_one_frame_tells_and_never_none() {
-        for (count, most) in [(10, 1.2), (48, 0.7)] {
+        for (count, most) in [(10, 1.6), (48, 0.9)] {
             for seed in 0..20 {
                 let sigma = posterior_sigma(&drawn(0.0, 1e-3, count, seed), 0.05);
                 assert!((1e-4..most * 1e-3).contains(&sigma), "{count} values: {sigma}");

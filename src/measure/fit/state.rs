@@ -79,9 +79,9 @@ impl FramePrior {
 
 #[cfg(test)]
 impl FramePrior {
-    /// That of the unit tests: modes of some degrees, no bias.
+    /// That of the unit tests: of a snake that is known to be an arc, without bias.
     pub const FIXTURE: Self = Self {
-        mode_sigma_rad: [0.05, 0.03, 0.01],
+        mode_sigma_rad: [1e-3, 5e-4, 2e-4],
         bias: EdgeBias { side_px: 0.0, tube_px: 0.0, rim_px: 0.0 },
         bias_sigma_px: 0.05,
     };

@@ -5,6 +5,7 @@
 
 use super::correspondences::Correspondences;
 use super::linearised::LEAST_SCALE;
+use super::noise_model::DESIGN_EFFECT;
 use crate::measure::body::Projection;
 use crate::statistics::cluster::clustered_covariance;
 use crate::statistics::least_squares::covariance;
@@ -85,7 +86,7 @@ impl FitCovariance {
         scatter_px: f64,
     ) -> Option<Self> {
         let independent = covariance(jacobian)?;
-        let clustered = clustered_covariance(jacobian, residuals, edges.clusters())?;
+        let clustered = clustered_covariance(jacobian, residuals, edges.clusters(), DESIGN_EFFECT)?;
         let systematic = systematic_covariance(edges, jacobian, &independent, view, roots, scatter_px);
         Some(Self { independent, clustered, systematic })
     }

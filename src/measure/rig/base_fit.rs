@@ -262,7 +262,7 @@ fn covariance(
     view: &Projection,
     edge_rms_px: f64,
 ) -> Option<DMatrix<f64>> {
-    let clustered = clustered_covariance(&solution.jacobian, &solution.residuals, edges.clusters())?;
+    let clustered = clustered_covariance(&solution.jacobian, &solution.residuals, edges.clusters(), 1.0)?;
     let independent = solution.covariance()?;
     let systematic = systematic_covariance(edges, &solution.jacobian, &independent, view, roots, edge_rms_px);
     Some(clustered + systematic)
