@@ -13,8 +13,8 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    Alternative, BendFit, CoarseSearch, EDGE_ON_RAD, EdgeFinder, FitSchedule, ProfileCovariance, Start,
-    State, distinct, fit_bend, mirrored,
+    Alternative, BendFit, CoarseSearch, EDGE_ON_RAD, EdgeFinder, FitSchedule, ProfileCovariance, Start, State,
+    distinct, fit_bend, mirrored,
 };
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};

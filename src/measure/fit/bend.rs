@@ -370,9 +370,9 @@ mod tests {
         let edges = Correspondences::displaced(&outline, &displacements, 0.2);
         let start = state(truth.profile.tip + Vector2::new(0.02, -0.02));
         let error = |phases: &[RobustPhase]| {
-            let fitted = phases
-                .iter()
-                .fold(start, |state, &phase| gauss_newton(&edges, &view, state, &FramePrior::FIXTURE, phase).unwrap().0);
+            let fitted = phases.iter().fold(start, |state, &phase| {
+                gauss_newton(&edges, &view, state, &FramePrior::FIXTURE, phase).unwrap().0
+            });
             (fitted.profile.tip - truth.profile.tip).norm()
         };
         let monotone = error(&[RobustPhase::Monotone]);

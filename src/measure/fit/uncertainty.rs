@@ -116,7 +116,7 @@ mod tests {
     use super::*;
     use crate::measure::body::{Outline, Piece};
     use crate::measure::fixture::Scene;
-    use crate::robot::BendProfile;
+    use crate::robot::{BendProfile, MODES};
     use crate::statistics::moments::mean;
     use approx::assert_relative_eq;
     use nalgebra::{Vector2, Vector3};
@@ -174,7 +174,8 @@ mod tests {
         let view = scene.view();
         let state = State { profile: BendProfile::arc(Vector2::new(0.6, 0.4)), bias: EdgeBias::default() };
         let outline = Outline::spaced(&view, state.profile, 4.0);
-        let prior = FramePrior::FIXTURE;
+        // Of a snake that is an arc for certain, as the one that is drawn.
+        let prior = FramePrior { mode_sigma_rad: [1e-7; MODES], ..FramePrior::FIXTURE };
         let squares: Vec<[f64; 2]> = (0..200)
             .map(|_| {
                 let edges = Correspondences::displaced(&outline, &draw(&outline), SIGMA_PX);
@@ -218,8 +219,7 @@ mod tests {
             outline.points.iter().map(|point| point.piece).map(of_point).collect()
         });
         assert!(independent > 6.0, "{independent}");
-        // 2 is right. The sandwich of some thirty clusters of unequal weight is too small, as Cameron and Miller (2015, section VI)
-        // warn: 4.8 here.
-        assert!((1.4..5.5).contains(&clustered), "{clustered}");
+        // 2 is the mean for a known covariance; one estimated from some thirty clusters of unequal weight has heavier tails, 3.3 here.
+        assert!((1.4..3.8).contains(&clustered), "{clustered}");
     }
 }
