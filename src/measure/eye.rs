@@ -294,7 +294,8 @@ impl Eye {
         for other in alternatives.filter_map(|other| self.fit(finder, other.start(), fine)) {
             match compare(&other, &best) {
                 Alternative::EdgeOn => best = best.or_edge_on(other),
-                Alternative::AsGood => is_ambiguous = true,
+                Alternative::AsGood if other.has_likelier_shape_than(&best) => best = other,
+                Alternative::AsGood => is_ambiguous |= !best.has_likelier_shape_than(&other),
                 Alternative::Worse => {}
             }
         }

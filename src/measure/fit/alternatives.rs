@@ -5,6 +5,7 @@
 
 use super::bend::BendFit;
 use crate::geometry::Pose;
+use crate::robot::MODES;
 use nalgebra::{SVector, Vector2};
 
 /// Another fit explains the picture as well only if its cost is below this many times the best one's.
@@ -32,6 +33,11 @@ const EXPLAINING_COST: f64 = 0.01;
 /// Fitted: together with [`EXPLAINING_COST`].
 const EXPLAINING_INLIERS: f64 = 0.95;
 
+/// Of two fits that explain a picture as well, the one nearer to an arc is taken if its shape is this many times as likely.
+///
+/// Convention: odds of 20 to 1, the usual 5 % of a wrong decision.
+const SHAPE_ODDS: f64 = 20.0;
+
 /// What another local minimum means beside the best one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Alternative {
@@ -58,6 +64,24 @@ impl Alternative {
 }
 
 impl BendFit {
+    /// Whether this fit's shape is so much more likely than another's that it decides between them.
+    ///
+    /// A snake that is bent towards the camera and one bent away from it explain a picture alike if one of them may have any shape.
+    /// How far this snake departs from an arc is known to its prior's width only, so that every size of a mode counts alike (a density of
+    /// 1/σ for its width): the density of a pair of components with mean square error s² is then in proportion to 1/(|a|² + s²).
+    pub fn has_likelier_shape_than(&self, other: &Self) -> bool {
+        other.shape_surprise() - self.shape_surprise() > SHAPE_ODDS.ln()
+    }
+
+    /// −ln of the density of the modes, but for a constant.
+    fn shape_surprise(&self) -> f64 {
+        let of_mode = |k: usize| {
+            let error = self.covariance[(2 + 2 * k, 2 + 2 * k)] + self.covariance[(3 + 2 * k, 3 + 2 * k)];
+            (1.0 + self.profile.modes[k].norm_squared() / error).ln()
+        };
+        (0..MODES).map(of_mode).sum()
+    }
+
     /// The better of two fits of a snake seen edge-on. If the other one is as good, the covariance contains the doubt between them:
     /// the variance of two equally likely values.
     pub fn or_edge_on(self, other: Self) -> Self {
