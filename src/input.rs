@@ -7,13 +7,21 @@ use std::io::{BufRead, Read};
 use std::path::Path;
 
 /// The largest file of settings (TOML, YAML, XML), bytes. The program's own have some kilobytes.
+///
+/// Convention: a resource limit.
 pub const SETTINGS_BYTES: u64 = 16 << 20;
 /// The largest table (CSV), bytes: some ten million rows.
+///
+/// Convention: a resource limit.
 pub const TABLE_BYTES: u64 = 1 << 30;
 /// The largest file of a picture, bytes: a hundred megapixels of 16 bits, not compressed.
+///
+/// Convention: a resource limit.
 pub const PICTURE_BYTES: u64 = 1 << 30;
 
 /// The longest line of a file of rows that this program itself wrote, bytes.
+///
+/// Convention: a resource limit.
 pub const LINE_BYTES: usize = 16 << 10;
 
 /// The whole of a file.

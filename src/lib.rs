@@ -3,7 +3,7 @@
 //! The robot is the Ø4.2 mm multi-backbone snake of Xu & Simaan, "Actuation Compensation for Flexible Surgical
 //! Snake-like Robots with Redundant Remote Actuation" (ICRA 2006), called *the paper* throughout; "Eq. n" is an
 //! equation of it. The library measures the snake's bend in pictures ([`measure`]), learns from the bend and the
-//! encoders how much motion the actuation line swallows ([`estimate`]) and tells what to command instead ([`robot`]).
+//! encoders how much motion the actuation line takes up ([`estimate`]) and tells what to command instead ([`robot`]).
 //!
 //! # Conventions
 //!

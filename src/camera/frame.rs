@@ -7,10 +7,16 @@ use std::io::Cursor;
 use std::path::Path;
 
 /// The largest picture that is read, in pixels; larger ones are taken for a mistake or an attack.
+///
+/// Convention: a limit on what is decoded.
 const MAX_PIXELS: u64 = 100_000_000;
 /// The longest side, px.
+///
+/// Convention: a limit on what is decoded.
 const MAX_SIDE: u32 = 65_535;
 /// The most that a decoder may allocate: four channels of 16 bits.
+///
+/// Convention: a limit on what is decoded.
 const MAX_BYTES: u64 = 8 * MAX_PIXELS;
 
 /// A picture: grey or RGB, the file's numbers (gamma-encoded).
@@ -49,6 +55,7 @@ impl Sample for u8 {
 
 impl Sample for u16 {
     fn level(self) -> f32 {
+        /// Convention: the scale of 8-bit pictures.
         const LEVEL: f32 = 257.0;
         f32::from(self) / LEVEL
     }

@@ -73,7 +73,10 @@ pub struct Capture {
 }
 
 /// How long opening a stream, and waiting for its next frame, may take, ms.
+///
+/// Convention: a timeout.
 const OPEN_TIMEOUT_MS: i32 = 3000;
+/// Convention: a timeout.
 const READ_TIMEOUT_MS: i32 = 1000;
 
 impl Capture {
@@ -106,6 +109,8 @@ impl Capture {
     /// Asks for settings, in the order in which drivers take them. What is refused stays as it was.
     fn set(&mut self, settings: &CaptureSettings) {
         // V4L2's "manual"; with automatic exposure on, a set value is ignored.
+        ///
+        /// Convention: the value that OpenCV's Video4Linux backend takes for it.
         const MANUAL_EXPOSURE: f64 = 1.0;
         let mut ask = |property: i32, value: Option<f64>| {
             if let Some(value) = value {

@@ -101,6 +101,8 @@ const KEEP: f64 = 0.9995;
 /// Rates and times beyond this are slips, frames/s or s. Convention: a limit that keeps durations representable.
 const LARGEST: f64 = 1e6;
 /// Time between two looks at whether the run is over. Convention.
+///
+/// Convention: how often the terminal is asked.
 const POLL: Duration = Duration::from_millis(50);
 
 fn size(text: &str) -> std::result::Result<(u32, u32), String> {

@@ -14,6 +14,8 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Width of the pictures in the report, px.
+///
+/// Convention: a display choice.
 const THUMBNAIL_WIDTH: u32 = 640;
 
 /// Which frames are drawn.

@@ -83,6 +83,8 @@ impl OpenView {
 }
 
 /// Frames from which a view's rig is refined: enough to see the snake bent to all sides.
+///
+/// Convention: a limit on the time before the first measurement.
 const REFINING: usize = 24;
 
 /// The frames, spread over the whole sequence, from which a view's rig is refined.

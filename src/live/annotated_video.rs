@@ -20,6 +20,8 @@ const MAX_WIDTH: u32 = 960;
 /// Quality of the JPEGs, of 100. Convention: a display choice.
 const JPEG_QUALITY: u8 = 80;
 /// Longest wait for a frame, after which the thread sees whether the run is over. Convention.
+///
+/// Convention: a timeout.
 const TIMEOUT: Duration = Duration::from_millis(200);
 
 /// A frame to draw.

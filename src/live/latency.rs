@@ -5,6 +5,8 @@ use super::status::LatencyStatus;
 /// Factor between the ends of neighbouring buckets, the eighth root of 2. Convention: quantiles are then right to 5 %.
 const GROWTH: f64 = 1.0905077326652577;
 /// Upper end of the smallest latencies that are told apart, s. Convention.
+///
+/// Convention: a display choice.
 const FIRST_S: f64 = 0.25e-3;
 /// Number of buckets. Derived: FIRST_S · GROWTH^160 = 0.25 ms · 2²⁰ = 262 s.
 const BUCKETS: usize = 160;

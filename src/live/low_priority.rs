@@ -2,6 +2,7 @@
 
 /// By how much such a thread is nicer than others. Convention: about half of what a Unix system allows.
 #[cfg(target_os = "linux")]
+/// Convention: a priority of the operating system.
 const NICENESS: i32 = 10;
 
 /// Lowers the priority of the calling thread, where the system can.

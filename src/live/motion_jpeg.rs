@@ -20,8 +20,12 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::time::timeout;
 
 /// Time in which the server must answer. Convention.
+///
+/// Convention: a timeout.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(3);
 /// Time in which each next piece of the answer must arrive. Convention.
+///
+/// Convention: a timeout.
 const READ_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// An open stream.

@@ -16,6 +16,8 @@ const MAX_SD_S: f64 = STEP_S;
 /// Fewer measured bends tell nothing. Convention: ten for each of the six numbers that are fitted.
 const MIN_BENDS: usize = 60;
 /// Parameters of the linear function: three for each of the two components of the bend.
+///
+/// Convention: a count.
 const PARAMETERS: f64 = 6.0;
 /// Added to the diagonal of the normal equations, rad², where all motion lies in one plane. Convention: a numerical guard.
 const RIDGE: f64 = 1e-9;

@@ -32,8 +32,12 @@ use tokio::sync::oneshot;
 /// Time that a measurement waits for its encoder reading. Convention: what a network delays a line, and no more.
 const READING_TIMEOUT: Duration = Duration::from_millis(250);
 /// Longest wait for a frame, after which commands are looked at. Convention.
+///
+/// Convention: a timeout.
 const FRAME_TIMEOUT: Duration = Duration::from_millis(50);
 /// The same while a measurement waits for its reading. Convention.
+///
+/// Convention: a timeout.
 const FRAME_TIMEOUT_WHILE_WAITING: Duration = Duration::from_millis(2);
 
 /// The parts of the loop.

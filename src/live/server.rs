@@ -39,14 +39,20 @@ use tokio_io_timeout::TimeoutStream;
 /// Connections at a time; further ones wait. Convention: a resource limit.
 const MAX_CONNECTIONS: usize = 128;
 /// A connection that has not sent its request's head by then is closed. Convention.
+///
+/// Convention: a timeout.
 const HEADER_TIMEOUT: Duration = Duration::from_secs(10);
 /// So is one that does not take what it asked for. Convention.
+///
+/// Convention: a timeout.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(15);
 /// Longest head of a request, bytes. Convention: a resource limit.
 const MAX_HEAD: usize = 16 << 10;
 /// Longest body of a request, bytes. Convention: a resource limit; no request needs one.
 const MAX_BODY: usize = 4096;
 /// Time before another connection is accepted after that failed, as where handles run out. Convention.
+///
+/// Convention: a timeout.
 const ACCEPT_RETRY: Duration = Duration::from_millis(100);
 /// Time between two events of `GET /api/events`. Convention: a display choice.
 const EVENT_EVERY: Duration = Duration::from_millis(200);

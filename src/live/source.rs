@@ -46,6 +46,8 @@ impl Source {
 /// Rate at which pictures are played where the user gives none, frames/s. Convention: a usual camera's.
 const DEFAULT_FPS: f64 = 30.0;
 /// Time before a silent camera is opened again. Convention.
+///
+/// Convention: a timeout.
 const RETRY: Duration = Duration::from_millis(250);
 
 /// The thread that reads frames, and the queue that it fills.

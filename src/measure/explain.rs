@@ -14,6 +14,7 @@ use nalgebra::Point2;
 ///
 /// Convention: leaves a quarter of the range on either side.
 const TARGET_GREY: f32 = 64.0;
+/// Convention: a display choice.
 const SNAKE_GREY: f32 = 191.0;
 /// How many grid lines are drawn to either side of the target's origin.
 ///

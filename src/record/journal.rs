@@ -20,6 +20,8 @@ use std::time::{Duration, Instant};
 pub const JOURNAL: &str = "measurements.journal";
 
 /// The longest time that a row waits to be brought to the disk.
+///
+/// Convention: how much a power cut may cost.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
 
 /// A journal of measurements that is being written.

@@ -71,6 +71,8 @@ impl Row<'_> {
     /// A whole number, not negative; `12.0` is one too, since spreadsheets write it so.
     pub fn index(&self, column: &str) -> RowResult<u64> {
         /// Above this not every whole number has an `f64`.
+        ///
+        /// Convention: a resource limit.
         const LARGEST: f64 = 9_007_199_254_740_992.0;
         let text = self.text(column);
         if let Ok(index) = text.parse() {
@@ -85,6 +87,7 @@ impl Row<'_> {
 
 /// A field as it is shown in a message: quoted, and cut where it is long.
 fn quoted(text: &str) -> String {
+    /// Convention: a resource limit.
     const LONGEST: usize = 40;
     if text.chars().count() > LONGEST {
         format!("{:?}…", text.chars().take(LONGEST).collect::<String>())
@@ -227,6 +230,7 @@ pub(super) struct Warnings<'a> {
 }
 
 impl<'a> Warnings<'a> {
+    /// Convention: a resource limit.
     const MOST: usize = 1000;
 
     pub fn new(path: &'a Path) -> Self {

@@ -9,6 +9,8 @@ use std::f64::consts::FRAC_1_SQRT_2;
 /// Width of the map and height without its legend, px. Convention: a display choice.
 const SIZE_PX: f64 = 420.0;
 /// Its middle, px.
+///
+/// Convention: a display choice.
 const MIDDLE_PX: f64 = SIZE_PX / 2.0;
 /// Room around it for labels, px. Convention: a display choice.
 const MARGIN_PX: f64 = 34.0;

@@ -17,7 +17,7 @@ const MOST_DOTS: usize = 1500;
 const MOST_ALTERNATIVES: usize = 6;
 
 const GLOSSARY: &str = "ε is how much further the actuators move (q̃, what their encoders read) than the snake's backbones do: what \
-                        the actuation lines swallow. The gap is the measured ε less the model's; θ is the bend, δ its direction.";
+                        the actuation lines take up. The gap is the measured ε less the model's; θ is the bend, δ its direction.";
 
 const STYLE: &str = "
 .verdict { font-size: 1.15rem; color: var(--ink); max-width: 48rem; }

@@ -11,10 +11,15 @@ use nalgebra::Point2;
 
 // Colours. Convention: display choices.
 const GRID: Rgb<u8> = Rgb([0, 200, 255]);
+/// Convention: a display choice.
 const AGREES: Rgb<u8> = Rgb([40, 235, 70]);
+/// Convention: a display choice.
 const DISAGREES: Rgb<u8> = Rgb([255, 50, 50]);
+/// Convention: a display choice.
 const NO_EDGE: Rgb<u8> = Rgb([80, 130, 255]);
 /// Colours of the coarse search's candidates, best first.
+///
+/// Convention: a display choice.
 const CANDIDATES: [Rgb<u8>; 6] = [
     Rgb([255, 70, 70]),
     Rgb([255, 160, 0]),

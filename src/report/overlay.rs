@@ -13,18 +13,28 @@ use std::ops::Range;
 
 // Colours. Convention: display choices.
 const ARC: Rgb<u8> = Rgb([255, 120, 0]);
+/// Convention: a display choice.
 const OUTLINE: Rgb<u8> = Rgb([0, 235, 255]);
+/// Convention: a display choice.
 const BASE: Rgb<u8> = Rgb([60, 230, 60]);
+/// Convention: a display choice.
 const TIP: Rgb<u8> = Rgb([255, 60, 220]);
+/// Convention: a display choice.
 const GOOD_TEXT: Rgb<u8> = Rgb([255, 255, 255]);
+/// Convention: a display choice.
 const BAD_TEXT: Rgb<u8> = Rgb([255, 190, 90]);
+/// Convention: a display choice.
 const BOX: Rgb<u8> = Rgb([16, 20, 26]);
 
 // Lengths, px, in a frame whose shorter side has REFERENCE_SIDE_PX; they grow with the frame. Convention: display choices.
 const REFERENCE_SIDE_PX: f64 = 360.0;
+/// Convention: a display choice.
 const OUTLINE_DOT_PX: f64 = 0.8;
+/// Convention: a display choice.
 const ARC_WIDTH_PX: f64 = 1.2;
+/// Convention: a display choice.
 const END_DOT_PX: f64 = 5.0;
+/// Convention: a display choice.
 const TEXT_PX: f64 = 13.0;
 /// Text is not smaller, px. Convention: a display choice.
 const MIN_TEXT_PX: f64 = 9.0;

@@ -49,7 +49,7 @@ impl Model {
         Line::new(&self.robot, &self.friction, self.parameters())
     }
 
-    /// κ = K_d⁻¹ + e^{2μφ} K_c⁻¹, mm/N: how much of q̃ the line swallows per newton of τ (Eq. 16, 17).
+    /// κ = K_d⁻¹ + e^{2μφ} K_c⁻¹, mm/N: how much of q̃ the line takes up per newton of τ (Eq. 16, 17).
     pub fn line_compliance_mm_per_n(&self) -> f64 {
         self.line().compliance_mm_per_n
     }

@@ -21,6 +21,8 @@ use std::f64::consts::PI;
 /// Derived: two make any linear change of curvature and any S; the third makes sin πu to a hundredth of its height.
 pub const MODES: usize = 3;
 /// How many numbers a [`BendProfile`] has: two of the tip's bend vector and two of each mode.
+///
+/// Convention: a count.
 pub const PROFILE: usize = 2 + 2 * MODES;
 /// Pieces between which the centreline is known exactly.
 /// Derived: Simpson's rule over pieces of a millimetre errs by less than 0.03 µm in all, with modes of some degrees (h⁴/2880 · L · the

@@ -1,4 +1,4 @@
-//! The actuation line between the actuators and the snake: what it swallows of the actuators' travel, Eq. 12, 13, 16 and 17.
+//! The actuation line between the actuators and the snake: what it takes up of the actuators' travel, Eq. 12, 13, 16 and 17.
 //!
 //! A backbone that pushes the snake with η τ_i is pushed with τ̃_i = (η τ_i + f_s) e^{2μφ} behind the cone (Eq. 13). It is compressed by
 //! η τ_i / K_d in the holder and by τ̃_i / K_c in the cone (Eq. 16), so that
@@ -19,7 +19,7 @@ pub struct Line {
     pub eta: f64,
     /// λ, mm.
     pub lambda_mm: f64,
-    /// κ = K_d⁻¹ + e^{2μφ} K_c⁻¹, mm/N: how much of q̃ the line swallows per newton of τ.
+    /// κ = K_d⁻¹ + e^{2μφ} K_c⁻¹, mm/N: how much of q̃ the line takes up per newton of τ.
     pub compliance_mm_per_n: f64,
     /// K_c⁻¹, mm/N.
     pub cone_compliance_mm_per_n: f64,

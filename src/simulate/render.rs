@@ -446,7 +446,7 @@ mod tests {
         render(&scene, Configuration::from_degrees(f64::NAN, 10.0), 0);
         scene.lens.width = 0;
         assert_eq!(render(&scene, straight(), 0).dimensions(), (0, 120));
-        // The camera inside the snake, and looking along the paper.
+        // The camera inside the snake, and looking along the target.
         scene = small();
         scene.sensor.rays_per_pixel = 1;
         scene.view = Viewpoint { yaw_deg: 90.0, pitch_deg: 0.0, roll_deg: 0.0, base_mm: [0.0, 0.0, 0.0] };

@@ -1,4 +1,4 @@
-//! What the renderer draws: a camera, the snake, the paper behind it, the light and the sensor's faults.
+//! What the renderer draws: a camera, the snake, the grid target behind it, the light and the sensor's faults.
 //!
 //! A scene is one TOML file. Colours are sRGB on the scale 0 to 255, as a picture of an evenly lit surface shows them.
 
@@ -91,7 +91,7 @@ pub struct Paper {
     pub stains: Vec<Stain>,
 }
 
-/// What is printed on the paper.
+/// What is printed on the grid target.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Pattern {
@@ -123,7 +123,7 @@ pub struct Lines {
     pub colour: Colour,
 }
 
-/// A round stain on the paper with a soft rim.
+/// A round stain on the grid target with a soft rim.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stain {
@@ -148,9 +148,9 @@ pub struct Light {
     pub gradient: [f64; 2],
     /// The share of brightness that is lost in the picture's corners.
     pub vignetting: f64,
-    /// The share of light that the snake's shadow takes from the paper, 0 (no shadow) to 1.
+    /// The share of light that the snake's shadow takes from the grid target, 0 (no shadow) to 1.
     pub shadow: f64,
-    /// Softness of the shadow's rim, the σ of a Gaussian, mm on the paper.
+    /// Softness of the shadow's rim, the σ of a Gaussian, mm on the grid target.
     pub shadow_blur_mm: f64,
 }
 
@@ -206,6 +206,8 @@ impl Viewpoint {
 }
 
 /// x_b is the camera's x, y_b its z, z_b its −y.
+///
+/// Convention: the axes of camera and base.
 const UPRIGHT: Matrix3<f64> = Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0);
 
 impl Default for Scene {

@@ -6,6 +6,8 @@ use roxmltree::{Document, Node, ParsingOptions};
 use std::fmt::Write as _;
 
 /// More elements and texts than this are no camera file.
+///
+/// Convention: a limit on what is read.
 const MOST_NODES: u32 = 100_000;
 
 /// What stands at the top level of a file, below `<opencv_storage>`.

@@ -6,6 +6,8 @@ use saphyr::{LoadableYamlNode, MarkedYaml, Scalar, YamlData};
 use std::fmt::Write as _;
 
 /// Deeper nesting is no camera file, and would let a parser that follows it run out of stack.
+///
+/// Convention: a limit on what is read.
 const DEEPEST: usize = 100;
 
 /// What stands at the top level of a file.

@@ -10,9 +10,9 @@ use crate::robot::{FrictionFit, Model};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// The gravity that the paper's f_s takes, m/s².
+/// The gravity that the paper's f_s takes, m/s². Derived: the printed 1.959 N over the 195.87 gf of Table II.
 const PAPER_GRAVITY: f64 = 10.0;
-/// The load at which the paper's dμ holds, g.
+/// The load at which the paper's dμ holds, g. Derived: from Eq. 14.
 const PAPER_LOAD_G: f64 = 800.0;
 
 /// Fit the cone's friction coefficient and static friction (Table II)

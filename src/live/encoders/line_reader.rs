@@ -14,6 +14,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// Time before a missing socket or file is tried again. Convention.
+///
+/// Convention: a timeout.
 const RETRY: Duration = Duration::from_millis(250);
 /// Time between two looks at a file that has not grown. Convention: shorter than a frame lasts.
 const POLL: Duration = Duration::from_millis(5);

@@ -9,6 +9,8 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Encoders from which nothing comes for this time are lost. Convention.
+///
+/// Convention: a timeout.
 pub const SILENCE: Duration = Duration::from_secs(2);
 /// Readings further apart than this are not interpolated between, s. Convention: a robot that bends at 10 °/s may have turned back
 /// over a few degrees meanwhile.
@@ -17,6 +19,8 @@ const MAX_GAP_S: f64 = 0.5;
 const MAX_READINGS: usize = 120_000;
 /// A time stamp earlier than the last by more than this comes from a clock that was set anew, s; by less, from a line that is to be
 /// refused. Convention.
+///
+/// Convention: a step of a clock, not a jitter.
 const CLOCK_SET_BACK_S: f64 = 1.0;
 /// Readings this long before the first bend and after the last are given to the estimation of the lag, s. Convention: longer than the
 /// longest lag that is tried.

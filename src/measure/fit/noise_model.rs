@@ -59,6 +59,8 @@ pub(crate) const SHARP_PX: f64 = 1.5;
 pub(super) const SMALL_DIAMETER_PX: f64 = 40.0;
 
 /// How many systematic modes there are.
+///
+/// Convention: a count.
 pub(crate) const MODES: usize = 6;
 
 /// Standard deviation of a single edge for other reasons than the picture's noise, px.

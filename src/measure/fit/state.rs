@@ -17,6 +17,8 @@ pub struct EdgeBias {
 }
 
 /// How many biases there are.
+///
+/// Convention: a count.
 pub(crate) const BIASES: usize = 3;
 
 impl EdgeBias {
@@ -53,6 +55,8 @@ pub(crate) struct FramePrior {
 }
 
 /// How many of a state's numbers have a prior: all but the tip's bend vector.
+///
+/// Convention: a count.
 pub(crate) const PRIORS: usize = STATE - 2;
 
 impl FramePrior {
@@ -96,6 +100,8 @@ pub(crate) struct State {
 }
 
 /// How many numbers a [`State`] has: those of the bend profile and the biases.
+///
+/// Convention: a count.
 pub(crate) const STATE: usize = PROFILE + BIASES;
 
 impl State {

@@ -38,6 +38,8 @@ const SEARCH_PX: f64 = 3.0;
 const SCHEDULE: FitSchedule = FitSchedule { searches_px: &[SEARCH_PX], rounds: 2, is_fine: true, converged_rad: 2e-5 };
 
 /// What all frames of a sequence share: the camera's pose (see [`perturbed`]) and the edges' biases (px).
+///
+/// Convention: a count.
 const SHARED: usize = 6 + BIASES;
 type Shared = SVector<f64, SHARED>;
 type SharedInformation = SMatrix<f64, SHARED, SHARED>;
