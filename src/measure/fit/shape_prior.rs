@@ -1,6 +1,6 @@
 //! How far this snake departs from an arc, learned from the frames of a sequence (empirical Bayes).
 //!
-//! Fits under a wide prior leave of every frame the modes a_k of its [`BendProfile`](crate::robot::BendProfile) with a covariance.
+//! Fits under a prior for any snake leave of every frame the modes a_k of its [`BendProfile`](crate::robot::BendProfile) with a covariance.
 //! Each component of a_k is taken to be normal about zero with one standard deviation σ_k for the sequence, so that what was fitted
 //! has the variance σ_k² + P. A snake that is an arc then gets a narrow prior, and its angles keep the precision that an arc has;
 //! another one keeps the freedom that it needs.
@@ -17,9 +17,10 @@ use nalgebra::Matrix6;
 
 /// Standard deviations of the modes before any frame was seen, rad.
 ///
-/// Derived: 3° of a_1 is a curvature that varies by ±20 % along a snake bent by 60°; S shapes and what is beyond them are taken to
-/// be half and a quarter as large.
-pub const UNKNOWN_SHAPE_RAD: [f64; MODES] = [0.05, 0.025, 0.0125];
+/// Derived: 0.6° of a_1 is a curvature that varies by ±4 % along a snake bent by 60°, S shapes and what is beyond them are taken to be
+/// half and a quarter as large. A picture in good view tells a_1 to 0.05°, so that even a snake of ±25 % is drawn towards the arc by less
+/// than a hundredth of its shape; where the picture tells nothing, at small bends and along the line of sight, the snake is nearly an arc.
+pub const UNKNOWN_SHAPE_RAD: [f64; MODES] = [0.01, 0.005, 0.0025];
 /// Steps in which σ_k is tried, in units of the one before, ...
 ///
 /// Convention: numerical; the likelihood changes little over a tenth.
@@ -29,7 +30,7 @@ const STEP: f64 = 1.1;
 /// Convention: numerical; no picture tells a mode of a thousandth of a degree from none.
 const LEAST_RAD: f64 = 2e-5;
 
-/// σ_k of each mode, rad, from fits under the wide prior [`UNKNOWN_SHAPE_RAD`] in frames of one sequence, whose rig has a pose of this
+/// σ_k of each mode, rad, from fits under the prior [`UNKNOWN_SHAPE_RAD`] in frames of one sequence, whose rig has a pose of this
 /// covariance.
 pub(crate) fn learned_mode_sigmas(fits: &[BendFit], pose_covariance: &Matrix6<f64>) -> [f64; MODES] {
     let of_fit = |fit: &BendFit| {
@@ -44,10 +45,10 @@ pub(crate) fn learned_mode_sigmas(fits: &[BendFit], pose_covariance: &Matrix6<f6
 }
 
 /// The root of the posterior mean of σ² for values that are normal with the variance σ² + P, given as pairs (value, P); σ lies
-/// between [`LEAST_RAD`] and twice the `widest`.
-fn posterior_sigma(values: &[(f64, f64)], widest: f64) -> f64 {
+/// between [`LEAST_RAD`] and ten times the `prior`.
+fn posterior_sigma(values: &[(f64, f64)], prior: f64) -> f64 {
     let sigmas: Vec<f64> =
-        std::iter::successors(Some(LEAST_RAD), |sigma| Some(sigma * STEP)).take_while(|s| *s <= 2.0 * widest).collect();
+        std::iter::successors(Some(LEAST_RAD), |sigma| Some(sigma * STEP)).take_while(|s| *s <= 10.0 * prior).collect();
     let log_likelihood = |sigma: f64| -> f64 {
         let of_value = |&(value, variance): &(f64, f64)| {
             let total = sigma * sigma + variance;

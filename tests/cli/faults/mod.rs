@@ -248,7 +248,7 @@ fn shards_are_merged_to_what_one_run_writes() {
     let merge = "merge part1 part2 part3 -o merged";
     assert!(sandbox.fail(merge, 1).contains("the shard is not done"));
     run(&sandbox, "part2", "--shard 2/3 --keep 0.9");
-    assert!(sandbox.fail(merge, 1).contains("keep was "));
+    assert!(sandbox.fail(merge, 1).contains("forgetting was "));
     assert!(!sandbox.join("merged").exists(), "nothing is written before all is checked");
     run(&sandbox, "part2", "--shard 2/3");
 
