@@ -2,7 +2,7 @@
 //! synthetic, what was true. These are plain values; [`record`](crate::record) reads and writes them as files.
 
 use crate::geometry::Configuration;
-use crate::robot::PerBackbone;
+use crate::robot::{BendProfile, PerBackbone};
 use nalgebra::Matrix2;
 use std::convert::Infallible;
 use std::fmt;
@@ -123,6 +123,8 @@ pub struct Quality {
     pub grid_moved_px: Option<f64>,
     /// How the snake departs from a circle.
     pub shape: Option<Shape>,
+    /// The bend along the snake as it was fitted, for drawings. No file has it: `None` for a measurement that was read.
+    pub profile: Option<BendProfile>,
 }
 
 /// How the snake departs from a circular arc: its bend rate is (b + e (2s/L − 1))/L, b being the bend from base to tip. All
@@ -161,6 +163,14 @@ pub struct Measurement {
     /// Name of the view that the frame comes from, where the experiment names one; of several that were put together, with
     /// `+` between them.
     pub view: Option<String>,
+}
+
+impl Measurement {
+    /// The bend along the snake: as fitted, or the arc of the measured angles.
+    pub fn profile(&self) -> Option<BendProfile> {
+        let fitted = self.quality.and_then(|quality| quality.profile).filter(|_| self.measured.is_some());
+        fitted.or(self.measured.map(|measured| measured.configuration.into()))
+    }
 }
 
 /// One row of encoders.csv: what the actuators' encoders read when a frame was taken.

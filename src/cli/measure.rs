@@ -86,7 +86,7 @@ impl Args {
         let FrameMeasurement { status, measured, quality, .. } = explanation.measurement.clone();
         let measurement =
             Measurement { index, time_s: None, status, measured, quality, view: Some(view.name().to_owned()) };
-        let stages = stages(frame, &explanation, &measurement, |psi| view.shape(psi));
+        let stages = stages(frame, &explanation, &measurement, |profile| view.shape(profile));
         let folder = self.output.join(format!("explain-{index:05}-{}", view.name()));
         for stage in &stages {
             write_atomically(&folder.join(stage.file), &png(&stage.picture)?)?;

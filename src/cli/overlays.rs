@@ -41,7 +41,7 @@ pub fn draw(overlays: Overlays, folder: &Path, measured: &MeasuredFrames) -> Res
         Overlays::Sample => is_drawn(measured.measurement, measured.rank, measured.count),
     };
     for (view, frame) in measured.frames.iter().filter(|_| wanted) {
-        let shape = measured.measurement.measured.map(|measured| view.shape(measured.configuration));
+        let shape = measured.measurement.profile().map(|profile| view.shape(profile));
         let picture = overlay(frame, measured.measurement, shape.as_ref());
         write_atomically(&picture_path(folder, view.name(), measured.measurement.index), &jpeg(&picture, 90)?)?;
     }

@@ -2,13 +2,12 @@
 
 use super::checksum::Checksum;
 use crate::camera::{Frame, FrameSource, Lens, SourceFrame, read_frame};
-use crate::geometry::Configuration;
 use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::measure::{Explanation, Eye, Rig, RigOptions, calibrate_rig};
 use crate::record::{Experiment, RigSource, View};
 use crate::report::decimation;
 use crate::report::overlay::Shape;
-use crate::robot::Robot;
+use crate::robot::{BendProfile, Robot};
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::fs;
@@ -72,8 +71,8 @@ impl OpenView {
     }
 
     /// The model's shape in this view's picture.
-    pub fn shape(&self, psi: Configuration) -> Shape {
-        Shape::of(&self.eye.projection(), psi)
+    pub fn shape(&self, profile: BendProfile) -> Shape {
+        Shape::of(&self.eye.projection(), profile)
     }
 
     /// Measures one frame and tells every stage of it.

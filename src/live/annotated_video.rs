@@ -83,8 +83,7 @@ impl AnnotatedVideo {
 
 impl ToDraw {
     fn picture(&self) -> RgbImage {
-        let measured = self.measurement.measured;
-        let shape = measured.map(|measured| Shape::of(&self.eye.projection(), measured.configuration));
+        let shape = self.measurement.profile().map(|profile| Shape::of(&self.eye.projection(), profile));
         let picture = overlay(&self.frame, &self.measurement, shape.as_ref());
         if picture.width() <= MAX_WIDTH {
             return picture;

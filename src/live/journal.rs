@@ -130,6 +130,7 @@ impl Line {
                 base_moved_px,
                 grid_moved_px,
                 shape,
+                profile: None,
             }),
             view: self.view,
         };
@@ -270,6 +271,7 @@ mod tests {
                     sigma_across: 0.006,
                     chi2: 7.5,
                 }),
+                profile: None,
             }),
             view: Some("side".into()),
         };

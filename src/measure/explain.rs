@@ -8,6 +8,7 @@ use crate::measure::fit::{Edge, EdgeFinder, FINE_SEARCH_PX, PartVisibility, Robu
 use crate::measure::image::plane::Region;
 use crate::measure::measurement::FrameMeasurement;
 use crate::measure::target::project_target;
+use crate::robot::BendProfile;
 use nalgebra::Point2;
 
 /// Grey of the target and of the snake in the picture of the discriminant, 0 to 255.
@@ -37,7 +38,7 @@ pub struct Explanation {
     /// The candidates of the coarse search, best first.
     pub candidates: Vec<Configuration>,
     /// The local minima of the fit, best first; the verdict is on the first.
-    pub fits: Vec<Configuration>,
+    pub fits: Vec<BendProfile>,
     /// The points of the best fit's outline at which an edge was searched.
     pub points: Vec<SearchedPoint>,
     /// The share of each disk's outline, by its number from the base, that is visible, 0 to 1.
@@ -67,9 +68,8 @@ impl Eye {
     pub fn explain(&self, frame: &Frame) -> Explanation {
         let stages = self.measure_in_stages(frame);
         let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
-        let fits: Vec<Configuration> =
-            stages.fits.iter().map(|fit| Configuration::from_bend_vector(fit.bend())).collect();
-        let outline = fits.first().map(|&psi| Outline::new(&self.projection(), psi));
+        let fits: Vec<BendProfile> = stages.fits.iter().map(|fit| fit.profile).collect();
+        let outline = fits.first().map(|&profile| Outline::new(&self.projection(), profile));
         let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
         let disks = outline.as_ref().map(|outline| PartVisibility::new(outline, &finder).disk_shares().collect());
         let points = outline.as_ref().map(|outline| searched_points(outline, &finder));

@@ -315,7 +315,7 @@ impl Eye {
             return FrameMeasurement::failed(status, Some(quality));
         }
         let covariance = fit.covariance + fit.by_pose * self.rig.pose_covariance * fit.by_pose.transpose();
-        let quality = Quality { shape: shape(&fit.profile, &covariance), ..quality };
+        let quality = Quality { shape: shape(&fit.profile, &covariance), profile: Some(fit.profile), ..quality };
         let visibility = fit.visibility();
         if visibility.visible_disk_share() < LEAST_VISIBLE_DISKS || !visibility.is_end_visible() {
             return FrameMeasurement::failed(Status::Occluded, Some(quality));

@@ -59,6 +59,8 @@ fn together(seen: &[(Bend, Quality)]) -> Quality {
         grid_moved_px: most(|q| q.grid_moved_px),
         // Of the view that sees the tip best.
         shape: seen.iter().filter_map(|(_, q)| q.shape).min_by(|a, b| a.sigma_tip_theta.total_cmp(&b.sigma_tip_theta)),
+        // The views' profiles end at bends of their own.
+        profile: None,
     }
 }
 

@@ -126,6 +126,7 @@ fn quality_of(row: &Row) -> RowResult<Option<Quality>> {
         base_moved_px: row.optional_number("base_moved_px")?,
         grid_moved_px: row.optional_number("grid_moved_px")?,
         shape: shape_of(row)?,
+        profile: None,
     }))
 }
 
@@ -379,6 +380,7 @@ mod tests {
                     base_moved_px: Some(inlier_fraction),
                     grid_moved_px: None,
                     shape: None,
+                    profile: None,
                 }),
                 view: seen.then(|| "side".to_owned()),
             },

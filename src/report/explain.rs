@@ -3,8 +3,10 @@
 use super::overlay::{Shape, angles, overlay, rgb, stroke};
 use super::page::document;
 use crate::camera::Frame;
+use crate::geometry::Configuration;
 use crate::measure::{Explanation, SearchedPoint, WeightedEdge};
 use crate::observation::{Measurement, Status};
+use crate::robot::BendProfile;
 use image::{Rgb, RgbImage, imageops};
 use maud::html;
 use nalgebra::Point2;
@@ -47,7 +49,7 @@ pub fn stages(
     frame: &Frame,
     explanation: &Explanation,
     measurement: &Measurement,
-    shape: impl Fn(crate::geometry::Configuration) -> Shape,
+    shape: impl Fn(BendProfile) -> Shape,
 ) -> Vec<Stage> {
     let unit = f64::from(frame.height.min(frame.width)) / 720.0;
     let stage = |file, caption: &str, picture| Stage { file, caption: caption.to_owned(), picture };
@@ -74,7 +76,7 @@ pub fn stages(
 
     let mut picture = faded(frame);
     for (bend, colour) in explanation.candidates.iter().zip(CANDIDATES).rev() {
-        stroke(&mut picture, &shape(*bend).arc, 3.0 * unit, colour);
+        stroke(&mut picture, &shape((*bend).into()).arc, 3.0 * unit, colour);
     }
     stages.push(stage(
         "4-search.png",
@@ -93,7 +95,7 @@ pub fn stages(
         stages.push(Stage { file: "5-edges.png", caption, picture: edges(frame, &explanation.points) });
     }
 
-    let drawn = explanation.fits.first().map(|psi| shape(*psi));
+    let drawn = explanation.fits.first().map(|profile| shape(*profile));
     stages.push(stage(
         "6-model.png",
         "The best fit, whatever the verdict on it: outline, central backbone, base (green) and tip (magenta).",
@@ -211,7 +213,8 @@ fn figures(explanation: &Explanation, measurement: &Measurement) -> Vec<(&'stati
         let (theta, delta) = angles(measured);
         figures.extend([("θ", theta), ("δ", delta)]);
     }
-    for (name, psi) in ["best fit", "second fit"].into_iter().zip(&explanation.fits) {
+    for (name, profile) in ["best fit", "second fit"].into_iter().zip(&explanation.fits) {
+        let psi = Configuration::from_bend_vector(profile.tip);
         figures.push((name, format!("θ {:.2}°, δ {:.2}°", psi.theta_deg(), psi.delta_deg())));
     }
     if let Some(quality) = &measurement.quality {
@@ -228,7 +231,6 @@ fn figures(explanation: &Explanation, measurement: &Measurement) -> Vec<(&'stati
 mod tests {
     use super::*;
     use crate::camera::Samples;
-    use crate::geometry::Configuration;
     use crate::measure::FrameMeasurement;
 
     fn frame() -> Frame {
@@ -241,7 +243,7 @@ mod tests {
             discriminant: frame(),
             grid: vec![vec![Point2::new(10.0, 0.0), Point2::new(10.0, 47.0)]],
             candidates: vec![Configuration::from_degrees(30.0, 0.0)],
-            fits: if points.is_empty() { Vec::new() } else { vec![Configuration::from_degrees(31.0, 2.0)] },
+            fits: if points.is_empty() { Vec::new() } else { vec![Configuration::from_degrees(31.0, 2.0).into()] },
             disks: Vec::new(),
             points,
         }

@@ -1,9 +1,9 @@
 //! A frame with what was measured drawn on it.
 
 use crate::camera::Frame;
-use crate::geometry::Configuration;
 use crate::measure::{Outline, Projection};
 use crate::observation::{Measured, Measurement, Status};
+use crate::robot::BendProfile;
 use ab_glyph::{FontRef, PxScale};
 use image::{Rgb, RgbImage};
 use imageproc::drawing::{draw_text_mut, text_size};
@@ -56,13 +56,15 @@ pub struct Shape {
 
 impl Shape {
     /// The model's shape at a bend, as a view shows it.
-    pub fn of(view: &Projection, psi: Configuration) -> Self {
+    pub fn of(view: &Projection, profile: impl Into<BendProfile>) -> Self {
+        let profile = profile.into();
+        let curve = view.curve(profile);
         let arc = (0..=ARC_POINTS).map(|i| {
             let s_mm = view.robot.length_mm * i as f64 / ARC_POINTS as f64;
-            let point = Point3::from(view.robot.frame_at(psi, s_mm).translation.vector);
+            let point = Point3::from(curve.frame_at(s_mm).translation.vector);
             view.lens.project(&(view.camera_from_base * point))
         });
-        let outline = Outline::new(view, psi);
+        let outline = Outline::new(view, profile);
         Self { arc: arc.collect(), outline: outline.points.iter().map(|point| point.pixel).collect() }
     }
 }
@@ -205,6 +207,7 @@ fn label(picture: &mut RgbImage, lines: &[String], size: f64, colour: Rgb<u8>) {
 mod tests {
     use super::*;
     use crate::camera::Samples;
+    use crate::geometry::Configuration;
     use ab_glyph::Font;
 
     fn grey_frame() -> Frame {
