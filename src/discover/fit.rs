@@ -3,6 +3,7 @@
 use super::residuals::{Prediction, Problem, Residual, stacked};
 use crate::robot::Model;
 use crate::statistics::least_squares::{self, Options};
+use crate::statistics::normal_equations::normal_equations as weighted_normal_equations;
 use crate::statistics::robust::Loss;
 use nalgebra::{DMatrix, DVector, Vector2};
 
@@ -69,7 +70,7 @@ pub fn cost(residuals: &[Residual]) -> f64 {
 /// JᵗWJ and JᵗWr with the loss's weights W.
 pub fn normal_equations(jacobian: &DMatrix<f64>, residuals: &[Residual]) -> (DMatrix<f64>, DVector<f64>) {
     let residuals = stacked(residuals);
-    least_squares::normal_equations(jacobian, &residuals, &residuals.map(|r| LOSS.weight(r)))
+    weighted_normal_equations(jacobian, &residuals, &residuals.map(|r| LOSS.weight(r)))
 }
 
 impl Problem<'_> {

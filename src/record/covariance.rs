@@ -1,6 +1,6 @@
 //! The joint covariance of a model's parameters as model.toml shows it.
 
-use super::model::EffectTable;
+use super::effect_table::EffectTable;
 use crate::error::Result;
 use crate::robot::Model;
 use nalgebra::DMatrix;

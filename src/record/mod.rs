@@ -4,6 +4,7 @@ pub mod c_header;
 mod columns;
 pub mod compensation;
 mod covariance;
+mod effect_table;
 pub mod encoders;
 pub mod estimates;
 pub mod experiment;

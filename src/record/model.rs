@@ -27,6 +27,7 @@
 //! does not know is an error, since a prediction without it would be wrong.
 
 use super::covariance::{CovarianceTable, Known};
+use super::effect_table::{EffectTable, ParameterTable};
 use super::experiment::line_at;
 use super::write::write_atomically;
 use crate::error::{Error, Result};
@@ -35,7 +36,6 @@ use crate::robot::effects::ParameterSpec;
 use crate::robot::{Effect, Estimate, Friction, Model, Robot};
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use std::path::Path;
 use toml::de::DeTable;
 
@@ -53,37 +53,6 @@ pub(super) struct ModelFile {
     effect: Vec<toml::Spanned<EffectTable>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     covariance: Option<toml::Spanned<CovarianceTable>>,
-}
-
-/// An effect as files show it.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct EffectTable {
-    pub(super) name: String,
-    /// Which of the forms of this name, where it is not the first.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    form: Option<String>,
-    /// Where it was found.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    found: String,
-    /// In older files: η, λ, the parameters of the effects before this one, and its own, which the columns of `covariance` belong to.
-    #[serde(default, skip_serializing)]
-    pub(super) covariance_of: Vec<String>,
-    /// In older files: a row for each parameter of this effect.
-    #[serde(default, skip_serializing)]
-    pub(super) covariance: Vec<Vec<f64>>,
-    #[serde(default)]
-    pub(super) parameters: BTreeMap<String, ParameterTable>,
-}
-
-/// A parameter of an effect.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct ParameterTable {
-    value: f64,
-    #[serde(default)]
-    pub(super) sd: f64,
-    unit: String,
 }
 
 /// Effect k of a model as its file shows it.

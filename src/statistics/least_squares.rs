@@ -22,6 +22,7 @@
 //! or an evaluation has more to it than residuals (a path that the next evaluation starts from), implement [`Problem`] and call
 //! [`solve`].
 
+use super::normal_equations::normal_equations;
 use super::robust::Loss;
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
@@ -152,19 +153,6 @@ impl<E> Solution<E> {
 /// the data leave a parameter undetermined.
 pub fn covariance(jacobian: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     Some(jacobian.tr_mul(jacobian).cholesky()?.inverse())
-}
-
-/// JᵗWJ and JᵗWr with W = diag(weights): a step −(JᵗWJ)⁻¹JᵗWr minimises Σ w r² of the linearised residuals.
-pub fn normal_equations(
-    jacobian: &DMatrix<f64>,
-    residuals: &DVector<f64>,
-    weights: &DVector<f64>,
-) -> (DMatrix<f64>, DVector<f64>) {
-    let mut weighted = jacobian.clone();
-    for mut column in weighted.column_iter_mut() {
-        column.component_mul_assign(weights);
-    }
-    (jacobian.tr_mul(&weighted), weighted.tr_mul(residuals))
 }
 
 /// The Jacobian of a function at `x` by central differences, (f(x + h) − f(x − h))/2h for each parameter's step h.

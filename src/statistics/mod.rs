@@ -6,6 +6,7 @@
 //! | tool | for |
 //! | --- | --- |
 //! | [`least_squares`] | nonlinear least squares: Levenberg–Marquardt with box bounds and a robust loss |
+//! | [`normal_equations`] | those of weighted linear least squares |
 //! | [`robust`] | losses of Huber and Tukey, weights in units of the MAD, iteratively reweighted least squares (IRLS) |
 //! | [`trimmed`] | least trimmed squares (LTS): a start that outliers cannot spoil |
 //! | [`cluster`] | cluster-robust covariance of a fit whose errors come in groups |
@@ -23,6 +24,7 @@ pub mod correlation;
 pub mod information;
 pub mod least_squares;
 pub mod moments;
+pub mod normal_equations;
 pub mod null_distribution;
 pub mod order;
 pub mod robust;

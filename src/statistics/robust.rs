@@ -7,7 +7,7 @@
 //! Source: P. J. Huber, E. M. Ronchetti, *Robust Statistics*, 2nd ed., Wiley 2009, ch. 7; P. W. Holland, R. E. Welsch, "Robust
 //! regression using iteratively reweighted least-squares", Communications in Statistics A6, 1977.
 
-use super::least_squares::normal_equations;
+use super::normal_equations::normal_equations;
 use super::order::mad_scale;
 use nalgebra::{DMatrix, DVector};
 

@@ -2,7 +2,7 @@
 
 use super::correspondences::Correspondences;
 use super::state::{EdgeBias, FramePrior, PRIORS, STATE, State};
-use super::uncertainty::RobustPhase;
+use super::uncertainty::{LEAST_SCALE, RobustPhase};
 use crate::geometry::Pose;
 use crate::measure::body::Projection;
 use crate::robot::{Curve, PROFILE};
@@ -17,11 +17,6 @@ const MOST_REWEIGHTINGS: usize = 10;
 ///
 /// Convention: a hundredth of what a fit must move by to go on.
 const REWEIGHTING_TOLERANCE: f64 = 1e-5;
-/// The least scale of whitened residuals in robust weights: their σ may be too large for a clean picture, and a scale taken from
-/// them alone would then call good edges outliers.
-///
-/// Derived: 1 is the scale of residuals in units of their own σ.
-pub(super) const LEAST_SCALE: f64 = 1.0;
 
 /// Residuals of edges in units of σ, and their derivatives (rows: edges).
 #[derive(Debug, Clone)]

@@ -4,7 +4,6 @@
 //! the body (cluster-robust), and the systematic modes of the noise model.
 
 use super::correspondences::Correspondences;
-use super::linearised::LEAST_SCALE;
 use super::noise_model::DESIGN_EFFECT;
 use crate::measure::body::Projection;
 use crate::statistics::cluster::clustered_covariance;
@@ -17,6 +16,12 @@ use nalgebra::{DMatrix, DVector};
 ///
 /// Derived: Tukey's biweight is 0.25 there, at 3.3 times the scale, beyond which lies one normal error of a thousand.
 const INLIER_ROOT: f64 = 0.5;
+
+/// The least scale of whitened residuals in robust weights: their σ may be too large for a clean picture, and a scale taken from
+/// them alone would then call good edges outliers.
+///
+/// Derived: 1 is the scale of residuals in units of their own σ.
+pub(super) const LEAST_SCALE: f64 = 1.0;
 
 /// Which robust loss a fit has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

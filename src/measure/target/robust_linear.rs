@@ -1,6 +1,6 @@
 //! A linear model with normal priors, fitted robustly, and the covariance of the fit.
 
-use crate::statistics::least_squares::normal_equations;
+use crate::statistics::normal_equations::normal_equations;
 use crate::statistics::robust::{HUBER_LIMIT, Irls, Loss, TUKEY_LIMIT};
 use nalgebra::{DMatrix, DVector};
 
