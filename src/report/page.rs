@@ -97,7 +97,7 @@ mod tests {
         for markup in [
             definitions(&text, &pairs),
             table(&text, [&text], &cells),
-            list(&text, &text, &[text.clone()]),
+            list(&text, &text, std::slice::from_ref(&text)),
             html! { (PreEscaped(document(&text, "", &html! {}))) },
         ] {
             let written = markup.into_string();

@@ -153,7 +153,7 @@ impl<'a> BaseFit<'a> {
         let view = self.view(&self.placement);
         let mut outline = Outline::new(&view, STRAIGHT);
         // The model's own outline tells which pixels are snake, the better the better it lies.
-        if round % LEARNING_ROUNDS == 0 || self.learned.is_none() {
+        if round.is_multiple_of(LEARNING_ROUNDS) || self.learned.is_none() {
             let frame = self.picture.frame;
             let appearance = appearance_of(frame, &outline, search_px <= WELL_PLACED_PX);
             self.learned = appearance.map(|appearance| {
