@@ -63,7 +63,7 @@ pub struct Structure {
     pub noise: NoiseQuantiles,
 }
 
-/// What the statistics exceed in a share of experiments of pure noise: [`LEVEL`] for the mean squares, half of it for each of the
+/// What the statistics exceed in a share of experiments of pure noise: `LEVEL` for the mean squares, half of it for each of the
 /// two statistics of order, of which one suffices (Bonferroni).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NoiseQuantiles {

@@ -28,7 +28,7 @@ impl BodyPoint {
 /// The piece of the body that a border point belongs to.
 ///
 /// Edge errors along one piece are correlated, because its shading and its sharpness are the same all along it. Pieces are
-/// therefore also the clusters of a fit's cluster-robust covariance, see [`cluster`](Self::cluster).
+/// therefore also the clusters of a fit's cluster-robust covariance (`Piece::cluster`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Piece {
     /// A side of the holder below the base disk: −1 or +1.
