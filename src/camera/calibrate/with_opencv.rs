@@ -5,7 +5,6 @@ use super::halves::halves;
 use super::tests::lens;
 use super::{calibrate_camera, rms};
 use crate::camera::{Board, Lens, opencv};
-use crate::error::Error;
 use crate::geometry::Pose;
 use image::{GrayImage, Luma};
 use nalgebra::{Point2, Point3, Rotation3, SVector, Translation3, UnitQuaternion, Vector2, Vector3};
