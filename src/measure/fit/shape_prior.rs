@@ -17,10 +17,10 @@ use nalgebra::Matrix6;
 
 /// Standard deviations of the modes before any frame was seen, rad.
 ///
-/// Derived: 0.6° of a_1 is a curvature that varies by ±4 % along a snake bent by 60°, S shapes and what is beyond them are taken to be
-/// half and a quarter as large. A picture in good view tells a_1 to 0.05°, so that even a snake of ±25 % is drawn towards the arc by less
-/// than a hundredth of its shape; where the picture tells nothing, at small bends and along the line of sight, the snake is nearly an arc.
-pub const UNKNOWN_SHAPE_RAD: [f64; MODES] = [0.01, 0.005, 0.0025];
+/// Convention: 0.3° of a_1, half and a quarter of that of the others: far more than the 0.05° to which a picture in good view tells a_1, so
+/// that frames of any snake show what it needs; and little enough that a snake is nearly an arc where the picture tells nothing, at small
+/// bends and along the line of sight.
+pub const UNKNOWN_SHAPE_RAD: [f64; MODES] = [0.005, 0.0025, 0.00125];
 /// Steps in which σ_k is tried, in units of the one before, ...
 ///
 /// Convention: numerical; the likelihood changes little over a tenth.
@@ -29,6 +29,11 @@ const STEP: f64 = 1.1;
 ///
 /// Convention: numerical; no picture tells a mode of a thousandth of a degree from none.
 const LEAST_RAD: f64 = 2e-5;
+
+/// The largest σ_k that is tried, in units of that before any frame was seen.
+///
+/// Convention: 6° of a_1, a curvature that varies by 40 % along a snake bent by 60°.
+const LARGEST: f64 = 20.0;
 
 /// σ_k of each mode, rad, from fits under the prior [`UNKNOWN_SHAPE_RAD`] in frames of one sequence, whose rig has a pose of this
 /// covariance.
@@ -45,10 +50,11 @@ pub(crate) fn learned_mode_sigmas(fits: &[BendFit], pose_covariance: &Matrix6<f6
 }
 
 /// The root of the posterior mean of σ² for values that are normal with the variance σ² + P, given as pairs (value, P); σ lies
-/// between [`LEAST_RAD`] and ten times the `prior`.
+/// between [`LEAST_RAD`] and twenty times the `prior`.
 fn posterior_sigma(values: &[(f64, f64)], prior: f64) -> f64 {
-    let sigmas: Vec<f64> =
-        std::iter::successors(Some(LEAST_RAD), |sigma| Some(sigma * STEP)).take_while(|s| *s <= 10.0 * prior).collect();
+    let sigmas: Vec<f64> = std::iter::successors(Some(LEAST_RAD), |sigma| Some(sigma * STEP))
+        .take_while(|s| *s <= LARGEST * prior)
+        .collect();
     let log_likelihood = |sigma: f64| -> f64 {
         let of_value = |&(value, variance): &(f64, f64)| {
             let total = sigma * sigma + variance;

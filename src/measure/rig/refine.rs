@@ -71,7 +71,8 @@ pub fn refined_rig(
     let prior = Prior::new(calibrated, FRAME_BIAS_SIGMA_PX)?;
     let mut rig = calibrated.clone();
     let mut moved = Shared::zeros();
-    for round in 0..ROUNDS {
+    let mut is_shape_known = false;
+    for _ in 0..=ROUNDS {
         let view = Projection { lens, camera_from_base: rig.camera_from_base, robot };
         let frame_prior = rig.prior();
         let evidence = |(plane, start): (&Plane, &mut Start)| {
@@ -88,11 +89,15 @@ pub fn refined_rig(
         if evidence.len() < FEWEST_FRAMES {
             return None;
         }
+        if !is_shape_known {
+            // What was fitted under the prior of any snake says how far this one departs from an arc, and no more.
+            rig.mode_sigma_rad = learned_mode_sigmas(&fits, &rig.pose_covariance);
+            is_shape_known = true;
+            continue;
+        }
         let (step, covariance) = prior.combined(&moved, &evidence)?;
         moved += step;
-        let mode_sigma_rad =
-            if round == 0 { learned_mode_sigmas(&fits, &rig.pose_covariance) } else { rig.mode_sigma_rad };
-        rig = Rig { mode_sigma_rad, ..moved_rig(calibrated, &moved, &covariance) };
+        rig = Rig { mode_sigma_rad: rig.mode_sigma_rad, ..moved_rig(calibrated, &moved, &covariance) };
     }
     Some(rig)
 }
