@@ -20,6 +20,7 @@
 //! | [`robot`], [`camera`] | the snake: kinematics, statics, friction, ε; lenses and sources of frames |
 //! | [`observation`] | measurements of frames and encoder readings, as plain values |
 //! | [`measure`], [`estimate`] | frames → θ, δ; measurements → η, λ |
+//! | [`verdict`] | whether a result can be relied on, and what to do if not |
 //! | [`record`] | the files of an experiment: read, check, write |
 //! | [`simulate`] | the other way round, for tests |
 //! | [`discover`] | which effect the model lacks |
@@ -49,6 +50,7 @@ pub mod reproduce;
 pub mod robot;
 pub mod simulate;
 pub mod statistics;
+pub mod verdict;
 
 #[cfg(feature = "cli")]
 #[doc(hidden)]

@@ -4,6 +4,7 @@
 use crate::geometry::Configuration;
 use crate::robot::{BendProfile, PerBackbone};
 use nalgebra::Matrix2;
+use serde::{Deserialize, Serialize};
 use std::convert::Infallible;
 use std::fmt;
 use std::str::FromStr;
@@ -184,6 +185,69 @@ pub struct EncoderReading {
     pub q_mm: PerBackbone,
 }
 
+/// How the columns of an encoder log hold the backbones' readings: what `[wiring]` of an experiment.toml says.
+///
+/// The reading of backbone i + 1 at frame k is `scale · signs[i]` times column `columns[i]` of the log's row `k + index_shift`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Wiring {
+    /// For each backbone the column that holds its reading, from 1.
+    pub columns: Vec<usize>,
+    /// For each backbone 1, or −1 where its encoder counts the other way.
+    pub signs: Vec<i8>,
+    /// What one unit of the log is, mm.
+    pub scale: f64,
+    /// How many rows after a frame's own index its reading stands.
+    pub index_shift: i64,
+}
+
+impl Wiring {
+    /// Every column as it stands.
+    pub fn straight(backbones: usize) -> Self {
+        Self { columns: (1..=backbones).collect(), signs: vec![1; backbones], scale: 1.0, index_shift: 0 }
+    }
+
+    /// Whether it leaves a log as it is.
+    pub fn is_straight(&self) -> bool {
+        *self == Self::straight(self.columns.len())
+    }
+
+    /// Whether it can be that of a robot of so many backbones: each column once, signs of 1 and −1, a positive scale.
+    pub fn fits(&self, backbones: usize) -> bool {
+        let mut columns = self.columns.clone();
+        columns.sort_unstable();
+        columns.iter().copied().eq(1..=backbones)
+            && self.signs.len() == backbones
+            && self.signs.iter().all(|sign| sign.abs() == 1)
+            && self.scale.is_finite()
+            && self.scale > 0.0
+    }
+
+    /// The wiring of the log, where `next` is that of the readings which this one gives.
+    pub fn then(&self, next: &Self) -> Self {
+        let through = |i: usize| next.columns[i] - 1;
+        Self {
+            columns: (0..next.columns.len()).map(|i| self.columns[through(i)]).collect(),
+            signs: (0..next.signs.len()).map(|i| next.signs[i] * self.signs[through(i)]).collect(),
+            scale: self.scale * next.scale,
+            index_shift: self.index_shift + next.index_shift,
+        }
+    }
+
+    /// Readings of the backbones, mm, from a row of the log; of a wiring that [`fits`](Self::fits).
+    pub fn q_mm(&self, row: &PerBackbone) -> PerBackbone {
+        PerBackbone::from_fn(row.len(), |i| self.scale * f64::from(self.signs[i]) * row[self.columns[i] - 1])
+    }
+
+    /// The readings that a log means. A row whose frame would come before frame 0 is left out.
+    pub fn readings(&self, log: &[EncoderReading]) -> Vec<EncoderReading> {
+        let reading = |row: &EncoderReading| {
+            let index = row.index.checked_add_signed(self.index_shift.checked_neg()?)?;
+            Some(EncoderReading { index, time_s: row.time_s, q_mm: self.q_mm(&row.q_mm) })
+        };
+        log.iter().filter_map(reading).collect()
+    }
+}
+
 /// One row of truth.csv: what a synthetic frame shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Truth {
@@ -205,6 +269,28 @@ pub struct Waypoint {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_wiring_puts_columns_signs_unit_and_rows_right() {
+        let row = |index, q: [f64; 3]| EncoderReading { index, time_s: 0.5, q_mm: PerBackbone::from(q) };
+        let wiring = Wiring { columns: vec![2, 3, 1], signs: vec![1, -1, 1], scale: 10.0, index_shift: 1 };
+        assert!(wiring.fits(3) && !wiring.fits(4) && !wiring.is_straight() && Wiring::straight(4).is_straight());
+        let log = [row(0, [1.0, 2.0, 3.0]), row(1, [4.0, 5.0, 6.0])];
+        assert_eq!(wiring.readings(&log), [row(0, [50.0, -60.0, 40.0])], "the row before the first frame is left out");
+        let swapped = Wiring { columns: vec![1, 3, 2], signs: vec![-1, 1, 1], scale: 0.5, index_shift: 0 };
+        let composed = wiring.then(&swapped);
+        assert_eq!(composed.readings(&log), swapped.readings(&wiring.readings(&log)), "one after the other");
+        for wrong in [
+            Wiring { columns: vec![1, 1, 2], ..wiring.clone() },
+            Wiring { columns: vec![0, 1, 2], ..wiring.clone() },
+            Wiring { signs: vec![1, 0, 1], ..wiring.clone() },
+            Wiring { signs: vec![1, 1], ..wiring.clone() },
+            Wiring { scale: f64::NAN, ..wiring.clone() },
+            Wiring { scale: -1.0, ..wiring },
+        ] {
+            assert!(!wrong.fits(3), "{wrong:?}");
+        }
+    }
 
     #[test]
     fn every_status_survives_its_own_word() {

@@ -3,14 +3,17 @@
 use super::console::Console;
 use super::estimator::EstimatorArgs;
 use super::inputs::{measurements_and_readings, model_or_paper, with_effects};
+use super::verdict::{VerdictArgs, verdict_text};
 use crate::cli::failure::Failure;
-use crate::estimate::{EstimateRow, Verdict, estimate, estimate_stem};
+use crate::estimate::{EstimateRow, Verdict as RowVerdict, estimate, estimate_stem, or_one_gain};
 use crate::observation::{EncoderReading, Measurement};
-use crate::record::{estimates_csv, stems_csv, write_atomically, write_model};
+use crate::record::{estimates_csv, stems_csv, write_atomically, write_judged_model, write_model};
 use crate::robot::{Effect, Estimate, Model};
+use crate::verdict::{Subject, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 
 /// Update η and λ from measurements and encoder readings: writes OUT/model.toml and OUT/estimate.csv
@@ -39,6 +42,8 @@ pub struct Args {
     stem: bool,
     #[command(flatten)]
     estimator: EstimatorArgs,
+    #[command(flatten)]
+    verdict: VerdictArgs,
 }
 
 /// The stem's angle as results are printed.
@@ -51,18 +56,34 @@ struct Followed {
     output: PathBuf,
 }
 
+/// The verdict and the result below it.
+#[derive(Debug, Serialize)]
+struct Summary {
+    verdict: Verdict,
+    #[serde(flatten)]
+    estimated: Estimated,
+}
+
 /// η and λ as results are printed, and what became of the measurements.
 #[derive(Debug, Serialize)]
 pub struct Estimated {
-    pub eta: f64,
-    pub sd_eta: f64,
-    pub lambda_mm: f64,
-    pub sd_lambda_mm: f64,
+    /// `None` where the measurements do not pin them.
+    #[serde(flatten)]
+    pub parameters: Option<Parameters>,
     pub used: usize,
     pub rejected: usize,
     pub skipped: usize,
     /// How often each reason for not using a measurement came up.
     pub reasons: BTreeMap<String, usize>,
+}
+
+/// η and λ with their standard deviations.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Parameters {
+    pub eta: f64,
+    pub sd_eta: f64,
+    pub lambda_mm: f64,
+    pub sd_lambda_mm: f64,
 }
 
 impl Args {
@@ -80,10 +101,20 @@ impl Args {
         )?;
         let mut verdicts = Verdicts::default();
         steps.iter().for_each(|step| verdicts.add(step));
-        let estimated = Estimated::of(verdicts, model.estimate, &self.measurements)?;
-        write_model(&self.output.join("model.toml"), &model)?;
-        console.result(&estimated, || estimated.text());
-        Ok(())
+        let rows = || measurements.iter().cloned().map(Ok::<_, Infallible>);
+        let Ok((model, replaced)) = or_one_gain(model, rows(), &encoders);
+        let estimated = Estimated::of(verdicts, model.estimate);
+        let used_and_rejected = Some((estimated.used, estimated.rejected));
+        let subject =
+            Subject { used_and_rejected, replaced, ..Subject::new(&model, self.estimator.options(1.0).sd_encoder_mm) };
+        let Ok(verdict) = subject.verdict(rows(), &encoders);
+        if model.estimate.is_some() {
+            write_judged_model(&self.output.join("model.toml"), &model, &verdict)?;
+        }
+        let summary = Summary { verdict, estimated };
+        console.result(&summary, || verdict_text(&summary.verdict) + &summary.estimated.text());
+        summary.estimated.require_parameters(&self.measurements)?;
+        self.verdict.check(&summary.verdict)
     }
 
     fn follow_stem(
@@ -135,53 +166,50 @@ impl Verdicts {
     /// Adds a row's.
     pub fn add(&mut self, row: &EstimateRow) {
         match row.verdict {
-            Verdict::Used => self.used += 1,
-            Verdict::Rejected => self.rejected += 1,
-            Verdict::Skipped => self.skipped += 1,
+            RowVerdict::Used => self.used += 1,
+            RowVerdict::Rejected => self.rejected += 1,
+            RowVerdict::Skipped => self.skipped += 1,
         }
-        if row.verdict != Verdict::Used {
+        if row.verdict != RowVerdict::Used {
             *self.reasons.entry(row.reason.clone()).or_default() += 1;
         }
     }
 }
 
 impl Estimated {
-    /// What became of the rows; an error where the measurements pinned no estimate, since a model without one would pass for an
-    /// estimated one. `source` is named in it.
-    pub fn of(verdicts: Verdicts, estimate: Option<Estimate>, source: &Path) -> Result<Self> {
+    /// What became of the rows.
+    pub fn of(verdicts: Verdicts, estimate: Option<Estimate>) -> Self {
         let Verdicts { used, rejected, skipped, reasons } = verdicts;
-        let Some(estimate) = estimate else {
-            let why: Vec<_> = reasons.iter().map(|(reason, count)| format!("{reason} {count}")).collect();
-            let message = format!(
-                "{} measurements give no estimate of η and λ; at least two that differ in bend and have encoder \
-                 readings are needed (not used: {})",
-                used + rejected + skipped,
-                if why.is_empty() { "none".to_owned() } else { why.join(", ") }
-            );
-            return Err(Error::content(source, message));
-        };
-        Ok(Self {
+        let parameters = estimate.map(|estimate| Parameters {
             eta: estimate.eta,
             sd_eta: estimate.sd_eta(),
             lambda_mm: estimate.lambda_mm,
             sd_lambda_mm: estimate.sd_lambda_mm(),
-            used,
-            rejected,
-            skipped,
-            reasons,
-        })
+        });
+        Self { parameters, used, rejected, skipped, reasons }
+    }
+
+    /// An error where the measurements pinned no estimate. `source` is named in it.
+    pub fn require_parameters(&self, source: &Path) -> Result<()> {
+        if self.parameters.is_some() {
+            return Ok(());
+        }
+        let why: Vec<_> = self.reasons.iter().map(|(reason, count)| format!("{reason} {count}")).collect();
+        let message = format!(
+            "{} measurements give no estimate of η and λ; at least two that differ in bend and have encoder readings are needed \
+             (not used: {})",
+            self.used + self.rejected + self.skipped,
+            if why.is_empty() { "none".to_owned() } else { why.join(", ") }
+        );
+        Err(Error::content(source, message))
     }
 
     /// Lines for people.
     pub fn text(&self) -> String {
-        format!(
-            "η             {:.4} ± {:.4}\nλ             {:.4} ± {:.4} mm\nmeasurements  {}\n",
-            self.eta,
-            self.sd_eta,
-            self.lambda_mm,
-            self.sd_lambda_mm,
-            self.counts()
-        )
+        let lines = self.parameters.map(|Parameters { eta, sd_eta, lambda_mm, sd_lambda_mm }| {
+            format!("η             {eta:.4} ± {sd_eta:.4}\nλ             {lambda_mm:.4} ± {sd_lambda_mm:.4} mm\n")
+        });
+        format!("{}measurements  {}\n", lines.unwrap_or_default(), self.counts())
     }
 
     /// "34 used, 1 rejected, 1 skipped (bend_outlier 1, no_snake 1)".

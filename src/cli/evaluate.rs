@@ -2,12 +2,16 @@
 
 use super::console::Console;
 use super::inputs::{measurements_and_readings, model_or_paper, rows};
+use super::verdict::{VerdictArgs, verdict_text};
 use crate::cli::failure::Failure;
+use crate::estimate::Options;
 use crate::estimate::accuracy::{Accuracy, AngleScore, accuracy};
 use crate::estimate::gap::{Gap, gap};
 use crate::record::read_truth;
+use crate::verdict::{Subject, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
+use std::convert::Infallible;
 use std::path::PathBuf;
 
 /// Tell how well a model explains measurements, or how close measurements are to a known truth
@@ -31,10 +35,16 @@ pub struct Args {
     /// The true angles of synthetic frames (truth.csv): scores the measurements themselves
     #[arg(long, value_name = "CSV")]
     truth: Option<PathBuf>,
+    /// Standard deviation of an encoder reading, mm
+    #[arg(long, value_name = "MM", default_value_t = Options::default().sd_encoder_mm)]
+    encoder_sd: f64,
+    #[command(flatten)]
+    verdict: VerdictArgs,
 }
 
 #[derive(Serialize)]
 struct Evaluation {
+    verdict: Verdict,
     #[serde(flatten)]
     gap: Option<Gap>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -67,15 +77,17 @@ impl Args {
                 Some(accuracy)
             }
         };
-        let evaluation = Evaluation { gap, accuracy };
+        let subject = Subject::new(&model, self.encoder_sd);
+        let Ok(verdict) = subject.verdict(measurements.iter().cloned().map(Ok::<_, Infallible>), &readings);
+        let evaluation = Evaluation { verdict, gap, accuracy };
         console.result(&evaluation, || evaluation.text());
-        Ok(())
+        self.verdict.check(&evaluation.verdict)
     }
 }
 
 impl Evaluation {
     fn text(&self) -> String {
-        let mut text = String::new();
+        let mut text = verdict_text(&self.verdict);
         if let Some(gap) = &self.gap {
             text += &format!(
                 "samples      {}\nrms of ε     {:.5} mm (noise alone: {:.5} mm)\nrms of θ     {:.3}°\n\

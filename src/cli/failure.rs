@@ -8,6 +8,9 @@ pub enum Failure {
     /// The call cannot work as it was made.
     #[error("{0}")]
     Usage(String),
+    /// The result must not be used, and the call asked to be told by the exit code.
+    #[error("do not use (--strict): {0}")]
+    Verdict(String),
     /// The work failed.
     #[error(transparent)]
     Work(#[from] Error),
@@ -23,7 +26,7 @@ impl Failure {
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Usage(_) | Self::Work(Error::Argument(_)) => 2,
-            Self::Work(_) => 1,
+            Self::Verdict(_) | Self::Work(_) => 1,
         }
     }
 }

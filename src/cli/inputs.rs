@@ -68,10 +68,15 @@ pub fn model_of(experiment: &Experiment) -> Result<Model> {
     Ok(model)
 }
 
-/// An experiment's encoder log, of the model's robot; empty where it has none.
+/// An experiment's encoder log, of the model's robot, read by the experiment's wiring; empty where it has none.
 pub fn encoders_of(experiment: &Experiment, model: &Model) -> Result<Checked<EncoderReading>> {
+    let backbones = model.robot.backbone_count();
+    let wiring = experiment.wiring(backbones)?;
     match &experiment.encoders {
-        Some(path) => read_encoders(path, model.robot.backbone_count()),
+        Some(path) => {
+            let Checked { rows, warnings } = read_encoders(path, backbones)?;
+            Ok(Checked { rows: wiring.readings(&rows), warnings })
+        }
         None => Ok(Checked { rows: Vec::new(), warnings: Vec::new() }),
     }
 }

@@ -3,6 +3,7 @@
 use super::console::Console;
 use super::estimator::EstimatorArgs;
 use super::inputs::{encoders_of, model_of, rows};
+use super::verdict::{VerdictArgs, verdict_text};
 use super::views::rig_of;
 use crate::camera::{CaptureSettings, CaptureTarget, FrameSource, Lens};
 use crate::cli::failure::Failure;
@@ -13,6 +14,7 @@ use crate::live::{
 use crate::measure::{Eye, Rig, RigOptions};
 use crate::record::{self, Experiment, RigSource, read_model};
 use crate::robot::Robot;
+use crate::verdict::Verdict;
 use crate::{Error, Result};
 use serde::Serialize;
 use std::net::SocketAddr;
@@ -92,6 +94,8 @@ pub struct Args {
     stem: bool,
     #[command(flatten)]
     estimator: EstimatorArgs,
+    #[command(flatten)]
+    verdict: VerdictArgs,
 }
 
 /// Forgetting factor: the share of earlier information kept at each measurement. Convention: the user's choice (`--keep`); 0.9995 is a
@@ -118,6 +122,7 @@ fn positive(text: &str) -> std::result::Result<f64, String> {
 
 #[derive(Serialize)]
 struct Summary {
+    verdict: Verdict,
     frames: u64,
     dropped: u64,
     measurements: u64,
@@ -153,7 +158,7 @@ impl Args {
         let latencies = live.finish()?;
         let summary = Summary::new(&shared.state(), &latencies, self.output.clone());
         console.result(&summary, || summary.text());
-        Ok(())
+        self.verdict.check(&summary.verdict)
     }
 
     /// Waits until the user ends the run; without a dashboard also until a recording has ended.
@@ -191,7 +196,11 @@ impl Args {
         }
         let (source, source_name) = self.source(&experiment, view)?;
         let encoders = match &self.encoders {
-            Some(from) => EncoderInput::Lines { source: from.clone(), offset_s: self.encoder_offset },
+            Some(from) => EncoderInput::Lines {
+                source: from.clone(),
+                offset_s: self.encoder_offset,
+                wiring: experiment.wiring(model.robot.backbone_count())?,
+            },
             None if source.is_recording() && experiment.encoders.is_some() => {
                 EncoderInput::Log(rows(console, encoders_of(&experiment, &model)?))
             }
@@ -282,6 +291,7 @@ fn without_secrets(address: &str) -> String {
 impl Summary {
     fn new(state: &State, latencies: &Histogram, output: PathBuf) -> Self {
         Self {
+            verdict: state.verdict.clone(),
             frames: state.source.frames,
             dropped: state.source.dropped,
             measurements: state.measurements,
@@ -303,17 +313,18 @@ impl Summary {
         };
         let stem =
             self.stem.map(|stem| format!(", Φ {:.1} ± {:.1}°", stem.phi_deg, stem.sd_phi_deg)).unwrap_or_default();
-        format!(
-            "{} frames, {} dropped; {} measured of {}\n{estimate}{stem}\nlatency p50 {:.1} ms, p99 {:.1} ms\n{}{}",
-            self.frames,
-            self.dropped,
-            self.measured,
-            self.measurements,
-            self.latency_p50_ms,
-            self.latency_p99_ms,
-            self.histogram,
-            self.output.display()
-        )
+        verdict_text(&self.verdict)
+            + &format!(
+                "{} frames, {} dropped; {} measured of {}\n{estimate}{stem}\nlatency p50 {:.1} ms, p99 {:.1} ms\n{}{}",
+                self.frames,
+                self.dropped,
+                self.measured,
+                self.measurements,
+                self.latency_p50_ms,
+                self.latency_p99_ms,
+                self.histogram,
+                self.output.display()
+            )
     }
 }
 

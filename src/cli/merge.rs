@@ -7,6 +7,7 @@ use super::console::Console;
 use super::measuring::Summary;
 use super::origin::{Done, Origin, SHARD};
 use super::run::{Inputs, finish};
+use super::verdict::VerdictArgs;
 use crate::cli::failure::Failure;
 use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::record::{
@@ -33,6 +34,8 @@ pub struct Args {
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
+    #[command(flatten)]
+    verdict: VerdictArgs,
 }
 
 impl Args {
@@ -54,7 +57,8 @@ impl Args {
         let inputs = Inputs::read(console, &experiment)?;
         let summary = finish(&experiment, &inputs, settings, &self.output, None)?;
         console.result(&summary, || summary.text());
-        Ok(())
+        summary.require_table(&experiment)?;
+        self.verdict.check(&summary.verdict)
     }
 
     /// What all shards are made from.

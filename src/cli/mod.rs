@@ -28,6 +28,7 @@ mod run;
 mod shard;
 mod simulate;
 mod table;
+mod verdict;
 mod views;
 
 use crate::Result;

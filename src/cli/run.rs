@@ -1,25 +1,27 @@
 //! `run`: the main job, from frames and encoders to a compensation table and a report.
 
 use super::console::Console;
-use super::estimate::{Estimated, Verdicts};
+use super::estimate::{Estimated, Parameters, Verdicts};
 use super::flow::{MeasuredFrames, Throughput};
 use super::inputs::{encoders_of, model_of};
 use super::measuring::{self, Count, Measured, MeasuringArgs};
 use super::origin::Settings;
 use super::overlays::{Overlays, draw, pictures};
 use super::table::largest_correction_mm;
+use super::verdict::{VerdictArgs, subject, verdict_text};
 use super::views::open_views;
 use crate::cli::failure::Failure;
-use crate::estimate::estimate_each;
 use crate::estimate::gap::{Gap, gap_of};
+use crate::estimate::{estimate_each, or_one_gain};
 use crate::observation::EncoderReading;
 use crate::record::{
     Checked, Experiment, MeasurementRows, PendingFile, Warning, estimate_line, estimates_header, write_atomically,
-    write_compensation, write_model,
+    write_judged_compensation, write_judged_model,
 };
 use crate::report::run_history::RunHistory;
 use crate::report::run_page::Report;
 use crate::robot::{Grid, Model};
+use crate::verdict::{Subject, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -42,11 +44,14 @@ pub struct Args {
     measuring: MeasuringArgs,
     #[command(flatten)]
     settings: Settings,
+    #[command(flatten)]
+    verdict: VerdictArgs,
 }
 
 /// The result, as it is printed.
 #[derive(Serialize)]
 pub struct Summary {
+    pub verdict: Verdict,
     frames: usize,
     statuses: BTreeMap<String, usize>,
     #[serde(flatten)]
@@ -55,13 +60,20 @@ pub struct Summary {
     gap: Gap,
     /// What the naive model (η = 1, λ = 0) leaves.
     naive_gap: Gap,
-    /// Poses in the compensation table.
-    poses: usize,
-    /// The largest correction |q̃ − q| in it, mm.
-    largest_correction_mm: f64,
+    /// The compensation table; `None` without an estimate.
+    #[serde(flatten)]
+    table: Option<Table>,
     #[serde(flatten)]
     throughput: Option<Throughput>,
     output: PathBuf,
+}
+
+#[derive(Serialize)]
+struct Table {
+    /// Its poses.
+    poses: usize,
+    /// The largest correction |q̃ − q| in it, mm.
+    largest_correction_mm: f64,
 }
 
 impl Args {
@@ -83,6 +95,8 @@ impl Args {
                 let summary = finish(&experiment, &inputs, self.settings, &self.output, Some(throughput))?;
                 journal.remove()?;
                 console.result(&summary, || summary.text());
+                summary.require_table(&experiment)?;
+                self.verdict.check(&summary.verdict)?;
             }
         }
         Ok(())
@@ -122,7 +136,6 @@ pub fn finish(
     let Inputs { start, encoders, warnings } = inputs;
     let path = output.join("measurements.csv");
     let count = Count::of(&path)?;
-    count.require_some_measured(experiment)?;
 
     let rows = || MeasurementRows::open(&path);
     let mut history = RunHistory::new(count.frames);
@@ -143,9 +156,20 @@ pub fn finish(
     })?;
     estimates.commit()?;
 
-    let estimated = Estimated::of(verdicts, model.estimate, &experiment.path)?;
-    write_model(&output.join("model.toml"), &model)?;
-    let table = write_compensation(output, &model, "model.toml", &Grid::default())?;
+    let (model, replaced) = or_one_gain(model, rows()?, encoders)?;
+    let estimated = Estimated::of(verdicts, model.estimate);
+    let used_and_rejected = Some((estimated.used, estimated.rejected));
+    let wiring = experiment.wiring(backbones)?;
+    let judged = subject(&model, experiment, wiring, settings.estimator.options(1.0).sd_encoder_mm);
+    let verdict = Subject { used_and_rejected, replaced, ..judged }.verdict(rows()?, encoders)?;
+    let table = match model.estimate {
+        Some(_) => {
+            write_judged_model(&output.join("model.toml"), &model, &verdict)?;
+            let table = write_judged_compensation(output, &model, "model.toml", &Grid::default(), &verdict)?;
+            Some(Table { poses: table.len(), largest_correction_mm: largest_correction_mm(&table) })
+        }
+        None => None,
+    };
     let naive = Model { estimate: None, ..model.clone() };
     let summary = Summary {
         frames: count.frames,
@@ -153,10 +177,10 @@ pub fn finish(
         estimated,
         gap: gap_of(&model, rows()?, encoders)?,
         naive_gap: gap_of(&naive, rows()?, encoders)?,
-        poses: table.len(),
-        largest_correction_mm: largest_correction_mm(&table),
+        table,
         throughput,
         output: output.to_owned(),
+        verdict,
     };
     let pictures = match settings.overlays {
         Overlays::None => Vec::new(),
@@ -164,6 +188,7 @@ pub fn finish(
     };
     let report = Report {
         title: format!("snakeloop: {}", name_of(experiment)),
+        verdict: summary.verdict.clone(),
         summary: summary.lines(),
         history: &history,
         pictures,
@@ -210,17 +235,34 @@ impl Summary {
             .collect();
         let failed = if failed.is_empty() { String::new() } else { format!(" ({})", failed.join(", ")) };
         let (gap, naive, estimated) = (&self.gap, &self.naive_gap, &self.estimated);
-        let lines = [
+        let mut lines = vec![
             ("frames measured", format!("{measured} of {}{failed}", self.frames)),
             ("measurements", estimated.counts()),
-            ("force scale η", format!("{:.4} ± {:.4}", estimated.eta, estimated.sd_eta)),
-            ("backlash λ", format!("{:.4} ± {:.4} mm", estimated.lambda_mm, estimated.sd_lambda_mm)),
-            ("ε left (rms)", format!("{:.4} mm, noise alone {:.4} mm", gap.rms_eps_mm, gap.noise_floor_mm)),
-            ("θ left (rms)", format!("{:.3}°, naive model {:.3}°", gap.rms_theta_deg, naive.rms_theta_deg)),
-            ("δ left (rms)", format!("{:.3}°, naive model {:.3}°", gap.rms_delta_deg, naive.rms_delta_deg)),
-            ("compensation", format!("{} poses, largest correction {:.3} mm", self.poses, self.largest_correction_mm)),
         ];
-        lines.map(|(name, value)| (name.to_owned(), value)).to_vec()
+        if let Some(Parameters { eta, sd_eta, lambda_mm, sd_lambda_mm }) = estimated.parameters {
+            lines.push(("force scale η", format!("{eta:.4} ± {sd_eta:.4}")));
+            lines.push(("backlash λ", format!("{lambda_mm:.4} ± {sd_lambda_mm:.4} mm")));
+        }
+        if gap.samples > 0 {
+            lines.push(("ε left (rms)", format!("{:.4} mm, noise alone {:.4} mm", gap.rms_eps_mm, gap.noise_floor_mm)));
+            lines.push(("θ left (rms)", format!("{:.3}°, naive model {:.3}°", gap.rms_theta_deg, naive.rms_theta_deg)));
+            lines.push(("δ left (rms)", format!("{:.3}°, naive model {:.3}°", gap.rms_delta_deg, naive.rms_delta_deg)));
+        }
+        lines.push(match &self.table {
+            Some(Table { poses, largest_correction_mm }) => {
+                ("compensation", format!("{poses} poses, largest correction {largest_correction_mm:.3} mm"))
+            }
+            None => ("compensation", "none: η and λ are not known".to_owned()),
+        });
+        lines.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
+    }
+
+    /// An error where there is no table, since the measurements gave no estimate.
+    pub fn require_table(&self, experiment: &Experiment) -> Result<()> {
+        if !self.statuses.contains_key("ok") {
+            Count { frames: self.frames, statuses: self.statuses.clone() }.require_some_measured(experiment)?;
+        }
+        self.estimated.require_parameters(&experiment.path)
     }
 
     /// Lines for people.
@@ -231,6 +273,6 @@ impl Summary {
         let written = ("written", self.output.join("report.html").display().to_string());
         let last = speed.into_iter().chain([written]).map(|(name, value)| (name.to_owned(), value));
         let lines = self.lines().into_iter().chain(last).map(|(name, value)| format!("{name:<16} {value}\n"));
-        lines.collect()
+        verdict_text(&self.verdict) + &lines.collect::<String>()
     }
 }

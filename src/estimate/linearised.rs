@@ -65,7 +65,7 @@ impl LinearisedMeasurement {
     }
 
     /// Linearises one measurement; `model` carries the estimate so far, if there is one.
-    pub(super) fn new(
+    pub(crate) fn new(
         model: &Model,
         weighting: Weighting,
         sd_encoder_mm: f64,
@@ -136,7 +136,7 @@ fn smoothed(
 ///
 /// Along the bend σ_θ² + θ²σ_δ⁴/2, across it (θ² + σ_θ²) σ_δ²: what first order leaves out matters where δ is hardly
 /// known, near straight and where the camera looks along the bend. δ is never worse than wholly unknown, π/√3.
-pub(super) fn bend_covariance(measured: &Measured, at: Configuration) -> Matrix2<f64> {
+pub(crate) fn bend_covariance(measured: &Measured, at: Configuration) -> Matrix2<f64> {
     let sigma_delta = measured.sigma_delta.min(PI / 3f64.sqrt());
     let along = measured.sigma_theta.powi(2) + at.theta.powi(2) * sigma_delta.powi(4) / 2.0;
     let across = (at.theta.powi(2) + measured.sigma_theta.powi(2)) * sigma_delta.powi(2);

@@ -43,7 +43,7 @@ impl fmt::Display for Reason {
 }
 
 /// What a measurement and its reading hold, on a robot of so many backbones, if all of it can be used.
-pub(super) fn usable(
+pub(crate) fn usable(
     backbones: usize,
     measurement: &Measurement,
     reading: Option<&EncoderReading>,

@@ -43,6 +43,7 @@ mod source;
 mod status;
 mod straight_reference;
 pub mod tui;
+mod verdict_worker;
 
 pub use access_control::AccessControl;
 pub use annotated_video::AnnotatedVideo;

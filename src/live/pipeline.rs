@@ -16,6 +16,7 @@ use super::shared_state::SharedState;
 use super::source::FrameReader;
 use super::status::{EstimateStatus, FrameTimingState, GapState, Row, StemStatus};
 use super::straight_reference::RenewableEye;
+use super::verdict_worker::VerdictWorker;
 use crate::camera::Frame;
 use crate::error::Result;
 use crate::measure::FrameMeasurement;
@@ -60,6 +61,8 @@ pub struct Pipeline {
     pub video: Arc<AnnotatedVideo>,
     /// What searches for missing physics.
     pub discovery: DiscoveryWorker,
+    /// What judges the model.
+    pub verdict: VerdictWorker,
     /// What users ask for.
     pub requests: Receiver<Request>,
     /// Set when the loop is to end.
@@ -180,6 +183,10 @@ impl Pipeline {
             row.reason = format!("came {:.0} ms late: its time is not certain", 1000.0 * late_s);
         }
         self.publish(&measurement, row, &update);
+        if self.verdict.is_due() {
+            let (_, measurements, readings) = self.estimator.samples();
+            self.verdict.start(measurements, readings);
+        }
         if update.gap.state == GapState::Above && self.discovery.is_free() {
             self.discovery.start(self.estimator.samples());
         }
@@ -297,6 +304,8 @@ impl Pipeline {
         self.stop.store(true, Ordering::Relaxed);
         self.learn(&mut progress)?;
         self.show(&mut progress);
+        let (_, measurements, readings) = self.estimator.samples();
+        self.verdict.finish(&measurements, &readings);
         let is_estimated = self.shared.lock().model.estimate.is_some();
         let saved = if is_estimated { save(&self.shared, &self.output) } else { Ok(()) };
         final_tables::write(&self.output, self.estimator)?;

@@ -15,6 +15,7 @@ use super::shared_state::SharedState;
 use super::source::FrameReader;
 use super::status::{EstimateStatus, State, StemStatus};
 use super::straight_reference::RenewableEye;
+use super::verdict_worker::VerdictWorker;
 use crate::error::{Error, Result};
 use std::path::Path;
 use std::sync::Arc;
@@ -41,7 +42,7 @@ impl Live {
         let Setup { view, source, source_name, encoders, model, options, stem, output, resume, save_every } = setup;
         let mut estimator = OnlineEstimator::new(model.clone(), options, stem)?;
         let clock = Arc::new(FrameClock::default());
-        let encoders = Arc::new(encoders.open(model.robot.backbone_count(), Arc::clone(&clock)));
+        let encoders = Arc::new(encoders.open(Arc::clone(&clock)));
         let shared = Arc::new(SharedState::new(State::at_start(source_name, encoders.status()), model.clone()));
         let (journal, next_index) = open_journal(&output, resume, &mut estimator, &shared)?;
         let reader = FrameReader::start(source, next_index, clock)?;
@@ -60,6 +61,7 @@ impl Live {
         let stop = Arc::new(AtomicBool::new(false));
         let View { name, lens, robot, rig_options, eye } = view;
         let discovery = DiscoveryWorker::new(Arc::clone(&shared), output.clone(), options.sd_encoder_mm);
+        let verdict = VerdictWorker::new(Arc::clone(&shared), options.sd_encoder_mm);
         let eye = Arc::new(RenewableEye::new(eye, lens, robot, rig_options, output.clone()));
         let pipeline = Pipeline {
             view: name,
@@ -71,6 +73,7 @@ impl Live {
             shared: Arc::clone(&shared),
             video: Arc::clone(&video),
             discovery,
+            verdict,
             requests,
             stop: Arc::clone(&stop),
             output,

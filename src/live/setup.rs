@@ -6,7 +6,7 @@ use super::source::Source;
 use crate::camera::Lens;
 use crate::estimate::{Options, StemOptions};
 use crate::measure::{Eye, RigOptions};
-use crate::observation::EncoderReading;
+use crate::observation::{EncoderReading, Wiring};
 use crate::robot::{Model, Robot};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -65,16 +65,18 @@ pub enum EncoderInput {
         source: EncoderSource,
         /// What to add to a time stamp to get the frames' time, s; estimated where it is not given.
         offset_s: Option<f64>,
+        /// How their columns hold the readings.
+        wiring: Wiring,
     },
 }
 
 impl EncoderInput {
-    /// Opens it for a robot with so many backbones.
-    pub fn open(self, backbones: usize, clock: Arc<FrameClock>) -> Encoders {
+    /// Opens it.
+    pub fn open(self, clock: Arc<FrameClock>) -> Encoders {
         match self {
             Self::None => Encoders::None,
             Self::Log(readings) => Encoders::log(readings),
-            Self::Lines { source, offset_s } => Encoders::lines(source, backbones, clock, offset_s),
+            Self::Lines { source, offset_s, wiring } => Encoders::lines(source, wiring, clock, offset_s),
         }
     }
 }

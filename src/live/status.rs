@@ -7,6 +7,7 @@ use crate::camera::CaptureSettings;
 use crate::estimate::{StemAngle, Verdict};
 use crate::observation::Measurement;
 use crate::robot::{Model, PerBackbone};
+use crate::verdict::{Code, Level, Reason, Verdict as RunVerdict};
 use serde::Serialize;
 
 /// Everything at one moment, as `GET /api/state` gives it.
@@ -16,6 +17,8 @@ pub struct State {
     pub version: &'static str,
     /// What frames come from, in words.
     pub source_name: String,
+    /// Whether what was learned so far can be relied on.
+    pub verdict: RunVerdict,
     /// Seconds since the run began.
     pub elapsed_s: f64,
     /// Whether measuring is paused.
@@ -58,8 +61,15 @@ pub struct State {
 impl State {
     /// Before the first frame.
     pub fn at_start(source_name: String, encoders: EncoderStatus) -> Self {
-        Self { version: env!("CARGO_PKG_VERSION"), source_name, encoders, ..Self::default() }
+        let verdict = nothing_judged();
+        Self { version: env!("CARGO_PKG_VERSION"), source_name, verdict, encoders, ..Self::default() }
     }
+}
+
+/// The verdict before anything was judged.
+pub fn nothing_judged() -> RunVerdict {
+    let remedy = "bend the snake, in at least two planes";
+    RunVerdict::of(vec![Reason::new(Code::WorkspaceNotCovered, Level::Look, "nothing was judged yet", remedy)])
 }
 
 /// One measurement and what the estimator did with it.

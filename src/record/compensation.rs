@@ -10,14 +10,15 @@
 //! | `f1_n` … `fn_n` | with force limits: what the actuation unit exerts on each, positive where it pushes |
 //! | `within_limits` | with force limits: 1 where all lie within them, else 0 |
 //!
-//! The JSON has the same rows under `rows`, the model under `model` with model.toml's keys, and under `provenance` what
-//! made them.
+//! The JSON has the same rows under `rows`, the model under `model` with model.toml's keys, under `provenance` what made them,
+//! and under `verdict` whether `run` found that they can be relied on.
 
 use super::columns::{azimuth, backbone_columns, backbone_decimals, csv_text, decimals};
 use super::model::ModelFile;
 use super::write::write_atomically;
 use crate::error::{Error, Result};
 use crate::robot::{Grid, Model, Sharing, TableRow, compensation_table};
+use crate::verdict::Verdict;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 use std::path::Path;
@@ -53,7 +54,12 @@ pub fn compensation_csv(rows: &[TableRow]) -> String {
 /// # Errors
 /// [`Error::Encode`] for a number that JSON cannot hold.
 pub fn compensation_json(model: &Model, source: &str, grid: &Grid, rows: &[TableRow]) -> Result<String> {
+    json_text(model, source, grid, rows, None)
+}
+
+fn json_text(model: &Model, source: &str, grid: &Grid, rows: &[TableRow], verdict: Option<&Verdict>) -> Result<String> {
     let file = CompensationFile {
+        verdict,
         provenance: Provenance {
             program: "snakeloop",
             version: env!("CARGO_PKG_VERSION"),
@@ -66,6 +72,22 @@ pub fn compensation_json(model: &Model, source: &str, grid: &Grid, rows: &[Table
     };
     let text = serde_json::to_string_pretty(&file);
     text.map(|text| text + "\n").map_err(Error::encode("the table"))
+}
+
+/// [`write_compensation`] of a model that was judged: the JSON has the verdict under `verdict`.
+///
+/// # Errors
+/// Those of [`write_compensation`].
+pub fn write_judged_compensation(
+    folder: &Path,
+    model: &Model,
+    source: &str,
+    grid: &Grid,
+    verdict: &Verdict,
+) -> Result<Vec<TableRow>> {
+    let rows = compensation_table(model, grid)?;
+    write_tables(folder, model, source, grid, &rows, Some(verdict))?;
+    Ok(rows)
 }
 
 /// Writes compensation.csv and compensation.json into a folder, and gives the rows. `source` says where the model comes from.
@@ -89,13 +111,26 @@ pub fn write_compensation_rows(
     grid: &Grid,
     rows: &[TableRow],
 ) -> Result<()> {
+    write_tables(folder, model, source, grid, rows, None)
+}
+
+fn write_tables(
+    folder: &Path,
+    model: &Model,
+    source: &str,
+    grid: &Grid,
+    rows: &[TableRow],
+    verdict: Option<&Verdict>,
+) -> Result<()> {
     write_atomically(&folder.join("compensation.csv"), compensation_csv(rows).as_bytes())?;
-    let json = compensation_json(model, source, grid, rows)?;
+    let json = json_text(model, source, grid, rows, verdict)?;
     write_atomically(&folder.join("compensation.json"), json.as_bytes())
 }
 
 #[derive(Serialize)]
 struct CompensationFile<'a> {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    verdict: Option<&'a Verdict>,
     provenance: Provenance<'a>,
     model: ModelFile,
     rows: Vec<JsonRow<'a>>,

@@ -2,6 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::input::read_text;
+use crate::observation::Wiring;
 use serde::Deserialize;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -17,8 +18,21 @@ pub struct Experiment {
     pub model: Option<PathBuf>,
     /// The encoder log; measuring alone needs none.
     pub encoders: Option<PathBuf>,
+    /// How the log's columns hold the readings; as they are named where absent.
+    pub wiring: WiringKeys,
     /// The cameras, at least one.
     pub views: Vec<View>,
+}
+
+/// `[wiring]` of an experiment.toml: what it leaves out is as it stands in the log.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WiringKeys {
+    columns: Option<Vec<usize>>,
+    signs: Option<Vec<i8>>,
+    scale: Option<f64>,
+    #[serde(default)]
+    index_shift: i64,
 }
 
 /// One camera's part of an experiment.
@@ -59,6 +73,8 @@ struct ExperimentFile {
     robot: Option<PathBuf>,
     model: Option<PathBuf>,
     encoders: Option<PathBuf>,
+    #[serde(default)]
+    wiring: WiringKeys,
     view: Vec<toml::Spanned<ViewTable>>,
 }
 
@@ -93,6 +109,30 @@ impl Experiment {
         self.path.parent().unwrap_or(Path::new(""))
     }
 
+    /// How the log of a robot of so many backbones is read.
+    ///
+    /// # Errors
+    /// Columns or signs that are not those of as many backbones, a scale that is not positive.
+    pub fn wiring(&self, backbones: usize) -> Result<Wiring> {
+        let WiringKeys { columns, signs, scale, index_shift } = self.wiring.clone();
+        let straight = Wiring::straight(backbones);
+        let wiring = Wiring {
+            columns: columns.unwrap_or(straight.columns),
+            signs: signs.unwrap_or(straight.signs),
+            scale: scale.unwrap_or(straight.scale),
+            index_shift,
+        };
+        if wiring.fits(backbones) {
+            return Ok(wiring);
+        }
+        let message = format!(
+            "[wiring] columns = {:?}, signs = {:?}, scale = {}: expected each column from 1 to {backbones} once, {backbones} \
+             signs of 1 or -1, and a positive scale (mm for one unit of the log)",
+            wiring.columns, wiring.signs, wiring.scale
+        );
+        Err(Error::content(&self.path, message))
+    }
+
     fn parse(path: &Path, text: &str) -> Result<Self> {
         let file: ExperimentFile = toml::from_str(text).map_err(|e| match e.span() {
             Some(span) => Error::at_line(path, line_at(text, span.start), e.message()),
@@ -118,6 +158,7 @@ impl Experiment {
             robot: file.robot.map(here),
             model: file.model.map(here),
             encoders: file.encoders.map(here),
+            wiring: file.wiring,
             views,
         })
     }
@@ -204,6 +245,22 @@ standoff_mm = 25
         assert_eq!(view.delta_offset_deg, 0.0);
         let picture = PathBuf::from("lab/straight.jpg");
         assert_eq!(view.rig, RigSource::Straight { picture, grid_pitch_mm: 1.0, standoff_mm: 25.0 });
+    }
+
+    #[test]
+    fn a_wiring_is_what_is_written_and_else_straight() {
+        assert_eq!(parse(GOOD).unwrap().wiring(4).unwrap(), Wiring::straight(4));
+        let with = |keys: &str| parse(&format!("{GOOD}\n[wiring]\n{keys}\n"));
+        let written = with("columns = [1, 3, 2]\nscale = 1000\nindex_shift = -1").unwrap().wiring(3).unwrap();
+        let expected = Wiring { columns: vec![1, 3, 2], scale: 1000.0, index_shift: -1, ..Wiring::straight(3) };
+        assert_eq!(written, expected);
+        for (keys, backbones) in
+            [("columns = [1, 3, 2]", 4), ("columns = [1, 1, 2]", 3), ("signs = [1, 2, 1]", 3), ("scale = 0.0", 3)]
+        {
+            let message = with(keys).unwrap().wiring(backbones).unwrap_err().to_string();
+            assert!(message.contains("lab/experiment.toml: [wiring]"), "{message}");
+        }
+        assert!(with("sign = [1, 1, 1]").unwrap_err().to_string().contains("unknown field `sign`"));
     }
 
     #[test]

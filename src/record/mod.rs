@@ -23,7 +23,9 @@ pub mod write;
 
 pub use c_header::compensation_c_header;
 pub use columns::csv_of;
-pub use compensation::{compensation_csv, compensation_json, write_compensation, write_compensation_rows};
+pub use compensation::{
+    compensation_csv, compensation_json, write_compensation, write_compensation_rows, write_judged_compensation,
+};
 pub use encoders::{encoders_csv, read_encoders};
 pub use estimates::{estimate_line, estimates_csv, estimates_header};
 pub(crate) use experiment::line_at;
@@ -32,7 +34,7 @@ pub use force::forces_csv;
 pub use friction::read_friction;
 pub use journal::{JOURNAL, MeasurementJournal, difference};
 pub use measurements::{MeasurementRows, measurement_line, measurements_csv, measurements_header, read_measurements};
-pub use model::{model_json, model_toml, read_model, write_model};
+pub use model::{model_json, model_toml, read_model, write_judged_model, write_model};
 pub use recording::{Recorded, write_recording};
 pub use stem::stems_csv;
 pub use table::{Checked, Warning};

@@ -34,6 +34,7 @@ use crate::error::{Error, Result};
 use crate::input::read_text;
 use crate::robot::effects::ParameterSpec;
 use crate::robot::{Effect, Estimate, Friction, Model, Robot};
+use crate::verdict::Verdict;
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -130,6 +131,15 @@ impl From<EstimateTable> for Estimate {
 pub fn read_model(path: &Path) -> Result<Model> {
     let text = read_text(path)?;
     parse(path, &text)
+}
+
+/// Writes a model.toml with its verdict as a comment above it, whole or not at all.
+///
+/// # Errors
+/// Those of [`write_model`].
+pub fn write_judged_model(path: &Path, model: &Model, verdict: &Verdict) -> Result<()> {
+    let comment: String = verdict.lines().iter().map(|line| format!("# {line}\n")).collect();
+    write_atomically(path, (comment + "\n" + &model_toml(model)?).as_bytes())
 }
 
 /// Writes a model.toml, whole or not at all.

@@ -4,8 +4,10 @@ use super::overlay::angles;
 use super::page::{definitions, document, figure, list, table};
 use super::plot::{Plot, Point, Series, Style};
 use super::run_history::RunHistory;
+use super::verdict::verdict_box;
 use crate::estimate::{EstimateRow, Verdict};
 use crate::observation::Measurement;
+use crate::verdict::Verdict as RunVerdict;
 use base64::prelude::{BASE64_STANDARD, Engine};
 use maud::{Markup, html};
 
@@ -23,6 +25,8 @@ pub struct Picture {
 pub struct Report<'a> {
     /// The heading.
     pub title: String,
+    /// Whether the result can be relied on.
+    pub verdict: RunVerdict,
     /// The figures that matter, by name.
     pub summary: Vec<(String, String)>,
     /// The rows that are shown.
@@ -40,6 +44,7 @@ impl Report<'_> {
     pub fn html(&self) -> String {
         let content = html! {
             h1 { (self.title) }
+            (verdict_box(&self.verdict))
             (definitions("summary", &self.summary))
             (self.plots())
             (self.frames_not_measured())
@@ -277,6 +282,7 @@ mod tests {
         measurements.iter().zip(&estimates).for_each(|(measurement, row)| history.add(measurement, row));
         let page = Report {
             title: "bending <1>".into(),
+            verdict: RunVerdict::default(),
             summary: vec![("η".into(), "1.200 ± 0.010".into())],
             history: &history,
             pictures: vec![Picture { caption: "frame 1".into(), jpeg: vec![0xff, 0xd8] }],
@@ -306,6 +312,7 @@ mod tests {
         history.add(&measurement(1, Status::Unreadable), &skipped);
         let page = Report {
             title: "nothing".into(),
+            verdict: RunVerdict::default(),
             summary: vec![],
             history: &history,
             pictures: vec![],

@@ -70,10 +70,15 @@ impl<const D: usize> SerialScatter<D> {
         if self.squares > 0.0 { self.products_with_the_last / self.squares } else { 0.0 }
     }
 
+    /// The design effect of the first autocorrelation, 1 to 19.
+    pub fn design_effect(&self) -> f64 {
+        autoregressive_design_effect(self.autocorrelation())
+    }
+
     /// What the variance of a mean must be multiplied by: the reduced χ² where that is above 1, times the design effect of the first
     /// autocorrelation.
     pub fn variance_inflation(&self) -> f64 {
-        self.reduced_chi_square().max(1.0) * autoregressive_design_effect(self.autocorrelation())
+        self.reduced_chi_square().max(1.0) * self.design_effect()
     }
 }
 

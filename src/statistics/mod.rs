@@ -16,8 +16,10 @@
 //! | [`moments`] | mean, standard deviation and root mean square |
 //! | [`bootstrap`] | seeded bootstrap over blocks |
 //! | [`sign_flip`] | whether paired gains have a mean above zero |
+//! | [`binomial`] | the exact binomial test, and the sign test of a median |
 //! | [`null_distribution`] | quantiles of a statistic that was simulated under the null hypothesis |
 
+pub mod binomial;
 pub mod bootstrap;
 pub mod cluster;
 pub mod correlation;

@@ -12,3 +12,4 @@ mod faults;
 mod live;
 mod run;
 mod several_views;
+mod verdict;

@@ -23,6 +23,7 @@ fn the_bundled_experiment_gives_its_hidden_parameters_back() {
     let sandbox = bending(&ALL);
     let summary = sandbox.json("run bending -o out");
     assert_eq!(summary["statuses"]["ok"], 17);
+    assert_eq!(summary["verdict"]["level"], "good", "{summary:#}");
     for (name, truth, most_sd) in [("eta", ETA, 0.003), ("lambda_mm", LAMBDA_MM, 0.0015)] {
         let (value, sd) = (number(&summary, name), number(&summary, &format!("sd_{name}")));
         assert!((value - truth).abs() < 3.0 * sd && sd < most_sd, "{name} = {value} ± {sd}, truth {truth}");
@@ -97,8 +98,10 @@ fn input_that_cannot_work_is_refused_in_words() {
     let message = run();
     assert!(message.contains("1 measurements give no estimate"), "{message}");
     assert!(!sandbox.join("out/model.toml").exists(), "a model without an estimate must not pass for one");
-    assert!(sandbox.fail("run nowhere -o out", 1).contains("nowhere: cannot read"));
-    assert!(!sandbox.join("out/report.html").exists());
+    let report = sandbox.read("out/report.html");
+    assert!(report.contains("verdict") && report.contains("none: η and λ are not known"), "the report says why");
+    assert!(sandbox.fail("run nowhere -o elsewhere", 1).contains("nowhere: cannot read"));
+    assert!(!sandbox.join("elsewhere/report.html").exists());
 }
 
 #[test]

@@ -16,7 +16,7 @@ use self::readings::{Readings, interpolate};
 use super::clock::{FrameClock, unix_time_s};
 use super::motion_lag::motion_lag;
 use super::status::EncoderStatus;
-use crate::observation::EncoderReading;
+use crate::observation::{EncoderReading, Wiring};
 use crate::robot::PerBackbone;
 use nalgebra::Vector2;
 use std::collections::HashMap;
@@ -39,10 +39,11 @@ impl Encoders {
         Self::Log(readings.into_iter().map(|reading| (reading.index, reading)).collect())
     }
 
-    /// Starts to read lines of a robot with so many backbones. The offset of the encoders' clock, s, is estimated where it is not
+    /// Starts to read lines, as a wiring tells them. The offset of the encoders' clock, s, is estimated where it is not
     /// given.
-    pub fn lines(source: EncoderSource, backbones: usize, clock: Arc<FrameClock>, offset_s: Option<f64>) -> Self {
-        Self::Lines(LineReader::start(source, Readings::new(backbones, offset_s), clock))
+    pub fn lines(source: EncoderSource, wiring: Wiring, clock: Arc<FrameClock>, offset_s: Option<f64>) -> Self {
+        let readings = Readings::new(wiring.columns.len(), offset_s).wired(wiring);
+        Self::Lines(LineReader::start(source, readings, clock))
     }
 
     /// The reading of a frame.
@@ -106,7 +107,7 @@ mod tests {
     }
 
     fn lines(source: EncoderSource) -> Encoders {
-        Encoders::lines(source, 3, clock(), None)
+        Encoders::lines(source, Wiring::straight(3), clock(), None)
     }
 
     fn clock() -> Arc<FrameClock> {
@@ -164,7 +165,7 @@ mod tests {
         let path = folder.path().join("encoders.sock");
         let listener = std::os::unix::net::UnixListener::bind(&path).unwrap();
         let source: EncoderSource = format!("unix:{}", path.display()).parse().unwrap();
-        let encoders = Encoders::lines(source, 3, clock(), Some(0.5));
+        let encoders = Encoders::lines(source, Wiring::straight(3), clock(), Some(0.5));
         let (mut stream, _) = listener.accept().unwrap();
         writeln!(stream, "{{\"time_s\": 1.0, \"q_mm\": [1, 2, 3]}}").unwrap();
         assert_eq!(found(&encoders, 1.5), PerBackbone::from([1.0, 2.0, 3.0]));

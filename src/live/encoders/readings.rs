@@ -3,7 +3,7 @@
 use super::line_parser::{LineParser, Parsed};
 use crate::live::clock_offset::ClockOffset;
 use crate::live::status::{EncoderStatus, Lag};
-use crate::observation::EncoderReading;
+use crate::observation::{EncoderReading, Wiring};
 use crate::robot::PerBackbone;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -41,6 +41,7 @@ pub enum Lookup {
 #[derive(Debug)]
 pub struct Readings {
     parser: LineParser,
+    wiring: Wiring,
     stamped: VecDeque<(f64, PerBackbone)>,
     offset: ClockOffset,
     lag: Option<Lag>,
@@ -56,6 +57,7 @@ impl Readings {
     pub fn new(backbones: usize, given_offset_s: Option<f64>) -> Self {
         Self {
             parser: LineParser::new(backbones),
+            wiring: Wiring::straight(backbones),
             stamped: VecDeque::new(),
             offset: ClockOffset::new(given_offset_s),
             lag: None,
@@ -67,11 +69,16 @@ impl Readings {
         }
     }
 
+    /// The same of lines whose columns, signs and unit a wiring tells; rows have no numbers here, so that its shift means nothing.
+    pub fn wired(self, wiring: Wiring) -> Self {
+        Self { wiring, ..self }
+    }
+
     /// Takes a line that arrived at `arrival_s` of the frames' clock (`None` before that runs) and at a Unix time.
     pub fn take(&mut self, line: &[u8], arrival_s: Option<f64>, unix_s: f64) {
         let taken: Parsed = self.parser.parse(line);
         let added = taken.and_then(|reading| match reading {
-            Some((stamp_s, q_mm)) => self.add(stamp_s, q_mm, arrival_s, unix_s),
+            Some((stamp_s, q_mm)) => self.add(stamp_s, self.wiring.q_mm(&q_mm), arrival_s, unix_s),
             None => Ok(()),
         });
         if let Err(why) = added {

@@ -1,0 +1,66 @@
+//! Passes the verdict on what was measured so far, on a thread of low priority.
+
+use super::low_priority::lower_priority;
+use super::shared_state::SharedState;
+use super::status::nothing_judged;
+use crate::observation::{EncoderReading, Measurement};
+use crate::robot::Model;
+use crate::verdict::Subject;
+use std::convert::Infallible;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Time between verdicts. Convention: a resource limit; one takes some tenths of a second.
+const EVERY: Duration = Duration::from_secs(5);
+
+/// Passes verdicts, one at a time.
+#[derive(Debug)]
+pub struct VerdictWorker {
+    shared: Arc<SharedState>,
+    sd_encoder_mm: f64,
+    at_work: Arc<AtomicBool>,
+    last: Instant,
+}
+
+impl VerdictWorker {
+    /// A worker that brings the verdict in the shared state up to date.
+    pub fn new(shared: Arc<SharedState>, sd_encoder_mm: f64) -> Self {
+        Self { shared, sd_encoder_mm, at_work: Arc::default(), last: Instant::now() }
+    }
+
+    /// Whether it is time for another.
+    pub fn is_due(&self) -> bool {
+        self.last.elapsed() >= EVERY && !self.at_work.load(Ordering::Relaxed)
+    }
+
+    /// Starts to judge the model as it stands, by samples of the run.
+    pub fn start(&mut self, measurements: Vec<Measurement>, readings: Vec<EncoderReading>) {
+        self.last = Instant::now();
+        self.at_work.store(true, Ordering::Relaxed);
+        let (shared, sd_encoder_mm, at_work) =
+            (Arc::clone(&self.shared), self.sd_encoder_mm, Arc::clone(&self.at_work));
+        std::thread::spawn(move || {
+            lower_priority();
+            judge(&shared, sd_encoder_mm, &measurements, &readings);
+            at_work.store(false, Ordering::Relaxed);
+        });
+    }
+
+    /// Judges now.
+    pub fn finish(&self, measurements: &[Measurement], readings: &[EncoderReading]) {
+        judge(&self.shared, self.sd_encoder_mm, measurements, readings);
+    }
+}
+
+fn judge(shared: &SharedState, sd_encoder_mm: f64, measurements: &[Measurement], readings: &[EncoderReading]) {
+    let (model, rejected, used): (Model, usize, usize) = {
+        let shared = shared.lock();
+        let rejected = shared.state.rejected as usize;
+        (shared.model.clone(), rejected, (shared.state.measured as usize).saturating_sub(rejected))
+    };
+    let subject = Subject { used_and_rejected: Some((used, rejected)), ..Subject::new(&model, sd_encoder_mm) };
+    let Ok(verdict) = subject.verdict(measurements.iter().cloned().map(Ok::<_, Infallible>), readings);
+    let verdict = if measurements.is_empty() { nothing_judged() } else { verdict };
+    shared.lock().state.verdict = verdict;
+}

@@ -1,0 +1,168 @@
+//! What a verdict is passed on, collected in one pass over the measurements.
+
+use super::reason::Verdict;
+use super::rules;
+use super::wiring::Pose;
+use crate::estimate::{Pair, Replaced, pairs_without_effects, usable};
+use crate::observation::{EncoderReading, Measured, Measurement, Status, Wiring};
+use crate::robot::{Model, PerBackbone};
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+
+/// Measurements that the rules look at; of more, as many spread over the run. Convention: a resource limit, far beyond what the tests need.
+const MOST_SAMPLES: usize = 2000;
+/// Bends that the wiring check looks at. Convention: a resource limit; every hypothesis is fitted to all of them.
+const MOST_POSES: usize = 300;
+
+/// What is to be judged, besides the data.
+#[derive(Debug, Clone)]
+pub struct Subject<'a> {
+    /// The model.
+    pub model: &'a Model,
+    /// Standard deviation of an encoder reading, mm, as it is assumed; more is learned from the readings' common part.
+    pub sd_encoder_mm: f64,
+    /// How the log was read.
+    pub wiring: Wiring,
+    /// The views' azimuths, where they are known.
+    pub views: Vec<ViewOffset>,
+    /// How many measurements the estimator used and rejected, where there was one.
+    pub used_and_rejected: Option<(usize, usize)>,
+    /// That one gain stands in for the recursion's estimate, and why.
+    pub replaced: Option<Replaced>,
+}
+
+impl<'a> Subject<'a> {
+    /// A model, with readings as they stand in the log and nothing known of views and estimator.
+    pub fn new(model: &'a Model, sd_encoder_mm: f64) -> Self {
+        let wiring = Wiring::straight(model.robot.backbone_count());
+        Self { model, sd_encoder_mm, wiring, views: Vec::new(), used_and_rejected: None, replaced: None }
+    }
+
+    /// Passes the verdict on measurements and the log's readings.
+    ///
+    /// # Errors
+    /// What `measurements` gives.
+    pub fn verdict<E>(
+        &self,
+        measurements: impl Iterator<Item = Result<Measurement, E>>,
+        log: &[EncoderReading],
+    ) -> Result<Verdict, E> {
+        Ok(rules::verdict(self, &Evidence::collect(self.model, measurements, log)?, log))
+    }
+}
+
+/// A view and the azimuth that its experiment gives it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ViewOffset {
+    /// Its name.
+    pub name: String,
+    /// Its `delta_offset_deg`.
+    pub delta_offset_deg: f64,
+}
+
+/// A measurement with angles and its reading, without what the model's effects did.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sample {
+    pub index: u64,
+    pub measured: Measured,
+    pub q_mm: PerBackbone,
+}
+
+/// What was collected.
+#[derive(Debug, Clone)]
+pub struct Evidence {
+    /// All rows.
+    pub(super) frames: usize,
+    /// By status.
+    pub(super) statuses: BTreeMap<String, usize>,
+    /// Rows with angles.
+    pub(super) measured: usize,
+    /// Those of them that have a reading.
+    pub(super) with_reading: usize,
+    /// Bends as they were measured, spread over the run.
+    pub(super) poses: Vec<Pose>,
+    /// Measurements with readings, without the model's effects, spread over the run.
+    pub(super) samples: Vec<Sample>,
+}
+
+impl Evidence {
+    /// Goes once through the measurements.
+    ///
+    /// # Errors
+    /// What `measurements` gives.
+    fn collect<E>(
+        model: &Model,
+        measurements: impl Iterator<Item = Result<Measurement, E>>,
+        log: &[EncoderReading],
+    ) -> Result<Self, E> {
+        let as_measured = RefCell::new((0, 0, BTreeMap::new(), Spread::new(MOST_POSES)));
+        let seen = measurements.inspect(|measurement| {
+            let Ok(measurement) = measurement else { return };
+            let (frames, measured, statuses, poses) = &mut *as_measured.borrow_mut();
+            *frames += 1;
+            *statuses.entry(measurement.status.to_string()).or_insert(0usize) += 1;
+            if let (Status::Ok, Some(angles)) = (&measurement.status, measurement.measured) {
+                *measured += 1;
+                let (index, view) = (measurement.index, measurement.view.clone());
+                poses.add(Pose { index, view, measured: angles });
+            }
+        });
+        let mut samples = Spread::new(MOST_SAMPLES);
+        let mut with_reading = 0;
+        let backbones = model.robot.backbone_count();
+        for pair in pairs_without_effects(model, seen, log)? {
+            let (measurement, reading): Pair = pair?;
+            if let Ok((measured, q_mm)) = usable(backbones, &measurement, reading.as_ref()) {
+                with_reading += 1;
+                samples.add(Sample { index: measurement.index, measured, q_mm });
+            }
+        }
+        let (frames, measured, statuses, poses) = as_measured.into_inner();
+        Ok(Self { frames, statuses, measured, with_reading, poses: poses.kept, samples: samples.kept })
+    }
+}
+
+/// Things that come one at a time, of which a bounded number is kept, spread evenly over all.
+struct Spread<T> {
+    most: usize,
+    every: usize,
+    seen: usize,
+    kept: Vec<T>,
+}
+
+impl<T> Spread<T> {
+    fn new(most: usize) -> Self {
+        Self { most, every: 1, seen: 0, kept: Vec::new() }
+    }
+
+    fn add(&mut self, thing: T) {
+        if self.seen.is_multiple_of(self.every) {
+            self.kept.push(thing);
+        }
+        self.seen += 1;
+        if self.kept.len() > self.most {
+            let mut place = 0;
+            self.kept.retain(|_| {
+                place += 1;
+                place % 2 == 1
+            });
+            self.every *= 2;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_spread_keeps_a_bounded_number_at_even_distances() {
+        for count in [0, 5, 10, 11, 1000, 12_345] {
+            let mut spread = Spread::new(10);
+            (0..count).for_each(|k| spread.add(k));
+            assert!(spread.kept.len() <= 10 && spread.kept.len() >= count.min(5), "{count}");
+            let steps: Vec<usize> = spread.kept.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            assert!(steps.iter().all(|step| *step == spread.every), "{count}: {steps:?}");
+        }
+    }
+}

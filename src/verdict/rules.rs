@@ -1,0 +1,336 @@
+//! The rules of the verdict. Each is a test of a hypothesis: how probable is what was seen, were all in order?
+
+use super::encoders::stuck;
+use super::evidence::{Evidence, Sample, Subject};
+use super::reason::{Code, Level, Reason, Verdict};
+use super::scale::PLAUSIBLE_ETA;
+use super::wiring::{self, WiringCheck};
+use super::words;
+use crate::estimate::{LinearisedMeasurement, Replaced, Weighting, Whitened};
+use crate::observation::EncoderReading;
+use crate::robot::Model;
+use crate::statistics::binomial;
+use crate::statistics::order::{mad_scale, median};
+use nalgebra::{Matrix2, Vector2};
+use std::f64::consts::PI;
+
+/// The probability with which each rule speaks although all is in order.
+///
+/// Convention: about ten rules make one false word in a hundred runs.
+pub const LEVEL_OF_TESTS: f64 = 0.001;
+/// The normal distribution's quantile of it.
+///
+/// Derived: Φ⁻¹(0.999).
+pub(in crate::verdict) const NORMAL_QUANTILE: f64 = 3.090_232;
+/// Share of frames that may fail, or be rejected, although all is in order.
+///
+/// Convention: reflections, tools and hands that pass the camera.
+pub const REJECTED_IN_ORDER: f64 = 0.1;
+/// Mean square of whitened residuals that is still called noise, where 1 is noise.
+///
+/// Convention: that of `live`'s gap monitor; sigmas that are too small by 1.6, and effects that size, raise no alarm.
+const MEAN_SQUARE: f64 = 2.5;
+/// Medians of χ² with 2 and 1 degrees of freedom.
+///
+/// Derived: 2 ln 2, and Φ⁻¹(¾)².
+const MEDIAN_CHI_SQUARE: [f64; 2] = [1.386_294, 0.454_936];
+/// The snake is at a new pose once its bend has changed by this, rad. Convention: 2°, as in `live`'s gap monitor; the eye's
+/// errors at two such poses are taken for independent.
+const NEW_POSE: f64 = 2.0 * PI / 180.0;
+/// A snake that bends no further than so many standard deviations of θ does not bend.
+///
+/// Derived: the bend then tells η to 1/√n · 1/10 at best; see `estimate`'s measure of standing straight, which is the same.
+const STRAIGHT_SDS: f64 = 10.0;
+/// The largest λ that robots have, mm. Convention: a play of a millimetre is a loose part.
+const MOST_LAMBDA_MM: f64 = 1.0;
+
+/// The verdict on what was collected.
+pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderReading]) -> Verdict {
+    let robot = &subject.model.robot;
+    let (stuck, no_bend) = (stuck(robot, &evidence.samples), no_bend(evidence));
+    let check = match (&stuck, &no_bend) {
+        (None, None) => wiring::check(robot, subject.sd_encoder_mm, &evidence.poses, log),
+        _ => None,
+    };
+    let reasons = [
+        stuck,
+        check.as_ref().and_then(|check| words::wiring(subject, check)),
+        unmatched(evidence, log),
+        backwards(log),
+        not_measured(evidence),
+        no_bend,
+        out_of_range(subject.model),
+        worse_than_naive(subject.model, evidence),
+        rejected(subject),
+        replaced(subject),
+        not_covered(subject, evidence, check.as_ref()),
+        Residuals::of(subject, evidence).above_noise(),
+    ];
+    Verdict::of(reasons.into_iter().flatten().collect())
+}
+
+/// Whether something happened more often than with a probability `p`, at the level of the tests.
+fn more_often(times: usize, of: usize, p: f64) -> bool {
+    of > 0 && binomial::at_least(times, of, p) < LEVEL_OF_TESTS
+}
+
+/// Standard deviation of an encoder reading, mm: what is assumed, or more where the readings' common part scatters by more from one
+/// sample to the next. No bend changes that part, the model's faults change it slowly, and a median passes over jumps.
+fn learned_sd_mm(subject: &Subject, evidence: &Evidence) -> f64 {
+    let robot = &subject.model.robot;
+    let common: Vec<f64> = evidence.samples.iter().map(|s| robot.bend_and_common(&s.q_mm).z).collect();
+    let steps = common.windows(2).map(|pair| pair[1] - pair[0]);
+    (mad_scale(steps) / 2f64.sqrt()).max(subject.sd_encoder_mm)
+}
+
+/// What the model leaves, at poses that differ.
+struct Residuals {
+    /// Squares of the whitened residuals' bending part.
+    bending: Vec<f64>,
+    /// Those of the common part.
+    common: Vec<f64>,
+}
+
+impl Residuals {
+    fn of(subject: &Subject, evidence: &Evidence) -> Self {
+        let plain = subject.model.plain();
+        let sd_mm = learned_sd_mm(subject, evidence);
+        let whitened = |sample: &Sample| {
+            let measured = &sample.measured;
+            let one = LinearisedMeasurement::new(&plain, Weighting::Measured, sd_mm, measured, &sample.q_mm);
+            Whitened::new(&one.residual(&plain.parameters()), &one.covariance)
+        };
+        let whitened: Vec<Whitened> = new_poses(&evidence.samples).filter_map(whitened).collect();
+        Self {
+            bending: whitened.iter().map(|one| one.bending.norm_squared()).collect(),
+            common: whitened.iter().map(|one| one.common.powi(2)).collect(),
+        }
+    }
+
+    /// Sign test of the median: more than half of the squares beyond the median of what counts as noise.
+    fn above_noise(&self) -> Option<Reason> {
+        let part = |squares: &[f64], nominal: f64, name: &str| {
+            let beyond = squares.iter().filter(|&&square| square > MEAN_SQUARE * nominal).count();
+            if !more_often(beyond, squares.len(), 0.5) {
+                return None;
+            }
+            let times = (median(&mut squares.to_vec()) / nominal).sqrt();
+            let all = squares.len();
+            Some(format!("the model misses {name} by {times:.1} times the noise ({beyond} of {all} poses beyond it)"))
+        };
+        let [bending, common] = MEDIAN_CHI_SQUARE;
+        let text = part(&self.bending, bending, "the bends")
+            .or_else(|| part(&self.common, common, "what the readings have in common"))?;
+        let remedy = "`snakeloop discover` names what the model lacks; where it names nothing, check camera.yaml (focal length, \
+                      picture size), grid_pitch_mm, standoff_mm and the straight picture";
+        Some(Reason::new(Code::GapAboveNoise, Level::Look, text, remedy))
+    }
+}
+
+/// Samples whose bend has moved on since the last one taken.
+fn new_poses(samples: &[Sample]) -> impl Iterator<Item = &Sample> {
+    let mut last: Option<Vector2<f64>> = None;
+    samples.iter().filter(move |sample| {
+        let bend = sample.measured.configuration.bend_vector();
+        let is_new = last.is_none_or(|last| (bend - last).norm() >= NEW_POSE);
+        if is_new {
+            last = Some(bend);
+        }
+        is_new
+    })
+}
+
+/// Frames and log that have no index in common.
+fn unmatched(evidence: &Evidence, log: &[EncoderReading]) -> Option<Reason> {
+    let (first, last) = (log.first()?, log.last()?);
+    let (from, to) = (evidence.poses.first()?, evidence.poses.last()?);
+    (evidence.with_reading == 0).then(|| {
+        let text = format!(
+            "no frame has a reading: frames {} to {} were measured, and the log has the indices {} to {}",
+            from.index, to.index, first.index, last.index
+        );
+        let shift = first.index as i64 - from.index as i64;
+        let remedy = format!(
+            "number the log as the frames are; if its first row belongs to the first frame, write index_shift = {shift} under \
+             [wiring] of experiment.toml"
+        );
+        Reason::new(Code::Wiring, Level::DoNotUse, text, remedy)
+    })
+}
+
+/// Time stamps that do not increase.
+fn backwards(log: &[EncoderReading]) -> Option<Reason> {
+    let mut steps = log.windows(2).filter(|pair| pair[1].time_s <= pair[0].time_s);
+    let first = steps.next()?;
+    // A log without times has the same everywhere.
+    if log.iter().all(|row| row.time_s == first[0].time_s) {
+        return None;
+    }
+    let text = format!(
+        "the log's time does not increase from index {} to {} ({} s to {} s){}",
+        first[0].index,
+        first[1].index,
+        first[0].time_s,
+        first[1].time_s,
+        match steps.count() {
+            0 => String::new(),
+            more => format!(", nor in {more} other places"),
+        }
+    );
+    let remedy = "find out which clock stamps the log and whether it was set back; sort out the rows, or log anew";
+    Some(Reason::new(Code::Clock, Level::Look, text, remedy))
+}
+
+/// Frames that could not be measured.
+fn not_measured(evidence: &Evidence) -> Option<Reason> {
+    let Evidence { frames, measured, ref statuses, .. } = *evidence;
+    let failed = frames - measured;
+    if !more_often(failed, frames, REJECTED_IN_ORDER) && (measured > 0 || frames == 0) {
+        return None;
+    }
+    let level = if measured == 0 { Level::DoNotUse } else { Level::Look };
+    let of = |words: &[&str]| -> usize { words.iter().filter_map(|word| statuses.get(*word)).sum() };
+    let why: Vec<String> =
+        statuses.iter().filter(|(word, _)| *word != "ok").map(|(word, count)| format!("{word} {count}")).collect();
+    let text = format!("{failed} of {frames} frames could not be measured ({})", why.join(", "));
+    let moved = of(&["camera_moved", "base_moved", "grid_lost"]);
+    if 2 * moved > failed {
+        let remedy = "camera or base moved: take a new picture of the straight snake, or let `--follow` find the camera anew in \
+                      every frame";
+        return Some(Reason::new(Code::RigDrift, level, text, remedy));
+    }
+    let remedy = "`snakeloop measure EXPERIMENT --explain INDEX -o OUT` shows why a frame failed, stage by stage; light, focus and \
+                  what stands before the snake are the usual causes";
+    Some(Reason::new(Code::ManyNotMeasured, level, text, remedy))
+}
+
+/// A snake that stays straight tells nothing of η.
+fn no_bend(evidence: &Evidence) -> Option<Reason> {
+    let bent = |sample: &&Sample| {
+        sample.measured.configuration.theta > STRAIGHT_SDS * sample.measured.sigma_theta.max(f64::MIN_POSITIVE)
+    };
+    if evidence.samples.is_empty() || evidence.samples.iter().any(|sample| bent(&sample)) {
+        return None;
+    }
+    let most = evidence.samples.iter().map(|sample| sample.measured.configuration.theta_deg()).fold(0.0, f64::max);
+    let text = format!("nothing bends: the largest bend is {most:.2}°, which is noise");
+    let remedy = "bend the snake, as far as it is to be used and in at least two planes; check that the frames and the log are of \
+                  the same run";
+    Some(Reason::new(Code::WorkspaceNotCovered, Level::DoNotUse, text, remedy))
+}
+
+/// η and λ where no robot has them.
+fn out_of_range(model: &Model) -> Option<Reason> {
+    let estimate = model.estimate?;
+    let (eta, lambda) = (estimate.eta, estimate.lambda_mm);
+    let (reach_eta, reach_lambda) = (NORMAL_QUANTILE * estimate.sd_eta(), NORMAL_QUANTILE * estimate.sd_lambda_mm());
+    let is_impossible = eta + reach_eta <= 0.0;
+    let remedy = "check units and radii in the robot's file and the unit of the log; if both are right the line gives way otherwise \
+                  than the model: `snakeloop discover`";
+    if is_impossible || eta + reach_eta < *PLAUSIBLE_ETA.start() || eta - reach_eta > *PLAUSIBLE_ETA.end() {
+        let level = if is_impossible { Level::DoNotUse } else { Level::Look };
+        let sd = estimate.sd_eta();
+        let text = format!("η = {eta:.3} ± {sd:.3}, and such robots have one third to three");
+        return Some(Reason::new(Code::ParameterOutOfRange, level, text, remedy));
+    }
+    if lambda + reach_lambda < 0.0 || lambda - reach_lambda > MOST_LAMBDA_MM {
+        let sd = estimate.sd_lambda_mm();
+        let text =
+            format!("λ = {lambda:.3} ± {sd:.3} mm, and a play is neither negative nor larger than {MOST_LAMBDA_MM} mm");
+        return Some(Reason::new(Code::ParameterOutOfRange, Level::Look, text, remedy));
+    }
+    None
+}
+
+/// Sign test: whether the naive model predicts more bends better than this one.
+fn worse_than_naive(model: &Model, evidence: &Evidence) -> Option<Reason> {
+    model.estimate?;
+    let (own, naive) = (model.plain(), Model { estimate: None, ..model.plain() });
+    let miss = |model: &Model, sample: &Sample| {
+        let predicted = model.forward_bend(&sample.q_mm).ok()?;
+        Some((predicted - sample.measured.configuration.bend_vector()).norm())
+    };
+    let poses: Vec<&Sample> = new_poses(&evidence.samples).collect();
+    let is_worse = |sample: &&&Sample| match (miss(&own, sample), miss(&naive, sample)) {
+        (Some(own), Some(naive)) => naive < own,
+        (None, Some(_)) => true,
+        _ => false,
+    };
+    let worse = poses.iter().filter(is_worse).count();
+    more_often(worse, poses.len(), 0.5).then(|| {
+        let text = format!("the naive model (η = 1, λ = 0) predicts {worse} of {} bends better", poses.len());
+        let remedy =
+            "do not command from this table; see the other reasons, and `snakeloop discover` for what the model lacks";
+        Reason::new(Code::WorseThanNaive, Level::DoNotUse, text, remedy)
+    })
+}
+
+/// Measurements that the estimator's gate rejected.
+fn rejected(subject: &Subject) -> Option<Reason> {
+    let (used, rejected) = subject.used_and_rejected?;
+    if !more_often(rejected, used + rejected, REJECTED_IN_ORDER) {
+        return None;
+    }
+    // Beyond half, nothing tells which part the outliers are: the breakdown point of any robust estimate.
+    let level = if rejected > used { Level::DoNotUse } else { Level::Look };
+    let text = format!("{rejected} of {} measurements contradict the others and were rejected", used + rejected);
+    let remedy = "look at the frames under \"Measurements not used\" in report.html (estimate.csv has all): if the overlay follows the \
+                  snake there, the log or the model is wrong (`snakeloop discover`), else the frame";
+    Some(Reason::new(Code::ManyRejected, level, text, remedy))
+}
+
+/// An estimate of one gain for all bends.
+fn replaced(subject: &Subject) -> Option<Reason> {
+    let Replaced { better, of } = subject.replaced?;
+    let text = format!(
+        "the recursive estimate of η does not explain the bends: one gain for all bends predicts {better} of {of} better, and stands in \
+         for it"
+    );
+    let remedy = "`snakeloop discover` names what the model lacks; until then the table is as good as one gain can be";
+    Some(Reason::new(Code::GapAboveNoise, Level::Look, text, remedy))
+}
+
+/// What the poses leave open: the wiring, a direction of the bend, or η.
+fn not_covered(subject: &Subject, evidence: &Evidence, check: Option<&WiringCheck>) -> Option<Reason> {
+    let undecided = check.and_then(|check| check.undecided.as_ref()).map(|other| {
+        format!(
+            "the poses do not tell whether the log is wired as it says: columns {:?} with signs {:?} explain the bends as well",
+            other.columns, other.signs
+        )
+    });
+    let text = undecided.or_else(|| unseen_direction(&evidence.samples)).or_else(|| unknown_eta(subject.model))?;
+    let remedy = "bend further, and in at least two planes that are not opposite, as `simulate` does; `snakeloop discover --next` \
+                  proposes a trajectory";
+    Some(Reason::new(Code::WorkspaceNotCovered, Level::Look, text, remedy))
+}
+
+/// A direction in which the bends seen say less than one measurement at full bend: there the leverage of such a bend under a model whose
+/// gain hangs on the direction, θ²/Σ b_u² with b_u the bends' part in that direction, is above 1, and its prediction less certain than a
+/// measurement.
+fn unseen_direction(samples: &[Sample]) -> Option<String> {
+    let bends = || samples.iter().map(|sample| sample.measured.configuration.bend_vector());
+    let information: Matrix2<f64> = bends().map(|bend| bend * bend.transpose()).sum();
+    let least = information.symmetric_eigen();
+    let place = least.eigenvalues.imin();
+    let largest = bends().map(|bend| bend.norm()).fold(0.0, f64::max);
+    if samples.is_empty() || least.eigenvalues[place] >= largest * largest {
+        return None;
+    }
+    let direction = least.eigenvectors.column(place);
+    let delta_deg = direction.y.atan2(direction.x).to_degrees().rem_euclid(180.0);
+    Some(format!(
+        "the snake hardly bent towards δ = {delta_deg:.0}° or {:.0}°: what is seen there says less than a single measurement at {:.0}°",
+        delta_deg - 180.0,
+        largest.to_degrees()
+    ))
+}
+
+/// η so uncertain that it may lie anywhere where robots have it.
+fn unknown_eta(model: &Model) -> Option<String> {
+    let estimate = model.estimate?;
+    let half_range = (PLAUSIBLE_ETA.end() - PLAUSIBLE_ETA.start()) / 2.0;
+    (NORMAL_QUANTILE * estimate.sd_eta() > half_range).then(|| {
+        let (eta, sd) = (estimate.eta, estimate.sd_eta());
+        format!("η = {eta:.2} ± {sd:.2} may lie anywhere where robots have it: the measurements say nothing of the line's losses")
+    })
+}

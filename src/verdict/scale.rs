@@ -1,0 +1,114 @@
+//! The unit of the encoder log: whether the gain from implied to seen bend is one that the line can have.
+//!
+//! Without effects q̃ = q + ηκτ + common parts, all linear in b to a per mille, so that Q⁺q̃ = (1 + ηk) b with a k of the model: the gain g of the
+//! wiring check and η are one number, η = (1/g − 1)/k. A log in another unit has another g, and nothing but the range of η that
+//! robots have tells so.
+
+use super::rules::NORMAL_QUANTILE;
+use crate::estimate::line_share;
+use crate::robot::Model;
+use std::ops::RangeInclusive;
+
+/// η that such robots have.
+///
+/// Derived: η scales forces that hang on Young's modulus and on diameters. Superelastic NiTi has 28 to 83 GPa, half to one and a half
+/// times what a model takes, and ±5 % of a wire's diameter are ±20 % of its bending stiffness; together 0.4 to 1.8. Beyond a
+/// third and three times it is another robot, or another unit.
+pub(super) const PLAUSIBLE_ETA: RangeInclusive<f64> = 1.0 / 3.0..=3.0;
+/// Units in which logs are kept by mistake: what one is in mm, and its name.
+///
+/// Convention: the units' definitions; two and a half stand for a diameter in place of a radius, a pulley block, and counters that count
+/// every edge twice.
+const UNITS: [(f64, &str); 8] = [
+    (1000.0, "in metres"),
+    (10.0, "in centimetres"),
+    (25.4, "in inches"),
+    (0.001, "in micrometres"),
+    (0.0254, "in thousandths of an inch"),
+    (0.5, "twice too large (a diameter for a radius, a pulley block, edges counted twice)"),
+    (2.0, "half as large as they should be (a radius for a diameter, a pulley block)"),
+    (0.25, "four times too large (every edge of a quadrature encoder counted)"),
+];
+/// A factor that no unit of the list gives is told where it is larger than this, or smaller than one over it.
+///
+/// Convention: a smaller one may as well be the robot's own, and is told as η out of range.
+const LEAST_UNNAMED: f64 = 2.0;
+
+/// A unit that would make η plausible.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Unit {
+    /// What one unit of the log is, mm.
+    pub mm: f64,
+    /// Its name, where the factor is that of a unit.
+    pub name: Option<&'static str>,
+    /// The factor at which η would be 1, two digits of it.
+    pub mm_at_nominal_eta: f64,
+    /// η as the log stands.
+    pub eta_as_it_is: f64,
+}
+
+/// The unit that the log is kept in, where η is implausible as it stands and plausible in that unit.
+pub(super) fn unit(model: &Model, gain: f64, sd_gain: f64) -> Option<Unit> {
+    let k = line_share(model);
+    let eta = |gain: f64| (1.0 / gain - 1.0) / k;
+    let reach = NORMAL_QUANTILE * sd_gain;
+    if gain.is_nan() || gain <= reach || k <= 0.0 {
+        return None;
+    }
+    let (least, most) = (eta(gain + reach), eta(gain - reach));
+    if most >= *PLAUSIBLE_ETA.start() && least <= *PLAUSIBLE_ETA.end() {
+        return None;
+    }
+    let eta_as_it_is = eta(gain);
+    let nominal = 1.0 / (1.0 + k);
+    let named = UNITS.iter().filter(|(mm, _)| PLAUSIBLE_ETA.contains(&eta(gain / mm)));
+    let distance = |mm: f64| (gain / mm / nominal).ln().abs();
+    let mm_at_nominal_eta = two_digits(gain / nominal);
+    if let Some(&(mm, name)) = named.min_by(|a, b| distance(a.0).total_cmp(&distance(b.0))) {
+        return Some(Unit { mm, name: Some(name), mm_at_nominal_eta, eta_as_it_is });
+    }
+    let is_large = mm_at_nominal_eta.ln().abs() > LEAST_UNNAMED.ln();
+    is_large.then_some(Unit { mm: mm_at_nominal_eta, name: None, mm_at_nominal_eta, eta_as_it_is })
+}
+
+/// A number rounded to two significant digits.
+fn two_digits(number: f64) -> f64 {
+    format!("{number:.1e}").parse().unwrap_or(number)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Configuration;
+    use crate::robot::Estimate;
+    use nalgebra::Matrix2;
+
+    fn gain_of(model: &Model, mm: f64) -> f64 {
+        let psi = Configuration::from_degrees(60.0, 20.0);
+        let implied = model.robot.bend_by_displacement().tr_mul(&(model.command(psi) / mm));
+        psi.bend_vector().norm() / implied.norm()
+    }
+
+    #[test]
+    fn every_unit_is_found_on_any_plausible_robot_and_none_in_millimetres() {
+        for eta in [0.5, 1.0, 1.221, 2.0] {
+            let estimate = Estimate { eta, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
+            let model = Model { estimate: Some(estimate), ..Model::default() };
+            assert_eq!(unit(&model, gain_of(&model, 1.0), 1e-4), None);
+            for (mm, _) in [UNITS[0], UNITS[2], UNITS[3], UNITS[4]] {
+                let found = unit(&model, gain_of(&model, mm), 1e-4).unwrap();
+                assert_eq!(found.mm, mm, "η {eta}: {found:?}");
+            }
+        }
+        let estimate = Estimate { eta: 1.221, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
+        let model = Model { estimate: Some(estimate), ..Model::default() };
+        for mm in [0.5, 2.0, 10.0] {
+            let found = unit(&model, gain_of(&model, mm), 1e-4).unwrap();
+            assert_eq!(found.mm, mm, "{found:?}");
+        }
+        let counts = unit(&model, gain_of(&model, 0.0001), 1e-9).unwrap();
+        assert!(counts.name.is_none() && (counts.mm / 0.0001).ln().abs() < 0.2, "{counts:?}");
+        assert_eq!(unit(&model, 1.5, 1.0), None, "a gain that is hardly known says nothing");
+        assert_eq!(unit(&model, 0.0, 0.0), None);
+    }
+}

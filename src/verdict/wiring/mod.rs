@@ -1,0 +1,205 @@
+//! The wiring check: whether the encoder log, as it is read, is what the eye saw the snake do.
+//!
+//! A laboratory's mistakes form a small group: columns in another order, encoders that count the other way, rows that stand one or
+//! more places off, azimuths that run the other way round or are turned in a view, mirrored pictures, a clock that is late. Each
+//! mistake is a hypothesis, fitted to the bends by maximum likelihood ([`likelihood`]), and what tells for it is
+//!
+//! ```text
+//! evidence = (ln L_mistake − ln L_as_it_is) / D − ln(number of mistakes of its kind)
+//! ```
+//!
+//! with D the design effect of the residuals' serial correlation. Were the log right, the likelihood ratio would exceed 1/α with a
+//! probability of α at most (Markov's inequality, since its mean is 1 then), so a mistake is named where the evidence exceeds ln 1/α.
+//! The unit needs no hypothesis of its own: the fit leaves the gain open, and [`scale`](super::scale) asks afterwards what gain the line
+//! can have.
+
+mod hypotheses;
+mod likelihood;
+mod samples;
+
+use super::LEVEL_OF_TESTS;
+use crate::observation::{EncoderReading, Wiring};
+use crate::robot::Robot;
+use hypotheses::{Candidate, lags, shifts, signed_permutations};
+use likelihood::{Fit, Freedom};
+pub(super) use samples::Pose;
+use samples::Samples;
+
+/// A lag of the encoders is a mistake of the clock where it leaves no more than this share of the misfit's scale.
+///
+/// Convention: three quarters of the variance; play, creep and drag look like a small lag too, and are left to `discover`.
+const LEFT_BY_A_LAG: f64 = 0.5;
+
+/// What is wrong with the log or with a view.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Mistake {
+    /// The columns, their signs, or the rows' numbers; its scale is not told.
+    Log(Wiring),
+    /// The readings are as old as this, s; negative where they are newer than the frames.
+    Clock {
+        /// Age of the readings, s.
+        age_s: f64,
+    },
+    /// The azimuth of a view.
+    View {
+        /// Its name, where measurements name one.
+        view: Option<String>,
+        /// What is to be added to its δ, rad; after the mirror where it is mirrored.
+        turn: f64,
+        /// Whether δ runs the other way round.
+        mirrored: bool,
+    },
+}
+
+/// What the check found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WiringCheck {
+    /// The mistake that explains the bends far better, where there is one.
+    pub mistake: Option<Mistake>,
+    /// By how much: the natural logarithm of the odds for it. Where no mistake was found, that of the best rival, below zero.
+    pub evidence: f64,
+    /// Typical misfit as the log stands, in units of the predicted noise.
+    pub misfit: f64,
+    /// The same under the mistake.
+    pub misfit_corrected: f64,
+    /// The gain from implied to seen bend, under the mistake where there is one.
+    pub gain: f64,
+    /// Its standard deviation.
+    pub sd_gain: f64,
+    /// Another wiring of columns and signs that explains the bends about as well, so that the data cannot confirm the log's own.
+    pub undecided: Option<Wiring>,
+}
+
+/// Tries the log against the bends. `None` where there are too few bends with readings to say anything.
+pub(super) fn check(robot: &Robot, sd_encoder_mm: f64, poses: &[Pose], log: &[EncoderReading]) -> Option<WiringCheck> {
+    let samples = Samples::new(robot, sd_encoder_mm, poses, log);
+    let as_it_is = samples.fit(&Candidate::straight(robot.backbone_count()), Freedom::Gain)?;
+    let mut logs = of_the_log(&samples, poses, log);
+    if samples.common_part_is_positive() {
+        // No view and no order changes the common part, and play and friction put it above zero: the signs are not all turned.
+        logs.retain(|rival| !rival.turns_all_signs());
+    }
+    let (columns_best, undecided) = (best(&logs), undecided(&logs));
+    let view_best = best(&of_views(&samples));
+    let clock_best = best(&of_the_clock(&samples, &as_it_is));
+
+    // A turn of the view by a multiple of 60° and a mirror are also permutations of the columns: those come first.
+    let decisive = -LEVEL_OF_TESTS.ln();
+    let mut chosen = columns_best;
+    for rival in [view_best, clock_best].into_iter().flatten() {
+        if chosen.as_ref().is_none_or(|chosen| rival.evidence > chosen.evidence.max(0.0) + decisive) {
+            chosen = Some(rival);
+        }
+    }
+    let chosen = chosen?;
+    let found = chosen.evidence > decisive;
+    Some(WiringCheck {
+        evidence: chosen.evidence,
+        misfit: as_it_is.scale,
+        misfit_corrected: chosen.fit.scale,
+        gain: if found { chosen.fit.gain.norm() } else { as_it_is.gain.x },
+        sd_gain: if found { chosen.fit.sd_gain } else { as_it_is.sd_gain },
+        mistake: found.then_some(chosen.mistake),
+        undecided: undecided.filter(|_| !found),
+    })
+}
+
+/// A mistake with its fit and what tells for it.
+#[derive(Debug, Clone)]
+struct Rival {
+    mistake: Mistake,
+    fit: Fit,
+    evidence: f64,
+}
+
+impl Rival {
+    /// Whether it says that all encoders count the other way.
+    fn turns_all_signs(&self) -> bool {
+        matches!(&self.mistake, Mistake::Log(wiring) if wiring.signs.iter().all(|sign| *sign < 0))
+    }
+}
+
+fn best(rivals: &[Rival]) -> Option<Rival> {
+    rivals.iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence)).cloned()
+}
+
+/// What tells for a fit against that of the log as it is, of so many mistakes of its kind.
+fn evidence(fit: &Fit, as_it_is: &Fit, of_kind: usize) -> f64 {
+    let gained = fit.log_likelihood - as_it_is.log_likelihood;
+    gained / fit.design_effect.max(1.0) - (of_kind.max(1) as f64).ln()
+}
+
+/// All orders and signs of the columns, each with all shifts of the rows; but for the log as it is.
+fn of_the_log(samples: &Samples, poses: &[Pose], log: &[EncoderReading]) -> Vec<Rival> {
+    let backbones = samples.backbones();
+    let (orders, shifts) = (signed_permutations(backbones), shifts(poses, log));
+    let mut rivals = Vec::new();
+    for &shift in &shifts {
+        let common = samples.with_readings_at_both(shift);
+        let straight = Candidate::straight(backbones);
+        let Some(as_it_is) = common.fit(&straight, Freedom::Gain) else { continue };
+        for (columns, signs) in &orders {
+            let wiring = Wiring { columns: columns.clone(), signs: signs.clone(), scale: 1.0, index_shift: shift };
+            let kinds = if shift == 0 { 1 } else { shifts.len() };
+            let is_order = *columns != straight.columns || signs.iter().any(|sign| *sign < 0);
+            let of_kind = kinds * if is_order { orders.len() } else { 1 };
+            let candidate = Candidate { columns: columns.clone(), signs: signs.clone(), shift };
+            if let Some(fit) = common.fit(&candidate, Freedom::Gain).filter(|_| !wiring.is_straight()) {
+                let evidence = evidence(&fit, &as_it_is, of_kind);
+                rivals.push(Rival { mistake: Mistake::Log(wiring), fit, evidence });
+            }
+        }
+    }
+    rivals
+}
+
+/// A wiring of columns and signs that the bends do not rule out, where there is one: the one that explains them best.
+fn undecided(rivals: &[Rival]) -> Option<Wiring> {
+    let of_columns = rivals.iter().filter_map(|rival| match &rival.mistake {
+        Mistake::Log(wiring) if wiring.index_shift == 0 => Some((rival.evidence, wiring)),
+        _ => None,
+    });
+    let (evidence, wiring) = of_columns.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    (evidence > LEVEL_OF_TESTS.ln()).then(|| wiring.clone())
+}
+
+/// Every view's azimuth turned by any angle, and running the other way round.
+fn of_views(samples: &Samples) -> Vec<Rival> {
+    let straight = Candidate::straight(samples.backbones());
+    let mut rivals = Vec::new();
+    let views = samples.views();
+    for view in &views {
+        let own = samples.of_view(view);
+        let Some(as_it_is) = own.fit(&straight, Freedom::Gain) else { continue };
+        for mirrored in [false, true] {
+            let own = if mirrored { own.mirrored() } else { own.clone() };
+            let Some(fit) = own.fit(&straight, Freedom::GainAndTurn) else { continue };
+            // A free parameter costs half the logarithm of the number of measurements (Schwarz 1978).
+            let evidence = evidence(&fit, &as_it_is, 2 * views.len()) - 0.5 * (own.len() as f64).ln();
+            // b = (turn of u), so that δ as seen is the true one and the turn; it is to be taken off.
+            let turn = -fit.gain.y.atan2(fit.gain.x);
+            rivals.push(Rival { mistake: Mistake::View { view: view.clone(), turn, mirrored }, fit, evidence });
+        }
+    }
+    rivals
+}
+
+/// Lags between readings and frames, by interpolation in time.
+fn of_the_clock(samples: &Samples, as_it_is: &Fit) -> Vec<Rival> {
+    let straight = Candidate::straight(samples.backbones());
+    let lags = lags(samples);
+    let mut rivals = Vec::new();
+    for &age_s in &lags {
+        let Some((common, shifted)) = samples.at_times_later_by(age_s) else { continue };
+        let fits = common.fit(&straight, Freedom::Gain).zip(shifted.fit(&straight, Freedom::Gain));
+        let Some((unshifted, fit)) = fits else { continue };
+        let evidence = evidence(&fit, &unshifted, lags.len());
+        if fit.scale <= LEFT_BY_A_LAG * as_it_is.scale {
+            rivals.push(Rival { mistake: Mistake::Clock { age_s }, fit, evidence });
+        }
+    }
+    rivals
+}
+
+#[cfg(test)]
+mod tests;

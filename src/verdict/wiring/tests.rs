@@ -1,0 +1,166 @@
+//! Every mistake of the group, made on simulated data, is named, and clean data are not accused.
+
+use crate::estimate::{Options, estimate};
+use crate::geometry::{Configuration, wrap_angle};
+use crate::observation::{EncoderReading, Measurement, Wiring};
+use crate::robot::{Estimate, Model, PerBackbone};
+use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
+use crate::verdict::{Code, Level, Subject, Verdict, ViewOffset};
+use nalgebra::Matrix2;
+
+struct Lab {
+    measurements: Vec<Measurement>,
+    log: Vec<EncoderReading>,
+    offset_deg: f64,
+}
+
+impl Lab {
+    /// A bending experiment of a robot with η = 1.221 and λ = 0.1765 mm.
+    fn new(seed: u64) -> Self {
+        Self::with(Model::default(), BendingExperiment::default(), seed)
+    }
+
+    fn with(model: Model, ride: BendingExperiment, seed: u64) -> Self {
+        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
+        let model = Model { estimate: Some(estimate), ..model };
+        let samples = Plant { model, sd_encoder_mm: 0.0015 }.run(&ride.waypoints().unwrap(), seed);
+        let measurements = SimulatedEye::default().observe(&samples, seed + 1);
+        Self { measurements, log: samples.iter().map(|sample| sample.reading).collect(), offset_deg: 0.0 }
+    }
+
+    fn verdict(&self) -> Verdict {
+        let (rows, model) = estimate(&Model::default(), Options::default(), &self.measurements, &self.log).unwrap();
+        let used = rows.iter().filter(|row| row.reason.is_empty()).count();
+        let views = vec![ViewOffset { name: "side".into(), delta_offset_deg: self.offset_deg }];
+        let subject =
+            Subject { views, used_and_rejected: Some((used, rows.len() - used)), ..Subject::new(&model, 0.0015) };
+        let measurements = self.measurements.iter().cloned().map(Ok::<_, std::convert::Infallible>);
+        subject.verdict(measurements, &self.log).unwrap()
+    }
+
+    fn readings(mut self, change: impl Fn(&PerBackbone) -> [f64; 3]) -> Self {
+        self.log.iter_mut().for_each(|row| row.q_mm = PerBackbone::from(change(&row.q_mm)));
+        self
+    }
+
+    fn azimuths(mut self, change: impl Fn(f64) -> f64) -> Self {
+        for measured in self.measurements.iter_mut().filter_map(|m| m.measured.as_mut()) {
+            let psi = measured.configuration;
+            measured.configuration = Configuration { delta: wrap_angle(change(psi.delta)), ..psi };
+        }
+        self
+    }
+
+    fn shifted(mut self, rows: u64) -> Self {
+        self.log.iter_mut().for_each(|row| row.index += rows);
+        self
+    }
+}
+
+/// The wiring that the first reason suggests.
+fn suggested(lab: &Lab) -> Wiring {
+    let verdict = lab.verdict();
+    let first = verdict.reasons.first().unwrap_or_else(|| panic!("called good"));
+    assert_eq!((first.code, first.level), (Code::Wiring, Level::DoNotUse), "{verdict:#?}");
+    first.suggestion.clone().unwrap().wiring
+}
+
+fn straight() -> Wiring {
+    Wiring::straight(3)
+}
+
+#[test]
+fn clean_experiments_are_good() {
+    for seed in 0..4 {
+        let verdict = Lab::new(10 * seed).verdict();
+        assert_eq!(verdict.level, Level::Good, "{verdict:#?}");
+    }
+}
+
+#[test]
+fn every_signed_order_of_the_columns_is_named() {
+    for (columns, signs) in super::signed_permutations(3).into_iter().skip(1) {
+        let wiring = Wiring { columns, signs, ..straight() };
+        // The log whose reading by this wiring is right.
+        let mut lab = Lab::new(3);
+        for row in &mut lab.log {
+            let mut q = row.q_mm;
+            for i in 0..3 {
+                q[wiring.columns[i] - 1] = f64::from(wiring.signs[i]) * row.q_mm[i];
+            }
+            row.q_mm = q;
+        }
+        assert_eq!(suggested(&lab), wiring);
+    }
+}
+
+#[test]
+fn units_and_shifted_rows_are_named() {
+    for (factor, scale) in [(0.001, 1000.0), (0.1, 10.0), (1.0 / 25.4, 25.4), (1000.0, 0.001), (2.0, 0.5), (0.5, 2.0)] {
+        let found = suggested(&Lab::new(5).readings(|q| [q[0], q[1], q[2]].map(|q| factor * q)));
+        assert_eq!(found, Wiring { scale, ..straight() });
+    }
+    for rows in [1, 2] {
+        assert_eq!(suggested(&Lab::new(5).shifted(rows)), Wiring { index_shift: rows as i64, ..straight() });
+    }
+    // Two at once.
+    let both = Lab::new(5).shifted(1).readings(|q| [q[0], q[2], q[1]].map(|q| 0.001 * q));
+    assert_eq!(suggested(&both), Wiring { columns: vec![1, 3, 2], scale: 1000.0, index_shift: 1, ..straight() });
+    // No index in common at all.
+    let verdict = Lab::new(5).shifted(1000).verdict();
+    assert!(verdict.reasons[0].remedy.contains("index_shift = 1000"), "{verdict:#?}");
+}
+
+#[test]
+fn turned_and_mirrored_azimuths_are_named() {
+    // Numbered the other way round: the same as two columns exchanged.
+    assert_eq!(suggested(&Lab::new(7).azimuths(|delta| -delta)), Wiring { columns: vec![1, 3, 2], ..straight() });
+    let first = |lab: &Lab| lab.verdict().reasons.remove(0);
+    let mirrored = first(&Lab::new(7).azimuths(|delta| std::f64::consts::PI - delta));
+    assert!(mirrored.suggestion.as_ref().unwrap().mirrored, "{mirrored:#?}");
+    for (given_deg, right_deg, cause) in
+        [(-40.0, 40.0, "wrong sign"), (0.7, 40.107, "radians"), (0.0, 75.0, "elsewhere")]
+    {
+        let off = (given_deg - right_deg) as f64;
+        let lab = Lab { offset_deg: given_deg, ..Lab::new(7).azimuths(|delta| delta + off.to_radians()) };
+        let reason = first(&lab);
+        let offset = reason.suggestion.as_ref().unwrap().delta_offset_deg.unwrap();
+        assert!((offset - right_deg).abs() < 1.0 && reason.text.contains(cause), "{reason:#?}");
+    }
+}
+
+#[test]
+fn a_late_clock_is_told_and_dead_encoders_are() {
+    // A smooth and steady sweep, logged half an interval late.
+    let mut lab = Lab::new(9);
+    let rows = lab.log.clone();
+    for (row, pair) in lab.log.iter_mut().zip(rows.windows(2)) {
+        row.q_mm = (pair[0].q_mm + pair[1].q_mm) / 2.0;
+    }
+    let verdict = lab.verdict();
+    assert_eq!(verdict.reasons[0].code, Code::Clock, "{verdict:#?}");
+    let dead: [(fn(&PerBackbone) -> [f64; 3], &str); 3] = [
+        (|q| [q[0], q[1], 0.25], "q3 stands still"),
+        (|q| [q[0], q[1], q[1]], "q3 repeats q2"),
+        (|_| [0.1, 0.2, 0.3], "stand still"),
+    ];
+    for (change, text) in dead {
+        let verdict = Lab::new(9).readings(change).verdict();
+        let first = &verdict.reasons[0];
+        assert!(first.code == Code::EncoderStuck && first.text.contains(text), "{verdict:#?}");
+    }
+    let mut frozen = Lab::new(9);
+    for k in 20..frozen.log.len() {
+        frozen.log[k].q_mm = frozen.log[19].q_mm;
+    }
+    let verdict = frozen.verdict();
+    assert!(verdict.reasons[0].text.contains("stand still in"), "{verdict:#?}");
+}
+
+#[test]
+fn poses_in_one_plane_cannot_confirm_the_wiring() {
+    let ride = BendingExperiment { sweep_delta_deg: vec![0.0], round_poses: 0, jitter_deg: 0.0, ..Default::default() };
+    let verdict = Lab::with(Model::default(), ride, 1).verdict();
+    assert_eq!(verdict.reasons[0].code, Code::WorkspaceNotCovered, "{verdict:#?}");
+    assert_eq!(verdict.level, Level::Look);
+}
