@@ -12,13 +12,16 @@ use crate::discover::{
     next_experiment,
 };
 use crate::estimate::Options;
+use crate::estimate::gap::{Gap, gap};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
     Checked, Experiment, measurements_csv, read_encoders, read_measurements, read_model, trajectory_csv,
     write_atomically, write_model,
 };
 use crate::report::discovery::{Page, sentence};
+use crate::report::verdict::verdict_page;
 use crate::robot::Model;
+use crate::verdict::{Reason, Subject, Verdict};
 use crate::{Error, Result};
 use std::path::PathBuf;
 
@@ -67,14 +70,18 @@ impl Args {
             return Err(Failure::Usage(format!("--encoder-sd {}: expected more than 0, to 1 mm", self.encoder_sd)));
         }
         let (model, measurements, readings) = self.inputs(console)?;
+        let subject = Subject::new(&model, self.encoder_sd);
+        if let Some(mistake) = subject.wiring_mistake(&measurements, &readings) {
+            return Ok(self.name_nothing(console, &model, mistake, &gap(&model, &measurements, &readings))?);
+        }
         let data = Data::new(&measurements, &readings, self.encoder_sd)?;
         let from_frames = measurements.iter().any(|measurement| measurement.quality.is_some());
         let found = if from_frames { discover_in_frames(model, &data) } else { discover(&model, &data) };
-        let gap = Localisation::new(&found, &data);
+        let localised = Localisation::new(&found, &data);
         let correction = self.correction.then(|| learn_correction(&found, &data));
 
         let mut json = found.json();
-        json["where"] = gap.as_ref().map(Localisation::json).into();
+        json["where"] = localised.as_ref().map(Localisation::json).into();
         if let Some(correction) = &correction {
             json["correction"] = correction.json();
         }
@@ -88,7 +95,7 @@ impl Args {
         let page = Page {
             found: &found,
             data: &data,
-            gap: gap.as_ref(),
+            gap: localised.as_ref(),
             correction: correction.as_ref(),
             next: next.as_ref(),
         };
@@ -107,9 +114,31 @@ impl Args {
                 found.after.theta_deg,
                 found.before.delta_deg,
                 found.after.delta_deg
-            ) + &gap.map(|gap| format!("\nthe gap is  {}", gap.words())).unwrap_or_default()
+            ) + &localised.map(|gap| format!("\nthe gap is  {}", gap.words())).unwrap_or_default()
                 + &correction.map(|Correction { words, .. }| format!("\n{words}")).unwrap_or_default()
                 + &self.next_in_words(next.as_ref())
+        });
+        Ok(())
+    }
+
+    /// No physics is named of a log that is wired otherwise than it is read.
+    fn name_nothing(&self, console: &Console, model: &Model, mistake: Reason, gap: &Gap) -> Result<()> {
+        let verdict = Verdict::of(vec![mistake]);
+        let json = serde_json::json!({
+            "verdict": "unexplained",
+            "effects": [],
+            "gap": {
+                "before_mm": gap.rms_eps_mm, "after_mm": gap.rms_eps_mm, "noise_floor_mm": gap.noise_floor_mm,
+                "before_theta_deg": gap.rms_theta_deg, "after_theta_deg": gap.rms_theta_deg,
+                "before_delta_deg": gap.rms_delta_deg, "after_delta_deg": gap.rms_delta_deg,
+            },
+            "reasons": verdict.reasons,
+        });
+        self.write("discrepancy.json", &format!("{json:#}\n"))?;
+        write_model(&self.output.join("model.toml"), model)?;
+        self.write("report.html", &verdict_page("snakeloop: discover", &verdict))?;
+        console.result(&json, || {
+            format!("unexplained: no physics is named of these data\n{}", verdict.lines().join("\n"))
         });
         Ok(())
     }

@@ -21,7 +21,7 @@ use std::f64::consts::PI;
 /// Bends that are compared and fitted; of more, as many spread over the run. Convention: a resource limit.
 const MOST: usize = 2000;
 /// The snake is at a new pose once its bend has changed by this, rad. Convention: 2°; the errors of two such poses are taken for independent.
-const NEW_POSE: f64 = 2.0 * PI / 180.0;
+pub(crate) const NEW_POSE: f64 = 2.0 * PI / 180.0;
 /// The probability with which one gain replaces a recursion that is as good. Convention: that of the verdict's tests.
 const LEVEL: f64 = 0.001;
 /// Rounds of reweighting. Convention: each changes the gain by a share of the one before; ten are beyond its digits.

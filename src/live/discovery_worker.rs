@@ -9,6 +9,7 @@ use crate::observation::{EncoderReading, Measurement};
 use crate::record::{write_atomically, write_model};
 use crate::report::discovery::sentence;
 use crate::robot::Model;
+use crate::verdict::{Reason, Subject};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -52,6 +53,11 @@ impl DiscoveryWorker {
         let (shared, output, sd_encoder_mm) = (Arc::clone(&self.shared), self.output.clone(), self.sd_encoder_mm);
         let at_work = Arc::clone(&self.at_work);
         std::thread::spawn(move || {
+            if let Some(mistake) = Subject::new(&model, sd_encoder_mm).wiring_mistake(&measurements, &readings) {
+                shared.lock().state.discovery = Some(nothing_named(&mistake));
+                at_work.store(false, Ordering::Relaxed);
+                return;
+            }
             let found = on_one_thread(|| -> Result<Discovery> {
                 let data = Data::new(&measurements, &readings, sd_encoder_mm)?;
                 let found = discover_in_frames(model, &data);
@@ -61,6 +67,16 @@ impl DiscoveryWorker {
             shared.lock().state.discovery = Some(status(found));
             at_work.store(false, Ordering::Relaxed);
         });
+    }
+}
+
+/// No physics is named of a log that is wired otherwise than it is read.
+fn nothing_named(mistake: &Reason) -> DiscoveryStatus {
+    DiscoveryStatus {
+        running: false,
+        verdict: Verdict::Unexplained.word().into(),
+        sentence: format!("no physics is named of these data: {}; {}", mistake.text, mistake.remedy),
+        details: None,
     }
 }
 

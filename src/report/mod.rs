@@ -11,4 +11,4 @@ pub mod plot;
 pub mod reproduction;
 pub mod run_history;
 pub mod run_page;
-mod verdict;
+pub mod verdict;

@@ -1,7 +1,13 @@
 //! The verdict as a box on top of a page, in its colour and in words.
 
+use super::page::document;
 use crate::verdict::{Level, Reason, Verdict};
 use maud::{Markup, html};
+
+/// A page that tells why there is nothing else to show.
+pub fn verdict_page(title: &str, verdict: &Verdict) -> String {
+    document(title, "", &html! { h1 { (title) } (verdict_box(verdict)) })
+}
 
 /// The box.
 pub(super) fn verdict_box(verdict: &Verdict) -> Markup {
@@ -16,10 +22,19 @@ pub(super) fn verdict_box(verdict: &Verdict) -> Markup {
             @if !verdict.reasons.is_empty() {
                 ol {
                     @for Reason { text, remedy, .. } in &verdict.reasons {
-                        li { (sentence(text)) p.remedy { b { "What to do: " } (remedy) "." } }
+                        li { (with_code(&sentence(text))) p.remedy { b { "What to do: " } (with_code(remedy)) "." } }
                     }
                 }
             }
+        }
+    }
+}
+
+/// Text in which what stands between backticks is code.
+fn with_code(text: &str) -> Markup {
+    html! {
+        @for (place, part) in text.split('`').enumerate() {
+            @if place % 2 == 1 { code { (part) } } @else { (part) }
         }
     }
 }
@@ -41,9 +56,11 @@ mod tests {
     #[test]
     fn the_box_has_the_level_as_its_class_and_every_reason_with_its_remedy() {
         assert!(verdict_box(&Verdict::default()).into_string().contains("class=\"verdict good\""));
-        let reason = Reason::new(Code::Wiring, Level::DoNotUse, "encoder <log>: swapped", "write [wiring]");
+        let reason = Reason::new(Code::Wiring, Level::DoNotUse, "encoder <log>: swapped", "`a b`, write [wiring]");
         let text = verdict_box(&Verdict::of(vec![reason])).into_string();
-        for part in ["class=\"verdict do-not-use\"", "Encoder &lt;log&gt;: swapped.", "write [wiring]."] {
+        for part in
+            ["class=\"verdict do-not-use\"", "Encoder &lt;log&gt;: swapped.", "<code>a b</code>, write [wiring]."]
+        {
             assert!(text.contains(part), "{part}: {text}");
         }
         assert_eq!((sentence("η = 4"), sentence("q3 stands still")), ("η = 4.".into(), "q3 stands still.".into()));

@@ -10,8 +10,8 @@ use nalgebra::Vector2;
 /// A column stands still where its spread is less than this share of what the bends seen ask of it, measured by the column for which
 /// that share is largest.
 ///
-/// Derived: the ratio of variances is then 100 or more, which has a probability below 0.001 from three samples on, if both
-/// spreads are the same (F distribution with 2 and 2 degrees of freedom: 1/(1 + 100) for one, 10⁻⁴ for four samples).
+/// Convention: a tenth. The ratio of variances is then 100, which two samples of one spread exceed with a probability below 0.002 from four
+/// samples on (F distribution with 3 and 3 degrees of freedom).
 const STILL: f64 = 0.1;
 /// Fewer samples than this say nothing of spreads. Convention: see [`STILL`].
 const LEAST_SAMPLES: usize = 4;

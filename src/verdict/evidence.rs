@@ -1,6 +1,6 @@
 //! What a verdict is passed on, collected in one pass over the measurements.
 
-use super::reason::Verdict;
+use super::reason::{Reason, Verdict};
 use super::rules;
 use super::wiring::Pose;
 use crate::estimate::{Pair, Replaced, pairs_without_effects, usable};
@@ -8,6 +8,7 @@ use crate::observation::{EncoderReading, Measured, Measurement, Status, Wiring};
 use crate::robot::{Model, PerBackbone};
 use std::cell::RefCell;
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 
 /// Measurements that the rules look at; of more, as many spread over the run. Convention: a resource limit, far beyond what the tests need.
 const MOST_SAMPLES: usize = 2000;
@@ -48,6 +49,14 @@ impl<'a> Subject<'a> {
         log: &[EncoderReading],
     ) -> Result<Verdict, E> {
         Ok(rules::verdict(self, &Evidence::collect(self.model, measurements, log)?, log))
+    }
+
+    /// What keeps physics from being named of these data, where something does: encoders that stand still, or a log that is wired
+    /// otherwise than it is read.
+    pub fn wiring_mistake(&self, measurements: &[Measurement], log: &[EncoderReading]) -> Option<Reason> {
+        let measurements = measurements.iter().cloned().map(Ok::<_, Infallible>);
+        let Ok(evidence) = Evidence::collect(self.model, measurements, log);
+        rules::wiring_mistake(self, &evidence, log)
     }
 }
 

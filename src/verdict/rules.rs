@@ -4,10 +4,10 @@ use super::encoders::stuck;
 use super::evidence::{Evidence, Sample, Subject};
 use super::reason::{Code, Level, Reason, Verdict};
 use super::scale::PLAUSIBLE_ETA;
-use super::wiring::{self, WiringCheck};
+use super::wiring::{self, Mistake, WiringCheck};
 use super::words;
-use crate::estimate::{LinearisedMeasurement, Replaced, Weighting, Whitened};
-use crate::observation::EncoderReading;
+use crate::estimate::{LinearisedMeasurement, NEW_POSE, Replaced, Weighting, Whitened};
+use crate::observation::{EncoderReading, Wiring};
 use crate::robot::Model;
 use crate::statistics::binomial;
 use crate::statistics::order::{mad_scale, median};
@@ -34,13 +34,14 @@ const MEAN_SQUARE: f64 = 2.5;
 ///
 /// Derived: 2 ln 2, and Φ⁻¹(¾)².
 const MEDIAN_CHI_SQUARE: [f64; 2] = [1.386_294, 0.454_936];
-/// The snake is at a new pose once its bend has changed by this, rad. Convention: 2°, as in `live`'s gap monitor; the eye's
-/// errors at two such poses are taken for independent.
-const NEW_POSE: f64 = 2.0 * PI / 180.0;
 /// A snake that bends no further than so many standard deviations of θ does not bend.
 ///
-/// Derived: the bend then tells η to 1/√n · 1/10 at best; see `estimate`'s measure of standing straight, which is the same.
+/// Derived: as where the estimator takes a bend for straight (`TOLD_FROM_STRAIGHT_SD`): noise is 1 % of what H² grows to from there on.
 const STRAIGHT_SDS: f64 = 10.0;
+/// A bend at rest is along the camera's axis within an angle of this sine.
+///
+/// Convention: 10°; a bend at rest of any other cause points there by chance once in nine times.
+const ALONG_THE_AXIS: f64 = 0.173_648;
 /// The largest λ that robots have, mm. Convention: a play of a millimetre is a loose part.
 const MOST_LAMBDA_MM: f64 = 1.0;
 
@@ -52,6 +53,7 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
         (None, None) => wiring::check(robot, subject.sd_encoder_mm, &evidence.poses, log),
         _ => None,
     };
+    let gap = Residuals::of(subject, evidence).above_noise();
     let reasons = [
         stuck,
         check.as_ref().and_then(|check| words::wiring(subject, check)),
@@ -64,9 +66,32 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
         rejected(subject),
         replaced(subject),
         not_covered(subject, evidence, check.as_ref()),
-        Residuals::of(subject, evidence).above_noise(),
+        camera_lens(subject, evidence, check.as_ref().filter(|_| gap.is_some())),
+        gap,
     ];
     Verdict::of(reasons.into_iter().flatten().collect())
+}
+
+/// What keeps physics from being named: encoders that stand still, or a log that is wired otherwise than it is read. A lag, and a shift
+/// of rows that does not explain the bends to the noise, may be physics too, and are none.
+pub(super) fn wiring_mistake(subject: &Subject, evidence: &Evidence, log: &[EncoderReading]) -> Option<Reason> {
+    let robot = &subject.model.robot;
+    if let Some(stuck) = stuck(robot, &evidence.samples) {
+        return Some(stuck);
+    }
+    if no_bend(evidence).is_some() {
+        return None;
+    }
+    let check = wiring::check(robot, subject.sd_encoder_mm, &evidence.poses, log)?;
+    let may_be_physics = match &check.mistake {
+        Some(Mistake::Clock { .. }) => true,
+        Some(Mistake::Log(wiring)) => {
+            let only_rows = Wiring { index_shift: 0, ..wiring.clone() }.is_straight();
+            only_rows && check.misfit_corrected > MEAN_SQUARE.sqrt()
+        }
+        _ => false,
+    };
+    if may_be_physics { None } else { words::wiring(subject, &check) }
 }
 
 /// Whether something happened more often than with a probability `p`, at the level of the tests.
@@ -288,6 +313,31 @@ fn replaced(subject: &Subject) -> Option<Reason> {
     );
     let remedy = "`snakeloop discover` names what the model lacks; until then the table is as good as one gain can be";
     Some(Reason::new(Code::GapAboveNoise, Level::Look, text, remedy))
+}
+
+/// A bend at rest along the axis of the camera, where there is a gap: a wrong focal length makes a tilt of the straight picture out of
+/// perspective, the same in all frames. A bend at rest of the snake itself may point anywhere.
+fn camera_lens(subject: &Subject, evidence: &Evidence, check: Option<&WiringCheck>) -> Option<Reason> {
+    let check = check.filter(|check| check.mistake.is_none())?;
+    // Poses of trackers and of simulated eyes name no view.
+    let view = evidence.poses.first()?.view.as_ref()?;
+    if evidence.poses.iter().any(|pose| pose.view.as_ref() != Some(view)) {
+        return None;
+    }
+    let known = subject.views.iter().find(|known| known.name == *view);
+    let right = known.map_or(0.0, |known| known.delta_offset_deg.to_radians());
+    let from_axis = (check.at_rest.y.atan2(check.at_rest.x) - right - PI / 2.0).sin().abs();
+    let is_significant = check.at_rest.norm() > NORMAL_QUANTILE * check.sd_at_rest;
+    (is_significant && from_axis < ALONG_THE_AXIS).then(|| {
+        let text = format!(
+            "all bends are {:.2}° off in the direction of the camera's axis, and not across it, as a wrong focal length makes them (or a \
+             straight picture in which the snake leaned towards the camera)",
+            check.at_rest.norm().to_degrees()
+        );
+        let remedy = "calibrate the camera (`snakeloop calibrate camera`) and compare the focal length with camera.yaml; then take the straight \
+                      picture anew";
+        Reason::new(Code::CameraLens, Level::Look, text, remedy)
+    })
 }
 
 /// What the poses leave open: the wiring, a direction of the bend, or η.

@@ -17,7 +17,7 @@ const SAME_TURN: f64 = 3.0 * PI / 180.0;
 pub(super) fn wiring(subject: &Subject, check: &WiringCheck) -> Option<Reason> {
     let unit = unit(subject.model, check.gain, check.sd_gain);
     let misfits = format!(
-        "the bends are then explained to {:.1} times the noise, {:.0} times as the log is read now",
+        "the bends then agree with the readings to {:.1} times the noise, and to {:.0} times as it is now",
         check.misfit_corrected, check.misfit
     );
     match &check.mistake {

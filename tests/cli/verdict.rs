@@ -243,3 +243,41 @@ fn of_a_hundred_clean_experiments_two_at_most_are_not_called_good() {
     println!("{} of 100 were not called good\n{}", accused.len(), accused.join("\n"));
     assert!(accused.len() <= 2);
 }
+
+#[test]
+fn discover_names_no_physics_of_a_miswired_log() {
+    let sandbox = Sandbox::new();
+    let mut tables = experiment(&sandbox, 3);
+    tables.readings(|q| [q[1], q[0], q[2]]);
+    verdict(&sandbox, &tables);
+    let found = sandbox.json(&format!("discover {} -o found", data("lab")));
+    assert_eq!((&found["verdict"], &found["reasons"][0]["code"]), (&json("\"unexplained\""), &json("\"wiring\"")));
+    assert_eq!(found["reasons"][0]["suggestion"]["columns"], json("[2, 1, 3]"));
+    assert!(sandbox.read("found/report.html").contains("verdict do-not-use"));
+    assert!(!sandbox.read("found/model.toml").contains("[[effect]]"));
+}
+
+#[test]
+fn a_wiring_that_is_written_down_is_obeyed_and_composes_with_what_is_suggested() {
+    let sandbox = Sandbox::new();
+    sandbox.copy_bending(&[0, 5, 10, 15, 19, 24, 28, 32]);
+    let log = read_encoders(&sandbox.join("bending/encoders.csv"), 3).unwrap().rows;
+    let swapped = |row: &EncoderReading| EncoderReading {
+        q_mm: PerBackbone::from([row.q_mm[0], row.q_mm[2], -row.q_mm[1]].map(|q| 0.1 * q)),
+        ..*row
+    };
+    sandbox.write("bending/encoders.csv", &encoders_csv(&log.iter().map(swapped).collect::<Vec<_>>(), 3));
+    let settings = sandbox.read("bending/experiment.toml");
+    // A wiring that is half right: the suggestion is for the log, and not for what was made of it.
+    sandbox.write("bending/experiment.toml", &format!("{settings}\n[wiring]\ncolumns = [1, 3, 2]\nscale = 10.0\n"));
+    let half = sandbox.json("run bending -o out --overlays none");
+    let suggestion = &half["verdict"]["reasons"][0]["suggestion"];
+    assert_eq!((&suggestion["columns"], &suggestion["signs"]), (&json("[1, 3, 2]"), &json("[1, -1, 1]")), "{half:#}");
+    assert_eq!(number(suggestion, "scale"), 10.0);
+    assert!(sandbox.read("out/report.html").contains("verdict do-not-use"));
+    assert_eq!(json(&sandbox.read("out/compensation.json"))["verdict"]["level"], "do_not_use");
+    // The measurements stand; with the log put right they give what was hidden.
+    sandbox.write("out/encoders.csv", &encoders_csv(&log, 3));
+    let right = sandbox.json(&format!("estimate {} -o again", data("out")));
+    assert!((number(&right, "eta") - 1.221).abs() < 0.02 && right["verdict"]["level"] != "do_not_use", "{right:#}");
+}

@@ -61,6 +61,10 @@ pub(super) struct Fit {
     pub gain: Vector2<f64>,
     /// Standard deviation of g, as the residuals scatter and hang together.
     pub sd_gain: f64,
+    /// b_0, rad.
+    pub at_rest: Vector2<f64>,
+    /// Standard deviation of its numbers, rad, as the residuals scatter and hang together.
+    pub sd_at_rest: f64,
     /// Design effect of the residuals' correlation from point to point.
     pub design_effect: f64,
 }
@@ -106,12 +110,15 @@ fn maximised(points: &[Point], freedom: Freedom) -> Option<Fit> {
     }
     let design_effect = scatter.design_effect();
     let information: Matrix4<f64> = rows.iter().zip(&weights).map(|((_, h), weight)| h.transpose() * h * *weight).sum();
-    let own_variance = information.pseudo_inverse(RIDGE * information.norm()).ok()?[(0, 0)];
+    let own = information.pseudo_inverse(RIDGE * information.norm()).ok()?.diagonal();
+    let sd = |own_variance: f64| (variance * design_effect * own_variance.max(0.0)).sqrt();
     Some(Fit {
         log_likelihood,
         scale: variance.sqrt(),
         gain: parameters.xy(),
-        sd_gain: (variance * design_effect * own_variance.max(0.0)).sqrt(),
+        sd_gain: sd(own[0]),
+        at_rest: Vector2::new(parameters[2], parameters[3]),
+        sd_at_rest: sd((own[2] + own[3]) / 2.0),
         design_effect,
     })
     .filter(|fit| fit.log_likelihood.is_finite())

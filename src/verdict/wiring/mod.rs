@@ -22,6 +22,7 @@ use crate::observation::{EncoderReading, Wiring};
 use crate::robot::Robot;
 use hypotheses::{Candidate, lags, shifts, signed_permutations};
 use likelihood::{Fit, Freedom};
+use nalgebra::Vector2;
 pub(super) use samples::Pose;
 use samples::Samples;
 
@@ -66,6 +67,10 @@ pub struct WiringCheck {
     pub gain: f64,
     /// Its standard deviation.
     pub sd_gain: f64,
+    /// The bend seen where the readings imply none, as the log stands, rad.
+    pub at_rest: Vector2<f64>,
+    /// Standard deviation of its numbers, rad.
+    pub sd_at_rest: f64,
     /// Another wiring of columns and signs that explains the bends about as well, so that the data cannot confirm the log's own.
     pub undecided: Option<Wiring>,
 }
@@ -99,6 +104,8 @@ pub(super) fn check(robot: &Robot, sd_encoder_mm: f64, poses: &[Pose], log: &[En
         misfit_corrected: chosen.fit.scale,
         gain: if found { chosen.fit.gain.norm() } else { as_it_is.gain.x },
         sd_gain: if found { chosen.fit.sd_gain } else { as_it_is.sd_gain },
+        at_rest: as_it_is.at_rest,
+        sd_at_rest: as_it_is.sd_at_rest,
         mistake: found.then_some(chosen.mistake),
         undecided: undecided.filter(|_| !found),
     })

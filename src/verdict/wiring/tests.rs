@@ -6,7 +6,7 @@ use crate::observation::{EncoderReading, Measurement, Wiring};
 use crate::robot::{Estimate, Model, PerBackbone};
 use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
 use crate::verdict::{Code, Level, Subject, Verdict, ViewOffset};
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Vector2};
 
 struct Lab {
     measurements: Vec<Measurement>,
@@ -163,4 +163,19 @@ fn poses_in_one_plane_cannot_confirm_the_wiring() {
     let verdict = Lab::with(Model::default(), ride, 1).verdict();
     assert_eq!(verdict.reasons[0].code, Code::WorkspaceNotCovered, "{verdict:#?}");
     assert_eq!(verdict.level, Level::Look);
+}
+
+#[test]
+fn a_tilt_along_the_cameras_axis_is_told_as_the_lens_and_any_other_is_not() {
+    for (tilt, is_lens) in [(Vector2::new(0.0, 0.012), true), (Vector2::new(0.012, 0.0), false)] {
+        let mut lab = Lab::new(11);
+        for measurement in &mut lab.measurements {
+            measurement.view = Some("side".into());
+            let measured = measurement.measured.as_mut().unwrap();
+            measured.configuration = Configuration::from_bend_vector(measured.configuration.bend_vector() + tilt);
+        }
+        let verdict = lab.verdict();
+        assert!(verdict.has(Code::GapAboveNoise) && verdict.has(Code::CameraLens) == is_lens, "{verdict:#?}");
+        assert_eq!(verdict.level, Level::Look);
+    }
 }

@@ -43,6 +43,8 @@ fn a_killed_run_goes_on_with_all_but_the_frame_in_hand() {
     let state = live.until("the end", |state| state["ended"] == true);
     assert_eq!(state["resumed"].as_u64().unwrap(), kept.len() as u64);
     assert_learned(&state);
+    let verdict = &state["verdict"];
+    assert!(verdict["level"] == "good" || verdict["level"] == "look", "{verdict:#}");
     assert!(live.finish().success());
     let all = journaled(&output);
     assert_eq!(all[..kept.len()], kept);
