@@ -70,11 +70,11 @@ impl Args {
             return Err(Failure::Usage(format!("--encoder-sd {}: expected more than 0, to 1 mm", self.encoder_sd)));
         }
         let (model, measurements, readings) = self.inputs(console)?;
+        let data = Data::new(&measurements, &readings, self.encoder_sd)?;
         let subject = Subject::new(&model, self.encoder_sd);
         if let Some(mistake) = subject.wiring_mistake(&measurements, &readings) {
-            return Ok(self.name_nothing(console, &model, mistake, &gap(&model, &measurements, &readings))?);
+            return Ok(self.name_nothing(console, &model, mistake, &data, &gap(&model, &measurements, &readings))?);
         }
-        let data = Data::new(&measurements, &readings, self.encoder_sd)?;
         let from_frames = measurements.iter().any(|measurement| measurement.quality.is_some());
         let found = if from_frames { discover_in_frames(model, &data) } else { discover(&model, &data) };
         let localised = Localisation::new(&found, &data);
@@ -122,7 +122,7 @@ impl Args {
     }
 
     /// No physics is named of a log that is wired otherwise than it is read.
-    fn name_nothing(&self, console: &Console, model: &Model, mistake: Reason, gap: &Gap) -> Result<()> {
+    fn name_nothing(&self, console: &Console, model: &Model, mistake: Reason, data: &Data, gap: &Gap) -> Result<()> {
         let verdict = Verdict::of(vec![mistake]);
         let json = serde_json::json!({
             "verdict": "unexplained",
@@ -133,10 +133,13 @@ impl Args {
                 "before_delta_deg": gap.rms_delta_deg, "after_delta_deg": gap.rms_delta_deg,
             },
             "reasons": verdict.reasons,
+            "samples": data.len(),
+            "remarks": data.remarks,
         });
         self.write("discrepancy.json", &format!("{json:#}\n"))?;
         write_model(&self.output.join("model.toml"), model)?;
         self.write("report.html", &verdict_page("snakeloop: discover", &verdict))?;
+        console.warn(&data.remarks);
         console.result(&json, || {
             format!("unexplained: no physics is named of these data\n{}", verdict.lines().join("\n"))
         });

@@ -11,7 +11,7 @@ use nalgebra::{Matrix2, Vector2};
 /// The largest standard deviation of η, and of λ in mm, that counts as knowing them: an estimate with more is none.
 ///
 /// Convention: as wide as the range in which any robot's η (about 1) and λ (below 1 mm) are looked for.
-const KNOWN_SD: f64 = 1.0;
+pub(super) const KNOWN_SD: f64 = 1.0;
 /// The standard deviation, likewise, at which forgetting stops.
 ///
 /// Convention: half of [`KNOWN_SD`], so that an estimate that was known does not cease to be while nothing excites it.

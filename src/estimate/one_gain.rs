@@ -1,4 +1,4 @@
-//! One gain for all bends: the estimate that stands in where the recursion's does not explain the bends as well.
+//! One gain for all bends: the estimate that stands in where the recursion has none, or knows η no better than before.
 //!
 //! The recursion weights measurements as if the model were right, and its gate and its first estimate follow from that. On a machine that departs from the
 //! model by many times the noise, they hold on to the few measurements that happen to agree, and η comes out anywhere. What is left to say
@@ -6,6 +6,7 @@
 //! residuals' own scale. Since 1/g = 1 + ηk with the model's k, that is an η; λ is the median of the common part less what friction
 //! explains. Both σ come from the residuals, whose serial correlation counts.
 
+use super::filter::KNOWN_SD;
 use super::friction::friction_covariance;
 use super::usable::usable;
 use super::{Pair, pairs_without_effects};
@@ -22,7 +23,7 @@ use std::f64::consts::PI;
 const MOST: usize = 2000;
 /// The snake is at a new pose once its bend has changed by this, rad. Convention: 2°; the errors of two such poses are taken for independent.
 pub(crate) const NEW_POSE: f64 = 2.0 * PI / 180.0;
-/// The probability with which one gain replaces a recursion that is as good. Convention: that of the verdict's tests.
+/// The probability with which an estimate that is as good as one gain is kept for better. Convention: that of the verdict's tests.
 const LEVEL: f64 = 0.001;
 /// Rounds of reweighting. Convention: each changes the gain by a share of the one before; ten are beyond its digits.
 const ROUNDS: usize = 10;
@@ -45,8 +46,8 @@ pub struct Replaced {
     pub of: usize,
 }
 
-/// The model with one gain for all bends in place of its estimate, if that predicts more bends better (sign test over poses), or if the
-/// model has none; else the model as it is.
+/// The model with one gain for all bends in place of its estimate, where it has none or one whose σ of η is above 1, unless that estimate
+/// predicts more bends better (sign test over poses); else the model as it is.
 ///
 /// # Errors
 /// What `measurements` gives.
@@ -89,7 +90,9 @@ pub fn or_one_gain<E>(
         _ => false,
     };
     let (better, of) = (points.iter().filter(better).count(), points.len());
-    let replaces = model.estimate.is_none() || binomial::at_least(better, of, 0.5) < LEVEL;
+    let is_known = model.estimate.is_some_and(|estimate| estimate.sd_eta() <= KNOWN_SD);
+    let is_worse = model.estimate.is_some() && binomial::at_least(of - better, of, 0.5) < LEVEL;
+    let replaces = !is_known && !is_worse;
     Ok(if replaces { (candidate, Some(Replaced { better, of })) } else { (model, None) })
 }
 
@@ -184,9 +187,9 @@ mod tests {
     }
 
     #[test]
-    fn an_estimate_that_the_bends_contradict_is_replaced() {
+    fn an_estimate_that_knows_nothing_of_eta_is_replaced() {
         let (measurements, log) = experiment(&["superelastic_softening:softening_per_rad2=0.1"], 5);
-        let wrong = Estimate { eta: 0.4, lambda_mm: 0.1, covariance: Matrix2::identity() * 1e-6, samples: 8 };
+        let wrong = Estimate { eta: 0.4, lambda_mm: 0.1, covariance: Matrix2::identity() * 4.0, samples: 8 };
         let (model, replaced) = judged(Model { estimate: Some(wrong), ..Model::default() }, &measurements, &log);
         let Replaced { better, of } = replaced.unwrap();
         assert!(better > of / 2 && model.parameters().x > 0.8, "{model:?}");

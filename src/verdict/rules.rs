@@ -308,8 +308,7 @@ fn rejected(subject: &Subject) -> Option<Reason> {
 fn replaced(subject: &Subject) -> Option<Reason> {
     let Replaced { better, of } = subject.replaced?;
     let text = format!(
-        "the recursive estimate of η does not explain the bends: one gain for all bends predicts {better} of {of} better, and stands in \
-         for it"
+        "the recursive estimate knows nothing of η: one gain for all bends predicts {better} of {of} better, and stands in for it"
     );
     let remedy = "`snakeloop discover` names what the model lacks; until then the table is as good as one gain can be";
     Some(Reason::new(Code::GapAboveNoise, Level::Look, text, remedy))
