@@ -138,10 +138,14 @@ struct Regression<'a> {
 impl<'a> Regression<'a> {
     fn new(problem: &Problem<'a>, fit: &Fit) -> Self {
         let data = problem.data;
-        let motions = Mechanics::new(&fit.model).motions_from_readings(&data.times_s, &fit.path, &data.q_mm);
+        let log = &data.log;
+        let motions = Mechanics::new(&fit.model).motions_from_readings(&log.times_s, &fit.path, &log.q_mm);
         let largest_theta = fit.path.iter().map(|bend| bend.norm()).fold(0.0, f64::max);
         let n = data.backbones();
-        let at = |k: usize| motions[k].direction.map(|direction| basis(fit.path[k], direction, largest_theta));
+        let at = |k: usize| {
+            let at = log.samples[k];
+            motions[at].direction.map(|direction| basis(fit.path[at], direction, largest_theta))
+        };
         let response = |k: usize| PerBackbone::from_fn(n, |i| problem.response(k, &PerBackbone::ith(n, i)));
         let all = 0..data.len();
         Self { data, largest_theta, basis: all.clone().map(at).collect(), response: all.map(response).collect() }

@@ -1,11 +1,12 @@
-//! The samples that the search works on: each an encoder reading and the measurement of the frame of the same index.
+//! The samples that the search works on: each an encoder reading and the measurement of the frame of the same index. The readings
+//! between them, whose frames gave no angles, are kept as well: they drive whatever has a memory.
 
 use super::{clock, sweeps};
 use crate::error::{DataError, Result};
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measured, Measurement, Status};
 use crate::robot::{MAX_THETA, PerBackbone};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 /// The fewest samples that are searched.
 ///
@@ -40,12 +41,37 @@ pub struct Data {
     pub measured: Vec<Measured>,
     /// The sweep that each sample belongs to, counted from 0.
     pub sweeps: Vec<usize>,
+    /// All readings, also those without a measurement.
+    pub log: Log,
     /// Standard deviation of an encoder reading, mm.
     pub sd_encoder_mm: f64,
     /// Whether all bends lie in one plane.
     pub one_plane: bool,
     /// What was passed over or cannot be decided, in sentences.
     pub remarks: Vec<String>,
+}
+
+/// Every usable encoder reading up to the last sample, in the order of the indices.
+#[derive(Debug, Clone)]
+pub struct Log {
+    /// Time of each reading, s.
+    pub times_s: Vec<f64>,
+    /// q̃ of each reading, mm.
+    pub q_mm: Vec<PerBackbone>,
+    /// The reading of each sample.
+    pub samples: Vec<usize>,
+}
+
+impl Log {
+    /// The readings up to the last sample, on a clock that rises, and what is to be said of that clock.
+    fn new(readings: &BTreeMap<u64, &EncoderReading>, pairs: &[Pair]) -> (Self, Option<String>) {
+        let last = pairs.last().map_or(0, |(reading, _)| reading.index);
+        let log: Vec<&EncoderReading> = readings.range(..=last).map(|(_, reading)| *reading).collect();
+        let (times_s, remark) = clock::checked(&log.iter().map(|reading| reading.time_s).collect::<Vec<_>>());
+        let places: HashMap<u64, usize> = log.iter().enumerate().map(|(k, reading)| (reading.index, k)).collect();
+        let samples = pairs.iter().filter_map(|(reading, _)| places.get(&reading.index).copied()).collect();
+        (Self { times_s, q_mm: log.iter().map(|reading| reading.q_mm).collect(), samples }, remark)
+    }
 }
 
 /// An encoder reading and what the frame of the same index shows.
@@ -58,10 +84,10 @@ impl Data {
     /// [`DataError`] for fewer than [`LEAST_SAMPLES`] samples, or encoders that do not move.
     pub fn new(measurements: &[Measurement], readings: &[EncoderReading], sd_encoder_mm: f64) -> Result<Self> {
         let (measurements, without_sigmas) = with_sigmas(measurements, readings);
-        let pairs = paired(&measurements, readings);
+        let readings = usable(readings);
+        let pairs = paired(&measurements, &readings);
         require_motion(&pairs)?;
-        let (times_s, about_times) =
-            clock::checked(&pairs.iter().map(|(reading, _)| reading.time_s).collect::<Vec<_>>());
+        let (log, about_times) = Log::new(&readings, &pairs);
         let thetas: Vec<f64> = pairs.iter().map(|(_, measured)| measured.configuration.theta).collect();
         let one_plane = are_coplanar(&pairs);
         let mut remarks: Vec<String> = without_sigmas.into_iter().collect();
@@ -73,10 +99,11 @@ impl Data {
         remarks.extend(about_motion(&pairs, &thetas));
         Ok(Self {
             indices: pairs.iter().map(|(reading, _)| reading.index).collect(),
-            times_s,
+            times_s: log.samples.iter().map(|&at| log.times_s[at]).collect(),
             q_mm: pairs.iter().map(|(reading, _)| reading.q_mm).collect(),
             measured: pairs.iter().map(|(_, measured)| *measured).collect(),
             sweeps: sweeps::cut(&thetas),
+            log,
             sd_encoder_mm,
             one_plane,
             remarks,
@@ -114,21 +141,28 @@ impl Data {
     }
 }
 
-/// Every measurement that is `ok` with the reading of its index, where all numbers of both are usable.
-fn paired<'a>(measurements: &[Measurement], readings: &'a [EncoderReading]) -> Vec<Pair<'a>> {
-    let by_index: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
-    measurements
-        .iter()
-        .filter(|measurement| measurement.status == Status::Ok)
-        .filter_map(|measurement| Some((*by_index.get(&measurement.index)?, measurement.measured?)))
-        .filter(|(reading, measured)| is_usable(reading, measured))
-        .collect()
+/// The readings all of whose numbers are finite, by index.
+fn usable(readings: &[EncoderReading]) -> BTreeMap<u64, &EncoderReading> {
+    let is_finite =
+        |reading: &&EncoderReading| reading.time_s.is_finite() && reading.q_mm.iter().all(|q| q.is_finite());
+    readings.iter().filter(is_finite).map(|reading| (reading.index, reading)).collect()
 }
 
-fn is_usable(reading: &EncoderReading, measured: &Measured) -> bool {
+/// Every measurement that is `ok`, and all of whose numbers are usable, with the reading of its index; in the order of the indices.
+fn paired<'a>(measurements: &[Measurement], readings: &BTreeMap<u64, &'a EncoderReading>) -> Vec<Pair<'a>> {
+    let mut pairs: Vec<Pair> = measurements
+        .iter()
+        .filter(|measurement| measurement.status == Status::Ok)
+        .filter_map(|measurement| Some((*readings.get(&measurement.index)?, measurement.measured?)))
+        .filter(|(_, measured)| is_usable(measured))
+        .collect();
+    pairs.sort_by_key(|(reading, _)| reading.index);
+    pairs
+}
+
+fn is_usable(measured: &Measured) -> bool {
     let Measured { configuration, sigma_theta, sigma_delta, correlation } = *measured;
-    let numbers = [configuration.delta, sigma_theta, sigma_delta, reading.time_s];
-    numbers.iter().chain(&reading.q_mm).all(|value| value.is_finite())
+    [configuration.delta, sigma_theta, sigma_delta].iter().all(|value| value.is_finite())
         && (0.0..=MAX_THETA).contains(&configuration.theta)
         && sigma_theta > 0.0
         && sigma_delta > 0.0
@@ -154,7 +188,8 @@ fn travel_mm(pairs: &[Pair], i: usize) -> f64 {
 fn passed_over(used: usize, all: usize) -> Option<String> {
     (used < all).then(|| {
         format!(
-            "{used} of {all} measurements are used; the others have a status, no angles, or no reading of their index"
+            "{used} of {all} measurements are used; the others have a status, no angles, or no reading of their index (their readings \
+             still tell how the snake moved)"
         )
     })
 }

@@ -41,7 +41,7 @@ pub struct Fit {
     pub model: Model,
     /// Whitened residuals of each sample.
     pub residuals: Vec<Residual>,
-    /// The bends that the encoders imply, rad.
+    /// The bends that the encoders imply at every reading, rad.
     pub path: Vec<Vector2<f64>>,
     /// The sum of the residuals' losses.
     pub cost: f64,

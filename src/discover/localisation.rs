@@ -282,6 +282,7 @@ fn direction(q_mm: impl Iterator<Item = f64> + Clone, gap: &[f64]) -> Option<[f6
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::discover::data::Log;
     use crate::geometry::Configuration;
     use crate::observation::Measured;
 
@@ -289,6 +290,7 @@ mod tests {
     fn data() -> Data {
         let theta_deg =
             |k: usize| if k % 80 < 40 { 1.0 + 2.0 * (k % 80) as f64 } else { 159.0 - 2.0 * (k % 80) as f64 };
+        let q_mm: Vec<_> = (0..240).map(|k| PerBackbone::repeat(3, 0.02 * theta_deg(k))).collect();
         let measured = (0..240).map(|k| Measured {
             configuration: Configuration::from_degrees(theta_deg(k), 1.5 * k as f64),
             sigma_theta: 0.002,
@@ -298,9 +300,10 @@ mod tests {
         Data {
             indices: (0..240).collect(),
             times_s: (0..240).map(f64::from).collect(),
-            q_mm: (0..240).map(|k| PerBackbone::repeat(3, 0.02 * theta_deg(k))).collect(),
+            q_mm: q_mm.clone(),
             measured: measured.collect(),
             sweeps: (0..240).map(|k| k / 40).collect(),
+            log: Log { times_s: (0..240).map(f64::from).collect(), q_mm, samples: (0..240).collect() },
             sd_encoder_mm: 0.0015,
             one_plane: false,
             remarks: Vec::new(),

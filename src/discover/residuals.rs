@@ -49,13 +49,14 @@ pub struct Problem<'a> {
     sd_internal_mm: f64,
     /// Orthonormal directions of q̃ that bend nothing.
     internal: Vec<PerBackbone>,
-    /// The path that the model at hand implies, rad: where every forward problem starts.
+    /// The path that the model at hand implies at every reading, rad: where every forward problem starts.
     start: Vec<Vector2<f64>>,
 }
 
 /// What a model predicts from the readings.
 #[derive(Debug, Clone)]
 pub struct Prediction {
+    /// At every reading.
     forward: Vec<ForwardSolution>,
     motions: Vec<Motion>,
     /// The whitened residuals of each sample.
@@ -63,7 +64,7 @@ pub struct Prediction {
 }
 
 impl Prediction {
-    /// The bends that the encoders imply, rad.
+    /// The bends that the encoders imply at every reading, rad.
     pub fn path(&self) -> Vec<Vector2<f64>> {
         self.forward.iter().map(|solution| solution.bend).collect()
     }
@@ -77,13 +78,14 @@ pub fn stacked(residuals: &[Residual]) -> DVector<f64> {
 impl<'a> Problem<'a> {
     /// The noise at the bends that a model implies.
     pub fn new(data: &'a Data, model: &Model) -> Self {
-        let mechanics = Mechanics::new(model);
+        let (mechanics, log) = (Mechanics::new(model), &data.log);
         let start: Vec<_> =
-            mechanics.solve_path(&data.times_s, &data.q_mm, None).iter().map(|solution| solution.bend).collect();
-        let motions = mechanics.motions_from_readings(&data.times_s, &start, &data.q_mm);
+            mechanics.solve_path(&log.times_s, &log.q_mm, None).iter().map(|solution| solution.bend).collect();
+        let motions = mechanics.motions_from_readings(&log.times_s, &start, &log.q_mm);
         let variance = data.sd_encoder_mm.powi(2);
-        let noise = data.measured.iter().zip(start.iter().zip(&motions)).map(|(measured, (&bend, motion))| {
-            let line = mechanics.line_jacobian(bend, motion);
+        let noise = data.measured.iter().zip(&log.samples).map(|(measured, &at)| {
+            let bend = start[at];
+            let line = mechanics.line_jacobian(bend, &motions[at]);
             let eye = bend_covariance(measured, bend);
             let covariance = eye + line.bend_by_line.cross_gram(&line.bend_by_line) * variance;
             let whitening = covariance.cholesky().and_then(|factor| factor.l().try_inverse());
@@ -101,10 +103,11 @@ impl<'a> Problem<'a> {
 
     /// What a model predicts. `guess` is a path near its own; without one, that of the model that the noise was taken at.
     pub fn predict(&self, model: &Model, guess: Option<&[Vector2<f64>]>) -> Prediction {
-        let mechanics = Mechanics::new(model);
-        let first = self.data.measured[0].configuration.bend_vector();
+        let (mechanics, log) = (Mechanics::new(model), &self.data.log);
+        // What the eye saw at the first reading, if it saw anything.
+        let first = (log.samples[0] == 0).then(|| self.data.measured[0].configuration.bend_vector());
         let guess = guess.unwrap_or(&self.start);
-        let (forward, motions) = mechanics.solve_path_near(&self.data.times_s, &self.data.q_mm, guess, Some(first));
+        let (forward, motions) = mechanics.solve_path_near(&log.times_s, &log.q_mm, guess, first);
         let residuals = self.whitened(&mechanics, &forward);
         Prediction { forward, motions, residuals }
     }
@@ -118,7 +121,7 @@ impl<'a> Problem<'a> {
             .zip(motions)
             .map(|(solution, motion)| mechanics.line_jacobian(solution.bend, motion))
             .collect();
-        let data = (&self.data.times_s[..], &self.data.q_mm[..]);
+        let log = (&self.data.log.times_s[..], &self.data.log.q_mm[..]);
         let x = model.parameter_values();
         let n = self.data.backbones();
         let mut jacobian = DMatrix::zeros(self.data.residual_count(), x.len());
@@ -130,7 +133,7 @@ impl<'a> Problem<'a> {
             nudged[j] += h * spec.typical;
             let nudged = model.with_parameter_values(&nudged);
             let changed = Mechanics::new(&nudged);
-            let moved = mechanics.perturbed_path(&changed, data, (forward, motions, &lines));
+            let moved = mechanics.perturbed_path(&changed, log, (forward, motions, &lines));
             for (k, (after, before)) in self.whitened(&changed, &moved).iter().zip(residuals).enumerate() {
                 for c in 0..n {
                     jacobian[(n * k + c, j)] = (after[c] - before[c]) / h;
@@ -181,10 +184,11 @@ impl<'a> Problem<'a> {
     /// The whitened residuals of forward solutions.
     fn whitened(&self, mechanics: &Mechanics, forward: &[ForwardSolution]) -> Vec<Residual> {
         let path: Vec<_> = forward.iter().map(|solution| solution.bend).collect();
-        let exposed = mechanics.exposed_bends(&self.data.times_s, &path);
-        let residuals = (0..path.len()).map(|k| {
-            let gap = self.data.measured[k].configuration.bend_vector() - mechanics.apparent_bend(exposed[k]);
-            self.residual(self.noise[k].whitening * gap, &forward[k].residual_mm)
+        let log = &self.data.log;
+        let exposed = mechanics.exposed_bends(&log.times_s, &path);
+        let residuals = self.data.measured.iter().zip(&log.samples).enumerate().map(|(k, (measured, &at))| {
+            let gap = measured.configuration.bend_vector() - mechanics.apparent_bend(exposed[at]);
+            self.residual(self.noise[k].whitening * gap, &forward[at].residual_mm)
         });
         residuals.collect()
     }
@@ -228,7 +232,7 @@ mod tests {
         let data = experiment(1);
         let mut shifted = data.clone();
         let shift = PerBackbone::from([0.0, 1e-4, 0.0]);
-        shifted.q_mm.iter_mut().for_each(|q_mm| *q_mm += shift);
+        shifted.log.q_mm.iter_mut().for_each(|q_mm| *q_mm += shift);
         // The noise of both is taken at the same bends.
         let problem = Problem::new(&data, &truth());
         let with_shift = Problem { data: &shifted, ..problem.clone() };

@@ -210,16 +210,18 @@ fn orthonormal(columns: DMatrix<f64>) -> DMatrix<f64> {
 
 /// The families, evaluated at every so many samples of a fit.
 fn families(data: &Data, fit: &Fit, stride: usize) -> Vec<Family> {
-    let motions = Mechanics::new(&fit.model).motions_from_readings(&data.times_s, &fit.path, &data.q_mm);
+    let log = &data.log;
+    let motions = Mechanics::new(&fit.model).motions_from_readings(&log.times_s, &fit.path, &log.q_mm);
+    let (bend, motion) = (|k: usize| fit.path[log.samples[k]], |k: usize| &motions[log.samples[k]]);
     let first_s = data.times_s[0];
     let duration_s = data.times_s[data.len() - 1] - first_s;
     let list = |of: &PerBackbone| of.iter().copied().collect::<Vec<f64>>();
     let theta = |k: usize| {
-        let theta = fit.path[k].norm();
+        let theta = bend(k).norm();
         vec![theta, theta.powi(2), theta.powi(3)]
     };
     let delta = |k: usize| {
-        let delta = fit.path[k].y.atan2(fit.path[k].x);
+        let delta = bend(k).y.atan2(bend(k).x);
         (1..=3).map(|order| (f64::from(order) * delta).sin_cos()).flat_map(|(sin, cos)| [sin, cos]).collect()
     };
     // A drift, and a swing of about one and a half periods.
@@ -234,8 +236,8 @@ fn families(data: &Data, fit: &Fit, stride: usize) -> Vec<Family> {
     vec![
         family("the bend θ", &theta),
         family("the azimuth δ", &delta),
-        family("the direction of motion", &|k| list(&motions[k].direction)),
-        family("the speed", &|k| list(&motions[k].speed_mm_per_s)),
+        family("the direction of motion", &|k| list(&motion(k).direction)),
+        family("the speed", &|k| list(&motion(k).speed_mm_per_s)),
         family("time", &time),
         family("q̃", &q_tilde),
     ]

@@ -125,7 +125,7 @@ impl OnlineEstimator {
         measurement: &Measurement,
         reading: &EncoderReading,
     ) -> (Measurement, EncoderReading) {
-        if self.start.effects.is_empty() || measurement.measured.is_none() {
+        if self.start.effects.is_empty() {
             return (measurement.clone(), *reading);
         }
         if self.past.len() == PAST {
