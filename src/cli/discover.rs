@@ -27,8 +27,8 @@ use std::path::PathBuf;
 
 /// Find the effect that the model lacks, name it and add it: writes discrepancy.json, model.toml and report.html
 ///
-/// Compares what the model predicts with what was measured. The verdict is `named`, `none` (the gap is noise) or
-/// `unexplained` (there is a gap, and no known effect accounts for it).
+/// Compares what the model predicts with what was measured. The verdict is `named`, `partly` (the effects help on held-out sweeps, and
+/// more than noise is left), `none` (the gap is noise) or `unexplained` (there is a gap, and no known effect accounts for it).
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop discover --measurements out/measurements.csv \
                   --encoders fixtures/bending/encoders.csv -o found")]
@@ -55,7 +55,7 @@ pub struct Args {
     /// `simulate --trajectory` takes (index,time_s,theta_deg,delta_deg) with the q̃ to command (qc1_mm,qc2_mm,qc3_mm)
     #[arg(long)]
     next: bool,
-    /// Where the verdict is `unexplained`, learn a smooth correction of ε from the gap, and add it to model.toml as
+    /// Where the verdict is `unexplained` or `partly`, learn a smooth correction of ε from the gap, and add it to model.toml as
     /// `learned_correction` if it helps on held-out sweeps
     #[arg(long)]
     correction: bool,

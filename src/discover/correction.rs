@@ -55,7 +55,7 @@ pub struct Correction {
 /// Learns a correction where the verdict is `unexplained`, and keeps it where it shrinks the gap on held-out sweeps.
 pub fn learn_correction(found: &Discovery, data: &Data) -> Correction {
     match found.verdict {
-        Verdict::Unexplained => learned(found, data),
+        Verdict::Unexplained | Verdict::Partly => learned(found, data),
         Verdict::None => unneeded(found, "the gap is noise, and there is nothing to gain"),
         Verdict::Named => unneeded(found, "the effects that were named account for the gap"),
     }
@@ -67,7 +67,7 @@ fn unneeded(found: &Discovery, reason: &str) -> Correction {
 }
 
 fn learned(found: &Discovery, data: &Data) -> Correction {
-    let problem = Problem::new(data, &found.model);
+    let problem = Problem::new(data, &found.noise, &found.model);
     let fit = problem.fit(&found.model, None, None);
     let regression = Regression::new(&problem, &fit);
     let fits = held_out_fits(&problem, &fit);

@@ -135,6 +135,16 @@ impl Data {
         self.sweeps.last().map_or(1, |last| last + 1)
     }
 
+    /// The block of each sweep, of as many blocks of about equal length as there are folds: sweeps that follow each other, so that a
+    /// block is a part of the experiment as unlike the rest as a new one would be.
+    pub fn blocks(&self) -> Vec<usize> {
+        let mut middles = vec![(usize::MAX, 0); self.sweep_count()];
+        for (k, &sweep) in self.sweeps.iter().enumerate() {
+            middles[sweep] = (middles[sweep].0.min(k), k);
+        }
+        middles.into_iter().map(|(first, last)| (first + last) * sweeps::FOLDS / (2 * self.len())).collect()
+    }
+
     /// The cross-validation fold of sample k: whole sweeps, dealt to the folds in turn.
     pub fn fold(&self, k: usize) -> usize {
         self.sweeps[k] % sweeps::FOLDS

@@ -2,12 +2,15 @@
 
 use super::confounding::confounded;
 use super::data::Data;
+use super::fit::Fit;
 use super::held_out::{Gap, HeldOutResiduals};
+use super::noise::Noise;
 use super::null_distribution::largest_gain_of_noise;
+use super::partial::Partial;
 use super::residuals::Problem;
 use super::search::{Found, Named, search};
 use super::structure::Structure;
-use super::tangent_spaces::tangent_spaces;
+use super::tangent_spaces::{TangentSpace, tangent_spaces};
 use super::verdict::Verdict;
 use crate::robot::effects::RIG_ERROR;
 use crate::robot::{Effect, Estimate, Model, PerBackbone, Physics};
@@ -17,15 +20,22 @@ use crate::robot::{Effect, Estimate, Model, PerBackbone, Physics};
 /// Convention: decides about a remark only.
 const UNDETERMINED_SIZES: f64 = 10.0;
 
+/// How often the noise is learned and the search done with it.
+///
+/// Convention: an iteration cap; once is nearly always enough.
+const MOST_SEARCHES: usize = 3;
+
 /// What `discover` found.
 #[derive(Debug, Clone)]
 pub struct Discovery {
     /// The answer.
     pub verdict: Verdict,
-    /// The effects, where the verdict is named; those that explain most where it is unexplained, as evidence only.
+    /// The effects, where the verdict is named or partly; those that explain most where it is unexplained, as evidence only.
     pub named: Vec<Named>,
     /// The gain in the information criterion that is asked of an effect.
     pub least_bic_gain: f64,
+    /// The noise that was learned, with the discrepancy where more than noise is left.
+    pub noise: Noise,
     /// The model: with the effects where they are named, else as given with η and λ at their best.
     pub model: Model,
     /// The gap before, on held-out sweeps.
@@ -56,40 +66,123 @@ impl Discovery {
 /// Compares what a model predicts with what was measured, and names what is missing.
 pub fn discover(model: &Model, data: &Data) -> Discovery {
     let model = with_estimate(model);
-    let rough = Problem::new(data, &model).fit(&model, None, None);
-    // The noise is taken anew where η and λ put it.
-    let problem = Problem::new(data, &rough.model);
-    let before = problem.fit(&rough.model, Some(&rough.path), None);
+    let first = Problem::new(data, &Noise::stated(data), &model);
+    let rough = first.fit(&model, None, None);
+    let searched = Searched::until_the_noise_is_learned(&first, &rough);
+    let Searched { problem, least_bic_gain, found: Found { before, after, named }, .. } = &searched;
 
-    let spaces = tangent_spaces(&problem, &before);
-    let least_bic_gain = largest_gain_of_noise(&spaces);
-    let Found { before, after, named } = search(&problem, before, least_bic_gain);
+    let structure_before = Structure::new(data, before);
+    let held_out_before = HeldOutResiduals::new(problem, before);
+    let full = Answer::new(problem, after, named.clone());
+    // An effect that does not shrink the gap on sweeps that the fit did not see is none.
+    let helps = !named.is_empty() && full.held_out.gap.eps_mm < held_out_before.gap.eps_mm;
+    let verdict = Verdict::new(helps, &structure_before, if helps { &full.structure } else { &structure_before });
+    let (verdict, answer, held_out_before) = match verdict {
+        Verdict::Named => (verdict, full, held_out_before),
+        Verdict::None => (verdict, Answer::new(problem, before, Vec::new()), held_out_before),
+        _ => partly_answered(&searched, &model),
+    };
 
-    let (structure_before, structure_after) = (Structure::new(data, &before), Structure::new(data, &after));
-    let verdict = Verdict::new(!named.is_empty(), &structure_before, &structure_after);
-    let accepted = verdict == Verdict::Named;
-    let kept = if accepted { &after } else { &before };
-    let fitted = with_origin(problem.with_covariance(kept), data);
-    let held_out_before = HeldOutResiduals::new(&problem, &before);
-    let held_out = if accepted { HeldOutResiduals::new(&problem, &after) } else { held_out_before.clone() };
-
+    let fitted = with_origin(answer.model, data);
     let mut remarks = data.remarks.clone();
     remarks.extend(undetermined(&fitted));
-    remarks.extend(confounded(&spaces, least_bic_gain).into_iter().map(|effect| about_confounded(effect, data)));
+    let confounded = confounded(&searched.spaces, *least_bic_gain);
+    remarks.extend(confounded.into_iter().map(|effect| about_confounded(effect, data)));
     Discovery {
         verdict,
-        named,
-        least_bic_gain,
+        named: answer.named,
+        least_bic_gain: *least_bic_gain,
+        noise: answer.noise,
         model: fitted,
         before: held_out_before.gap,
-        after: held_out.gap,
+        after: answer.held_out.gap,
         noise_floor_mm: problem.noise_floor_mm(),
-        structure_after: if accepted { structure_after } else { structure_before.clone() },
+        structure_after: answer.structure,
         structure_before,
-        residuals_mm: held_out_before.eps_mm.into_iter().zip(held_out.eps_mm).map(|(a, b)| [a, b]).collect(),
+        residuals_mm: held_out_before.eps_mm.into_iter().zip(answer.held_out.eps_mm).map(|(a, b)| [a, b]).collect(),
         samples: data.len(),
         remarks,
     }
+}
+
+/// A search with all that it was made from.
+struct Searched<'a> {
+    problem: Problem<'a>,
+    spaces: Vec<TangentSpace>,
+    least_bic_gain: f64,
+    found: Found,
+}
+
+impl<'a> Searched<'a> {
+    /// With the noise that a fit leaves, at the bends that it implies.
+    fn new(data: &'a Data, noise: &Noise, rough: &Fit) -> Self {
+        let problem = Problem::new(data, noise, &rough.model);
+        let before = problem.fit(&rough.model, Some(&rough.path), None);
+        let spaces = tangent_spaces(&problem, &before);
+        let least_bic_gain = largest_gain_of_noise(&spaces);
+        let found = search(&problem, before, least_bic_gain);
+        Self { problem, spaces, least_bic_gain, found }
+    }
+
+    /// What effects do from one sample to the next looks like noise until they are found: then the noise is learned anew, and the
+    /// search repeated with it.
+    fn until_the_noise_is_learned(first: &Problem<'a>, rough: &Fit) -> Self {
+        let mut noise = Noise::learned(first, rough);
+        let mut searched = Self::new(first.data, &noise, rough);
+        for _ in 1..MOST_SEARCHES {
+            let finer = Noise::learned(&searched.problem, &searched.found.after);
+            if searched.found.named.is_empty() || !finer.is_finer_than(&noise) {
+                break;
+            }
+            noise = finer;
+            searched = Self::new(first.data, &noise, rough);
+        }
+        searched
+    }
+}
+
+/// A fitted model, and what is to be said of it.
+struct Answer {
+    model: Model,
+    named: Vec<Named>,
+    noise: Noise,
+    held_out: HeldOutResiduals,
+    structure: Structure,
+}
+
+impl Answer {
+    fn new(problem: &Problem, fit: &Fit, named: Vec<Named>) -> Self {
+        Self {
+            model: problem.with_covariance(fit),
+            named,
+            noise: problem.noise,
+            held_out: HeldOutResiduals::new(problem, fit),
+            structure: Structure::new(problem.data, fit),
+        }
+    }
+}
+
+/// The answer where the library does not account for the gap: what helps all the same, or nothing; and the held-out residuals before.
+/// Where nothing helps, the effects that explain most are evidence only.
+fn partly_answered(searched: &Searched, given: &Model) -> (Verdict, Answer, HeldOutResiduals) {
+    let Searched { problem, found, .. } = searched;
+    let anew = problem.fit(given, None, None);
+    let partial = Partial::new(problem, [&found.before, &anew]);
+    let before = HeldOutResiduals::new(&partial.problem, &partial.before);
+    let held_out = HeldOutResiduals::new(&partial.problem, &partial.after);
+    let helps = !partial.named.is_empty() && held_out.gap.eps_mm < before.gap.eps_mm;
+    let (verdict, named) =
+        if helps { (Verdict::Partly, partial.named.clone()) } else { (Verdict::Unexplained, found.named.clone()) };
+    let fit = if helps { &partial.after } else { &partial.before };
+    let answer = Answer {
+        model: partial.model(fit),
+        named,
+        noise: partial.problem.noise,
+        held_out: if helps { held_out } else { before.clone() },
+        // What the residuals follow is told in units of the noise.
+        structure: Structure::new(problem.data, &problem.evaluated(&fit.model, Some(&fit.path))),
+    };
+    (verdict, answer, before)
 }
 
 /// [`discover`] for measurements that come from frames. They share the error of their rig, which is fitted as a nuisance parameter

@@ -2,7 +2,6 @@
 
 use super::discovery::Discovery;
 use super::search::Named;
-use super::verdict::Verdict;
 use serde_json::{Map, Value, json};
 
 /// Alternatives that are listed.
@@ -17,7 +16,7 @@ impl Discovery {
         let effects: Vec<Value> =
             self.named.iter().enumerate().map(|(k, named)| self.effect_json(named, given + k)).collect();
         let (effects, considered) =
-            if self.verdict == Verdict::Named { (effects, Vec::new()) } else { (Vec::new(), effects) };
+            if self.verdict.has_effects() { (effects, Vec::new()) } else { (Vec::new(), effects) };
         let x = self.model.parameters();
         let structure = &self.structure_after;
         let follows: Vec<_> =
@@ -38,6 +37,7 @@ impl Discovery {
             "eta": x.x,
             "lambda_mm": x.y,
             "samples": self.samples,
+            "noise": {"encoder_mm": self.noise.sd_encoder_mm, "eye_factor": self.noise.eye_factor},
             "residuals": {
                 "mean_square_bend": structure.mean_square[0],
                 "mean_square_common": structure.mean_square[1],
@@ -66,6 +66,8 @@ impl Discovery {
             "equation": named.physics.equation,
             "reading": named.physics.reading,
             "parameters": parameters,
+            "removes": named.removes,
+            "probability": named.probability(),
             "evidence": {
                 "bic_gain": named.evidence.bic_gain,
                 "held_out_gain": named.evidence.held_out_gain,

@@ -2,6 +2,7 @@
 
 use super::residuals::{Prediction, Problem, Residual, stacked};
 use crate::robot::Model;
+use crate::statistics::cluster::clustered_covariance;
 use crate::statistics::least_squares::{self, Options};
 use crate::statistics::normal_equations::normal_equations as weighted_normal_equations;
 use crate::statistics::robust::Loss;
@@ -100,19 +101,16 @@ impl Problem<'_> {
                 Fit { model, residuals: evaluation.residuals, path, cost, jacobian }
             }
             // More parameters than residuals, or no finite numbers: the start is as good as anything.
-            Err(_) => {
-                let prediction = self.predict(start, guess);
-                let jacobian = self.jacobian(start, &prediction);
-                let path = prediction.path();
-                Fit {
-                    model: start.clone(),
-                    cost: cost(&prediction.residuals),
-                    residuals: prediction.residuals,
-                    path,
-                    jacobian,
-                }
-            }
+            Err(_) => self.evaluated(start, guess),
         }
+    }
+
+    /// A model as it is, with its residuals and their derivatives.
+    pub fn evaluated(&self, model: &Model, guess: Option<&[Vector2<f64>]>) -> Fit {
+        let prediction = self.predict(model, guess);
+        let (jacobian, path) = (self.jacobian(model, &prediction), prediction.path());
+        let residuals = prediction.residuals;
+        Fit { model: model.clone(), cost: cost(&residuals), residuals, path, jacobian }
     }
 
     /// 0 for the residuals of a fold, 1 for all others; none where all count.
@@ -124,11 +122,33 @@ impl Problem<'_> {
 
     /// The fitted model with its covariance, (JᵗWJ)⁻¹.
     pub fn with_covariance(&self, fit: &Fit) -> Model {
+        match inverse_information(fit) {
+            Some(covariance) => self.with_given_covariance(fit, &covariance),
+            None => fit.model.clone(),
+        }
+    }
+
+    /// The fitted model with a covariance that allows for residuals which hang together within sweeps. With too few sweeps for that,
+    /// the samples of a sweep count as one.
+    pub fn with_clustered_covariance(&self, fit: &Fit) -> Model {
+        let (data, n) = (self.data, self.data.backbones());
+        let residuals = stacked(&fit.residuals);
+        let roots = residuals.map(|r| LOSS.weight(r).sqrt());
+        let mut jacobian = fit.jacobian.clone();
+        jacobian.row_iter_mut().zip(roots.iter()).for_each(|(mut row, root)| row *= *root);
+        let clusters = (0..n * data.len()).map(|row| data.sweeps[row / n]);
+        let clustered = clustered_covariance(&jacobian, &residuals.component_mul(&roots), clusters, 1.0);
+        let by_sweeps = data.len() as f64 / data.sweep_count() as f64;
+        match clustered.or_else(|| Some(inverse_information(fit)? * by_sweeps)) {
+            Some(covariance) => self.with_given_covariance(fit, &covariance),
+            None => fit.model.clone(),
+        }
+    }
+
+    /// With the covariance of the parameters in units of their scales.
+    fn with_given_covariance(&self, fit: &Fit, inverse: &DMatrix<f64>) -> Model {
         let mut model = fit.model.clone();
-        let (information, _) = normal_equations(&fit.jacobian, &fit.residuals);
         let specs = model.parameter_specs();
-        let damped = &information + DMatrix::identity(specs.len(), specs.len()) * LEAST_INFORMATION;
-        let Some(inverse) = damped.cholesky().map(|factor| factor.inverse()) else { return model };
         if let Some(estimate) = &mut model.estimate {
             estimate.samples = self.data.len();
         }
@@ -136,6 +156,13 @@ impl Problem<'_> {
         model.set_covariance(&DMatrix::from_fn(specs.len(), specs.len(), in_units));
         model
     }
+}
+
+/// (JᵗWJ)⁻¹.
+fn inverse_information(fit: &Fit) -> Option<DMatrix<f64>> {
+    let (information, _) = normal_equations(&fit.jacobian, &fit.residuals);
+    let count = information.nrows();
+    (information + DMatrix::identity(count, count) * LEAST_INFORMATION).cholesky().map(|factor| factor.inverse())
 }
 
 /// The least-squares problem of one fit, in parameters that are divided by their scales.
@@ -179,6 +206,7 @@ mod tests {
     use super::*;
     use crate::discover::data::Data;
     use crate::discover::fixture::{experiment, truth};
+    use crate::discover::noise::Noise;
     use crate::discover::sweeps::FOLDS;
 
     #[test]
@@ -186,7 +214,7 @@ mod tests {
         let mut squares = 0.0;
         for seed in 0..40 {
             let data = experiment(seed);
-            let problem = Problem::new(&data, &truth());
+            let problem = Problem::new(&data, &Noise::stated(&data), &truth());
             let fitted = problem.with_covariance(&problem.fit(&Model { estimate: None, ..truth() }, None, None));
             let error = fitted.parameters() - truth().parameters();
             let inverse = fitted.parameter_covariance().try_inverse().unwrap();
@@ -199,7 +227,9 @@ mod tests {
     #[test]
     fn samples_of_a_fold_held_out_have_no_part_in_the_fit() {
         let mut data = experiment(3);
-        let fit = |data: &Data| Problem::new(data, &truth()).fit(&truth(), None, Some(1)).model.parameters();
+        let fit = |data: &Data| {
+            Problem::new(data, &Noise::stated(data), &truth()).fit(&truth(), None, Some(1)).model.parameters()
+        };
         let before = fit(&data);
         for k in (0..data.len()).filter(|&k| data.sweeps[k] % FOLDS == 1) {
             data.measured[k].configuration.theta += 0.1;

@@ -3,7 +3,8 @@
 //! The method, one stage a file, in the order in which they run:
 //!
 //! 1. `clock`, `sweeps`, [`data`](Data): readings and measurements are paired, put on one clock and cut into sweeps.
-//! 2. `residuals`: what was measured less what a model predicts, in units of the predicted noise.
+//! 2. `residuals`: what was measured less what a model predicts, in units of the predicted noise. [`noise`](Noise): how large that
+//!    noise is, learned from the residuals.
 //! 3. `fit`: robust least squares over η, λ and the parameters of the model's effects.
 //! 4. `periodogram`, `hypotheses`: every effect of the library that the model lacks, at the values where its fit begins.
 //! 5. `tangent_spaces`: what each hypothesis can do to the residuals beyond what η and λ can, to first order.
@@ -12,7 +13,8 @@
 //!    bootstrap of the sweeps), and the criteria that it must fulfil.
 //! 8. `search`: stepwise selection over a beam of models, with exchange and backward elimination.
 //! 9. `held_out`, `structure`, [`verdict`](Verdict): the gap on sweeps that the fit did not see, what the residuals still follow,
-//!    and the answer. `discovery` runs the stages so far; `discrepancy` writes the answer down.
+//!    and the answer. `partial`: where more than noise is left, the effects that help all the same. `discovery` runs the stages so
+//!    far; `discrepancy` writes the answer down.
 //! 10. [`localisation`](Localisation): in which backbone, at which bends and when the gap is.
 //! 11. [`correction`](learn_correction): a smooth function in place of an explanation.
 //! 12. `candidate_trajectories`, [`next_experiment`]: the trajectory that would decide what these data leave open.
@@ -32,7 +34,9 @@ mod held_out;
 mod hypotheses;
 mod localisation;
 mod next_experiment;
+mod noise;
 mod null_distribution;
+mod partial;
 mod periodogram;
 mod residuals;
 mod search;
@@ -44,11 +48,12 @@ mod verdict;
 
 pub use comparison::Evidence;
 pub use correction::{Correction, learn_correction};
-pub use data::{Data, LEAST_SAMPLES};
+pub use data::{Data, LEAST_SAMPLES, Log};
 pub use discovery::{Discovery, discover, discover_in_frames};
 pub use held_out::Gap;
 pub use localisation::{Localisation, Part};
 pub use next_experiment::{NextExperiment, next_experiment};
+pub use noise::Noise;
 pub use search::Named;
 pub use structure::{NoiseQuantiles, Structure};
 pub use verdict::Verdict;

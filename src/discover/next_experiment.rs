@@ -9,6 +9,7 @@ use super::candidate_trajectories::{CandidateTrajectory, candidate_trajectories,
 use super::data::Data;
 use super::discovery::Discovery;
 use super::hypotheses::{Hypothesis, best_with};
+use super::noise::Noise;
 use super::residuals::Problem;
 use super::search::{NOT_RULED_OUT, Named};
 use super::verdict::Verdict;
@@ -178,7 +179,7 @@ fn alternatives(found: &Discovery, data: &Data) -> Vec<Question> {
     if found.verdict != Verdict::Named {
         return Vec::new();
     }
-    let problem = Problem::new(data, &found.model);
+    let problem = Problem::new(data, &found.noise, &found.model);
     let given = found.given_effects();
     let pairs: Vec<(usize, &str)> = found
         .named
@@ -294,7 +295,7 @@ impl ExpectedNoise {
             // Of a change of the parameter by its typical size.
             About::Parameter(model, k, j) => {
                 let Some(data) = self.noise_free(model, waypoints) else { return 0.0 };
-                let problem = Problem::new(&data, model);
+                let problem = Problem::new(&data, &Noise::stated(&data), model);
                 let fitted = problem.with_covariance(&problem.fit(model, None, None));
                 let (sd, typical) = (fitted.effect_sds(*k)[*j], model.effects[*k].parameters()[*j].typical);
                 if sd > 0.0 { (typical / sd).powi(2) } else { 0.0 }
@@ -305,7 +306,7 @@ impl ExpectedNoise {
     /// The squares that are left when `alternative` is fitted to what `truth` does.
     fn misfit(&self, truth: &Model, alternative: &Model, waypoints: &[Waypoint]) -> f64 {
         let Some(data) = self.noise_free(truth, waypoints) else { return 0.0 };
-        let cost = |model: &Model| Problem::new(&data, model).fit(model, None, None).cost;
+        let cost = |model: &Model| Problem::new(&data, &Noise::stated(&data), model).fit(model, None, None).cost;
         (cost(alternative) - cost(truth)).max(0.0)
     }
 

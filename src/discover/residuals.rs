@@ -10,8 +10,10 @@
 //! Directions of loads and motions are taken from the bend that the encoders imply, not from the measured one, which is noisier.
 
 use super::data::Data;
+use super::noise::Noise;
 use crate::observation::Measured;
 use crate::robot::{ForwardSolution, LineJacobian, Mechanics, Model, Motion, PerBackbone};
+use crate::statistics::moments::mean;
 use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2};
 use std::f64::consts::PI;
 
@@ -31,7 +33,9 @@ pub type Residual = PerBackbone;
 
 /// The noise of one sample.
 #[derive(Debug, Clone)]
-struct Noise {
+struct SampleNoise {
+    /// The eye's stated covariance of the bend, rad².
+    eye: Matrix2<f64>,
     /// L⁻¹ of the covariance L Lᵗ of the bend residual, 1/rad.
     whitening: Matrix2<f64>,
     /// The derivatives of the line's displacement at the sample's bend.
@@ -45,7 +49,9 @@ struct Noise {
 pub struct Problem<'a> {
     /// The samples.
     pub data: &'a Data,
-    noise: Vec<Noise>,
+    /// What the residuals are whitened by.
+    pub noise: Noise,
+    samples: Vec<SampleNoise>,
     sd_internal_mm: f64,
     /// Orthonormal directions of q̃ that bend nothing.
     internal: Vec<PerBackbone>,
@@ -77,33 +83,37 @@ pub fn stacked(residuals: &[Residual]) -> DVector<f64> {
 
 impl<'a> Problem<'a> {
     /// The noise at the bends that a model implies.
-    pub fn new(data: &'a Data, model: &Model) -> Self {
-        let (mechanics, log) = (Mechanics::new(model), &data.log);
+    pub fn new(data: &'a Data, noise: &Noise, model: &Model) -> Self {
+        let (mechanics, log) = (Mechanics::new(model).with_reading_noise(noise.sd_encoder_mm), &data.log);
         let start: Vec<_> =
             mechanics.solve_path(&log.times_s, &log.q_mm, None).iter().map(|solution| solution.bend).collect();
         let motions = mechanics.motions_from_readings(&log.times_s, &start, &log.q_mm);
-        let variance = data.sd_encoder_mm.powi(2);
-        let noise = data.measured.iter().zip(&log.samples).map(|(measured, &at)| {
+        let samples = data.measured.iter().zip(&log.samples).map(|(measured, &at)| {
             let bend = start[at];
             let line = mechanics.line_jacobian(bend, &motions[at]);
             let eye = bend_covariance(measured, bend);
-            let covariance = eye + line.bend_by_line.cross_gram(&line.bend_by_line) * variance;
-            let whitening = covariance.cholesky().and_then(|factor| factor.l().try_inverse());
-            let floor = line.line_by_bend.map(|by| by.dot(&(eye * by))).mean() + variance;
-            Noise { whitening: whitening.unwrap_or_else(Matrix2::zeros), line, floor_mm2: floor }
+            let seen = eye * noise.eye_factor.powi(2);
+            let floor = line.line_by_bend.map(|by| by.dot(&(seen * by))).mean() + noise.sd_encoder_mm.powi(2);
+            SampleNoise { eye, whitening: whitening(&eye, &line, noise), line, floor_mm2: floor }
         });
         Self {
             data,
-            noise: noise.collect(),
-            sd_internal_mm: data.sd_encoder_mm.max(LEAST_SD_INTERNAL_MM),
+            noise: *noise,
+            samples: samples.collect(),
+            sd_internal_mm: noise.sd_encoder_mm.hypot(noise.discrepancy_mm).max(LEAST_SD_INTERNAL_MM),
             internal: model.robot.internal_parts().collect(),
             start,
         }
     }
 
+    /// A model made ready to predict from readings of this noise.
+    fn mechanics<'m>(&self, model: &'m Model) -> Mechanics<'m> {
+        Mechanics::new(model).with_reading_noise(self.noise.sd_encoder_mm)
+    }
+
     /// What a model predicts. `guess` is a path near its own; without one, that of the model that the noise was taken at.
     pub fn predict(&self, model: &Model, guess: Option<&[Vector2<f64>]>) -> Prediction {
-        let (mechanics, log) = (Mechanics::new(model), &self.data.log);
+        let (mechanics, log) = (self.mechanics(model), &self.data.log);
         // What the eye saw at the first reading, if it saw anything.
         let first = (log.samples[0] == 0).then(|| self.data.measured[0].configuration.bend_vector());
         let guess = guess.unwrap_or(&self.start);
@@ -114,7 +124,7 @@ impl<'a> Problem<'a> {
 
     /// ∂(residuals)/∂(parameter / its scale) by forward differences: a row for each component of each sample.
     pub fn jacobian(&self, model: &Model, prediction: &Prediction) -> DMatrix<f64> {
-        let mechanics = Mechanics::new(model);
+        let mechanics = self.mechanics(model);
         let Prediction { forward, motions, residuals } = prediction;
         let lines: Vec<LineJacobian> = forward
             .iter()
@@ -132,7 +142,7 @@ impl<'a> Problem<'a> {
             let mut nudged = x.clone();
             nudged[j] += h * spec.typical;
             let nudged = model.with_parameter_values(&nudged);
-            let changed = Mechanics::new(&nudged);
+            let changed = self.mechanics(&nudged);
             let moved = mechanics.perturbed_path(&changed, log, (forward, motions, &lines));
             for (k, (after, before)) in self.whitened(&changed, &moved).iter().zip(residuals).enumerate() {
                 for c in 0..n {
@@ -146,13 +156,13 @@ impl<'a> Problem<'a> {
     /// What a summand of ε at sample k (mm) does to its residuals, to first order: the predicted bend gives way, and what bends
     /// nothing is no longer left of q̃.
     pub fn response(&self, k: usize, summand_mm: &PerBackbone) -> Residual {
-        let noise = &self.noise[k];
+        let noise = &self.samples[k];
         self.residual(noise.whitening * noise.line.bend_by_line.tr_mul(summand_mm), &-*summand_mm)
     }
 
     /// The gap of ε at sample k, mm: what the model leaves of q̃ at the measured bend.
     pub fn eps_gap_mm(&self, residuals: &[Residual], k: usize) -> PerBackbone {
-        let by_bend = -self.noise[k].line.line_by_bend * self.bend_residual(residuals, k);
+        let by_bend = -self.samples[k].line.line_by_bend * self.bend_residual(residuals, k);
         let internal = self.internal.iter().zip(&residuals[k][2..]);
         internal.fold(by_bend, |sum, (part, r)| sum + *part * (r * self.sd_internal_mm))
     }
@@ -164,14 +174,43 @@ impl<'a> Problem<'a> {
 
     /// The rms of ε that noise alone leaves, over all samples and backbones, mm.
     pub fn noise_floor_mm(&self) -> f64 {
-        let sum: f64 = self.noise.iter().map(|noise| noise.floor_mm2).sum();
-        (sum / self.noise.len() as f64).sqrt()
+        let sum: f64 = self.samples.iter().map(|noise| noise.floor_mm2).sum();
+        (sum / self.samples.len() as f64).sqrt()
+    }
+
+    /// The variance of each component of the bend that noise alone leaves, mean over the samples, rad².
+    pub fn bend_noise_rad2(&self) -> f64 {
+        let noise = Noise { discrepancy_rad: 0.0, ..self.noise };
+        mean(self.samples.iter().map(|sample| covariance(&sample.eye, &sample.line, &noise).trace())) / 2.0
+    }
+
+    /// The cost that noise alone would leave of all residuals, in squares of noise and discrepancy.
+    pub fn expected_cost(&self) -> f64 {
+        let bend = self.bend_noise_rad2();
+        let of_bend = bend / (bend + self.noise.discrepancy_rad.powi(2));
+        let of_internal = (self.noise.sd_encoder_mm / self.sd_internal_mm).powi(2).min(1.0);
+        self.data.len() as f64 * (2.0 * of_bend + (self.data.backbones() - 2) as f64 * of_internal)
+    }
+
+    /// The residuals of one of the parts of q̃ that bend nothing, mm.
+    pub fn internal_mm(&self, residuals: &[Residual], part: usize) -> impl Iterator<Item = f64> {
+        residuals.iter().map(move |r| r[2 + part] * self.sd_internal_mm)
+    }
+
+    /// The two components of the bend's residuals, whitened by another noise.
+    pub fn bend_whitened_by(&self, noise: &Noise, residuals: &[Residual]) -> [Vec<f64>; 2] {
+        let whitened = |k: usize| {
+            let sample = &self.samples[k];
+            whitening(&sample.eye, &sample.line, noise) * self.bend_residual(residuals, k)
+        };
+        let bend: Vec<_> = (0..residuals.len()).map(whitened).collect();
+        [0, 1].map(|c| bend.iter().map(|bend| bend[c]).collect())
     }
 
     /// The residual of the bend at sample k before whitening, rad.
     fn bend_residual(&self, residuals: &[Residual], k: usize) -> Vector2<f64> {
         let r = residuals[k];
-        let whitening = &self.noise[k].whitening;
+        let whitening = &self.samples[k].whitening;
         whitening.try_inverse().unwrap_or_else(Matrix2::zeros) * Vector2::new(r[0], r[1])
     }
 
@@ -188,10 +227,22 @@ impl<'a> Problem<'a> {
         let exposed = mechanics.exposed_bends(&log.times_s, &path);
         let residuals = self.data.measured.iter().zip(&log.samples).enumerate().map(|(k, (measured, &at))| {
             let gap = measured.configuration.bend_vector() - mechanics.apparent_bend(exposed[at]);
-            self.residual(self.noise[k].whitening * gap, &forward[at].residual_mm)
+            self.residual(self.samples[k].whitening * gap, &forward[at].residual_mm)
         });
         residuals.collect()
     }
+}
+
+/// Covariance of a sample's bend residual, rad².
+fn covariance(eye: &Matrix2<f64>, line: &LineJacobian, noise: &Noise) -> Matrix2<f64> {
+    let encoders = line.bend_by_line.cross_gram(&line.bend_by_line) * noise.sd_encoder_mm.powi(2);
+    eye * noise.eye_factor.powi(2) + encoders + Matrix2::identity() * noise.discrepancy_rad.powi(2)
+}
+
+/// L⁻¹ of that covariance L Lᵗ, 1/rad.
+fn whitening(eye: &Matrix2<f64>, line: &LineJacobian, noise: &Noise) -> Matrix2<f64> {
+    let inverse = covariance(eye, line, noise).cholesky().and_then(|factor| factor.l().try_inverse());
+    inverse.unwrap_or_else(Matrix2::zeros)
 }
 
 /// Covariance of the measured bend vector θ (cos δ, sin δ) at a bend, rad²: σ_θ along it, θ σ_δ across it.
@@ -219,12 +270,31 @@ mod tests {
         let (mut squares, mut count) = (0.0, 0.0);
         for seed in 0..4 {
             let data = experiment(seed);
-            let residuals = stacked(&Problem::new(&data, &truth()).predict(&truth(), None).residuals);
+            let residuals =
+                stacked(&Problem::new(&data, &Noise::stated(&data), &truth()).predict(&truth(), None).residuals);
             squares += residuals.norm_squared();
             count += residuals.len() as f64;
         }
         // χ²/n scatters by √(2/n).
         assert!((squares / count - 1.0).abs() < 4.0 * (2.0 / count).sqrt(), "{}", squares / count);
+    }
+
+    #[test]
+    fn readings_between_the_samples_drive_a_play() {
+        let play =
+            crate::robot::effects::forms("motion_directed_backlash").find(|form| form.form == "crossed by travel");
+        let mut model = truth();
+        model.effects.push(crate::robot::Effect::of(play.unwrap(), vec![0.2]));
+        let all = experiment(1);
+        let seen: Vec<usize> =
+            (0..all.len()).filter(|&k| k == 0 || all.measured[k].configuration.theta_deg() < 45.0).collect();
+        let mut some = all.clone();
+        some.measured = seen.iter().map(|&k| all.measured[k]).collect();
+        some.log.samples = seen.clone();
+        let residuals = |data: &Data| Problem::new(data, &Noise::stated(data), &model).predict(&model, None).residuals;
+        let (of_all, of_some) = (residuals(&all), residuals(&some));
+        assert!(seen.len() < all.len() - 40);
+        assert!(seen.iter().zip(&of_some).all(|(&k, some)| (of_all[k] - *some).amax() < 1e-6));
     }
 
     #[test]
@@ -234,7 +304,7 @@ mod tests {
         let shift = PerBackbone::from([0.0, 1e-4, 0.0]);
         shifted.log.q_mm.iter_mut().for_each(|q_mm| *q_mm += shift);
         // The noise of both is taken at the same bends.
-        let problem = Problem::new(&data, &truth());
+        let problem = Problem::new(&data, &Noise::stated(&data), &truth());
         let with_shift = Problem { data: &shifted, ..problem.clone() };
         let before = problem.predict(&truth(), None).residuals;
         let after = with_shift.predict(&truth(), None).residuals;

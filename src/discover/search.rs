@@ -4,6 +4,8 @@ use super::comparison::{Comparison, Evidence};
 use super::fit::Fit;
 use super::hypotheses::{Hypothesis, one_effect_more};
 use super::residuals::Problem;
+use super::sweep_equations::{RESAMPLES, SweepEquations};
+use crate::robot::effects::Changes;
 use crate::robot::{LIBRARY, Model, Physics};
 use rayon::prelude::*;
 
@@ -49,10 +51,20 @@ pub struct Named {
     pub physics: &'static Physics,
     /// What speaks for it; its inclusion is judged among all alternatives.
     pub evidence: Evidence,
+    /// The share of the held-out excess over noise that it takes away.
+    pub removes: f64,
     /// Effects that explain the data about as well in its place.
     pub indistinguishable_from: Vec<&'static str>,
     /// Every alternative in its place, with how much larger the information criterion is; the best first.
     pub alternatives: Vec<(&'static str, f64)>,
+}
+
+impl Named {
+    /// The probability that it is there: the share of bootstrap resamples of the sweeps in which the model with it is the best of all
+    /// compared, by Laplace's rule of succession.
+    pub fn probability(&self) -> f64 {
+        (self.evidence.inclusion * RESAMPLES as f64 + 1.0) / (RESAMPLES as f64 + 2.0)
+    }
 }
 
 /// What the search found.
@@ -74,7 +86,7 @@ pub fn search(problem: &Problem, before: Fit, least_bic_gain: f64) -> Found {
     let search = Search { problem, before, least_bic_gain, excess, given };
     let forward = search.forward();
     let exchanged = search.exchange(forward);
-    let after = search.eliminate(exchanged);
+    let after = search.prefer(search.eliminate(exchanged));
     let named = (given..after.model.effects.len()).map(|k| search.describe(&after, k)).collect();
     Found { before: search.before, after, named }
 }
@@ -143,6 +155,23 @@ impl Search<'_> {
         best
     }
 
+    /// Puts play or friction in the place of a clock's lag, where the data do not rule it out.
+    fn prefer(&self, mut best: Fit) -> Fit {
+        for k in self.given..best.model.effects.len() {
+            let Physics { changes, yields_to, .. } = best.model.effects[k].physics;
+            if !matches!(changes, Changes::Exposure(_)) {
+                continue;
+            }
+            let without = self.without(&best, k);
+            let likelier = |physics: &Physics| yields_to.contains(&physics.name);
+            let others = by_bic(extensions(self.problem, &without, FITTED, f64::NEG_INFINITY, likelier));
+            if let Some(other) = others.into_iter().next().filter(|other| other.bic() < best.bic() + NOT_RULED_OUT) {
+                best = other;
+            }
+        }
+        best
+    }
+
     /// Whether a fit with one effect more is accepted.
     fn accepts(&self, fit: &Fit, simpler: &Fit) -> bool {
         let comparison = Comparison::new(self.problem.data, fit, simpler, &[], self.excess);
@@ -157,30 +186,9 @@ impl Search<'_> {
         if model.effects.len() == self.given && self.before.cost < without.cost { self.before.clone() } else { without }
     }
 
-    /// The fits with one effect more that a first step expects to gain most, each to convergence. Hypotheses that are expected to
-    /// gain less than `least` in the information criterion are left out.
+    /// [`extensions`] by any effect.
     fn extensions(&self, fit: &Fit, fitted: usize, least: f64) -> Vec<Fit> {
-        let problem = self.problem;
-        let per_parameter = (problem.data.residual_count() as f64).ln();
-        let squares: f64 = fit.residuals.iter().map(|r| r.norm_squared()).sum();
-        let mut expected: Vec<(f64, Hypothesis)> = one_effect_more(problem, fit)
-            .into_par_iter()
-            .map(|hypothesis| {
-                let parameters = (hypothesis.physics.parameters)(problem.data.backbones()).len() as f64;
-                let (_, left) = hypothesis.one_step(problem, &fit.path);
-                (squares - left - parameters * per_parameter, hypothesis)
-            })
-            .filter(|(gain, _)| *gain > least)
-            .collect();
-        expected.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let mut chosen: Vec<Hypothesis> = Vec::new();
-        for (_, hypothesis) in expected {
-            let of_its_form = chosen.iter().filter(|other| other.physics == hypothesis.physics).count();
-            if chosen.len() < fitted && of_its_form < FITTED_PER_FORM {
-                chosen.push(hypothesis);
-            }
-        }
-        chosen.into_par_iter().map(|hypothesis| problem.fit(&hypothesis.start, Some(&fit.path), None)).collect()
+        extensions(self.problem, fit, fitted, least, |_| true)
     }
 
     /// The evidence for effect k of the answer, and what could stand in its place.
@@ -196,25 +204,61 @@ impl Search<'_> {
         }
         let comparison = Comparison::new(self.problem.data, after, &without, &alternatives, self.excess);
         let worse_by = |fit: &Fit| fit.bic() - after.bic();
+        let [with, without] = [after, &without].map(|fit| SweepEquations::new(self.problem.data, fit).held_out_cost());
+        let excess = without - self.problem.data.residual_count() as f64;
         let open = alternatives.iter().zip(&comparison.alternative_shares);
         let open = open.filter(|(fit, share)| worse_by(fit) < NOT_RULED_OUT || **share > OFTEN_BEST);
         Named {
             physics,
             evidence: comparison.evidence,
+            removes: if excess > 0.0 { ((without - with) / excess).clamp(0.0, 1.0) } else { 0.0 },
             indistinguishable_from: open.map(|(fit, _)| added(fit).name).collect(),
             alternatives: alternatives.iter().map(|fit| (added(fit).name, worse_by(fit))).collect(),
         }
     }
 }
 
+/// The fits with one effect more, of those that `admits`, that a first step expects to gain most, each to convergence. Hypotheses that
+/// are expected to gain less than `least` in the information criterion are left out.
+pub fn extensions(
+    problem: &Problem,
+    fit: &Fit,
+    fitted: usize,
+    least: f64,
+    admits: impl Fn(&Physics) -> bool,
+) -> Vec<Fit> {
+    let per_parameter = (problem.data.residual_count() as f64).ln();
+    let squares: f64 = fit.residuals.iter().map(|r| r.norm_squared()).sum();
+    let mut hypotheses = one_effect_more(problem, fit);
+    hypotheses.retain(|hypothesis| admits(hypothesis.physics));
+    let mut expected: Vec<(f64, Hypothesis)> = hypotheses
+        .into_par_iter()
+        .map(|hypothesis| {
+            let parameters = (hypothesis.physics.parameters)(problem.data.backbones()).len() as f64;
+            let (_, left) = hypothesis.one_step(problem, &fit.path);
+            (squares - left - parameters * per_parameter, hypothesis)
+        })
+        .filter(|(gain, _)| *gain > least)
+        .collect();
+    expected.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let mut chosen: Vec<Hypothesis> = Vec::new();
+    for (_, hypothesis) in expected {
+        let of_its_form = chosen.iter().filter(|other| other.physics == hypothesis.physics).count();
+        if chosen.len() < fitted && of_its_form < FITTED_PER_FORM {
+            chosen.push(hypothesis);
+        }
+    }
+    chosen.into_par_iter().map(|hypothesis| problem.fit(&hypothesis.start, Some(&fit.path), None)).collect()
+}
+
 /// The best first.
-fn by_bic(mut fits: Vec<Fit>) -> Vec<Fit> {
+pub fn by_bic(mut fits: Vec<Fit>) -> Vec<Fit> {
     fits.sort_by(|a, b| a.bic().total_cmp(&b.bic()));
     fits
 }
 
 /// The effect that a fit was given last.
-fn added(fit: &Fit) -> &'static Physics {
+pub fn added(fit: &Fit) -> &'static Physics {
     fit.model.effects.last().map_or(LIBRARY[0], |effect| effect.physics)
 }
 

@@ -9,7 +9,7 @@ use nalgebra::{DMatrix, DVector};
 /// Bootstrap resamples of the sweeps.
 ///
 /// Derived: a share of 0.9 then has a standard error of 0.02.
-const RESAMPLES: usize = 200;
+pub const RESAMPLES: usize = 200;
 
 /// The weight of all sweeps together on a direction that the selected ones do not determine.
 ///
@@ -77,13 +77,19 @@ impl SweepEquations {
 
     /// The cost of all sweeps, those of each fold under a fit to the others.
     pub fn held_out_cost(&self) -> f64 {
-        let sweeps = self.cost.len();
-        let fold_cost = |fold: usize| {
-            let counts: Vec<f64> = (0..sweeps).map(|sweep| f64::from(u8::from(sweep % FOLDS != fold))).collect();
+        self.held_out_costs(|sweep| sweep % FOLDS).iter().sum()
+    }
+
+    /// The cost of each fold under a fit to the others, `fold` saying to which a sweep belongs.
+    pub fn held_out_costs(&self, fold: impl Fn(usize) -> usize) -> Vec<f64> {
+        let sweeps = 0..self.cost.len();
+        let fold_cost = |held_out: usize| {
+            let counts: Vec<f64> = sweeps.clone().map(|sweep| f64::from(u8::from(fold(sweep) != held_out))).collect();
             let step = self.step(&counts);
-            (fold..sweeps).step_by(FOLDS).map(|sweep| self.cost_after(sweep, &step)).sum::<f64>()
+            let own = sweeps.clone().filter(|&sweep| fold(sweep) == held_out);
+            own.map(|sweep| self.cost_after(sweep, &step)).sum::<f64>()
         };
-        (0..FOLDS).map(fold_cost).sum()
+        (0..FOLDS).map(fold_cost).collect()
     }
 }
 

@@ -1,4 +1,4 @@
-//! The verdict: named, none or unexplained.
+//! The verdict: named, partly, none or unexplained.
 
 use super::structure::Structure;
 
@@ -12,6 +12,8 @@ const LEFT_BY_FORM: f64 = 0.04;
 pub enum Verdict {
     /// Effects of the library account for the gap.
     Named,
+    /// Effects of the library help on held-out sweeps, and more than noise is left.
+    Partly,
     /// The gap is noise.
     None,
     /// There is a gap, and the library does not account for it.
@@ -23,12 +25,19 @@ impl Verdict {
     pub fn word(self) -> &'static str {
         match self {
             Self::Named => "named",
+            Self::Partly => "partly",
             Self::None => "none",
             Self::Unexplained => "unexplained",
         }
     }
 
-    /// From whether the search found effects, and the structure of the residuals before and after.
+    /// Whether the answer's effects are in the model.
+    pub fn has_effects(self) -> bool {
+        matches!(self, Self::Named | Self::Partly)
+    }
+
+    /// From whether the search found effects, and the structure of the residuals before and after; whether the answer is a partial one
+    /// is another question.
     pub fn new(found_effects: bool, before: &Structure, after: &Structure) -> Self {
         let accounts_for =
             |part: usize| !after.exceeds_noise(part) || after.excess(part) < LEFT_BY_FORM * before.excess(part);

@@ -91,12 +91,8 @@ mod tests {
 
     #[test]
     fn readings_without_a_measurement_drive_a_play_as_well() {
-        let play = Effect::new(
-            "motion_directed_backlash",
-            Some("crossed by travel"),
-            &[("half_gap_mm".to_owned(), 0.2)],
-            3,
-        );
+        let play =
+            Effect::new("motion_directed_backlash", Some("crossed by travel"), &[("half_gap_mm".to_owned(), 0.2)], 3);
         let model = Model { effects: vec![play.unwrap()], ..Model::default() };
         let trajectory = BendingExperiment { sweep_poses: 20, ..Default::default() }.waypoints().unwrap();
         let samples = Plant { model: model.clone(), sd_encoder_mm: 0.0 }.run(&trajectory, 1);

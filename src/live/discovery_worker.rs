@@ -4,7 +4,7 @@ use super::low_priority::on_one_thread;
 use super::shared_state::SharedState;
 use super::status::DiscoveryStatus;
 use crate::Result;
-use crate::discover::{Data, Discovery, Verdict, discover_in_frames};
+use crate::discover::{Data, Discovery, discover_in_frames};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{write_atomically, write_model};
 use crate::report::discovery::sentence;
@@ -99,7 +99,7 @@ fn status(found: Result<Discovery>) -> DiscoveryStatus {
 
 fn write(output: &Path, found: &Discovery) -> Result<()> {
     write_atomically(&output.join("discrepancy.json"), format!("{:#}\n", found.json()).as_bytes())?;
-    if found.verdict == Verdict::Named {
+    if found.verdict.has_effects() {
         write_model(&output.join("discovered.toml"), &found.model)?;
     }
     Ok(())

@@ -90,7 +90,7 @@ impl Page<'_> {
     fn before_and_after(&self) -> Markup {
         let found = self.found;
         let (heading, titles): (_, &[&str]) = match found.verdict {
-            Verdict::Named => ("Before and after", &["before", "after"]),
+            Verdict::Named | Verdict::Partly => ("Before and after", &["before", "after"]),
             _ => ("The gap of ε", &["as it is"]),
         };
         html! {
@@ -163,9 +163,9 @@ fn heading(found: &Discovery) -> String {
     match found.verdict {
         Verdict::None => "nothing".to_owned(),
         Verdict::Unexplained => "something without a name".to_owned(),
-        Verdict::Named => {
+        Verdict::Named | Verdict::Partly => {
             let names: Vec<String> = found.named.iter().map(|named| named.physics.name.replace('_', " ")).collect();
-            names.join(" and ")
+            names.join(" and ") + if found.verdict == Verdict::Partly { ", and something without a name" } else { "" }
         }
     }
 }
@@ -180,6 +180,12 @@ pub fn sentence(found: &Discovery) -> String {
             let most = found.structure_after.follows.first();
             let follows = most.map(|(what, _)| format!(" It follows {what} most.")).unwrap_or_default();
             format!("Something is missing, and no effect of the library accounts for it.{follows}")
+        }
+        Verdict::Partly => {
+            let each: Vec<String> = found.named.iter().map(|named| partial_reading(found, named)).collect();
+            let most = found.structure_after.follows.first();
+            let follows = most.map(|(what, _)| format!("; what remains follows {what} most")).unwrap_or_default();
+            format!("Part of the gap has a name: {}{follows}.", each.join("; "))
         }
         Verdict::Named => {
             let readings: Vec<String> = found
@@ -201,6 +207,24 @@ pub fn sentence(found: &Discovery) -> String {
     }
 }
 
+/// "play at the bend (play_at_bend: half_gap_mm = 0.31 ± 0.02 mm; probability 97 %) removes 59 % of the gap".
+fn partial_reading(found: &Discovery, named: &Named) -> String {
+    let size = parameters(found, named.physics.name);
+    let size: Vec<String> = size.iter().map(|(name, value)| format!("{name} = {value}")).collect();
+    let or = match &named.indistinguishable_from[..] {
+        [] => String::new(),
+        others => format!(" (these data cannot tell it from {})", others.join(", ")),
+    };
+    format!(
+        "{} ({}: {}; probability {:.0} %) removes {:.0} % of the gap{or}",
+        named.physics.reading,
+        named.physics.name,
+        size.join(", "),
+        100.0 * named.probability(),
+        100.0 * named.removes
+    )
+}
+
 /// Each parameter's name and "0.110 ± 0.001 mm", with two digits of its standard deviation.
 fn parameters(found: &Discovery, name: &str) -> Vec<(String, String)> {
     let effects = &found.model.effects;
@@ -219,7 +243,7 @@ fn summary(found: &Discovery) -> Vec<(String, String)> {
     let pair = |name: &str, value: String| (name.to_owned(), value);
     let (before, after) = (&found.before, &found.after);
     let sides = |before: f64, after: f64, unit: &str, digits: usize| match found.verdict {
-        Verdict::Named => format!("{before:.digits$}{unit} before, {after:.digits$}{unit} after"),
+        Verdict::Named | Verdict::Partly => format!("{before:.digits$}{unit} before, {after:.digits$}{unit} after"),
         _ => format!("{before:.digits$}{unit}"),
     };
     vec![
@@ -259,7 +283,8 @@ fn effect(found: &Discovery, named: &Named) -> Markup {
             format!("Gain in the information criterion ({:.1} is asked)", found.least_bic_gain),
             format!("{:.1}", evidence.bic_gain),
         ),
-        ("Share of the held-out gap removed".to_owned(), percent(evidence.held_out_gain)),
+        ("Share of the held-out gap beyond noise that it removes".to_owned(), percent(named.removes)),
+        ("Probability".to_owned(), percent(named.probability())),
         ("Selected in bootstrap resamples of the sweeps".to_owned(), percent(evidence.inclusion)),
     ]);
     if !named.indistinguishable_from.is_empty() {

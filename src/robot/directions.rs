@@ -12,11 +12,15 @@ use nalgebra::Vector2;
 /// A move of q_i below this changes no direction, mm: twice the encoders' σ of 1.5 µm.
 ///
 /// Fitted: on the project's simulated experiments (`tests/sealed.rs`), whose encoders have that σ; not judged elsewhere.
-const LEAST_MOVE_MM: f64 = 0.003;
-/// A reading's step tells its backbone's direction where it is larger than encoders' noise makes it, mm, ...
+pub(super) const LEAST_MOVE_MM: f64 = 0.003;
+/// The same in standard deviations of a reading.
+///
+/// Derived: [`LEAST_MOVE_MM`] over 1.5 µm.
+const LEAST_MOVE_IN_SDS: f64 = 2.0;
+/// A reading's step tells its backbone's direction where it is larger than encoders' noise makes it, in least moves, ...
 ///
 /// Fitted: as [`LEAST_MOVE_MM`].
-const CLEAR_STEP_MM: f64 = 0.01;
+const CLEAR_STEP_IN_MOVES: f64 = 10.0 / 3.0;
 /// ... and at least this share of the largest of all: the lines' stretch mixes the backbones by less.
 ///
 /// Fitted: as [`LEAST_MOVE_MM`].
@@ -30,14 +34,9 @@ const FIRST_BEND_RAD: f64 = 0.004;
 /// Fitted: as [`LEAST_MOVE_MM`].
 const FIRST_COMMON_MM: f64 = 0.01;
 
-/// Whether a step of q_i (mm) is one at all.
-pub(super) fn moved(step_mm: f64) -> bool {
-    step_mm.abs() >= LEAST_MOVE_MM
-}
-
-/// Which steps of a reading tell their backbones' directions.
-pub(super) fn clear_steps(step_mm: &PerBackbone) -> PerBackbone<bool> {
-    let least = CLEAR_STEP_MM.max(CLEAR_STEP_SHARE * step_mm.amax());
+/// Which steps of a reading tell their backbones' directions, where a move below `least_move_mm` is none.
+fn clear_steps(step_mm: &PerBackbone, least_move_mm: f64) -> PerBackbone<bool> {
+    let least = (CLEAR_STEP_IN_MOVES * least_move_mm).max(CLEAR_STEP_SHARE * step_mm.amax());
     step_mm.map(|step| step.abs() >= least)
 }
 
@@ -67,6 +66,21 @@ impl Previous {
 }
 
 impl Mechanics<'_> {
+    /// With encoders of this standard deviation, mm: a direction is not taken from their noise.
+    pub fn with_reading_noise(self, sd_mm: f64) -> Self {
+        Self { least_move_mm: LEAST_MOVE_IN_SDS * sd_mm, ..self }
+    }
+
+    /// Whether a step of q_i (mm) is one at all.
+    pub(super) fn moved(&self, step_mm: f64) -> bool {
+        step_mm.abs() >= self.least_move_mm
+    }
+
+    /// Which steps of a reading tell their backbones' directions.
+    pub(super) fn clear_steps(&self, step_mm: &PerBackbone) -> PerBackbone<bool> {
+        clear_steps(step_mm, self.least_move_mm)
+    }
+
     /// The directions before the first reading: those that lead to the bend that an eye measured there. `away` are those of a snake
     /// that came from straight.
     pub(super) fn first_direction(
@@ -93,14 +107,14 @@ impl Mechanics<'_> {
         step_mm: &PerBackbone,
         previous: &Previous,
     ) -> Assumed {
-        let clear = clear_steps(step_mm);
+        let clear = self.clear_steps(step_mm);
         let expected =
             PerBackbone::from_fn(clear.len(), |i| if clear[i] { step_mm[i].signum() } else { previous.direction[i] });
         let contradiction = |(solution, direction): &Assumed| {
             let q = self.statics.q_mm(solution.bend);
-            let jump = rms(&(solution.residual_mm - previous.residual_mm)) / LEAST_MOVE_MM;
+            let jump = rms(&(solution.residual_mm - previous.residual_mm)) / self.least_move_mm;
             let backbones = (0..q.len()).map(|i| {
-                let back = (previous.extreme_mm[i] - q[i]) / LEAST_MOVE_MM;
+                let back = (previous.extreme_mm[i] - q[i]) / self.least_move_mm;
                 let against = if direction[i] == 0.0 { back.abs() } else { (back * direction[i]).max(0.0) };
                 against.powi(2) + f64::from(u8::from(direction[i] != expected[i]))
             });
@@ -151,8 +165,8 @@ mod tests {
 
     #[test]
     fn a_step_is_clear_where_it_is_large_and_not_small_beside_the_largest() {
-        assert_eq!(*clear_steps(&PerBackbone::from([0.1, 0.02, -0.014])), [true, true, false]);
-        assert_eq!(*clear_steps(&PerBackbone::from([0.009, -0.011, 0.0])), [false, true, false]);
+        assert_eq!(*clear_steps(&PerBackbone::from([0.1, 0.02, -0.014]), LEAST_MOVE_MM), [true, true, false]);
+        assert_eq!(*clear_steps(&PerBackbone::from([0.009, -0.011, 0.0]), LEAST_MOVE_MM), [false, true, false]);
     }
 
     #[test]

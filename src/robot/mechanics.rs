@@ -10,8 +10,9 @@
 //! The other directions stand beside this file: from q̃ to the bend in [`forward`](super::forward), along paths in
 //! [`path`](super::path).
 
+use super::directions::LEAST_MOVE_MM;
 use super::effects::{Changes, Effect, Instant};
-use super::history::{History, Motion};
+use super::history::{Before, History, Motion};
 use super::line::Line;
 use super::statics::{Snake, Statics};
 use super::{Model, PerBackbone};
@@ -53,6 +54,8 @@ pub struct Mechanics<'a> {
     pub(super) effects: &'a [Effect],
     /// What the effects need to know of the path.
     pub(super) history: History,
+    /// A move of q_i below this changes no direction, mm.
+    pub(super) least_move_mm: f64,
     /// Q⁺ of the nominal geometry, by columns: what removes the internal parts.
     pub(super) bend_by_q: PerBackbone<Vector2<f64>>,
     /// Whether an effect adds to ε.
@@ -83,6 +86,7 @@ impl<'a> Mechanics<'a> {
             line: model.line(),
             effects: &model.effects,
             history,
+            least_move_mm: LEAST_MOVE_MM,
             bend_by_q: robot.bend_by_displacement(),
             effects_on_line,
             effects_on_encoders,
@@ -112,14 +116,17 @@ impl<'a> Mechanics<'a> {
         if !self.effects_on_line {
             return paper;
         }
-        let of_pose;
+        let here;
         let motion = match past {
-            Past::Path(motion) => motion,
+            Past::Path(motion) if !self.history.has_play() => motion,
+            Past::Path(motion) => {
+                here = self.crossed(motion, bend);
+                &here
+            }
             Past::Pose(direction) => {
-                let play = |half: f64| q_mm.map(|q| q.clamp(-half, half));
-                let play_mm = self.history.half_play_mm.map_or(q_mm, play);
-                of_pose = Motion { direction, play_mm, crept_load_n: tau_n, ..Motion::none(q_mm.len()) };
-                &of_pose
+                let motion = Motion { direction, crept_load_n: tau_n, ..Motion::none(q_mm.len()) };
+                here = self.crossed(&motion, bend);
+                &here
             }
         };
         self.effects.iter().fold(paper, |line_mm, effect| match effect.physics.changes {
@@ -130,6 +137,36 @@ impl<'a> Mechanics<'a> {
             }
             _ => line_mm,
         })
+    }
+
+    /// A motion with the plays as they stand once the bend is this: they follow it from the reading before, as far as they are wide.
+    pub(super) fn crossed(&self, motion: &Motion, bend: Vector2<f64>) -> Motion {
+        let mut here = *motion;
+        let before = &motion.before;
+        let q_mm = self.statics.q_mm(bend);
+        for (place, play) in self.history.plays.iter().enumerate() {
+            let Some(play) = play else { continue };
+            let half = if play.half_mm_per_n == 0.0 {
+                self.alike(play.half_mm)
+            } else {
+                self.forces_n(bend).map(|tau| (play.half_mm + play.half_mm_per_n * tau.abs()).max(0.0))
+            };
+            let followed = before.play_mm[place] + q_mm - before.q_mm;
+            here.play_mm[place] = followed.zip_map(&half, |x, half| x.clamp(-half, half));
+        }
+        if let Some(half_mm) = self.history.half_bend_play_mm {
+            let half = half_mm / self.statics.robot().backbone_circle_radius_mm;
+            let followed = before.bend_play + self.statics.from_rest(bend) - before.bend;
+            let size = followed.norm();
+            here.bend_play = if size > half { followed * (half / size) } else { followed };
+        }
+        here
+    }
+
+    /// Where a motion to a bend leaves the plays for the next reading.
+    pub(super) fn behind(&self, motion: &Motion, bend: Vector2<f64>) -> Before {
+        let Motion { play_mm, bend_play, .. } = self.crossed(motion, bend);
+        Before { q_mm: self.statics.q_mm(bend), bend: self.statics.from_rest(bend), play_mm, bend_play }
     }
 
     /// The past of a single pose: each q_i moved away from straight.

@@ -1,7 +1,6 @@
 //! The motion that a path of bends implies, and the bends that its frames show.
 
 use super::PerBackbone;
-use super::directions::{clear_steps, moved};
 use super::effects::Changes;
 use super::history::Motion;
 use super::mechanics::Mechanics;
@@ -37,11 +36,11 @@ impl Mechanics<'_> {
         for k in 0..bends.len() {
             let mut motion = motions.last().copied().unwrap_or_else(|| self.first_motion(bends[k], &q[k]));
             let read = travels.filter(|_| k > 0).map(|travels| travels[k] - travels[k - 1]);
-            let clear = read.map(|read| clear_steps(&read));
+            let clear = read.map(|read| self.clear_steps(&read));
             for i in 0..q[k].len() {
                 let by_reading = read.zip(clear).filter(|(_, clear)| clear[i]);
                 let step = by_reading.map_or(q[k][i] - decided_at[i], |(read, _)| read[i]);
-                if moved(step) {
+                if self.moved(step) {
                     motion.direction[i] = step.signum();
                     decided_at[i] = q[k][i];
                 }
@@ -50,10 +49,11 @@ impl Mechanics<'_> {
             motion.speed_before_mm_per_s = speed_before(times_s, &q, k);
             motion.elapsed_s = times_s[k] - times_s[0];
             let step_s = if k == 0 { 0.0 } else { (times_s[k] - times_s[k - 1]).max(0.0) };
-            if let Some(half) = self.history.half_play_mm
-                && k > 0
-            {
-                motion.play_mm = (motion.play_mm + q[k] - q[k - 1]).map(|play| play.clamp(-half, half));
+            if self.history.has_play() {
+                if k > 0 {
+                    motion.before = self.behind(&motion, bends[k - 1]);
+                }
+                motion = self.crossed(&motion, bends[k]);
             }
             if let Some(time_constant_s) = self.history.creep_time_constant_s {
                 let share = 1.0 - (-step_s / time_constant_s).exp();
@@ -67,7 +67,7 @@ impl Mechanics<'_> {
     /// The motion before the first reading: away from straight.
     fn first_motion(&self, bend: Vector2<f64>, q_mm: &PerBackbone) -> Motion {
         let mut motion = Motion::none(q_mm.len());
-        motion.direction = q_mm.map(|q| if moved(q) { q.signum() } else { 0.0 });
+        motion.direction = q_mm.map(|q| if self.moved(q) { q.signum() } else { 0.0 });
         if self.history.creep_ended_before {
             motion.crept_load_n = self.forces_n(bend);
         }

@@ -76,18 +76,22 @@ impl Mechanics<'_> {
         motions: &mut [Motion],
         first: Option<Vector2<f64>>,
     ) -> Vec<ForwardSolution> {
-        if !self.history.direction {
+        if !self.history.direction && !self.history.has_play() {
             return (0..guess.len()).map(|k| self.solve(&q_tilde[k], Some(&motions[k]), guess[k])).collect();
         }
         let travel = |k: usize| q_tilde[k] - self.encoder_errors(&q_tilde[k]);
         let mut path: Vec<ForwardSolution> = Vec::with_capacity(guess.len());
         let mut previous: Option<Previous> = None;
         for k in 0..guess.len() {
+            if self.history.has_play() && k > 0 {
+                motions[k].before = self.behind(&motions[k - 1], path[k - 1].bend);
+            }
             let solve_with = |direction: PerBackbone| {
                 let motion = Motion { direction, ..motions[k] };
                 (self.solve(&q_tilde[k], Some(&motion), guess[k]), direction)
             };
             let (solution, direction) = match &previous {
+                _ if !self.history.direction => solve_with(motions[k].direction),
                 None => self.first_direction(solve_with, motions[k].direction, first),
                 Some(previous) => self.next_direction(solve_with, &(travel(k) - travel(k - 1)), previous),
             };
@@ -119,8 +123,15 @@ impl Mechanics<'_> {
                 motion.direction = known.direction;
             }
             let history = history.as_deref().unwrap_or(motions);
-            let step = |k: usize| changed.one_step(&q_tilde[k], &history[k], &path[k], &jacobians[k]);
-            next = (0..path.len()).map(step).collect();
+            next.clear();
+            let mut behind = None;
+            for k in 0..path.len() {
+                // A play is crossed from where the changed path left it.
+                let motion = Motion { before: behind.unwrap_or(history[k].before), ..history[k] };
+                let solution = changed.one_step(&q_tilde[k], &motion, &path[k], &jacobians[k]);
+                behind = changed.history.has_play().then(|| changed.behind(&motion, solution.bend));
+                next.push(solution);
+            }
             bends = next.iter().map(|solution| solution.bend).collect();
         }
         next

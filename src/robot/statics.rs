@@ -22,12 +22,22 @@
 //! Effects may change the constants ([`Snake`]): backbones that are not evenly spaced on a circle, a load, a material that softens.
 
 use super::{PerBackbone, Robot};
-use nalgebra::{Matrix2, Rotation2, Vector2, Vector6};
+use nalgebra::{Matrix2, Rotation2, Vector2, Vector3, Vector6};
 
 /// Step of the central difference by which a load's share of the Hessian is taken, rad: the differences are good to the step's square.
 ///
 /// Convention: numerical.
 const LOAD_STEP_RAD: f64 = 1e-4;
+
+/// Places along the snake, as shares of its length, and weights of the Gauss–Legendre rule by which a distributed load is summed.
+///
+/// Source: M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions, 25.4.30 with four points, moved to (0, 1).
+const STATIONS: [(f64, f64); 4] = [
+    (0.069_431_844_202_973_71, 0.173_927_422_568_726_93),
+    (0.330_009_478_207_571_87, 0.326_072_577_431_273_07),
+    (0.669_990_521_792_428_13, 0.326_072_577_431_273_07),
+    (0.930_568_155_797_026_3, 0.173_927_422_568_726_93),
+];
 
 /// The snake's constants, which effects may change.
 #[derive(Debug, Clone)]
@@ -36,8 +46,14 @@ pub struct Snake {
     pub radii_mm: PerBackbone,
     /// Unit vectors in {b} from the middle to each backbone.
     pub directions: PerBackbone<Vector2<f64>>,
+    /// b_0, the bend at which the snake rests, rad.
+    pub rest_bend: Vector2<f64>,
     /// k in ∇E (1 − k θ²), 1/rad².
     pub softening_per_rad2: f64,
+    /// (a, b) of an energy K/3 (a (x³ − 3 x y²) + b (3 x² y − y³)) besides, with the stiffness K of the straight snake, 1/rad.
+    pub threefold_per_rad: Vector2<f64>,
+    /// A load that is spread evenly along the snake, N in all, in {b}.
+    pub weight_n: Option<Vector3<f64>>,
     /// Force (N) at the centre of the end disk's far face, then moment (N·mm), that the environment applies on it, in {b}.
     pub wrench: Option<Vector6<f64>>,
 }
@@ -48,7 +64,10 @@ impl Snake {
         Self {
             radii_mm: PerBackbone::repeat(robot.backbone_count(), robot.backbone_circle_radius_mm),
             directions: robot.backbone_directions(),
+            rest_bend: Vector2::zeros(),
             softening_per_rad2: 0.0,
+            threefold_per_rad: Vector2::zeros(),
+            weight_n: None,
             wrench: None,
         }
     }
@@ -115,16 +134,21 @@ impl<'a> Statics<'a> {
         &self.q_by_bend
     }
 
-    /// Eq. 1: q at a bend vector, mm.
+    /// Eq. 1: q at a bend vector, mm; 0 where the snake rests.
     pub fn q_mm(&self, bend: Vector2<f64>) -> PerBackbone {
-        self.q_by_bend * bend
+        self.q_by_bend * self.from_rest(bend)
+    }
+
+    /// A bend vector counted from where the snake rests, rad.
+    pub fn from_rest(&self, bend: Vector2<f64>) -> Vector2<f64> {
+        bend - self.snake.rest_bend
     }
 
     /// E at a bend vector, N·mm: the bending energy of all backbones, without softening, which is defined by its gradient.
     pub fn energy(&self, bend: Vector2<f64>) -> f64 {
         let lengths = self.q_mm(bend).add_scalar(self.robot.length_mm);
         let secondary = lengths.map(|length| self.secondary_n_mm2 / length).sum();
-        0.5 * bend.norm_squared() * (self.primary_n_mm + secondary)
+        0.5 * self.from_rest(bend).norm_squared() * (self.primary_n_mm + secondary)
     }
 
     /// ∇E, N·mm per rad, without softening and load.
@@ -154,19 +178,36 @@ impl<'a> Statics<'a> {
 
     /// The right-hand side of Eq. 9 in b, N·mm per rad: the generalised force that the backbones must exert, Qᵗτ.
     pub fn generalised_force(&self, bend: Vector2<f64>) -> Vector2<f64> {
-        let elastic = self.elastic_gradient(bend) * (1.0 - self.snake.softening_per_rad2 * bend.norm_squared());
-        elastic - self.load(bend)
+        let own = self.from_rest(bend);
+        let elastic = self.elastic_gradient(own) * (1.0 - self.snake.softening_per_rad2 * own.norm_squared());
+        elastic + self.threefold_gradient(own) - self.load(bend)
+    }
+
+    /// The gradient of the threefold energy, N·mm per rad.
+    fn threefold_gradient(&self, own: Vector2<f64>) -> Vector2<f64> {
+        let (squares, product) = (own.x.powi(2) - own.y.powi(2), 2.0 * own.x * own.y);
+        let [a, b] = self.snake.threefold_per_rad.into();
+        Vector2::new(a * squares + b * product, b * squares - a * product) * self.straight_stiffness()
+    }
+
+    /// K, the bending stiffness of the straight snake, N·mm per rad.
+    fn straight_stiffness(&self) -> f64 {
+        self.primary_n_mm + self.q_by_bend.len() as f64 * self.secondary_n_mm2 / self.robot.length_mm
     }
 
     /// Its derivative by the bend vector, N·mm per rad².
     pub fn generalised_force_by_bend(&self, bend: Vector2<f64>) -> Matrix2<f64> {
         let softening = self.snake.softening_per_rad2;
-        let mut slope = self.elastic_hessian(bend);
+        let own = self.from_rest(bend);
+        let mut slope = self.elastic_hessian(own);
         if softening != 0.0 {
-            slope *= 1.0 - softening * bend.norm_squared();
-            slope -= self.elastic_gradient(bend) * bend.transpose() * (2.0 * softening);
+            slope *= 1.0 - softening * own.norm_squared();
+            slope -= self.elastic_gradient(own) * own.transpose() * (2.0 * softening);
         }
-        if self.snake.wrench.is_some() {
+        let [a, b] = (self.snake.threefold_per_rad * (2.0 * self.straight_stiffness())).into();
+        let (along, across) = (a * own.x + b * own.y, b * own.x - a * own.y);
+        slope += Matrix2::new(along, across, across, -along);
+        if self.snake.wrench.is_some() || self.snake.weight_n.is_some() {
             slope -= Matrix2::from_columns(&[0, 1].map(|axis| {
                 let step = Vector2::ith(axis, LOAD_STEP_RAD);
                 (self.load(bend + step) - self.load(bend - step)) / (2.0 * LOAD_STEP_RAD)
@@ -175,10 +216,15 @@ impl<'a> Statics<'a> {
         slope
     }
 
-    /// J_xbᵗ w_e, N·mm per rad.
+    /// J_xbᵗ w_e of the wrench at the tip, and ∫ J_xbᵗ w ds of the load along the snake, N·mm per rad.
     fn load(&self, bend: Vector2<f64>) -> Vector2<f64> {
         let by_tip = |wrench: Vector6<f64>| self.robot.tip_jacobian_bend(bend).tr_mul(&wrench);
-        self.snake.wrench.map_or_else(Vector2::zeros, by_tip)
+        let of_tip = self.snake.wrench.map_or_else(Vector2::zeros, by_tip);
+        let Some(weight) = self.snake.weight_n else { return of_tip };
+        let wrench = Vector6::new(weight.x, weight.y, weight.z, 0.0, 0.0, 0.0);
+        STATIONS.iter().fold(of_tip, |sum, (share, part)| {
+            sum + self.robot.section_jacobian_bend(bend, share * self.robot.length_mm).tr_mul(&wrench) * *part
+        })
     }
 
     /// Eq. 11: the forces τ (N, positive towards +q_i) of least norm that hold the snake at a bend vector.

@@ -1,7 +1,8 @@
 //! Play and friction: what depends on the load's direction or the motion's.
 
-use super::physics::{Changes, Instant, LINEAR, ParameterSpec, Physics, Role, Starts};
+use super::physics::{Changes, Instant, LINEAR, ParameterSpec, Physics, Role, Starts, per_backbone};
 use crate::robot::PerBackbone;
+use crate::robot::history::{Play, PlayOf};
 use std::f64::consts::FRAC_2_PI;
 
 /// The force over which a sign changes smoothly, N (design.md, section 5).
@@ -75,11 +76,79 @@ pub(super) static MOTION_DIRECTED_PLAY: Physics = Physics {
     form: "crossed by travel",
     equation: "ε_i += x_i, x_i follows q_i between −a and a",
     reading: "play in the actuators that a backbone has to travel through whenever it reverses",
-    parameters: |_| const { &[ParameterSpec::positive("half_gap_mm", "mm", (0.0, 1.0), 0.05)] },
-    starts: Starts::At(&[&[0.06]]),
-    changes: Changes::Line(|at, _| at.motion.play_mm),
-    history: Some(|history, p| history.half_play_mm = Some(p[0])),
+    parameters: |_| const { &[HALF_GAP] },
+    starts: GAPS,
+    changes: Changes::Line(|at, _| at.motion.play_mm[PlayOf::Actuator as usize]),
+    history: Some(|history, p| {
+        history.plays[PlayOf::Actuator as usize] = Some(Play { half_mm: p[0], half_mm_per_n: 0.0 });
+    }),
     ..MOTION_DIRECTED
+};
+
+/// Half the width of a play, up to the whole travel of such robots.
+const HALF_GAP: ParameterSpec = ParameterSpec::positive("half_gap_mm", "mm", (0.0, 20.0), 0.05);
+
+/// Each about four times the one before: the fit finds its way within a factor of two.
+const GAPS: Starts = Starts::At(&[&[0.06], &[0.25], &[1.0], &[4.0]]);
+
+/// Play between the lines and the bend as a whole, which the bend vector has to cross whichever way it turns.
+pub(super) static PLAY_AT_BEND: Physics = Physics {
+    name: "play_at_bend",
+    equation: "ε += Q x, x follows the bend vector within a disk of radius a / r",
+    reading: "play between the lines and the bend, which the bend lags behind by whenever it turns",
+    parameters: |_| const { &[HALF_GAP] },
+    starts: GAPS,
+    changes: Changes::Line(|at, _| at.snake.q_by_bend() * at.motion.bend_play),
+    history: Some(|history, p| history.half_bend_play_mm = Some(p[0])),
+    ..LINEAR
+};
+
+/// Play that grows with the load: what friction along a bent sheath holds back, by the capstan's law, is a share of the force.
+pub(super) static CAPSTAN_PLAY: Physics = Physics {
+    name: "capstan_play",
+    equation: "ε_i += x_i, x_i follows q_i between −w_i and w_i, w_i = b |τ_i|",
+    reading: "sheath friction: a play that a backbone has to travel through whenever it reverses, and that grows with its load",
+    parameters: |_| const { &[ParameterSpec::positive("half_gap_mm_per_n", "mm/N", (0.0, 10.0), 0.01)] },
+    starts: Starts::At(&[&[0.01], &[0.05], &[0.25], &[1.0]]),
+    changes: Changes::Line(|at, _| at.motion.play_mm[PlayOf::Sheath as usize]),
+    history: Some(|history, p| {
+        history.plays[PlayOf::Sheath as usize] = Some(Play { half_mm: 0.0, half_mm_per_n: p[0] });
+    }),
+    ..LINEAR
+};
+
+/// The travel over which slack and dead bands change smoothly, mm.
+///
+/// Convention: the equations of these effects are defined with it.
+const SMOOTH_TRAVEL_MM: f64 = 0.05;
+
+const fn slack(name: &'static str) -> ParameterSpec {
+    ParameterSpec::positive(name, "mm", (0.0, 10.0), 0.05)
+}
+
+static SLACKS: [ParameterSpec; 8] = per_backbone!(slack, "slack_", "_mm");
+static DEAD_BANDS: [ParameterSpec; 8] = per_backbone!(slack, "dead_band_", "_mm");
+
+/// Lines that only pull: the first part of each pull takes up slack.
+pub(super) static TENDON_SLACK: Physics = Physics {
+    name: "tendon_slack",
+    equation: "ε_i −= s_i (1 − tanh(q_i / 0.05 mm)) / 2",
+    reading: "slack in the lines, which the first part of a pull takes up without effect",
+    parameters: |backbones| &SLACKS[..backbones],
+    changes: Changes::Line(|at, p| {
+        PerBackbone::from_fn(p.len(), |i| -0.5 * p[i] * (1.0 - (at.q_mm[i] / SMOOTH_TRAVEL_MM).tanh()))
+    }),
+    ..LINEAR
+};
+
+/// A part of the travel on either side of rest that moves nothing.
+pub(super) static DEAD_BAND: Physics = Physics {
+    name: "dead_band",
+    equation: "ε_i += d_i tanh(q_i / 0.05 mm)",
+    reading: "a dead band in each actuator on either side of rest, in which its travel moves nothing",
+    parameters: |backbones| &DEAD_BANDS[..backbones],
+    changes: Changes::Line(|at, p| PerBackbone::from_fn(p.len(), |i| p[i] * (at.q_mm[i] / SMOOTH_TRAVEL_MM).tanh())),
+    ..LINEAR
 };
 
 /// Friction in the disks' holes: a share of the backbone's own force, against the motion.

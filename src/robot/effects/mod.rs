@@ -36,12 +36,16 @@ use super::BACKBONES;
 use crate::error::{ArgumentError, Result};
 
 /// Every effect that `discover` searches for, in every form; the first form of a name has none.
-pub static LIBRARY: [&Physics; 35] = [
+pub static LIBRARY: [&Physics; 44] = [
     &friction::LOAD_DIRECTED_BACKLASH,
     &friction::LOAD_DIRECTED_WIDTH,
     &friction::LOAD_DIRECTED_GRADUAL,
     &friction::MOTION_DIRECTED_BACKLASH,
     &friction::MOTION_DIRECTED_PLAY,
+    &friction::PLAY_AT_BEND,
+    &friction::CAPSTAN_PLAY,
+    &friction::TENDON_SLACK,
+    &friction::DEAD_BAND,
     &friction::DISC_FRICTION,
     &friction::CONE_FRICTION_REVERSAL,
     &friction::CONE_FRICTION_STATIC,
@@ -53,6 +57,10 @@ pub static LIBRARY: [&Physics; 35] = [
     &actuator::SCREW_TRAVEL,
     &actuator::SCREW_TRAVEL_PHASES,
     &snake::SUPERELASTIC_SOFTENING,
+    &snake::CUBIC_STIFFNESS,
+    &snake::THREEFOLD_STIFFNESS,
+    &snake::REST_BEND,
+    &snake::DEAD_WEIGHT,
     &snake::TIP_LOAD,
     &eye::PLANE_MISALIGNMENT,
     &eye::BEND_OFFSET,
@@ -72,6 +80,7 @@ pub static LIBRARY: [&Physics; 35] = [
     &snake::BACKBONE_AZIMUTH,
     &snake::BACKBONE_AZIMUTH_IN_Q,
     &snake::PRIMARY_COMPRESSION,
+    &snake::BACKBONE_SHORTENING,
 ];
 
 /// Every physics of this name, the first form first; those that `discover` does not search for come last.

@@ -164,12 +164,16 @@ pub struct Physics {
     pub changes: Changes,
     /// What must be known of the path, beside the bend and the time.
     pub history: Option<fn(&mut History, &[f64])>,
+    /// Whether it depends on the time, beside the path.
+    pub in_time: bool,
     /// The largest first parameter for which its equation has one answer, given the others; none where any has.
     pub largest_size: Option<fn(&[f64]) -> f64>,
     /// What it must gain in Schwarz's criterion beyond the price of its parameters before it is believed.
     pub prior_penalty: f64,
     /// Whether its parameters are physics that a fit may change; those of a learned correction are not.
     pub fitted: bool,
+    /// Effects that are named in its place where the data do not decide: physics makes them likelier.
+    pub yields_to: &'static [&'static str],
     /// What it is confounded with by its equation; a search finds out what a given experiment confounds besides.
     pub confounded_with: &'static [Confounded],
 }
@@ -184,9 +188,11 @@ pub(super) const LINEAR: Physics = Physics {
     starts: Starts::At(&[&[]]),
     changes: Changes::Line(|at, _| at.q_mm * 0.0),
     history: None,
+    in_time: false,
     largest_size: None,
     prior_penalty: 0.0,
     fitted: true,
+    yields_to: &[],
     confounded_with: &[],
 };
 
@@ -203,6 +209,11 @@ impl PartialEq for Physics {
 }
 
 impl Physics {
+    /// Whether it is a matter of the pose alone, however the snake got there.
+    pub fn is_static(&self) -> bool {
+        self.history.is_none() && !self.in_time
+    }
+
     /// Its parameters' values where a search starts, on a robot of so many backbones; none where data must say them.
     pub fn given_starts(&self, backbones: usize) -> impl Iterator<Item = Vec<f64>> {
         let starts = match self.starts {

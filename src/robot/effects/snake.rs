@@ -3,7 +3,7 @@
 use super::actuator::summing_to_zero;
 use super::physics::{Changes, Confounded, LINEAR, ParameterSpec, Physics, Poses, per_backbone};
 use crate::robot::PerBackbone;
-use nalgebra::Vector6;
+use nalgebra::{Vector2, Vector3, Vector6};
 
 /// The form of effects on the geometry that leaves the forces as they were. It contradicts virtual work, which ties q and τ to one
 /// geometry, so that the data must ask for it.
@@ -33,8 +33,72 @@ pub(super) static SUPERELASTIC_SOFTENING: Physics = Physics {
     name: "superelastic_softening",
     equation: "∇E → (1 − k θ²) ∇E",
     reading: "backbones that soften as they bend, as super-elastic NiTi does",
-    parameters: |_| const { &[ParameterSpec::positive("softening_per_rad2", "1/rad²", (-0.5, 0.5), 0.03)] },
+    parameters: |_| const { &[ParameterSpec::positive("softening_per_rad2", "1/rad²", (0.0, 0.5), 0.03)] },
     changes: Changes::Snake(|snake, p| snake.softening_per_rad2 += p[0]),
+    ..LINEAR
+};
+
+/// The opposite of softening: the snake grows stiffer as it bends.
+pub(super) static CUBIC_STIFFNESS: Physics = Physics {
+    name: "cubic_stiffness",
+    equation: "∇E → (1 + k θ²) ∇E",
+    reading: "a snake that grows stiffer as it bends",
+    parameters: |_| const { &[ParameterSpec::positive("stiffening_per_rad2", "1/rad²", (0.0, 5.0), 0.03)] },
+    changes: Changes::Snake(|snake, p| snake.softening_per_rad2 -= p[0]),
+    ..LINEAR
+};
+
+const fn threefold(name: &'static str) -> ParameterSpec {
+    ParameterSpec::size(name, "1/rad", 3.0, 0.1)
+}
+
+/// A stiffness that differs from one azimuth to another as three backbones do.
+pub(super) static THREEFOLD_STIFFNESS: Physics = Physics {
+    name: "threefold_stiffness",
+    equation: "E += K/3 [a (x³ − 3xy²) + b (3x²y − y³)], (x, y) = θ (cos δ, sin δ), K the straight snake's stiffness",
+    reading: "a stiffness that changes with the azimuth three times a turn",
+    parameters: |_| const { &[threefold("a_per_rad"), threefold("b_per_rad")] },
+    changes: Changes::Snake(|snake, p| snake.threefold_per_rad += Vector2::new(p[0], p[1])),
+    ..LINEAR
+};
+
+const fn rest(name: &'static str) -> ParameterSpec {
+    ParameterSpec::size(name, "deg", 45.0, 2.0)
+}
+
+/// The snake is bent where its lines are at zero.
+pub(super) static REST_BEND: Physics = Physics {
+    name: "rest_bend",
+    equation: "q = Q (b − b_0), ∇E = ∇E(b − b_0)",
+    reading: "a snake that is bent at rest",
+    parameters: |_| const { &[rest("x_deg"), rest("y_deg")] },
+    changes: Changes::Snake(|snake, p| snake.rest_bend += Vector2::new(p[0], p[1]).map(f64::to_radians)),
+    ..LINEAR
+};
+
+const fn weight(name: &'static str) -> ParameterSpec {
+    ParameterSpec::size(name, "N", 100.0, 0.6)
+}
+
+/// The weight of the snake, or another load of fixed direction that is spread along it.
+pub(super) static DEAD_WEIGHT: Physics = Physics {
+    name: "dead_weight",
+    equation: "Qᵗτ = ∇E − (1/L) ∫ J_xb(s)ᵗ (W, 0) ds",
+    reading: "a weight of constant direction that is spread along the snake",
+    parameters: |_| const { &[weight("wx_n"), weight("wy_n"), weight("wz_n")] },
+    changes: Changes::Snake(|snake, p| {
+        snake.weight_n = Some(snake.weight_n.unwrap_or_default() + Vector3::new(p[0], p[1], p[2]));
+    }),
+    ..LINEAR
+};
+
+/// The central backbone gives way lengthwise to what the lines pull, and a shorter snake bends further.
+pub(super) static BACKBONE_SHORTENING: Physics = Physics {
+    name: "backbone_shortening",
+    equation: "q̃_i −= k q̃_i Σ_j max(−q̃_j, 0)",
+    reading: "a central backbone that shortens as the pulls add up, so that the same travel bends it further",
+    parameters: |_| const { &[ParameterSpec::positive("shortening_per_mm", "1/mm", (-0.2, 0.2), 0.02)] },
+    changes: Changes::Encoders(|q, p| *q * (-p[0] * q.map(|q| (-q).max(0.0)).sum())),
     ..LINEAR
 };
 
@@ -47,6 +111,7 @@ pub(super) static TIP_LOAD: Physics = Physics {
     changes: Changes::Snake(|snake, p| {
         snake.add_wrench(Vector6::new(p[0], p[1], p[2], 0.0, 0.0, 0.0));
     }),
+    yields_to: &["rest_bend", "dead_weight"],
     ..LINEAR
 };
 

@@ -31,7 +31,9 @@ fn moving() -> Motion {
         direction: PerBackbone::from([1.0, -1.0, -1.0]),
         speed_mm_per_s: PerBackbone::from([0.4, -0.1, -0.3]),
         speed_before_mm_per_s: PerBackbone::from([0.5, -0.2, -0.4]),
-        play_mm: PerBackbone::from([0.03, -0.05, 0.01]),
+        play_mm: [PerBackbone::from([0.03, -0.05, 0.01]); 2],
+        bend_play: Vector2::zeros(),
+        before: crate::robot::history::Before::at_rest(3),
         crept_load_n: PerBackbone::from([3.0, -2.0, 1.0]),
         elapsed_s: 7.0,
     }
@@ -166,9 +168,9 @@ fn what_follows_the_path_follows_its_equation_of_motion() {
     let motions = Mechanics::new(&play).motions(&times, &up_and_down);
     let q = play.robot.displacement_by_bend() * bend;
     let sign = q.map(f64::signum);
-    assert!((motions[20].play_mm - sign * 0.06).amax() < 1e-12);
-    assert!((motions[39].play_mm + sign * 0.06).amax() < 1e-12);
-    let back = motions[21].play_mm - (sign * 0.06 - q * 0.02);
+    assert!((motions[20].play_mm[0] - sign * 0.06).amax() < 1e-12);
+    assert!((motions[39].play_mm[0] + sign * 0.06).amax() < 1e-12);
+    let back = motions[21].play_mm[0] - (sign * 0.06 - q * 0.02);
     assert!(back.amax() < 1e-12, "one sample after the reversal it has followed q");
 }
 
@@ -287,4 +289,99 @@ fn what_is_written_wrongly_is_an_error_that_says_what_to_write() {
         let error = Effect::parse(text).unwrap_err();
         assert!(error.to_string().contains(message), "{error}");
     }
+}
+
+#[test]
+fn a_bend_at_rest_moves_kinematics_and_energy_with_it() {
+    let model = with("rest_bend:x_deg=5,y_deg=-3");
+    let rest = Vector2::new(5f64, -3.0).map(f64::to_radians);
+    let bend = pose().bend_vector();
+    let plain = model.plain();
+    let [bent, straight] = [&model, &plain].map(Mechanics::new);
+    assert!((bent.command(rest + bend, None) - straight.command(bend, None)).amax() < 1e-12);
+    assert!((bent.forces_n(rest)).amax() < 1e-12, "no force holds a snake at rest");
+}
+
+#[test]
+fn a_weight_along_the_snake_is_many_small_forces() {
+    let (bend, plain) = (pose().bend_vector(), with("thermal_drift:rate_mm_per_s=0"));
+    let robot = &plain.robot;
+    let model = with("dead_weight:wx_n=0.4,wy_n=-0.2,wz_n=0.3");
+    let mechanics = Mechanics::new(&model);
+    let by_load = Mechanics::new(&plain).statics.generalised_force(bend) - mechanics.statics.generalised_force(bend);
+    // The middle rule with a thousand pieces.
+    let wrench = Vector6::new(0.4, -0.2, 0.3, 0.0, 0.0, 0.0) / 1000.0;
+    let sum: Vector2<f64> = (0..1000)
+        .map(|k| robot.section_jacobian_bend(bend, (f64::from(k) + 0.5) / 1000.0 * robot.length_mm).tr_mul(&wrench))
+        .sum();
+    assert!((by_load - sum).norm() < 1e-5 * sum.norm(), "{by_load} {sum}");
+}
+
+#[test]
+fn threefold_and_cubic_stiffness_are_gradients_of_their_energies() {
+    let (bend, plain) = (pose().bend_vector(), with("thermal_drift:rate_mm_per_s=0"));
+    let force = |model: &Model, bend| Mechanics::new(model).statics.generalised_force(bend);
+    let threefold = with("threefold_stiffness:a_per_rad=0.2,b_per_rad=-0.1");
+    // K is the stiffness of four tubes of length L.
+    let stiffness = 4.0 * 54_000.0 * std::f64::consts::PI / 64.0 * (0.66f64.powi(4) - 0.5f64.powi(4)) / 26.0;
+    let energy = |b: Vector2<f64>| {
+        let (x, y) = (b.x, b.y);
+        stiffness / 3.0 * (0.2 * (x.powi(3) - 3.0 * x * y * y) - 0.1 * (3.0 * x * x * y - y.powi(3)))
+    };
+    let h = 1e-5;
+    for axis in 0..2 {
+        let step = Vector2::ith(axis, h);
+        let slope = (energy(bend + step) - energy(bend - step)) / (2.0 * h);
+        let added = (force(&threefold, bend) - force(&plain, bend))[axis];
+        assert!((slope - added).abs() < 1e-6 * stiffness, "{slope} {added}");
+        let numeric = (force(&threefold, bend + step) - force(&threefold, bend - step)) / (2.0 * h);
+        let column = Mechanics::new(&threefold).statics.generalised_force_by_bend(bend).column(axis).into_owned();
+        assert!((numeric - column).norm() < 1e-5 * stiffness);
+    }
+    let cubic = force(&with("cubic_stiffness:stiffening_per_rad2=0.2"), bend);
+    assert!((cubic - force(&plain, bend) * (1.0 + 0.2 * bend.norm_squared())).norm() < 1e-12);
+}
+
+#[test]
+fn lines_that_only_pull_have_slack_and_dead_bands() {
+    let plain = with("thermal_drift:rate_mm_per_s=0");
+    let q = Mechanics::new(&plain).statics.q_mm(pose().bend_vector());
+    // Clear of zero by ten widths, a pull is all slack and a push none.
+    assert!(q.iter().all(|q| q.abs() > 0.2), "{q:?}");
+    let slack = added(&with("tendon_slack:slack_1_mm=0.1,slack_2_mm=0.2,slack_3_mm=0.3"), &moving());
+    let dead = added(&with("dead_band:dead_band_1_mm=0.1,dead_band_2_mm=0.2,dead_band_3_mm=0.3"), &moving());
+    let sizes = PerBackbone::from([0.1, 0.2, 0.3]);
+    let pulled = q.map(|q| if q < 0.0 { -1.0 } else { 0.0 });
+    assert!((slack - sizes.component_mul(&pulled)).amax() < 1e-3, "{slack:?}");
+    assert!((dead - sizes.component_mul(&q.map(f64::signum))).amax() < 1e-3, "{dead:?}");
+}
+
+#[test]
+fn a_shorter_backbone_bends_further_for_the_same_travel() {
+    let model = with("backbone_shortening:shortening_per_mm=0.02");
+    let read = model.command(pose());
+    let pulls: f64 = read.iter().map(|q| (-q).max(0.0)).sum();
+    let travel = model.plain().command(pose());
+    assert!((read * (1.0 + 0.02 * pulls) - travel).amax() < 1e-12 && pulls > 0.5, "{read:?} {travel:?}");
+}
+
+#[test]
+fn a_play_at_the_bend_follows_within_its_disk_and_a_sheath_holds_a_share_of_the_load() {
+    // Up by 30° along x, then across by 10°: 2° of play at r = 1.5 mm are 0.0524 mm.
+    let half_gap = 1.5 * 2f64.to_radians();
+    let model = with(&format!("play_at_bend:half_gap_mm={half_gap}"));
+    let up = (0..=30).map(|k| Vector2::new(f64::from(k), 0.0));
+    let across = (1..=10).map(|k| Vector2::new(30.0, f64::from(k)));
+    let bends: Vec<_> = up.chain(across).map(|b| b.map(f64::to_radians)).collect();
+    let times: Vec<f64> = (0..bends.len()).map(|k| k as f64).collect();
+    let motions = Mechanics::new(&model).motions(&times, &bends);
+    let play = |k: usize| motions[k].bend_play.map(f64::to_degrees);
+    assert!((play(1) - Vector2::new(1.0, 0.0)).norm() < 1e-9 && (play(30) - Vector2::new(2.0, 0.0)).norm() < 1e-9);
+    assert!((play(40).norm() - 2.0).abs() < 1e-9 && play(40).y > 1.95, "{}", play(40));
+    let sheath = with("capstan_play:half_gap_mm_per_n=0.02");
+    let mechanics = Mechanics::new(&sheath);
+    let motions = mechanics.motions(&times, &bends);
+    let tau = mechanics.forces_n(bends[30]);
+    let sign = mechanics.statics.q_mm(bends[30]).map(f64::signum);
+    assert!((motions[30].play_mm[1] - tau.map(f64::abs).component_mul(&sign) * 0.02).amax() < 1e-9);
 }

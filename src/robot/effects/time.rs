@@ -10,6 +10,7 @@ pub(super) static THERMAL_DRIFT: Physics = Physics {
     reading: "a slow drift that all backbones share, as of a machine that warms up",
     parameters: |_| const { &[ParameterSpec::size("rate_mm_per_s", "mm/s", 0.1, 0.0005)] },
     changes: Changes::Line(|at, p| PerBackbone::repeat(at.q_mm.len(), p[0] * at.motion.elapsed_s)),
+    in_time: true,
     ..LINEAR
 };
 
@@ -27,6 +28,7 @@ const CREEPING: Physics = Physics {
     name: "creep",
     reading: "lines that go on stretching for a while under load",
     parameters: |_| const { &[SHARE, TIME_CONSTANT] },
+    in_time: true,
     // Short to long, each about four times the one before: the fit finds its way within a factor of two.
     starts: Starts::At(&[&[0.02, 0.5], &[0.02, 2.0], &[0.02, 8.0], &[0.02, 30.0], &[0.02, 120.0]]),
     ..LINEAR

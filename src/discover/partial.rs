@@ -1,0 +1,280 @@
+//! A partial answer: effects that help, where what is left is more than noise.
+//!
+//! A real machine never lies wholly in a library. Beside the noise there is then a *discrepancy*, what the model misses: its variance
+//! is learned from the residuals and added to that of the noise, so that a misfit is not read as evidence of millions of bits.
+//! Effects are added one by one, each the one that shrinks most what is left of sweeps that the fit did not see; of effects that do so
+//! about equally well, the one that physics makes likelier. Those stay that help beside all the others, in every block of sweeps that
+//! follow each other and in most bootstrap resamples of the sweeps.
+
+use super::comparison::Comparison;
+use super::fit::Fit;
+use super::residuals::Problem;
+use super::search::{Named, added, by_bic, extensions};
+use super::sweep_equations::SweepEquations;
+use super::sweeps::FOLDS;
+use crate::robot::effects::{Role, Starts};
+use crate::robot::{Model, Physics};
+
+/// The most effects of a partial answer.
+///
+/// Convention: a bound on computing time.
+const MOST_EFFECTS: usize = 6;
+
+/// Hypotheses of each step that are fitted to convergence.
+///
+/// Convention: a bound on computing time.
+const FITTED: usize = 12;
+
+/// What no model of a real machine knows exactly: where it rests, and how its frame is turned.
+const FRAME: [&str; 2] = ["rest_bend", "plane_misalignment"];
+
+/// Each parameter of an effect needs as many sweeps.
+///
+/// Convention: two estimate a parameter and what is left beside it; on fewer, richer models do worse in directions they have not seen.
+const SWEEPS_PER_PARAMETER: usize = 2;
+
+/// An effect must take away this share of what is left beyond noise, on blocks that the fit did not see.
+///
+/// Convention: less is not worth a name while the rest is unknown.
+const LEAST_SHARE: f64 = 0.05;
+
+/// One of an effect's sizes must be this many of its standard deviations from zero.
+///
+/// Convention: the usual level of 5 %.
+const LEAST_SIZE_IN_SDS: f64 = 2.0;
+
+/// An effect must be the best in this share of the bootstrap resamples of the sweeps.
+///
+/// Convention: it is then likelier than all its rivals together.
+const LEAST_INCLUSION: f64 = 0.5;
+
+/// Effects whose held-out gains differ by less than this share are rivals that the data do not decide between.
+///
+/// Convention: decides between effects of which one is physically likelier.
+const ALIKE: f64 = 0.1;
+
+/// A partial answer.
+#[derive(Debug, Clone)]
+pub struct Partial<'a> {
+    /// The samples, whitened by noise and discrepancy.
+    pub problem: Problem<'a>,
+    /// The model as given, with η and λ at their best.
+    pub before: Fit,
+    /// The model with the effects.
+    pub after: Fit,
+    /// The effects, in the order of the model's.
+    pub named: Vec<Named>,
+}
+
+impl<'a> Partial<'a> {
+    /// Of the samples under their noise; `fits` are fits of the model as given, of which the best is gone on from.
+    pub fn new(problem: &Problem<'a>, [one, other]: [&Fit; 2]) -> Self {
+        let one_is_better = bend_squares(problem, one) < bend_squares(problem, other);
+        let mut problem = problem.clone();
+        let mut before = if one_is_better { one.clone() } else { other.clone() };
+        // The weights follow from the discrepancy, and the discrepancy from the fit.
+        for _ in 0..2 {
+            let noise = problem.noise.with_discrepancy(&problem, &before);
+            problem = Problem::new(problem.data, &noise, &before.model);
+            let [one, other] = [one, other].map(|fit| problem.fit(&fit.model, None, None));
+            before = if one.cost < other.cost { one } else { other };
+        }
+        let mut answer = Self { problem, after: before.clone(), before, named: Vec::new() };
+        // The likeliest first, since on a few sweeps much can imitate it: where the snake rests and how its frame is turned, which no
+        // model knows exactly, then other statics, then what hangs on the path or the time.
+        answer.add((f64::NEG_INFINITY, 0.0), is_of_the_frame);
+        answer.add((0.0, LEAST_SHARE), |physics| is_believable(physics) && physics.is_static());
+        answer.add((0.0, LEAST_SHARE), is_believable);
+        loop {
+            answer.prune();
+            answer.named = (answer.given()..answer.after.model.effects.len()).map(|k| answer.describe(k)).collect();
+            let unlikely = |named: &&Named| named.probability() < LEAST_INCLUSION;
+            let least = answer.named.iter().filter(unlikely).map(|named| named.removes).fold(f64::INFINITY, f64::min);
+            let Some(place) = answer.named.iter().position(|named| unlikely(&named) && named.removes == least) else {
+                return answer;
+            };
+            answer.after = answer.without(answer.given() + place);
+        }
+    }
+
+    /// Adds effects that `admits`, the one that helps most first, until none helps by a share of what is left. Those that are expected to
+    /// gain less than `least` in the information criterion are not tried.
+    fn add(&mut self, (least, least_share): (f64, f64), admits: impl Fn(&Physics) -> bool) {
+        let most_parameters = self.before.parameter_count() + self.problem.data.sweep_count() / SWEEPS_PER_PARAMETER;
+        while self.added() < MOST_EFFECTS {
+            let now = HeldOutCosts::new(&self.problem, &self.after);
+            let mut candidates: Vec<(Fit, f64)> = Vec::new();
+            for fit in by_bic(extensions(&self.problem, &self.after, FITTED, least, &admits)) {
+                let gain = now.total() - HeldOutCosts::new(&self.problem, &fit).total();
+                let is_new = candidates.iter().all(|(other, _)| added(other).name != added(&fit).name);
+                let is_affordable = fit.parameter_count() <= most_parameters;
+                if is_new && is_affordable && gain > least_share * self.excess_of(&now) {
+                    candidates.push((fit, gain));
+                }
+            }
+            candidates.sort_by(|a, b| b.1.total_cmp(&a.1));
+            let Some(place) = preferred(&candidates) else { return };
+            self.after = candidates.swap_remove(place).0;
+        }
+    }
+
+    /// Drops effects that do not help beside the others, the least helpful first.
+    fn prune(&mut self) {
+        while self.added() > 0 {
+            let with = HeldOutCosts::new(&self.problem, &self.after);
+            let fitted = self.problem.with_clustered_covariance(&self.after);
+            let each = (self.given()..self.after.model.effects.len()).map(|k| {
+                let physics = self.after.model.effects[k].physics;
+                let simpler = self.without(k);
+                let costs = HeldOutCosts::new(&self.problem, &simpler);
+                let gain = costs.total() - with.total();
+                let inclusion = Comparison::new(self.problem.data, &self.after, &simpler, &[], 1.0).evidence.inclusion;
+                let holds = gain >= LEAST_SHARE * self.excess_of(&costs)
+                    && (is_of_the_frame(physics) || with.is_better_in_every_block(&costs) && has_eta(&fitted))
+                    && has_size(&fitted, k)
+                    && inclusion >= LEAST_INCLUSION;
+                (simpler, gain, holds)
+            });
+            let failing = each.filter(|(_, _, holds)| !holds).min_by(|a, b| a.1.total_cmp(&b.1));
+            match failing {
+                Some((simpler, _, _)) => self.after = simpler,
+                None => return,
+            }
+        }
+    }
+
+    /// The evidence for effect k of the answer, what could stand in its place, and what it removes beside the others.
+    fn describe(&self, k: usize) -> Named {
+        let (problem, physics) = (&self.problem, self.after.model.effects[k].physics);
+        let simpler = self.without(k);
+        let costs = [&self.before, &simpler, &self.after].map(|fit| HeldOutCosts::new(problem, fit));
+        let gain = costs[1].total() - costs[2].total();
+        let mut rivals: Vec<Fit> = Vec::new();
+        for fit in by_bic(extensions(problem, &simpler, FITTED, f64::NEG_INFINITY, is_believable)) {
+            let other = added(&fit);
+            let is_new = rivals.iter().all(|rival| added(rival).name != other.name);
+            if is_new && other.name != physics.name && !other.yields_to.contains(&physics.name) {
+                rivals.push(fit);
+            }
+        }
+        let gain_of = |rival: &Fit| costs[1].total() - HeldOutCosts::new(problem, rival).total();
+        let (alike, mut rivals): (Vec<Fit>, Vec<Fit>) =
+            rivals.into_iter().partition(|rival| gain_of(rival) > (1.0 - ALIKE) * gain);
+        if is_of_the_frame(physics) {
+            rivals.retain(|rival| is_of_the_frame(added(rival)));
+        }
+        let excess = self.excess_of(&costs[0]);
+        Named {
+            physics,
+            evidence: Comparison::new(problem.data, &self.after, &simpler, &rivals, excess).evidence,
+            removes: (gain / excess).clamp(0.0, 1.0),
+            indistinguishable_from: alike.iter().map(|rival| added(rival).name).collect(),
+            alternatives: rivals.iter().map(|rival| (added(rival).name, rival.bic() - self.after.bic())).collect(),
+        }
+    }
+
+    fn given(&self) -> usize {
+        self.before.model.effects.len()
+    }
+
+    fn added(&self) -> usize {
+        self.after.model.effects.len() - self.given()
+    }
+
+    /// The fit without effect k.
+    fn without(&self, k: usize) -> Fit {
+        self.problem.fit(&self.after.model.without_effect(k), Some(&self.after.path), None)
+    }
+
+    /// What costs are beyond those of noise.
+    fn excess_of(&self, costs: &HeldOutCosts) -> f64 {
+        (costs.total() - self.problem.expected_cost()).max(f64::MIN_POSITIVE)
+    }
+
+    /// The model of one of its fits, with a covariance that contains the discrepancy as it hangs together within sweeps.
+    pub fn model(&self, fit: &Fit) -> Model {
+        let left = self.problem.noise.with_discrepancy(&self.problem, fit);
+        let problem = Problem::new(self.problem.data, &left, &fit.model);
+        problem.with_clustered_covariance(&problem.fit(&fit.model, Some(&fit.path), None))
+    }
+}
+
+/// What is left of sweeps that the fit did not see, in squares of noise and discrepancy.
+#[derive(Debug, Clone)]
+struct HeldOutCosts {
+    /// Sweeps dealt to the folds in turn: between sweeps like those that were left out.
+    interleaved: Vec<f64>,
+    /// Sweeps that follow each other: beyond what the fit has seen.
+    blocks: Vec<f64>,
+}
+
+impl HeldOutCosts {
+    fn new(problem: &Problem, fit: &Fit) -> Self {
+        let equations = SweepEquations::new(problem.data, fit);
+        let blocks = problem.data.blocks();
+        Self {
+            interleaved: equations.held_out_costs(|sweep| sweep % FOLDS),
+            blocks: equations.held_out_costs(|sweep| blocks[sweep]),
+        }
+    }
+
+    /// The mean of both partitions.
+    fn total(&self) -> f64 {
+        0.5 * self.interleaved.iter().chain(&self.blocks).sum::<f64>()
+    }
+
+    fn is_better_in_every_block(&self, other: &Self) -> bool {
+        self.blocks.iter().zip(&other.blocks).all(|(own, other)| own <= other)
+    }
+}
+
+/// Periodic effects and those of time are not looked for: a wave with a pitch of its own fits any smooth gap over a few of its periods,
+/// and a drift any slow change.
+fn is_believable(physics: &Physics) -> bool {
+    !physics.in_time && !matches!(physics.starts, Starts::Periodogram(_))
+}
+
+/// Whether it is one of the effects that are likely beforehand, of which only another of them is a rival.
+fn is_of_the_frame(physics: &Physics) -> bool {
+    FRAME.contains(&physics.name)
+}
+
+/// Whether η is clear of zero, as the forces of any snake make it: an effect that takes its place is none beside it.
+fn has_eta(model: &Model) -> bool {
+    model.estimate.is_some_and(|estimate| estimate.eta > LEAST_SIZE_IN_SDS * estimate.sd_eta())
+}
+
+/// Whether one of the sizes of effect k is clear of zero.
+fn has_size(model: &Model, k: usize) -> bool {
+    let effect = &model.effects[k];
+    let values = effect.parameters().iter().zip(effect.values.iter().zip(model.effect_sds(k)));
+    values
+        .filter(|(spec, _)| matches!(spec.role, Role::Size { .. }))
+        .any(|(_, (value, sd))| value.abs() > LEAST_SIZE_IN_SDS * sd)
+}
+
+/// The candidate to take, of candidates in the order of their gains: the first, unless another gains about as much that it yields to.
+fn preferred(candidates: &[(Fit, f64)]) -> Option<usize> {
+    let (first, gain) = candidates.first()?;
+    let likelier =
+        |(other, own): &(Fit, f64)| *own > (1.0 - ALIKE) * gain && added(first).yields_to.contains(&added(other).name);
+    Some(candidates.iter().position(likelier).unwrap_or(0))
+}
+
+/// What a fit leaves of the bend, rad².
+fn bend_squares(problem: &Problem, fit: &Fit) -> f64 {
+    (0..problem.data.len()).map(|k| problem.bend_gap(&fit.residuals, k).norm_squared()).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_are_compared_one_by_one_and_the_total_is_the_mean_of_both_partitions() {
+        let costs = |blocks: [f64; 3]| HeldOutCosts { interleaved: vec![6.0, 4.0], blocks: blocks.to_vec() };
+        assert_eq!(costs([5.0, 6.0, 9.0]).total(), 15.0);
+        assert!(costs([5.0, 6.0, 8.0]).is_better_in_every_block(&costs([6.0, 6.0, 8.5])));
+        assert!(!costs([5.0, 6.0, 9.0]).is_better_in_every_block(&costs([9.0, 9.0, 8.0])));
+    }
+}
