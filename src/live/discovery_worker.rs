@@ -4,7 +4,7 @@ use super::low_priority::on_one_thread;
 use super::shared_state::SharedState;
 use super::status::DiscoveryStatus;
 use crate::Result;
-use crate::discover::{Data, Discovery, discover_in_frames};
+use crate::discover::{Data, Discovery, Verdict, discover_in_frames};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{write_atomically, write_model};
 use crate::report::discovery::sentence;

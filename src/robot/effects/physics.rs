@@ -231,7 +231,8 @@ impl Physics {
     /// Its parameters at a size that matters, on a robot of so many backbones.
     pub fn example(&self, backbones: usize) -> Vec<f64> {
         let value = |(spec, share): (&ParameterSpec, f64)| match spec.role {
-            Role::Size { .. } => share * spec.typical,
+            Role::Size { either_sign: true } => share * spec.typical,
+            Role::Size { either_sign: false } => share.abs() * spec.typical,
             Role::Shape { example, .. } => example,
         };
         (self.parameters)(backbones).iter().zip(EXAMPLE_SHARES.into_iter().cycle()).map(value).collect()
