@@ -195,11 +195,7 @@ fn discovered(sealed: &Sealed) -> Outcome {
         }
     }
     Outcome {
-        names: if found.verdict == Verdict::Named {
-            found.named.iter().map(|n| n.physics.name).collect()
-        } else {
-            vec![]
-        },
+        names: if found.verdict.has_effects() { found.named.iter().map(|n| n.physics.name).collect() } else { vec![] },
         verdict: found.verdict,
         not_ruled_out: found.named.iter().flat_map(|named| named.indistinguishable_from.clone()).collect(),
         within,
