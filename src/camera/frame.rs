@@ -125,11 +125,20 @@ fn without_alpha<T: Copy>(samples: &[T], channels: usize) -> Vec<T> {
 /// sensor's own rows and columns.
 ///
 /// # Errors
-/// A file that cannot be read, is none of these formats, is damaged or cut short, has more than 100 megapixels or 65,535 px
-/// in a row or column, or would take more memory than such a picture does.
+/// What is no file (a pipe is not waited at), cannot be read, is none of these formats, is damaged or cut short, has more than 100
+/// megapixels or 65,535 px in a row or column, or would take more memory than such a picture does.
 pub fn read_frame(path: &Path) -> Result<Frame> {
+    if !std::fs::metadata(path).map_err(Error::io(path, "read"))?.is_file() {
+        return Err(Error::content(path, "no file, expected a picture"));
+    }
     let bytes = read_bytes(path, PICTURE_BYTES)?;
     decode_frame(&bytes).map_err(|message| Error::content(path, message))
+}
+
+/// Width and height, px, that a picture file's header tells, without decoding it; `None` where it tells none.
+pub fn picture_size(path: &Path) -> Option<(u32, u32)> {
+    let reader = if path.is_file() { ImageReader::open(path).ok()? } else { return None };
+    reader.with_guessed_format().ok()?.into_dimensions().ok()
 }
 
 /// A picture from the bytes of its file; see [`read_frame`].

@@ -1,6 +1,6 @@
 //! Where frames come from: picture files told by a glob or a numbered pattern, or a video file.
 
-use super::frame::{Frame, read_frame};
+use super::frame::{Frame, picture_size, read_frame};
 use super::opencv::Video;
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -31,6 +31,11 @@ pub struct SourceFrame {
 }
 
 impl SourceFrame {
+    /// Width and height, px, as far as they can be told without decoding.
+    pub fn size(&self) -> Option<(u32, u32)> {
+        self.decoded.as_ref().map(|frame| (frame.width, frame.height)).or_else(|| picture_size(&self.path))
+    }
+
     /// The picture, read and decoded now if it is a file; see [`read_frame`] for the errors.
     pub fn read(self) -> Result<Frame> {
         match self.decoded {
@@ -129,6 +134,9 @@ fn globbed(folder: &Path, pattern: &str) -> Result<Vec<(u64, PathBuf)>> {
         })?;
         if path.is_file() {
             files.push((last_number(&path)?, path));
+        } else if let (Some(_), Ok(index)) = (path.extension(), last_number(&path)) {
+            // A link to nowhere, a pipe or a folder in a frame's place costs its row, and is not passed over.
+            files.push((index, path));
         }
     }
     Ok(files)
@@ -170,9 +178,7 @@ impl Numbered<'_> {
             let Some(digits) = name.strip_prefix(before).and_then(|rest| rest.strip_suffix(self.after)) else {
                 continue;
             };
-            if let Some(index) = self.number(digits)
-                && path.is_file()
-            {
+            if let Some(index) = self.number(digits) {
                 files.push((index, path));
             }
         }
@@ -221,6 +227,24 @@ mod tests {
         let found = indices(&folder, "frames/f%05d_2.png");
         assert_eq!(found.iter().map(|f| f.0).collect::<Vec<_>>(), [1, 3, 123_456]);
         assert_eq!(indices(&folder, "frames/f%d_2.png").iter().map(|f| f.0).collect::<Vec<_>>(), [123_456]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_stands_in_a_frames_place_and_is_none_keeps_its_index_and_is_not_waited_for() {
+        let (_root, folder) = folder(&["1.png"]);
+        let frames = folder.join("frames");
+        std::os::unix::fs::symlink("nowhere", frames.join("2.png")).unwrap();
+        std::fs::create_dir(frames.join("3.png")).unwrap();
+        std::fs::create_dir(frames.join("thumbnails4")).unwrap();
+        let pipe = std::process::Command::new("mkfifo").arg(frames.join("5.png")).status().unwrap();
+        assert!(pipe.success());
+        for pattern in ["frames/*", "frames/%d.png"] {
+            let source = FrameSource::open(&folder, pattern).unwrap();
+            let read: Vec<_> =
+                source.frames().unwrap().map(|frame| (frame.index, frame.size(), frame.read().is_ok())).collect();
+            assert_eq!(read, [1, 2, 3, 5].map(|index| (index, None, false)), "{pattern}");
+        }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! `completions` and `manual`: what a shell and `man` want to know of the commands.
 
-use super::console::{Console, print_text};
+use super::console::{Console, print};
 use crate::cli::failure::Failure;
 use crate::record::write_atomically;
 use crate::{Error, Result};
@@ -22,7 +22,7 @@ impl Args {
     pub fn run(&self) -> Result<(), Failure> {
         let mut script = Vec::new();
         clap_complete::generate(self.shell, &mut super::Cli::command(), "snakeloop", &mut script);
-        print_text(&String::from_utf8_lossy(&script));
+        print(&String::from_utf8_lossy(&script));
         Ok(())
     }
 }

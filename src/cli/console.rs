@@ -3,7 +3,8 @@
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use std::fmt::Display;
-use std::io::{IsTerminal, Write};
+use std::io::{ErrorKind, IsTerminal, Write};
+use std::sync::OnceLock;
 
 /// The two switches that every command has.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -21,9 +22,9 @@ impl Console {
     pub fn result(&self, value: &impl Serialize, text: impl FnOnce() -> String) {
         if self.json {
             // Numbers, text and lists of them always serialise.
-            print_line(&serde_json::to_string_pretty(value).unwrap_or_default());
+            print(&(serde_json::to_string_pretty(value).unwrap_or_default() + "\n"));
         } else if !self.quiet {
-            print_line(text().trim_end());
+            print(&(text().trim_end().to_owned() + "\n"));
         }
     }
 
@@ -31,7 +32,7 @@ impl Console {
     pub fn warn(&self, warnings: impl IntoIterator<Item = impl Display>) {
         if !self.quiet {
             for warning in warnings {
-                eprintln!("warning: {warning}");
+                complain(format_args!("warning: {warning}"));
             }
         }
     }
@@ -39,7 +40,7 @@ impl Console {
     /// Tells a person something on the way, unless quiet.
     pub fn say(&self, text: impl Display) {
         if !self.quiet {
-            eprintln!("{text}");
+            complain(format_args!("{text}"));
         }
     }
 
@@ -59,12 +60,25 @@ impl Console {
     }
 }
 
-/// Prints text as it is, as a shell reads it.
-pub fn print_text(text: &str) {
-    let _ = write!(std::io::stdout(), "{text}");
+/// Why a result did not reach standard output.
+static LOST: OnceLock<String> = OnceLock::new();
+
+/// Why a result that was printed did not arrive, as on a disk that is full.
+pub fn lost() -> Option<&'static str> {
+    LOST.get().map(String::as_str)
 }
 
-/// Prints a line; a reader that has gone away (`| head`) is no error.
-fn print_line(text: &str) {
-    let _ = writeln!(std::io::stdout(), "{text}");
+/// Prints a result as it is, as a shell reads it. A reader that has gone away (`| head`) is no error; any other failure is kept for
+/// the end of the program ([`lost`]).
+pub fn print(text: &str) {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => drop(LOST.set(e.to_string())),
+        _ => {}
+    }
+}
+
+/// Writes a line on standard error. Where nobody takes it, closed or on a full disk, it is lost and the work goes on.
+pub fn complain(line: impl Display) {
+    let _ = writeln!(std::io::stderr(), "{line}");
 }

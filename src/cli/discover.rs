@@ -2,7 +2,7 @@
 
 use super::console::Console;
 use super::flow::Flow;
-use super::inputs::{encoders_of, model_of, model_or_paper, rows};
+use super::inputs::{encoders_of, files_read, model_of, model_or_paper, rows};
 use super::measuring::Count;
 use super::shard::Shard;
 use super::views::open_views;
@@ -15,7 +15,7 @@ use crate::estimate::Options;
 use crate::estimate::gap::{Gap, gap};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, Experiment, measurements_csv, read_encoders, read_measurements, read_model, trajectory_csv,
+    Checked, Experiment, OutputFolder, measurements_csv, read_encoders, read_measurements, read_model, trajectory_csv,
     write_atomically, write_model,
 };
 use crate::report::discovery::{Page, sentence};
@@ -69,6 +69,7 @@ impl Args {
         if !(self.encoder_sd > 0.0 && self.encoder_sd <= 1.0) {
             return Err(Failure::Usage(format!("--encoder-sd {}: expected more than 0, to 1 mm", self.encoder_sd)));
         }
+        let _out = self.claim()?;
         let (model, measurements, readings) = self.inputs(console)?;
         let data = Data::new(&measurements, &readings, self.encoder_sd)?;
         let subject = Subject::new(&model, self.encoder_sd);
@@ -144,6 +145,19 @@ impl Args {
             format!("unexplained: no physics is named of these data\n{}", verdict.lines().join("\n"))
         });
         Ok(())
+    }
+
+    /// Takes the folder to write to.
+    fn claim(&self) -> Result<OutputFolder> {
+        const OUTPUTS: [&str; 5] = ["measurements.csv", "discrepancy.json", NEXT, "model.toml", "report.html"];
+        let named = [self.measurements.as_ref(), self.encoders.as_ref(), self.model.as_ref()];
+        let (inputs, outputs) = match &self.experiment {
+            Some(experiment) => (files_read(&Experiment::read(experiment)?, &named), &OUTPUTS[..]),
+            None => (named.into_iter().flatten().cloned().collect(), &OUTPUTS[1..]),
+        };
+        let mut out = OutputFolder::claim(&self.output, outputs, &inputs)?;
+        out.made_by("discover", outputs)?;
+        Ok(out)
     }
 
     fn propose(&self, found: &Discovery, data: &Data) -> Result<Option<NextExperiment>> {

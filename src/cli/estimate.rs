@@ -7,7 +7,7 @@ use super::verdict::{VerdictArgs, verdict_text};
 use crate::cli::failure::Failure;
 use crate::estimate::{EstimateRow, Verdict as RowVerdict, estimate, estimate_stem, or_one_gain};
 use crate::observation::{EncoderReading, Measurement};
-use crate::record::{estimates_csv, stems_csv, write_atomically, write_judged_model, write_model};
+use crate::record::{OutputFolder, estimates_csv, stems_csv, write_atomically, write_judged_model, write_model};
 use crate::robot::{Effect, Estimate, Model};
 use crate::verdict::{Subject, Verdict};
 use crate::{Error, Result};
@@ -88,6 +88,10 @@ pub struct Parameters {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
+        let inputs =
+            [Some(&self.measurements), Some(&self.encoders), self.model.as_ref()].into_iter().flatten().cloned();
+        const OUTPUTS: [&str; 3] = ["model.toml", "estimate.csv", "stem.csv"];
+        let _out = OutputFolder::claim(&self.output, &OUTPUTS, &inputs.collect::<Vec<_>>())?;
         let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
         let (measurements, encoders) =
             measurements_and_readings(console, &model, &self.measurements, Some(&self.encoders))?;
@@ -95,10 +99,6 @@ impl Args {
             return Ok(self.follow_stem(console, &model, &measurements, &encoders)?);
         }
         let (steps, model) = estimate(&model, self.estimator.options(1.0), &measurements, &encoders)?;
-        write_atomically(
-            &self.output.join("estimate.csv"),
-            estimates_csv(&steps, model.robot.backbone_count()).as_bytes(),
-        )?;
         let mut verdicts = Verdicts::default();
         steps.iter().for_each(|step| verdicts.add(step));
         let rows = || measurements.iter().cloned().map(Ok::<_, Infallible>);
@@ -110,6 +110,11 @@ impl Args {
         let Ok(verdict) = subject.verdict(rows(), &encoders);
         if model.estimate.is_some() {
             write_judged_model(&self.output.join("model.toml"), &model, &verdict)?;
+        }
+        // The rows stand beside the model that they led to, and not beside an earlier one.
+        if model.estimate.is_some() || !self.output.join("model.toml").exists() {
+            let rows = estimates_csv(&steps, model.robot.backbone_count());
+            write_atomically(&self.output.join("estimate.csv"), rows.as_bytes())?;
         }
         let summary = Summary { verdict, estimated };
         console.result(&summary, || verdict_text(&summary.verdict) + &summary.estimated.text());

@@ -3,7 +3,7 @@
 use super::console::Console;
 use super::shard::Shard;
 use super::views::OpenView;
-use crate::camera::{Frame, FrameSource, SourceFrame};
+use crate::camera::{Frame, FrameSource, Lens, SourceFrame};
 use crate::measure::{Eye, FrameMeasurement, fused};
 use crate::observation::{EncoderReading, Measurement, Status};
 use crate::{Error, Result};
@@ -139,6 +139,9 @@ impl Flow<'_> {
             (Some(frame), measurement)
         };
         let (frame, measurement) = match ready {
+            Ready::Unread(source) if is_far_too_large(&source, view.eye().lens()) => {
+                (None, without_angles(Status::WrongSize))
+            }
             Ready::Unread(source) => match clocks.reading.time(|| read(source))? {
                 Some(frame) => measure(view.eye(), frame),
                 None => (None, without_angles(Status::Unreadable)),
@@ -204,6 +207,15 @@ fn followed(eye: &mut Eye, source: SourceFrame, clocks: &Clocks) -> Result<Ready
         }
         Err(status) => Ready::Lost(status, Some(frame)),
     })
+}
+
+/// Whether a picture has so many more pixels than the camera that it is not worth decoding to say so. Smaller ones are decoded, and
+/// drawn in the report.
+fn is_far_too_large(source: &SourceFrame, lens: &Lens) -> bool {
+    /// Times the camera's pixels. Convention: a resource limit.
+    const MOST_TIMES: u64 = 4;
+    let pixels = |(width, height)| u64::from(width) * u64::from(height);
+    source.size().is_some_and(|size| pixels(size) > MOST_TIMES * pixels((lens.width, lens.height)))
 }
 
 /// The frame; `None` where it cannot be read, which costs its row only.

@@ -7,7 +7,7 @@ use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{Checked, Experiment, read_encoders, read_measurements, read_model};
 use crate::robot::{Effect, Model};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The model in a file; without one the paper's, with Table I.
 pub fn model_or_paper(path: Option<&Path>) -> Result<Model> {
@@ -66,6 +66,19 @@ pub fn model_of(experiment: &Experiment) -> Result<Model> {
         }
     }
     Ok(model)
+}
+
+/// A command on an experiment, as the record of an output folder names it.
+pub fn maker(command: &str, experiment: &Experiment) -> String {
+    let folder = experiment.folder();
+    let here = if folder == Path::new("") { Path::new(".") } else { folder };
+    format!("{command} {}", here.canonicalize().as_deref().unwrap_or(here).display())
+}
+
+/// All that a call on an experiment reads: the files it names, its frames, and `others`.
+pub fn files_read(experiment: &Experiment, others: &[Option<&PathBuf>]) -> Vec<PathBuf> {
+    let others = others.iter().flatten().map(|path| (*path).clone());
+    experiment.files().into_iter().chain(experiment.frames()).chain(others).collect()
 }
 
 /// An experiment's encoder log, of the model's robot, read by the experiment's wiring; empty where it has none.

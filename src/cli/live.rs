@@ -2,17 +2,18 @@
 
 use super::console::Console;
 use super::estimator::EstimatorArgs;
-use super::inputs::{encoders_of, model_of, rows};
+use super::inputs::{encoders_of, files_read, maker, model_of, rows};
 use super::verdict::{VerdictArgs, verdict_text};
 use super::views::rig_of;
 use crate::camera::{CaptureSettings, CaptureTarget, FrameSource, Lens};
 use crate::cli::failure::Failure;
-use crate::live::server::{self, AppState};
+use crate::live::server::{AppState, Server};
 use crate::live::{
-    AccessControl, EncoderInput, EncoderSource, Histogram, Live, Setup, Source, State, StemStatus, View, tui,
+    AccessControl, EncoderInput, EncoderSource, EncoderStatus, Histogram, Live, PublicationState, PublicationStatus,
+    Setup, SharedState, Source, State, StemStatus, View, tui,
 };
 use crate::measure::{Eye, Rig, RigOptions};
-use crate::record::{self, Experiment, RigSource, read_model};
+use crate::record::{self, Experiment, OutputFolder, RigSource, read_model};
 use crate::robot::Robot;
 use crate::verdict::Verdict;
 use crate::{Error, Result};
@@ -31,7 +32,7 @@ use std::time::Duration;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  snakeloop live EXPERIMENT --camera 0 --size 1280x720 --encoders tcp://robot:5000 -o out\n  \
-                  snakeloop live fixtures/bending --rate 2 --serve -o out"
+                  snakeloop live fixtures/bending --rate 2 --serve -o live"
 )]
 pub struct Args {
     /// The experiment: a folder with an experiment.toml, or that file
@@ -98,12 +99,30 @@ pub struct Args {
     verdict: VerdictArgs,
 }
 
+/// What a live run writes into its folder.
+const OUTPUTS: [&str; 12] = [
+    "journal.jsonl",
+    "measurements.csv",
+    "encoders.csv",
+    "stem.csv",
+    "model.toml",
+    "compensation.csv",
+    "compensation.json",
+    "publication.json",
+    "live.log",
+    "rig.toml",
+    "discrepancy.json",
+    "discovered.toml",
+];
+
 /// Forgetting factor: the share of earlier information kept at each measurement. Convention: the user's choice (`--keep`); 0.9995 is a
 /// memory of 2000 measurements, half a minute at 60 frames/s.
 const KEEP: f64 = 0.9995;
 
 /// Rates and times beyond this are slips, frames/s or s. Convention: a limit that keeps durations representable.
 const LARGEST: f64 = 1e6;
+/// Exit code of a run that was asked to end a second time, while it was ending. Convention: a shell's for a program ended by Ctrl-C.
+const ASKED_TWICE: i32 = 130;
 /// Time between two looks at whether the run is over. Convention.
 ///
 /// Convention: how often the terminal is asked.
@@ -133,6 +152,9 @@ struct Summary {
     stem: Option<StemStatus>,
     latency_p50_ms: f64,
     latency_p99_ms: f64,
+    publication: PublicationStatus,
+    /// What is wrong with frames and encoders at the end.
+    troubles: Vec<String>,
     output: PathBuf,
     #[serde(skip)]
     histogram: String,
@@ -140,19 +162,20 @@ struct Summary {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
-        // Before the long work of calibrating the rig.
-        let access = self.access_control()?;
-        let live = Live::start(self.setup(console)?)?;
-        if let Some(access) = access {
+        // Address and folder before the long work of calibrating the rig.
+        let server = self.access_control()?.map(Server::bind).transpose().map_err(Failure::of_call)?;
+        let experiment = Experiment::read(&self.experiment)?;
+        let folder = self.claim(&experiment)?;
+        let live = Live::start(self.setup(console, &experiment, folder)?)?;
+        if let Some(server) = server {
             let has_token = self.token_file.is_some();
             let (shared, video) = (Arc::clone(&live.shared), Arc::clone(&live.video));
-            let address = server::start(access, AppState { shared, video, commands: live.commands() })
-                .map_err(Failure::of_call)?;
+            let address = server.start(AppState { shared, video, commands: live.commands() });
             if !self.tui {
                 console.say(format!("dashboard: http://{address}/{}", if has_token { "?token=TOKEN" } else { "" }));
             }
         }
-        self.wait(&live)?;
+        self.wait(console, &live)?;
         live.stop();
         let shared = Arc::clone(&live.shared);
         let latencies = live.finish()?;
@@ -162,20 +185,34 @@ impl Args {
     }
 
     /// Waits until the user ends the run; without a dashboard also until a recording has ended.
-    fn wait(&self, live: &Live) -> Result<(), Failure> {
+    fn wait(&self, console: &Console, live: &Live) -> Result<(), Failure> {
         let asked = Arc::new(AtomicBool::new(false));
         let theirs = Arc::clone(&asked);
-        ctrlc::set_handler(move || theirs.store(true, Ordering::Relaxed))
+        // Whoever asks again does not want to wait for the tables.
+        let ask = move || match theirs.swap(true, Ordering::Relaxed) {
+            false => {}
+            true => std::process::exit(ASKED_TWICE),
+        };
+        ctrlc::set_handler(ask)
             .map_err(|e| Error::Unavailable { what: "cannot listen for Ctrl-C".into(), message: e.to_string() })?;
         let failed = || live.is_over() && !live.shared.lock().state.ended;
         let over = || asked.load(Ordering::Relaxed) || failed() || (live.is_over() && self.serve.is_none());
         if self.tui {
             return tui::show(&live.shared, &live.commands(), over).map_err(Failure::of_call);
         }
+        let mut told = 0;
         while !over() {
+            self.tell(console, &live.shared, &mut told);
             std::thread::sleep(POLL);
         }
         Ok(())
+    }
+
+    /// Says the notices that were not said yet; OUT/live.log has them too.
+    fn tell(&self, console: &Console, shared: &SharedState, told: &mut u64) {
+        let (notices, all) = shared.lock().notices_after(*told);
+        *told = all;
+        console.warn(notices);
     }
 
     fn access_control(&self) -> Result<Option<AccessControl>> {
@@ -187,14 +224,27 @@ impl Args {
         AccessControl::new(address, token, self.allow_host.clone()).map(Some)
     }
 
-    fn setup(&self, console: &Console) -> Result<Setup, Failure> {
-        let experiment = Experiment::read(&self.experiment)?;
-        let view = self.chosen_view(&experiment)?;
-        let mut model = model_of(&experiment)?;
+    /// Takes the folder to write to.
+    fn claim(&self, experiment: &Experiment) -> Result<OutputFolder, Failure> {
+        let lines = match &self.encoders {
+            Some(EncoderSource::File(path)) => Some(path),
+            _ => None,
+        };
+        let source = self.source.as_ref().map(PathBuf::from);
+        let inputs = files_read(experiment, &[self.model.as_ref(), lines, source.as_ref()]);
+        let mut out = OutputFolder::claim(&self.output, &OUTPUTS, &inputs)?;
+        let view = self.chosen_view(experiment)?;
+        out.made_by(&format!("{}, view {}", maker("live", experiment), view.name), &OUTPUTS)?;
+        Ok(out)
+    }
+
+    fn setup(&self, console: &Console, experiment: &Experiment, folder: OutputFolder) -> Result<Setup, Failure> {
+        let view = self.chosen_view(experiment)?;
+        let mut model = model_of(experiment)?;
         if let Some(path) = &self.model {
             model = read_model(path)?;
         }
-        let (source, source_name) = self.source(&experiment, view)?;
+        let (source, source_name) = self.source(experiment, view)?;
         let encoders = match &self.encoders {
             Some(from) => EncoderInput::Lines {
                 source: from.clone(),
@@ -202,7 +252,7 @@ impl Args {
                 wiring: experiment.wiring(model.robot.backbone_count())?,
             },
             None if source.is_recording() && experiment.encoders.is_some() => {
-                EncoderInput::Log(rows(console, encoders_of(&experiment, &model)?))
+                EncoderInput::Log(rows(console, encoders_of(experiment, &model)?))
             }
             None => EncoderInput::None,
         };
@@ -214,7 +264,7 @@ impl Args {
             model,
             options: self.estimator.options(KEEP),
             stem: self.stem.then(|| self.estimator.stem_options()),
-            output: self.output.clone(),
+            folder,
             resume: self.resume,
             save_every: Duration::from_secs_f64(self.save_every),
         })
@@ -288,6 +338,18 @@ fn without_secrets(address: &str) -> String {
     }
 }
 
+/// What is wrong with frames and encoders, in words.
+fn troubles(state: &State) -> Vec<String> {
+    let of_frames = state.source.trouble.as_ref().map(|trouble| format!("{}: {trouble}", state.source_name));
+    let of_encoders = state.encoders.trouble.as_ref().map(|trouble| {
+        let EncoderStatus { readings, bad_lines, .. } = state.encoders;
+        format!("encoders: {trouble} ({readings} readings came, {bad_lines} lines could not be read)")
+    });
+    let of_lines =
+        state.encoders.last_bad.as_ref().map(|bad| format!("encoders: the last line that could not be read: {bad}"));
+    of_frames.into_iter().chain(of_encoders).chain(of_lines).collect()
+}
+
 impl Summary {
     fn new(state: &State, latencies: &Histogram, output: PathBuf) -> Self {
         Self {
@@ -301,6 +363,8 @@ impl Summary {
             stem: state.stem,
             latency_p50_ms: state.latency.p50_ms,
             latency_p99_ms: state.latency.p99_ms,
+            publication: state.publication.clone(),
+            troubles: troubles(state),
             output,
             histogram: latencies.text(),
         }
@@ -313,9 +377,16 @@ impl Summary {
         };
         let stem =
             self.stem.map(|stem| format!(", Φ {:.1} ± {:.1}°", stem.phi_deg, stem.sd_phi_deg)).unwrap_or_default();
+        let mut told: String = self.troubles.iter().map(|trouble| format!("{trouble}\n")).collect();
+        if let Some(reason) = &self.publication.reason {
+            told += &match self.publication.state {
+                PublicationState::Stale => format!("the table is stale, the last good one stays: {reason}\n"),
+                _ => format!("no table was written: {reason}\n"),
+            };
+        }
         verdict_text(&self.verdict)
             + &format!(
-                "{} frames, {} dropped; {} measured of {}\n{estimate}{stem}\nlatency p50 {:.1} ms, p99 {:.1} ms\n{}{}",
+                "{told}{} frames, {} dropped; {} measured of {}\n{estimate}{stem}\nlatency p50 {:.1} ms, p99 {:.1} ms\n{}{}",
                 self.frames,
                 self.dropped,
                 self.measured,

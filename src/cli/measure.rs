@@ -1,14 +1,14 @@
 //! `measure`: frames to measurements.csv.
 
 use super::console::Console;
-use super::inputs::{encoders_of, model_of, rows};
+use super::inputs::{encoders_of, files_read, maker, model_of, rows};
 use super::measuring::{Count, Measured, MeasuringArgs, Summary};
 use super::views::{OpenView, open_views};
 use crate::camera::Frame;
 use crate::cli::failure::Failure;
 use crate::measure::FrameMeasurement;
 use crate::observation::Measurement;
-use crate::record::{Experiment, write_atomically};
+use crate::record::{Experiment, OutputFolder, write_atomically};
 use crate::report::explain::{page, stages};
 use crate::{Error, Result};
 use image::{ImageFormat, RgbImage};
@@ -45,6 +45,11 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         self.measuring.start_threads()?;
         let experiment = Experiment::read(&self.experiment)?;
+        const OUTPUTS: [&str; 2] = ["measurements.journal", "measurements.csv"];
+        let out = OutputFolder::claim(&self.output, &OUTPUTS, &files_read(&experiment, &[]))?;
+        if self.explain.is_none() {
+            out.refuse_mixing(&maker("measure", &experiment), &OUTPUTS)?;
+        }
         let model = model_of(&experiment)?;
         let encoders = rows(console, encoders_of(&experiment, &model)?);
         let views = open_views(&experiment, &model.robot)?;

@@ -22,7 +22,7 @@ pub struct MeasuringArgs {
     follow: bool,
     /// Go on with a run that was cut off: what it measured stands in OUT/measurements.journal
     #[arg(long)]
-    resume: bool,
+    pub resume: bool,
     /// Threads to work with [default: one a core]
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..))]
     jobs: Option<u16>,
@@ -76,7 +76,7 @@ impl MeasuringArgs {
             true => MeasurementJournal::resume(output, &origin.table()?)?,
             false => MeasurementJournal::create(output, &origin.table()?)?,
         };
-        // The journal keeps others out.
+        // Whoever measures has the folder to itself.
         [output, &output.join("overlays")].into_iter().try_for_each(remove_abandoned)?;
         if journal.rows() > 0 {
             console.say(format!("{} frames were measured before", journal.rows()));

@@ -4,14 +4,15 @@
 //! sums over shards would agree with one run up to rounding only if nothing were ever rejected.
 
 use super::console::Console;
+use super::inputs::{files_read, maker};
 use super::measuring::Summary;
 use super::origin::{Done, Origin, SHARD};
-use super::run::{Inputs, finish};
+use super::run::{Inputs, OUTPUTS, finish};
 use super::verdict::VerdictArgs;
 use crate::cli::failure::Failure;
 use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::record::{
-    Experiment, MeasurementRows, PendingFile, measurement_line, measurements_header, write_atomically,
+    Experiment, MeasurementRows, OutputFolder, PendingFile, measurement_line, measurements_header, write_atomically,
 };
 use crate::{Error, Result};
 use std::collections::BTreeSet;
@@ -47,6 +48,10 @@ impl Args {
         let origin = self.origin()?;
         let experiment = Experiment::read(&origin.experiment)?;
         origin.check(&experiment)?;
+        let of_shards = self.shards.iter().map(|shard| shard.join("measurements.csv"));
+        let inputs = files_read(&experiment, &[]).into_iter().chain(of_shards).collect::<Vec<_>>();
+        let mut out = OutputFolder::claim(&self.output, &OUTPUTS, &inputs)?;
+        out.made_by(&maker("run", &experiment), &OUTPUTS)?;
         self.join_rows()?;
         let Some(settings) = origin.run else {
             let summary = Summary::of(&self.output, None)?;

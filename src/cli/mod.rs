@@ -31,7 +31,7 @@ mod table;
 mod verdict;
 mod views;
 
-use crate::Result;
+use crate::{Error, Result};
 use clap::{Parser, Subcommand};
 use console::Console;
 use failure::Failure;
@@ -101,10 +101,17 @@ impl Command {
 /// Parses the arguments, runs the command, prints errors, gives the exit code.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    match cli.command.run(&cli.console) {
+    let ended = cli.command.run(&cli.console).and_then(|()| match console::lost() {
+        None => Ok(()),
+        Some(message) => {
+            let what = "standard output: the result was not written".into();
+            Err(Error::Unavailable { what, message: message.into() }.into())
+        }
+    });
+    match ended {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error}");
+            console::complain(format_args!("error: {error}"));
             ExitCode::from(error.exit_code())
         }
     }

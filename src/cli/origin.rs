@@ -6,7 +6,7 @@ use super::overlays::Overlays;
 use super::shard::Shard;
 use super::views::OpenView;
 use crate::input::{PICTURE_BYTES, read_bytes, read_text};
-use crate::record::{Experiment, RigSource, difference};
+use crate::record::{Experiment, difference};
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -127,17 +127,10 @@ impl Origin {
 
 /// The files that an experiment names, but for the frames, each with its checksum.
 fn checksums(experiment: &Experiment) -> Result<BTreeMap<String, String>> {
-    let rig = |rig: &'_ RigSource| match rig {
-        RigSource::File(path) | RigSource::Straight { picture: path, .. } => path.clone(),
+    let checksum_of = |path: PathBuf| {
+        let mut checksum = Checksum::default();
+        checksum.add(&read_bytes(&path, PICTURE_BYTES)?);
+        Ok((path.display().to_string(), checksum.to_string()))
     };
-    let of_views = experiment.views.iter().flat_map(|view| [view.camera.clone(), rig(&view.rig)]);
-    let named = [&experiment.robot, &experiment.model, &experiment.encoders].into_iter().flatten().cloned();
-    let files = std::iter::once(experiment.path.clone()).chain(named).chain(of_views);
-    files
-        .map(|path| {
-            let mut checksum = Checksum::default();
-            checksum.add(&read_bytes(&path, PICTURE_BYTES)?);
-            Ok((path.display().to_string(), checksum.to_string()))
-        })
-        .collect()
+    experiment.files().into_iter().map(checksum_of).collect()
 }

@@ -48,6 +48,21 @@ pub fn draw(overlays: Overlays, folder: &Path, measured: &MeasuredFrames) -> Res
     Ok(())
 }
 
+/// Removes the overlays that an earlier run drew into the folder, so that none of frames that are no more stays behind.
+///
+/// # Errors
+/// A picture that cannot be removed.
+pub fn remove_former(folder: &Path) -> Result<()> {
+    // A folder that is not there has nothing in it.
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let path = entry.path();
+        if path.extension().is_some_and(|extension| extension == "jpg") {
+            std::fs::remove_file(&path).map_err(Error::io(&path, "remove"))?;
+        }
+    }
+    Ok(())
+}
+
 /// Where an overlay stands.
 fn picture_path(folder: &Path, view: &str, index: u64) -> PathBuf {
     folder.join(format!("{view}_{index:05}.jpg"))

@@ -3,10 +3,10 @@
 use super::console::Console;
 use super::estimate::{Estimated, Parameters, Verdicts};
 use super::flow::{MeasuredFrames, Throughput};
-use super::inputs::{encoders_of, model_of};
+use super::inputs::{encoders_of, files_read, maker, model_of};
 use super::measuring::{self, Count, Measured, MeasuringArgs};
 use super::origin::Settings;
-use super::overlays::{Overlays, draw, pictures};
+use super::overlays::{self, Overlays, draw, pictures};
 use super::table::largest_correction_mm;
 use super::verdict::{VerdictArgs, subject, verdict_text};
 use super::views::open_views;
@@ -15,8 +15,8 @@ use crate::estimate::gap::{Gap, gap_of};
 use crate::estimate::{estimate_each, or_one_gain};
 use crate::observation::EncoderReading;
 use crate::record::{
-    Checked, Experiment, MeasurementRows, PendingFile, Warning, estimate_line, estimates_header, write_atomically,
-    write_judged_compensation, write_judged_model,
+    Checked, Experiment, MeasurementRows, OutputFolder, PendingFile, Warning, estimate_line, estimates_header,
+    write_atomically, write_judged_compensation, write_judged_model,
 };
 use crate::report::run_history::RunHistory;
 use crate::report::run_page::Report;
@@ -47,6 +47,18 @@ pub struct Args {
     #[command(flatten)]
     verdict: VerdictArgs,
 }
+
+/// What a run writes into its folder.
+pub const OUTPUTS: [&str; 8] = [
+    "measurements.journal",
+    "measurements.csv",
+    "estimate.csv",
+    "model.toml",
+    "compensation.csv",
+    "compensation.json",
+    "overlays",
+    "report.html",
+];
 
 /// The result, as it is printed.
 #[derive(Serialize)]
@@ -80,11 +92,16 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         self.measuring.start_threads()?;
         let experiment = Experiment::read(&self.experiment)?;
+        let mut out = OutputFolder::claim(&self.output, &OUTPUTS, &files_read(&experiment, &[]))?;
+        out.made_by(&maker("run", &experiment), &OUTPUTS)?;
         let inputs = Inputs::read(console, &experiment)?;
         let views = open_views(&experiment, &inputs.start.robot)?;
 
         let sources = (self.experiment.as_path(), &experiment, &views[..], &inputs.encoders[..]);
         let folder = self.output.join("overlays");
+        if !self.measuring.resume {
+            overlays::remove_former(&folder)?;
+        }
         let draw = |measured: &MeasuredFrames| draw(self.settings.overlays, &folder, measured);
         match self.measuring.measure(console, sources, Some(self.settings), &self.output, draw)? {
             Measured::Shard(throughput) => {
@@ -154,7 +171,6 @@ pub fn finish(
         }
         Ok(())
     })?;
-    estimates.commit()?;
 
     let (model, replaced) = or_one_gain(model, rows()?, encoders)?;
     let estimated = Estimated::of(verdicts, model.estimate);
@@ -170,6 +186,10 @@ pub fn finish(
         }
         None => None,
     };
+    // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
+    if model.estimate.is_some() || !output.join("model.toml").exists() {
+        estimates.commit()?;
+    }
     let naive = Model { estimate: None, ..model.clone() };
     let summary = Summary {
         frames: count.frames,

@@ -4,7 +4,7 @@ use super::console::Console;
 use super::inputs::{model_or_paper, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
-use crate::record::{compensation_c_header, write_atomically, write_compensation_rows};
+use crate::record::{OutputFolder, compensation_c_header, write_atomically, write_compensation_rows};
 use crate::robot::{Effect, ForceLimits, Grid, GridAxis, TableRow, compensation_table};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -49,6 +49,8 @@ struct Summary {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
+        const OUTPUTS: [&str; 3] = ["compensation.csv", "compensation.json", "compensation.h"];
+        let _out = OutputFolder::claim(&self.output, &OUTPUTS, self.model.as_slice())?;
         let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
         let source = self.model.as_deref().map_or("built in".to_owned(), |path| path.display().to_string());
         let grid = Grid { theta: self.theta_deg, delta: self.delta_deg };

@@ -104,7 +104,9 @@ fn checksum_of(source: &FrameSource) -> Result<String> {
             }
             for frame in refining_frames(source)? {
                 // One that cannot be read is none that is refined from.
-                checksum.add(&read_bytes(&frame.path, PICTURE_BYTES).unwrap_or_default());
+                let is_file = frame.path.is_file();
+                let content = if is_file { read_bytes(&frame.path, PICTURE_BYTES) } else { Ok(Vec::new()) };
+                checksum.add(&content.unwrap_or_default());
             }
         }
         FrameSource::Video(path) => {

@@ -66,8 +66,11 @@ impl AccessControl {
             let pairs = text(&COOKIE).split(';').filter_map(|pair| pair.trim().split_once('='));
             pairs.filter(|(name, _)| *name == TOKEN_COOKIE).any(|(_, value)| same_in_constant_time(value, token))
         };
-        text(&AUTHORIZATION).strip_prefix("Bearer ").is_some_and(|given| same_in_constant_time(given, token))
-            || in_cookie()
+        let bearer = |given: &str| {
+            let (scheme, given) = given.split_once(' ')?;
+            scheme.eq_ignore_ascii_case("Bearer").then(|| same_in_constant_time(given.trim_start(), token))
+        };
+        bearer(text(&AUTHORIZATION)).unwrap_or(false) || in_cookie()
     }
 }
 
@@ -105,6 +108,9 @@ pub async fn guard(State(access): State<Arc<AccessControl>>, request: Request, n
 fn refusal(access: &AccessControl, request: &Request) -> Option<Response> {
     let headers = request.headers();
     let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
+    if headers.get_all(HOST).iter().count() > 1 {
+        return Some(refused(StatusCode::BAD_REQUEST, "the request has more than one Host"));
+    }
     if !access.is_own_host(host) {
         return Some(refused(
             StatusCode::FORBIDDEN,
@@ -174,6 +180,7 @@ mod tests {
             assert_eq!(status(&access, "/", &[("host", host)]), 403, "{host}");
         }
         assert_eq!(status(&access, "/", &[]), 403);
+        assert_eq!(status(&access, "/", &[("host", "localhost"), ("host", "evil.example")]), 400);
         let from = |origin| status(&access, "/api/reset", &[("host", "localhost:8080"), ("origin", origin)]);
         assert_eq!(from("http://localhost:8080"), 200);
         for origin in ["http://evil.example", "null", "http://localhost:9999", "http://127.0.0.1:8080"] {
@@ -189,7 +196,9 @@ mod tests {
         };
         assert_eq!(with("/api/state", None), 401);
         assert_eq!(with("/api/state", Some(("authorization", "Bearer 0123456789abcdef"))), 200);
+        assert_eq!(with("/api/state", Some(("authorization", "bearer  0123456789abcdef"))), 200);
         assert_eq!(with("/api/state", Some(("authorization", "Bearer 0123456789abcdeX"))), 401);
+        assert_eq!(with("/api/state", Some(("authorization", "Basic 0123456789abcdef"))), 401);
         assert_eq!(with("/api/state", Some(("cookie", "a=b; snakeloop_token=0123456789abcdef"))), 200);
         assert_eq!(with("/api/state", Some(("cookie", "snakeloop_token="))), 401);
         assert_eq!(with("/?token=0123456789abcdef", None), 303);

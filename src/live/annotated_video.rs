@@ -9,7 +9,7 @@ use crate::report::overlay::{Shape, overlay};
 use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{FilterType, resize};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
@@ -25,15 +25,23 @@ const JPEG_QUALITY: u8 = 80;
 const TIMEOUT: Duration = Duration::from_millis(200);
 
 /// A frame to draw.
+#[derive(Clone)]
 struct ToDraw {
     frame: Arc<Frame>,
     measurement: Measurement,
     eye: Arc<Eye>,
 }
 
+/// The latest measured frame, and whether it is drawn.
+#[derive(Default)]
+struct Latest {
+    frame: Option<ToDraw>,
+    is_drawn: bool,
+}
+
 /// The latest measured frame on its way in, and the latest picture (JPEG) on its way out.
 pub struct AnnotatedVideo {
-    latest: Mutex<Option<ToDraw>>,
+    latest: Mutex<Latest>,
     changed: Condvar,
     drawn: watch::Sender<Arc<Vec<u8>>>,
 }
@@ -42,7 +50,7 @@ impl AnnotatedVideo {
     /// Starts the thread that draws; it ends when the video is dropped.
     pub fn start() -> Arc<Self> {
         let (drawn, _) = watch::channel(Arc::default());
-        let video = Arc::new(Self { latest: Mutex::new(None), changed: Condvar::new(), drawn });
+        let video = Arc::new(Self { latest: Mutex::default(), changed: Condvar::new(), drawn });
         let of_thread = Arc::downgrade(&video);
         std::thread::spawn(move || {
             lower_priority();
@@ -53,24 +61,33 @@ impl AnnotatedVideo {
         video
     }
 
-    /// Hands over a frame, if somebody watches; it replaces one that was not drawn yet.
+    /// Hands over a frame, which is drawn if somebody watches; it replaces the one before.
     pub fn offer(&self, frame: &Arc<Frame>, measurement: &Measurement, eye: &Arc<Eye>) {
-        if self.drawn.receiver_count() > 0 {
-            let to_draw = ToDraw { frame: Arc::clone(frame), measurement: measurement.clone(), eye: Arc::clone(eye) };
-            *self.latest.lock().unwrap_or_else(PoisonError::into_inner) = Some(to_draw);
-            self.changed.notify_all();
-        }
+        let to_draw = ToDraw { frame: Arc::clone(frame), measurement: measurement.clone(), eye: Arc::clone(eye) };
+        *self.lock() = Latest { frame: Some(to_draw), is_drawn: false };
+        self.changed.notify_all();
     }
 
-    /// The pictures from now on; a slow reader misses some.
+    /// The latest picture, even where no frame comes any more, and those from now on; a slow reader misses some.
     pub fn watch(&self) -> watch::Receiver<Arc<Vec<u8>>> {
-        self.drawn.subscribe()
+        let mut pictures = self.drawn.subscribe();
+        pictures.mark_changed();
+        self.changed.notify_all();
+        pictures
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Latest> {
+        self.latest.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn draw_next(&self) {
-        let latest = self.latest.lock().unwrap_or_else(PoisonError::into_inner);
-        let waited = self.changed.wait_timeout_while(latest, TIMEOUT, |latest| latest.is_none());
-        let Some(to_draw) = waited.unwrap_or_else(PoisonError::into_inner).0.take() else { return };
+        let nothing_to_do =
+            |latest: &mut Latest| latest.is_drawn || latest.frame.is_none() || self.drawn.receiver_count() == 0;
+        let waited = self.changed.wait_timeout_while(self.lock(), TIMEOUT, nothing_to_do);
+        let (mut latest, timed_out) = waited.unwrap_or_else(PoisonError::into_inner);
+        let Some(to_draw) = latest.frame.clone().filter(|_| !timed_out.timed_out()) else { return };
+        latest.is_drawn = true;
+        drop(latest);
         let began = Instant::now();
         let mut jpeg = Vec::new();
         let mut encoder = JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY);

@@ -2,14 +2,18 @@
 
 use super::clock::unix_time_s;
 use super::encoders::Encoders;
+use super::journal::SyncHandle;
 use super::low_priority::lower_priority;
+use super::publication::Withheld;
 use super::recent_bends::RecentBends;
 use super::shared_state::SharedState;
-use crate::error::{DataError, Result};
-use crate::record::{write_compensation, write_model};
+use super::status::PublicationState;
+use crate::error::{DataError, Error, Result};
+use crate::record::{write_atomically, write_compensation, write_model};
 use crate::robot::{Grid, PerBackbone};
 use nalgebra::Vector2;
-use std::fs::File;
+use std::fs::OpenOptions;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -20,6 +24,14 @@ use std::time::{Duration, Instant};
 const SYNC_EVERY: Duration = Duration::from_secs(1);
 /// The lag between picture and encoders is estimated once in so many syncs. Convention: it changes slowly.
 const SYNCS_PER_LAG: u32 = 5;
+
+/// The file that tells whether the table beside it is the model's as it stands.
+pub const PUBLICATION: &str = "publication.json";
+
+/// The file that has every notice with its Unix time, s.
+const LOG: &str = "live.log";
+/// Nothing is appended to a larger log, bytes. Convention: a resource limit, some hundred thousand notices.
+const LOG_BYTES: u64 = 16 << 20;
 
 /// The thread that writes.
 #[derive(Debug)]
@@ -33,7 +45,7 @@ pub struct Autosave {
     /// Where the model is.
     pub shared: Arc<SharedState>,
     /// The journal, to be brought to the disk.
-    pub journal: File,
+    pub journal: SyncHandle,
     /// The folder to write to.
     pub output: PathBuf,
     /// How often model and table are written.
@@ -67,38 +79,103 @@ impl AutosaveThread {
 impl Autosave {
     fn run(&self, stopped: &Receiver<()>) {
         let mut saved = Instant::now();
-        let mut syncs = 0;
+        let (mut syncs, mut logged) = (0, 0);
         while stopped.recv_timeout(SYNC_EVERY) == Err(RecvTimeoutError::Timeout) {
             syncs += 1;
-            if let Err(error) = self.journal.sync_data() {
+            self.log(&mut logged);
+            if let Err(error) = self.journal.sync() {
                 self.shared.lock().notice(format!("the journal cannot be brought to the disk: {error}"));
             }
             if syncs % SYNCS_PER_LAG == 0 {
                 self.encoders.estimate_lag(&self.bends.copy(), &self.to_bend);
             }
-            if saved.elapsed() >= self.every && self.shared.lock().model.estimate.is_some() {
-                if let Err(error) = save(&self.shared, &self.output) {
-                    self.shared.lock().notice(error.to_string());
-                }
+            if self.shared.lock().model.estimate.is_none() {
+                continue;
+            }
+            let written = if saved.elapsed() >= self.every {
                 saved = Instant::now();
+                save(&self.shared, &self.output).map(|_| ())
+            } else {
+                review(&self.shared, &self.output)
+            };
+            if let Err(error) = written {
+                self.shared.lock().notice(error.to_string());
             }
         }
-        let _ = self.journal.sync_data();
+        self.log(&mut logged);
+        let _ = self.journal.sync();
     }
 }
 
-/// Writes model.toml, compensation.csv and compensation.json.
+impl Autosave {
+    /// Appends the notices that were not logged yet to the log, which nobody need watch; a log that cannot be written is no reason to stop.
+    fn log(&self, logged: &mut u64) {
+        let (notices, all) = self.shared.lock().notices_after(*logged);
+        if notices.is_empty() {
+            return;
+        }
+        let path = self.output.join(LOG);
+        let mut lines = String::new();
+        if std::fs::metadata(&path).map_or(0, |about| about.len()) < LOG_BYTES {
+            notices.iter().for_each(|notice| lines += &format!("{:.3} {notice}\n", unix_time_s()));
+        }
+        let opened = OpenOptions::new().append(true).create(true).open(&path);
+        if opened.and_then(|mut log| log.write_all(lines.as_bytes())).is_ok() {
+            *logged = all;
+        }
+    }
+}
+
+/// Writes model.toml, compensation.csv and compensation.json, if the model may be published, and says why not if it may not.
 ///
 /// # Errors
 /// No estimate yet; a file that cannot be written.
-pub fn save(shared: &SharedState, output: &Path) -> Result<()> {
-    let model = shared.lock().model.clone();
-    if model.estimate.is_none() {
-        return Err(DataError::NoEstimateYet.into());
+pub fn save(shared: &SharedState, output: &Path) -> Result<std::result::Result<(), Withheld>> {
+    let (model, decided) = shared.model_to_command_by();
+    if let (Ok(()), Some(model)) = (&decided, model) {
+        if model.estimate.is_none() {
+            return Err(DataError::NoEstimateYet.into());
+        }
+        let path = output.join("model.toml");
+        write_model(&path, &model)?;
+        write_compensation(output, &model, &path.display().to_string(), &Grid::default())?;
+        let mut shared = shared.lock();
+        shared.state.saved_at_s = Some(unix_time_s());
+        shared.gate.publish(model);
     }
-    let path = output.join("model.toml");
-    write_model(&path, &model)?;
-    write_compensation(output, &model, &path.display().to_string(), &Grid::default())?;
-    shared.lock().state.saved_at_s = Some(unix_time_s());
-    Ok(())
+    tell(shared, output, &decided)?;
+    Ok(decided)
+}
+
+/// Looks whether the table that stands there still may.
+///
+/// # Errors
+/// A file that cannot be written.
+fn review(shared: &SharedState, output: &Path) -> Result<()> {
+    let (_, decided) = shared.model_to_command_by();
+    tell(shared, output, &decided)
+}
+
+/// Brings the state, the notices and publication.json up to date with what was decided.
+fn tell(shared: &SharedState, output: &Path, decided: &std::result::Result<(), Withheld>) -> Result<()> {
+    let (status, former) = {
+        let mut shared = shared.lock();
+        let status = shared.gate.status(decided);
+        (status.clone(), std::mem::replace(&mut shared.state.publication, status))
+    };
+    if (status.state, status.code) == (former.state, former.code) {
+        return Ok(());
+    }
+    let reason = status.reason.as_deref().unwrap_or_default();
+    let said = match status.state {
+        PublicationState::Stale => Some(format!("the table in the folder is stale and stays as it is: {reason}")),
+        PublicationState::Withheld => Some(format!("no table is written: {reason}")),
+        PublicationState::Current if former.code.is_some() => Some("the table is written again".to_owned()),
+        PublicationState::Current | PublicationState::Nothing => None,
+    };
+    if let Some(said) = said {
+        shared.lock().notice(said);
+    }
+    let json = serde_json::to_string_pretty(&status).map_err(Error::encode("publication.json"))?;
+    write_atomically(&output.join(PUBLICATION), (json + "\n").as_bytes())
 }

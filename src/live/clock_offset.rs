@@ -50,6 +50,11 @@ impl ClockOffset {
         Self { given, current: None, last: None }
     }
 
+    /// The encoders' clock was set anew: what was seen of it before means nothing.
+    pub fn restart(&mut self) {
+        *self = Self::new(self.given);
+    }
+
     /// A line with this stamp arrived at this time of the frames' clock.
     pub fn observe(&mut self, stamp_s: f64, arrival_s: f64) {
         if let Some(window) = &mut self.current

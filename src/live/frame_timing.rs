@@ -60,6 +60,7 @@ impl Lateness {
 #[derive(Debug)]
 pub struct FrameTiming {
     age_s: f64,
+    waited_s: f64,
     dropped: f64,
     late: u64,
     late_s: f64,
@@ -72,12 +73,22 @@ pub struct FrameTiming {
 impl FrameTiming {
     /// Before the first frame.
     pub fn new(now: Instant) -> Self {
-        Self { age_s: 0.0, dropped: 0.0, late: 0, late_s: 0.0, last_late: None, behind: false, counted: (now, 0, 0) }
+        Self {
+            age_s: 0.0,
+            waited_s: 0.0,
+            dropped: 0.0,
+            late: 0,
+            late_s: 0.0,
+            last_late: None,
+            behind: false,
+            counted: (now, 0, 0),
+        }
     }
 
-    /// A frame that arrived `late_s` late was measured `age_s` after its arrival.
-    pub fn measured(&mut self, now: Instant, age_s: f64, late_s: f64) {
+    /// A frame that arrived `late_s` late was measured `age_s` after its arrival, and waited for its reading for `waited_s` then.
+    pub fn measured(&mut self, now: Instant, age_s: f64, waited_s: f64, late_s: f64) {
         self.age_s += (age_s - self.age_s) / AGE_SMOOTHING;
+        self.waited_s += (waited_s - self.waited_s) / AGE_SMOOTHING;
         if late_s > LATE_S {
             self.late += 1;
             self.late_s = late_s;
@@ -89,7 +100,8 @@ impl FrameTiming {
     pub fn status(&mut self, now: Instant, source: &SourceStatus) -> FrameTimingStatus {
         self.count_drops(now, source);
         let share_of_limit = if self.behind { HYSTERESIS } else { 1.0 };
-        self.behind = self.age_s > share_of_limit * OLD_S || self.dropped > share_of_limit * MANY_DROPPED;
+        let age_s = self.age_s + self.waited_s;
+        self.behind = age_s > share_of_limit * OLD_S || self.dropped > share_of_limit * MANY_DROPPED;
         let (state, sentence) = if self.last_late.is_some_and(|last| now - last < WINDOW) {
             (FrameTimingState::Late, Some(self.late_sentence()))
         } else if self.behind {
@@ -97,7 +109,7 @@ impl FrameTiming {
         } else {
             (FrameTimingState::Fresh, None)
         };
-        let age_ms = 1000.0 * self.age_s;
+        let age_ms = 1000.0 * age_s;
         FrameTimingStatus { state, age_ms, dropped: self.dropped, late: self.late, sentence }
     }
 
@@ -110,7 +122,7 @@ impl FrameTiming {
         self.dropped = source.dropped.saturating_sub(dropped) as f64 / arrived.max(1) as f64;
         self.counted = (now, source.frames, source.dropped);
         if arrived == 0 {
-            self.age_s = 0.0;
+            (self.age_s, self.waited_s) = (0.0, 0.0);
         }
     }
 
@@ -123,6 +135,13 @@ impl FrameTiming {
     }
 
     fn behind_sentence(&self) -> String {
+        if self.waited_s > self.age_s && self.dropped <= MANY_DROPPED {
+            return format!(
+                "measurements wait {:.0} ms for the encoder reading of their moment: send readings more often and at once, or say \
+                 how far their clock is off (--encoder-offset)",
+                1000.0 * self.waited_s
+            );
+        }
         let dropped = match 100.0 * self.dropped {
             percent if percent < 1.0 => String::new(),
             percent => format!(", and {percent:.0} % are dropped"),
@@ -192,16 +211,29 @@ mod tests {
         let at = |s: f64| began + Duration::from_secs_f64(s);
         let source = |frames, dropped| SourceStatus { frames, dropped, ..SourceStatus::default() };
         let mut timing = FrameTiming::new(began);
-        (0..50).for_each(|k| timing.measured(at(f64::from(k) / 25.0), 0.03, 0.0));
+        (0..50).for_each(|k| timing.measured(at(f64::from(k) / 25.0), 0.03, 0.0, 0.0));
         assert_eq!(timing.status(at(2.0), &source(50, 0)).state, FrameTimingState::Fresh);
-        (0..50).for_each(|k| timing.measured(at(2.0 + f64::from(k) / 25.0), 0.04, 0.0));
+        (0..50).for_each(|k| timing.measured(at(2.0 + f64::from(k) / 25.0), 0.04, 0.0, 0.0));
         let status = timing.status(at(4.0), &source(150, 50));
         assert_eq!((status.state, status.dropped), (FrameTimingState::Behind, 0.5));
         assert!(status.sentence.unwrap().contains("40 ms old when they are measured, and 50 % are dropped"));
-        timing.measured(at(4.0), 0.04, 0.5);
+        timing.measured(at(4.0), 0.04, 0.0, 0.5);
         let status = timing.status(at(4.1), &source(151, 50));
         assert_eq!((status.state, status.late), (FrameTimingState::Late, 1));
         assert!(status.sentence.unwrap().contains("500 ms after they are due"));
         assert_eq!(timing.status(at(6.1), &source(200, 50)).state, FrameTimingState::Fresh);
+    }
+
+    #[test]
+    fn waiting_for_slow_encoders_is_not_blamed_on_load() {
+        let began = Instant::now();
+        let mut timing = FrameTiming::new(began);
+        (0..50).for_each(|_| timing.measured(began, 0.03, 0.25, 0.0));
+        let status = timing.status(began, &SourceStatus::default());
+        assert_eq!(status.state, FrameTimingState::Behind);
+        let sentence = status.sentence.unwrap();
+        assert!(sentence.contains("for the encoder reading") && !sentence.contains("less to do"), "{sentence}");
+        (0..50).for_each(|_| timing.measured(began, 0.3, 0.0, 0.0));
+        assert!(timing.status(began, &SourceStatus::default()).sentence.unwrap().contains("less to do"));
     }
 }

@@ -8,11 +8,13 @@ use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::input::{LineRead, read_line};
 use crate::observation::{EncoderReading, Measured, Measurement, Quality, Shape};
+use crate::record::{PendingFile, is_at};
 use crate::robot::PerBackbone;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
-use std::io::{BufReader, Write};
+use std::io::{BufReader, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// The journal's name in the output folder.
 pub const JOURNAL: &str = "journal.jsonl";
@@ -148,24 +150,41 @@ impl Line {
 pub struct Journal {
     path: PathBuf,
     file: File,
+    /// A second handle, for whoever brings what was written to the disk.
+    to_sync: SyncHandle,
+}
+
+/// Brings to the disk what was written into a journal, from another thread.
+#[derive(Debug, Clone)]
+pub struct SyncHandle(Arc<Mutex<Arc<File>>>);
+
+impl SyncHandle {
+    /// Brings all to the disk that was written so far.
+    ///
+    /// # Errors
+    /// Those of the disk.
+    pub fn sync(&self) -> std::io::Result<()> {
+        // Not held while the disk works.
+        let file = Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner));
+        file.sync_data()
+    }
 }
 
 impl Journal {
-    /// Begins a journal in a folder, which is created where it is missing.
+    /// Begins a journal in a folder, which is created where it is missing. One without entries, which a run that failed at its start
+    /// left, is taken over.
     ///
     /// # Errors
-    /// A folder that has one already, or that cannot be written to.
+    /// A folder that has a journal already, or that cannot be written to.
     pub fn create(folder: &Path) -> Result<Self> {
         let path = folder.join(JOURNAL);
         std::fs::create_dir_all(folder).map_err(Error::io(folder, "create the folder"))?;
-        match OpenOptions::new().append(true).create_new(true).open(&path) {
-            Ok(file) => Ok(Self { path, file }),
-            Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => Err(Error::content(
-                &path,
-                "an earlier run left its journal here; go on with it (--resume) or choose another folder",
-            )),
-            Err(e) => Err(Error::io(&path, "write")(e)),
+        let file = open(&path)?;
+        if file.metadata().map_err(Error::io(&path, "read"))?.len() > 0 {
+            let message = "an earlier run left its journal here; go on with it (--resume) or choose another folder";
+            return Err(Error::content(&path, message));
         }
+        Self::of(path, file)
     }
 
     /// Opens the journal of an earlier run to go on with it, and gives `each` entry of it, in order; begins one where there is
@@ -179,9 +198,35 @@ impl Journal {
             return Ok((Self::create(folder)?, None));
         }
         let (whole, remark) = read(&path, each)?;
-        let file = OpenOptions::new().append(true).open(&path).map_err(Error::io(&path, "write"))?;
+        let file = open(&path)?;
         file.set_len(whole).map_err(Error::io(&path, "write"))?;
-        Ok((Self { path, file }, remark))
+        Ok((Self::of(path, file)?, remark))
+    }
+
+    fn of(path: PathBuf, file: File) -> Result<Self> {
+        let second = file.try_clone().map_err(Error::io(&path, "open"))?;
+        let to_sync = SyncHandle(Arc::new(Mutex::new(Arc::new(second))));
+        Ok(Self { path, file, to_sync })
+    }
+
+    /// Writes the journal anew where it was removed, or another file stands in its place: all that was written so far can still be read.
+    /// Says whether it was gone.
+    ///
+    /// # Errors
+    /// A folder that cannot be written to.
+    pub fn restore(&mut self) -> Result<bool> {
+        if is_at(&self.file, &self.path) {
+            return Ok(false);
+        }
+        let mut written = PendingFile::create(&self.path)?;
+        self.file.seek(SeekFrom::Start(0)).map_err(Error::io(&self.path, "read"))?;
+        std::io::copy(&mut self.file, &mut written).map_err(Error::io(&self.path, "write"))?;
+        written.commit()?;
+        let restored = Self::of(self.path.clone(), open(&self.path)?)?;
+        let second = Arc::clone(&restored.to_sync.0.lock().unwrap_or_else(PoisonError::into_inner));
+        *self.to_sync.0.lock().unwrap_or_else(PoisonError::into_inner) = second;
+        self.file = restored.file;
+        Ok(true)
     }
 
     /// Appends an entry.
@@ -196,12 +241,14 @@ impl Journal {
     }
 
     /// A second handle, to bring what was written to the disk from another thread.
-    ///
-    /// # Errors
-    /// A system without handles to spare.
-    pub fn sync_handle(&self) -> Result<File> {
-        self.file.try_clone().map_err(Error::io(&self.path, "open"))
+    pub fn sync_handle(&self) -> SyncHandle {
+        self.to_sync.clone()
     }
+}
+
+/// Opens a journal to append to, which is created where it is missing.
+fn open(path: &Path) -> Result<File> {
+    OpenOptions::new().read(true).append(true).create(true).open(path).map_err(Error::io(path, "write"))
 }
 
 /// Gives each entry of a journal, in order, and the length of what is whole; says what could not be read.
@@ -358,6 +405,36 @@ mod tests {
         let (_, remark) = Journal::resume(folder.path(), |_| count += 1).unwrap();
         assert_eq!(count, 2);
         assert!(remark.unwrap().contains("2 lines cannot be read"));
+    }
+
+    #[test]
+    fn a_journal_that_was_removed_is_written_anew_with_all_it_had() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("out");
+        let mut journal = Journal::create(&out).unwrap();
+        let to_sync = journal.sync_handle();
+        journal.append(&failed(1)).unwrap();
+        assert!(!journal.restore().unwrap());
+        for index in 2..4 {
+            std::fs::remove_dir_all(&out).unwrap();
+            assert!(journal.restore().unwrap());
+            journal.append(&failed(index)).unwrap();
+            to_sync.sync().unwrap();
+            assert_eq!(entries_in(&out).len() as u64, index);
+        }
+        // So is one that somebody put another in the place of.
+        std::fs::rename(out.join(JOURNAL), out.join("old")).unwrap();
+        std::fs::write(out.join(JOURNAL), "").unwrap();
+        assert!(journal.restore().unwrap());
+        assert_eq!(entries_in(&out).len(), 3);
+    }
+
+    #[test]
+    fn a_run_that_failed_at_its_start_is_not_in_the_way() {
+        let folder = tempfile::tempdir().unwrap();
+        drop(Journal::create(folder.path()).unwrap());
+        Journal::create(folder.path()).unwrap().append(&failed(1)).unwrap();
+        assert!(Journal::create(folder.path()).is_err());
     }
 
     #[test]

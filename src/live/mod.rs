@@ -33,13 +33,16 @@ mod motion_lag;
 mod multipart;
 mod online_estimator;
 mod pipeline;
+mod publication;
 mod recent_bends;
 mod sample_buffer;
 pub mod server;
 mod session;
 mod setup;
 mod shared_state;
+mod silence;
 mod source;
+mod standstill;
 mod status;
 mod straight_reference;
 pub mod tui;
@@ -57,5 +60,6 @@ pub use shared_state::SharedState;
 pub use source::Source;
 pub use status::{
     ClockState, DiscoveryStatus, EncoderStatus, EstimateStatus, FrameTimingState, FrameTimingStatus, GapState,
-    GapStatus, Lag, LatencyStatus, Row, SourceState, SourceStatus, State, StemStatus,
+    GapStatus, Lag, LatencyStatus, PublicationState, PublicationStatus, Row, SourceState, SourceStatus, State,
+    StemStatus,
 };

@@ -14,7 +14,7 @@ use hyper::{Request, Response, Uri};
 use hyper_util::rt::TokioIo;
 use std::future::poll_fn;
 use std::pin::Pin;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::net::TcpStream;
 use tokio::runtime::{Builder, Runtime};
 use tokio::time::timeout;
@@ -27,6 +27,15 @@ const OPEN_TIMEOUT: Duration = Duration::from_secs(3);
 ///
 /// Convention: a timeout.
 const READ_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Time in which each next picture must be there, however its pieces trickle in. Convention.
+///
+/// Convention: a timeout.
+const PICTURE_TIMEOUT: Duration = Duration::from_secs(5);
+/// Time between two looks at whether to go on. Convention.
+///
+/// Convention: a timeout.
+const POLL: Duration = Duration::from_millis(100);
 
 /// An open stream.
 #[derive(Debug)]
@@ -65,20 +74,33 @@ impl MotionJpeg {
         Ok(Some(Self { runtime, body, parts, _sender: sender }))
     }
 
-    /// The next JPEG, waited for; `None` where the camera is gone, silent for a second, or sends something else.
-    pub fn read(&mut self) -> Option<Vec<u8>> {
-        loop {
+    /// The next JPEG, waited for while `goes_on` says so; `None` where the camera is gone, silent for a second, takes more than five for
+    /// a picture, or sends something else.
+    pub fn read(&mut self, goes_on: impl Fn() -> bool) -> Option<Vec<u8>> {
+        let began = Instant::now();
+        let mut heard = began;
+        while goes_on() {
             match self.parts.next_part() {
                 Part::Complete(jpeg) => return Some(jpeg),
                 Part::Broken => return None,
                 Part::Incomplete => {}
             }
             let piece = poll_fn(|context| Pin::new(&mut self.body).poll_frame(context));
-            let piece = self.runtime.block_on(async { timeout(READ_TIMEOUT, piece).await }).ok()??.ok()?;
-            if let Ok(bytes) = piece.into_data() {
-                self.parts.push(&bytes);
+            match self.runtime.block_on(async { timeout(POLL, piece).await }) {
+                Ok(piece) => {
+                    if let Ok(bytes) = piece?.ok()?.into_data() {
+                        self.parts.push(&bytes);
+                    }
+                    heard = Instant::now();
+                }
+                Err(_) if heard.elapsed() > READ_TIMEOUT => return None,
+                Err(_) => {}
+            }
+            if began.elapsed() > PICTURE_TIMEOUT {
+                return None;
             }
         }
+        None
     }
 }
 
@@ -125,10 +147,39 @@ mod tests {
               7\r\n--a\r\nCo\r\n18\r\nntent-Length: 3\r\n\r\none\r\n\r\n11\r\n--a\r\n\r\ntwo\r\n--a\r\n\r\n0\r\n\r\n",
         );
         let mut stream = MotionJpeg::open(&format!("http://me:secret@{address}/live?x=1")).unwrap().unwrap();
-        assert_eq!([stream.read(), stream.read(), stream.read()], [Some(b"one".to_vec()), Some(b"two".to_vec()), None]);
+        let mut read = || stream.read(|| true);
+        assert_eq!([read(), read(), read()], [Some(b"one".to_vec()), Some(b"two".to_vec()), None]);
         let asked = asked.join().unwrap().to_lowercase();
         assert!(asked.starts_with("get /live?x=1 http/1.1\r\n") && asked.contains(&format!("host: {address}\r\n")));
         assert!(asked.contains("authorization: basic bwu6c2vjcmv0\r\n"), "{asked}");
+    }
+
+    #[test]
+    fn a_camera_that_trickles_is_given_up_and_left_at_once_when_nobody_goes_on() {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        std::thread::spawn(move || {
+            for stream in listener.incoming() {
+                std::thread::spawn(move || {
+                    let mut stream = stream.unwrap();
+                    let _ = stream.read(&mut [0; 1000]);
+                    let head =
+                        b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace;boundary=a\r\n\r\n--a\r\n\r\n";
+                    let mut sent = stream.write_all(head);
+                    while sent.is_ok() {
+                        std::thread::sleep(Duration::from_millis(20));
+                        sent = stream.write_all(b"x");
+                    }
+                });
+            }
+        });
+        let open = || MotionJpeg::open(&format!("http://{address}/")).unwrap().unwrap();
+        let (mut stream, began) = (open(), Instant::now());
+        assert_eq!(stream.read(|| began.elapsed() < Duration::from_millis(300)), None);
+        assert!(began.elapsed() < Duration::from_secs(1), "{:?}", began.elapsed());
+        let (mut stream, began) = (open(), Instant::now());
+        assert_eq!(stream.read(|| true), None);
+        assert!((5.0..6.5).contains(&began.elapsed().as_secs_f64()), "{:?}", began.elapsed());
     }
 
     #[test]

@@ -1,10 +1,12 @@
 //! The estimator of a running loop: from one measurement to the next estimate, with what is watched beside it.
 
 use super::gap_monitor::GapMonitor;
+use super::publication::Sample;
 use super::sample_buffer::SampleBuffer;
+use super::standstill::Standstill;
 use super::status::GapStatus;
 use crate::Result;
-use crate::estimate::{Estimator, Options, Stem, StemAngle, StemOptions, Step, Verdict, without_effects};
+use crate::estimate::{Estimator, Options, Stem, StemAngle, StemOptions, Step, Verdict, usable, without_effects};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
@@ -15,7 +17,7 @@ use std::collections::VecDeque;
 const PAST: usize = 64;
 
 /// What is estimated.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 enum Subject {
     /// η and λ.
     Parameters(Box<Estimator>),
@@ -34,6 +36,16 @@ pub struct OnlineEstimator {
     past: VecDeque<(Measurement, EncoderReading)>,
     monitor: GapMonitor,
     samples: SampleBuffer,
+    standstill: Standstill,
+    before_standstill: Option<BeforeStandstill>,
+}
+
+/// What was known before the readings stood still.
+#[derive(Debug)]
+struct BeforeStandstill {
+    subject: Subject,
+    monitor: GapMonitor,
+    index: u64,
 }
 
 /// What one measurement did.
@@ -47,6 +59,10 @@ pub struct Update {
     pub gap: GapStatus,
     /// The stem's angle after it, where it is followed.
     pub stem: Option<StemAngle>,
+    /// The measurement with its reading as the estimator took them; `None` where they cannot be used.
+    pub sample: Option<Sample>,
+    /// Whether the encoders stand still while the snake moves; nothing is learned then.
+    pub is_stuck: bool,
 }
 
 impl OnlineEstimator {
@@ -60,7 +76,9 @@ impl OnlineEstimator {
             Some(options) => Subject::Stem(Box::new(Stem::new(&start, options)?)),
         };
         let (monitor, samples) = (GapMonitor::default(), SampleBuffer::default());
-        Ok(Self { start, options, stem, subject, past: VecDeque::new(), monitor, samples })
+        let standstill = Standstill::new(options.sd_encoder_mm);
+        let (past, before_standstill) = (VecDeque::new(), None);
+        Ok(Self { start, options, stem, subject, past, monitor, samples, standstill, before_standstill })
     }
 
     /// Forgets all measurements; says what begins anew.
@@ -101,13 +119,18 @@ impl OnlineEstimator {
     pub fn update(&mut self, measurement: &Measurement, reading: Option<&EncoderReading>) -> Update {
         let expected = reading.and_then(|reading| self.model().forward(&reading.q_mm).ok());
         let expected = expected.map(|response| response.configuration);
-        let step = match reading {
-            Some(reading) => {
+        let plain = reading.map(|reading| self.without_effects(measurement, reading));
+        let sample = plain.as_ref().and_then(|(measurement, reading)| self.sample(measurement, reading));
+        let is_stuck = match &sample {
+            Some(sample) => self.is_stuck(sample, measurement.index),
+            None => self.standstill.is_stuck(),
+        };
+        let step = match (reading, plain) {
+            (Some(reading), Some((plain, plain_reading))) if !is_stuck => {
                 self.samples.add(measurement, reading);
-                let (measurement, reading) = self.without_effects(measurement, reading);
-                self.subject.update(&measurement, Some(&reading))
+                self.subject.update(&plain, Some(&plain_reading))
             }
-            None => self.subject.update(measurement, None),
+            _ => self.subject.update(measurement, None),
         };
         let consistency = match &self.subject {
             Subject::Parameters(estimator) => estimator.consistency(),
@@ -116,7 +139,28 @@ impl OnlineEstimator {
         };
         let pose = expected.map(|psi| psi.bend_vector());
         let gap = self.monitor.add(pose, step.verdict, step.innovation.as_ref(), consistency);
-        Update { step, expected, gap, stem: self.stem() }
+        Update { step, expected, gap, stem: self.stem(), sample, is_stuck }
+    }
+
+    /// Whether the encoders are found to stand still while the snake moves. What was learned since they stopped is then forgotten.
+    fn is_stuck(&mut self, sample: &Sample, index: u64) -> bool {
+        if self.standstill.add(sample) {
+            let (subject, monitor) = (self.subject.clone(), self.monitor.clone());
+            self.before_standstill = Some(BeforeStandstill { subject, monitor, index });
+        }
+        if self.standstill.is_stuck()
+            && let Some(BeforeStandstill { subject, monitor, index }) = self.before_standstill.take()
+        {
+            (self.subject, self.monitor) = (subject, monitor);
+            self.samples.forget_from(index);
+        }
+        self.standstill.is_stuck()
+    }
+
+    /// A measurement and its reading, if they can be used.
+    fn sample(&self, measurement: &Measurement, reading: &EncoderReading) -> Option<Sample> {
+        let (measured, q_mm) = usable(self.start.robot.backbone_count(), measurement, Some(reading)).ok()?;
+        Some(Sample { time_s: reading.time_s, measured, q_mm })
     }
 
     /// The sample as it would be without the model's effects, by the path that led to it.

@@ -13,14 +13,16 @@ use super::low_priority::on_one_thread;
 use super::online_estimator::{OnlineEstimator, Update};
 use super::recent_bends::RecentBends;
 use super::shared_state::SharedState;
+use super::silence::Silence;
 use super::source::FrameReader;
-use super::status::{EstimateStatus, FrameTimingState, GapState, Row, StemStatus};
+use super::status::{EstimateStatus, FrameTimingState, GapState, PublicationStatus, Row, StemStatus};
 use super::straight_reference::RenewableEye;
 use super::verdict_worker::VerdictWorker;
 use crate::camera::Frame;
 use crate::error::Result;
 use crate::measure::FrameMeasurement;
 use crate::observation::{EncoderReading, Measurement, Status};
+use crate::record::OutputFolder;
 use nalgebra::Vector2;
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -40,6 +42,11 @@ const FRAME_TIMEOUT: Duration = Duration::from_millis(50);
 ///
 /// Convention: a timeout.
 const FRAME_TIMEOUT_WHILE_WAITING: Duration = Duration::from_millis(2);
+
+/// Time between two looks at whether the folder is still there. Convention.
+///
+/// Convention: a timeout.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 /// The parts of the loop.
 pub struct Pipeline {
@@ -67,7 +74,9 @@ pub struct Pipeline {
     pub requests: Receiver<Request>,
     /// Set when the loop is to end.
     pub stop: Arc<AtomicBool>,
-    /// The folder to write to.
+    /// The folder to write to, while it is this loop's.
+    pub folder: OutputFolder,
+    /// Where that is.
     pub output: PathBuf,
     /// The latest bends, for the lag between picture and encoders.
     pub bends: Arc<RecentBends>,
@@ -78,7 +87,28 @@ struct Waiting {
     measurement: Measurement,
     time_s: f64,
     arrived: Instant,
+    measured: Instant,
     late_s: f64,
+}
+
+/// Work that a user asked for, on a thread of its own, one at a time: held while it goes on.
+#[derive(Debug, Default)]
+struct Beside(Arc<()>);
+
+impl Beside {
+    /// Starts it, or refuses while the one before goes on.
+    fn start(&self, answer: oneshot::Sender<Answer>, what: &str, work: impl FnOnce() -> Answer + Send + 'static) {
+        if Arc::strong_count(&self.0) > 1 {
+            let _ = answer.send(Err(format!("{what} already; wait for it")));
+            return;
+        }
+        let held = Arc::clone(&self.0);
+        std::thread::spawn(move || {
+            let done = work();
+            drop(held);
+            let _ = answer.send(done);
+        });
+    }
 }
 
 /// What changes while the loop runs.
@@ -89,6 +119,11 @@ struct Progress {
     newest: Option<Arc<Frame>>,
     last_bend: Option<Vector2<f64>>,
     paused: bool,
+    saving: Beside,
+    calibrating: Beside,
+    /// When it was last looked whether the folder is still there.
+    looked: Instant,
+    silence: Silence,
 }
 
 impl Pipeline {
@@ -105,6 +140,10 @@ impl Pipeline {
             newest: None,
             last_bend: None,
             paused: false,
+            saving: Beside::default(),
+            calibrating: Beside::default(),
+            looked: now,
+            silence: Silence::new(now),
         };
         while !self.is_over(&progress) {
             self.obey_commands(&mut progress)?;
@@ -117,6 +156,7 @@ impl Pipeline {
             }
             self.learn(&mut progress)?;
             self.show(&mut progress);
+            self.restore(&mut progress)?;
         }
         self.finish(progress)
     }
@@ -143,7 +183,7 @@ impl Pipeline {
         if let Some(bend) = bend.filter(|_| late_s <= LATE_S) {
             self.bends.add(time_s, bend.vector);
         }
-        progress.waiting.push_back(Waiting { measurement, time_s, arrived: at, late_s });
+        progress.waiting.push_back(Waiting { measurement, time_s, arrived: at, measured: Instant::now(), late_s });
     }
 
     /// Takes every measurement, in order, whose reading is there or will not come.
@@ -167,7 +207,7 @@ impl Pipeline {
 
     /// One measurement: into the journal, the estimator and the shared state.
     fn take(&mut self, waiting: Waiting, reading: Option<EncoderReading>, timing: &mut FrameTiming) -> Result<()> {
-        let Waiting { mut measurement, mut time_s, arrived, late_s } = waiting;
+        let Waiting { mut measurement, mut time_s, arrived, measured, late_s } = waiting;
         if let (Encoders::Log(_), Some(reading)) = (&*self.encoders, &reading) {
             // The log knows better than the rate at which the recording is played.
             time_s = reading.time_s;
@@ -176,9 +216,12 @@ impl Pipeline {
         self.journal.append(&Entry::Measured(measurement.clone(), reading))?;
         let update = self.estimator.update(&measurement, reading.as_ref());
         let latency_s = arrived.elapsed().as_secs_f64();
-        timing.measured(Instant::now(), latency_s, late_s);
+        timing.measured(Instant::now(), (measured - arrived).as_secs_f64(), measured.elapsed().as_secs_f64(), late_s);
         let mut row = self.row(&measurement, time_s, reading.as_ref(), &update);
         row.latency_ms = 1000.0 * latency_s;
+        if update.is_stuck {
+            row.reason = "the encoders stand still while the snake moves".into();
+        }
         if late_s > LATE_S {
             row.reason = format!("came {:.0} ms late: its time is not certain", 1000.0 * late_s);
         }
@@ -223,15 +266,36 @@ impl Pipeline {
             shared.notice(format!("frame {index}: measurements agree on something new; η and λ start afresh"));
         }
         shared.state.gap = update.gap;
+        shared.gate.add(update.sample, update.gap.state, update.is_stuck);
         shared.model = self.estimator.model();
         shared.add(measurement, update.step.verdict, row);
+    }
+
+    /// Makes the folder and the journal anew where somebody removed them.
+    fn restore(&mut self, progress: &mut Progress) -> Result<()> {
+        if progress.looked.elapsed() < LOOK_EVERY {
+            return Ok(());
+        }
+        progress.looked = Instant::now();
+        if self.journal.restore()? {
+            self.folder.restore()?;
+            let mut shared = self.shared.lock();
+            shared.state.publication = PublicationStatus::default();
+            shared.notice(format!(
+                "{} was removed: the journal is written anew with all that it had, the table at the next save",
+                self.output.display()
+            ));
+        }
+        Ok(())
     }
 
     /// Brings what changes without a measurement up to date.
     fn show(&self, progress: &mut Progress) {
         let (source, encoders) = (self.reader.status(), self.encoders.status());
         let timing = progress.timing.status(Instant::now(), &source);
+        let silent = progress.silence.told(Instant::now(), &source, &encoders);
         let mut shared = self.shared.lock();
+        silent.into_iter().for_each(|notice| shared.notice(notice));
         if timing.state != FrameTimingState::Fresh && timing.state != shared.state.timing.state {
             shared.notice(timing.sentence.clone().unwrap_or_default());
         }
@@ -253,8 +317,13 @@ impl Pipeline {
                     let done = self.reset()?;
                     let _ = answer.send(Ok(done.into()));
                 }
-                Command::Save => self.save_beside(answer),
-                Command::Reference => self.renew_reference_beside(progress.newest.clone(), answer),
+                Command::Save => progress.saving.start(answer, "the table is being written", self.saving()),
+                Command::Reference => match progress.newest.clone() {
+                    Some(frame) => {
+                        progress.calibrating.start(answer, "a straight reference is being taken", self.renewing(frame));
+                    }
+                    None => drop(answer.send(Err("no frame has come yet".into()))),
+                },
             }
         }
         Ok(())
@@ -273,30 +342,27 @@ impl Pipeline {
         Ok(done)
     }
 
-    /// Writes model and table, on a thread of its own.
-    fn save_beside(&self, answer: oneshot::Sender<Answer>) {
+    /// What writes model and table.
+    fn saving(&self) -> impl FnOnce() -> Answer + Send + 'static {
         let (shared, output) = (Arc::clone(&self.shared), self.output.clone());
-        std::thread::spawn(move || {
-            let saved = save(&shared, &output).map_err(|error| error.to_string());
-            let _ = answer.send(saved.map(|()| format!("model and table are in {}", output.display())));
-        });
+        move || match save(&shared, &output) {
+            Ok(Ok(())) => Ok(format!("model and table are in {}", output.display())),
+            Ok(Err(why)) => Err(format!("no table was written: {}", why.text)),
+            Err(error) => Err(error.to_string()),
+        }
     }
 
-    /// Calibrates the rig from the newest frame, on a thread of its own.
-    fn renew_reference_beside(&self, newest: Option<Arc<Frame>>, answer: oneshot::Sender<Answer>) {
-        let Some(frame) = newest else {
-            let _ = answer.send(Err("no frame has come yet".into()));
-            return;
-        };
+    /// What calibrates the rig from a frame.
+    fn renewing(&self, frame: Arc<Frame>) -> impl FnOnce() -> Answer + Send + 'static {
         let (eye, shared) = (Arc::clone(&self.eye), Arc::clone(&self.shared));
-        std::thread::spawn(move || {
+        move || {
             let result = match on_one_thread(|| eye.renew(&frame)) {
                 Ok(()) => Ok("the newest frame is the straight reference now; rig.toml has it".to_owned()),
                 Err(message) => Err(format!("this frame cannot be the straight reference: {message}")),
             };
             shared.lock().notice(result.clone().unwrap_or_else(|refused| refused));
-            let _ = answer.send(result);
-        });
+            result
+        }
     }
 
     /// The end: measurements that wait are taken, and everything is written once more.
@@ -307,7 +373,7 @@ impl Pipeline {
         let (_, measurements, readings) = self.estimator.samples();
         self.verdict.finish(&measurements, &readings);
         let is_estimated = self.shared.lock().model.estimate.is_some();
-        let saved = if is_estimated { save(&self.shared, &self.output) } else { Ok(()) };
+        let saved = if is_estimated { save(&self.shared, &self.output).map(|_| ()) } else { Ok(()) };
         final_tables::write(&self.output, self.estimator)?;
         self.shared.lock().state.ended = true;
         saved

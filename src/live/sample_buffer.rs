@@ -41,6 +41,11 @@ impl SampleBuffer {
         }
     }
 
+    /// Forgets the samples from this index on.
+    pub fn forget_from(&mut self, index: u64) {
+        self.samples.retain(|(measurement, _)| measurement.index < index);
+    }
+
     /// The samples so far.
     pub fn samples(&self) -> (Vec<Measurement>, Vec<EncoderReading>) {
         self.samples.iter().cloned().unzip()

@@ -13,11 +13,11 @@ use super::status::Row;
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::record::model_json;
-use crate::robot::{MAX_THETA, TableRow};
+use crate::robot::{MAX_THETA, Model, TableRow};
 use axum::body::Body;
-use axum::extract::{DefaultBodyLimit, Path, Query, State};
+use axum::extract::{DefaultBodyLimit, FromRef, Path, Query, State};
 use axum::http::StatusCode;
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
+use axum::http::header::{CACHE_CONTROL, CONNECTION, CONTENT_TYPE, RETRY_AFTER};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
@@ -33,11 +33,17 @@ use std::net::SocketAddr;
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_io_timeout::TimeoutStream;
 
-/// Connections at a time; further ones wait. Convention: a resource limit.
+/// Connections at a time; further ones are refused. Convention: a resource limit.
 const MAX_CONNECTIONS: usize = 128;
+/// Of them, streams of events or pictures, which last as long as their reader likes; further ones are refused. Convention: a resource
+/// limit that leaves room for answers.
+const MAX_STREAMS: usize = 64;
+/// What a connection beyond the limit is told.
+const NO_ROOM: &[u8] =
+    b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nRetry-After: 10\r\nContent-Length: 0\r\n\r\n";
 /// A connection that has not sent its request's head by then is closed. Convention.
 ///
 /// Convention: a timeout.
@@ -72,37 +78,79 @@ pub struct AppState {
     pub commands: Commands,
 }
 
-/// Starts to serve, and gives the address: the one asked for, with the port that it got where 0 was asked for.
-///
-/// # Errors
-/// An address that cannot be listened at.
-pub fn start(access: AccessControl, app: AppState) -> Result<SocketAddr> {
-    let wrong = |e: std::io::Error| Error::Unavailable {
-        what: format!("--serve {}", access.address()),
-        message: e.to_string(),
-    };
-    let listener = std::net::TcpListener::bind(access.address()).map_err(wrong)?;
-    listener.set_nonblocking(true).map_err(wrong)?;
-    let address = listener.local_addr().map_err(wrong)?;
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(wrong)?;
-    let router = router(Arc::new(access), app);
-    std::thread::spawn(move || {
-        lower_priority();
-        runtime.block_on(async {
-            if let Ok(listener) = TcpListener::from_std(listener) {
-                accept(listener, router).await;
-            }
+/// What answers are made from, and the room for those that last.
+#[derive(Clone)]
+struct Served {
+    app: AppState,
+    streams: Arc<Semaphore>,
+}
+
+impl FromRef<Served> for AppState {
+    fn from_ref(served: &Served) -> Self {
+        served.app.clone()
+    }
+}
+
+impl Served {
+    /// Room for one more stream, for as long as it is kept; a refusal where there is none.
+    fn stream(&self) -> std::result::Result<OwnedSemaphorePermit, Refusal> {
+        let full = || format!("{MAX_STREAMS} pages are open already; close one");
+        Arc::clone(&self.streams).try_acquire_owned().map_err(|_| Refusal(StatusCode::SERVICE_UNAVAILABLE, full()))
+    }
+}
+
+/// A server that has its address and does not answer yet.
+#[derive(Debug)]
+pub struct Server {
+    access: AccessControl,
+    listener: std::net::TcpListener,
+    runtime: tokio::runtime::Runtime,
+    address: SocketAddr,
+}
+
+impl Server {
+    /// Takes the address, before anything else is begun.
+    ///
+    /// # Errors
+    /// An address that cannot be listened at.
+    pub fn bind(access: AccessControl) -> Result<Self> {
+        let wrong = |e: std::io::Error| Error::Unavailable {
+            what: format!("--serve {}", access.address()),
+            message: e.to_string(),
+        };
+        let listener = std::net::TcpListener::bind(access.address()).map_err(wrong)?;
+        listener.set_nonblocking(true).map_err(wrong)?;
+        let address = listener.local_addr().map_err(wrong)?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(wrong)?;
+        Ok(Self { access, listener, runtime, address })
+    }
+
+    /// Starts to serve, and gives the address: the one asked for, with the port that it got where 0 was asked for.
+    pub fn start(self, app: AppState) -> SocketAddr {
+        let Self { access, listener, runtime, address } = self;
+        let router = router(Arc::new(access), app);
+        std::thread::spawn(move || {
+            lower_priority();
+            runtime.block_on(async {
+                if let Ok(listener) = TcpListener::from_std(listener) {
+                    accept(listener, router).await;
+                }
+            });
         });
-    });
-    Ok(address)
+        address
+    }
 }
 
 async fn accept(listener: TcpListener, router: Router) {
     let permits = Arc::new(Semaphore::new(MAX_CONNECTIONS));
     loop {
-        let Ok(permit) = Arc::clone(&permits).acquire_owned().await else { return };
         let Ok((stream, _)) = listener.accept().await else {
             tokio::time::sleep(ACCEPT_RETRY).await;
+            continue;
+        };
+        let Ok(permit) = Arc::clone(&permits).try_acquire_owned() else {
+            // Not waited for: what the system does not take at once is not sent.
+            let _ = stream.try_write(NO_ROOM);
             continue;
         };
         let router = router.clone();
@@ -143,7 +191,7 @@ fn router(access: Arc<AccessControl>, app: AppState) -> Router {
         .route("/metrics", get(metrics))
         .layer(DefaultBodyLimit::max(MAX_BODY))
         .layer(middleware::from_fn_with_state(access, guard))
-        .with_state(app)
+        .with_state(Served { app, streams: Arc::new(Semaphore::new(MAX_STREAMS)) })
 }
 
 /// plotly.js, out of the script elements that its crate gives.
@@ -160,6 +208,17 @@ async fn plotly() -> impl IntoResponse {
     ([(CONTENT_TYPE, "text/javascript; charset=utf-8"), (CACHE_CONTROL, PLOTLY_CACHE)], PLOTLY.as_str())
 }
 
+/// An answer that is refused, and why.
+struct Refusal(StatusCode, String);
+
+impl IntoResponse for Refusal {
+    /// The connection is closed, so that who was refused for want of room takes none.
+    fn into_response(self) -> Response {
+        let Self(status, message) = self;
+        ([(CONNECTION, "close"), (RETRY_AFTER, "10")], failure(status, message)).into_response()
+    }
+}
+
 /// A failure as JSON: `{"error": "…"}`.
 fn failure(status: StatusCode, message: impl ToString) -> Response {
     (status, Json(json!({ "error": message.to_string() }))).into_response()
@@ -171,22 +230,42 @@ async fn state(State(app): State<AppState>) -> impl IntoResponse {
 
 #[derive(Deserialize)]
 struct Since {
-    since: Option<u64>,
+    /// Below 0, all rows that are kept.
+    since: Option<i64>,
     limit: Option<usize>,
 }
 
 async fn measurements(State(app): State<AppState>, Query(Since { since, limit }): Query<Since>) -> Json<Value> {
-    let rows = app.shared.rows_after(since, limit.unwrap_or(MAX_ROWS).min(MAX_ROWS));
-    let next = rows.last().map(|row| row.index).or(since);
+    let limit = limit.unwrap_or(MAX_ROWS).min(MAX_ROWS);
+    let rows = match since {
+        Some(since) => app.shared.rows_after(u64::try_from(since).ok(), limit),
+        None => app.shared.latest_rows(limit),
+    };
+    let next = rows.last().and_then(|row| i64::try_from(row.index).ok()).or(since);
     Json(json!({ "measurements": rows, "since": next }))
 }
 
 async fn model(State(app): State<AppState>) -> Response {
-    let model = app.shared.lock().model.clone();
+    let (model, stale) = match to_command_by(&app) {
+        Ok(found) => found,
+        Err(refused) => return refused.into_response(),
+    };
     match model_json(&model) {
-        Ok(json) => Json(json).into_response(),
+        Ok(mut json) => {
+            json["stale"] = stale.into();
+            Json(json).into_response()
+        }
         Err(error) => failure(StatusCode::INTERNAL_SERVER_ERROR, error),
     }
+}
+
+/// The model to command by, and why it is stale, if it is; a refusal where there is none.
+fn to_command_by(app: &AppState) -> std::result::Result<(Model, Option<String>), Refusal> {
+    let (model, decided) = app.shared.model_to_command_by();
+    let stale = decided.err().map(|why| why.text);
+    let why = || format!("no model may be published: {}", stale.as_deref().unwrap_or_default());
+    let model = model.ok_or_else(|| Refusal(StatusCode::CONFLICT, why()))?;
+    Ok((model, stale))
 }
 
 #[derive(Deserialize)]
@@ -197,11 +276,15 @@ struct Pose {
 
 async fn table(State(app): State<AppState>, Query(Pose { theta, delta }): Query<Pose>) -> Response {
     let most = MAX_THETA.to_degrees();
-    if !(0.0..=most).contains(&theta) || !(-360.0..=360.0).contains(&delta) {
+    // As the table: degrees that become radians and back are not the same to the last digit.
+    if !(0.0..=most + 1e-9).contains(&theta) || !(-360.0..=360.0).contains(&delta) {
         let message = format!("theta {theta}, delta {delta}: expected 0 to {most:.0} and −360 to 360 degrees");
         return failure(StatusCode::BAD_REQUEST, message);
     }
-    let model = app.shared.lock().model.clone();
+    let (model, stale) = match to_command_by(&app) {
+        Ok(found) => found,
+        Err(refused) => return refused.into_response(),
+    };
     let row = TableRow::new(&model, Configuration::from_degrees(theta, delta));
     Json(json!({
         "theta_deg": row.configuration.theta_deg(),
@@ -210,6 +293,7 @@ async fn table(State(app): State<AppState>, Query(Pose { theta, delta }): Query<
         "qc_mm": row.command_mm,
         "sd_qc_mm": row.sd_command_mm,
         "estimated": model.estimate.is_some(),
+        "stale": stale,
     }))
     .into_response()
 }
@@ -231,15 +315,22 @@ async fn command(State(app): State<AppState>, Path(name): Path<String>) -> Respo
 }
 
 /// Server-sent events: `state` and `rows`, a few times a second; a slow reader gets more rows at a time.
-async fn events(State(app): State<AppState>) -> Sse<impl Stream<Item = std::result::Result<Event, Infallible>>> {
+async fn events(
+    State(served): State<Served>,
+) -> std::result::Result<Sse<impl Stream<Item = std::result::Result<Event, Infallible>>>, Refusal> {
     enum Turn {
         Rows,
         State,
     }
-    let stream = unfold((app.shared, None::<u64>, Turn::Rows), |(shared, mut since, turn)| async move {
+    let room = served.stream()?;
+    let begin = (served.app.shared, None::<u64>, Turn::Rows, room);
+    let stream = unfold(begin, |(shared, mut since, turn, room)| async move {
         let (event, next) = match turn {
             Turn::Rows => {
-                let rows: Vec<Row> = shared.rows_after(since, MAX_EVENT_ROWS);
+                let rows: Vec<Row> = match since {
+                    Some(_) => shared.rows_after(since, MAX_EVENT_ROWS),
+                    None => shared.latest_rows(MAX_EVENT_ROWS),
+                };
                 since = rows.last().map(|row| row.index).or(since);
                 (Event::default().event("rows").json_data(rows), Turn::State)
             }
@@ -249,15 +340,20 @@ async fn events(State(app): State<AppState>) -> Sse<impl Stream<Item = std::resu
             }
         };
         // Numbers and text always serialise.
-        Some((Ok(event.unwrap_or_default()), (shared, since, next)))
+        Some((Ok(event.unwrap_or_default()), (shared, since, next, room)))
     });
-    Sse::new(stream).keep_alive(KeepAlive::default())
+    Ok(Sse::new(stream).keep_alive(KeepAlive::default()))
 }
 
-/// The annotated video: JPEG after JPEG.
-async fn video(State(app): State<AppState>) -> Response {
+/// The annotated video: JPEG after JPEG. Browsers show a picture once they have seen the boundary behind it, so each is sent with the
+/// boundary that follows, and the first with the one before it too.
+async fn video(State(served): State<Served>) -> Response {
     const BOUNDARY: &str = "picture";
-    let stream = unfold(app.video.watch(), |mut pictures| async move {
+    let room = match served.stream() {
+        Ok(room) => room,
+        Err(refused) => return refused.into_response(),
+    };
+    let stream = unfold((served.app.video.watch(), true, room), |(mut pictures, is_first, room)| async move {
         let picture = loop {
             pictures.changed().await.ok()?;
             let picture = Arc::clone(&pictures.borrow_and_update());
@@ -265,9 +361,10 @@ async fn video(State(app): State<AppState>) -> Response {
                 break picture;
             }
         };
-        let head = format!("--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", picture.len());
-        let part = [head.as_bytes(), &picture, b"\r\n"].concat();
-        Some((Ok::<_, Infallible>(part), pictures))
+        let before = if is_first { format!("--{BOUNDARY}\r\n") } else { String::new() };
+        let head = format!("{before}Content-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", picture.len());
+        let part = [head.as_bytes(), &picture, format!("\r\n--{BOUNDARY}\r\n").as_bytes()].concat();
+        Some((Ok::<_, Infallible>(part), (pictures, false, room)))
     });
     let kind = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");
     ([(CONTENT_TYPE, kind), (CACHE_CONTROL, "no-store".to_owned())], Body::from_stream(stream)).into_response()

@@ -9,6 +9,7 @@ use super::journal::{Entry, Journal};
 use super::latency::Histogram;
 use super::online_estimator::OnlineEstimator;
 use super::pipeline::Pipeline;
+use super::publication::PublicationGate;
 use super::recent_bends::RecentBends;
 use super::setup::{Setup, View};
 use super::shared_state::SharedState;
@@ -17,6 +18,8 @@ use super::status::{EstimateStatus, State, StemStatus};
 use super::straight_reference::RenewableEye;
 use super::verdict_worker::VerdictWorker;
 use crate::error::{Error, Result};
+use crate::record::read_model;
+use crate::robot::Model;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -39,17 +42,20 @@ impl Live {
     /// # Errors
     /// A journal that is in the way or cannot be read, an option out of its range, a source that cannot exist.
     pub fn start(setup: Setup) -> Result<Self> {
-        let Setup { view, source, source_name, encoders, model, options, stem, output, resume, save_every } = setup;
+        let Setup { view, source, source_name, encoders, model, options, stem, folder, resume, save_every } = setup;
+        let output = folder.path().to_owned();
         let mut estimator = OnlineEstimator::new(model.clone(), options, stem)?;
         let clock = Arc::new(FrameClock::default());
         let encoders = Arc::new(encoders.open(Arc::clone(&clock)));
-        let shared = Arc::new(SharedState::new(State::at_start(source_name, encoders.status()), model.clone()));
+        let published = if resume { published_in(&output) } else { None };
+        let gate = PublicationGate::new(options.sd_encoder_mm, stem.is_none(), published);
+        let shared = Arc::new(SharedState::new(State::at_start(source_name, encoders.status()), model.clone(), gate));
         let (journal, next_index) = open_journal(&output, resume, &mut estimator, &shared)?;
         let reader = FrameReader::start(source, next_index, clock)?;
         let bends = Arc::new(RecentBends::default());
         let autosave = AutosaveThread::start(Autosave {
             shared: Arc::clone(&shared),
-            journal: journal.sync_handle()?,
+            journal: journal.sync_handle(),
             output: output.clone(),
             every: save_every,
             encoders: Arc::clone(&encoders),
@@ -76,6 +82,7 @@ impl Live {
             verdict,
             requests,
             stop: Arc::clone(&stop),
+            folder,
             output,
             bends,
         };
@@ -117,6 +124,11 @@ impl Live {
     }
 }
 
+/// The model that an earlier run published into a folder.
+fn published_in(output: &Path) -> Option<Model> {
+    read_model(&output.join("model.toml")).ok().filter(|model| model.estimate.is_some())
+}
+
 /// Opens the journal and the index of the next frame. Where the run is resumed, the estimator takes what the journal has.
 fn open_journal(
     output: &Path,
@@ -134,6 +146,7 @@ fn open_journal(
                 shared.count(&measurement, update.step.verdict);
                 shared.state.resumed += 1;
                 shared.state.gap = update.gap;
+                shared.gate.add(update.sample, update.gap.state, update.is_stuck);
             }
             Entry::Reset => {
                 let _ = estimator.reset();
@@ -146,6 +159,6 @@ fn open_journal(
     shared.model = estimator.model();
     shared.state.estimate = EstimateStatus::of(&shared.model);
     shared.state.stem = estimator.stem().map(StemStatus::from);
-    shared.state.notices.extend(remark);
+    remark.into_iter().for_each(|remark| shared.notice(remark));
     Ok((journal, next_index))
 }

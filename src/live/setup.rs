@@ -7,8 +7,8 @@ use crate::camera::Lens;
 use crate::estimate::{Options, StemOptions};
 use crate::measure::{Eye, RigOptions};
 use crate::observation::{EncoderReading, Wiring};
+use crate::record::OutputFolder;
 use crate::robot::{Model, Robot};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -30,7 +30,7 @@ pub struct Setup {
     /// Settings to follow a flexible stem with, in place of η and λ.
     pub stem: Option<StemOptions>,
     /// The folder to write to.
-    pub output: PathBuf,
+    pub folder: OutputFolder,
     /// Whether to go on with the journal that is there.
     pub resume: bool,
     /// How often model and table are written.

@@ -1,6 +1,7 @@
 //! The state that the threads of `live` share. Whoever reads it takes a copy, so that nobody holds the lock for long.
 
 use super::latency::Histogram;
+use super::publication::{PublicationGate, Withheld};
 use super::status::{Row, State};
 use crate::estimate::Verdict;
 use crate::observation::Measurement;
@@ -26,10 +27,14 @@ pub struct LiveState {
     pub model: Model,
     /// The latest rows, oldest first.
     rows: VecDeque<Row>,
+    /// How many notices there were; the last of them are in the state.
+    notices: u64,
     /// All latencies.
     pub latencies: Histogram,
     /// Number of frames by their status.
     pub by_status: BTreeMap<String, u64>,
+    /// Whether the model may be published, and what was.
+    pub gate: PublicationGate,
 }
 
 impl LiveState {
@@ -65,18 +70,28 @@ impl LiveState {
             self.state.notices.remove(0);
         }
         self.state.notices.push(text);
+        self.notices += 1;
+    }
+
+    /// The notices after the first `seen` ones, as far as they are kept, and how many there were in all.
+    pub fn notices_after(&self, seen: u64) -> (Vec<String>, u64) {
+        let new = usize::try_from(self.notices.saturating_sub(seen)).unwrap_or(usize::MAX);
+        let kept = &self.state.notices;
+        (kept[kept.len().saturating_sub(new)..].to_vec(), self.notices)
     }
 }
 
 impl SharedState {
     /// The state at the start of a run.
-    pub fn new(state: State, model: Model) -> Self {
+    pub fn new(state: State, model: Model, gate: PublicationGate) -> Self {
         Self(Mutex::new(LiveState {
             state,
             model,
             rows: VecDeque::new(),
+            notices: 0,
             latencies: Histogram::default(),
             by_status: BTreeMap::new(),
+            gate,
         }))
     }
 
@@ -85,20 +100,34 @@ impl SharedState {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// The model to command by: the one as it stands where that may be published, else the one published last, if there is one. With it
+    /// whether the one as it stands may be published.
+    pub fn model_to_command_by(&self) -> (Option<Model>, Result<(), Withheld>) {
+        let (model, gate) = {
+            let shared = self.lock();
+            (shared.model.clone(), shared.gate.clone())
+        };
+        let decided = gate.judge(&model);
+        let to_command_by = if decided.is_ok() { Some(model) } else { gate.published().cloned() };
+        (to_command_by, decided)
+    }
+
     /// A copy of what `GET /api/state` gives.
     pub fn state(&self) -> State {
         self.lock().state.clone()
     }
 
-    /// Rows after an index, oldest first, at most `limit`; without an index the latest.
+    /// Rows after an index, oldest first, at most `limit`; without an index from the oldest that is kept.
     pub fn rows_after(&self, index: Option<u64>, limit: usize) -> Vec<Row> {
         let shared = self.lock();
-        let rows = &shared.rows;
-        let from = match index {
-            Some(index) => rows.partition_point(|row| row.index <= index),
-            None => rows.len().saturating_sub(limit),
-        };
-        rows.range(from..).take(limit).cloned().collect()
+        let from = index.map_or(0, |index| shared.rows.partition_point(|row| row.index <= index));
+        shared.rows.range(from..).take(limit).cloned().collect()
+    }
+
+    /// The latest rows, oldest first, at most `limit`.
+    pub fn latest_rows(&self, limit: usize) -> Vec<Row> {
+        let shared = self.lock();
+        shared.rows.range(shared.rows.len().saturating_sub(limit)..).cloned().collect()
     }
 }
 
@@ -110,7 +139,7 @@ mod tests {
 
     fn shared() -> SharedState {
         let state = State::at_start("camera 0".into(), EncoderStatus::at_rest("none", 0));
-        SharedState::new(state, Model::default())
+        SharedState::new(state, Model::default(), PublicationGate::new(0.0015, true, None))
     }
 
     fn add(shared: &SharedState, index: u64, status: Status, verdict: Verdict) {
@@ -124,8 +153,10 @@ mod tests {
         for index in 0..MAX_ROWS as u64 + 5 {
             add(&shared, index, Status::Ok, Verdict::Used);
         }
-        let indices = |after, limit| shared.rows_after(after, limit).iter().map(|row| row.index).collect::<Vec<_>>();
-        assert_eq!(indices(None, 3), [12_002, 12_003, 12_004]);
+        let indices_of = |rows: Vec<Row>| rows.iter().map(|row| row.index).collect::<Vec<_>>();
+        let indices = |after, limit| indices_of(shared.rows_after(after, limit));
+        assert_eq!(indices_of(shared.latest_rows(3)), [12_002, 12_003, 12_004]);
+        assert_eq!(indices(None, 2), [5, 6]);
         assert_eq!(indices(Some(0), 2), [5, 6], "the first five made room");
         assert_eq!(indices(Some(12_003), 10), [12_004]);
         assert!(indices(Some(12_004), 10).is_empty());
@@ -152,5 +183,7 @@ mod tests {
         (0..30).for_each(|k| locked.notice(format!("notice {k}")));
         assert_eq!(locked.state.notices.len(), MAX_NOTICES);
         assert_eq!(locked.state.notices[0], "notice 10");
+        assert_eq!(locked.notices_after(29), (vec!["notice 28".to_owned(), "notice 29".to_owned()], 31));
+        assert_eq!((locked.notices_after(31).0.len(), locked.notices_after(0).0.len()), (0, MAX_NOTICES));
     }
 }

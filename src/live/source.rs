@@ -45,10 +45,19 @@ impl Source {
 
 /// Rate at which pictures are played where the user gives none, frames/s. Convention: a usual camera's.
 const DEFAULT_FPS: f64 = 30.0;
-/// Time before a silent camera is opened again. Convention.
+/// Time before a silent camera is opened again; one that does not open is left alone for twice as long each time, up to
+/// [`LONGEST_RETRY`]. Convention.
 ///
 /// Convention: a timeout.
 const RETRY: Duration = Duration::from_millis(250);
+/// The longest of these times. Convention.
+///
+/// Convention: a timeout.
+const LONGEST_RETRY: Duration = Duration::from_secs(2);
+/// Time that the end waits for the thread. Convention.
+///
+/// Convention: a timeout.
+const LEAVE: Duration = Duration::from_millis(500);
 
 /// The thread that reads frames, and the queue that it fills.
 #[derive(Debug)]
@@ -110,10 +119,13 @@ impl FrameReader {
 }
 
 impl Drop for FrameReader {
+    /// Waits for the thread a moment only: a camera's driver may hold it for as long as it likes, and it ends with the process then.
     fn drop(&mut self) {
         self.shared.update(|queue| queue.stop = true);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
+        let Some(thread) = self.thread.take() else { return };
+        let asked = Instant::now();
+        while !thread.is_finished() && asked.elapsed() < LEAVE {
+            std::thread::sleep(LEAVE / 50);
         }
     }
 }
@@ -177,9 +189,11 @@ impl SharedQueue {
     /// Reads a camera or stream, and opens it again whenever it is gone.
     fn capture(&self, target: &CaptureTarget, settings: &CaptureSettings) {
         self.clock.set(unix_time_s());
+        let mut retry = RETRY;
         loop {
             let trouble = match Opened::open(target, settings) {
                 Ok(opened) => {
+                    retry = RETRY;
                     self.update(|queue| {
                         queue.opened();
                         queue.status.settings = opened.settings();
@@ -193,9 +207,10 @@ impl SharedQueue {
                 Err(error) => error.to_string(),
             };
             self.update(|queue| queue.lost(trouble));
-            if !self.sleep(RETRY) {
+            if !self.sleep(retry) {
                 return;
             }
+            retry = (2 * retry).min(LONGEST_RETRY);
         }
     }
 
@@ -217,7 +232,7 @@ impl SharedQueue {
         let over = AtomicBool::new(false);
         std::thread::scope(|scope| {
             scope.spawn(|| {
-                while let Some(jpeg) = stream.read()
+                while let Some(jpeg) = stream.read(|| !self.lock().stop)
                     && self.update(|queue| {
                         let arrival = queue.arrival(Instant::now(), unix_time_s());
                         queue.push_undecoded(arrival, jpeg);

@@ -52,6 +52,8 @@ pub struct State {
     pub gap: GapStatus,
     /// What discover found last.
     pub discovery: Option<DiscoveryStatus>,
+    /// Whether the table in the folder is that of the model as it stands.
+    pub publication: PublicationStatus,
     /// Unix time at which the table was written last, s.
     pub saved_at_s: Option<f64>,
     /// Messages for the user, latest last.
@@ -327,6 +329,32 @@ impl Default for GapStatus {
     fn default() -> Self {
         Self { state: GapState::Unknown, bending: 1.0, common: 1.0, rejected: 0.0 }
     }
+}
+
+/// Whether the table in the folder is that of the model as it stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PublicationState {
+    /// None was written yet.
+    #[default]
+    Nothing,
+    /// It is, up to what was learned since it was written.
+    Current,
+    /// It was once; what was measured since does not confirm it, and the model as it stands may not replace it.
+    Stale,
+    /// None was written, because the model may not be published.
+    Withheld,
+}
+
+/// The same with the reason; the content of publication.json.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+pub struct PublicationStatus {
+    /// The state.
+    pub state: PublicationState,
+    /// Why the model may not be published: a code of the verdict's.
+    pub code: Option<&'static str>,
+    /// The same in a sentence.
+    pub reason: Option<String>,
 }
 
 /// What `discover` found on the measurements so far.

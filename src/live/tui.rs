@@ -1,6 +1,6 @@
 //! The terminal view: the dashboard's figures without a browser.
 
-use super::commands::{Command, Commands};
+use super::commands::{Answer, Command, Commands};
 use super::shared_state::SharedState;
 use super::status::{FrameTimingState, GapState, SourceState, State};
 use crate::error::{Error, Result};
@@ -11,6 +11,7 @@ use ratatui::style::{Color, Style, Stylize};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph, Sparkline, Wrap};
 use std::time::Duration;
+use tokio::sync::oneshot::{self, error::TryRecvError};
 
 /// Time between two drawings. Convention: a display choice.
 const EVERY: Duration = Duration::from_millis(200);
@@ -29,9 +30,16 @@ pub fn show(shared: &SharedState, commands: &Commands, is_over: impl Fn() -> boo
     let mut terminal = ratatui::try_init().map_err(failed)?;
     let mut answer =
         "p pause/continue   s save the table   r reset   t take the straight reference   q quit".to_owned();
+    let mut asked: Option<oneshot::Receiver<Answer>> = None;
     let result = loop {
+        // Some commands take long, and whoever wants to leave meanwhile may.
+        match asked.as_mut().map(oneshot::Receiver::try_recv) {
+            None | Some(Err(TryRecvError::Empty)) => {}
+            Some(Ok(Ok(said) | Err(said))) => (asked, answer) = (None, said),
+            Some(Err(TryRecvError::Closed)) => (asked, answer) = (None, "the run is over".to_owned()),
+        }
         let state = shared.state();
-        let theta: Vec<f64> = shared.rows_after(None, HISTORY).iter().filter_map(|row| row.theta_deg).collect();
+        let theta: Vec<f64> = shared.latest_rows(HISTORY).iter().filter_map(|row| row.theta_deg).collect();
         if let Err(e) = terminal.draw(|frame| draw(frame, &state, &theta, &answer)) {
             break Err(failed(e));
         }
@@ -49,10 +57,7 @@ pub fn show(shared: &SharedState, commands: &Commands, is_over: impl Fn() -> boo
                     't' => Command::Reference,
                     _ => continue,
                 };
-                answer = match commands.send(command).blocking_recv() {
-                    Ok(Ok(said) | Err(said)) => said,
-                    Err(_) => "the run is over".to_owned(),
-                };
+                (asked, answer) = (Some(commands.send(command)), "…".to_owned());
             }
             Ok(None) => {}
         }

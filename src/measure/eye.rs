@@ -139,6 +139,11 @@ impl Eye {
         Self { lens, rig, robot, search, search_pose, drift_monitor, calibrated_covariance }
     }
 
+    /// The lens that this eye sees through.
+    pub fn lens(&self) -> &Lens {
+        &self.lens
+    }
+
     /// The rig that this eye measures by.
     pub fn rig(&self) -> &Rig {
         &self.rig

@@ -133,6 +133,20 @@ impl Experiment {
         Err(Error::content(&self.path, message))
     }
 
+    /// The files that it names, itself among them; the frames are told apart ([`frames`](Self::frames)).
+    pub fn files(&self) -> Vec<PathBuf> {
+        let of_views = self.views.iter().flat_map(|view| match &view.rig {
+            RigSource::File(path) | RigSource::Straight { picture: path, .. } => [view.camera.clone(), path.clone()],
+        });
+        let named = [&self.robot, &self.model, &self.encoders].into_iter().flatten().cloned();
+        std::iter::once(self.path.clone()).chain(named).chain(of_views).collect()
+    }
+
+    /// The frames of each view: a video, or a pattern of file names.
+    pub fn frames(&self) -> impl Iterator<Item = PathBuf> {
+        self.views.iter().map(|view| self.folder().join(&view.frames))
+    }
+
     fn parse(path: &Path, text: &str) -> Result<Self> {
         let file: ExperimentFile = toml::from_str(text).map_err(|e| match e.span() {
             Some(span) => Error::at_line(path, line_at(text, span.start), e.message()),

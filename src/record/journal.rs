@@ -3,17 +3,17 @@
 //! The file begins with what the rows are made from (TOML, each line behind `# `); a run may go on with it only if it would make
 //! the same rows. Then come header and rows as in measurements.csv. A row is one write, so that a process that is killed
 //! leaves all of them but the one in hand, and once a second they are brought to the disk, which is what a loss of power can
-//! cost. From the first line on that is torn or makes no sense the journal is cut off when it is opened again.
+//! cost. From the first line on that is torn or makes no sense the journal is cut off when it is opened again. Other runs are kept out
+//! of the folder by [`OutputFolder`](super::OutputFolder).
 
 use super::measurements::{RowReader, measurement_line, measurements_header};
 use super::write::{PendingFile, write_atomically};
 use crate::error::{Error, Result};
 use crate::input::{LINE_BYTES, read_line};
 use crate::observation::Measurement;
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::{File, OpenOptions};
 use std::io::{BufReader, Read, Seek, SeekFrom, Write, copy};
 use std::path::{Path, PathBuf};
-use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 /// The journal's name in the output folder.
@@ -40,12 +40,9 @@ impl MeasurementJournal {
     /// Begins a journal in a folder, which is created where it is missing; one that an earlier run left is replaced.
     ///
     /// # Errors
-    /// A folder that cannot be written to, or in which another run is at work.
+    /// A folder that cannot be written to.
     pub fn create(folder: &Path, origin: &toml::Table) -> Result<Self> {
         let path = folder.join(JOURNAL);
-        if let Ok(former) = File::open(&path) {
-            lock(&former, &path)?;
-        }
         let head: String = origin.to_string().lines().map(|line| format!("# {line}\n")).collect();
         write_atomically(&path, (head.clone() + &measurements_header() + "\n").as_bytes())?;
         let file = open(&path)?;
@@ -55,8 +52,7 @@ impl MeasurementJournal {
     /// Opens the journal that an earlier run left, to go on with it; begins one where there is none.
     ///
     /// # Errors
-    /// A journal that was made from something else (the message names it), in which another run is at work, or that cannot be
-    /// read or written.
+    /// A journal that was made from something else (the message names it), or that cannot be read or written.
     pub fn resume(folder: &Path, origin: &toml::Table) -> Result<Self> {
         let path = folder.join(JOURNAL);
         if !path.exists() {
@@ -131,31 +127,20 @@ impl MeasurementJournal {
         file.commit()
     }
 
-    /// Removes the journal, once all that is made from it is written.
+    /// Removes the journal, once all that is made from it is written. One that somebody else removed is no error.
     ///
     /// # Errors
     /// A folder that does not let it go.
     pub fn remove(self) -> Result<()> {
-        std::fs::remove_file(&self.path).map_err(Error::io(&self.path, "remove"))
+        match std::fs::remove_file(&self.path) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(&self.path, "remove")(e)),
+            _ => Ok(()),
+        }
     }
 }
 
 fn open(path: &Path) -> Result<File> {
-    let file = OpenOptions::new().read(true).append(true).open(path).map_err(Error::io(path, "write"))?;
-    lock(&file, path)?;
-    Ok(file)
-}
-
-/// Keeps other runs out. One that was just killed may take a moment to let go. Where a file system knows no locks there is no harm
-/// in going without.
-fn lock(file: &File, path: &Path) -> Result<()> {
-    for _ in 0..20 {
-        match file.try_lock() {
-            Err(TryLockError::WouldBlock) => sleep(Duration::from_millis(20)),
-            _ => return Ok(()),
-        }
-    }
-    Err(Error::content(path, "another run is at work here; wait for it, or choose another folder"))
+    OpenOptions::new().read(true).append(true).open(path).map_err(Error::io(path, "write"))
 }
 
 /// Whole lines, and where they end.
@@ -296,16 +281,6 @@ mod tests {
                 let journal = MeasurementJournal::resume(folder.path(), &origin("a = 1")).unwrap();
                 prop_assert_eq!((journal.rows(), journal.last()), (rows + 1, Some(next)));
             }
-        }
-    }
-
-    #[test]
-    fn two_runs_do_not_write_to_one_journal() {
-        let folder = tempfile::tempdir().unwrap();
-        let _journal = MeasurementJournal::create(folder.path(), &origin("")).unwrap();
-        for second in [MeasurementJournal::create, MeasurementJournal::resume] {
-            let message = second(folder.path(), &origin("")).unwrap_err().to_string();
-            assert!(message.contains("another run is at work here"), "{message}");
         }
     }
 }

@@ -157,25 +157,18 @@ pub(super) fn parse_table<T: Indexed>(
     parse: impl Fn(&Row) -> RowResult<T>,
 ) -> Result<Checked<T>> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(bytes);
-    let header = reader.byte_headers().map_err(|e| Error::content(path, e.to_string()))?.clone();
+    let mut lines = lines(bytes);
+    let header = lines.next().map(|(_, line)| fields_of_bytes(line)).unwrap_or_default();
     let is_there = |name: &str| header.iter().any(|field| field == name.as_bytes());
     fits(&is_there).map_err(|why| Error::at_line(path, 1, why))?;
     let columns = columns_of(path, &header, required)?;
 
     let mut numbered = Vec::new();
     let mut warnings = Warnings::new(path);
-    let mut record = csv::ByteRecord::new();
-    loop {
-        match reader.read_byte_record(&mut record) {
-            Ok(true) => {}
-            Ok(false) => break,
-            Err(e) => return Err(Error::content(path, e.to_string())),
-        }
-        let line = record.position().map_or(0, csv::Position::line);
-        match usable_row(&columns, header.len(), &record).and_then(|row| parse(&row)) {
-            Ok(value) => numbered.push((line, value)),
-            Err(why) => warnings.push(line, format!("{why}; row skipped")),
+    for (number, line) in lines {
+        match usable_row(&columns, header.len(), fields_of_bytes(line)).and_then(|row| parse(&row)) {
+            Ok(value) => numbered.push((number, value)),
+            Err(why) => warnings.push(number, format!("{why}; row skipped")),
         }
     }
     let rows = in_order_once(numbered, &mut warnings);
@@ -214,12 +207,36 @@ fn columns_of(path: &Path, header: &csv::ByteRecord, required: &[&str]) -> Resul
     Err(Error::at_line(path, 1, format!("column {} is missing, expected {expected}{hint}", missing.join(", "))))
 }
 
-fn usable_row<'a>(columns: &'a HashMap<String, usize>, width: usize, record: &csv::ByteRecord) -> RowResult<Row<'a>> {
+fn usable_row(columns: &HashMap<String, usize>, width: usize, record: csv::ByteRecord) -> RowResult<Row<'_>> {
     if record.len() != width {
         return Err(format!("{} fields, expected {width}", record.len()));
     }
-    let fields = csv::StringRecord::from_byte_record(record.clone()).map_err(|_| "not UTF-8 text".to_owned())?;
+    let fields = csv::StringRecord::from_byte_record(record).map_err(|_| "not UTF-8 text".to_owned())?;
     Ok(Row { columns, fields })
+}
+
+/// The lines of a file that are not blank, each with its number, counted from 1; they may end in \n, \r\n or \r.
+fn lines(bytes: &[u8]) -> impl Iterator<Item = (u64, &[u8])> {
+    let mut rest = Some(bytes);
+    let each = std::iter::from_fn(move || {
+        let bytes = rest?;
+        let Some(end) = bytes.iter().position(|byte| matches!(byte, b'\n' | b'\r')) else { return rest.take() };
+        let ended_by = if bytes[end..].starts_with(b"\r\n") { 2 } else { 1 };
+        rest = Some(&bytes[end + ended_by..]);
+        Some(&bytes[..end])
+    });
+    (1..).zip(each).filter(|(_, line)| !line.trim_ascii().is_empty())
+}
+
+/// The fields of one line, without the spaces around them. A quote that is not closed ends with its line: a field of these tables has
+/// no line break in it, and the rows that follow a stray quote must not be taken for its text.
+fn fields_of_bytes(line: &[u8]) -> csv::ByteRecord {
+    if !line.contains(&b'"') {
+        return line.split(|&byte| byte == b',').map(<[u8]>::trim_ascii).collect();
+    }
+    let reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).from_reader(line);
+    // Any bytes are a record.
+    reader.into_byte_records().next().and_then(Result::ok).unwrap_or_default()
 }
 
 /// The warnings about one file, of which only so many are kept: a file of nothing but faults is soon known for what it is.
@@ -351,6 +368,23 @@ mod tests {
         let checked = parse(b"index,x_mm\n0,1\n1,\xff\xfe\n2,3\n").unwrap();
         assert_eq!(checked.rows, [Reading(0, 1.0), Reading(2, 3.0)]);
         assert_eq!(checked.warnings[0].line, 3);
+    }
+
+    #[test]
+    fn lines_are_counted_however_they_end() {
+        for end in ["\n", "\r\n", "\r"] {
+            let text = ["index,x_mm", "0,1", "", "1,abc", "2,3"].join(end);
+            let (rows, warnings) = rows_and_warnings(&text);
+            assert_eq!(rows, [(0, 1.0), (2, 3.0)]);
+            assert_eq!(warnings, ["a.csv:4: x_mm is \"abc\", expected a number; row skipped"], "{end:?}");
+        }
+    }
+
+    #[test]
+    fn a_stray_quote_costs_its_own_row() {
+        let (rows, warnings) = rows_and_warnings("\"index\",x_mm\n0,1\n\"1,5\n\"2\", 3\n3,\"4\n4,5\n");
+        assert_eq!(rows, [(0, 1.0), (2, 3.0), (3, 4.0), (4, 5.0)]);
+        assert_eq!(warnings, ["a.csv:3: 1 fields, expected 2; row skipped"]);
     }
 
     #[test]

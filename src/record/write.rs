@@ -94,6 +94,20 @@ pub fn remove_abandoned(folder: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Whether an open file still is what its path leads to.
+#[cfg(unix)]
+pub fn is_at(file: &std::fs::File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let identity = |about: std::io::Result<std::fs::Metadata>| about.ok().map(|about| (about.dev(), about.ino()));
+    identity(file.metadata()) == identity(std::fs::metadata(path))
+}
+
+/// The same on systems that do not let go of the name of an open file.
+#[cfg(not(unix))]
+pub fn is_at(_: &std::fs::File, path: &Path) -> bool {
+    path.exists()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -140,10 +140,10 @@ fn estimate_follows_a_stem() {
     let sandbox = simulated();
     let ride = data("ride");
     sandbox.succeed(&format!("estimate {ride} -o out"));
-    let stem = sandbox.json(&format!("estimate --stem --model out/model.toml {ride} -o out"));
+    let stem = sandbox.json(&format!("estimate --stem --model out/model.toml {ride} -o stem"));
     let (phi, sd) = (number(&stem, "phi_deg"), number(&stem, "sd_phi_deg"));
     assert!((phi - 82.0).abs() < 3.0 * sd && sd < 20.0, "{phi} ± {sd}, the cone's is 82°");
-    assert_eq!(sandbox.rows("out/stem.csv"), 36);
+    assert_eq!(sandbox.rows("stem/stem.csv"), 36);
     assert!(sandbox.fail(&format!("estimate --stem {ride} -o out"), 2).contains("--model"));
 }
 

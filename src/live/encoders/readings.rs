@@ -21,7 +21,7 @@ const MAX_READINGS: usize = 120_000;
 /// refused. Convention.
 ///
 /// Convention: a step of a clock, not a jitter.
-const CLOCK_SET_BACK_S: f64 = 1.0;
+const CLOCK_SET_BACK_S: f64 = 0.25;
 /// Readings this long before the first bend and after the last are given to the estimation of the lag, s. Convention: longer than the
 /// longest lag that is tried.
 const AROUND_S: f64 = 1.0;
@@ -101,6 +101,7 @@ impl Readings {
                 return Err(format!("time_s {stamp_s} is not after {last_s}"));
             }
             self.stamped.clear();
+            self.offset.restart();
         }
         if let Some(arrival_s) = arrival_s {
             self.offset.observe(stamp_s, arrival_s);
@@ -229,6 +230,23 @@ mod tests {
         assert!(status.last_bad.unwrap().contains("4.9 is not after 5"));
         readings.take(b"1.0,3,0,0", None, 100.0);
         assert_eq!(found(readings.at(0, 1.0, 100.0))[0], 3.0);
+    }
+
+    #[test]
+    fn readings_are_paired_at_once_after_a_clock_was_set_back() {
+        let mut readings = Readings::new(3, None);
+        // The reading at each moment is its time, mm.
+        let mut error_mm = |from: u32, to: u32, back_s: f64| {
+            for k in from..to {
+                let time_s = f64::from(k) / 100.0;
+                readings.take(format!("{},{time_s},0,0", time_s - back_s).as_bytes(), Some(time_s + 0.001), 100.0);
+            }
+            let asked_s = f64::from(to - 1) / 100.0 - 0.05;
+            (found(readings.at(0, asked_s, 100.0))[0] - asked_s).abs()
+        };
+        assert!(error_mm(0, 1500, 0.0) < 0.002);
+        // Half a second: 20 readings later they are paired as before, to the delay of the line.
+        assert!(error_mm(1500, 1520, 0.5) < 0.002);
     }
 
     #[test]

@@ -100,8 +100,30 @@ function showGap(s) {
   }
 }
 
+function showTable(publication) {
+  const words = {
+    nothing: ["", "", ""],
+    current: ["good", "table: current", ""],
+    stale: ["bad", "table: stale", "The table in the folder is the last good one, and is not written anew: "],
+    withheld: ["bad", "no table", "No table is written: "],
+  };
+  const [kind, short, long] = words[publication.state];
+  by("chip-table").hidden = publication.state === "nothing";
+  chip("chip-table", kind, short);
+  put("publication", long && long + publication.reason + ".");
+}
+
+function showEnd(ended) {
+  for (const id of ["pause", "reference", "reset", "save"]) {
+    by(id).disabled = ended;
+    by(id).title = ended ? "The run is over." : "";
+  }
+}
+
 function show(s) {
+  if (!state || state.ended !== s.ended) showEnd(s.ended);
   state = s;
+  showTable(s.publication);
   showSource(s);
   showPace(s.pace);
   showEncoders(s.encoders);

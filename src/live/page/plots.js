@@ -4,10 +4,15 @@
 const plots = (() => {
   const SPAN_S = 60;
   const MOST_POINTS = 1500;
+  // Values further apart than this are not joined, s.
+  const PAUSE_S = 1.5;
+  // Of so few points each is drawn.
+  const FEW = 120;
   let rows = [];
 
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const faint = (hex) => hex + "33";
+  const or = (value) => (value === undefined ? null : value);
 
   // Keeps the latest minute, and starts anew where time goes back.
   function add(fresh) {
@@ -23,44 +28,45 @@ const plots = (() => {
     while (rows.length > 2 * MOST_POINTS) rows = rows.filter((_, k) => k % 2);
   }
 
-  // A gap in the line where there is no value; azimuths also break where they wrap around.
-  function column(of, wraps) {
+  // The values with their times. The line breaks (null) where there is no value or none for a while, and where an azimuth wraps around.
+  function series(of, wraps) {
+    const now = rows.length ? rows[rows.length - 1].time_s : 0;
+    const points = { x: [], y: [], rows: [] };
+    const push = (x, y, row) => { points.x.push(x); points.y.push(y); points.rows.push(row); };
     let last = null;
-    return rows.map((row) => {
-      const value = of(row);
-      const broken = wraps && last !== null && value !== null && Math.abs(value - last) > 180;
-      last = value;
-      return value === null || value === undefined || broken ? null : value;
-    });
+    for (const row of rows) {
+      const value = or(of(row));
+      const breaks = last && (value === null || row.time_s - last.time_s > PAUSE_S || (wraps && Math.abs(value - last.value) > 180));
+      if (breaks) push(row.time_s - now, null, null);
+      if (value !== null) push(row.time_s - now, value, row);
+      last = value === null ? null : { time_s: row.time_s, value };
+    }
+    return points;
   }
 
-  function line(y, name, dash) {
-    return { x: times(), y, type: "scatter", mode: "lines", line: { color: colour(name), width: 2, dash }, hovertemplate: "%{y:.4g}<extra></extra>" };
+  function line(of, name, dash, wraps) {
+    const { x, y } = series(of, wraps);
+    // Single points between breaks would not be seen in a line.
+    const mode = y.length > FEW ? "lines" : "lines+markers";
+    return { x, y, type: "scatter", mode, marker: { size: 4 }, line: { color: colour(name), width: 2, dash }, hovertemplate: "%{y:.4g}<extra></extra>" };
   }
 
   function band(of, sigma, name, wraps) {
-    const edge = (sign) => ({
-      x: times(), y: column((row) => (of(row) === null ? null : of(row) + sign * 2 * sigma(row)), wraps),
-      type: "scatter", mode: "lines", line: { width: 0 }, hoverinfo: "skip",
-    });
+    const { x, y, rows: of_rows } = series(of, wraps);
     // A band for each unbroken stretch, since a filled one must not lead across a gap.
-    const [low, high] = [edge(-1), edge(1)];
     const bands = [];
-    for (let from = 0; from < low.y.length; from++) {
-      if (low.y[from] === null) continue;
+    for (let from = 0; from < y.length; from++) {
+      if (y[from] === null) continue;
       let to = from;
-      while (to < low.y.length && low.y[to] !== null && high.y[to] !== null) to++;
-      const part = (edge) => ({ ...edge, x: edge.x.slice(from, to), y: edge.y.slice(from, to) });
-      bands.push(part(low), { ...part(high), fill: "tonexty", fillcolor: faint(colour(name)) });
+      while (to < y.length && y[to] !== null) to++;
+      const edge = (sign) => ({
+        x: x.slice(from, to), y: y.slice(from, to).map((value, k) => value + sign * 2 * sigma(of_rows[from + k])),
+        type: "scatter", mode: "lines", line: { width: 0 }, hoverinfo: "skip",
+      });
+      bands.push(edge(-1), { ...edge(1), fill: "tonexty", fillcolor: faint(colour(name)) });
       from = to;
     }
     return bands;
-  }
-
-  // Seconds before now.
-  function times() {
-    const now = rows.length ? rows[rows.length - 1].time_s : 0;
-    return rows.map((row) => row.time_s - now);
   }
 
   // Their indices, named in their colours beside the plot.
@@ -71,37 +77,36 @@ const plots = (() => {
     return indices;
   }
 
-  const or = (value) => (value === undefined ? null : value);
   const shown = {
     theta: () => [
-      ...band((r) => or(r.theta_deg), (r) => r.sigma_theta_deg, "--c1"),
-      line(column((r) => r.theta_deg), "--c1"), line(column((r) => r.expected_theta_deg), "--c2", "dot"),
+      ...band((r) => r.theta_deg, (r) => r.sigma_theta_deg, "--c1"),
+      line((r) => r.theta_deg, "--c1"), line((r) => r.expected_theta_deg, "--c2", "dot"),
     ],
     delta: () => [
       // Near straight the azimuth is anything: a band wider than the plot says nothing.
-      ...band((r) => or(r.delta_deg), (r) => Math.min(r.sigma_delta_deg, 90), "--c1", true),
-      line(column((r) => r.delta_deg, true), "--c1"), line(column((r) => r.expected_delta_deg, true), "--c2", "dot"),
+      ...band((r) => r.delta_deg, (r) => Math.min(r.sigma_delta_deg, 90), "--c1", true),
+      line((r) => r.delta_deg, "--c1", undefined, true), line((r) => r.expected_delta_deg, "--c2", "dot", true),
     ],
     eta: () => [
-      ...band((r) => (r.estimate ? r.estimate.eta : null), (r) => r.estimate.sd_eta, "--c1"),
-      line(column((r) => r.estimate && r.estimate.eta), "--c1"),
+      ...band((r) => r.estimate && r.estimate.eta, (r) => r.estimate.sd_eta, "--c1"),
+      line((r) => r.estimate && r.estimate.eta, "--c1"),
     ],
     lambda: () => [
-      ...band((r) => (r.estimate ? r.estimate.lambda_mm : null), (r) => r.estimate.sd_lambda_mm, "--c1"),
-      line(column((r) => r.estimate && r.estimate.lambda_mm), "--c1"),
+      ...band((r) => r.estimate && r.estimate.lambda_mm, (r) => r.estimate.sd_lambda_mm, "--c1"),
+      line((r) => r.estimate && r.estimate.lambda_mm, "--c1"),
     ],
     phi: () => [
-      ...band((r) => (r.stem ? r.stem.phi_deg : null), (r) => r.stem.sd_phi_deg, "--c1"),
-      line(column((r) => r.stem && r.stem.phi_deg), "--c1"),
+      ...band((r) => r.stem && r.stem.phi_deg, (r) => r.stem.sd_phi_deg, "--c1"),
+      line((r) => r.stem && r.stem.phi_deg, "--c1"),
     ],
-    residual: () => backbones().map((k) => line(column((r) => r.residual_mm && 1000 * r.residual_mm[k]), "--c" + (k + 1))),
-    latency: () => [line(column((r) => r.latency_ms), "--c1")],
+    residual: () => backbones().map((k) => line((r) => r.residual_mm && 1000 * r.residual_mm[k], "--c" + (k + 1))),
+    latency: () => [line((r) => r.latency_ms, "--c1")],
   };
 
   function draw() {
     if (!rows.length || document.hidden) return;
     const axis = { gridcolor: colour("--line"), zeroline: false, color: colour("--soft"), linecolor: colour("--line") };
-    const oldest = times()[0];
+    const oldest = rows[0].time_s - rows[rows.length - 1].time_s;
     for (const [name, traces] of Object.entries(shown)) {
       if (document.getElementById("plot-" + name).closest("[hidden]")) continue;
       const layout = {

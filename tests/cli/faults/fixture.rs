@@ -82,12 +82,12 @@ pub fn journal_rows(out: &Path) -> usize {
     lines.filter(|line| line.ends_with('\n')).count()
 }
 
-/// The content of all files below a folder, by their path in it.
+/// The content of all files below a folder, by their path in it; but for the folder's record, which names where the experiment is.
 pub fn bytes_below(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let pattern = format!("{}/**/*", glob::Pattern::escape(text(folder)));
     let hidden = format!("{}/**/.*", glob::Pattern::escape(text(folder)));
     let paths = [pattern, hidden].into_iter().flat_map(|pattern| glob::glob(&pattern).unwrap());
-    let files = paths.map(Result::unwrap).filter(|path| path.is_file());
+    let files = paths.map(Result::unwrap).filter(|path| path.is_file() && !path.ends_with(".snakeloop.toml"));
     files
         .map(|path| (path.strip_prefix(folder).unwrap().to_str().unwrap().to_owned(), fs::read(&path).unwrap()))
         .collect()

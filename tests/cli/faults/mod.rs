@@ -2,6 +2,7 @@
 //! but the frames in hand, and every output is whole or absent.
 
 mod fixture;
+mod outputs;
 
 use crate::program::{Sandbox, all_said, text};
 use fixture::{FRAMES, bytes_below, journal_rows, outputs, run, sandbox};

@@ -14,13 +14,13 @@ const ROUND_S: f64 = FRAMES as f64 / 3.0;
 
 /// A server that does its work for each visitor until it is dropped.
 pub struct Server {
-    address: SocketAddr,
+    pub address: SocketAddr,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Server {
-    fn start(
+    pub fn start(
         address: &str,
         serve: impl Fn(&mut TcpStream, &AtomicBool) -> std::io::Result<()> + Send + Sync + 'static,
     ) -> Self {
@@ -62,7 +62,7 @@ impl Drop for Server {
 }
 
 /// The share of the path at a moment.
-fn share(began: Instant) -> f64 {
+pub fn share(began: Instant) -> f64 {
     began.elapsed().as_secs_f64() / ROUND_S
 }
 

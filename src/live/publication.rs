@@ -1,0 +1,307 @@
+//! The gate before what live publishes: whether the model as it stands may replace the table in the folder.
+//!
+//! Encoders that stand still while the snake moves, a log that contradicts the picture, or a moment's wrong restart of the estimator give
+//! an η and λ that fit the last few measurements and nothing else. So the model is compared, on the last [`POSES`] poses that the snake
+//! took, with the naive one and with the one that was published last; and nothing is published while the gap is above noise or the
+//! encoders are stuck. What was published stays then, and is marked stale.
+
+use super::gap_monitor::{MEAN_SQUARE, NEW_POSE};
+use super::status::{GapState, PublicationState, PublicationStatus};
+use crate::estimate::bend_covariance;
+use crate::observation::Measured;
+use crate::robot::{Model, PerBackbone};
+use crate::statistics::moments::{mean, standard_deviation};
+use std::collections::VecDeque;
+
+/// Poses on which models are compared, each a new one ([`NEW_POSE`]) after the one before. Convention: as many as the gap monitor asks
+/// for before it tells anything.
+const POSES: usize = 50;
+
+/// A model is worse than another where the difference is more than so many standard errors.
+///
+/// Derived: chance alone exceeds it in one of 740 comparisons.
+const WORSE_SDS: f64 = 3.0;
+
+/// A measurement and its reading (mm), without what the model's effects did.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// When it was taken, s.
+    pub time_s: f64,
+    /// The bend seen.
+    pub measured: Measured,
+    /// The reading, mm.
+    pub q_mm: PerBackbone,
+}
+
+/// Why a model may not be published.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Withheld {
+    /// The reason's code, as verdicts name it.
+    pub code: &'static str,
+    /// The reason in a sentence.
+    pub text: String,
+}
+
+/// What the gate decides from.
+#[derive(Debug, Clone)]
+pub struct PublicationGate {
+    sd_encoder_mm: f64,
+    /// Whether η and λ are what is learned, and not the stem's angle, which the poses before do not tell.
+    compares: bool,
+    poses: VecDeque<Sample>,
+    gap: GapState,
+    /// Whether the encoders stand still while the snake moves.
+    is_stuck: bool,
+    /// The model that was published last.
+    published: Option<Model>,
+}
+
+impl PublicationGate {
+    /// A gate for readings of this standard deviation, mm. `compares` where η and λ are learned; `published` is what stands there.
+    pub fn new(sd_encoder_mm: f64, compares: bool, published: Option<Model>) -> Self {
+        Self { sd_encoder_mm, compares, poses: VecDeque::new(), gap: GapState::Unknown, is_stuck: false, published }
+    }
+
+    /// Takes a sample, where there is one, the gap after it, and whether the encoders are stuck.
+    pub fn add(&mut self, sample: Option<Sample>, gap: GapState, is_stuck: bool) {
+        (self.gap, self.is_stuck) = (gap, is_stuck);
+        let Some(sample) = sample else { return };
+        if is_stuck {
+            // Nor those before it was found out.
+            self.poses.retain(|pose| pose.q_mm != sample.q_mm);
+            return;
+        }
+        let bend = |sample: &Sample| sample.measured.configuration.bend_vector();
+        if self.poses.back().is_none_or(|last| (bend(&sample) - bend(last)).norm() >= NEW_POSE) {
+            if self.poses.len() == POSES {
+                self.poses.pop_front();
+            }
+            self.poses.push_back(sample);
+        }
+    }
+
+    /// The model that was published last.
+    pub fn published(&self) -> Option<&Model> {
+        self.published.as_ref()
+    }
+
+    /// Notes that a model was published.
+    pub fn publish(&mut self, model: Model) {
+        self.published = Some(model);
+    }
+
+    /// Whether a model may be published; why not, if it may not.
+    ///
+    /// # Errors
+    /// The reason.
+    pub fn judge(&self, model: &Model) -> Result<(), Withheld> {
+        let withheld = |code, text: String| Err(Withheld { code, text });
+        if self.is_stuck {
+            return withheld("encoder_stuck", "the encoders stand still while the snake moves".into());
+        }
+        if self.gap == GapState::Above {
+            return withheld("gap_above_noise", "the model leaves more of the measurements than their noise".into());
+        }
+        if !self.compares || self.poses.is_empty() {
+            return Ok(());
+        }
+        let left = self.squares(model);
+        let naive = self.squares(&Model { estimate: None, ..model.clone() });
+        let rms = |squares: &[f64]| {
+            format!("{:.4} mm", (mean(squares.iter().copied()) / model.robot.backbone_count() as f64).sqrt())
+        };
+        let seen = format!("of ε at the last {} poses the model leaves {}", self.poses.len(), rms(&left));
+        if is_worse(&left, &naive) {
+            return withheld("worse_than_naive", format!("{seen}, the naive one {}", rms(&naive)));
+        }
+        // A few poses cannot tell which of two models is better.
+        if let Some(published) = self.published.as_ref().filter(|_| 2 * self.poses.len() >= POSES) {
+            let before = self.squares(published);
+            let is_noise = mean(left.iter().copied()) <= MEAN_SQUARE * self.noise_square(model);
+            if !is_noise && is_worse(&left, &before) {
+                return withheld("stale", format!("{seen}, the one published before {}", rms(&before)));
+            }
+        }
+        Ok(())
+    }
+
+    /// What is to be shown of a decision.
+    pub fn status(&self, decided: &Result<(), Withheld>) -> PublicationStatus {
+        let (state, why) = match (decided, &self.published) {
+            (Ok(()), None) => (PublicationState::Nothing, None),
+            (Ok(()), Some(_)) => (PublicationState::Current, None),
+            (Err(why), None) => (PublicationState::Withheld, Some(why)),
+            (Err(why), Some(_)) => (PublicationState::Stale, Some(why)),
+        };
+        PublicationStatus { state, code: why.map(|why| why.code), reason: why.map(|why| why.text.clone()) }
+    }
+
+    /// At each pose what a model leaves of ε: the sum of the squares over the backbones, mm².
+    fn squares(&self, model: &Model) -> Vec<f64> {
+        let model = model.plain();
+        let left = |sample: &Sample| (sample.q_mm - model.command(sample.measured.configuration)).norm_squared();
+        self.poses.iter().map(left).collect()
+    }
+
+    /// What the noise of eye and encoders leaves of it at a pose, in the mean, mm².
+    fn noise_square(&self, model: &Model) -> f64 {
+        let by_bend = model.robot.displacement_by_bend();
+        let of_eye = |sample: &Sample| {
+            let covariance = bend_covariance(&sample.measured, sample.measured.configuration);
+            by_bend.iter().map(|by| by.dot(&(covariance * by))).sum::<f64>()
+        };
+        let of_encoders = model.robot.backbone_count() as f64 * self.sd_encoder_mm.powi(2);
+        mean(self.poses.iter().map(of_eye)) + of_encoders
+    }
+}
+
+/// Whether the first values are larger than the second, pose by pose, beyond chance: by the paired t-test.
+fn is_worse(values: &[f64], than: &[f64]) -> bool {
+    let differences: Vec<f64> = values.iter().zip(than).map(|(value, than)| value - than).collect();
+    let standard_error = standard_deviation(&differences) / (differences.len() as f64).sqrt();
+    let difference = mean(differences.iter().copied());
+    // What is no number is worse than anything.
+    difference.is_nan() || difference > WORSE_SDS * standard_error
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::Options;
+    use crate::geometry::Configuration;
+    use crate::live::online_estimator::OnlineEstimator;
+    use crate::observation::Waypoint;
+    use crate::robot::{Effect, Estimate};
+    use crate::simulate::{Plant, SimulatedEye};
+    use nalgebra::{Matrix2, Vector2};
+    use std::f64::consts::TAU;
+
+    /// A snake that goes round and round before camera and encoders, and what is learned from it.
+    struct Bench {
+        estimator: OnlineEstimator,
+        gate: PublicationGate,
+        plant: Plant,
+        seed: u64,
+        time_s: f64,
+    }
+
+    impl Bench {
+        /// The least time in which a frame comes, s.
+        const STEP_S: f64 = 0.05;
+
+        fn new(effects: Vec<Effect>) -> Self {
+            let truth = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
+            let model = Model { estimate: Some(truth), effects, ..Model::default() };
+            let options = Options { forgetting: 0.9995, ..Options::default() };
+            Self {
+                estimator: OnlineEstimator::new(Model::default(), options, None).unwrap(),
+                gate: PublicationGate::new(0.0015, true, None),
+                plant: Plant { model, sd_encoder_mm: 0.0015 },
+                seed: 1,
+                time_s: 0.0,
+            }
+        }
+
+        /// Goes on for so long, s; a round takes eight. Every frame's decision is looked at with the model it was made on.
+        fn go(
+            &mut self,
+            seconds: f64,
+            frozen: bool,
+            mut look: impl FnMut(&Model, Result<(), Withheld>, &mut PublicationGate),
+        ) {
+            let frames = (seconds / Self::STEP_S) as usize;
+            let waypoints: Vec<Waypoint> = (0..frames)
+                .map(|k| {
+                    let time_s = self.time_s + k as f64 * Self::STEP_S;
+                    let turn = time_s / 8.0 * TAU;
+                    let bend = Vector2::new(0.6 + 0.45 * turn.cos(), 0.5 * (1.1 * turn).sin());
+                    Waypoint { time_s, configuration: Configuration::from_bend_vector(bend) }
+                })
+                .collect();
+            let samples = self.plant.run(&waypoints, self.seed);
+            let measurements = SimulatedEye::default().observe(&samples, self.seed + 1);
+            for (sample, measurement) in samples.iter().zip(&measurements) {
+                let q_mm = if frozen { samples[0].reading.q_mm } else { sample.reading.q_mm };
+                let reading = crate::observation::EncoderReading { q_mm, ..sample.reading };
+                let update = self.estimator.update(measurement, Some(&reading));
+                self.gate.add(update.sample, update.gap.state, update.is_stuck);
+                let model = self.estimator.model();
+                if model.estimate.is_some() {
+                    let decided = self.gate.judge(&model);
+                    look(&model, decided, &mut self.gate);
+                }
+            }
+            (self.time_s, self.seed) = (self.time_s + seconds, self.seed + 2);
+        }
+
+        /// The largest error of a model's table up to 60°, mm.
+        fn error_mm(&self, model: &Model) -> f64 {
+            let poses = (0..36).map(|k| Configuration::from_degrees(20.0 * f64::from(k % 4), 10.0 * f64::from(k)));
+            poses.map(|psi| (model.command(psi) - self.plant.model.command(psi)).amax()).fold(0.0, f64::max)
+        }
+    }
+
+    #[test]
+    fn frozen_encoders_never_replace_a_good_table_and_it_is_taken_up_again_afterwards() {
+        for seed in [1, 100, 200, 300, 400] {
+            let mut bench = Bench { seed, ..Bench::new(vec![]) };
+            let keep = |model: &Model, decided: Result<(), Withheld>, gate: &mut PublicationGate| {
+                if decided.is_ok() {
+                    gate.publish(model.clone());
+                }
+            };
+            bench.go(20.0, false, keep);
+            let good = bench.gate.published().unwrap().clone();
+            assert!(bench.error_mm(&good) < 0.03, "{}", bench.error_mm(&good));
+            let (mut codes, mut worst) = (std::collections::BTreeSet::new(), 0f64);
+            let plant = Bench::new(vec![]);
+            bench.go(20.0, true, |model, decided, gate| match decided {
+                Ok(()) => {
+                    worst = worst.max(plant.error_mm(model));
+                    gate.publish(model.clone());
+                }
+                Err(why) => drop(codes.insert(why.code)),
+            });
+            assert!(worst < 0.03 && codes.contains("encoder_stuck"), "{worst} mm, {codes:?}");
+            let mut last = Ok(());
+            bench.go(20.0, false, |model, decided, gate| {
+                last = decided.clone();
+                keep(model, decided, gate);
+            });
+            assert_eq!(last, Ok(()), "seed {seed}");
+            assert!(bench.error_mm(bench.gate.published().unwrap()) < 0.03);
+        }
+    }
+
+    #[test]
+    fn nothing_is_published_while_the_gap_is_above_noise() {
+        let mut bench = Bench::new(vec![Effect::parse("load_directed_backlash:play_mm=0.15").unwrap()]);
+        let mut last = Ok(());
+        bench.go(60.0, false, |_, decided, _| last = decided);
+        let why = last.unwrap_err();
+        assert_eq!(why.code, "gap_above_noise");
+        let status = bench.gate.status(&Err(why));
+        assert_eq!((status.state, status.code), (PublicationState::Withheld, Some("gap_above_noise")));
+    }
+
+    #[test]
+    fn a_model_worse_than_the_naive_one_or_than_the_one_published_is_withheld() {
+        let mut bench = Bench::new(vec![]);
+        bench.go(20.0, false, |_, _, _| ());
+        let with = |eta, lambda_mm| {
+            let estimate = Estimate { eta, lambda_mm, covariance: Matrix2::zeros(), samples: 9 };
+            Model { estimate: Some(estimate), ..Model::default() }
+        };
+        let judged = |gate: &PublicationGate, model: &Model| gate.judge(model).map_err(|why| why.code);
+        assert_eq!(judged(&bench.gate, &with(1.221, 0.1765)), Ok(()));
+        assert_eq!(judged(&bench.gate, &with(-3.0, 0.1765)), Err("worse_than_naive"));
+        assert_eq!(judged(&bench.gate, &with(f64::NAN, 0.1765)), Err("worse_than_naive"));
+        assert_eq!(judged(&bench.gate, &with(1.1, 0.1765)), Ok(()), "better than nothing");
+        bench.gate.publish(with(1.221, 0.1765));
+        assert_eq!(judged(&bench.gate, &with(1.1, 0.1765)), Err("stale"));
+        // Another robot stands before the camera: the one published is wrong now.
+        bench.plant.model = with(1.5, 0.25);
+        bench.go(30.0, false, |_, _, _| ());
+        assert_eq!(judged(&bench.gate, &with(1.5, 0.25)), Ok(()));
+    }
+}

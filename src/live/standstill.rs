@@ -1,0 +1,67 @@
+//! Whether the encoders stand still while the snake moves: an encoder that lost its counter, a driver that repeats its last line.
+
+use super::gap_monitor::NEW_POSE;
+use super::publication::Sample;
+use crate::estimate::bend_covariance;
+use crate::observation::Measured;
+use crate::robot::PerBackbone;
+
+/// Readings stand still that change by no more than so many standard deviations of a difference of two.
+///
+/// Derived: normal noise exceeds it once in 5·10⁸ differences.
+const STILL_SDS: f64 = 6.0;
+/// The bend is looked at once the readings have stood still for this time, s. Convention: longer than a picture is behind its encoders.
+const SETTLE_S: f64 = 1.0;
+/// The bend has moved where it changed by more than so many standard deviations.
+///
+/// Derived: two normal errors of the eye exceed it once in 25,000 measurements (exp(−4.5²/2)).
+const MOVED_SDS: f64 = 4.5;
+/// Measurements that must have moved. Convention: one or two may be wrong, by a hand or a reflection in the picture.
+const LEAST_MOVED: usize = 3;
+
+/// Compares what readings and bends do.
+#[derive(Debug, Clone)]
+pub struct Standstill {
+    still_mm: f64,
+    /// Where the readings stand, mm, and since when, s.
+    since: Option<(PerBackbone, f64)>,
+    /// The bend once they had settled.
+    settled: Option<Measured>,
+    moved: usize,
+}
+
+impl Standstill {
+    /// Before the first reading, of this standard deviation, mm.
+    pub fn new(sd_encoder_mm: f64) -> Self {
+        let still_mm = STILL_SDS * 2f64.sqrt() * sd_encoder_mm;
+        Self { still_mm, since: None, settled: None, moved: 0 }
+    }
+
+    /// Takes the next sample, and says whether the readings have moved.
+    pub fn add(&mut self, sample: &Sample) -> bool {
+        let Some((q_mm, since_s)) = self.since.filter(|(q_mm, _)| (sample.q_mm - *q_mm).amax() <= self.still_mm) else {
+            *self = Self { since: Some((sample.q_mm, sample.time_s)), settled: None, moved: 0, ..*self };
+            return true;
+        };
+        // A clock that was set back begins anew.
+        self.since = Some((q_mm, since_s.min(sample.time_s)));
+        if sample.time_s - since_s >= SETTLE_S {
+            let settled = self.settled.get_or_insert(sample.measured);
+            self.moved += usize::from(has_moved(settled, &sample.measured));
+        }
+        false
+    }
+
+    /// Whether the snake moved while the readings stood still.
+    pub fn is_stuck(&self) -> bool {
+        self.moved >= LEAST_MOVED
+    }
+}
+
+/// Whether two bends differ by a pose, and by more than the eye's errors.
+fn has_moved(from: &Measured, to: &Measured) -> bool {
+    let step = to.configuration.bend_vector() - from.configuration.bend_vector();
+    let covariance = bend_covariance(from, from.configuration) + bend_covariance(to, to.configuration);
+    let certain = || covariance.cholesky().is_some_and(|factor| step.dot(&factor.solve(&step)) > MOVED_SDS.powi(2));
+    step.norm() >= NEW_POSE && certain()
+}
