@@ -13,6 +13,7 @@ use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::estimate::gap::{Gap, gap_of};
 use crate::estimate::{estimate_each, or_one_gain};
+use crate::input::read_text;
 use crate::observation::EncoderReading;
 use crate::record::{
     Checked, Experiment, MeasurementRows, OutputFolder, PendingFile, Warning, estimate_line, estimates_header,
@@ -21,7 +22,7 @@ use crate::record::{
 use crate::report::run_history::RunHistory;
 use crate::report::run_page::Report;
 use crate::robot::{Grid, Model};
-use crate::verdict::{Subject, Verdict};
+use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -178,7 +179,10 @@ pub fn finish(
     let wiring = experiment.wiring(backbones)?;
     let judged = subject(&model, experiment, wiring, settings.estimator.options(1.0).sd_encoder_mm);
     let verdict = Subject { used_and_rejected, replaced, ..judged }.verdict(rows()?, encoders)?;
+    let former = former_to_keep(output, &verdict);
+    let verdict = former.into_iter().fold(verdict, Verdict::and);
     let table = match model.estimate {
+        Some(_) if verdict.has(Code::Stale) => None,
         Some(_) => {
             write_judged_model(&output.join("model.toml"), &model, &verdict)?;
             let table = write_judged_compensation(output, &model, "model.toml", &Grid::default(), &verdict)?;
@@ -187,7 +191,7 @@ pub fn finish(
         None => None,
     };
     // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
-    if model.estimate.is_some() || !output.join("model.toml").exists() {
+    if table.is_some() || !output.join("model.toml").exists() {
         estimates.commit()?;
     }
     let naive = Model { estimate: None, ..model.clone() };
@@ -217,6 +221,17 @@ pub fn finish(
     };
     write_atomically(&output.join("report.html"), report.html().as_bytes())?;
     Ok(summary)
+}
+
+/// Where an earlier run left a model that could be used, and this one's must not be: the reason to keep the former.
+fn former_to_keep(output: &Path, verdict: &Verdict) -> Option<Reason> {
+    let table = read_text(&output.join("compensation.json")).ok()?;
+    let table: serde_json::Value = serde_json::from_str(&table).ok()?;
+    let was_usable = matches!(table["verdict"]["level"].as_str()?, "good" | "look");
+    (was_usable && verdict.level == Level::DoNotUse && output.join("model.toml").exists()).then(|| {
+        let text = "model.toml and the tables are an earlier run's and stay, since this one's must not be used; they are stale";
+        Reason::new(Code::Stale, Level::Look, text, "put right what is named above, or write to another folder")
+    })
 }
 
 /// The name of the experiment's folder.

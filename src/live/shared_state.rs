@@ -6,6 +6,7 @@ use super::status::{Row, State};
 use crate::estimate::Verdict;
 use crate::observation::Measurement;
 use crate::robot::Model;
+use crate::verdict::Code;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -103,11 +104,15 @@ impl SharedState {
     /// The model to command by: the one as it stands where that may be published, else the one published last, if there is one. With it
     /// whether the one as it stands may be published.
     pub fn model_to_command_by(&self) -> (Option<Model>, Result<(), Withheld>) {
-        let (model, gate) = {
+        let (model, gate, miswired) = {
             let shared = self.lock();
-            (shared.model.clone(), shared.gate.clone())
+            let miswired = shared.state.verdict.reasons.iter().find(|reason| reason.code == Code::Wiring).cloned();
+            (shared.model.clone(), shared.gate.clone(), miswired)
         };
-        let decided = gate.judge(&model);
+        let decided = match miswired {
+            Some(reason) => Err(Withheld { code: reason.code, text: reason.text }),
+            None => gate.judge(&model),
+        };
         let to_command_by = if decided.is_ok() { Some(model) } else { gate.published().cloned() };
         (to_command_by, decided)
     }

@@ -352,7 +352,7 @@ pub struct PublicationStatus {
     /// The state.
     pub state: PublicationState,
     /// Why the model may not be published: a code of the verdict's.
-    pub code: Option<&'static str>,
+    pub code: Option<Code>,
     /// The same in a sentence.
     pub reason: Option<String>,
 }

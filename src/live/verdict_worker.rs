@@ -2,10 +2,10 @@
 
 use super::low_priority::lower_priority;
 use super::shared_state::SharedState;
-use super::status::nothing_judged;
+use super::status::{PublicationState, PublicationStatus, nothing_judged};
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
-use crate::verdict::Subject;
+use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -62,5 +62,20 @@ fn judge(shared: &SharedState, sd_encoder_mm: f64, measurements: &[Measurement],
     let subject = Subject { used_and_rejected: Some((used, rejected)), ..Subject::new(&model, sd_encoder_mm) };
     let Ok(verdict) = subject.verdict(measurements.iter().cloned().map(Ok::<_, Infallible>), readings);
     let verdict = if measurements.is_empty() { nothing_judged() } else { verdict };
-    shared.lock().state.verdict = verdict;
+    let mut shared = shared.lock();
+    shared.state.verdict = with_publication(verdict, &shared.state.publication);
+}
+
+/// The verdict with what keeps the table from being written, and what became of the one that stands there.
+fn with_publication(verdict: Verdict, publication: &PublicationStatus) -> Verdict {
+    let (Some(code), Some(text)) = (publication.code, &publication.reason) else { return verdict };
+    let remedy = "look at encoders and camera; the table is written again once the model explains what is measured";
+    // A mistake in the wiring is the verdict's own finding, which is made anew each time.
+    let is_told = verdict.has(code) || code == Code::Wiring;
+    let verdict = if is_told { verdict } else { verdict.and(Reason::new(code, Level::DoNotUse, text.clone(), remedy)) };
+    if publication.state != PublicationState::Stale || code == Code::Stale {
+        return verdict;
+    }
+    let text = "the table in the folder is the last good one, and is not written anew";
+    verdict.and(Reason::new(Code::Stale, Level::Look, text, "command by it with care until it is current again"))
 }

@@ -56,6 +56,7 @@ fn of_two_runs_started_together_one_gets_in() {
         assert_eq!(refused, 1, "{both:?}");
     }
     // One frame gives no estimate: nothing that looks like one stands beside what an earlier run left.
+    let _ = fs::remove_file(sandbox.join("out0/estimate.csv"));
     fs::write(sandbox.join("out0/model.toml"), "an earlier run's").unwrap();
     assert!(sandbox.fail("run bending -o out0", 1).contains("give no estimate"));
     assert!(!sandbox.join("out0/estimate.csv").exists());
