@@ -121,7 +121,7 @@ fn turned_and_mirrored_azimuths_are_named() {
     for (given_deg, right_deg, cause) in
         [(-40.0, 40.0, "wrong sign"), (0.7, 40.107, "radians"), (0.0, 75.0, "elsewhere")]
     {
-        let off = (given_deg - right_deg) as f64;
+        let off: f64 = given_deg - right_deg;
         let lab = Lab { offset_deg: given_deg, ..Lab::new(7).azimuths(|delta| delta + off.to_radians()) };
         let reason = first(&lab);
         let offset = reason.suggestion.as_ref().unwrap().delta_offset_deg.unwrap();
@@ -139,7 +139,8 @@ fn a_late_clock_is_told_and_dead_encoders_are() {
     }
     let verdict = lab.verdict();
     assert_eq!(verdict.reasons[0].code, Code::Clock, "{verdict:#?}");
-    let dead: [(fn(&PerBackbone) -> [f64; 3], &str); 3] = [
+    type Spoilt = fn(&PerBackbone) -> [f64; 3];
+    let dead: [(Spoilt, &str); 3] = [
         (|q| [q[0], q[1], 0.25], "q3 stands still"),
         (|q| [q[0], q[1], q[1]], "q3 repeats q2"),
         (|_| [0.1, 0.2, 0.3], "stand still"),
