@@ -23,6 +23,7 @@ mod measurement;
 mod rig;
 mod sequence;
 mod several;
+mod straight;
 mod target;
 
 pub use body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
@@ -31,6 +32,7 @@ pub use eye::Eye;
 pub use fit::{EdgeBias, UNKNOWN_SHAPE_RAD};
 pub use image::appearance::Appearance;
 pub use measurement::{Bend, FrameMeasurement};
-pub use rig::{CalibrationStep, Rig, RigError, RigOptions, SnakePart, calibrate_rig};
+pub use rig::{CalibrationStep, Rig, RigError, RigOptions, SnakePart};
 pub use several::fused;
+pub use straight::calibrate_rig;
 pub use target::{GridPattern, PatternKind};

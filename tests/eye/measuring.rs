@@ -149,6 +149,33 @@ fn a_wrong_standoff_or_a_bent_snake_is_refused_with_a_reason() {
     assert!(calibrate_rig(&straight, &scene.lens, &scene.robot, &wrong).is_err());
 }
 
+/// In half the picture's size the grid's lines are beside the whole outline of a straight snake.
+#[test]
+fn a_bent_snake_is_no_straight_one_in_a_small_picture_either() {
+    let scene = smaller(laboratory(), 2);
+    for (seed, delta_deg) in (0..).zip([-150.0, -90.0, 0.0, 90.0, 180.0]) {
+        let bent = frame(&scene, Configuration::from_degrees(40.0, delta_deg), seed);
+        let error = calibrate_rig(&bent, &scene.lens, &scene.robot, &rig_options(&scene)).map(drop).unwrap_err();
+        assert!(error.to_string().contains("unbent"), "δ {delta_deg}°: {error}");
+    }
+}
+
+/// A clamp's end: 16 mm of holder, of which all is in the picture, beside a hard shadow or without.
+#[test]
+fn a_holder_that_ends_within_the_picture_is_found() {
+    for shadow in [0.0, 0.5] {
+        let mut scene = laboratory();
+        scene.robot.line.holder_length_mm = 16.0;
+        scene.view.base_mm = [0.0, 2.0, 340.0];
+        (scene.light.shadow, scene.light.shadow_blur_mm) = (shadow, 0.2);
+        let straight = frame(&scene, STRAIGHT, 7);
+        let end = scene.view.camera_from_base() * nalgebra::Point3::new(0.0, 0.0, -16.0);
+        assert!(scene.lens.contains(&scene.lens.project(&end), 20.0), "the holder's end must be in the picture");
+        let rig = calibrate_rig(&straight, &scene.lens, &scene.robot, &rig_options(&scene)).unwrap();
+        check_poses(&eye_with(&scene, rig), &scene, &[(40.0, 0.0), (60.0, 120.0), (30.0, -100.0)], 0.5, 1.0);
+    }
+}
+
 /// A small picture tells less, to a degree or a few, but not nothing: bends in the view's plane and askew.
 #[test]
 fn a_picture_of_a_quarter_of_the_size_is_measured() {

@@ -5,7 +5,7 @@ use crate::camera::Lens;
 use crate::geometry::Pose;
 use crate::measure::image::plane::Region;
 use crate::robot::{BendProfile, Curve, Robot};
-use nalgebra::{Point2, Point3, Vector3};
+use nalgebra::{Point2, Point3, Vector2, Vector3};
 
 /// Distance between the points of the snake's axis from which its region of the picture is drawn, mm.
 ///
@@ -45,6 +45,12 @@ impl<'a> Projection<'a> {
     /// The pixel of a point of the holder, which does not bend.
     pub(crate) fn holder_pixel(&self, point: &BodyPoint) -> Point2<f64> {
         self.lens.project(&(self.camera_from_base * Point3::from(point.local + Vector3::new(0.0, 0.0, point.s_mm))))
+    }
+
+    /// Where the middle of the modelled holder's lower end is seen, px, and the direction in the picture from there to the snake.
+    pub(crate) fn holder_end(&self) -> (Point2<f64>, Vector2<f64>) {
+        let at = |z_mm: f64| self.holder_pixel(&BodyPoint { s_mm: 0.0, local: Vector3::new(0.0, 0.0, z_mm) });
+        (at(-HOLDER_MM), (at(0.0) - at(-HOLDER_MM)).normalize())
     }
 
     /// The part of the picture that the body covers, and `reach_px` around it.

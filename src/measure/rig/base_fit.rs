@@ -61,6 +61,11 @@ const LEAST_AGREEING: f64 = 0.5;
 ///
 /// Fitted: by hand on the project's renders (tests/eye/robustness); not judged elsewhere.
 const MOST_BIAS_PX: f64 = 0.8;
+/// Edges that scatter by more than this about the model, px, are not its own; blurred ones scatter by as much more as they are wider than
+/// a pixel.
+///
+/// Derived: half of the 3 px/√3 by which edges at random within the last search scatter.
+const MOST_RMS_PX: f64 = 0.87;
 /// A camera whose direction is less certain than this, rad (1σ), was not found.
 ///
 /// Fitted: to the rigs of tests/eye/robustness (`cargo test --release --no-default-features --test eye robustness -- --ignored`), where a grid in good view tells it to
@@ -77,6 +82,10 @@ const WELL_PLACED_PX: f64 = 5.0;
 /// Fitted: by hand to the rms errors of tests/eye/uncertainty; not judged elsewhere.
 const BORDER_PX: f64 = 2.0;
 const BORDER_WEIGHT: f64 = 20.0;
+/// Half the width of the strip below the modelled holder that is left out, in diameters of the holder.
+///
+/// Convention: its half width, and as much again.
+const BELOW_HOLDER: f64 = 1.0;
 /// The shares of snake that pixels at the border have, once the silhouette is blurred by that.
 ///
 /// Convention: ±1.6 σ of the blur.
@@ -86,7 +95,8 @@ const BORDER_SHARES: std::ops::Range<f32> = 0.05..0.95;
 /// Convention: far below what edges tell, far above rounding.
 const STEPS: [f64; PLACEMENT + BIASES] = [1e-4, 1e-4, 1e-5, 1e-4, 1e-5, 1e-3, 1e-3, 1e-3];
 
-const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
+/// The bend of a straight snake.
+pub const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
 
 /// The picture of the straight snake, and what is known about it.
 #[derive(Clone, Copy)]
@@ -155,7 +165,7 @@ impl<'a> BaseFit<'a> {
         // The model's own outline tells which pixels are snake, the better the better it lies.
         if round.is_multiple_of(LEARNING_ROUNDS) || self.learned.is_none() {
             let frame = self.picture.frame;
-            let appearance = appearance_of(frame, &outline, search_px <= WELL_PLACED_PX);
+            let appearance = appearance_of(frame, &view, &outline, search_px <= WELL_PLACED_PX);
             self.learned = appearance.map(|appearance| {
                 let plane = appearance.plane(frame);
                 (appearance, plane)
@@ -250,6 +260,10 @@ impl<'a> BaseFit<'a> {
             let least_agreeing = LEAST_AGREEING;
             return Err(RigError::ModelDisagrees { agreeing, least_agreeing, bias_px, most_bias_px, rms_px });
         }
+        let most_rms_px = MOST_RMS_PX * edges.blur_px.max(1.0);
+        if rms_px > most_rms_px {
+            return Err(RigError::EdgesScattered { rms_px, most_rms_px });
+        }
         Ok(())
     }
 }
@@ -279,16 +293,26 @@ fn check_visibility(visibility: &PartVisibility, robot: &Robot) -> Result<(), Ri
 }
 
 /// What tells snake from target, learned from inside and outside of the outline: of one that is well placed, at its border above all.
-fn appearance_of(frame: &Frame, outline: &Outline, is_well_placed: bool) -> Option<Appearance> {
+///
+/// The holder goes on below what is modelled of it, for how far nobody knows: what lies there is neither.
+pub fn appearance_of(frame: &Frame, view: &Projection, outline: &Outline, is_well_placed: bool) -> Option<Appearance> {
     let (x0, y0, x1, y1) = outline.bounds();
     let margin = x1 - x0;
     let silhouette = is_well_placed.then(|| outline.blurred_silhouette(BORDER_PX));
     let is_at_border = |pixel: &Point2<f64>| {
         silhouette.as_ref().is_some_and(|silhouette| BORDER_SHARES.contains(&silhouette.sample(pixel)))
     };
+    let (end, axis) = view.holder_end();
+    let half_width_px = BELOW_HOLDER * view.diameter_px();
+    let is_below_holder = |pixel: &Point2<f64>| {
+        let from_end = pixel - end;
+        axis.dot(&from_end) < 0.0 && axis.perp(&from_end).abs() < half_width_px
+    };
     Appearance::learn(frame, |x, y| {
         let pixel = Point2::new(f64::from(x), f64::from(y));
         let near = pixel.x > x0 - margin && pixel.x < x1 + margin && pixel.y > y0 - margin && pixel.y < y1 + margin;
-        near.then(|| (outline.covers(&pixel), if is_at_border(&pixel) { BORDER_WEIGHT } else { 1.0 }))
+        let is_snake = outline.covers(&pixel);
+        let is_known = near && (is_snake || !is_below_holder(&pixel));
+        is_known.then(|| (is_snake, if is_at_border(&pixel) { BORDER_WEIGHT } else { 1.0 }))
     })
 }

@@ -1,5 +1,6 @@
 //! Calibrates a rig from a picture of the straight snake before the grid target.
 
+use super::alignment::aligned_starts;
 use super::background::Colours;
 use super::base_fit::{STANDOFF_SIGMA_MM, StraightPicture, fit_base};
 use super::error::{CalibrationStep, RigError};
@@ -10,6 +11,8 @@ use super::scale::{contradiction, pattern_of};
 use crate::camera::{Frame, Lens};
 use crate::measure::target::{Grid, find_grid};
 use crate::robot::Robot;
+use nalgebra::Point2;
+use std::ops::RangeInclusive;
 
 /// A snake further from where the standoff puts it than this many times the standoff's precision contradicts what was stated.
 ///
@@ -20,85 +23,137 @@ const FAR_OFF_SIGMAS: f64 = 15.0;
 ///
 /// Fitted: by hand to the rigs of tests/eye/robustness; not judged elsewhere.
 const WIDTHS: [(f64, f64); 3] = [(0.85, 2.2), (1.25, 2.2), (0.45, 0.85)];
-/// Grids whose distances differ by less than this share are the same.
+/// Ranges of the pitch that begin and end within this share of each other's are one.
 ///
-/// Convention: half the least step between the searches.
-const SAME_GRID: f64 = 0.05;
-/// Disks by which the snake's start may be off, nearest first: disks look alike, and a start may lie between them.
+/// Convention: far less than they are wide.
+const SAME_RANGE: f64 = 0.15;
+/// Starts of snakes whose places and widths differ by less than this share of the width are the same.
 ///
-/// Convention: two disks either way; more would be more than the holder's end is ever off.
-const DISKS_OFF: [f64; 8] = [-1.0, 1.0, -0.5, 0.5, -1.5, 1.5, -2.0, 2.0];
+/// Convention: what follows searches further than that.
+const SAME_START: f64 = 0.1;
 /// Other pitches, in units of the one that was stated, with which it may be plain what is wrong.
 ///
 /// Convention: every other line missing, or as many between.
 const OTHER_PITCHES: [f64; 2] = [0.5, 2.0];
 
-/// Calibrates a rig from a picture of the straight snake before the grid target.
+/// Finds the rig in a picture of the straight snake before the grid target.
 ///
 /// 1. The snake is the large, long object that is unlike the target; its width tells the scale. Where there are several,
 ///    each is tried in turn.
 /// 2. The grid near the pitch that this scale predicts gives the camera's pose to the target.
-/// 3. The snake lies parallel to the target, `standoff_mm` before it; its edges give the base's place and direction, and
-///    refine standoff and parallelism within what a ruler can do.
+/// 3. The snake lies parallel to the target, `standoff_mm` before it; its silhouette tells where along its axis it begins, and its
+///    edges give the base's place and direction, and refine standoff and parallelism within what a ruler can do.
 ///
 /// # Errors
 ///
 /// Why the try that came furthest ended, with the values that tell.
-pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOptions) -> Result<Rig, RigError> {
+pub fn find_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOptions) -> Result<Rig, RigError> {
     if (frame.width, frame.height) != (lens.width, lens.height) {
         let (picture_px, lens_px) = ([frame.width, frame.height], [lens.width, lens.height]);
         return Err(RigError::WrongSize { picture_px, lens_px });
     }
     let pictures = Colours::of(frame);
-    let (mut holders, mut refused) = (Vec::new(), None);
+    let (mut holders, mut refused): (Vec<(&Colours, Holder)>, _) = (Vec::new(), None);
     for colours in &pictures {
         match locate_holders(frame, colours) {
             Ok(found) => holders.extend(found.into_iter().map(|holder| (colours, holder))),
             Err(error) => refused = Some(error.or_further(refused)),
         }
     }
+    let mut search = Search::default();
     for (colours, holder) in &holders {
-        match calibrate_from(StraightPicture { frame, lens, robot, options }, colours, holder) {
+        let picture = StraightPicture { frame, lens, robot, options };
+        match calibrate_from(picture, colours, holder, &mut search) {
             Ok(rig) => return Ok(rig),
             Err(error) => refused = Some(error.or_further(refused)),
         }
     }
-    for factor in OTHER_PITCHES {
-        if refused.as_ref().is_some_and(|error| error.step() == CalibrationStep::Scale) {
-            break;
-        }
-        let other = RigOptions { grid_pitch_mm: factor * options.grid_pitch_mm, ..*options };
-        let picture = StraightPicture { frame, lens, robot, options: &other };
-        let rig = holders.iter().find_map(|(colours, holder)| calibrate_from(picture, colours, holder).ok());
-        refused = rig.map(|rig| contradiction(robot, options, &rig)).or(refused);
+    let contradicted = || search.contradiction(StraightPicture { frame, lens, robot, options }, &holders);
+    match refused {
+        Some(error) if error.step() < CalibrationStep::Scale => Err(contradicted().unwrap_or(error)),
+        error => Err(error.unwrap_or(RigError::NoObject)),
     }
-    Err(refused.unwrap_or(RigError::NoObject))
+}
+
+/// What was found and tried so far: objects of other colours lead to the same grids and snakes.
+#[derive(Default)]
+struct Search {
+    /// Holders, the range of the pitch, px, and the grid that was found in it.
+    grids: Vec<(Holder, RangeInclusive<f64>, Option<Grid>)>,
+    /// Where a snake of which width was looked for.
+    starts: Vec<(Point2<f64>, f64)>,
+}
+
+impl Search {
+    /// The grid beside a holder with a pitch in a range, px.
+    fn grid(&mut self, picture: StraightPicture, holder: &Holder, range: &RangeInclusive<f64>) -> Option<Grid> {
+        let is_near = |a: f64, b: f64| (a / b - 1.0).abs() < SAME_RANGE;
+        let known = self.grids.iter().find(|(other, searched, _)| {
+            let is_same_range = is_near(*searched.start(), *range.start()) && is_near(*searched.end(), *range.end());
+            is_same_range && other.covers_like(holder)
+        });
+        if let Some((_, _, grid)) = known {
+            return grid.clone();
+        }
+        let pitch_mm = picture.options.grid_pitch_mm;
+        let grid = find_grid(picture.frame, picture.lens, pitch_mm, range, holder.axis, |p| holder.covers(p));
+        self.grids.push((holder.clone(), range.clone(), grid.clone()));
+        grid
+    }
+
+    /// Whether this is the first start there.
+    fn is_new(&mut self, start: &SnakeStart, width_px: f64) -> bool {
+        let near_px = SAME_START * width_px;
+        let is_new = self
+            .starts
+            .iter()
+            .all(|(base, width)| (base - start.base).norm() > near_px || (width - width_px).abs() > near_px);
+        if is_new {
+            self.starts.push((start.base, width_px));
+        }
+        is_new
+    }
+
+    /// The contradiction of a snake that fits before a grid that was found, if its lines are half or twice as far apart as was stated.
+    fn contradiction(&self, picture: StraightPicture, holders: &[(&Colours, Holder)]) -> Option<RigError> {
+        let (colours, holder) = holders.first()?;
+        let StraightPicture { robot, options, .. } = picture;
+        OTHER_PITCHES.into_iter().find_map(|factor| {
+            let other = RigOptions { grid_pitch_mm: factor * options.grid_pitch_mm, ..*options };
+            let picture = StraightPicture { options: &other, ..picture };
+            let grids = self.grids.iter().filter_map(|(_, _, grid)| Some(grid.as_ref()?.with_pitch_times(factor)));
+            let mut calibrated = grids.filter_map(|grid| {
+                let mut afresh = Self::default();
+                calibrate_on(picture, colours, holder, &grid, &mut afresh).ok()
+            });
+            calibrated.next().map(|rig| contradiction(robot, options, &rig))
+        })
+    }
 }
 
 /// Calibrates the rig if this is the holder.
-fn calibrate_from(picture: StraightPicture, colours: &Colours, holder: &Holder) -> Result<Rig, RigError> {
-    let StraightPicture { frame, lens, robot, options } = picture;
+fn calibrate_from(
+    picture: StraightPicture,
+    colours: &Colours,
+    holder: &Holder,
+    search: &mut Search,
+) -> Result<Rig, RigError> {
+    let StraightPicture { lens, robot, options, .. } = picture;
     let pitch_px = |width_px: f64| {
         let distance_mm = lens.focal_px.x * robot.body.disk_diameter_mm / width_px;
         lens.focal_px.x * options.grid_pitch_mm / (distance_mm + options.standoff_mm)
     };
     let mut refused = None;
-    let mut tried: Vec<f64> = Vec::new();
     for (narrowest, widest) in WIDTHS {
         let range = pitch_px(narrowest * holder.width_px)..=pitch_px(widest * holder.width_px);
-        let grid = find_grid(frame, lens, options.grid_pitch_mm, &range, holder.axis, |p| holder.covers(p));
-        let Some(grid) = grid else {
-            let pitch_px = [*range.start(), *range.end()];
-            let error = RigError::NoGrid { grid_pitch_mm: options.grid_pitch_mm, pitch_px };
-            refused = Some(error.or_further(refused));
-            continue;
+        let outcome = match search.grid(picture, holder, &range) {
+            Some(grid) => calibrate_on(picture, colours, holder, &grid, search),
+            None => {
+                let pitch_px = [*range.start(), *range.end()];
+                Err(RigError::NoGrid { grid_pitch_mm: options.grid_pitch_mm, pitch_px })
+            }
         };
-        let distance_mm = grid.distance_mm(&lens.ray(&holder.root));
-        if tried.iter().any(|other| (distance_mm / other - 1.0).abs() < SAME_GRID) {
-            continue;
-        }
-        tried.push(distance_mm);
-        match calibrate_on(picture, colours, holder, &grid) {
+        match outcome {
             Ok(rig) => return Ok(rig),
             Err(error) => refused = Some(error.or_further(refused)),
         }
@@ -107,7 +162,13 @@ fn calibrate_from(picture: StraightPicture, colours: &Colours, holder: &Holder) 
 }
 
 /// Calibrates the rig if these are the holder and the grid.
-fn calibrate_on(picture: StraightPicture, colours: &Colours, holder: &Holder, grid: &Grid) -> Result<Rig, RigError> {
+fn calibrate_on(
+    picture: StraightPicture,
+    colours: &Colours,
+    holder: &Holder,
+    grid: &Grid,
+    search: &mut Search,
+) -> Result<Rig, RigError> {
     let StraightPicture { lens, robot, options, .. } = picture;
     // The snake is nearer than the grid by the standoff; where it is cut by the border its holder is this wide.
     let target_mm = grid.distance_mm(&lens.ray(&holder.root));
@@ -115,14 +176,20 @@ fn calibrate_on(picture: StraightPicture, colours: &Colours, holder: &Holder, gr
     if distance_mm <= 0.0 {
         return Err(RigError::BehindCamera { target_mm, standoff_mm: options.standoff_mm });
     }
-    let start = find_start(colours, holder, lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm)?;
-    // Where the first start ends in a snake that is not all there, it may be a disk or two off, or between them.
-    let pitch_px = lens.focal_px.x * robot.disk_pitch_mm() / distance_mm;
-    let moved = |disks: f64| SnakeStart { base: start.base + start.axis * (disks * pitch_px), axis: start.axis };
-    fit_at(picture, &start, grid).or_else(|error| {
-        let mut others = DISKS_OFF.into_iter();
-        others.find_map(|disks| fit_at(picture, &moved(disks), grid).ok()).ok_or(error)
-    })
+    let width_px = lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm;
+    let rough = find_start(colours, holder, width_px)?;
+    if !search.is_new(&rough, width_px) {
+        return Err(RigError::NoHolder { width_px });
+    }
+    let starts = aligned_starts(picture, &rough, grid);
+    let mut refused = None;
+    for start in starts {
+        match fit_at(picture, &start, grid) {
+            Ok(rig) => return Ok(rig),
+            Err(error) => refused = refused.or(Some(error)),
+        }
+    }
+    Err(refused.unwrap_or(RigError::NoContrast))
 }
 
 /// Fits the snake from a start, and checks the scale.

@@ -41,8 +41,10 @@ pub enum RigError {
     /// Nothing stands out from the grid target.
     #[error("no object stands out from the grid target; is the snake in the picture?")]
     NoObject,
-    /// What stands out is no holder: no border of the picture cuts it.
-    #[error("the object that stands out does not reach the picture's border, as the snake's holder would")]
+    /// What stands out is no holder: no border of the picture cuts it, and it is not long.
+    #[error(
+        "the object that stands out neither reaches the picture's border nor is it long, as a snake on its holder is"
+    )]
     ObjectWithinBorders,
     /// What stands out is too large to be a holder.
     #[error(
@@ -84,9 +86,9 @@ pub enum RigError {
         /// The standoff that was stated, mm.
         standoff_mm: f64,
     },
-    /// The holder was not found at the border.
+    /// The holder's sides were not found.
     #[error(
-        "the snake's holder was not found at the picture's border: it must be seen for at least half its width below the \
+        "the sides of the snake's holder were not found: it must be seen for at least half its width below the \
          snake, which is {width_px:.0} px wide"
     )]
     NoHolder {
@@ -127,6 +129,27 @@ pub enum RigError {
         most_bias_px: f64,
         /// Scatter of the agreeing edges about the model, px.
         rms_px: f64,
+    },
+    /// The edges lie about the model as edges of anything else would.
+    #[error(
+        "edges lie {rms_px:.2} px (rms) about the straight snake's outline, where at most {most_rms_px:.2} px could be its own; is the \
+         snake unbent, in focus and of the robot's dimensions?"
+    )]
+    EdgesScattered {
+        /// Scatter of the agreeing edges about the model, px.
+        rms_px: f64,
+        /// The most that it may be, px.
+        most_rms_px: f64,
+    },
+    /// The snake is bent.
+    #[error(
+        "the snake is not straight in this picture but bent by {theta_deg:.0}° (± {sigma_deg:.1}°); take a picture of it unbent"
+    )]
+    Bent {
+        /// The bend θ that was measured, degrees.
+        theta_deg: f64,
+        /// Its standard deviation, degrees.
+        sigma_deg: f64,
     },
     /// A part of the snake is not where the model says.
     #[error("{0} is not where the model says; is the snake unbent, and all of it in the picture?")]
@@ -211,6 +234,8 @@ impl RigError {
             | Self::TooFewEdges { .. }
             | Self::Undetermined
             | Self::ModelDisagrees { .. }
+            | Self::EdgesScattered { .. }
+            | Self::Bent { .. }
             | Self::PartNotVisible(_)
             | Self::UncertainDirection { .. } => CalibrationStep::Snake,
             Self::ScaleContradiction { .. } | Self::PitchContradiction { .. } => CalibrationStep::Scale,

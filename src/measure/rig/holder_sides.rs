@@ -108,7 +108,7 @@ impl Strip<'_> {
         let mut end = None;
         let (mut along, mut missed) = (FIRST_PX, 0);
         let too_many = (MISSED_WIDTHS * self.width_px).round().max(2.0) as i32;
-        while missed < too_many {
+        while missed < too_many && self.is_in_picture(axis, left, along) {
             let here = self.sides(axis, left, along - HALF_LENGTH_PX..along + HALF_LENGTH_PX);
             if here.0 > GOES_ON * mean.0 && here.1 > GOES_ON * mean.1 {
                 end = Some(along);
@@ -119,6 +119,14 @@ impl Strip<'_> {
             along += STEP_PX;
         }
         end
+    }
+
+    /// Whether the middle between both sides is in the picture there; beyond its border nothing tells where they end.
+    fn is_in_picture(&self, axis: Vector2<f64>, left: f64, along: f64) -> bool {
+        let across = Vector2::new(-axis.y, axis.x);
+        let middle = self.root + axis * along + across * (left + self.width_px / 2.0);
+        let is_within = |v: f64, length: usize| (-1.0..=length as f64).contains(&v);
+        self.channels.iter().all(|plane| is_within(middle.x, plane.width) && is_within(middle.y, plane.height))
     }
 
     /// Length of the two means whose difference is a step, px.
@@ -220,6 +228,15 @@ mod tests {
             // The fit of the base searches 14 px first: 2° over 400 px of snake.
             assert!(start.axis.angle(&Vector2::new(sin, -cos)).to_degrees() < 2.0, "{start:?}");
         }
+    }
+
+    /// From the tip's end of a snake whose holder the border cuts, the sides are followed to the border and no further.
+    #[test]
+    fn sides_that_the_border_cuts_end_there() {
+        let colours = picture(0.0, 150.0, 60.0);
+        let holder = Holder { root: Point2::new(150.0, 95.0), axis: Vector2::y(), width_px: 60.0 };
+        let start = find_start(&colours, &holder, 60.0).unwrap();
+        assert!((start.base.y - 239.0).abs() < 5.0, "{start:?}");
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::measure::image::plane::Plane;
 use image::{GrayImage, Luma};
 use imageproc::distance_transform::Norm;
 use imageproc::region_labelling::{Connectivity, connected_components};
-use nalgebra::{Point2, Vector2};
+use nalgebra::{Matrix2, Point2, Vector2};
 use std::collections::BTreeMap;
 
 /// The most objects that are tried as holders.
@@ -19,10 +19,16 @@ const MOST_HOLDERS: usize = 3;
 ///
 /// Convention: squares of 16 to 72 px; wider ones are no larger than the holder in few pictures.
 const REACHES: [i64; 4] = [4, 8, 12, 18];
-/// Findings whose places and widths differ by less than this share of the width are the same object.
+/// Findings whose places differ by less than this share of the width, and whose widths differ by less than this ratio, are the same
+/// object.
 ///
-/// Convention: what follows searches further than that.
+/// Convention: what follows searches sides and grids further than that.
 const SAME_OBJECT: f64 = 0.2;
+const SAME_WIDTH: f64 = 2.2;
+/// Strips whose directions differ by less than this, rad (as a sine), are one.
+///
+/// Convention: what follows turns the axis by twice as much.
+const SAME_DIRECTION: f64 = 0.05;
 /// Rounds in which an object's own colours show it anew.
 ///
 /// Convention: a cap; the second round confirms the first.
@@ -49,6 +55,15 @@ const AT_BORDER: f64 = 1.5;
 /// Convention: about what is seen of a holder; a snake that is not straight has gone on less than a disk by then.
 const AXIS_WIDTHS: f64 = 1.5;
 
+/// The least ratio of the standard deviations along and across an object that no border cuts.
+///
+/// Derived: of a holder alone, seen for one and a half times its width and more.
+const LEAST_ELONGATION: f64 = 1.5;
+/// The share of such an object's length from which the width of its end is taken.
+///
+/// Convention: less than the holder's share.
+const END_SHARE: f64 = 0.2;
+
 /// The snake's holder in a picture of which nothing is known, roughly.
 #[derive(Debug, Clone)]
 pub struct Holder {
@@ -71,10 +86,15 @@ impl Holder {
         across.dot(&(pixel - self.root)).abs() < HALF_WIDTH * self.width_px
     }
 
+    /// Whether another holder covers the same strip: the other end of the same object does.
+    pub fn covers_like(&self, other: &Self) -> bool {
+        self.covers(&other.root) && other.covers(&self.root) && self.axis.perp(&other.axis).abs() < SAME_DIRECTION
+    }
+
     /// Whether two findings are the same object.
     fn is_like(&self, other: &Self) -> bool {
-        let near_px = SAME_OBJECT * self.width_px.max(other.width_px);
-        (self.root - other.root).norm() < near_px && (self.width_px - other.width_px).abs() < near_px
+        let (wider, narrower) = (self.width_px.max(other.width_px), self.width_px.min(other.width_px));
+        (self.root - other.root).norm() < SAME_OBJECT * wider && wider < SAME_WIDTH * narrower
     }
 }
 
@@ -90,19 +110,24 @@ impl Holder {
 pub fn locate_holders(frame: &Frame, colours: &Colours) -> Result<Vec<Holder>, RigError> {
     let mut found: Vec<Holder> = Vec::new();
     let mut refused = None;
-    let mut take = |outcome: Result<Holder, RigError>| match outcome {
-        Ok(holder) if found.iter().any(|other| other.is_like(&holder)) => {}
-        Ok(holder) => found.push(holder),
+    let mut take = |outcome: Result<Vec<Holder>, RigError>| match outcome {
+        Ok(holders) => {
+            for holder in holders {
+                if !found.iter().any(|other| other.is_like(&holder)) {
+                    found.push(holder);
+                }
+            }
+        }
         Err(error) => refused = refused.take().or(Some(error)),
     };
     for object in components(&opened(&colours.unlike_target(1))).into_iter().take(MOST_HOLDERS) {
         // One mix of channels cannot tell the snake from squares of two colours; what they leave unexplained has done so.
         let object = if colours.is_without_squares { Ok(object) } else { in_its_own_colours(frame, object) };
-        take(object.and_then(|object| holder_of(&object)));
+        take(object.and_then(|object| holders_of(&object)));
     }
     for reach in REACHES {
         for object in components(&colours.unlike_target(reach)).iter().take(1) {
-            take(holder_of(object));
+            take(holders_of(object));
         }
     }
     found.truncate(MOST_HOLDERS);
@@ -155,25 +180,34 @@ fn components(mask: &GrayImage) -> Vec<GrayImage> {
     large.into_iter().take(MOST_COMPONENTS).map(|(_, label)| only(label)).collect()
 }
 
-/// The holder that an object is: cut by a border, of a sensible size, with the direction of its middle line near there.
-fn holder_of(object: &GrayImage) -> Result<Holder, RigError> {
+/// The holders that an object may be, of a sensible size: cut by a border, or else either end of its longer axis.
+fn holders_of(object: &GrayImage) -> Result<Vec<Holder>, RigError> {
     let (w, h) = (object.width(), object.height());
     let inside: Vec<Point2<f64>> = object
         .enumerate_pixels()
         .filter(|(_, _, p)| p.0[0] > 0)
         .map(|(x, y, _)| Point2::new(f64::from(x), f64::from(y)) * BLOCK as f64)
         .collect();
+    let holders = match border_cut(&inside, w, h) {
+        Some((cut, inward)) => vec![holder_at(&inside, &cut, inward)],
+        None => ends_of(&inside).ok_or(RigError::ObjectWithinBorders)?.to_vec(),
+    };
     let longer_side_px = f64::from((w.max(h) - 1) * BLOCK as u32);
-    let (cut, inward) = border_cut(&inside, w, h).ok_or(RigError::ObjectWithinBorders)?;
+    let (area_share, most_width_px) = (inside.len() as f64 / f64::from(w * h), MOST_WIDTH * longer_side_px);
+    let width_px = holders.iter().map(|holder| holder.width_px).fold(0.0, f64::max);
+    if area_share > MOST_AREA || width_px > most_width_px {
+        return Err(RigError::ObjectTooLarge { width_px, most_width_px, area_share, most_area_share: MOST_AREA });
+    }
+    Ok(holders)
+}
+
+/// The holder whose end are these of an object's places, with the direction of the object's middle line near there.
+fn holder_at(inside: &[Point2<f64>], cut: &[Point2<f64>], inward: Vector2<f64>) -> Holder {
     let root = Point2::from(cut.iter().map(|p| p.coords).sum::<Vector2<f64>>() / cut.len() as f64);
     let across = Vector2::new(-inward.y, inward.x);
     let side = cut.iter().map(|p| across.dot(&p.coords));
     let (low, high) = side.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
     let width_px = high - low + BLOCK as f64;
-    let (area_share, most_width_px) = (inside.len() as f64 / f64::from(w * h), MOST_WIDTH * longer_side_px);
-    if area_share > MOST_AREA || width_px > most_width_px {
-        return Err(RigError::ObjectTooLarge { width_px, most_width_px, area_share, most_area_share: MOST_AREA });
-    }
     // The slope of the line through the root that is nearest to the object's blocks beside the border.
     let near = inside.iter().map(|p| p - root).filter(|d| (0.0..AXIS_WIDTHS * width_px).contains(&inward.dot(d)));
     let (sxx, sxy) = near.fold((0.0, 0.0), |(sxx, sxy), d| {
@@ -181,7 +215,40 @@ fn holder_of(object: &GrayImage) -> Result<Holder, RigError> {
         (sxx + x * x, sxy + x * y)
     });
     let slope = if sxx > 0.0 { sxy / sxx } else { 0.0 };
-    Ok(Holder { root, axis: (inward + across * slope).normalize(), width_px })
+    Holder { root, axis: (inward + across * slope).normalize(), width_px }
+}
+
+/// The two ends of an object that no border cuts, as holders, the thicker one first; `None` of an object that is not long.
+fn ends_of(inside: &[Point2<f64>]) -> Option<[Holder; 2]> {
+    let count = inside.len() as f64;
+    let middle = inside.iter().map(|p| p.coords).sum::<Vector2<f64>>() / count;
+    let scatter = inside.iter().map(|p| p.coords - middle).map(|d| d * d.transpose()).sum::<Matrix2<f64>>() / count;
+    let eigen = scatter.symmetric_eigen();
+    let (long, short) = (eigen.eigenvalues.imax(), eigen.eigenvalues.imin());
+    if eigen.eigenvalues[long] < LEAST_ELONGATION.powi(2) * eigen.eigenvalues[short] {
+        return None;
+    }
+    let axis: Vector2<f64> = eigen.eigenvectors.column(long).into_owned();
+    let along = |p: &Point2<f64>| axis.dot(&(p.coords - middle));
+    let reach = inside.iter().map(along).fold((0.0, 0.0), |(low, high), v| (f64::min(low, v), f64::max(high, v)));
+    let skewness = inside.iter().map(|p| along(p).powi(3)).sum::<f64>();
+    let ends = [(axis, reach.0), (-axis, -reach.1)].map(|(inward, first)| {
+        // The width near the end, of a uniform distribution's scatter.
+        let near: Vec<f64> = inside
+            .iter()
+            .map(|p| p.coords - middle)
+            .filter(|d| inward.dot(d) < first + END_SHARE * (reach.1 - reach.0))
+            .map(|d| Vector2::new(-inward.y, inward.x).dot(&d))
+            .collect();
+        let mean = near.iter().sum::<f64>() / near.len() as f64;
+        let variance = near.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / near.len() as f64;
+        let width_px = (12.0 * variance).sqrt().max(BLOCK as f64);
+        let root = Point2::from(middle + inward * first + Vector2::new(-inward.y, inward.x) * mean);
+        Holder { root, axis: inward, width_px }
+    });
+    // The thicker half is nearer to the middle of the object's places, which lean the other way.
+    let [low, high] = ends;
+    Some(if skewness > 0.0 { [low, high] } else { [high, low] })
 }
 
 /// The places of an object on the border that most of it touches, and the direction inward from there; `None` where it touches none.
@@ -212,7 +279,7 @@ mod tests {
     #[test]
     fn a_bar_from_the_border_is_a_holder_with_its_place_width_and_direction() {
         for slope in [0.0, 0.2, -0.35] {
-            let holder = holder_of(&bar(5.0, slope, 30.0)).unwrap();
+            let holder = holders_of(&bar(5.0, slope, 30.0)).unwrap().remove(0);
             assert!((holder.root - Point2::new(160.0, 236.0)).norm() < 4.0, "{holder:?}");
             assert!((holder.width_px - 44.0).abs() <= 4.0, "{holder:?}");
             let expected = Vector2::new(slope, -1.0).normalize();
@@ -226,11 +293,32 @@ mod tests {
         let middle = GrayImage::from_fn(80, 60, |x, y| {
             Luma([if (30..40).contains(&x) && (20..40).contains(&y) { 255 } else { 0 }])
         });
-        assert_eq!(holder_of(&middle).unwrap_err(), RigError::ObjectWithinBorders);
-        let Err(RigError::ObjectTooLarge { width_px, most_width_px, .. }) = holder_of(&bar(20.0, 0.0, 20.0)) else {
+        assert_eq!(holders_of(&middle).unwrap_err(), RigError::ObjectWithinBorders);
+        let Err(RigError::ObjectTooLarge { width_px, most_width_px, .. }) = holders_of(&bar(20.0, 0.0, 20.0)) else {
             panic!("a bar half as wide as the picture is no holder")
         };
         assert!(width_px > most_width_px);
+    }
+
+    #[test]
+    fn the_thicker_end_of_an_object_within_the_borders_is_the_likelier_holder() {
+        // A holder ten blocks wide up to its end, and a snake of every other pair of rows on top.
+        let turned =
+            |x: u32, y: u32, tip_up: bool| (f64::from(x) - 40.0, f64::from(if tip_up { 54 - y.min(54) } else { y }));
+        for tip_up in [true, false] {
+            let object = GrayImage::from_fn(80, 60, |x, y| {
+                let (across, along) = turned(x, y, tip_up);
+                let is_on = across.abs() <= 5.0 && (6.0..44.0).contains(&along);
+                Luma([if is_on && (along < 22.0 || along as i64 / 2 % 2 == 0 || across.abs() < 2.0) { 255 } else { 0 }])
+            });
+            let holders = holders_of(&object).unwrap();
+            let (root_y, inward) = if tip_up { (48.0, -1.0) } else { (6.0, 1.0) };
+            assert_eq!(holders.len(), 2);
+            assert!((holders[0].root - Point2::new(160.0, root_y * 4.0)).norm() < 8.0, "{holders:?}");
+            assert!((holders[0].axis - Vector2::new(0.0, inward)).norm() < 0.05, "{holders:?}");
+            assert!((holders[0].width_px - 44.0).abs() < 4.0, "{holders:?}");
+            assert!((holders[1].axis + holders[0].axis).norm() < 1e-9);
+        }
     }
 
     #[test]

@@ -5,6 +5,7 @@
 //! | `parameters` | the rig as data (its file, rig.toml, is `record`'s) |
 //! | `error` | why a rig could not be calibrated |
 //! | `background`, `locate`, `holder_sides` | find the snake in a picture of which nothing is known |
+//! | `alignment` | moves the straight snake along its axis to where its disks and ends are |
 //! | `placement`, `base_fit`, `scale` | fit the straight snake before its grid, and check the scale that was stated |
 //! | `calibrate` | the calibration from the straight picture, which calls these in order |
 //! | `base_monitor`, `drift` | whether holder and target are still where the rig says |
@@ -13,6 +14,7 @@
 //!
 //! Nothing here knows the eye, which stands on top.
 
+mod alignment;
 mod background;
 mod base_fit;
 mod base_monitor;
@@ -27,7 +29,7 @@ mod placement;
 mod refine;
 mod scale;
 
-pub use calibrate::calibrate_rig;
+pub(super) use calibrate::find_rig;
 pub(super) use drift::RigDriftMonitor;
 pub use error::{CalibrationStep, RigError, SnakePart};
 pub(super) use follow::{Followed, RigFollower};

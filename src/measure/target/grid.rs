@@ -26,6 +26,11 @@ const MOST_WINDOW_SCATTER: f64 = 0.03;
 const FEWEST_POINTS: usize = 12;
 const LEAST_SHARE: f64 = 1.0 / 3.0;
 
+/// The least pitch of a grid that is looked for, px.
+///
+/// Derived: the second difference that places a line spans 4 px; with lines closer than that it would see three of them.
+const LEAST_PITCH_PX: f64 = 4.0;
+
 /// The grid in one picture.
 #[derive(Debug, Clone)]
 pub struct Grid {
@@ -40,6 +45,14 @@ pub struct Grid {
 }
 
 impl Grid {
+    /// The grid of another pitch, in units of this one's, that would be seen in the same place.
+    #[must_use]
+    pub fn with_pitch_times(&self, factor: f64) -> Self {
+        let mut other = self.clone();
+        other.camera_from_grid.translation.vector *= factor;
+        other
+    }
+
     /// Depth (camera z), mm, at which a line of sight meets the target.
     pub fn distance_mm(&self, ray: &Vector3<f64>) -> f64 {
         let normal = self.camera_from_grid * Vector3::z();
@@ -61,6 +74,10 @@ pub fn find_grid(
     axis: Vector2<f64>,
     is_snake: impl Fn(&Point2<f64>) -> bool,
 ) -> Option<Grid> {
+    let pitch_px = &(pitch_px.start().max(LEAST_PITCH_PX)..=*pitch_px.end());
+    if pitch_px.is_empty() {
+        return None;
+    }
     let plane = strongest_mix(frame, &is_snake);
     let mut best: Option<(usize, Grid)> = None;
     for kind in [PatternKind::Lines, PatternKind::Checkerboard] {

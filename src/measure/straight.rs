@@ -1,0 +1,32 @@
+//! Calibrates a rig from the straight picture, and asks the eye whether the snake in it is straight.
+//!
+//! The fit of the base knows only the straight snake. A bent one may agree with it over holder and first disks, and in a small picture
+//! with edges of other things over the rest; the eye, which knows all bends, then sees the snake where it is.
+
+use super::eye::Eye;
+use super::rig::{Rig, RigError, RigOptions, find_rig};
+use crate::camera::{Frame, Lens};
+use crate::robot::Robot;
+
+/// A snake that is bent by more than this in the straight picture, degrees, and this many of its σ, is not straight.
+///
+/// Convention: what "unbent" leaves to a hand and a clamp; 3 σ of an error in 400.
+const MOST_BEND_DEG: f64 = 5.0;
+const BENT_SIGMAS: f64 = 3.0;
+
+/// Calibrates a rig from a picture of the straight snake before the grid target, in the three steps of [`find_rig`].
+///
+/// # Errors
+///
+/// Why the try that came furthest ended, with the values that tell; or that the snake is bent, by how much.
+pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOptions) -> Result<Rig, RigError> {
+    let rig = find_rig(frame, lens, robot, options)?;
+    let seen = Eye::new(lens.clone(), rig.clone(), robot.clone()).measure(frame).measured;
+    if let Some(bend) = seen {
+        let (theta_deg, sigma_deg) = (bend.configuration.theta_deg(), bend.sigma_theta.to_degrees());
+        if theta_deg > MOST_BEND_DEG.max(BENT_SIGMAS * sigma_deg) {
+            return Err(RigError::Bent { theta_deg, sigma_deg });
+        }
+    }
+    Ok(rig)
+}
