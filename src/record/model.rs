@@ -230,7 +230,9 @@ fn effect(table: &EffectTable, backbones: usize) -> Result<Effect, String> {
 /// Where in the text the key of a dotted path stands; `None` where a default stands in for it.
 fn line_of_key(table: &DeTable, path: &str) -> Option<usize> {
     let (first, rest) = path.split_once('.').map_or((path, None), |(first, rest)| (first, Some(rest)));
-    let (key, value) = table.get_key_value(first)?;
+    // A number of a list stands where the list does.
+    let name = first.split_once('[').map_or(first, |(name, _)| name);
+    let (key, value) = table.get_key_value(name)?;
     match rest {
         None => Some(key.span().start),
         Some(rest) => line_of_key(value.get_ref().as_table()?, rest),
@@ -287,6 +289,16 @@ pub(super) mod tests {
         );
         let small = message(&text.replace("disk_diameter_mm = 4.2", "disk_diameter_mm = 3.5"));
         assert!(small.contains("robot.body.disk_diameter_mm = 3.5") && small.contains("all tubes"), "{small}");
+
+        let positions = "spacer_disk_count = 3\ndisk_positions_mm = [3.0, 4.0, 20.0]\n\n[robot.body.tool]\nlength_mm = 5.0\ndiameter_mm = 2.0";
+        let text = text.replace("spacer_disk_count = 6", positions);
+        let uneven = read_text(&text).unwrap();
+        assert_eq!(uneven.robot.spacer_middles_mm(), [3.0, 4.0, 20.0]);
+        assert_eq!(uneven.robot.body.tool.map(|tool| tool.length_mm), Some(5.0));
+        assert_eq!(read_text(&model_toml(&uneven).unwrap()).unwrap(), uneven);
+        let line = 1 + text.lines().position(|line| line.starts_with("disk_positions_mm")).unwrap();
+        let within = message(&text.replace("[3.0, 4.0, 20.0]", "[3.0, 3.5, 20.0]"));
+        assert!(within.contains(&format!("model.toml:{line}: robot.body.disk_positions_mm[1] = 3.5")), "{within}");
     }
 
     proptest! {

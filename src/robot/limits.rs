@@ -1,6 +1,6 @@
 //! What the numbers of a robot can be: physical ranges, checked where numbers come in.
 
-use super::{BACKBONES, Estimate, Friction, Model, Robot};
+use super::{BACKBONES, Body, Estimate, Friction, Model, Robot};
 use std::fmt;
 use std::ops::RangeInclusive;
 
@@ -85,6 +85,29 @@ impl Robot {
         let disk = tubes_mm..=200.0;
         check.that("robot.body.disk_diameter_mm", body.disk_diameter_mm, disk, " (all tubes within the disk)");
         check.that("robot.body.disk_thickness_mm", body.disk_thickness_mm, 0.001..=*length_mm, "");
+        body.check_disk_positions(*length_mm, check);
+        if let Some(tool) = &body.tool {
+            check.that("robot.body.tool.length_mm", tool.length_mm, 0.01..=500.0, "");
+            check.that("robot.body.tool.diameter_mm", tool.diameter_mm, 0.01..=200.0, "");
+        }
+    }
+}
+
+impl Body {
+    /// Disks that are not evenly spaced are as many as were said, one after the other, and none within another or the end disk.
+    fn check_disk_positions(&self, length_mm: f64, check: &mut Check) {
+        let Some(positions_mm) = &self.disk_positions_mm else { return };
+        let count = positions_mm.len() as f64;
+        let why = " (as many as disk_positions_mm has)";
+        check.that("robot.body.spacer_disk_count", f64::from(self.spacer_disk_count), count..=count, why);
+        let thickness_mm = self.disk_thickness_mm;
+        let furthest_mm = length_mm - 1.5 * thickness_mm;
+        let mut nearest_mm = 0.5 * thickness_mm;
+        for (k, &middle_mm) in positions_mm.iter().enumerate() {
+            let why = " (from base to tip, no disk within another, all before the end disk)";
+            check.that(&format!("robot.body.disk_positions_mm[{k}]"), middle_mm, nearest_mm..=furthest_mm, why);
+            nearest_mm = middle_mm + thickness_mm;
+        }
     }
 }
 
@@ -136,6 +159,7 @@ impl Model {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::Tool;
 
     #[test]
     fn what_cannot_be_built_is_an_error_with_its_number() {
@@ -145,6 +169,26 @@ mod tests {
             (Robot { backbones: 9, ..Robot::default() }, "robot.backbones", 9.0),
             (Robot { length_mm: -1.0, ..Robot::default() }, "robot.length_mm", -1.0),
             (Robot { backbone_circle_radius_mm: 0.6, ..Robot::default() }, "robot.backbone_circle_radius_mm", 0.6),
+        ] {
+            let error = robot.checked().unwrap_err();
+            assert_eq!((error.key.as_str(), error.value), (key, value), "{error}");
+        }
+        let with = |disk_positions_mm: &[f64], tool: Option<Tool>| {
+            let mut robot = Robot::default();
+            robot.body.spacer_disk_count = 3;
+            (robot.body.disk_positions_mm, robot.body.tool) = (Some(disk_positions_mm.to_vec()), tool);
+            robot
+        };
+        let tool = |length_mm: f64, diameter_mm: f64| Some(Tool { length_mm, diameter_mm });
+        assert!(with(&[3.0, 4.0, 20.0], tool(5.0, 2.0)).checked().is_ok());
+        for (robot, key, value) in [
+            (with(&[3.0, 20.0], None), "robot.body.spacer_disk_count", 3.0),
+            (with(&[-1.0, 4.0, 20.0], None), "robot.body.disk_positions_mm[0]", -1.0),
+            (with(&[3.0, 3.5, 20.0], None), "robot.body.disk_positions_mm[1]", 3.5),
+            (with(&[3.0, 4.0, 25.5], None), "robot.body.disk_positions_mm[2]", 25.5),
+            (with(&[3.0, 20.0, 10.0], None), "robot.body.disk_positions_mm[2]", 10.0),
+            (with(&[3.0, 4.0, 20.0], tool(-5.0, 2.0)), "robot.body.tool.length_mm", -5.0),
+            (with(&[3.0, 4.0, 20.0], tool(5.0, 0.0)), "robot.body.tool.diameter_mm", 0.0),
         ] {
             let error = robot.checked().unwrap_err();
             assert_eq!((error.key.as_str(), error.value), (key, value), "{error}");

@@ -36,7 +36,7 @@ pub use kinematics::MAX_THETA;
 pub use limits::OutOfRange;
 pub use mechanics::Mechanics;
 pub use model::{Estimate, Model};
-pub use parameters::{Body, Robot};
+pub use parameters::{Body, Robot, Tool};
 pub use redundancy::{ForceLimits, Sharing};
 pub use table::{Grid, GridAxis, TableRow, compensation_table};
 pub use without_effects::Observation;

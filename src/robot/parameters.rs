@@ -91,7 +91,7 @@ impl ActuationLine {
 /// The body as a camera sees it: disks on the tubes, on a holder of the disks' diameter.
 ///
 /// A spacer disk is square to the backbone at its own middle; the end disk is square to it at L, where its far face is.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Body {
     /// Outer diameter of the disks and of the holder below the base disk, mm.
@@ -100,6 +100,22 @@ pub struct Body {
     pub disk_thickness_mm: f64,
     /// Number of spacer disks between base disk and end disk.
     pub spacer_disk_count: u8,
+    /// Arc lengths of the spacer disks' middles, mm, from the base on; `None` where they divide L evenly.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub disk_positions_mm: Option<Vec<f64>>,
+    /// What is mounted on the end disk.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tool: Option<Tool>,
+}
+
+/// A rigid cylinder on the end disk's far face, along the tip's direction.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tool {
+    /// Length beyond the end disk's far face, mm.
+    pub length_mm: f64,
+    /// Outer diameter, mm.
+    pub diameter_mm: f64,
 }
 
 /// One robot: everything that does not change from experiment to experiment.
@@ -160,7 +176,13 @@ impl Default for Robot {
                 cone_bend_angle_deg: 41.0,
                 cone_straight_mm: 0.0,
             },
-            body: Body { disk_diameter_mm: 4.2, disk_thickness_mm: 0.6, spacer_disk_count: 6 },
+            body: Body {
+                disk_diameter_mm: 4.2,
+                disk_thickness_mm: 0.6,
+                spacer_disk_count: 6,
+                disk_positions_mm: None,
+                tool: None,
+            },
         }
     }
 }
@@ -176,14 +198,15 @@ impl Robot {
         2.0 * PI / self.backbone_count() as f64
     }
 
-    /// Distance between the middles of neighbouring spacer disks, mm: they divide L evenly.
+    /// Distance between the middles of neighbouring spacer disks, mm, where they divide L evenly; else its mean.
     pub fn disk_pitch_mm(&self) -> f64 {
         self.length_mm / (f64::from(self.body.spacer_disk_count) + 1.0)
     }
 
     /// Arc lengths of the spacer disks' middles, mm.
     pub fn spacer_middles_mm(&self) -> Vec<f64> {
-        (1..=self.body.spacer_disk_count).map(|k| f64::from(k) * self.disk_pitch_mm()).collect()
+        let evenly = || (1..=self.body.spacer_disk_count).map(|k| f64::from(k) * self.disk_pitch_mm()).collect();
+        self.body.disk_positions_mm.clone().unwrap_or_else(evenly)
     }
 
     /// K_d⁻¹ = L_d / (E_s A), mm/N: compliance of a backbone in the DDU holder, Eq. 17.

@@ -106,7 +106,13 @@ pub fn body(robot: &Robot, profile: &BendProfile) -> Vec<Shape> {
     let spacers = robot.spacer_middles_mm().into_iter().map(|middle| disk(frame_at(middle)));
     let tip = frame_at(robot.length_mm);
     let end_disk = disk(tip * Translation3::new(0.0, 0.0, -robot.body.disk_thickness_mm / 2.0));
-    let cylinders = holder.chain(spacers).chain([end_disk]).map(Shape::Cylinder);
+    let tool = robot.body.tool.map(|tool| Cylinder {
+        top: tip * Point3::new(0.0, 0.0, tool.length_mm),
+        axis: Unit::new_unchecked(tip * Vector3::z()),
+        length: tool.length_mm,
+        radius: tool.diameter_mm / 2.0,
+    });
+    let cylinders = holder.chain(spacers).chain([end_disk]).chain(tool).map(Shape::Cylinder);
 
     // The tubes end within the end disk, so that no end shows.
     let end = robot.length_mm - robot.body.disk_thickness_mm / 2.0;

@@ -7,6 +7,7 @@ use snakeloop::camera::{Frame, Samples};
 use snakeloop::geometry::{Configuration, wrap_degrees};
 use snakeloop::measure::{Eye, Rig, RigError, RigOptions, calibrate_rig};
 use snakeloop::observation::Status;
+use snakeloop::robot::{Robot, Tool};
 use snakeloop::simulate::scene::{Pattern, Scene, Surface, Wire};
 
 /// Measures some poses and checks errors against the bounds and against the sigmas that come with them.
@@ -173,6 +174,42 @@ fn a_holder_that_ends_within_the_picture_is_found() {
         assert!(scene.lens.contains(&scene.lens.project(&end), 20.0), "the holder's end must be in the picture");
         let rig = calibrate_rig(&straight, &scene.lens, &scene.robot, &rig_options(&scene)).unwrap();
         check_poses(&eye_with(&scene, rig), &scene, &[(40.0, 0.0), (60.0, 120.0), (30.0, -100.0)], 0.5, 1.0);
+    }
+}
+
+/// Six disks of uneven distances and a tool; the same pictures taken for those of the paper's robot.
+#[test]
+fn a_snake_with_a_tool_and_uneven_disks_is_measured_as_it_is_described() {
+    let mut scene = laboratory();
+    scene.robot.body.disk_positions_mm = Some(vec![2.0, 5.5, 10.5, 13.5, 19.0, 22.0]);
+    scene.robot.body.tool = Some(Tool { length_mm: 5.0, diameter_mm: 2.4 });
+    scene.view.base_mm[2] += 40.0;
+    let eye = eye(&scene);
+    let poses = [(20.0, 0.0), (45.0, 180.0), (60.0, 60.0), (75.0, -30.0), (35.0, -120.0), (50.0, 100.0)];
+    let frames: Vec<Frame> = (200..)
+        .zip(poses)
+        .map(|(seed, (theta_deg, delta_deg))| frame(&scene, Configuration::from_degrees(theta_deg, delta_deg), seed))
+        .collect();
+    // θ's errors, degrees and in units of σ; of a frame that is not measured more than any.
+    let errors = |eye: &Eye| -> Vec<[f64; 2]> {
+        let error = |(frame, (theta_deg, _)): (&Frame, (f64, f64))| {
+            let Some(seen) = eye.measure(frame).measured else { return [f64::INFINITY; 2] };
+            let error_deg = seen.configuration.theta_deg() - theta_deg;
+            [error_deg, error_deg / seen.sigma_theta.to_degrees()]
+        };
+        frames.iter().zip(poses).map(error).collect()
+    };
+    let mean_square = |errors: &[[f64; 2]], k: usize| errors.iter().map(|e| e[k].powi(2)).sum::<f64>() / 6.0;
+    let described = errors(&eye);
+    assert!(mean_square(&described, 0).sqrt() < 0.2, "{described:?}");
+    // χ² of six is below 0.1 or above 3 once in 250.
+    assert!(mean_square(&described, 1) < 3.0, "{described:?}");
+
+    let plain = Robot::default();
+    let straight = frame(&scene, STRAIGHT, 7);
+    if let Ok(rig) = calibrate_rig(&straight, &scene.lens, &plain, &rig_options(&scene)) {
+        let left_out = errors(&Eye::new(scene.lens.clone(), rig, plain));
+        assert!(mean_square(&left_out, 0) > 4.0 * mean_square(&described, 0), "{left_out:?} {described:?}");
     }
 }
 

@@ -35,7 +35,7 @@ pub enum Piece {
     HolderSide(i8),
     /// The base disk's upper rim.
     BaseRim,
-    /// A rim of disk k (1 is next to the base): near (false) or far (true) face.
+    /// A rim of disk k (1 is next to the base; a tool counts as the disk after the last): near (false) or far (true) face.
     Rim(u8, bool),
     /// A side wall of disk k: −1 or +1.
     DiskSide(u8, i8),

@@ -57,12 +57,17 @@ impl<'a> Projection<'a> {
     pub(crate) fn image_region(&self, profile: impl Into<BendProfile>, reach_px: f64) -> Region {
         let curve = self.curve(profile);
         let (robot, lens) = (self.robot, self.lens);
-        let steps = ((robot.length_mm + HOLDER_MM) / AXIS_STEP_MM).ceil() as usize;
+        let tool = robot.body.tool;
+        let end_mm = robot.length_mm + tool.map_or(0.0, |tool| tool.length_mm);
+        let steps = ((end_mm + HOLDER_MM) / AXIS_STEP_MM).ceil() as usize;
         let axis_pixel = |k: usize| {
-            let s_mm = robot.length_mm - k as f64 * AXIS_STEP_MM;
-            self.pixel(&curve, &BodyPoint { s_mm, local: Vector3::zeros() })
+            let along_mm = end_mm - k as f64 * AXIS_STEP_MM;
+            let s_mm = along_mm.min(robot.length_mm);
+            self.pixel(&curve, &BodyPoint { s_mm, local: Vector3::new(0.0, 0.0, along_mm - s_mm) })
         };
-        Region::along((0..=steps).map(axis_pixel), 0.5 * self.diameter_px() + reach_px, (lens.width, lens.height))
+        let wider = tool.map_or(1.0, |tool| (tool.diameter_mm / robot.body.disk_diameter_mm).max(1.0));
+        let reach_px = 0.5 * wider * self.diameter_px() + reach_px;
+        Region::along((0..=steps).map(axis_pixel), reach_px, (lens.width, lens.height))
     }
 
     /// The snake's diameter in the picture at the base, px.

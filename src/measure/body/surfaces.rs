@@ -45,18 +45,19 @@ impl Surfaces {
         surfaces
     }
 
-    /// Rims and side walls of the disks and the holder.
+    /// Rims and side walls of the holder, the disks and the tool.
     fn add_cylinders(&mut self, view: &Projection, curve: &Curve, spacing_mm: f64) {
         let body = &view.robot.body;
-        // (number, section that the axis is perpendicular to, near and far face from there): the holder is number 0, disks
-        // count from 1.
-        let half = body.disk_thickness_mm / 2.0;
-        let spacers =
-            view.robot.spacer_middles_mm().into_iter().zip(1..).map(|(middle, number)| (number, middle, -half, half));
-        let end = (body.spacer_disk_count + 1, view.robot.length_mm, -body.disk_thickness_mm, 0.0);
-        for (number, s_mm, near_mm, far_mm) in std::iter::once((0, 0.0, -HOLDER_MM, 0.0)).chain(spacers).chain([end]) {
+        let (half, radius_mm) = (body.disk_thickness_mm / 2.0, body.disk_diameter_mm / 2.0);
+        let tip_mm = view.robot.length_mm;
+        // The holder is number 0, disks count from 1, and the tool comes after the end disk. Each as the section that its axis is
+        // perpendicular to, its faces from there, and its radius, mm.
+        let spacers = view.robot.spacer_middles_mm().into_iter().map(|middle| (middle, -half, half, radius_mm));
+        let end = (tip_mm, -body.disk_thickness_mm, 0.0, radius_mm);
+        let tool = body.tool.map(|tool| (tip_mm, 0.0, tool.length_mm, tool.diameter_mm / 2.0));
+        let all = std::iter::once((0.0, -HOLDER_MM, 0.0, radius_mm)).chain(spacers).chain([end]).chain(tool);
+        for (number, (s_mm, near_mm, far_mm, radius_mm)) in (0..).zip(all) {
             let section = Section::new(view, curve, s_mm);
-            let radius_mm = body.disk_diameter_mm / 2.0;
             let cylinder = Cylinder { number, section, radius_mm, near_mm, far_mm, spacing_mm };
             self.polygons.push(cylinder.outline(&mut self.points));
         }
@@ -71,14 +72,16 @@ impl Surfaces {
             let offset = robot.backbone_circle_radius_mm * Vector2::new(azimuth.cos(), azimuth.sin());
             axes.push((offset, robot.secondary.outer_diameter_mm / 2.0));
         }
+        let middles_mm = robot.spacer_middles_mm();
         let mut sides = vec![[Vec::with_capacity(steps), Vec::with_capacity(steps)]; axes.len()];
         for step in 0..steps {
             let section = Section::new(view, curve, robot.length_mm * (step as f64 + 0.5) / steps as f64);
             let camera = section.camera_centre().coords.xy();
+            let disks_below = middles_mm.partition_point(|middle| *middle <= section.s_mm) as u8;
             for (number, &(offset, radius)) in axes.iter().enumerate() {
                 for (side, radial) in tangent_directions(camera - offset, radius) {
                     let local = (offset + radius * radial).push(0.0);
-                    let piece = Piece::Tube(number as u8, side, (section.s_mm / robot.disk_pitch_mm()) as u8);
+                    let piece = Piece::Tube(number as u8, side, disks_below);
                     let point = section.surface_point(local, piece, 0.0, radial.push(0.0), Vector3::z());
                     sides[number][usize::from(side > 0)].push(point.pixel);
                     self.points.push(point);
@@ -97,9 +100,9 @@ impl Surfaces {
     }
 }
 
-/// A disk or the holder as the camera sees it.
+/// A disk, the holder or the tool as the camera sees it.
 struct Cylinder<'a> {
-    /// 0 for the holder; disks count from 1.
+    /// 0 for the holder; disks count from 1, and the tool after them.
     number: u8,
     section: Section<'a>,
     radius_mm: f64,

@@ -282,12 +282,14 @@ fn covariance(
     Some(clustered + systematic)
 }
 
-/// Whether holder, first and end disk are seen where the model says, or at least all parts faintly.
+/// Whether holder, first and end disk, and a tool, are seen where the model says, or at least all parts faintly.
 fn check_visibility(visibility: &PartVisibility, robot: &Robot) -> Result<(), RigError> {
     let end = robot.body.spacer_disk_count + 1;
+    let tool = robot.body.tool.map(|_| (SnakePart::Tool, end + 1));
     let parts = [(SnakePart::Holder, 0), (SnakePart::FirstDisk, 1), (SnakePart::EndDisk, end)];
-    match parts.into_iter().find(|&(_, part)| !visibility.is_visible(part)) {
-        Some((part, _)) if !visibility.are_all_faintly_visible(end) => Err(RigError::PartNotVisible(part)),
+    let last = end + u8::from(tool.is_some());
+    match parts.into_iter().chain(tool).find(|&(_, part)| !visibility.is_visible(part)) {
+        Some((part, _)) if !visibility.are_all_faintly_visible(last) => Err(RigError::PartNotVisible(part)),
         _ => Ok(()),
     }
 }

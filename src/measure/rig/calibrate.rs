@@ -12,7 +12,7 @@ use crate::camera::{Frame, Lens};
 use crate::measure::target::{Grid, find_grid};
 use crate::robot::Robot;
 use nalgebra::Point2;
-use std::ops::RangeInclusive;
+use std::ops::{Range, RangeInclusive};
 
 /// A snake further from where the standoff puts it than this many times the standoff's precision contradicts what was stated.
 ///
@@ -23,6 +23,10 @@ const FAR_OFF_SIGMAS: f64 = 15.0;
 ///
 /// Fitted: by hand to the rigs of tests/eye/robustness; not judged elsewhere.
 const WIDTHS: [(f64, f64); 3] = [(0.85, 2.2), (1.25, 2.2), (0.45, 0.85)];
+/// How wide the holder may be in the end, in units of the width that was seen of it.
+///
+/// Derived: from the widths above, and a tenth more for a target that leans.
+const SEEN_WIDTHS: Range<f64> = 0.4..2.45;
 /// Ranges of the pitch that begin and end within this share of each other's are one.
 ///
 /// Convention: far less than they are wide.
@@ -177,6 +181,9 @@ fn calibrate_on(
         return Err(RigError::BehindCamera { target_mm, standoff_mm: options.standoff_mm });
     }
     let width_px = lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm;
+    if !SEEN_WIDTHS.contains(&(width_px / holder.width_px)) {
+        return Err(RigError::NoHolder { width_px });
+    }
     let rough = find_start(colours, holder, width_px)?;
     if !search.is_new(&rough, width_px) {
         return Err(RigError::NoHolder { width_px });

@@ -11,6 +11,8 @@ pub enum SnakePart {
     FirstDisk,
     /// The disk at the tip.
     EndDisk,
+    /// What is mounted on the end disk.
+    Tool,
 }
 
 impl fmt::Display for SnakePart {
@@ -19,6 +21,7 @@ impl fmt::Display for SnakePart {
             Self::Holder => "the holder",
             Self::FirstDisk => "the first disk",
             Self::EndDisk => "the end disk",
+            Self::Tool => "the tool on the end disk",
         })
     }
 }

@@ -291,7 +291,7 @@ mod tests {
     #[test]
     fn what_is_no_holder_is_told_why() {
         let middle = GrayImage::from_fn(80, 60, |x, y| {
-            Luma([if (30..40).contains(&x) && (20..40).contains(&y) { 255 } else { 0 }])
+            Luma([if (30..50).contains(&x) && (20..40).contains(&y) { 255 } else { 0 }])
         });
         assert_eq!(holders_of(&middle).unwrap_err(), RigError::ObjectWithinBorders);
         let Err(RigError::ObjectTooLarge { width_px, most_width_px, .. }) = holders_of(&bar(20.0, 0.0, 20.0)) else {
