@@ -55,6 +55,8 @@ struct FitTable {
     /// Files of versions that told no rims, or no tubes, from sides have none.
     rim_bias_px: Option<f64>,
     tube_bias_px: Option<f64>,
+    /// Files of versions that told no faces from walls have none.
+    glare: Option<[f64; 2]>,
     edge_rms_px: f64,
     grid_rms_px: f64,
     /// Files of versions that took every snake for an arc have none.
@@ -87,7 +89,13 @@ impl Rig {
             .chain(&file.appearance.weights)
             .chain(&file.print.weights)
             .chain([&file.appearance.offset]);
-        if !numbers.chain([&fit.edge_bias_px]).chain(&fit.rim_bias_px).chain(&fit.tube_bias_px).all(|v| v.is_finite()) {
+        if !numbers
+            .chain([&fit.edge_bias_px])
+            .chain(&fit.rim_bias_px)
+            .chain(&fit.tube_bias_px)
+            .chain(fit.glare.iter().flatten())
+            .all(|v| v.is_finite())
+        {
             return Err(wrong("a number is not finite"));
         }
         if !fit.mode_sigma_deg.iter().all(|sigma| sigma.is_finite() && *sigma > 0.0) {
@@ -111,6 +119,7 @@ impl Rig {
                 side_px: fit.edge_bias_px,
                 tube_px: fit.tube_bias_px.unwrap_or(fit.edge_bias_px),
                 rim_px: fit.rim_bias_px.unwrap_or(fit.edge_bias_px),
+                glare: fit.glare.unwrap_or_default(),
             },
             mode_sigma_rad: fit.mode_sigma_deg.map(f64::to_radians),
             edge_rms_px: fit.edge_rms_px,
@@ -139,6 +148,7 @@ impl Rig {
                 edge_bias_px: self.edge_bias.side_px,
                 rim_bias_px: Some(self.edge_bias.rim_px),
                 tube_bias_px: Some(self.edge_bias.tube_px),
+                glare: Some(self.edge_bias.glare),
                 edge_rms_px: self.edge_rms_px,
                 grid_rms_px: self.grid_rms_px,
                 mode_sigma_deg: self.mode_sigma_rad.map(f64::to_degrees),
@@ -179,7 +189,7 @@ mod tests {
             pattern: GridPattern { kind: PatternKind::Checkerboard, weights: vec![0.5, 0.25, -0.5] },
             appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },
             mode_sigma_rad: [0.01, 0.005, 0.0025],
-            edge_bias: EdgeBias { side_px: -0.05, tube_px: 0.2, rim_px: 0.01 },
+            edge_bias: EdgeBias { side_px: -0.05, tube_px: 0.2, rim_px: 0.01, glare: [0.3, 0.2] },
             grid_rms_px: 0.1,
             edge_rms_px: 0.12,
         }
@@ -208,7 +218,10 @@ mod tests {
             text.lines().filter(|line| !line.starts_with("tube_bias_px")).collect::<Vec<_>>().join("\n"),
         )
         .unwrap();
-        assert_eq!(Rig::read(&path).unwrap().edge_bias, EdgeBias { side_px: -0.05, tube_px: -0.05, rim_px: 0.01 });
+        assert_eq!(
+            Rig::read(&path).unwrap().edge_bias,
+            EdgeBias { side_px: -0.05, tube_px: -0.05, rim_px: 0.01, glare: [0.3, 0.2] }
+        );
     }
 
     #[test]

@@ -43,6 +43,8 @@ pub struct OutlinePoint {
     pub piece: Piece,
     /// On a rim: how far to the side, 0 in the middle to 1 at the ends where the rim turns away. 0 elsewhere.
     pub lateral: f64,
+    /// On a rim whose flat face is seen: how far the face reaches behind the border, px. 0 elsewhere.
+    pub face_px: f64,
     /// Where it is seen, px.
     pub pixel: Point2<f64>,
     /// Unit normal of the border in the picture, pointing out of the snake.
@@ -153,7 +155,7 @@ fn normal_of(along: Vector2<f64>, outward: Vector2<f64>) -> Option<Unit<Vector2<
 
 /// The border point at a surface point; `None` if that is hidden, inside the silhouette or outside the picture.
 fn border_point(silhouette: &Silhouette, lens: &Lens, point: &SurfacePoint) -> Option<OutlinePoint> {
-    let SurfacePoint { body, piece, lateral, pixel, outward, along } = *point;
+    let SurfacePoint { body, piece, lateral, face_px, pixel, outward, along } = *point;
     if !lens.contains(&pixel, PICTURE_MARGIN_PX) {
         return None;
     }
@@ -164,7 +166,7 @@ fn border_point(silhouette: &Silhouette, lens: &Lens, point: &SurfacePoint) -> O
     let depth_px = silhouette.run_length(&pixel, -normal.into_inner(), true);
     let gap_px = silhouette.run_length(&pixel, normal.into_inner(), false);
     let predicted = Some(PredictedEdge::STRAIGHT);
-    Some(OutlinePoint { body, piece, lateral, pixel, normal, gap_px, depth_px, predicted })
+    Some(OutlinePoint { body, piece, lateral, face_px, pixel, normal, gap_px, depth_px, predicted })
 }
 
 #[cfg(test)]

@@ -49,6 +49,11 @@ impl Piece {
         matches!(self, Self::BaseRim | Self::Rim(..))
     }
 
+    /// Whether it is the rim of a far face, turned to the tip.
+    pub(crate) fn is_far(self) -> bool {
+        matches!(self, Self::BaseRim | Self::Rim(_, true))
+    }
+
     /// Whether the piece moves with the bend. The holder and the base disk do not.
     pub(crate) fn bends(self) -> bool {
         !matches!(self, Self::HolderSide(_) | Self::BaseRim)

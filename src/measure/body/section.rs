@@ -12,6 +12,8 @@ pub(super) struct SurfacePoint {
     pub piece: Piece,
     /// See [`OutlinePoint::lateral`](super::OutlinePoint::lateral).
     pub lateral: f64,
+    /// See [`OutlinePoint::face_px`](super::OutlinePoint::face_px).
+    pub face_px: f64,
     /// Where it is seen, px.
     pub pixel: Point2<f64>,
     /// The projection of a direction that points out of the snake.
@@ -41,6 +43,14 @@ impl<'a> Section<'a> {
     /// The camera's centre of projection in the section's frame, mm.
     pub fn camera_centre(&self) -> Point3<f64> {
         Point3::from(-self.camera_from_section.tr_mul(&self.origin_mm))
+    }
+
+    /// How large a millimetre across the line of sight is seen at a point of the section's frame (mm), px, and the sine of the angle at
+    /// which the plane through it across the tangent is seen: positive from the side of the tip.
+    pub fn scale_and_slant(&self, local: Vector3<f64>) -> (f64, f64) {
+        let sight = self.camera_centre().coords - local;
+        let distance_mm = sight.norm();
+        (self.lens.focal_px.x / distance_mm, sight.z / distance_mm)
     }
 
     fn in_camera(&self, local: Vector3<f64>) -> Point3<f64> {
@@ -73,6 +83,7 @@ impl<'a> Section<'a> {
             body: BodyPoint { s_mm: self.s_mm, local },
             piece,
             lateral,
+            face_px: 0.0,
             pixel,
             outward: project * outward,
             along: project * along,

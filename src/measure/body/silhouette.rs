@@ -189,6 +189,7 @@ mod tests {
             let silhouette = Silhouette::new(&lens(), &[polygon], 1.0);
             let plane = Plane { first: silhouette.first, ..silhouette.coverage.clone() };
             let point = OutlinePoint {
+                face_px: 0.0,
                 body: BodyPoint { s_mm: 0.0, local: Vector3::zeros() },
                 piece: Piece::BaseRim,
                 lateral: 0.0,

@@ -163,10 +163,18 @@ impl Cylinder<'_> {
             let lateral = (sin * towards_cos - cos * towards_sin).abs();
             let point = self.section.surface_point(local, piece, lateral, outward, along);
             let pixel = point.pixel;
-            points.push(point);
+            points.push(SurfacePoint { face_px: self.face_px(local, far, lateral), ..point });
             pixel
         };
         (0..steps as usize).map(point).collect()
+    }
+
+    /// How far the face of a rim reaches behind a point of it in the picture, px: the chord of the face's ellipse along its minor axis.
+    /// 0 where the face is turned away.
+    fn face_px(&self, local: Vector3<f64>, far: bool, lateral: f64) -> f64 {
+        let (px_per_mm, slant) = self.section.scale_and_slant(local);
+        let slant = if far { slant } else { -slant };
+        2.0 * self.radius_mm * px_per_mm * slant.max(0.0) * (1.0 - lateral * lateral).max(0.0).sqrt()
     }
 
     /// The limb of the wall at an angle about the axis; returns the pixels of its near and far end.

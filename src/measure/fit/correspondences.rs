@@ -1,7 +1,8 @@
 //! Correspondences between a model's outline and a picture's edges, and their distances for any other state of the model.
 
 use super::edges::{Edge, EdgeFinder};
-use super::noise_model::{Conditions, MODES, edge_floor_px, systematic_modes};
+use super::glancing::SeenFace;
+use super::noise_model::{Conditions, MODES, UNEVEN_GLARE, edge_floor_px, systematic_modes};
 use super::state::EdgeBias;
 use crate::geometry::Pose;
 use crate::measure::body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
@@ -37,6 +38,8 @@ pub(super) struct Correspondence {
     pub normal: Vector2<f64>,
     /// Standard deviation of the edge along the normal, px.
     pub sigma_px: f64,
+    /// The flat face behind it, if there is one.
+    pub face: Option<SeenFace>,
 }
 
 /// The correspondences of one picture with one outline.
@@ -64,6 +67,7 @@ impl Correspondences {
             blur_px: 0.0,
         };
         let mut blurs_px = Vec::with_capacity(outline.points.len());
+        let mut points = Vec::with_capacity(outline.points.len());
         for point in outline.points.iter().filter(|p| is_clear(p) && is_wanted(p.piece)) {
             let edge = finder.find(point, search_px);
             found.searched.push((point.piece, edge));
@@ -80,10 +84,18 @@ impl Correspondences {
                 seen: point.pixel + point.normal.into_inner() * (edge.offset_px - predicted.offset_px),
                 normal: point.normal.into_inner(),
                 sigma_px: edge.sigma_px.hypot(edge_floor_px(point.piece)),
+                face: None,
             });
+            points.push(point);
             blurs_px.push((edge.blur_px / predicted.blur_ratio).min(LARGEST_BLUR_PX) as f32);
         }
         found.blur_px = f64::from(median(&mut blurs_px));
+        let spread_px = finder.spread_px(found.blur_px);
+        for (correspondence, point) in found.all.iter_mut().zip(points) {
+            correspondence.face = SeenFace::behind(point, spread_px);
+            let uneven_px = correspondence.face.map_or(0.0, |face| face.pull_px() * UNEVEN_GLARE);
+            correspondence.sigma_px = correspondence.sigma_px.hypot(uneven_px);
+        }
         found
     }
 
@@ -91,6 +103,8 @@ impl Correspondences {
     /// are in the order of the outline's points. Each has the standard deviation `sigma_px`.
     #[cfg(test)]
     pub fn displaced(outline: &Outline, displacements_px: &[f64], sigma_px: f64) -> Self {
+        /// The edges' blur after the filter.
+        const SPREAD_PX: f64 = 1.5;
         let mut edges = Self { all: vec![], sections_mm: vec![], section_of: vec![], searched: vec![], blur_px: 1.0 };
         let points = outline.points.iter().zip(displacements_px);
         for (point, displacement_px) in points.filter(|(point, _)| is_clear(point) && point.piece.bends()) {
@@ -102,7 +116,8 @@ impl Correspondences {
             let normal = point.normal.into_inner();
             let seen = point.pixel + normal * *displacement_px;
             let OutlinePoint { body, piece, lateral, .. } = *point;
-            edges.all.push(Correspondence { body, piece, lateral, seen, normal, sigma_px });
+            let face = SeenFace::behind(point, SPREAD_PX);
+            edges.all.push(Correspondence { body, piece, lateral, seen, normal, sigma_px, face });
         }
         edges
     }
@@ -124,7 +139,7 @@ impl Correspondences {
         points
             .map(|(m, &section)| {
                 let expected = view.lens.project(&(frames[section] * Point3::from(m.body.local)));
-                (m.normal.dot(&(m.seen - expected)) - bias.of(m.piece)) / m.sigma_px
+                (m.normal.dot(&(m.seen - expected)) - bias.at(m.piece, m.face).0) / m.sigma_px
             })
             .collect()
     }

@@ -127,6 +127,11 @@ impl<'a> EdgeFinder<'a> {
         fine.filter(has_little_noise).unwrap_or_else(|| self.coarse_for_blur(blur_px))
     }
 
+    /// The blur of an edge after the filter, σ in px, whose own blur is this.
+    pub(super) fn spread_px(&self, blur_px: f64) -> f64 {
+        blur_px.hypot(self.filter_px)
+    }
+
     /// A finder with the same filter for a picture of the model, see [`noiseless`](Self::noiseless).
     pub fn for_model<'b>(&self, plane: &'b Plane) -> EdgeFinder<'b> {
         EdgeFinder::noiseless(plane).with_filter(self.filter_px)
@@ -262,6 +267,7 @@ mod tests {
             body: BodyPoint { s_mm: 0.0, local: Vector3::zeros() },
             piece: Piece::BaseRim,
             lateral: 0.0,
+            face_px: 0.0,
             pixel: Point2::new(BORDER_PX, row as f64),
             normal: Unit::new_unchecked(Vector2::x()),
             gap_px: 12.0,

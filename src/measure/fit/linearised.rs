@@ -1,7 +1,7 @@
 //! The edges' residuals linearised in bend, edge bias and camera pose, and the robust step that follows.
 
 use super::correspondences::Correspondences;
-use super::state::{EdgeBias, FramePrior, PRIORS, STATE, State};
+use super::state::{FramePrior, PRIORS, STATE, State};
 use super::uncertainty::{LEAST_SCALE, RobustPhase};
 use crate::geometry::Pose;
 use crate::measure::body::Projection;
@@ -66,12 +66,15 @@ impl Linearised {
             // ∂(distance along the normal, in units of σ)/∂(point in the camera's frame, mm).
             let by_point = jacobian.transpose() * edge.normal / edge.sigma_px;
             let distance_px = edge.normal.dot(&(edge.seen - expected));
-            linear.residuals[row] = (distance_px - state.bias.of(edge.piece)) / edge.sigma_px;
+            let (bias_px, by_bias) = state.bias.at(edge.piece, edge.face);
+            linear.residuals[row] = (distance_px - bias_px) / edge.sigma_px;
             let by_turn = arm.cross(&by_point);
             for (number, (translation, rotation)) in by_profile.iter().enumerate() {
                 linear.by_state[(row, number)] = -by_point.dot(translation) - by_turn.dot(rotation);
             }
-            linear.by_state[(row, PROFILE + EdgeBias::kind(edge.piece))] = -1.0 / edge.sigma_px;
+            for (number, by) in by_bias.into_iter().enumerate() {
+                linear.by_state[(row, PROFILE + number)] = -by / edge.sigma_px;
+            }
             let by_rotation = (point.coords - view.camera_from_base.translation.vector).cross(&by_point);
             for axis in 0..3 {
                 linear.by_pose[(row, axis)] = -by_rotation[axis];
@@ -134,6 +137,7 @@ impl Linearised {
 
 #[cfg(test)]
 mod tests {
+    use super::super::state::EdgeBias;
     use super::*;
     use crate::geometry::perturbed;
     use crate::measure::body::Outline;
@@ -146,7 +150,7 @@ mod tests {
         let mut scene = Scene::new(Vector3::new(0.1, -0.15, 0.05));
         scene.lens.distortion[0] = -0.1;
         let view = scene.view();
-        let bias = EdgeBias { side_px: 0.1, tube_px: -0.2, rim_px: 0.05 };
+        let bias = EdgeBias { side_px: 0.1, tube_px: -0.2, rim_px: 0.05, glare: [0.3, 0.2] };
         let modes = [Vector2::new(0.05, -0.02), Vector2::new(-0.03, 0.01), Vector2::new(0.01, 0.02)];
         let profile = BendProfile { tip: Vector2::new(0.5, -0.7), modes };
         let state = State { profile, bias };

@@ -1,6 +1,6 @@
 //! From the picture's edges to the bend.
 //!
-//! Bottom up: `edges` (sub-pixel edges near a border point), `noise_model` (how far they may be off), `state` (what is fitted), `shape_prior` (how far the snake departs from an arc),
+//! Bottom up: `edges` (sub-pixel edges near a border point), `noise_model` (how far they may be off), `glancing` (faces of disks, which mirror the target at a glancing angle), `state` (what is fitted), `shape_prior` (how far the snake departs from an arc),
 //! `correspondences` (the model's outline matched with the picture's edges), `blur` (what a blurred picture makes of the model),
 //! `uncertainty` (robust weights, covariance), `linearised` (residuals and their derivatives), `visibility` (which parts are seen),
 //! `bend` (the fit), `coarse` (candidates for it) and `alternatives` (selection among its minima).
@@ -11,6 +11,7 @@ mod blur;
 mod coarse;
 mod correspondences;
 mod edges;
+mod glancing;
 mod linearised;
 mod noise_model;
 mod shape_prior;
@@ -25,7 +26,7 @@ pub(super) use coarse::CoarseSearch;
 pub(super) use correspondences::Correspondences;
 pub use edges::{Edge, EdgeFinder};
 pub(super) use linearised::Linearised;
-pub(super) use noise_model::FRAME_BIAS_SIGMA_PX;
+pub(super) use noise_model::{FRAME_BIAS_SIGMA, GLARE, GLARE_SIGMA, POSE_VARIANCE, UNKNOWN_BIAS};
 pub use shape_prior::UNKNOWN_SHAPE_RAD;
 pub(super) use shape_prior::learned_mode_sigmas;
 pub use state::EdgeBias;

@@ -1,5 +1,6 @@
 //! What one picture is fitted with: the bend along the snake and the biases of its edges, and what is known of them beforehand.
 
+use super::glancing::SeenFace;
 use super::noise_model::{DESIGN_EFFECT, blur_growth};
 use crate::measure::body::Piece;
 use crate::robot::{BendProfile, MODES, PROFILE};
@@ -14,12 +15,15 @@ pub struct EdgeBias {
     pub tube_px: f64,
     /// At the sharp rims of the disks.
     pub rim_px: f64,
+    /// The share of the contrast between snake and target that disks' faces lack where they are seen at a glancing angle and mirror
+    /// the target: of near faces, turned to the base, and of far ones, turned to the tip.
+    pub glare: [f64; 2],
 }
 
 /// How many biases there are.
 ///
 /// Convention: a count.
-pub(crate) const BIASES: usize = 3;
+pub(crate) const BIASES: usize = 5;
 
 impl EdgeBias {
     /// The index of the bias that the edges of a piece have.
@@ -31,17 +35,35 @@ impl EdgeBias {
         }
     }
 
-    /// The bias of a piece's edges, px.
+    /// The bias of the edges of a piece that has no glancing face behind it, px.
     pub(crate) fn of(self, piece: Piece) -> f64 {
         self.to_array()[Self::kind(piece)]
     }
 
+    /// The bias of an edge, px, and its derivative by each number.
+    pub(super) fn at(self, piece: Piece, face: Option<SeenFace>) -> (f64, [f64; BIASES]) {
+        let mut by = [0.0; BIASES];
+        by[Self::kind(piece)] = 1.0;
+        let bias_px = self.of(piece);
+        let Some(face) = face else { return (bias_px, by) };
+        let side = usize::from(face.is_far);
+        let (displacement_px, slope_px) = face.displacement_px(self.glare[side]);
+        by[3 + side] = slope_px;
+        (bias_px + displacement_px, by)
+    }
+
     pub(crate) fn to_array(self) -> [f64; BIASES] {
-        [self.side_px, self.tube_px, self.rim_px]
+        let [near, far] = self.glare;
+        [self.side_px, self.tube_px, self.rim_px, near, far]
+    }
+
+    pub(crate) fn from_array([side_px, tube_px, rim_px, near, far]: [f64; BIASES]) -> Self {
+        Self { side_px, tube_px, rim_px, glare: [near, far] }
     }
 
     pub(crate) fn moved(self, by: &[f64]) -> Self {
-        Self { side_px: self.side_px + by[0], tube_px: self.tube_px + by[1], rim_px: self.rim_px + by[2] }
+        let numbers = self.to_array();
+        Self::from_array(std::array::from_fn(|k| numbers[k] + by[k]))
     }
 }
 
@@ -51,7 +73,8 @@ pub(crate) struct FramePrior {
     /// Standard deviation of either component of each mode about zero, rad.
     pub mode_sigma_rad: [f64; MODES],
     pub bias: EdgeBias,
-    pub bias_sigma_px: f64,
+    /// Standard deviation of each of the bias' numbers, in their order.
+    pub bias_sigma: [f64; BIASES],
 }
 
 /// How many of a state's numbers have a prior: all but the tip's bend vector.
@@ -68,7 +91,7 @@ impl FramePrior {
         std::array::from_fn(|k| {
             let (offset, sigma) = match k.checked_sub(PROFILE - 2) {
                 None => (numbers[2 + k], self.mode_sigma_rad[k / 2]),
-                Some(bias) => (biases[bias] - means[bias], self.bias_sigma_px),
+                Some(bias) => (biases[bias] - means[bias], self.bias_sigma[bias]),
             };
             let root = DESIGN_EFFECT.sqrt() / sigma;
             (offset * root, root)
@@ -77,7 +100,9 @@ impl FramePrior {
 
     /// The prior for a picture of this blur.
     pub fn at_blur(self, blur_px: f64) -> Self {
-        Self { bias_sigma_px: self.bias_sigma_px * blur_growth(blur_px), ..self }
+        let growth = blur_growth(blur_px);
+        let [side, tube, rim, near, far] = self.bias_sigma;
+        Self { bias_sigma: [side * growth, tube * growth, rim * growth, near, far], ..self }
     }
 }
 
@@ -86,8 +111,8 @@ impl FramePrior {
     /// That of the unit tests: of a snake that is known to be an arc, without bias.
     pub const FIXTURE: Self = Self {
         mode_sigma_rad: [1e-3, 5e-4, 2e-4],
-        bias: EdgeBias { side_px: 0.0, tube_px: 0.0, rim_px: 0.0 },
-        bias_sigma_px: 0.05,
+        bias: EdgeBias { side_px: 0.0, tube_px: 0.0, rim_px: 0.0, glare: [0.0; 2] },
+        bias_sigma: [0.05, 0.05, 0.05, 0.1, 0.1],
     };
 }
 
@@ -117,11 +142,12 @@ mod tests {
 
     #[test]
     fn every_piece_has_the_bias_of_its_kind() {
-        let bias = EdgeBias { side_px: 0.1, tube_px: 0.2, rim_px: 0.3 };
+        let bias = EdgeBias { side_px: 0.1, tube_px: 0.2, rim_px: 0.3, glare: [0.1, 0.2] };
         let moved = EdgeBias::default().moved(&bias.to_array());
         assert_eq!(moved, bias);
         let of =
             [Piece::HolderSide(1), Piece::DiskSide(2, -1), Piece::Tube(3, 1, 4), Piece::BaseRim, Piece::Rim(5, true)];
         assert_eq!(of.map(|piece| bias.of(piece)), [0.1, 0.1, 0.2, 0.3, 0.3]);
+        assert_eq!(of.map(|piece| bias.at(piece, None).0), [0.1, 0.1, 0.2, 0.3, 0.3]);
     }
 }

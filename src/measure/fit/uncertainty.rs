@@ -4,7 +4,7 @@
 //! the body (cluster-robust), and the systematic modes of the noise model.
 
 use super::correspondences::Correspondences;
-use super::noise_model::DESIGN_EFFECT;
+use super::noise_model::{DESIGN_EFFECT, OWN_VARIANCE};
 use crate::measure::body::Projection;
 use crate::statistics::cluster::clustered_covariance;
 use crate::statistics::least_squares::covariance;
@@ -97,10 +97,12 @@ impl FitCovariance {
     }
 
     /// The covariance of the parameters with the indices `kept`: the clustered one, widened in each direction in which it is less
-    /// than the independent one (the scores of a few clusters may agree by chance), plus the systematic one.
+    /// than the independent one (the scores of a few clusters may agree by chance), of which [`OWN_VARIANCE`] is the frame's own, plus the
+    /// systematic one.
     pub fn total(&self, kept: &[usize]) -> Option<DMatrix<f64>> {
         let block = |of: &DMatrix<f64>| DMatrix::from_fn(kept.len(), kept.len(), |r, c| of[(kept[r], kept[c])]);
-        Some(at_least(&block(&self.clustered), &block(&self.independent))? + block(&self.systematic))
+        let own = at_least(&block(&self.clustered), &block(&self.independent))? * OWN_VARIANCE;
+        Some(own + block(&self.systematic))
     }
 }
 

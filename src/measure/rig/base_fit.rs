@@ -12,8 +12,8 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::Configuration;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    BIASES, Correspondences, EdgeBias, EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase, UNKNOWN_SHAPE_RAD,
-    fine_filter, inliers, predict_blur, systematic_covariance,
+    BIASES, Correspondences, EdgeBias, EdgeFinder, FINE_SEARCH_PX, GLARE, GLARE_SIGMA, PartVisibility, RobustPhase,
+    UNKNOWN_BIAS, UNKNOWN_SHAPE_RAD, fine_filter, inliers, predict_blur, systematic_covariance,
 };
 use crate::measure::image::appearance::Appearance;
 use crate::measure::image::plane::Plane;
@@ -90,10 +90,10 @@ const BELOW_HOLDER: f64 = 1.0;
 ///
 /// Convention: ±1.6 σ of the blur.
 const BORDER_SHARES: std::ops::Range<f32> = 0.05..0.95;
-/// Steps of central differences: placement (mm, mm, rad, mm, rad) and edge biases (px).
+/// Steps of central differences: placement (mm, mm, rad, mm, rad) and edge biases (three in px, two shares).
 ///
 /// Convention: far below what edges tell, far above rounding.
-const STEPS: [f64; PLACEMENT + BIASES] = [1e-4, 1e-4, 1e-5, 1e-4, 1e-5, 1e-3, 1e-3, 1e-3];
+const STEPS: [f64; PLACEMENT + BIASES] = [1e-4, 1e-4, 1e-5, 1e-4, 1e-5, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3];
 
 /// The bend of a straight snake.
 pub const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
@@ -141,7 +141,7 @@ pub fn fit_base(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Re
         picture,
         grid,
         placement: placement.ok_or_else(behind)?,
-        bias: EdgeBias::default(),
+        bias: UNKNOWN_BIAS,
         learned: None,
         last: None,
     };
@@ -209,8 +209,10 @@ impl<'a> BaseFit<'a> {
             let of_edges = edges.residuals(&self.view(&placement), STRAIGHT, bias);
             let weighted = of_edges.iter().zip(roots).map(|(r, root)| r * root);
             let priors = [placement.height_mm() / STANDOFF_SIGMA_MM, placement.tilt() / TILT_SIGMA];
-            let biases = bias.to_array().map(|bias_px| bias_px / bias_sigma_px);
-            DVector::from_vec(weighted.chain(priors).chain(biases).collect())
+            let [side, tube, rim, near, far] = bias.to_array();
+            let biases = [side, tube, rim].map(|bias_px| bias_px / bias_sigma_px);
+            let faces = [(near - GLARE) / GLARE_SIGMA, (far - GLARE) / GLARE_SIGMA];
+            DVector::from_vec(weighted.chain(priors).chain(biases).chain(faces).collect())
         };
         let start = self.placement.0.iter().copied().chain(self.bias.to_array());
         let start = DVector::from_iterator(STEPS.len(), start);
@@ -254,7 +256,8 @@ impl<'a> BaseFit<'a> {
     /// Whether enough of the outline agrees with the model, without a bias that no edge has.
     fn check_agreement(&self, edges: &Correspondences, agreeing: usize, rms_px: f64) -> Result<(), RigError> {
         let agreeing = agreeing as f64 / edges.searched().len().max(1) as f64;
-        let bias_px = self.bias.to_array().into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
+        let [side, tube, rim, ..] = self.bias.to_array();
+        let bias_px = [side, tube, rim].into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
         let most_bias_px = MOST_BIAS_PX * edges.blur_px.max(1.0);
         if agreeing < LEAST_AGREEING || bias_px.abs() > most_bias_px {
             let least_agreeing = LEAST_AGREEING;

@@ -1,7 +1,7 @@
 //! The rig: where camera, grid target and snake are, and what the snake looks like. Data only.
 
 use crate::geometry::Pose;
-use crate::measure::fit::{EdgeBias, FRAME_BIAS_SIGMA_PX, FramePrior};
+use crate::measure::fit::{EdgeBias, FRAME_BIAS_SIGMA, FramePrior};
 use crate::measure::image::appearance::Appearance;
 use crate::measure::target::GridPattern;
 use crate::robot::MODES;
@@ -55,7 +55,7 @@ impl Rig {
 
     /// What is known of a frame's state before it is looked at.
     pub(crate) fn prior(&self) -> FramePrior {
-        FramePrior { mode_sigma_rad: self.mode_sigma_rad, bias: self.edge_bias, bias_sigma_px: FRAME_BIAS_SIGMA_PX }
+        FramePrior { mode_sigma_rad: self.mode_sigma_rad, bias: self.edge_bias, bias_sigma: FRAME_BIAS_SIGMA }
     }
 
     /// Distance from the snake's base back to the grid target, mm.
@@ -90,7 +90,7 @@ pub(super) mod tests {
             grid_pitch_mm: 1.0,
             pattern: GridPattern::default(),
             appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },
-            edge_bias: EdgeBias { side_px: -0.05, tube_px: 0.2, rim_px: 0.01 },
+            edge_bias: EdgeBias { side_px: -0.05, tube_px: 0.2, rim_px: 0.01, glare: [0.3, 0.2] },
             mode_sigma_rad: [1e-3, 2e-4, 1e-4],
             grid_rms_px: 0.1,
             edge_rms_px: 0.12,

@@ -10,7 +10,7 @@ use crate::camera::Lens;
 use crate::geometry::perturbed;
 use crate::measure::body::{Outline, Piece, Projection};
 use crate::measure::fit::{
-    BIASES, BendFit, Correspondences, EdgeFinder, FRAME_BIAS_SIGMA_PX, FitSchedule, FramePrior, Linearised,
+    BIASES, BendFit, Correspondences, EdgeFinder, FRAME_BIAS_SIGMA, FitSchedule, FramePrior, Linearised, POSE_VARIANCE,
     RobustPhase, Start, State, fine_filter, fit_bend, inliers, learned_mode_sigmas, predict_blur,
 };
 use crate::measure::image::plane::Plane;
@@ -68,7 +68,7 @@ pub fn refined_rig(
     planes: &[Plane],
     mut starts: Vec<Start>,
 ) -> Option<Rig> {
-    let prior = Prior::new(calibrated, FRAME_BIAS_SIGMA_PX)?;
+    let prior = Prior::new(calibrated, FRAME_BIAS_SIGMA)?;
     let mut rig = calibrated.clone();
     let mut moved = Shared::zeros();
     let mut is_shape_known = false;
@@ -106,7 +106,7 @@ pub fn refined_rig(
 fn moved_rig(rig: &Rig, by: &Shared, covariance: &SharedInformation) -> Rig {
     Rig {
         camera_from_base: perturbed(&rig.camera_from_base, &by.fixed_rows::<6>(0).into_owned()),
-        pose_covariance: covariance.fixed_view::<6, 6>(0, 0).into_owned(),
+        pose_covariance: covariance.fixed_view::<6, 6>(0, 0) * POSE_VARIANCE,
         edge_bias: rig.edge_bias.moved(&by.as_slice()[6..]),
         ..rig.clone()
     }
@@ -177,11 +177,11 @@ struct Prior {
 
 impl Prior {
     /// `None` where the rig's pose covariance is not positive definite.
-    fn new(rig: &Rig, bias_sigma_px: f64) -> Option<Self> {
+    fn new(rig: &Rig, bias_sigma: [f64; BIASES]) -> Option<Self> {
         let pose: Matrix6<f64> = rig.pose_covariance.cholesky()?.inverse();
         let information = SharedInformation::from_fn(|r, c| match (r < 6, c < 6) {
             (true, true) => pose[(r, c)],
-            _ if r == c => bias_sigma_px.powi(-2),
+            _ if r == c => bias_sigma[r - 6].powi(-2),
             _ => 0.0,
         });
         Some(Self { information })
@@ -268,7 +268,7 @@ mod tests {
     fn frames_tell_what_they_share_with_the_covariance_that_they_state() {
         let mut rig = rig();
         rig.pose_covariance = Matrix6::from_diagonal_element(1.0);
-        let prior = Prior::new(&rig, 1.0).unwrap();
+        let prior = Prior::new(&rig, [1.0; BIASES]).unwrap();
         let truth = Shared::from_fn(|r, _| 0.01 * (r as f64 - 4.0));
         for common_sigma in [0.0, 1.0] {
             let normalised = (0..100).map(|seed| {
@@ -287,7 +287,7 @@ mod tests {
     fn a_prior_that_is_sure_is_not_moved() {
         let mut rig = rig();
         rig.pose_covariance = Matrix6::from_diagonal_element(1e-14);
-        let prior = Prior::new(&rig, 1e-7).unwrap();
+        let prior = Prior::new(&rig, [1e-7; BIASES]).unwrap();
         let truth = Shared::from_element(0.01);
         let (step, _) = prior.combined(&Shared::zeros(), &evidence(&truth, 0.0, 1)).unwrap();
         assert!(step.norm() < 1e-6, "{step}");
@@ -301,6 +301,6 @@ mod tests {
         let moved = moved_rig(&rig(), &by, &SharedInformation::identity());
         assert_eq!(moved.camera_from_base.translation.z, rig().camera_from_base.translation.z + 2.0);
         assert_eq!(moved.edge_bias.tube_px, rig().edge_bias.tube_px + 0.1);
-        assert_eq!(moved.pose_covariance, Matrix6::identity());
+        assert_eq!(moved.pose_covariance, Matrix6::identity() * POSE_VARIANCE);
     }
 }
