@@ -34,7 +34,7 @@ const FRAME: [&str; 2] = ["rest_bend", "plane_misalignment"];
 /// Convention: two estimate a parameter and what is left beside it; on fewer, richer models do worse in directions they have not seen.
 const SWEEPS_PER_PARAMETER: usize = 2;
 
-/// An effect must take away this share of what is left beyond noise, on sweeps that the fit did not see.
+/// An effect, and all of an answer together, must take away this share of what is left beyond noise, on sweeps that the fit did not see.
 ///
 /// Convention: less is not worth a name while the rest is unknown.
 const LEAST_SHARE: f64 = 0.2;
@@ -109,10 +109,20 @@ impl<'a> Partial<'a> {
             let unlikely = |named: &&Named| named.probability() < LEAST_INCLUSION;
             let least = answer.named.iter().filter(unlikely).map(|named| named.removes).fold(f64::INFINITY, f64::min);
             let Some(place) = answer.named.iter().position(|named| unlikely(&named) && named.removes == least) else {
-                return answer;
+                return answer.or_nothing();
             };
             answer.after = answer.without(answer.given() + place);
         }
+    }
+
+    /// The answer, if all its effects together are worth naming: effects of the frame may each remove less than others must.
+    fn or_nothing(mut self) -> Self {
+        let [before, after] = [&self.before, &self.after].map(|fit| HeldOutCosts::new(&self.problem, fit));
+        if before.total() - after.total() < LEAST_SHARE * self.excess_of(&before) {
+            self.after = self.before.clone();
+            self.named.clear();
+        }
+        self
     }
 
     /// Adds effects that `admits`, the one that helps most first, until none helps by a share of what is left. Those that are expected to
