@@ -13,8 +13,8 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    Alternative, BendFit, CoarseSearch, EDGE_ON_RAD, EdgeFinder, FitSchedule, ProfileCovariance, Start, State,
-    distinct, fit_bend, mirrored,
+    Alternative, BendFit, CoarseSearch, EDGE_ON_RAD, EdgeFinder, FitSchedule, POSE_VARIANCE, ProfileCovariance, Start,
+    State, distinct, fit_bend, mirrored,
 };
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
@@ -224,6 +224,15 @@ impl Eye {
         fit_bend(&self.projection(), finder, start, self.rig.prior(), schedule)
     }
 
+    /// A fit, or another one with any shape where the picture contradicts what is known of the snake's.
+    fn of_its_shape(&self, fit: BendFit, finder: &EdgeFinder, schedule: &FitSchedule) -> BendFit {
+        let prior = self.rig.prior();
+        if !prior.is_contradicted_by(&fit.profile) {
+            return fit;
+        }
+        fit_bend(&self.projection(), finder, fit.start(), prior.of_any_shape(), schedule).unwrap_or(fit)
+    }
+
     /// Fits the candidates, best first, until one explains all of the outline, and the mirrored solution of the best: the coarse
     /// search may have taken one for the other, and the fit of the wrong one then ends between both.
     fn coarse_fits(&self, candidates: &[Vector2<f64>], finder: &EdgeFinder) -> Vec<BendFit> {
@@ -290,7 +299,10 @@ impl Eye {
             finest = self.fit(finder, mirrored.start(), fine);
         }
         let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
-        let Some(mut best) = finest else { return Selection { fits, has_fine_fit: false, is_ambiguous: false } };
+        let of_its_shape = |fit: BendFit| self.of_its_shape(fit, finder, fine);
+        let Some(mut best) = finest.map(of_its_shape) else {
+            return Selection { fits, has_fine_fit: false, is_ambiguous: false };
+        };
         let diameter_px = self.projection().diameter_px();
         let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, diameter_px);
         let alternatives = fits[1..].iter().filter(|other| compare(other, &fits[0]) != Alternative::Worse);
@@ -319,7 +331,8 @@ impl Eye {
         if let Some(status) = refusal_by_edges(fit) {
             return FrameMeasurement::failed(status, Some(quality));
         }
-        let covariance = fit.covariance + fit.by_pose * self.rig.pose_covariance * fit.by_pose.transpose();
+        let of_rig = fit.by_pose * self.rig.pose_covariance * fit.by_pose.transpose() * POSE_VARIANCE;
+        let covariance = fit.covariance + of_rig;
         let quality = Quality { shape: shape(&fit.profile, &covariance), profile: Some(fit.profile), ..quality };
         let visibility = fit.visibility();
         if visibility.visible_disk_share() < LEAST_VISIBLE_DISKS || !visibility.is_end_visible() {

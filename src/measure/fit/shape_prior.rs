@@ -33,7 +33,7 @@ const LEAST_RAD: f64 = 2e-5;
 /// The largest σ_k that is tried, in units of that before any frame was seen.
 ///
 /// Convention: 6° of a_1, a curvature that varies by 40 % along a snake bent by 60°.
-const LARGEST: f64 = 20.0;
+pub(super) const LARGEST_SHAPE: f64 = 20.0;
 
 /// σ_k of each mode, rad, from fits under the prior [`UNKNOWN_SHAPE_RAD`] in frames of one sequence, whose rig has a pose of this
 /// covariance.
@@ -53,7 +53,7 @@ pub(crate) fn learned_mode_sigmas(fits: &[BendFit], pose_covariance: &Matrix6<f6
 /// between [`LEAST_RAD`] and twenty times the `prior`.
 fn posterior_sigma(values: &[(f64, f64)], prior: f64) -> f64 {
     let sigmas: Vec<f64> = std::iter::successors(Some(LEAST_RAD), |sigma| Some(sigma * STEP))
-        .take_while(|s| *s <= LARGEST * prior)
+        .take_while(|s| *s <= LARGEST_SHAPE * prior)
         .collect();
     let log_likelihood = |sigma: f64| -> f64 {
         let of_value = |&(value, variance): &(f64, f64)| {

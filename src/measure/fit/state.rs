@@ -2,9 +2,10 @@
 
 use super::glancing::SeenFace;
 use super::noise_model::{DESIGN_EFFECT, blur_growth};
+use super::shape_prior::{LARGEST_SHAPE, UNKNOWN_SHAPE_RAD};
 use crate::measure::body::Piece;
 use crate::robot::{BendProfile, MODES, PROFILE};
-use nalgebra::SVector;
+use nalgebra::{SVector, Vector2};
 
 /// How far outside the snake's true border its edges are seen, px.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -67,6 +68,11 @@ impl EdgeBias {
     }
 }
 
+/// Modes whose squares sum up to more than this, in units of their prior variances, contradict the prior.
+///
+/// Derived: χ² of the six components exceeds it once in 10,000 frames.
+const CONTRADICTION_CHI2: f64 = 27.9;
+
 /// A Gaussian prior of the modes of the bend profile and of the edges' biases, all independent of each other.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FramePrior {
@@ -96,6 +102,17 @@ impl FramePrior {
             let root = DESIGN_EFFECT.sqrt() / sigma;
             (offset * root, root)
         })
+    }
+
+    /// Whether a profile departs from an arc by more than a snake of this prior does.
+    pub fn is_contradicted_by(&self, profile: &BendProfile) -> bool {
+        let of_mode = |(mode, sigma): (&Vector2<f64>, &f64)| mode.norm_squared() / (sigma * sigma);
+        profile.modes.iter().zip(&self.mode_sigma_rad).map(of_mode).sum::<f64>() > CONTRADICTION_CHI2
+    }
+
+    /// The prior of a snake of which nothing is known but the largest modes that any has.
+    pub fn of_any_shape(self) -> Self {
+        Self { mode_sigma_rad: UNKNOWN_SHAPE_RAD.map(|sigma| LARGEST_SHAPE * sigma), ..self }
     }
 
     /// The prior for a picture of this blur.

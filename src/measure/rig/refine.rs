@@ -10,8 +10,8 @@ use crate::camera::Lens;
 use crate::geometry::perturbed;
 use crate::measure::body::{Outline, Piece, Projection};
 use crate::measure::fit::{
-    BIASES, BendFit, Correspondences, EdgeFinder, FRAME_BIAS_SIGMA, FitSchedule, FramePrior, Linearised, POSE_VARIANCE,
-    RobustPhase, Start, State, fine_filter, fit_bend, inliers, learned_mode_sigmas, predict_blur,
+    BIASES, BendFit, Correspondences, EdgeFinder, FRAME_BIAS_SIGMA, FitSchedule, FramePrior, Linearised, RobustPhase,
+    Start, State, fine_filter, fit_bend, inliers, learned_mode_sigmas, predict_blur,
 };
 use crate::measure::image::plane::Plane;
 use crate::robot::{PROFILE, Robot};
@@ -106,7 +106,7 @@ pub fn refined_rig(
 fn moved_rig(rig: &Rig, by: &Shared, covariance: &SharedInformation) -> Rig {
     Rig {
         camera_from_base: perturbed(&rig.camera_from_base, &by.fixed_rows::<6>(0).into_owned()),
-        pose_covariance: covariance.fixed_view::<6, 6>(0, 0) * POSE_VARIANCE,
+        pose_covariance: covariance.fixed_view::<6, 6>(0, 0).into_owned(),
         edge_bias: rig.edge_bias.moved(&by.as_slice()[6..]),
         ..rig.clone()
     }
@@ -301,6 +301,6 @@ mod tests {
         let moved = moved_rig(&rig(), &by, &SharedInformation::identity());
         assert_eq!(moved.camera_from_base.translation.z, rig().camera_from_base.translation.z + 2.0);
         assert_eq!(moved.edge_bias.tube_px, rig().edge_bias.tube_px + 0.1);
-        assert_eq!(moved.pose_covariance, Matrix6::identity() * POSE_VARIANCE);
+        assert_eq!(moved.pose_covariance, Matrix6::identity());
     }
 }
