@@ -130,7 +130,9 @@ impl Search {
                 let mut afresh = Self::default();
                 calibrate_on(picture, colours, holder, &grid, &mut afresh).ok()
             });
-            calibrated.next().map(|rig| contradiction(robot, options, &rig))
+            // Of lines that are closer or further apart than was looked for no grid was found yet.
+            let rig = calibrated.next().or_else(|| calibrate_from(picture, colours, holder, &mut Self::default()).ok());
+            rig.map(|rig| contradiction(robot, options, &rig))
         })
     }
 }
