@@ -9,6 +9,7 @@ use super::data::Data;
 use super::discovery::Discovery;
 use super::fit::Fit;
 use super::held_out::held_out_fits;
+use super::noise::Noise;
 use super::null_distribution::LEVEL;
 use super::residuals::{Problem, Residual};
 use super::verdict::Verdict;
@@ -67,7 +68,9 @@ fn unneeded(found: &Discovery, reason: &str) -> Correction {
 }
 
 fn learned(found: &Discovery, data: &Data) -> Correction {
-    let problem = Problem::new(data, &found.noise, &found.model);
+    // The discrepancy is what it is to take away, and so no noise here.
+    let noise = Noise { discrepancy_rad: 0.0, discrepancy_mm: 0.0, ..found.noise };
+    let problem = Problem::new(data, &noise, &found.model);
     let fit = problem.fit(&found.model, None, None);
     let regression = Regression::new(&problem, &fit);
     let fits = held_out_fits(&problem, &fit);

@@ -15,6 +15,7 @@ use super::sweeps::FOLDS;
 use crate::robot::effects::{Role, Starts};
 use crate::robot::{Model, Physics};
 use crate::statistics::moments::rms;
+use nalgebra::Vector2;
 
 /// The most effects of a partial answer.
 ///
@@ -91,11 +92,15 @@ impl<'a> Partial<'a> {
             let [one, other] = [one, other].map(|fit| problem.fit(&fit.model, None, None));
             before = if one.cost < other.cost { one } else { other };
         }
-        let bends = problem.data.measured.iter().map(|measured| measured.configuration.theta);
+        let bends: Vec<Vector2<f64>> =
+            problem.data.measured.iter().map(|measured| measured.configuration.bend_vector()).collect();
         let gap = (bend_squares(&problem, &before) / problem.data.len() as f64).sqrt();
-        let is_near = gap < LEAST_GAP * rms(bends);
+        let is_near = gap < LEAST_GAP * rms(bends.iter().map(|bend| bend.norm()));
+        // A picture that stands still tells nothing of a snake that should have moved.
+        let middle = bends.iter().sum::<Vector2<f64>>() / bends.len().max(1) as f64;
+        let is_still = rms(bends.iter().map(|bend| (bend - middle).norm())) < gap;
         let mut answer = Self { problem, after: before.clone(), before, named: Vec::new() };
-        if is_near {
+        if is_near || is_still {
             return answer;
         }
         // The likeliest first, since on a few sweeps much can imitate it: where the snake rests and how its frame is turned, which no

@@ -43,7 +43,7 @@ fn a_correction_learned_on_one_experiment_helps_on_another_in_every_command() {
     sandbox.write("plain.toml", plain);
     let gap = |model: &str| number(&sandbox.json(&format!("evaluate --model {model} {}", data("two"))), "rms_eps_mm");
     let (before, after) = (gap("plain.toml"), gap("found/model.toml"));
-    assert!(after < 0.5 * before, "{before} → {after} mm");
+    assert!(after < 0.6 * before, "{before} → {after} mm");
 
     // The table, against what leads there: the plain command and the pull that it causes.
     let error = |model: &str| {
