@@ -155,15 +155,17 @@ impl PublicationGate {
     }
 }
 
-/// Whether the first values are larger than the second, pose by pose, beyond chance: by the paired t-test. Of few poses, which give no
-/// test its power, any larger mean counts: a table can wait.
-fn is_worse(values: &[f64], than: &[f64]) -> bool {
-    let differences: Vec<f64> = values.iter().zip(than).map(|(value, than)| value - than).collect();
-    let sds = if 2 * differences.len() >= POSES { WORSE_SDS } else { 0.0 };
+/// Whether the first squares are larger than the second, pose by pose, beyond chance: by the paired t-test. Of few poses, which give that
+/// test no power, those of which the mean is so many times larger that it would be a gap, if the second were noise.
+fn is_worse(squares: &[f64], than: &[f64]) -> bool {
+    let [mean_square, other] = [squares, than].map(|squares| mean(squares.iter().copied()));
+    let differences: Vec<f64> = squares.iter().zip(than).map(|(square, than)| square - than).collect();
     let standard_error = standard_deviation(&differences) / (differences.len() as f64).sqrt();
-    let difference = mean(differences.iter().copied());
+    let is_few = 2 * differences.len() < POSES;
     // What is no number is worse than anything.
-    difference.is_nan() || difference > sds * standard_error
+    mean_square.is_nan()
+        || mean_square - other > WORSE_SDS * standard_error
+        || is_few && mean_square > MEAN_SQUARE * other
 }
 
 #[cfg(test)]

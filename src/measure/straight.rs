@@ -14,7 +14,7 @@ use crate::robot::Robot;
 const MOST_BEND_DEG: f64 = 5.0;
 const BENT_SIGMAS: f64 = 3.0;
 
-/// Calibrates a rig from a picture of the straight snake before the grid target, in the three steps of [`find_rig`].
+/// Calibrates a rig from a picture of the straight snake before the grid target, in the three steps of `find_rig`.
 ///
 /// # Errors
 ///

@@ -42,5 +42,6 @@ pub use stem::stems_csv;
 pub use table::{Checked, Warning};
 pub use trajectory::{read_trajectory, trajectory_csv};
 pub use truth::{read_truth, truth_csv};
+#[cfg(feature = "live")]
 pub(crate) use write::is_at;
 pub use write::{PendingFile, remove_abandoned, write_atomically};

@@ -1,9 +1,9 @@
 //! Whether a result can be relied on, in words: *good*, *look at this* or *do not use*, with ranked reasons and what to do about each.
 //!
-//! [`assess`] goes once through measurements and readings with the model that is to be judged, and applies rules that are tests of
+//! The assessment goes once through measurements and readings with the model that is to be judged, and applies rules that are tests of
 //! hypotheses: each asks whether what is seen could come about where all is in order, and speaks only if that is improbable
 //! ([`LEVEL_OF_TESTS`]). What a rule allows besides chance (sigmas that are somewhat too small, a share of frames that hands spoil) are the
-//! conventions of [`rules`].
+//! conventions of `rules`.
 //!
 //! [`wiring`] asks before all physics whether the encoder log was wired, numbered, scaled and timed as the model takes it: it fits the
 //! bends that were seen under every mistake of a small group and compares the likelihoods. Nothing is corrected here; the verdict

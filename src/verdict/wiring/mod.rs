@@ -2,7 +2,7 @@
 //!
 //! A laboratory's mistakes form a small group: columns in another order, encoders that count the other way, rows that stand one or
 //! more places off, azimuths that run the other way round or are turned in a view, mirrored pictures, a clock that is late. Each
-//! mistake is a hypothesis, fitted to the bends by maximum likelihood ([`likelihood`]), and what tells for it is
+//! mistake is a hypothesis, fitted to the bends by maximum likelihood (`likelihood`), and what tells for it is
 //!
 //! ```text
 //! evidence = (ln L_mistake − ln L_as_it_is) / D − ln(number of mistakes of its kind)
@@ -10,7 +10,7 @@
 //!
 //! with D the design effect of the residuals' serial correlation. Were the log right, the likelihood ratio would exceed 1/α with a
 //! probability of α at most (Markov's inequality, since its mean is 1 then), so a mistake is named where the evidence exceeds ln 1/α.
-//! The unit needs no hypothesis of its own: the fit leaves the gain open, and [`scale`](super::scale) asks afterwards what gain the line
+//! The unit needs no hypothesis of its own: the fit leaves the gain open, and `verdict::scale` asks afterwards what gain the line
 //! can have.
 
 mod hypotheses;

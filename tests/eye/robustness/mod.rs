@@ -19,7 +19,6 @@ use rayon::prelude::*;
 use snakeloop::geometry::{Configuration, wrap_degrees};
 use snakeloop::measure::{Eye, FrameMeasurement};
 use snakeloop::observation::Status;
-use snakeloop::robot::MODES;
 use snakeloop::simulate::scene::Scene;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -49,13 +48,6 @@ fn outcomes(seed: u64, frames: usize) -> Result<Vec<Outcome>, String> {
         let mut random = Random::new(1000 * seed + k as u64);
         let disturbance = Disturbance::ALL[(start + k) % Disturbance::ALL.len()];
         let psi = Configuration::from_degrees(random.between(0.0, 95.0), random.between(-180.0, 180.0));
-        // Every second snake is no arc: its curvature varies by up to 25 %, it is S-shaped and leaves its plane by up to 3°.
-        let modes_deg = if (seed + k as u64).is_multiple_of(2) {
-            scene.modes_deg
-        } else {
-            random_shape(&mut random, psi.theta_deg())
-        };
-        let scene = Scene { modes_deg, ..scene.clone() };
         let (picture, truth) = disturbed(&scene, psi, disturbance, &mut random);
         let outcome = judged(&eye.measure(&frame_of(picture.clone())), truth, disturbance, psi);
         if outcome.is_false {
@@ -67,12 +59,6 @@ fn outcomes(seed: u64, frames: usize) -> Result<Vec<Outcome>, String> {
         Outcome { told: format!("{seed}-{k} {}", outcome.told), ..outcome }
     };
     Ok((0..frames).map(outcome).collect())
-}
-
-/// Modes of a bend profile, degrees along the bend and across it.
-fn random_shape(random: &mut Random, theta_deg: f64) -> [[f64; 2]; MODES] {
-    let varying = random.between(-0.25, 0.25) * theta_deg / 4.0;
-    [[varying, random.between(-3.0, 3.0)], [random.between(-3.0, 3.0), 0.0], [0.0; 2]]
 }
 
 fn judged(
