@@ -181,15 +181,7 @@ pub fn finish(
     let verdict = Subject { used_and_rejected, replaced, ..judged }.verdict(rows()?, encoders)?;
     let former = former_to_keep(output, &verdict);
     let verdict = former.into_iter().fold(verdict, Verdict::and);
-    let table = match model.estimate {
-        Some(_) if verdict.has(Code::Stale) => None,
-        Some(_) => {
-            write_judged_model(&output.join("model.toml"), &model, &verdict)?;
-            let table = write_judged_compensation(output, &model, "model.toml", &Grid::default(), &verdict)?;
-            Some(Table { poses: table.len(), largest_correction_mm: largest_correction_mm(&table) })
-        }
-        None => None,
-    };
+    let table = written_table(output, &model, &verdict)?;
     // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
     if table.is_some() || !output.join("model.toml").exists() {
         estimates.commit()?;
@@ -221,6 +213,16 @@ pub fn finish(
     };
     write_atomically(&output.join("report.html"), report.html().as_bytes())?;
     Ok(summary)
+}
+
+/// Writes the model and its table, unless there is no estimate or an earlier run's are to stay.
+fn written_table(output: &Path, model: &Model, verdict: &Verdict) -> Result<Option<Table>> {
+    if model.estimate.is_none() || verdict.has(Code::Stale) {
+        return Ok(None);
+    }
+    write_judged_model(&output.join("model.toml"), model, verdict)?;
+    let table = write_judged_compensation(output, model, "model.toml", &Grid::default(), verdict)?;
+    Ok(Some(Table { poses: table.len(), largest_correction_mm: largest_correction_mm(&table) }))
 }
 
 /// Where an earlier run left a model that could be used, and this one's must not be: the reason to keep the former.

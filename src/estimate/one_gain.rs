@@ -21,7 +21,8 @@ use std::f64::consts::PI;
 
 /// Bends that are compared and fitted; of more, as many spread over the run. Convention: a resource limit.
 const MOST: usize = 2000;
-/// The snake is at a new pose once its bend has changed by this, rad. Convention: 2°; the errors of two such poses are taken for independent.
+/// The snake is at a new pose once its bend, seen or implied by its encoders, has changed by this, rad. Convention: 2°, many times the noise
+/// of either; the eye's errors at two such poses are taken for independent.
 pub(crate) const NEW_POSE: f64 = 2.0 * PI / 180.0;
 /// The probability with which an estimate that is as good as one gain is kept for better. Convention: that of the verdict's tests.
 const LEVEL: f64 = 0.001;

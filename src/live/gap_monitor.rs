@@ -19,7 +19,8 @@
 
 use super::cusum::{Cusum, event_log_ratio, variance_log_ratio};
 use super::status::{GapState, GapStatus};
-use crate::estimate::{Consistency, Verdict, Whitened};
+use crate::estimate::{Consistency, NEW_POSE, Verdict, Whitened};
+use crate::verdict::REJECTED_IN_ORDER;
 use nalgebra::Vector2;
 use std::collections::VecDeque;
 
@@ -29,13 +30,8 @@ const POSES_BETWEEN_FALSE_ALARMS: f64 = 1e6;
 /// The mean square of the innovations that is to be found, where 1 is noise. Convention: the smallest gap worth a search, 1.2 times the
 /// noise in rms (√(2.5 − 1)). Sigmas that are too small by a fifth (mean square 1.5) raise no alarm.
 pub(super) const MEAN_SQUARE: f64 = 2.5;
-/// Share of rejected measurements that is in order. Convention: reflections, tools and hands that pass the camera.
-const REJECTED_IN_ORDER: f64 = 0.1;
 /// Share of rejected measurements that is to be found. Convention.
 const REJECTED_TOO_MANY: f64 = 0.3;
-/// The snake is at a new pose once the bend that its encoders imply has changed by this, rad. Convention: 2°, many times the noise of
-/// either; the eye's errors at two such poses are taken for independent.
-pub(super) const NEW_POSE: f64 = 2.0 * std::f64::consts::PI / 180.0;
 /// Measurements used before the verdict is told. Convention: twice what `discover` needs to decide anything.
 const MIN_USED: usize = 50;
 /// Measurements over which the share of rejected ones is shown. Convention: a display choice.

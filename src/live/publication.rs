@@ -5,9 +5,9 @@
 //! took, with the naive one and with the one that was published last; and nothing is published while the gap is above noise or the
 //! encoders are stuck. What was published stays then, and is marked stale.
 
-use super::gap_monitor::{MEAN_SQUARE, NEW_POSE};
+use super::gap_monitor::MEAN_SQUARE;
 use super::status::{GapState, PublicationState, PublicationStatus};
-use crate::estimate::bend_covariance;
+use crate::estimate::{NEW_POSE, bend_covariance};
 use crate::observation::Measured;
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::moments::{mean, standard_deviation};

@@ -1,7 +1,7 @@
 //! Whether the encoders stand still while the snake moves: an encoder that lost its counter, a driver that repeats its last line.
 
-use super::gap_monitor::NEW_POSE;
 use super::publication::Sample;
+use crate::estimate::NEW_POSE;
 use crate::estimate::bend_covariance;
 use crate::observation::Measured;
 use crate::robot::PerBackbone;
