@@ -54,6 +54,9 @@ prepare() {
     say "A C compiler (cc) is missing and could not be installed. Install gcc and start this again."
     exit 1
   fi
+  if command -v apt-get >/dev/null && ! python3 -c 'import ensurepip' 2>/dev/null; then
+    ensure_packages python3-venv || true
+  fi
   if ! has_opencv && command -v apt-get >/dev/null; then
     ensure_packages libopencv-dev clang libclang-dev pkg-config g++ || true
   fi

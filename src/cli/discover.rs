@@ -9,7 +9,7 @@ use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::discover::{
     Correction, Data, Discovery, Localisation, NextExperiment, discover, discover_in_frames, learn_correction,
-    next_experiment,
+    next_experiment, nothing_named,
 };
 use crate::estimate::Options;
 use crate::estimate::gap::{Gap, gap};
@@ -18,7 +18,7 @@ use crate::record::{
     Checked, Experiment, OutputFolder, measurements_csv, read_encoders, read_measurements, read_model, trajectory_csv,
     write_atomically, write_model,
 };
-use crate::report::discovery::{Page, sentence};
+use crate::report::discovery::{Page, lines};
 use crate::report::verdict::verdict_page;
 use crate::robot::Model;
 use crate::verdict::{Reason, Subject, Verdict};
@@ -103,19 +103,8 @@ impl Args {
         self.write("report.html", &page.html())?;
         console.warn(&found.remarks);
         console.result(&json, || {
-            format!(
-                "{}: {}\ngap of ε   {:.4} mm before, {:.4} mm after (noise alone: {:.4} mm)\n\
-                 gap of θ   {:.3}° before, {:.3}° after\ngap of δ   {:.3}° before, {:.3}° after",
-                found.verdict.word(),
-                sentence(&found),
-                found.before.eps_mm,
-                found.after.eps_mm,
-                found.noise_floor_mm,
-                found.before.theta_deg,
-                found.after.theta_deg,
-                found.before.delta_deg,
-                found.after.delta_deg
-            ) + &localised.map(|gap| format!("\nthe gap is  {}", gap.words())).unwrap_or_default()
+            lines(&found)
+                + &localised.map(|gap| format!("\nthe gap is  {}", gap.words())).unwrap_or_default()
                 + &correction.map(|Correction { words, .. }| format!("\n{words}")).unwrap_or_default()
                 + &self.next_in_words(next.as_ref())
         });
@@ -125,18 +114,7 @@ impl Args {
     /// No physics is named of a log that is wired otherwise than it is read.
     fn name_nothing(&self, console: &Console, model: &Model, mistake: Reason, data: &Data, gap: &Gap) -> Result<()> {
         let verdict = Verdict::of(vec![mistake]);
-        let json = serde_json::json!({
-            "verdict": "unexplained",
-            "effects": [],
-            "gap": {
-                "before_mm": gap.rms_eps_mm, "after_mm": gap.rms_eps_mm, "noise_floor_mm": gap.noise_floor_mm,
-                "before_theta_deg": gap.rms_theta_deg, "after_theta_deg": gap.rms_theta_deg,
-                "before_delta_deg": gap.rms_delta_deg, "after_delta_deg": gap.rms_delta_deg,
-            },
-            "reasons": verdict.reasons,
-            "samples": data.len(),
-            "remarks": data.remarks,
-        });
+        let json = nothing_named(gap, &verdict, data);
         self.write("discrepancy.json", &format!("{json:#}\n"))?;
         write_model(&self.output.join("model.toml"), model)?;
         self.write("report.html", &verdict_page("snakeloop: discover", &verdict))?;

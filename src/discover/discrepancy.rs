@@ -1,7 +1,10 @@
 //! What discrepancy.json says.
 
+use super::data::Data;
 use super::discovery::Discovery;
 use super::search::Named;
+use crate::estimate::gap::Gap;
+use crate::verdict::Verdict;
 use serde_json::{Map, Value, json};
 
 /// Alternatives that are listed.
@@ -77,4 +80,21 @@ impl Discovery {
             "indistinguishable_from": named.indistinguishable_from,
         })
     }
+}
+
+/// discrepancy.json of data of which no physics is named, because the verdict on them says that something else is wrong, such as the
+/// wiring of the log; with the gap that the model leaves.
+pub fn nothing_named(gap: &Gap, verdict: &Verdict, data: &Data) -> Value {
+    json!({
+        "verdict": "unexplained",
+        "effects": [],
+        "gap": {
+            "before_mm": gap.rms_eps_mm, "after_mm": gap.rms_eps_mm, "noise_floor_mm": gap.noise_floor_mm,
+            "before_theta_deg": gap.rms_theta_deg, "after_theta_deg": gap.rms_theta_deg,
+            "before_delta_deg": gap.rms_delta_deg, "after_delta_deg": gap.rms_delta_deg,
+        },
+        "reasons": verdict.reasons,
+        "samples": data.len(),
+        "remarks": data.remarks,
+    })
 }

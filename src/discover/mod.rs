@@ -50,6 +50,7 @@ pub use comparison::Evidence;
 pub use correction::{Correction, learn_correction};
 pub use data::{Data, LEAST_SAMPLES, Log};
 pub use discovery::{Discovery, discover, discover_in_frames};
+pub use discrepancy::nothing_named;
 pub use held_out::Gap;
 pub use localisation::{Localisation, Part};
 pub use next_experiment::{NextExperiment, next_experiment};

@@ -170,6 +170,23 @@ fn heading(found: &Discovery) -> String {
     }
 }
 
+/// The verdict and the gaps, in lines.
+pub fn lines(found: &Discovery) -> String {
+    format!(
+        "{}: {}\ngap of ε   {:.4} mm before, {:.4} mm after (noise alone: {:.4} mm)\n\
+         gap of θ   {:.3}° before, {:.3}° after\ngap of δ   {:.3}° before, {:.3}° after",
+        found.verdict.word(),
+        sentence(found),
+        found.before.eps_mm,
+        found.after.eps_mm,
+        found.noise_floor_mm,
+        found.before.theta_deg,
+        found.after.theta_deg,
+        found.before.delta_deg,
+        found.after.delta_deg
+    )
+}
+
 /// The verdict in a sentence.
 pub fn sentence(found: &Discovery) -> String {
     match found.verdict {

@@ -1,0 +1,40 @@
+"""Measures a snake-like surgical robot in camera frames, learns its actuation losses and compensates them.
+
+A thin shell over the Rust library of the same name. Lengths are mm; angles are degrees where a name ends in ``_deg`` and radians
+elsewhere. θ (``theta``) is the bend from straight, δ (``delta``) the azimuth that the tip leans towards.
+
+>>> import snakeloop
+>>> model = snakeloop.Model.default()
+>>> model.command(theta_deg=[0, 30], delta_deg=0).shape
+(2, 3)
+"""
+
+from ._snakeloop import (
+    Discovery,
+    Estimator,
+    Eye,
+    Lens,
+    Measurement,
+    Model,
+    Rig,
+    SnakeloopError,
+    Step,
+    __version__,
+    discover,
+    simulate,
+)
+
+__all__ = [
+    "Discovery",
+    "Estimator",
+    "Eye",
+    "Lens",
+    "Measurement",
+    "Model",
+    "Rig",
+    "SnakeloopError",
+    "Step",
+    "__version__",
+    "discover",
+    "simulate",
+]

@@ -1,0 +1,167 @@
+//! Measurements and encoder readings from what a laboratory holds them in: a CSV file, a data frame, or a dict of arrays, the
+//! last two with the files' column names.
+
+use crate::arrays::numbers_of;
+use crate::error::{raised, wrong};
+use pyo3::exceptions::PyUserWarning;
+use pyo3::prelude::*;
+use snakeloop::geometry::Configuration;
+use snakeloop::observation::{EncoderReading, Measured, Measurement, Quality};
+use snakeloop::record::{Checked, Warning, read_encoders, read_measurements};
+use snakeloop::robot::PerBackbone;
+use std::collections::HashSet;
+use std::ffi::CString;
+use std::path::PathBuf;
+
+/// The largest index of a table, from which on not every whole number has an `f64`.
+///
+/// Derived: 2⁵³.
+const LARGEST_INDEX: f64 = 9_007_199_254_740_992.0;
+
+/// Measurements; see measurements.csv for the columns.
+///
+/// # Errors
+/// What the file's reader says; a missing column, columns of different lengths, an index that is none or is there twice.
+pub fn measurements_of(source: &Bound<'_, PyAny>) -> PyResult<Vec<Measurement>> {
+    if let Ok(path) = source.extract::<PathBuf>() {
+        return rows(source.py(), read_measurements(&path).map_err(raised)?);
+    }
+    let table = Table::new("measurements", source)?;
+    let (theta, delta) = (table.numbers("theta_deg")?, table.numbers("delta_deg")?);
+    let sigma_theta = table.optional_numbers("sigma_theta_deg")?;
+    let sigma_delta = table.optional_numbers("sigma_delta_deg")?;
+    let (correlation, times_s) = (table.optional_numbers("rho_theta_delta")?, table.numbers("time_s")?);
+    let (inliers, rms_px) = (table.optional_numbers("inlier_fraction")?, table.optional_numbers("rms_px")?);
+    let statuses = table.words("status")?;
+    Ok((0..table.indices.len())
+        .map(|k| {
+            let measured = (theta[k].is_finite() && delta[k].is_finite()).then(|| Measured {
+                configuration: Configuration::from_degrees(theta[k], delta[k]),
+                sigma_theta: sigma_theta[k].to_radians(),
+                sigma_delta: sigma_delta[k].to_radians(),
+                correlation: if correlation[k].is_nan() { 0.0 } else { correlation[k] },
+            });
+            // Its presence tells that the measurement comes from a frame.
+            let quality = (inliers[k].is_finite() && rms_px[k].is_finite()).then(|| Quality {
+                inlier_fraction: inliers[k],
+                rms_px: rms_px[k],
+                ..Quality::default()
+            });
+            Measurement {
+                index: table.indices[k],
+                time_s: Some(times_s[k]).filter(|time_s| time_s.is_finite()),
+                status: statuses[k].parse().unwrap_or_else(|never| match never {}),
+                measured,
+                quality,
+                view: None,
+            }
+        })
+        .collect())
+}
+
+/// Encoder readings of a robot of so many backbones; see encoders.csv for the columns.
+///
+/// # Errors
+/// As [`measurements_of`].
+pub fn encoders_of(source: &Bound<'_, PyAny>, backbones: usize) -> PyResult<Vec<EncoderReading>> {
+    if let Ok(path) = source.extract::<PathBuf>() {
+        return rows(source.py(), read_encoders(&path, backbones).map_err(raised)?);
+    }
+    let table = Table::new("encoders", source)?;
+    let times_s = table.numbers("time_s")?;
+    let columns: Vec<Vec<f64>> =
+        (1..=backbones).map(|i| table.numbers(&format!("q{i}_mm"))).collect::<PyResult<_>>()?;
+    let reading = |k: usize| EncoderReading {
+        index: table.indices[k],
+        time_s: times_s[k],
+        q_mm: PerBackbone::from_fn(backbones, |i| columns[i][k]),
+    };
+    Ok((0..table.indices.len()).map(reading).collect())
+}
+
+/// A data frame or a dict of arrays with a column `index`.
+pub struct Table<'a, 'py> {
+    what: &'static str,
+    source: &'a Bound<'py, PyAny>,
+    /// Its column `index`.
+    pub indices: Vec<u64>,
+}
+
+impl<'a, 'py> Table<'a, 'py> {
+    /// # Errors
+    /// What is no table, a missing `index`, an index that is no whole number or is there twice.
+    pub fn new(what: &'static str, source: &'a Bound<'py, PyAny>) -> PyResult<Self> {
+        let mut table = Self { what, source, indices: Vec::new() };
+        let mut seen = HashSet::new();
+        let index = |number: f64| {
+            let is_index = number.fract() == 0.0 && (0.0..=LARGEST_INDEX).contains(&number);
+            let index = is_index.then_some(number as u64);
+            index.ok_or_else(|| wrong(format!("{what}: index is {number}, expected whole numbers from 0 up")))
+        };
+        let indices = table.column("index")?.into_iter().map(index).collect::<PyResult<Vec<u64>>>()?;
+        if let Some(twice) = indices.iter().find(|index| !seen.insert(**index)) {
+            return Err(wrong(format!("{what}: index {twice} is there twice")));
+        }
+        table.indices = indices;
+        Ok(table)
+    }
+
+    /// A column of numbers.
+    ///
+    /// # Errors
+    /// It is missing, no column of numbers, or not as long as the table.
+    pub fn numbers(&self, name: &str) -> PyResult<Vec<f64>> {
+        let numbers = self.column(name)?;
+        self.check_length(name, numbers.len())?;
+        Ok(numbers)
+    }
+
+    fn column(&self, name: &str) -> PyResult<Vec<f64>> {
+        let numbers = numbers_of(&self.get(name)?);
+        Ok(numbers.map_err(|e| wrong(format!("{}: {name}: {e}", self.what)))?.into_iter().collect())
+    }
+
+    /// A column of numbers; NaN where the table has none.
+    fn optional_numbers(&self, name: &str) -> PyResult<Vec<f64>> {
+        if self.source.contains(name)? { self.numbers(name) } else { Ok(vec![f64::NAN; self.indices.len()]) }
+    }
+
+    /// A column of words.
+    fn words(&self, name: &str) -> PyResult<Vec<String>> {
+        let words = self.get(name)?.try_iter()?.map(|word| word?.extract::<String>()).collect::<PyResult<Vec<_>>>();
+        let words = words.map_err(|e| wrong(format!("{}: {name}: {e}", self.what)))?;
+        self.check_length(name, words.len())?;
+        Ok(words)
+    }
+
+    fn get(&self, name: &str) -> PyResult<Bound<'py, PyAny>> {
+        let missing = |_| {
+            wrong(format!(
+                "{}: no column {name}; expected a CSV file, a data frame or a dict of arrays with the file's columns",
+                self.what
+            ))
+        };
+        self.source.get_item(name).map_err(missing)
+    }
+
+    fn check_length(&self, name: &str, length: usize) -> PyResult<()> {
+        let expected = self.indices.len();
+        if length == expected {
+            return Ok(());
+        }
+        Err(wrong(format!("{}: column {name} has {length} rows, index has {expected}", self.what)))
+    }
+}
+
+/// The rows of a file, its warnings given as Python's.
+fn rows<T>(py: Python<'_>, Checked { rows, warnings }: Checked<T>) -> PyResult<Vec<T>> {
+    for warning in warnings {
+        warn(py, &warning)?;
+    }
+    Ok(rows)
+}
+
+fn warn(py: Python<'_>, warning: &Warning) -> PyResult<()> {
+    let text = CString::new(warning.to_string().replace('\0', " "))?;
+    PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)
+}
