@@ -6,8 +6,9 @@
 //! calibrated from a rendered straight picture, as a real one is. After each frame the table's error is computed over a grid of poses,
 //! from where the simulated snake would go.
 //!
-//! λ is not learned here. It is common to all backbones and moves no bend: what the controller leaves out of its own commands becomes
-//! internal force of the redundant backbones.
+//! λ cannot be learned here. It is common to all backbones and moves no bend, and the common part of what the encoders read is what the
+//! controller itself commanded: what it leaves out becomes internal force of the redundant backbones. The controller therefore goes on
+//! commanding λ = 0, and its model says with the σ of λ that nothing is known of it ([`SD_OF_UNSEEN_LAMBDA_MM`]).
 
 use crate::camera::Frame;
 use crate::error::{Error, Result};
@@ -18,12 +19,19 @@ use crate::observation::{EncoderReading, Measured, Measurement, Status};
 use crate::robot::{Estimate, Model};
 use crate::simulate::{Scene, render};
 use crate::statistics::moments::RunningSquares;
+use crate::verdict::MOST_LAMBDA_MM;
 use image::DynamicImage;
+use nalgebra::Matrix2;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
 use std::path::Path;
+
+/// What a closed loop knows of λ, as its standard deviation about 0, mm.
+///
+/// Derived: √3 = √(1/∫₀¹ x² dx): the root mean square of a play that lies anywhere between none and [`MOST_LAMBDA_MM`].
+pub const SD_OF_UNSEEN_LAMBDA_MM: f64 = MOST_LAMBDA_MM / 1.732_050_807_568_877_2;
 
 /// A closed-loop simulation.
 #[derive(Debug, Clone)]
@@ -102,7 +110,7 @@ impl ClosedLoop {
                 view: None,
             };
             estimator.update(&measurement, Some(&reading));
-            controller = estimator.model().clone();
+            controller = without_lambda(estimator.model());
             cycles.push(cycle(desired, reached, &measurement, controller.estimate, self.table_error_deg(&controller)?));
             done();
         }
@@ -143,6 +151,17 @@ impl ClosedLoop {
     }
 }
 
+/// What a closed loop has learned: η, and nothing of λ (see the module's text). Their errors are independent, since the bends that tell η do
+/// not move with λ.
+fn without_lambda(learned: &Model) -> Model {
+    let estimate = learned.estimate.map(|estimate| Estimate {
+        lambda_mm: 0.0,
+        covariance: Matrix2::new(estimate.covariance[(0, 0)], 0.0, 0.0, SD_OF_UNSEEN_LAMBDA_MM.powi(2)),
+        ..estimate
+    });
+    Model { estimate, ..learned.clone() }
+}
+
 /// A rendered picture as a camera gives it.
 fn frame(scene: &Scene, psi: Configuration, seed: u64) -> Result<Frame> {
     Frame::from_image(DynamicImage::ImageRgb8(render(scene, psi, seed)))
@@ -179,7 +198,6 @@ fn cycle(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Matrix2;
 
     #[test]
     fn the_error_falls_once_the_eye_has_seen_a_few_bends() {
@@ -199,6 +217,10 @@ mod tests {
         assert!((cycles[0].table_error_deg - naive).abs() < 1e-9 && naive > 3.0, "one measurement pins nothing");
         assert!(cycles[2].table_error_deg < 0.1 * naive, "{naive}° at first, {}° at last", cycles[2].table_error_deg);
         assert!(cycles[0].error_deg > 2.0 && cycles[2].error_deg < 0.7, "{cycles:?}");
-        assert!((model.estimate.unwrap().eta - 1.221).abs() < 0.03);
+        let learned = model.estimate.unwrap();
+        assert!((learned.eta - 1.221).abs() < 0.03);
+        assert!((learned.lambda_mm - 0.1765).abs() < learned.sd_lambda_mm(), "what is not seen must be in the σ");
+        let command = model.command(poses[0]);
+        assert!(model.command_sds(poses[0])[0] > 0.9 * SD_OF_UNSEEN_LAMBDA_MM, "{command:?}");
     }
 }

@@ -8,7 +8,7 @@ use nalgebra::Point3;
 pub struct Board {
     pub(super) columns: usize,
     pub(super) rows: usize,
-    square_mm: f64,
+    pub(super) square_mm: f64,
 }
 
 impl Board {

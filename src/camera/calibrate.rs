@@ -110,6 +110,9 @@ pub fn calibrate_camera(pictures: &[PathBuf], board: &Board) -> Result<CameraCal
         }
     }
     let Some(&(ref first, size, _)) = seen.first() else {
+        if let Some(why) = squares_counted(pictures, board)? {
+            skipped.insert(0, why);
+        }
         return Err(DataError::TooFewBoards { found: 0, needed: LEAST_PICTURES, skipped }.into());
     };
     if let Some((path, other, _)) = seen.iter().find(|(_, other, _)| *other != size) {
@@ -152,6 +155,23 @@ fn find(path: &Path, board: &Board) -> Result<Found> {
         Some(corners) => Found::Corners((frame.width, frame.height), corners),
         None => Found::Nothing(format!("no whole board of {}×{} inner corners", board.columns, board.rows)),
     })
+}
+
+/// Where a picture shows a whole board of one corner less each way: squares were counted in place of inner corners. Tells which picture,
+/// and that.
+fn squares_counted(pictures: &[PathBuf], board: &Board) -> Result<Option<(PathBuf, String)>> {
+    let (columns, rows) = (board.columns.saturating_sub(1), board.rows.saturating_sub(1));
+    let Ok(smaller) = Board::new(columns, rows, board.square_mm) else { return Ok(None) };
+    for path in pictures {
+        if let Found::Corners(..) = find(path, &smaller)? {
+            let why = format!(
+                "has {columns}×{rows} inner corners: {}×{} are the squares, so write --corners {columns}x{rows}",
+                board.columns, board.rows
+            );
+            return Ok(Some((path.clone(), why)));
+        }
+    }
+    Ok(None)
 }
 
 fn rms<'a>(residuals: impl Iterator<Item = &'a Vector2<f64>>) -> f64 {

@@ -184,7 +184,7 @@ impl Args {
                 Ok((model, measurements, readings))
             }
             (None, Some(measurements), Some(encoders)) => {
-                let model = model_or_paper(self.model.as_deref())?;
+                let model = model_or_paper(console, self.model.as_deref())?;
                 let readings = rows(console, read_encoders(encoders, model.robot.backbone_count())?);
                 Ok((model, rows(console, read_measurements(measurements)?), readings))
             }

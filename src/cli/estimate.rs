@@ -86,13 +86,20 @@ pub struct Parameters {
     pub sd_lambda_mm: f64,
 }
 
+impl Parameters {
+    pub fn of(estimate: Estimate) -> Self {
+        let (sd_eta, sd_lambda_mm) = (estimate.sd_eta(), estimate.sd_lambda_mm());
+        Self { eta: estimate.eta, sd_eta, lambda_mm: estimate.lambda_mm, sd_lambda_mm }
+    }
+}
+
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let inputs =
             [Some(&self.measurements), Some(&self.encoders), self.model.as_ref()].into_iter().flatten().cloned();
         const OUTPUTS: [&str; 3] = ["model.toml", "estimate.csv", "stem.csv"];
         let _out = OutputFolder::claim(&self.output, &OUTPUTS, &inputs.collect::<Vec<_>>())?;
-        let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
+        let model = with_effects(model_or_paper(console, self.model.as_deref())?, &self.effect)?;
         let (measurements, encoders) =
             measurements_and_readings(console, &model, &self.measurements, Some(&self.encoders))?;
         if self.stem {
@@ -185,12 +192,7 @@ impl Estimated {
     /// What became of the rows.
     pub fn of(verdicts: Verdicts, estimate: Option<Estimate>) -> Self {
         let Verdicts { used, rejected, skipped, reasons } = verdicts;
-        let parameters = estimate.map(|estimate| Parameters {
-            eta: estimate.eta,
-            sd_eta: estimate.sd_eta(),
-            lambda_mm: estimate.lambda_mm,
-            sd_lambda_mm: estimate.sd_lambda_mm(),
-        });
+        let parameters = estimate.map(Parameters::of);
         Self { parameters, used, rejected, skipped, reasons }
     }
 

@@ -53,7 +53,7 @@ struct Evaluation {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
-        let model = model_or_paper(self.model.as_deref())?;
+        let model = model_or_paper(console, self.model.as_deref())?;
         let (measurements, readings) =
             measurements_and_readings(console, &model, &self.measurements, self.encoders.as_deref())?;
         let gap = match &self.encoders {

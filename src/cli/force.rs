@@ -1,11 +1,11 @@
 //! `force`: the tip force that explains measured deflections.
 
 use super::console::Console;
-use super::inputs::{measurements_and_readings, model_or_paper};
+use super::inputs::measurements_and_readings;
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::estimate::{Options, tip_force};
-use crate::record::{forces_csv, write_atomically};
+use crate::record::{forces_csv, read_model, write_atomically};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -46,7 +46,7 @@ struct Found {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
-        let model = model_or_paper(Some(&self.model))?;
+        let model = read_model(&self.model)?;
         let (measurements, readings) =
             measurements_and_readings(console, &model, &self.measurements, Some(&self.encoders))?;
         let (rows, force) = tip_force(&model, self.encoder_sd, &measurements, &readings)?;

@@ -9,9 +9,15 @@ use crate::record::{Checked, Experiment, read_encoders, read_measurements, read_
 use crate::robot::{Effect, Model};
 use std::path::{Path, PathBuf};
 
-/// The model in a file; without one the paper's, with Table I.
-pub fn model_or_paper(path: Option<&Path>) -> Result<Model> {
-    path.map_or_else(|| Ok(Model::default()), read_model)
+/// The model in a file; without one the paper's naive one, with Table I, which is told.
+pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
+    match path {
+        Some(path) => read_model(path),
+        None => {
+            console.say("no --model: the paper's naive model is used (Table I, η = 1, λ = 0)");
+            Ok(Model::default())
+        }
+    }
 }
 
 /// A model with further effects, as they are given on the command line.
@@ -57,7 +63,7 @@ pub fn measurements_and_readings(
 
 /// An experiment's model: its `model`, with the constants of its `robot` where that is given; the paper's without.
 pub fn model_of(experiment: &Experiment) -> Result<Model> {
-    let mut model = model_or_paper(experiment.model.as_deref())?;
+    let mut model = experiment.model.as_deref().map_or_else(|| Ok(Model::default()), read_model)?;
     if let Some(path) = &experiment.robot {
         let Model { robot, friction, .. } = read_model(path)?;
         model.robot = robot;

@@ -9,6 +9,7 @@ use crate::geometry::Configuration;
 use crate::robot::{Effect, MAX_THETA, Model, PerBackbone, TableRow};
 use nalgebra::Vector2;
 use serde_json::{Map, Value};
+use std::f64::consts::PI;
 use std::path::PathBuf;
 
 /// Answer one pose: what to command for θ and δ, or what θ and δ a command leads to
@@ -58,7 +59,7 @@ enum Sd {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
-        let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
+        let model = with_effects(model_or_paper(console, self.model.as_deref())?, &self.effect)?;
         let pose = match (&self.qc_mm, self.theta_deg, self.delta_deg) {
             (Some(qc_mm), _, _) => {
                 let backbones = model.robot.backbone_count();
@@ -71,12 +72,27 @@ impl Args {
                 })?;
                 Pose::reached(&model, qc_mm)?
             }
-            (None, Some(theta_deg), Some(delta_deg)) => Pose::wanted(&model, theta_deg, delta_deg)?,
+            (None, Some(theta_deg), Some(delta_deg)) => {
+                console.warn(looks_like_radians(theta_deg, delta_deg));
+                Pose::wanted(&model, theta_deg, delta_deg)?
+            }
             _ => return Err(Failure::Usage("give --theta-deg and --delta-deg, or --qc-mm".to_owned())),
         };
         console.result(&pose.json(), || pose.text());
         Ok(())
     }
+}
+
+/// A warning where both angles are such as radians would be: within their range, and not whole numbers.
+fn looks_like_radians(theta_deg: f64, delta_deg: f64) -> Option<String> {
+    let within = theta_deg > 0.0 && theta_deg <= MAX_THETA && delta_deg.abs() <= PI;
+    (within && (theta_deg.fract() != 0.0 || delta_deg.fract() != 0.0)).then(|| {
+        format!(
+            "theta {theta_deg} and delta {delta_deg} are taken as degrees; if they are radians, give --theta-deg {:.3} --delta-deg {:.3}",
+            theta_deg.to_degrees(),
+            delta_deg.to_degrees()
+        )
+    })
 }
 
 impl Pose {
@@ -148,5 +164,18 @@ impl Pose {
             text += &format!("{:>8}   {:>14.5}   {command}\n", i + 1, self.q_mm[i]);
         }
         text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn angles_that_may_be_radians_are_told_and_others_are_not() {
+        assert!(looks_like_radians(0.523_599, 0.785).unwrap().contains("--theta-deg 30.000 --delta-deg 44.977"));
+        for (theta_deg, delta_deg) in [(30.0, 0.5), (1.0, 0.0), (0.0, 0.3), (1.5, 45.0)] {
+            assert_eq!(looks_like_radians(theta_deg, delta_deg), None, "{theta_deg}, {delta_deg}");
+        }
     }
 }

@@ -4,7 +4,7 @@ use super::console::Console;
 use super::inputs::rows;
 use crate::Result;
 use crate::cli::failure::Failure;
-use crate::record::read_truth;
+use crate::record::{read_model, read_truth};
 use crate::simulate::{FrameFormat, Scene, write_experiment};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -20,6 +20,9 @@ pub struct Args {
     /// The poses (truth.csv)
     #[arg(long, value_name = "CSV")]
     poses: PathBuf,
+    /// Whose robot is drawn (model.toml); without it the scene's, or the paper's
+    #[arg(long, value_name = "MODEL")]
+    model: Option<PathBuf>,
     /// Camera, paper, light and faults of the picture (scene.toml); without it a clean picture
     #[arg(long, value_name = "SCENE")]
     scene: Option<PathBuf>,
@@ -47,7 +50,10 @@ impl Args {
             Some(quality @ 1..=100) => FrameFormat::Jpeg(quality),
             Some(quality) => return Err(Failure::Usage(format!("--jpeg {quality}: expected 1 to 100"))),
         };
-        let scene = self.scene.as_deref().map_or_else(|| Ok(Scene::default()), Scene::read)?;
+        let mut scene = self.scene.as_deref().map_or_else(|| Ok(Scene::default()), Scene::read)?;
+        if let Some(path) = &self.model {
+            scene.robot = read_model(path)?.robot;
+        }
         let poses = rows(console, read_truth(&self.poses)?);
         let bar = console.progress(Some(poses.len()), "rendering");
         write_experiment(&self.output, &scene, &poses, format, self.seed, &|| bar.inc(1))?;

@@ -1,6 +1,7 @@
 //! `simulate`: what the encoders of a robot with hidden η and λ read during a bending experiment.
 
 use super::console::Console;
+use super::estimate::Parameters;
 use super::inputs::{model_or_paper, rows, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
@@ -11,8 +12,9 @@ use crate::record::{
     write_model,
 };
 use crate::report::learning::learning_curve;
-use crate::robot::{Effect, Grid, Model};
+use crate::robot::{Effect, Estimate, Grid, Model};
 use crate::simulate::{BendingExperiment, Plant, Scene, SimulatedEye};
+use nalgebra::Matrix2;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -23,7 +25,8 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop simulate --model hidden.toml --observe -o simulated")]
 pub struct Args {
-    /// What the snake obeys (model.toml); without it the paper's, with Table I
+    /// What the snake obeys (model.toml); without it the paper's, with Table I. With --closed-loop a model without η and λ gets the
+    /// paper's, 1.221 and 0.1765 mm, which are hidden from the controller
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
     /// An effect that the snake obeys besides, such as load_directed_backlash:play_mm=0.08; may be given again
@@ -61,7 +64,8 @@ pub struct Args {
     #[arg(long)]
     observe: bool,
     /// Play controller and robot: command the poses through the table of what was learned so far, render and measure where the
-    /// snake went, and learn from it. Writes OUT/closed_loop.csv, closed_loop.svg, model.toml and the table instead
+    /// snake went, and learn from it. Writes OUT/closed_loop.csv, closed_loop.svg, model.toml and the table instead. λ moves no bend,
+    /// so that a closed loop cannot learn it: its σ in model.toml says so
     #[arg(long, conflicts_with = "observe")]
     closed_loop: bool,
     /// With --closed-loop: camera, paper and light (scene.toml); without it a clean picture
@@ -79,6 +83,12 @@ struct Summary {
     output: PathBuf,
 }
 
+/// What the snake of a closed loop hides where its model says nothing.
+///
+/// Source: the paper's Table III, last row.
+const HIDDEN: Estimate =
+    Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::new(0.0, 0.0, 0.0, 0.0), samples: 0 };
+
 #[derive(Serialize)]
 struct Closed {
     frames: usize,
@@ -86,8 +96,11 @@ struct Closed {
     table_error_before_deg: f64,
     /// The same of the last one.
     table_error_after_deg: f64,
-    eta: Option<f64>,
-    lambda_mm: Option<f64>,
+    /// What the snake obeyed.
+    hidden: Parameters,
+    /// What was learned; `None` where too little was measured.
+    #[serde(flatten)]
+    learned: Option<Parameters>,
     output: PathBuf,
 }
 
@@ -100,8 +113,9 @@ impl Args {
             Some(path) => rows(console, read_trajectory(path)?),
             None => self.bending_experiment()?,
         };
-        let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
+        let mut model = with_effects(model_or_paper(console, self.model.as_deref())?, &self.effect)?;
         if self.closed_loop {
+            model.estimate.get_or_insert(HIDDEN);
             return Ok(self.close_the_loop(console, model, &trajectory)?);
         }
         let plant = Plant { model, sd_encoder_mm: self.encoder_sd };
@@ -149,19 +163,11 @@ impl Args {
             frames: cycles.len(),
             table_error_before_deg: first,
             table_error_after_deg: cycles.last().map_or(first, |cycle| cycle.table_error_deg),
-            eta: model.estimate.map(|estimate| estimate.eta),
-            lambda_mm: model.estimate.map(|estimate| estimate.lambda_mm),
+            hidden: Parameters::of(simulation.plant.estimate.unwrap_or(HIDDEN)),
+            learned: model.estimate.map(Parameters::of),
             output: self.output.clone(),
         };
-        console.result(&summary, || {
-            format!(
-                "{} frames; the table's error fell from {:.2}° to {:.3}° rms\n{}",
-                summary.frames,
-                summary.table_error_before_deg,
-                summary.table_error_after_deg,
-                summary.output.display()
-            )
-        });
+        console.result(&summary, || summary.text());
         Ok(())
     }
 
@@ -184,5 +190,22 @@ impl Args {
 
     fn write(&self, name: &str, text: &str) -> Result<()> {
         write_atomically(&self.output.join(name), text.as_bytes())
+    }
+}
+
+impl Closed {
+    fn text(&self) -> String {
+        let Self { frames, table_error_before_deg, table_error_after_deg, hidden, learned, output } = self;
+        let (before, after) = (table_error_before_deg, table_error_after_deg);
+        let mut text = format!("{frames} frames; the table's error fell from {before:.2}° to {after:.3}° rms\n");
+        text += &match learned {
+            None => "η was not learned: too few frames were measured\n".to_owned(),
+            Some(Parameters { eta, sd_eta, lambda_mm, sd_lambda_mm }) => format!(
+                "η {eta:.4} ± {sd_eta:.4} learned, {:.4} hidden\n\
+                 λ {lambda_mm:.2} ± {sd_lambda_mm:.2} mm, {:.4} mm hidden: it moves no bend, and a closed loop cannot see it\n",
+                hidden.eta, hidden.lambda_mm
+            ),
+        };
+        text + &output.display().to_string()
     }
 }

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// Tabulate what to command for every pose of a grid: writes OUT/compensation.csv and OUT/compensation.json
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Example:\n  snakeloop table --model out/model.toml --theta-deg 0:90:2 --delta-deg=-180:180:10 -o out"
+    after_help = "Example:\n  snakeloop table --model out/model.toml --theta-deg 0:90:2 --delta-deg=-170:180:10 -o out"
 )]
 pub struct Args {
     /// The model (model.toml); without it the paper's, with Table I
@@ -51,7 +51,7 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         const OUTPUTS: [&str; 3] = ["compensation.csv", "compensation.json", "compensation.h"];
         let _out = OutputFolder::claim(&self.output, &OUTPUTS, self.model.as_slice())?;
-        let model = with_effects(model_or_paper(self.model.as_deref())?, &self.effect)?;
+        let model = with_effects(model_or_paper(console, self.model.as_deref())?, &self.effect)?;
         let source = self.model.as_deref().map_or("built in".to_owned(), |path| path.display().to_string());
         let grid = Grid { theta: self.theta_deg, delta: self.delta_deg };
         let mut rows = compensation_table(&model, &grid)?;

@@ -15,6 +15,7 @@ use crate::geometry::Configuration;
 use crate::record::model_json;
 use crate::robot::{MAX_THETA, Model, TableRow};
 use axum::body::Body;
+use axum::extract::rejection::QueryRejection;
 use axum::extract::{DefaultBodyLimit, FromRef, Path, Query, State};
 use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONNECTION, CONTENT_TYPE, RETRY_AFTER};
@@ -27,7 +28,7 @@ use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use serde::Deserialize;
-use serde_json::{Value, json};
+use serde_json::json;
 use std::convert::Infallible;
 use std::net::SocketAddr;
 use std::sync::{Arc, LazyLock};
@@ -235,14 +236,21 @@ struct Since {
     limit: Option<usize>,
 }
 
-async fn measurements(State(app): State<AppState>, Query(Since { since, limit }): Query<Since>) -> Json<Value> {
+async fn measurements(
+    State(app): State<AppState>,
+    query: std::result::Result<Query<Since>, QueryRejection>,
+) -> Response {
+    let Since { since, limit } = match query {
+        Ok(Query(asked)) => asked,
+        Err(wrong) => return failure(StatusCode::BAD_REQUEST, wrong),
+    };
     let limit = limit.unwrap_or(MAX_ROWS).min(MAX_ROWS);
     let rows = match since {
         Some(since) => app.shared.rows_after(u64::try_from(since).ok(), limit),
         None => app.shared.latest_rows(limit),
     };
     let next = rows.last().and_then(|row| i64::try_from(row.index).ok()).or(since);
-    Json(json!({ "measurements": rows, "since": next }))
+    Json(json!({ "measurements": rows, "since": next })).into_response()
 }
 
 async fn model(State(app): State<AppState>) -> Response {
@@ -274,7 +282,11 @@ struct Pose {
     delta: f64,
 }
 
-async fn table(State(app): State<AppState>, Query(Pose { theta, delta }): Query<Pose>) -> Response {
+async fn table(State(app): State<AppState>, query: std::result::Result<Query<Pose>, QueryRejection>) -> Response {
+    let Pose { theta, delta } = match query {
+        Ok(Query(asked)) => asked,
+        Err(wrong) => return failure(StatusCode::BAD_REQUEST, wrong),
+    };
     let most = MAX_THETA.to_degrees();
     // As the table: degrees that become radians and back are not the same to the last digit.
     if !(0.0..=most + 1e-9).contains(&theta) || !(-360.0..=360.0).contains(&delta) {

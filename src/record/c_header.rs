@@ -47,12 +47,18 @@ pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str) -> Re
  *
  * snakeloop_command(theta_deg, delta_deg, q_mm) gives what to command, mm, for a bend of theta_deg degrees from straight
  * towards the azimuth delta_deg. It returns 0, or 1 and leaves q_mm alone where theta_deg is not within {first} to {last} or an
- * angle is not finite.
+ * angle is not finite. C89 and later; link with the mathematics library (-lm).
  */
 #ifndef SNAKELOOP_COMPENSATION_H
 #define SNAKELOOP_COMPENSATION_H
 
 #include <math.h>
+
+#if defined(__cplusplus) || (defined(__STDC_VERSION__) && __STDC_VERSION__ >= 199901L)
+#define SNAKELOOP_FUNCTION static inline
+#else
+#define SNAKELOOP_FUNCTION static
+#endif
 
 #define SNAKELOOP_THETAS {thetas}
 #define SNAKELOOP_DELTAS {deltas}
@@ -65,7 +71,7 @@ static const double snakeloop_table_mm[SNAKELOOP_THETAS][SNAKELOOP_DELTAS][{back
 {values}}};
 
 /* Weights of the cubic through values at 0, 1, 2 and 3, at x. */
-static inline void snakeloop_weights(double x, double w[4])
+SNAKELOOP_FUNCTION void snakeloop_weights(double x, double w[4])
 {{
     w[0] = -(x - 1) * (x - 2) * (x - 3) / 6;
     w[1] = x * (x - 2) * (x - 3) / 2;
@@ -73,29 +79,32 @@ static inline void snakeloop_weights(double x, double w[4])
     w[3] = x * (x - 1) * (x - 2) / 6;
 }}
 
-static inline int snakeloop_command(double theta_deg, double delta_deg, double q_mm[{backbones}])
+SNAKELOOP_FUNCTION int snakeloop_command(double theta_deg, double delta_deg, double q_mm[{backbones}])
 {{
     const double row = (theta_deg - snakeloop_theta_deg[0]) / snakeloop_theta_deg[1];
     const double turn = (delta_deg - snakeloop_delta_deg[0]) / 360.0;
-    if (!(row >= -1e-9 && row <= SNAKELOOP_THETAS - 1 + 1e-9) || !isfinite(turn))
+    double column, wi[4], wj[4], sum[{backbones}] = {{{zeros}}};
+    const double *node;
+    int i, j, k, i0, j0;
+    /* What is not finite is not equal to itself once it is subtracted from itself. */
+    if (!(row >= -1e-9 && row <= SNAKELOOP_THETAS - 1 + 1e-9) || turn - turn != 0.0)
         return 1;
-    const double column = (turn - floor(turn)) * SNAKELOOP_DELTAS;
-    int i0 = (int)floor(row) - 1;
+    column = (turn - floor(turn)) * SNAKELOOP_DELTAS;
+    i0 = (int)floor(row) - 1;
     if (i0 < 0)
         i0 = 0;
     if (i0 > SNAKELOOP_THETAS - 4)
         i0 = SNAKELOOP_THETAS - 4;
-    const int j0 = (int)floor(column) - 1;
-    double wi[4], wj[4], sum[{backbones}] = {{{zeros}}};
+    j0 = (int)floor(column) - 1;
     snakeloop_weights(row - i0, wi);
     snakeloop_weights(column - j0, wj);
-    for (int i = 0; i < 4; i++)
-        for (int j = 0; j < 4; j++) {{
-            const double *node = snakeloop_table_mm[i0 + i][(j0 + j + SNAKELOOP_DELTAS) % SNAKELOOP_DELTAS];
-            for (int k = 0; k < {backbones}; k++)
+    for (i = 0; i < 4; i++)
+        for (j = 0; j < 4; j++) {{
+            node = snakeloop_table_mm[i0 + i][(j0 + j + SNAKELOOP_DELTAS) % SNAKELOOP_DELTAS];
+            for (k = 0; k < {backbones}; k++)
                 sum[k] += wi[i] * wj[j] * node[k];
         }}
-    for (int k = 0; k < {backbones}; k++)
+    for (k = 0; k < {backbones}; k++)
         q_mm[k] = sum[k];
     return 0;
 }}
@@ -127,7 +136,7 @@ mod tests {
     }
 
     /// What the compiled lookup says of each pose; `None` where it refuses.
-    fn looked_up(header: &str, poses: &[(f64, f64)]) -> Vec<Option<[f64; 3]>> {
+    fn looked_up(header: &str, standard: &str, poses: &[(f64, f64)]) -> Vec<Option<[f64; 3]>> {
         const MAIN: &str = "#include \"compensation.h\"\n#include <stdio.h>\nint main(void) {\n  double t, d, q[3];\n  \
             while (scanf(\"%lf %lf\", &t, &d) == 2) {\n    if (snakeloop_command(t, d, q)) puts(\"outside\");\n    \
             else printf(\"%.9f %.9f %.9f\\n\", q[0], q[1], q[2]);\n  }\n  return 0;\n}\n";
@@ -137,7 +146,7 @@ mod tests {
         let text: String = poses.iter().map(|(theta, delta)| format!("{theta} {delta}\n")).collect();
         std::fs::write(folder.path().join("poses"), text).unwrap();
         let program = folder.path().join("lookup");
-        let flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-o"];
+        let flags = [standard, "-pedantic", "-Wall", "-Wextra", "-Werror", "-o"];
         let built = Command::new("cc").args(flags).arg(&program).arg(folder.path().join("main.c")).arg("-lm").output();
         let built = built.unwrap();
         assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
@@ -158,19 +167,19 @@ mod tests {
         let header = compensation_c_header(&grid, &rows, "a */ model").unwrap();
         let nodes: Vec<(f64, f64)> =
             rows.iter().map(|row| (row.configuration.theta_deg(), row.configuration.delta_deg())).collect();
-        for (found, row) in looked_up(&header, &nodes).iter().zip(&rows) {
+        for (found, row) in looked_up(&header, "-std=c89", &nodes).iter().zip(&rows) {
             let found = found.unwrap();
             assert!((0..3).all(|k| (found[k] - row.command_mm[k]).abs() < 2e-6), "{found:?} {:?}", row.command_mm);
         }
         let between: Vec<(f64, f64)> =
             (0..400).map(|k| (f64::from(k) * 0.2255, f64::from(k * 37 % 1081) - 540.0)).collect();
         let mut worst = 0.0f64;
-        for (found, &(theta, delta)) in looked_up(&header, &between).iter().zip(&between) {
+        for (found, &(theta, delta)) in looked_up(&header, "-std=c99", &between).iter().zip(&between) {
             let wanted = model().command(Configuration::from_degrees(theta, delta));
             worst = (0..3).map(|k| (found.unwrap()[k] - wanted[k]).abs()).fold(worst, f64::max);
         }
         assert!(worst < 2e-3, "{worst} mm");
-        assert_eq!(looked_up(&header, &[(91.0, 0.0), (-1.0, 0.0)]), [None, None]);
+        assert_eq!(looked_up(&header, "-std=c89", &[(91.0, 0.0), (-1.0, 0.0)]), [None, None]);
     }
 
     #[test]
@@ -180,7 +189,7 @@ mod tests {
             |grid: &Grid| compensation_c_header(grid, &compensation_table(&model(), grid).unwrap(), "built in");
         let twice = header(&grid("0:60:20", "-180:180:30")).unwrap();
         assert!(twice.contains("#define SNAKELOOP_DELTAS 12"));
-        let near = looked_up(&twice, &[(40.0, 180.0), (40.0, -180.0), (40.0, 540.0)]);
+        let near = looked_up(&twice, "-std=c89", &[(40.0, 180.0), (40.0, -180.0), (40.0, 540.0)]);
         assert!(near.iter().all(|q| (q.unwrap()[0] - near[0].unwrap()[0]).abs() < 1e-9));
         assert!(matches!(header(&grid("0:60:20", "0:90:10")), Err(crate::Error::Argument(_))));
         assert!(matches!(header(&grid("0:60:60", "-180:180:30")), Err(crate::Error::Argument(_))));

@@ -3,7 +3,7 @@
 use super::encoders::stuck;
 use super::evidence::{Evidence, Sample, Subject};
 use super::reason::{Code, Level, Reason, Verdict};
-use super::scale::PLAUSIBLE_ETA;
+use super::scale::{PLAUSIBLE_ETA, angles_are_radians};
 use super::wiring::{self, Mistake, WiringCheck};
 use super::words;
 use crate::estimate::{LinearisedMeasurement, NEW_POSE, Replaced, Weighting, Whitened};
@@ -43,10 +43,14 @@ const STRAIGHT_SDS: f64 = 10.0;
 /// Convention: 10°; a bend at rest of any other cause points there by chance once in nine times.
 const ALONG_THE_AXIS: f64 = 0.173_648;
 /// The largest λ that robots have, mm. Convention: a play of a millimetre is a loose part.
-const MOST_LAMBDA_MM: f64 = 1.0;
+pub const MOST_LAMBDA_MM: f64 = 1.0;
 
 /// The verdict on what was collected.
 pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderReading]) -> Verdict {
+    // Nothing else can be said of angles in another unit.
+    if let Some(radians) = radians(subject, evidence) {
+        return Verdict::of(vec![radians]);
+    }
     let robot = &subject.model.robot;
     let (stuck, no_bend) = (stuck(robot, &evidence.samples), no_bend(evidence));
     let check = match (&stuck, &no_bend) {
@@ -162,6 +166,19 @@ fn new_poses(samples: &[Sample]) -> impl Iterator<Item = &Sample> {
             last = Some(bend);
         }
         is_new
+    })
+}
+
+/// Angles in radians in columns of degrees.
+fn radians(subject: &Subject, evidence: &Evidence) -> Option<Reason> {
+    angles_are_radians(subject.model, &evidence.samples).then(|| {
+        let largest = evidence.samples.iter().map(|s| s.measured.configuration.theta_deg()).fold(0.0, f64::max);
+        let text = format!(
+            "the angles are radians in columns of degrees: no theta_deg is above {largest:.2}, and all follow the bends that the encoders \
+             imply, in radians"
+        );
+        let remedy = "multiply theta_deg, delta_deg and their sigmas in measurements.csv by 180/π = 57.29578";
+        Reason::new(Code::ParameterOutOfRange, Level::DoNotUse, text, remedy)
     })
 }
 

@@ -4,9 +4,12 @@
 //! wiring check and η are one number, η = (1/g − 1)/k. A log in another unit has another g, and nothing but the range of η that
 //! robots have tells so.
 
+use super::evidence::Sample;
 use super::rules::NORMAL_QUANTILE;
 use crate::estimate::line_share;
-use crate::robot::Model;
+use crate::robot::{MAX_THETA, Model};
+use crate::statistics::order::{mad_scale, median};
+use std::f64::consts::PI;
 use std::ops::RangeInclusive;
 
 /// η that such robots have.
@@ -69,6 +72,40 @@ pub(super) fn unit(model: &Model, gain: f64, sd_gain: f64) -> Option<Unit> {
     }
     let is_large = mm_at_nominal_eta.ln().abs() > LEAST_UNNAMED.ln();
     is_large.then_some(Unit { mm: mm_at_nominal_eta, name: None, mm_at_nominal_eta, eta_as_it_is })
+}
+
+/// Least bends that the readings must imply for the angles' unit to be judged, rad; their median may not be above π either.
+///
+/// Convention: 5°, well above the noise of any measurement.
+const LEAST_IMPLIED: f64 = 0.087;
+/// Samples that must agree. Convention: fewer may agree by chance.
+const LEAST_SAMPLES: usize = 3;
+/// Ratios of a number in the column of θ to the bend that the readings imply, rad, such as radians give.
+///
+/// Derived: 1/(1 + ηk) with η in [`PLAUSIBLE_ETA`] and k up to 0.5, which is 0.4 to 0.9, and as much again for another line.
+const RATIOS_OF_RADIANS: RangeInclusive<f64> = 0.2..=1.5;
+/// Relative spread of the ratios (1.4826 times their median absolute deviation), below which the bends follow the readings.
+///
+/// Convention: noise about a snake that does not move has a spread of about 1.
+const MOST_SPREAD: f64 = 0.3;
+
+/// Whether the measured angles, which are taken for degrees, are radians: all are as small as radians are, and their numbers follow the
+/// bends that the readings imply as radians would.
+pub(super) fn angles_are_radians(model: &Model, samples: &[Sample]) -> bool {
+    let small = |sample: &Sample| {
+        let psi = sample.measured.configuration;
+        psi.theta_deg() <= MAX_THETA && psi.delta_deg().abs() <= PI
+    };
+    let implied = |sample: &Sample| model.robot.bend_and_common(&sample.q_mm).xy().norm();
+    let bent: Vec<&Sample> = samples.iter().filter(|sample| implied(sample) > LEAST_IMPLIED).collect();
+    if bent.len() < LEAST_SAMPLES || !samples.iter().all(small) {
+        return false;
+    }
+    let ratios = || bent.iter().map(|sample| sample.measured.configuration.theta_deg() / implied(sample));
+    let middle = median(&mut ratios().collect::<Vec<_>>());
+    let spread = mad_scale(ratios().map(|ratio| ratio - middle)) / middle;
+    let is_within = median(&mut bent.iter().map(|sample| implied(sample)).collect::<Vec<_>>()) <= PI;
+    is_within && RATIOS_OF_RADIANS.contains(&middle) && spread < MOST_SPREAD
 }
 
 /// A number rounded to two significant digits.

@@ -45,7 +45,13 @@ impl Tables {
 /// A mistake: what is done, the code of the first reason, and what its remedy must name.
 type Mistake = (&'static str, fn(&mut Tables), &'static str, &'static str);
 
-const MISTAKES: [Mistake; 44] = [
+const MISTAKES: [Mistake; 45] = [
+    (
+        "angles in radians",
+        |t| t.angles(|psi| Configuration { theta: psi.theta.to_radians(), delta: psi.delta.to_radians() }),
+        "parameter_out_of_range",
+        "by 180/π",
+    ),
     ("q2 and q3 exchanged", |t| t.readings(|q| [q[0], q[2], q[1]]), "wiring", "columns = [1, 3, 2]"),
     ("q1 and q2 exchanged", |t| t.readings(|q| [q[1], q[0], q[2]]), "wiring", "q2_mm,q1_mm,q3_mm"),
     ("q1 and q3 exchanged", |t| t.readings(|q| [q[2], q[1], q[0]]), "wiring", "columns = [3, 2, 1]"),

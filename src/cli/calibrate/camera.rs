@@ -7,6 +7,7 @@ use crate::cli::console::Console;
 use crate::cli::failure::Failure;
 use crate::record::write_atomically;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Calibrate the lens from pictures of a chessboard
@@ -138,7 +139,8 @@ impl Calibrated {
                 halves.halves.rms_deg, halves.halves.expected_deg
             )
         });
-        skipped.chain(outliers).chain(tilt).chain(bare).chain(halves).collect()
+        let cameras = several_cameras(self.pictures.iter().map(|picture| picture.path.as_path()));
+        skipped.chain(cameras).chain(outliers).chain(tilt).chain(bare).chain(halves).collect()
     }
 
     fn text(&self) -> String {
@@ -167,9 +169,39 @@ impl Calibrated {
     }
 }
 
+/// What to say of pictures whose names fall into several series (left01.jpg, right01.jpg): they may be of several cameras.
+fn several_cameras<'a>(pictures: impl Iterator<Item = &'a Path>) -> Option<String> {
+    let series = |path: &Path| {
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        path.with_file_name(stem.trim_end_matches(|c: char| c.is_ascii_digit())).display().to_string()
+    };
+    let mut counts = BTreeMap::<String, usize>::new();
+    pictures.for_each(|path| *counts.entry(series(path)).or_default() += 1);
+    // Pictures without a number in their names are a series each.
+    counts.retain(|_, count| *count > 1);
+    let named: Vec<String> = counts.iter().map(|(name, count)| format!("{count} of {name}*")).collect();
+    (named.len() > 1).then(|| {
+        format!(
+            "the pictures are of {} series ({}); one lens is fitted to all: if they are of different cameras, calibrate each by itself",
+            named.len(),
+            named.join(", ")
+        )
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn series_of_names_may_be_cameras() {
+        let told = |names: &[&str]| several_cameras(names.iter().map(Path::new));
+        assert_eq!(told(&["a/left01.jpg", "a/left02.jpg", "a/left11.jpg"]), None);
+        assert_eq!(told(&["board.jpg", "tilted.jpg", "corner.jpg"]), None);
+        let text = told(&["a/left01.jpg", "a/left02.jpg", "a/right01.jpg", "a/right02.jpg"]).unwrap();
+        assert!(text.contains("2 of a/left*, 2 of a/right*"), "{text}");
+        assert!(told(&["a/1.jpg", "a/2.jpg", "b/1.jpg", "b/2.jpg"]).is_some());
+    }
 
     #[test]
     fn corners_are_two_numbers() {

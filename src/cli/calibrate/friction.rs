@@ -58,7 +58,7 @@ impl Args {
             Some(path) => rows(console, read_friction(path)?),
             None => table_ii(),
         };
-        let model = model_or_paper(self.model.as_deref())?;
+        let model = model_or_paper(console, self.model.as_deref())?;
         let fit = FrictionFit::of(&weighings, model.robot.line.cone_bend_angle())?;
         if let Some(path) = &self.output {
             write_model(path, &Model { friction: fit.friction(), ..model })?;

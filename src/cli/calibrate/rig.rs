@@ -51,7 +51,7 @@ impl Args {
             }
         }
         let lens = Lens::read(&self.camera)?;
-        let model = model_or_paper(self.model.as_deref())?;
+        let model = model_or_paper(console, self.model.as_deref())?;
         let options = RigOptions { grid_pitch_mm: self.grid_pitch, standoff_mm: self.standoff, delta_offset: 0.0 };
         let rig = calibrate_rig(&read_frame(&self.straight)?, &lens, &model.robot, &options)
             .map_err(Error::rig(&self.straight))?;

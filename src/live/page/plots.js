@@ -47,8 +47,9 @@ const plots = (() => {
   function line(of, name, dash, wraps) {
     const { x, y } = series(of, wraps);
     // Single points between breaks would not be seen in a line.
-    const mode = y.length > FEW ? "lines" : "lines+markers";
-    return { x, y, type: "scatter", mode, marker: { size: 4 }, line: { color: colour(name), width: 2, dash }, hovertemplate: "%{y:.4g}<extra></extra>" };
+    const lone = (k) => (k === 0 || y[k - 1] === null) && (k + 1 === y.length || y[k + 1] === null);
+    const size = y.map((_, k) => (y.length <= FEW || lone(k) ? 4 : 0));
+    return { x, y, type: "scatter", mode: "lines+markers", marker: { size }, line: { color: colour(name), width: 2, dash }, hovertemplate: "%{y:.4g}<extra></extra>" };
   }
 
   function band(of, sigma, name, wraps) {
