@@ -84,12 +84,7 @@ fn update_the_estimate(bencher: Bencher) {
         index: truth.index,
         time_s: None,
         status: Status::Ok,
-        measured: Some(Measured {
-            configuration: truth.configuration,
-            sigma_theta: sigma,
-            sigma_delta: sigma,
-            correlation: 0.0,
-        }),
+        measured: Some(Measured::independent(truth.configuration, sigma, sigma, 0.0)),
         quality: None,
         view: None,
     });

@@ -3,7 +3,7 @@
 
 use crate::geometry::Configuration;
 use crate::robot::{BendProfile, PerBackbone};
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Matrix2x6};
 use serde::{Deserialize, Serialize};
 use std::convert::Infallible;
 use std::fmt;
@@ -22,6 +22,8 @@ pub enum Status {
     Occluded,
     /// Two bends explain the picture equally well.
     Ambiguous,
+    /// The outline contradicts what is known of the snake's shape, and no other shape explains all of it.
+    UnknownShape,
     /// The outline is too soft for the edges to be placed, or they scatter too much for how thick the disks are.
     Blurred,
     /// The picture is almost entirely black or white.
@@ -51,6 +53,7 @@ impl fmt::Display for Status {
             Self::NoSnake => "no_snake",
             Self::Occluded => "occluded",
             Self::Ambiguous => "ambiguous",
+            Self::UnknownShape => "unknown_shape",
             Self::Blurred => "blurred",
             Self::Saturated => "saturated",
             Self::OutOfFrame => "out_of_frame",
@@ -74,6 +77,7 @@ impl FromStr for Status {
             "no_snake" => Self::NoSnake,
             "occluded" => Self::Occluded,
             "ambiguous" => Self::Ambiguous,
+            "unknown_shape" => Self::UnknownShape,
             "blurred" => Self::Blurred,
             "saturated" => Self::Saturated,
             "out_of_frame" => Self::OutOfFrame,
@@ -99,9 +103,17 @@ pub struct Measured {
     pub sigma_delta: f64,
     /// Correlation of the errors of θ and δ, in (−1, 1).
     pub correlation: f64,
+    /// The part of the errors that all measurements before one rig share: what six independent unit errors of the rig do to the bend vector
+    /// θ (cos δ, sin δ), rad. The sigmas hold it; zero where nobody knows it, so that all errors count as the measurement's own.
+    pub by_rig: Matrix2x6<f64>,
 }
 
 impl Measured {
+    /// A measurement whose errors are all its own.
+    pub fn independent(configuration: Configuration, sigma_theta: f64, sigma_delta: f64, correlation: f64) -> Self {
+        Self { configuration, sigma_theta, sigma_delta, correlation, by_rig: Matrix2x6::zeros() }
+    }
+
     /// Covariance of (θ, δ), rad².
     pub fn covariance(&self) -> Matrix2<f64> {
         let cross = self.correlation * self.sigma_theta * self.sigma_delta;

@@ -144,12 +144,9 @@ impl PyMeasurement {
         if let Some((name, sigma)) = sigmas.into_iter().find(|(_, sigma)| sigma.is_nan() || *sigma <= 0.0) {
             return Err(wrong(format!("{name} is {sigma}, expected more than 0")));
         }
-        let measured = Measured {
-            configuration: Configuration::from_degrees(theta_deg, delta_deg),
-            sigma_theta: sigma_theta_deg.to_radians(),
-            sigma_delta: sigma_delta_deg.to_radians(),
-            correlation: 0.0,
-        };
+        let configuration = Configuration::from_degrees(theta_deg, delta_deg);
+        let (sigma_theta, sigma_delta) = (sigma_theta_deg.to_radians(), sigma_delta_deg.to_radians());
+        let measured = Measured::independent(configuration, sigma_theta, sigma_delta, 0.0);
         Ok(Self { status: Status::Ok, measured: Some(measured) })
     }
 

@@ -35,11 +35,15 @@ pub fn measurements_of(source: &Bound<'_, PyAny>) -> PyResult<Vec<Measurement>> 
     let statuses = table.words("status")?;
     Ok((0..table.indices.len())
         .map(|k| {
-            let measured = (theta[k].is_finite() && delta[k].is_finite()).then(|| Measured {
-                configuration: Configuration::from_degrees(theta[k], delta[k]),
-                sigma_theta: sigma_theta[k].to_radians(),
-                sigma_delta: sigma_delta[k].to_radians(),
-                correlation: if correlation[k].is_nan() { 0.0 } else { correlation[k] },
+            let measured = (theta[k].is_finite() && delta[k].is_finite()).then(|| {
+                let correlation = if correlation[k].is_nan() { 0.0 } else { correlation[k] };
+                let configuration = Configuration::from_degrees(theta[k], delta[k]);
+                Measured::independent(
+                    configuration,
+                    sigma_theta[k].to_radians(),
+                    sigma_delta[k].to_radians(),
+                    correlation,
+                )
             });
             // Its presence tells that the measurement comes from a frame.
             let quality = (inliers[k].is_finite() && rms_px[k].is_finite()).then(|| Quality {

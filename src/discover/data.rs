@@ -171,7 +171,7 @@ fn paired<'a>(measurements: &[Measurement], readings: &BTreeMap<u64, &'a Encoder
 }
 
 fn is_usable(measured: &Measured) -> bool {
-    let Measured { configuration, sigma_theta, sigma_delta, correlation } = *measured;
+    let Measured { configuration, sigma_theta, sigma_delta, correlation, .. } = *measured;
     [configuration.delta, sigma_theta, sigma_delta].iter().all(|value| value.is_finite())
         && (0.0..=MAX_THETA).contains(&configuration.theta)
         && sigma_theta > 0.0
@@ -252,7 +252,7 @@ mod tests {
         let row = |(index, (theta_deg, delta_deg)): (usize, (f64, f64))| {
             let configuration = Configuration::from_degrees(theta_deg, delta_deg);
             let (index, time_s) = (index as u64, index as f64);
-            let measured = Measured { configuration, sigma_theta: 0.002, sigma_delta: 0.01, correlation: 0.0 };
+            let measured = Measured::independent(configuration, 0.002, 0.01, 0.0);
             let measurement = Measurement {
                 index,
                 time_s: Some(time_s),

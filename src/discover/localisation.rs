@@ -291,11 +291,8 @@ mod tests {
         let theta_deg =
             |k: usize| if k % 80 < 40 { 1.0 + 2.0 * (k % 80) as f64 } else { 159.0 - 2.0 * (k % 80) as f64 };
         let q_mm: Vec<_> = (0..240).map(|k| PerBackbone::repeat(3, 0.02 * theta_deg(k))).collect();
-        let measured = (0..240).map(|k| Measured {
-            configuration: Configuration::from_degrees(theta_deg(k), 1.5 * k as f64),
-            sigma_theta: 0.002,
-            sigma_delta: 0.01,
-            correlation: 0.0,
+        let measured = (0..240).map(|k| {
+            Measured::independent(Configuration::from_degrees(theta_deg(k), 1.5 * k as f64), 0.002, 0.01, 0.0)
         });
         Data {
             indices: (0..240).collect(),

@@ -317,7 +317,7 @@ impl ExpectedNoise {
             let index = index as u64;
             let sine = configuration.theta.sin().abs().max(LEAST_SINE);
             let sigma_delta = (self.sigma_across / sine).min(PI);
-            let measured = Measured { configuration, sigma_theta: self.sigma_theta, sigma_delta, correlation: 0.0 };
+            let measured = Measured::independent(configuration, self.sigma_theta, sigma_delta, 0.0);
             let measurement = Measurement {
                 index,
                 time_s: Some(time_s),

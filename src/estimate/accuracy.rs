@@ -95,12 +95,12 @@ mod tests {
             index,
             time_s: None,
             status: Status::Ok,
-            measured: Some(Measured {
-                configuration: Configuration::from_degrees(theta_deg, delta_deg),
-                sigma_theta: sigma_deg.to_radians(),
-                sigma_delta: sigma_deg.to_radians(),
-                correlation: 0.0,
-            }),
+            measured: Some(Measured::independent(
+                Configuration::from_degrees(theta_deg, delta_deg),
+                sigma_deg.to_radians(),
+                sigma_deg.to_radians(),
+                0.0,
+            )),
             quality: None,
             view: None,
         }

@@ -13,7 +13,8 @@
 //! # What the reported covariance holds
 //!
 //! The measurements' own (Eq. 21 with V_v measured rather than assumed), inflated by what the residuals show
-//! ([`Consistency`](super::Consistency)), plus what the friction constants' own uncertainty shifts: a wrong f_s moves λ,
+//! ([`Consistency`](super::Consistency)); with the rig's errors counted once and not once for each measurement
+//! ([`covariance_by_rig`](InformationFilter::covariance_by_rig)); plus what the friction constants' own uncertainty shifts: a wrong f_s moves λ,
 //! a wrong μ scales η, and no number of measurements averages that away.
 
 use super::consistency::Whitened;
@@ -234,7 +235,9 @@ impl Estimator {
     /// Makes a filter's estimate the model's, with its honest covariance.
     fn publish(&mut self, filter: &InformationFilter, consistency: &Consistency) {
         let Some((x, covariance)) = filter.solution() else { return };
-        let covariance = consistency.inflate(&covariance) + friction_covariance(&self.model, x.x);
+        let covariance = consistency.inflate(&covariance)
+            + filter.covariance_by_rig(&covariance)
+            + friction_covariance(&self.model, x.x);
         self.model.estimate = Some(Estimate {
             eta: x.x,
             lambda_mm: x.y,

@@ -6,7 +6,7 @@
 
 use super::LinearisedMeasurement;
 use crate::statistics::information::SquareRootInformation;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Matrix2x6, Vector2};
 
 /// The largest standard deviation of η, and of λ in mm, that counts as knowing them: an estimate with more is none.
 ///
@@ -22,6 +22,10 @@ const FORGOTTEN_SD: f64 = 0.5;
 pub struct InformationFilter {
     information: SquareRootInformation<2>,
     measurements: usize,
+    /// Σ HᵗR⁻¹C over the measurements, C being what the rig's unit errors do to each.
+    by_rig: Matrix2x6<f64>,
+    /// Σ HᵗR⁻¹CCᵗR⁻¹H: what their share of R counts for where it is taken for each measurement's own.
+    of_rig: Matrix2<f64>,
 }
 
 impl InformationFilter {
@@ -40,8 +44,12 @@ impl InformationFilter {
         let h = factor.l_dirty().solve_lower_triangular(&linearised.h);
         let z = factor.l_dirty().solve_lower_triangular(&linearised.z);
         let (Some(h), Some(z)) = (h, z) else { return };
+        let Some(by_rig) = factor.l_dirty().solve_lower_triangular(&linearised.by_rig) else { return };
         if self.information.absorb(&h, &z) {
             self.measurements += 1;
+            let by_rig = h.transpose() * by_rig;
+            self.by_rig += by_rig;
+            self.of_rig += by_rig * by_rig.transpose();
         }
     }
 
@@ -49,6 +57,17 @@ impl InformationFilter {
     /// 0.5, see [`SquareRootInformation::forget`]. x̂ does not move.
     pub fn forget(&mut self, factor: f64) {
         self.information.forget(factor, FORGOTTEN_SD);
+        self.by_rig *= factor;
+        self.of_rig *= factor;
+    }
+
+    /// What is to be added to P because the measurements before one rig share its errors: P takes them for independent, so that any number
+    /// of measurements would average them away. Weighted by R, x̂ errs by P Σ HᵗR⁻¹C for the rig's unit errors, which takes the place of
+    /// their part of P.
+    ///
+    /// Source: the consider covariance of Schmidt, Application of state-space methods to navigation problems, 1966.
+    pub fn covariance_by_rig(&self, covariance: &Matrix2<f64>) -> Matrix2<f64> {
+        covariance * (self.by_rig * self.by_rig.transpose() - self.of_rig) * covariance
     }
 
     /// x̂ and P, without inflation; `None` while the measurements do not pin both parameters.
@@ -66,7 +85,7 @@ impl InformationFilter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Matrix3, Matrix3x2, Vector3};
+    use nalgebra::{Matrix3, Matrix3x2, Matrix3x6, Vector3};
     use proptest::prelude::*;
 
     fn any_measurement() -> impl Strategy<Value = LinearisedMeasurement> {
@@ -75,7 +94,7 @@ mod tests {
                 let h = Matrix3x2::from_columns(&[Vector3::from(elastic), Vector3::repeat(1.0)]);
                 let skew = Vector3::from(elastic) * sd;
                 let covariance = Matrix3::identity() * sd.powi(2) + skew * skew.transpose();
-                LinearisedMeasurement { z: z.into(), h, covariance }
+                LinearisedMeasurement { z: z.into(), h, covariance, by_rig: Matrix3x6::zeros() }
             },
         )
     }
@@ -86,6 +105,7 @@ mod tests {
             z: Vector3::repeat(0.2),
             h: Matrix3x2::from_columns(&[Vector3::zeros(), Vector3::repeat(1.0)]),
             covariance: Matrix3::identity() * 1e-4,
+            by_rig: Matrix3x6::zeros(),
         }
     }
 
@@ -132,7 +152,12 @@ mod tests {
     #[test]
     fn a_measurement_without_a_proper_covariance_changes_nothing() {
         let mut filter = InformationFilter::default();
-        let bad = |covariance| LinearisedMeasurement { z: Vector3::zeros(), h: Matrix3x2::repeat(1.0), covariance };
+        let bad = |covariance| LinearisedMeasurement {
+            z: Vector3::zeros(),
+            h: Matrix3x2::repeat(1.0),
+            covariance,
+            by_rig: Matrix3x6::zeros(),
+        };
         filter.absorb(&bad(Matrix3::zeros()));
         filter.absorb(&bad(Matrix3::repeat(f64::NAN)));
         assert_eq!(filter, InformationFilter::default());

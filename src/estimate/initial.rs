@@ -141,7 +141,7 @@ mod tests {
                 let off = if wrong.contains(&update) { 10.0 } else { 0.0 };
                 let configuration = Configuration::from_degrees(psi.theta_deg() + off, psi.delta_deg());
                 let sigma = 0.1f64.to_radians();
-                let measured = Measured { configuration, sigma_theta: sigma, sigma_delta: sigma, correlation: 0.0 };
+                let measured = Measured::independent(configuration, sigma, sigma, 0.0);
                 Sample { update, measured, q_tilde: robot.command(psi), reported_used: true }
             })
             .collect()

@@ -31,7 +31,7 @@
 use crate::geometry::Configuration;
 use crate::observation::Measured;
 use crate::robot::{Model, PerBackbone};
-use nalgebra::{Matrix2, Matrix3, Matrix3x2, Rotation2, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix3x6, Rotation2, Vector2, Vector3};
 use std::f64::consts::PI;
 
 /// How measurements are weighted against each other.
@@ -56,6 +56,9 @@ pub struct LinearisedMeasurement {
     pub h: Matrix3x2<f64>,
     /// Covariance of the noise, mm².
     pub covariance: Matrix3<f64>,
+    /// The part of the noise that the other measurements before the same rig share, mm, for each of its six unit errors; `covariance` holds
+    /// it. See [`Measured::by_rig`].
+    pub by_rig: Matrix3x6<f64>,
 }
 
 impl LinearisedMeasurement {
@@ -81,6 +84,7 @@ impl LinearisedMeasurement {
                 z: parts(*q_tilde - q * bend - model.epsilon_fixed()),
                 h: by_parameters(model, bend),
                 covariance: Matrix3::identity() * sigma.powi(2),
+                by_rig: Matrix3x6::zeros(),
             };
         }
         let (at, bend_covariance) = smoothed(model, sd_encoder_mm, measured, q_tilde)
@@ -92,6 +96,7 @@ impl LinearisedMeasurement {
             z,
             h: by_parameters(model, at),
             covariance: slope * bend_covariance * slope.transpose() + Matrix3::identity() * sd_encoder_mm.powi(2),
+            by_rig: slope * measured.by_rig,
         }
     }
 }
@@ -160,12 +165,12 @@ mod tests {
         sigma_delta_deg: f64,
         correlation: f64,
     ) -> Measured {
-        Measured {
-            configuration: Configuration::from_degrees(theta_deg, delta_deg),
-            sigma_theta: sigma_theta_deg.to_radians(),
-            sigma_delta: sigma_delta_deg.to_radians(),
+        Measured::independent(
+            Configuration::from_degrees(theta_deg, delta_deg),
+            sigma_theta_deg.to_radians(),
+            sigma_delta_deg.to_radians(),
             correlation,
-        }
+        )
     }
 
     #[test]

@@ -56,7 +56,7 @@ pub(crate) fn usable(
     if reading.q_mm.len() != backbones {
         return Err(Reason::OtherBackbones);
     }
-    let Measured { configuration, sigma_theta, sigma_delta, correlation } = measured;
+    let Measured { configuration, sigma_theta, sigma_delta, correlation, .. } = measured;
     let finite = [configuration.theta, configuration.delta, correlation]
         .iter()
         .chain(reading.q_mm.iter())

@@ -10,6 +10,7 @@ use crate::input::{LineRead, read_line};
 use crate::observation::{EncoderReading, Measured, Measurement, Quality, Shape};
 use crate::record::{PendingFile, is_at};
 use crate::robot::PerBackbone;
+use nalgebra::Matrix2x6;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
 use std::io::{BufReader, Seek, SeekFrom, Write};
@@ -59,6 +60,9 @@ struct Line {
     shape: Option<[f64; 7]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     q_mm: Option<PerBackbone>,
+    /// [`Measured::by_rig`], degrees, column by column.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    by_rig: Option<[[f64; 2]; 6]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     encoder_time_s: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -80,8 +84,10 @@ impl From<&Entry> for Line {
             let [tip, sigma_tip, along, sigma_along, across, sigma_across] = radians.map(f64::to_degrees);
             [tip, sigma_tip, along, sigma_along, across, sigma_across, s.chi2]
         });
+        let by_rig = measurement.measured.map(|m| m.by_rig.data.0.map(|column| column.map(f64::to_degrees)));
         Self {
             event: None,
+            by_rig: by_rig.filter(|by_rig| by_rig.as_flattened().iter().any(|value| *value != 0.0)),
             index: Some(measurement.index),
             time_s: measurement.time_s,
             status: measurement.status.to_string(),
@@ -104,11 +110,11 @@ impl Line {
             return (event == "reset").then_some(Entry::Reset);
         }
         let index = self.index?;
-        let measured = self.angles.map(|[theta, delta, sigma_theta, sigma_delta, correlation]| Measured {
-            configuration: Configuration::from_degrees(theta, delta),
-            sigma_theta: sigma_theta.to_radians(),
-            sigma_delta: sigma_delta.to_radians(),
-            correlation,
+        let measured = self.angles.map(|[theta, delta, sigma_theta, sigma_delta, correlation]| {
+            let configuration = Configuration::from_degrees(theta, delta);
+            let (sigma_theta, sigma_delta) = (sigma_theta.to_radians(), sigma_delta.to_radians());
+            let by_rig = Matrix2x6::from_fn(|row, k| self.by_rig.unwrap_or_default()[k][row].to_radians());
+            Measured { configuration, sigma_theta, sigma_delta, correlation, by_rig }
         });
         let (base_moved_px, grid_moved_px) = self.moved_px.unwrap_or_default();
         let shape = self.shape.map(|[tip, sigma_tip, along, sigma_along, across, sigma_across, chi2]| Shape {
@@ -291,12 +297,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn entry(index: u64, theta: f64, with_reading: bool) -> Entry {
-        let measured = Measured {
-            configuration: Configuration::new(theta, 0.3),
-            sigma_theta: 0.001,
-            sigma_delta: 0.02,
-            correlation: 0.1,
-        };
+        let measured = Measured::independent(Configuration::new(theta, 0.3), 0.001, 0.02, 0.1);
         let time_s = index as f64 / 60.0;
         let measurement = Measurement {
             index,

@@ -224,13 +224,19 @@ impl Eye {
         fit_bend(&self.projection(), finder, start, self.rig.prior(), schedule)
     }
 
-    /// A fit, or another one with any shape where the picture contradicts what is known of the snake's.
-    fn of_its_shape(&self, fit: BendFit, finder: &EdgeFinder, schedule: &FitSchedule) -> BendFit {
-        let prior = self.rig.prior();
-        if !prior.is_contradicted_by(&fit.profile) {
-            return fit;
+    /// The fit in the fine stage; with any shape where the picture contradicts what is known of the snake's.
+    fn fit_fine(&self, finder: &EdgeFinder, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
+        let fit = self.fit(finder, start, schedule)?;
+        if !fit.contradicts_shape {
+            return Some(fit);
         }
-        fit_bend(&self.projection(), finder, fit.start(), prior.of_any_shape(), schedule).unwrap_or(fit)
+        let (view, any_shape) = (self.projection(), self.rig.prior().of_any_shape());
+        // Edges may lie further from the wrong shape than the fine stage searches.
+        let refined = fit_bend(&view, finder, fit.start(), any_shape, &COARSE_TO_REFINED);
+        let refitted = refined.and_then(|refined| fit_bend(&view, finder, refined.start(), any_shape, schedule));
+        let mut best = refitted.unwrap_or(fit);
+        best.contradicts_shape = true;
+        Some(best)
     }
 
     /// Fits the candidates, best first, until one explains all of the outline, and the mirrored solution of the best: the coarse
@@ -294,23 +300,21 @@ impl Eye {
             let is_close = (bend - best.bend()).norm() < EDGE_ON_RAD;
             self.fit(finder, self.start(bend), if is_close { &REFINEMENT } else { &COARSE_TO_REFINED })
         };
-        let (mirrored, mut finest) = rayon::join(fit_mirrored, || self.fit(finder, best.start(), fine));
+        let (mirrored, mut finest) = rayon::join(fit_mirrored, || self.fit_fine(finder, best.start(), fine));
         if let Some(mirrored) = mirrored.as_ref().filter(|mirrored| mirrored.cost < best.cost) {
-            finest = self.fit(finder, mirrored.start(), fine);
+            finest = self.fit_fine(finder, mirrored.start(), fine);
         }
         let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
-        let of_its_shape = |fit: BendFit| self.of_its_shape(fit, finder, fine);
-        let Some(mut best) = finest.map(of_its_shape) else {
-            return Selection { fits, has_fine_fit: false, is_ambiguous: false };
-        };
+        let Some(mut best) = finest else { return Selection { fits, has_fine_fit: false, is_ambiguous: false } };
         let diameter_px = self.projection().diameter_px();
         let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, diameter_px);
         let alternatives = fits[1..].iter().filter(|other| compare(other, &fits[0]) != Alternative::Worse);
         let mut is_ambiguous = false;
         // An alternative that looked as good may end at the same bend in the fine stage, or prove to be worse.
-        for other in alternatives.filter_map(|other| self.fit(finder, other.start(), fine)) {
+        for other in alternatives.filter_map(|other| self.fit_fine(finder, other.start(), fine)) {
             match compare(&other, &best) {
                 Alternative::EdgeOn => best = best.or_edge_on(other),
+                Alternative::AsGood if compare(&best, &other) == Alternative::Worse => best = other,
                 Alternative::AsGood if other.has_likelier_shape_than(&best) => best = other,
                 Alternative::AsGood => is_ambiguous |= !best.has_likelier_shape_than(&other),
                 Alternative::Worse => {}
@@ -331,8 +335,8 @@ impl Eye {
         if let Some(status) = refusal_by_edges(fit) {
             return FrameMeasurement::failed(status, Some(quality));
         }
-        let of_rig = fit.by_pose * self.rig.pose_covariance * fit.by_pose.transpose() * POSE_VARIANCE;
-        let covariance = fit.covariance + of_rig;
+        let by_rig = fit.by_pose * symmetric_root(&(self.rig.pose_covariance * POSE_VARIANCE));
+        let covariance = fit.covariance + by_rig * by_rig.transpose();
         let quality = Quality { shape: shape(&fit.profile, &covariance), profile: Some(fit.profile), ..quality };
         let visibility = fit.visibility();
         if visibility.visible_disk_share() < LEAST_VISIBLE_DISKS || !visibility.is_end_visible() {
@@ -341,9 +345,22 @@ impl Eye {
         if is_ambiguous {
             return FrameMeasurement::failed(Status::Ambiguous, Some(quality));
         }
+        // With any shape a fit has local minima of its own; one that leaves part of the outline unexplained is not to be relied on.
+        if fit.contradicts_shape && !fit.explains_all() {
+            return FrameMeasurement::failed(Status::UnknownShape, Some(quality));
+        }
         let covariance = covariance.fixed_view::<2, 2>(0, 0).into_owned();
-        FrameMeasurement::of(Bend { vector: fit.bend(), covariance }, quality)
+        let by_rig = by_rig.fixed_rows::<2>(0).into_owned();
+        FrameMeasurement::of(Bend { vector: fit.bend(), covariance, by_rig }, quality)
     }
+}
+
+/// The symmetric root of a covariance: what six independent unit errors do. It changes continuously with the covariance, so that the errors
+/// keep their meaning from frame to frame while a moving camera is followed.
+fn symmetric_root(covariance: &Matrix6<f64>) -> Matrix6<f64> {
+    let mut eigen = covariance.symmetric_eigen();
+    eigen.eigenvalues.apply(|variance| *variance = variance.max(0.0).sqrt());
+    eigen.recompose()
 }
 
 /// How a profile departs from an arc. `None` where its covariance is not positive definite.

@@ -2,7 +2,7 @@
 
 use crate::geometry::{Configuration, wrap_angle};
 use crate::observation::{Measured, Quality, Status};
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Matrix2x6, Vector2};
 use std::f64::consts::PI;
 
 /// How far the grid of [`in_polar_terms`] reaches, σ.
@@ -43,12 +43,14 @@ pub struct Bend {
     pub vector: Vector2<f64>,
     /// rad².
     pub covariance: Matrix2<f64>,
+    /// The part of the error that the rig's other frames share, see [`Measured::by_rig`].
+    pub by_rig: Matrix2x6<f64>,
 }
 
 impl FrameMeasurement {
     /// The measurement of a snake with this bend.
     pub(super) fn of(bend: Bend, quality: Quality) -> Self {
-        let measured = in_polar_terms(bend.vector, &bend.covariance);
+        let measured = Measured { by_rig: bend.by_rig, ..in_polar_terms(bend.vector, &bend.covariance) };
         Self { status: Status::Ok, measured: Some(measured), bend: Some(bend), quality: Some(quality) }
     }
 
@@ -84,12 +86,12 @@ fn in_polar_terms(bend: Vector2<f64>, covariance: &Matrix2<f64>) -> Measured {
     let from_straight = covariance.try_inverse().map_or(0.0, |information| bend.dot(&(information * bend)));
     let all_round = if from_straight < THREE_SIGMAS_SQUARED { PI / 3.0 } else { 0.0 };
     let correlation = if tt * dd > 0.0 { td / (tt * dd).sqrt() } else { 0.0 };
-    Measured {
+    Measured::independent(
         configuration,
-        sigma_theta: (tt / weights).sqrt(),
-        sigma_delta: (dd / weights).sqrt().max(all_round),
-        correlation: correlation.clamp(-LARGEST_CORRELATION, LARGEST_CORRELATION),
-    }
+        (tt / weights).sqrt(),
+        (dd / weights).sqrt().max(all_round),
+        correlation.clamp(-LARGEST_CORRELATION, LARGEST_CORRELATION),
+    )
 }
 
 #[cfg(test)]

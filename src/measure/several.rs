@@ -2,7 +2,7 @@
 
 use crate::measure::measurement::{Bend, FrameMeasurement};
 use crate::observation::{Quality, Status};
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Matrix2x6, Vector2};
 
 /// Views whose bends lie within this distance of their mean, rad, do not contradict each other whatever their sigmas say.
 ///
@@ -42,7 +42,9 @@ pub fn fused(measurements: &[FrameMeasurement]) -> FrameMeasurement {
     if chi2_per_dof > CONTRADICTION_CHI2 && apart {
         return FrameMeasurement::failed(Status::ViewsDisagree, Some(quality));
     }
-    FrameMeasurement::of(Bend { vector: mean, covariance: covariance * chi2_per_dof.max(1.0) }, quality)
+    // Each view has a rig of its own, and a row has room for the errors of one: those of several count as the moment's own.
+    let bend = Bend { vector: mean, covariance: covariance * chi2_per_dof.max(1.0), by_rig: Matrix2x6::zeros() };
+    FrameMeasurement::of(bend, quality)
 }
 
 fn together(seen: &[(Bend, Quality)]) -> Quality {
@@ -72,7 +74,7 @@ mod tests {
     fn measurement(x: f64, y: f64, sigma_x: f64, sigma_y: f64) -> FrameMeasurement {
         let covariance = Matrix2::new(sigma_x.powi(2), 0.0, 0.0, sigma_y.powi(2));
         let quality = Quality { edges: 1000, inlier_fraction: 0.9, rms_px: 0.1, ..Quality::default() };
-        FrameMeasurement::of(Bend { vector: Vector2::new(x, y), covariance }, quality)
+        FrameMeasurement::of(Bend { vector: Vector2::new(x, y), covariance, by_rig: Matrix2x6::zeros() }, quality)
     }
 
     #[test]

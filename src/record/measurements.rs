@@ -12,6 +12,7 @@
 //! | `view` | the view's name in experiment.toml |
 //! | `tip_theta_deg` | the tip tangent's angle, where the snake need not be a circle; with its sigma |
 //! | `shape_along_deg`, `shape_across_deg` | departure from the circle in the bend's plane and out of it (see [`Shape`]); with sigmas |
+//! | `bend_x_by_rig1_deg` … `bend_y_by_rig6_deg` | the part of the errors that all frames before the rig share: what six independent unit errors of the rig do to θ cos δ and θ sin δ; empty where it is not known. The sigmas hold it |
 //! | `shape_chi2` | the departure's square in units of its covariance: 2 on the average for a circle |
 
 use super::columns::{azimuth, csv_line, csv_text, decimals, decimals_or_empty};
@@ -20,6 +21,7 @@ use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::input::{LINE_BYTES, read_line};
 use crate::observation::{Measured, Measurement, Quality, Shape, Status};
+use nalgebra::Matrix2x6;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -31,7 +33,7 @@ const FIXED: [&str; 7] = ["index", "time_s", "theta_deg", "delta_deg", "sigma_th
 const REQUIRED: [&str; 5] = ["index", "time_s", "theta_deg", "delta_deg", "status"];
 
 /// The further columns that this program writes.
-const FURTHER: [&str; 14] = [
+const FURTHER: [&str; 26] = [
     "rho_theta_delta",
     "edges",
     "inlier_fraction",
@@ -46,7 +48,23 @@ const FURTHER: [&str; 14] = [
     "shape_across_deg",
     "sigma_shape_across_deg",
     "shape_chi2",
+    "bend_x_by_rig1_deg",
+    "bend_y_by_rig1_deg",
+    "bend_x_by_rig2_deg",
+    "bend_y_by_rig2_deg",
+    "bend_x_by_rig3_deg",
+    "bend_y_by_rig3_deg",
+    "bend_x_by_rig4_deg",
+    "bend_y_by_rig4_deg",
+    "bend_x_by_rig5_deg",
+    "bend_y_by_rig5_deg",
+    "bend_x_by_rig6_deg",
+    "bend_y_by_rig6_deg",
 ];
+/// Where those by the rig begin among [`FURTHER`]; they are in the order of a matrix of two rows, column by column.
+///
+/// Convention: an index.
+const BY_RIG: usize = 14;
 
 impl Indexed for Measurement {
     fn index(&self) -> u64 {
@@ -105,12 +123,17 @@ fn measured_of(row: &Row) -> RowResult<Option<Measured>> {
     if correlation.abs() >= 1.0 {
         return Err(format!("rho_theta_delta is {correlation}, expected between −1 and 1"));
     }
-    Ok(Some(Measured {
-        configuration: Configuration::from_degrees(theta_deg, delta_deg),
-        sigma_theta: sigma("sigma_theta_deg")?,
-        sigma_delta: sigma("sigma_delta_deg")?,
-        correlation,
-    }))
+    let configuration = Configuration::from_degrees(theta_deg, delta_deg);
+    let (sigma_theta, sigma_delta) = (sigma("sigma_theta_deg")?, sigma("sigma_delta_deg")?);
+    Ok(Some(Measured { configuration, sigma_theta, sigma_delta, correlation, by_rig: by_rig_of(row)? }))
+}
+
+fn by_rig_of(row: &Row) -> RowResult<Matrix2x6<f64>> {
+    let mut by_rig = Matrix2x6::zeros();
+    for (value, column) in by_rig.iter_mut().zip(&FURTHER[BY_RIG..]) {
+        *value = row.optional_number(column)?.unwrap_or(0.0).to_radians();
+    }
+    Ok(by_rig)
 }
 
 fn quality_of(row: &Row) -> RowResult<Option<Quality>> {
@@ -242,6 +265,10 @@ fn fields(row: &Measurement) -> Vec<String> {
         ],
         None => Default::default(),
     };
+    let by_rig: [String; 12] = match &row.measured {
+        Some(m) if m.by_rig.amax() > 0.0 => std::array::from_fn(|k| decimals(m.by_rig[k].to_degrees(), 6)),
+        _ => Default::default(),
+    };
     let quality = match &row.quality {
         Some(q) => [
             q.edges.to_string(),
@@ -271,6 +298,7 @@ fn fields(row: &Measurement) -> Vec<String> {
         &quality[..],
         &[row.view.clone().unwrap_or_default()],
         &shape[..],
+        &by_rig[..],
     ]
     .concat()
 }
@@ -310,8 +338,10 @@ mod tests {
             "index,time_s,theta_deg,delta_deg,sigma_theta_deg,sigma_delta_deg,status,\
              rho_theta_delta,edges,inlier_fraction,rms_px,base_moved_px,grid_moved_px,view,\
              tip_theta_deg,sigma_tip_theta_deg,shape_along_deg,sigma_shape_along_deg,shape_across_deg,\
-             sigma_shape_across_deg,shape_chi2\n\
-             7,1.5000,,,,,no_snake,,,,,,,side,,,,,,,\n"
+             sigma_shape_across_deg,shape_chi2,bend_x_by_rig1_deg,bend_y_by_rig1_deg,bend_x_by_rig2_deg,\
+             bend_y_by_rig2_deg,bend_x_by_rig3_deg,bend_y_by_rig3_deg,bend_x_by_rig4_deg,bend_y_by_rig4_deg,\
+             bend_x_by_rig5_deg,bend_y_by_rig5_deg,bend_x_by_rig6_deg,bend_y_by_rig6_deg\n\
+             7,1.5000,,,,,no_snake,,,,,,,side,,,,,,,,,,,,,,,,,,,\n"
         );
         assert_eq!(read_text(&text).unwrap().rows, [unmeasured]);
     }
@@ -367,11 +397,13 @@ mod tests {
                 index: 0,
                 time_s,
                 status: status.parse().unwrap(),
-                measured: (seen || status == "ok").then(|| Measured {
-                    configuration: Configuration::from_degrees(theta, delta),
-                    sigma_theta: f64::to_radians(sigma_theta),
-                    sigma_delta: f64::to_radians(sigma_delta),
-                    correlation,
+                measured: (seen || status == "ok").then(|| {
+                    Measured::independent(
+                        Configuration::from_degrees(theta, delta),
+                        f64::to_radians(sigma_theta),
+                        f64::to_radians(sigma_delta),
+                        correlation,
+                    )
                 }),
                 quality: quality.map(|(edges, inlier_fraction, rms_px)| Quality {
                     edges,

@@ -171,6 +171,11 @@ fn meaning(status: &Status) -> &'static str {
             "Too little of the snake's outline is confirmed by edges (5): something hides it or the model lies wrong (6)."
         }
         Status::Ambiguous => "Two bends explain the picture about equally well, so that neither is given.",
+        Status::UnknownShape => {
+            "The outline is that of no arc, or of another shape than this snake had in the sequence, and the best shape (6) leaves part of it \
+             unexplained: the edges beside the drawn outline (5) show where. Before a rig that was refined with three frames or more of this \
+             snake its shape is known."
+        }
         Status::Blurred => "The outline is too blurred for its edges to be placed: focus, or a shorter exposure.",
         Status::Saturated => "Nearly all of the picture is black or white: exposure.",
         Status::OutOfFrame => "Too much of the snake lies outside the picture.",

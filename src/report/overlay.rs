@@ -220,12 +220,7 @@ mod tests {
             index: 12,
             time_s: None,
             status: Status::Ok,
-            measured: Some(Measured {
-                configuration: Configuration::from_degrees(theta_deg, delta_deg),
-                sigma_theta: sigma,
-                sigma_delta: sigma,
-                correlation: 0.0,
-            }),
+            measured: Some(Measured::independent(Configuration::from_degrees(theta_deg, delta_deg), sigma, sigma, 0.0)),
             quality: None,
             view: Some("side".into()),
         }

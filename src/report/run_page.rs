@@ -249,12 +249,8 @@ mod tests {
     use crate::robot::PerBackbone;
 
     fn measurement(index: u64, status: Status) -> Measurement {
-        let measured = (status == Status::Ok).then(|| Measured {
-            configuration: Configuration::from_degrees(5.0 * index as f64, 120.0),
-            sigma_theta: 1e-3,
-            sigma_delta: 5e-3,
-            correlation: 0.0,
-        });
+        let measured = (status == Status::Ok)
+            .then(|| Measured::independent(Configuration::from_degrees(5.0 * index as f64, 120.0), 1e-3, 5e-3, 0.0));
         Measurement { index, time_s: Some(index as f64), status, measured, quality: None, view: None }
     }
 

@@ -16,7 +16,7 @@ use crate::estimate::{InformationFilter, LinearisedMeasurement};
 use crate::geometry::Configuration;
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::moments::{mean, rms};
-use nalgebra::{Matrix2, Matrix3, Matrix3x2, RowVector2, Vector2};
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix3x6, RowVector2, Vector2};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -118,6 +118,7 @@ fn row(model: &Model, psi: Configuration, q_tilde: &PerBackbone) -> LinearisedMe
         z: parts(*q_tilde - model.robot.joint_displacements(psi) - model.epsilon_fixed()),
         h: Matrix3x2::from_columns(&[0, 1].map(|axis| parts(h.column(axis)))),
         covariance: Matrix3::identity() * sigma_mm.powi(2),
+        by_rig: Matrix3x6::zeros(),
     }
 }
 

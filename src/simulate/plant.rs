@@ -96,7 +96,7 @@ impl SimulatedEye {
         let error = Rotation2::new(truth.delta) * Vector2::new(sigma_theta * draw(), across * draw());
         let configuration = Configuration::from_bend_vector(truth.bend_vector() + error);
         let sigma_delta = (self.sigma_across_deg.to_radians() / configuration.theta.sin().abs()).min(PI);
-        Measured { configuration, sigma_theta, sigma_delta, correlation: 0.0 }
+        Measured::independent(configuration, sigma_theta, sigma_delta, 0.0)
     }
 }
 

@@ -68,6 +68,12 @@ pub fn at_scale(scale: f64, random: &mut Random) -> Scene {
     scene
 }
 
+/// The modes of a snake that is no arc, degrees: curvature that varies by up to a quarter of the bend, an S, and a bow out of its plane.
+pub fn shape(theta_deg: f64, random: &mut Random) -> [[f64; 2]; 3] {
+    let varying = random.between(-0.25, 0.25) * theta_deg / 4.0;
+    [[varying, random.between(-3.0, 3.0)], [random.between(-3.0, 3.0), random.between(-3.0, 3.0)], [0.0; 2]]
+}
+
 /// A lamp before the paper, with its gradient and the snake's shadow.
 pub fn light(random: &mut Random) -> Light {
     Light {

@@ -1,6 +1,8 @@
 //! The estimator on simulated experiments whose η and λ are known, and on the bundled one.
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Matrix2x6, Vector2, Vector6};
+use rand::{SeedableRng, rngs::StdRng};
+use rand_distr::{Distribution, StandardNormal};
 use snakeloop::estimate::{Estimator, Options, Reason, Verdict, Weighting, estimate};
 use snakeloop::geometry::Configuration;
 use snakeloop::observation::{EncoderReading, Measured, Measurement, Status};
@@ -41,7 +43,7 @@ fn measurement(index: u64, configuration: Configuration, sigma_deg: f64) -> Meas
         index,
         time_s: None,
         status: Status::Ok,
-        measured: Some(Measured { configuration, sigma_theta: sigma, sigma_delta: sigma, correlation: 0.0 }),
+        measured: Some(Measured::independent(configuration, sigma, sigma, 0.0)),
         quality: None,
         view: None,
     }
@@ -107,6 +109,44 @@ fn reported_sds_cover_the_truth_as_often_as_they_should() {
             assert!(mean.abs() < 0.2, "{says}");
         }
     }
+}
+
+/// Before each rig the camera leans by an error of its own, which turns every bend of the sequence alike. Where the measurements say which
+/// part of their errors that is, the σ of η and λ hold; where they call all of it their own, that of η is far too small.
+#[test]
+fn errors_that_a_rig_makes_in_every_frame_do_not_average_away() {
+    // What a lean by σ about either of two axes does to a bend vector, as a camera before the bend's plane sees it.
+    let by_rig = |bend: Vector2<f64>| {
+        let mut by_rig = Matrix2x6::zeros();
+        by_rig.set_column(0, &(bend * 4e-3));
+        by_rig.set_column(1, &(Vector2::new(-bend.y, bend.x) * 4e-3));
+        by_rig
+    };
+    let mean_square = |tells_rig: bool| {
+        let squares = (0..200).map(|seed| {
+            let samples = experiment(seed);
+            let eye = SimulatedEye { sigma_theta_deg: 0.05, sigma_across_deg: 0.05 };
+            let mut measurements = eye.observe(&samples, seed + 2_000_000);
+            let mut random = StdRng::seed_from_u64(seed);
+            let rig_error = Vector6::from_fn(|_, _| StandardNormal.sample(&mut random));
+            for measured in measurements.iter_mut().filter_map(|m| m.measured.as_mut()) {
+                let bend = measured.configuration.bend_vector();
+                let shared = by_rig(bend);
+                measured.configuration = Configuration::from_bend_vector(bend + shared * rig_error);
+                measured.sigma_theta = measured.sigma_theta.hypot(4e-3 * bend.norm());
+                measured.sigma_delta = measured.sigma_delta.hypot(4e-3);
+                measured.by_rig = if tells_rig { shared } else { Matrix2x6::zeros() };
+            }
+            let start = exact_friction(Friction::default());
+            let (_, model) = estimate(&start, Options::default(), &measurements, &readings(&samples)).unwrap();
+            distances(&model)[0].powi(2)
+        });
+        squares.sum::<f64>() / 200.0
+    };
+    let (told, untold) = (mean_square(true), mean_square(false));
+    // The mean square of 200 standard normal numbers is 1 ± 0.1.
+    assert!((0.7..1.3).contains(&told), "{told}");
+    assert!(untold > 3.0, "{untold}");
 }
 
 #[test]

@@ -182,11 +182,11 @@ proptest! {
             let [theta, delta, sigma_theta, sigma_delta, correlation, q1, q2, q3] = *numbers;
             let psi = Configuration::from_degrees(20.0 + k as f64, 30.0);
             let (measured, q_mm) = if *good {
-                let measured = Measured { configuration: psi, sigma_theta: 0.002, sigma_delta: 0.004, correlation: 0.0 };
+                let measured = Measured::independent(psi, 0.002, 0.004, 0.0);
                 (measured, Model::default().command(psi))
             } else {
                 let configuration = Configuration { theta, delta };
-                (Measured { configuration, sigma_theta, sigma_delta, correlation }, PerBackbone::from([q1, q2, q3]))
+                (Measured::independent(configuration, sigma_theta, sigma_delta, correlation), PerBackbone::from([q1, q2, q3]))
             };
             let index = k as u64;
             let (status, measured) = (Status::Ok, Some(measured));

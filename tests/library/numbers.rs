@@ -1,7 +1,7 @@
 //! The estimator's arithmetic over a very long life: against the batch solution, and with a forgetting factor while
 //! nothing excites it.
 
-use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix3x6, Vector2, Vector3};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 use snakeloop::estimate::{Estimator, InformationFilter, LinearisedMeasurement, Options, Verdict, Weighting};
 use snakeloop::geometry::Configuration;
@@ -56,7 +56,11 @@ fn ten_million_rows_are_the_batch_solution() {
             // The camera's noise along the bend is a hundred times that of the encoders.
             let along = elastic * random.random_range(0.1..1.0);
             let covariance = Matrix3::identity() * 0.0015f64.powi(2) + along * along.transpose();
-            (LinearisedMeasurement { z: Vector3::zeros(), h, covariance }, 0, Vector3::zeros())
+            (
+                LinearisedMeasurement { z: Vector3::zeros(), h, covariance, by_rig: Matrix3x6::zeros() },
+                0,
+                Vector3::zeros(),
+            )
         })
         .collect();
     let mut filter = InformationFilter::default();

@@ -64,13 +64,14 @@ impl Alternative {
 }
 
 impl BendFit {
-    /// Whether this fit's shape is so much more likely than another's that it decides between them.
+    /// Whether this fit's shape is so much more likely than another's that it decides between them. A shape that contradicts what is known
+    /// of the snake's decides nothing.
     ///
     /// A snake that is bent towards the camera and one bent away from it explain a picture alike if one of them may have any shape.
     /// How far this snake departs from an arc is known to its prior's width only, so that every size of a mode counts alike (a density of
     /// 1/σ for its width): the density of a pair of components with mean square error s² is then in proportion to 1/(|a|² + s²).
     pub fn has_likelier_shape_than(&self, other: &Self) -> bool {
-        other.shape_surprise() - self.shape_surprise() > SHAPE_ODDS.ln()
+        !self.contradicts_shape && other.shape_surprise() - self.shape_surprise() > SHAPE_ODDS.ln()
     }
 
     /// −ln of the density of the modes, but for a constant.

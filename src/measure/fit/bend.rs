@@ -8,7 +8,7 @@ use super::correspondences::Correspondences;
 use super::edges::EdgeFinder;
 use super::linearised::Linearised;
 use super::noise_model::SHARP_PX;
-use super::state::{EdgeBias, FramePrior, STATE, State};
+use super::state::{CONTRADICTION_CHI2, EdgeBias, FramePrior, STATE, State};
 use super::uncertainty::{FitCovariance, RobustPhase, inliers};
 use super::visibility::PartVisibility;
 use crate::measure::body::{Outline, Piece, Projection};
@@ -67,6 +67,8 @@ pub(crate) struct BendFit {
     pub rms_px: f64,
     /// Median blur of the edges, σ in px.
     pub blur_px: f64,
+    /// Whether this picture's edges contradict what was known of the snake's shape, see [`FramePrior::contradiction`].
+    pub contradicts_shape: bool,
     /// Share of the outline that lies outside the picture.
     pub out_of_frame: f64,
     /// The mean over all searched points of the squared distance, cut off at the last search distance, in units of that: 0 if every
@@ -279,6 +281,7 @@ impl<'a> Fitting<'a> {
             inliers,
             rms_px,
             blur_px: edges.blur_px,
+            contradicts_shape: prior.contradiction(&state.profile, &covariance.independent)? > CONTRADICTION_CHI2,
             out_of_frame: self.drawn?.1.out_of_frame,
             cost: 1.0 - agreement / edges.searched().len() as f64,
             edges,

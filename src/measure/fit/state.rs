@@ -5,7 +5,7 @@ use super::noise_model::{DESIGN_EFFECT, blur_growth};
 use super::shape_prior::{LARGEST_SHAPE, UNKNOWN_SHAPE_RAD};
 use crate::measure::body::Piece;
 use crate::robot::{BendProfile, MODES, PROFILE};
-use nalgebra::{SVector, Vector2};
+use nalgebra::{DMatrix, Matrix6, SVector, Vector6};
 
 /// How far outside the snake's true border its edges are seen, px.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -68,10 +68,11 @@ impl EdgeBias {
     }
 }
 
-/// Modes whose squares sum up to more than this, in units of their prior variances, contradict the prior.
+/// A χ² of the six components of the modes above this contradicts the prior.
 ///
-/// Derived: χ² of the six components exceeds it once in 10,000 frames.
-const CONTRADICTION_CHI2: f64 = 27.9;
+/// Derived: its mean. Edges are weighted as if only one in [`DESIGN_EFFECT`] counted, so that pictures of arcs have 0.1 to 1; one that is
+/// doubted without need costs precision only.
+pub(super) const CONTRADICTION_CHI2: f64 = 6.0;
 
 /// A Gaussian prior of the modes of the bend profile and of the edges' biases, all independent of each other.
 #[derive(Debug, Clone, Copy)]
@@ -104,10 +105,27 @@ impl FramePrior {
         })
     }
 
-    /// Whether a profile departs from an arc by more than a snake of this prior does.
-    pub fn is_contradicted_by(&self, profile: &BendProfile) -> bool {
-        let of_mode = |(mode, sigma): (&Vector2<f64>, &f64)| mode.norm_squared() / (sigma * sigma);
-        profile.modes.iter().zip(&self.mode_sigma_rad).map(of_mode).sum::<f64>() > CONTRADICTION_CHI2
+    /// χ² by which the edges of a picture contradict this prior of the modes: of the modes that the edges would have under the prior
+    /// for [any shape](Self::of_any_shape), in units of the sum of that estimate's covariance and the prior's. `None` where the covariance
+    /// cannot be inverted.
+    ///
+    /// A fit under a narrow prior leaves modes â near zero however far from an arc the snake is, and what the edges ask for is left in
+    /// their residuals. With the fit's covariance P of the modes and the prior's information D, the edges' own information is P⁻¹ − D,
+    /// their estimate a = â + C D â with C = (P⁻¹ − D)⁻¹, and aᵗ (C + D⁻¹)⁻¹ a = âᵗ D â + (D â)ᵗ C (D â): the score test of the prior.
+    /// Source: Engle, Wald, likelihood ratio, and Lagrange multiplier tests, Handbook of Econometrics 2, 1984.
+    ///
+    /// `independent` is the covariance of the state's numbers for independent edges, which [`rows`](Self::rows) are weighted for.
+    pub fn contradiction(&self, profile: &BendProfile, independent: &DMatrix<f64>) -> Option<f64> {
+        let information = |prior: &Self| {
+            let of = |k: usize| DESIGN_EFFECT / prior.mode_sigma_rad[k / 2].powi(2);
+            Matrix6::from_diagonal(&Vector6::from_fn(|k, _| of(k)))
+        };
+        let (known, any) = (information(self), information(&self.of_any_shape()));
+        let modes = Vector6::from_fn(|k, _| profile.modes[k / 2][k % 2]);
+        let fitted: Matrix6<f64> = independent.fixed_view::<6, 6>(2, 2).into_owned();
+        let of_edges = (fitted.try_inverse()? - known + any).try_inverse()?;
+        let pull = known * modes;
+        Some((modes.dot(&pull) + pull.dot(&(of_edges * pull))) / DESIGN_EFFECT)
     }
 
     /// The prior of a snake of which nothing is known but the largest modes that any has.
@@ -156,6 +174,44 @@ impl State {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector2;
+    use rand::{SeedableRng, rngs::StdRng};
+    use rand_distr::{Distribution, StandardNormal};
+
+    /// Modes drawn from the prior and seen with errors of a known covariance have, on the average, a χ² of six; modes of three
+    /// standard deviations more.
+    #[test]
+    fn the_contradiction_is_a_chi_squared_of_six_components() {
+        const DRAWS: u32 = 4000;
+        let prior = FramePrior::FIXTURE;
+        let mut random = StdRng::seed_from_u64(5);
+        let mut normal = move || -> Vector6<f64> { Vector6::from_fn(|_, _| StandardNormal.sample(&mut random)) };
+        let sigma = Matrix6::from_diagonal(&Vector6::from_fn(|k, _| prior.mode_sigma_rad[k / 2]));
+        // What edges say of the modes, as if they were independent: some components well, some hardly, and not one by one.
+        let mix = Matrix6::from_fn(|r, c| if r == c { 1.0 } else { 0.3 / (1.0 + (r as f64 - c as f64).abs()) });
+        let error = sigma * mix * Matrix6::from_diagonal(&Vector6::new(0.1, 0.3, 1.0, 0.5, 2.0, 0.2));
+        let of_edges = (error * error.transpose() / DESIGN_EFFECT).try_inverse().unwrap();
+        let known = (sigma * sigma / DESIGN_EFFECT).try_inverse().unwrap();
+        let fitted = (of_edges + known).try_inverse().unwrap();
+        let mut mean = |times: f64| {
+            let chi2 = (0..DRAWS).map(|_| {
+                let seen = sigma * normal() * times + error * normal();
+                let modes = fitted * of_edges * seen;
+                let profile = BendProfile {
+                    tip: Vector2::zeros(),
+                    modes: std::array::from_fn(|k| Vector2::new(modes[2 * k], modes[2 * k + 1])),
+                };
+                let mut independent = DMatrix::identity(STATE, STATE);
+                independent.view_mut((2, 2), (6, 6)).copy_from(&fitted);
+                prior.contradiction(&profile, &independent).unwrap()
+            });
+            chi2.sum::<f64>() / f64::from(DRAWS)
+        };
+        let (as_known, wider) = (mean(1.0), mean(3.0));
+        // 4,000 draws of χ² with six degrees of freedom have a mean of 6 ± 0.055.
+        assert!((as_known - 6.0).abs() < 0.25, "{as_known}");
+        assert!(wider > 15.0, "{wider}");
+    }
 
     #[test]
     fn every_piece_has_the_bias_of_its_kind() {

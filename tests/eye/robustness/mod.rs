@@ -48,7 +48,11 @@ fn outcomes(seed: u64, frames: usize) -> Result<Vec<Outcome>, String> {
         let mut random = Random::new(1000 * seed + k as u64);
         let disturbance = Disturbance::ALL[(start + k) % Disturbance::ALL.len()];
         let psi = Configuration::from_degrees(random.between(0.0, 95.0), random.between(-180.0, 180.0));
-        let (picture, truth) = disturbed(&scene, psi, disturbance, &mut random);
+        // Every second frame of a rig, and of a disturbance every second time, shows a snake that is no arc.
+        let is_arc = (seed as usize + k).is_multiple_of(2);
+        let modes_deg = if is_arc { [[0.0; 2]; 3] } else { rigs::shape(psi.theta_deg(), &mut random) };
+        let bent = Scene { modes_deg, ..scene.clone() };
+        let (picture, truth) = disturbed(&bent, psi, disturbance, &mut random);
         let outcome = judged(&eye.measure(&frame_of(picture.clone())), truth, disturbance, psi);
         if outcome.is_false {
             let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("robustness");
@@ -56,7 +60,7 @@ fn outcomes(seed: u64, frames: usize) -> Result<Vec<Outcome>, String> {
             picture.save(folder.join(format!("{seed}-{k}.png"))).unwrap();
             std::fs::write(folder.join(format!("{seed}.toml")), scene.to_toml().unwrap()).unwrap();
         }
-        Outcome { told: format!("{seed}-{k} {}", outcome.told), ..outcome }
+        Outcome { told: format!("{seed}-{k} modes {modes_deg:.1?}° {}", outcome.told), ..outcome }
     };
     Ok((0..frames).map(outcome).collect())
 }
