@@ -181,6 +181,14 @@ pub enum ArgumentError {
         /// All parameters of the effect.
         takes: Vec<&'static str>,
     },
+    /// A user's own effect whose definition has a fault.
+    #[error("effect {effect}: {why}")]
+    Formula {
+        /// The effect's name.
+        effect: String,
+        /// What is wrong, and where.
+        why: String,
+    },
     /// A grid of angles that no table can be made on.
     #[error(transparent)]
     Grid(#[from] GridError),

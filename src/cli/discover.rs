@@ -8,15 +8,15 @@ use super::shard::Shard;
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::discover::{
-    Correction, Data, Discovery, Localisation, NextExperiment, discover, discover_in_frames, learn_correction,
-    next_experiment, nothing_named,
+    Data, Discovery, Localisation, NextExperiment, ProposedLaw, discover, discover_in_frames, next_experiment,
+    nothing_named, propose_law,
 };
 use crate::estimate::Options;
 use crate::estimate::gap::{Gap, gap};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, Experiment, OutputFolder, measurements_csv, read_encoders, read_measurements, read_model, trajectory_csv,
-    write_atomically, write_model,
+    Checked, Experiment, OutputFolder, measurements_csv, read_effects, read_encoders, read_measurements, read_model,
+    trajectory_csv, write_atomically, write_model,
 };
 use crate::report::discovery::{Page, lines};
 use crate::report::verdict::verdict_page;
@@ -45,6 +45,10 @@ pub struct Args {
     /// The model to start from (model.toml); its effects stay. Without it the experiment's, or the paper's with Table I
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
+    /// Your own effects, each an `[[effect]]` with a formula, its parameters, their units and ranges; they are looked for beside those of
+    /// the library
+    #[arg(long, value_name = "TOML")]
+    effects: Option<PathBuf>,
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
@@ -55,8 +59,8 @@ pub struct Args {
     /// `simulate --trajectory` takes (index,time_s,theta_deg,delta_deg) with the q̃ to command (qc1_mm,qc2_mm,qc3_mm)
     #[arg(long)]
     next: bool,
-    /// Where the verdict is `unexplained` or `partly`, learn a smooth correction of ε from the gap, and add it to model.toml as
-    /// `learned_correction` if it helps on held-out sweeps
+    /// Where the verdict is `unexplained` or `partly`, propose a law: a short formula of bend, load, direction, play, speed and time that
+    /// takes more of the gap away on sweeps left out; it is added to model.toml as `proposed_law`
     #[arg(long)]
     correction: bool,
 }
@@ -71,7 +75,10 @@ impl Args {
         }
         let _out = self.claim()?;
         let (model, measurements, readings) = self.inputs(console)?;
-        let data = Data::new(&measurements, &readings, self.encoder_sd)?;
+        let mut data = Data::new(&measurements, &readings, self.encoder_sd)?;
+        if let Some(path) = &self.effects {
+            data.library.extend(read_effects(path)?);
+        }
         let subject = Subject::new(&model, self.encoder_sd);
         if let Some(mistake) = subject.wiring_mistake(&measurements, &readings) {
             return Ok(self.name_nothing(console, &model, mistake, &data, &gap(&model, &measurements, &readings))?);
@@ -79,7 +86,7 @@ impl Args {
         let from_frames = measurements.iter().any(|measurement| measurement.quality.is_some());
         let found = if from_frames { discover_in_frames(model, &data) } else { discover(&model, &data) };
         let localised = Localisation::new(&found, &data);
-        let correction = self.correction.then(|| learn_correction(&found, &data));
+        let correction = self.correction.then(|| propose_law(&found, &data));
 
         let mut json = found.json();
         json["where"] = localised.as_ref().map(Localisation::json).into();
@@ -105,7 +112,7 @@ impl Args {
         console.result(&json, || {
             lines(&found)
                 + &localised.map(|gap| format!("\nthe gap is  {}", gap.words())).unwrap_or_default()
-                + &correction.map(|Correction { words, .. }| format!("\n{words}")).unwrap_or_default()
+                + &correction.map(|ProposedLaw { words, .. }| format!("\n{words}")).unwrap_or_default()
                 + &self.next_in_words(next.as_ref())
         });
         Ok(())
@@ -128,7 +135,7 @@ impl Args {
     /// Takes the folder to write to.
     fn claim(&self) -> Result<OutputFolder> {
         const OUTPUTS: [&str; 5] = ["measurements.csv", "discrepancy.json", NEXT, "model.toml", "report.html"];
-        let named = [self.measurements.as_ref(), self.encoders.as_ref(), self.model.as_ref()];
+        let named = [self.measurements.as_ref(), self.encoders.as_ref(), self.model.as_ref(), self.effects.as_ref()];
         let (inputs, outputs) = match &self.experiment {
             Some(experiment) => (files_read(&Experiment::read(experiment)?, &named), &OUTPUTS[..]),
             None => (named.into_iter().flatten().cloned().collect(), &OUTPUTS[1..]),

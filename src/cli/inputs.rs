@@ -24,7 +24,7 @@ pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
 pub fn with_effects(mut model: Model, effects: &[Effect]) -> Result<Model, Failure> {
     let backbones = model.robot.backbone_count();
     for effect in effects {
-        let (given, expected) = (effect.parameters(), (effect.physics.parameters)(backbones));
+        let (given, expected) = (effect.parameters(), effect.physics.parameters_on(backbones));
         if given != expected {
             return Err(Failure::Usage(format!(
                 "--effect {}: {} parameters were given, and on a robot of {backbones} backbones it takes {}",

@@ -5,7 +5,7 @@ use super::{clock, sweeps};
 use crate::error::{DataError, Result};
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measured, Measurement, Status};
-use crate::robot::{MAX_THETA, PerBackbone};
+use crate::robot::{LIBRARY, MAX_THETA, PerBackbone, Physics};
 use std::collections::{BTreeMap, HashMap};
 
 /// The fewest samples that are searched.
@@ -45,6 +45,8 @@ pub struct Data {
     pub log: Log,
     /// Standard deviation of an encoder reading, mm.
     pub sd_encoder_mm: f64,
+    /// The effects that are looked for: those of the library, and a user's own.
+    pub library: Vec<&'static Physics>,
     /// Whether all bends lie in one plane.
     pub one_plane: bool,
     /// What was passed over or cannot be decided, in sentences.
@@ -105,6 +107,7 @@ impl Data {
             sweeps: sweeps::cut(&thetas),
             log,
             sd_encoder_mm,
+            library: LIBRARY.to_vec(),
             one_plane,
             remarks,
         })

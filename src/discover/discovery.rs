@@ -188,7 +188,7 @@ fn partly_answered(searched: &Searched, given: &Model) -> (Verdict, Answer, Held
 /// [`discover`] for measurements that come from frames. They share the error of their rig, which is fitted as a nuisance parameter
 /// with every model, and is no part of the model that comes out.
 pub fn discover_in_frames(mut model: Model, data: &Data) -> Discovery {
-    model.effects.push(Effect::of(&RIG_ERROR, vec![0.0; (RIG_ERROR.parameters)(data.backbones()).len()]));
+    model.effects.push(Effect::of(&RIG_ERROR, vec![0.0; RIG_ERROR.parameters_on(data.backbones()).len()]));
     let mut found = discover(&model, data);
     if let Some(k) = found.model.effects.iter().position(|effect| effect.physics == &RIG_ERROR) {
         let (effect, sds) = (found.model.effects[k].clone(), found.model.effect_sds(k));
@@ -233,6 +233,6 @@ fn undetermined(model: &Model) -> Vec<String> {
 
 fn about_confounded(physics: &Physics, data: &Data) -> String {
     let form = if physics.form.is_empty() { String::new() } else { format!(" ({})", physics.form) };
-    let part = if (physics.parameters)(data.backbones()).len() > 1 { "a part of " } else { "" };
+    let part = if physics.parameters_on(data.backbones()).len() > 1 { "a part of " } else { "" };
     format!("{part}{}{form} is confounded with η and λ: these data cannot tell it from them", physics.name)
 }

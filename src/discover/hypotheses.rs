@@ -4,7 +4,7 @@ use super::fit::Fit;
 use super::periodogram;
 use super::residuals::{Problem, stacked};
 use crate::robot::effects::Starts;
-use crate::robot::{Effect, LIBRARY, Model, Physics};
+use crate::robot::{Effect, Model, Physics};
 use nalgebra::{DMatrix, Vector2};
 
 /// The relative ridge that keeps the normal equations of one step solvable.
@@ -44,10 +44,11 @@ impl Hypothesis {
     }
 }
 
-/// Every effect whose name the fitted model does not have, in each of its forms, at each of its starts.
+/// Every effect that is looked for and whose name the fitted model does not have, in each of its forms, at each of its starts.
 pub fn one_effect_more(problem: &Problem, fit: &Fit) -> Vec<Hypothesis> {
     let has = |name: &str| fit.model.effects.iter().any(|effect| effect.physics.name == name);
-    let lacking: Vec<&'static Physics> = LIBRARY.into_iter().filter(|physics| !has(physics.name)).collect();
+    let lacking: Vec<&'static Physics> =
+        problem.data.library.iter().copied().filter(|physics| !has(physics.name)).collect();
     let is_periodic = |physics: &&Physics| matches!(physics.starts, Starts::Periodogram(_));
     let periodic = if lacking.iter().any(is_periodic) { periodogram::starts(problem, fit) } else { Vec::new() };
     lacking

@@ -302,6 +302,7 @@ mod tests {
             sweeps: (0..240).map(|k| k / 40).collect(),
             log: Log { times_s: (0..240).map(f64::from).collect(), q_mm, samples: (0..240).collect() },
             sd_encoder_mm: 0.0015,
+            library: Vec::new(),
             one_plane: false,
             remarks: Vec::new(),
         }

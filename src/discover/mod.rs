@@ -16,14 +16,13 @@
 //!    and the answer. `partial`: where more than noise is left, the effects that help all the same. `discovery` runs the stages so
 //!    far; `discrepancy` writes the answer down.
 //! 10. [`localisation`](Localisation): in which backbone, at which bends and when the gap is.
-//! 11. [`correction`](learn_correction): a smooth function in place of an explanation.
+//! 11. [`law`](propose_law): a formula proposed in place of an explanation.
 //! 12. `candidate_trajectories`, [`next_experiment`]: the trajectory that would decide what these data leave open.
 
 mod candidate_trajectories;
 mod clock;
 mod comparison;
 mod confounding;
-mod correction;
 mod data;
 mod discovery;
 mod discrepancy;
@@ -32,6 +31,7 @@ mod fit;
 mod fixture;
 mod held_out;
 mod hypotheses;
+mod law;
 mod localisation;
 mod next_experiment;
 mod noise;
@@ -47,11 +47,11 @@ mod tangent_spaces;
 mod verdict;
 
 pub use comparison::Evidence;
-pub use correction::{Correction, learn_correction};
 pub use data::{Data, LEAST_SAMPLES, Log};
 pub use discovery::{Discovery, discover, discover_in_frames};
 pub use discrepancy::nothing_named;
 pub use held_out::Gap;
+pub use law::{PROPOSED_LAW, ProposedLaw, propose_law};
 pub use localisation::{Localisation, Part};
 pub use next_experiment::{NextExperiment, next_experiment};
 pub use noise::Noise;

@@ -202,7 +202,7 @@ fn alternatives(found: &Discovery, data: &Data) -> Vec<Question> {
 /// likelier, but an experiment may show otherwise.
 fn open_alternatives(named: &Named, model: &Model, samples: usize) -> Vec<&'static str> {
     let backbones = model.robot.backbone_count();
-    let parameters = |physics: &Physics| (physics.parameters)(backbones).len() as f64;
+    let parameters = |physics: &Physics| physics.parameters_on(backbones).len() as f64;
     let fits_as_well = |&&(name, worse): &&(&'static str, f64)| {
         let more = physics(name).map_or(0.0, parameters) - parameters(named.physics);
         worse - more.max(0.0) * ((backbones * samples) as f64).ln() < NOT_RULED_OUT

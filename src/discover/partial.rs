@@ -8,6 +8,8 @@
 
 use super::comparison::Comparison;
 use super::fit::Fit;
+use super::held_out::HeldOutResiduals;
+use super::law;
 use super::residuals::Problem;
 use super::search::{Named, added, by_bic, extensions};
 use super::sweep_equations::SweepEquations;
@@ -35,7 +37,7 @@ const FRAME: [&str; 2] = ["rest_bend", "plane_misalignment"];
 /// Convention: two estimate a parameter and what is left beside it; on fewer, richer models do worse in directions they have not seen.
 const SWEEPS_PER_PARAMETER: usize = 2;
 
-/// An effect, and all of an answer together, must take away this share of what is left beyond noise, on sweeps that the fit did not see.
+/// An effect, and all of an answer together if it is not of the frame alone, must take away this share of what is left beyond noise, on sweeps that the fit did not see.
 ///
 /// Convention: less is not worth a name while the rest is unknown.
 const LEAST_SHARE: f64 = 0.2;
@@ -120,10 +122,18 @@ impl<'a> Partial<'a> {
         }
     }
 
-    /// The answer, if all its effects together are worth naming: effects of the frame may each remove less than others must.
+    /// The answer, if all its effects together are worth naming. Effects of the frame alone may remove less than others must: they are
+    /// worth it where no [law](super::law) leaves less. Where one does, they are its trace.
     fn or_nothing(mut self) -> Self {
-        let [before, after] = [&self.before, &self.after].map(|fit| HeldOutCosts::new(&self.problem, fit));
-        if before.total() - after.total() < LEAST_SHARE * self.excess_of(&before) {
+        let is_frame_alone = !self.named.is_empty() && self.named.iter().all(|named| is_of_the_frame(named.physics));
+        let is_worth_it = if is_frame_alone {
+            let left_mm = HeldOutResiduals::new(&self.problem, &self.after).gap.eps_mm;
+            law::left_mm(&self.problem, &self.before).is_none_or(|by_law| left_mm < by_law)
+        } else {
+            let [before, after] = [&self.before, &self.after].map(|fit| HeldOutCosts::new(&self.problem, fit));
+            before.total() - after.total() >= LEAST_SHARE * self.excess_of(&before)
+        };
+        if !is_worth_it {
             self.after = self.before.clone();
             self.named.clear();
         }

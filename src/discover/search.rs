@@ -234,7 +234,7 @@ pub fn extensions(
     let mut expected: Vec<(f64, Hypothesis)> = hypotheses
         .into_par_iter()
         .map(|hypothesis| {
-            let parameters = (hypothesis.physics.parameters)(problem.data.backbones()).len() as f64;
+            let parameters = hypothesis.physics.parameters_on(problem.data.backbones()).len() as f64;
             let (_, left) = hypothesis.one_step(problem, &fit.path);
             (squares - left - parameters * per_parameter, hypothesis)
         })

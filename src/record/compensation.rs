@@ -6,6 +6,7 @@
 //! | `q1_mm` … `qn_mm` | q: what the snake's backbones are to move |
 //! | `qc1_mm` … `qcn_mm` | q̃: what to command |
 //! | `sd_qc1_mm` … `sd_qcn_mm` | its standard deviation, from the covariance of η and λ |
+//! | `beyond_data` | with an effect that has a domain (a proposed law): 1 where the pose is beyond what it was learned from, else 0 |
 //! | `common_n` | with force limits: the mean of the forces that they add to the backbones; with three, what each gets |
 //! | `f1_n` … `fn_n` | with force limits: what the actuation unit exerts on each, positive where it pushes |
 //! | `within_limits` | with force limits: 1 where all lie within them, else 0 |
@@ -31,15 +32,19 @@ pub fn compensation_csv(rows: &[TableRow]) -> String {
     let backbones = rows.first().map_or(0, |row| row.q_mm.len());
     let mut columns = vec!["theta_deg".to_owned(), "delta_deg".to_owned()];
     columns.extend(LENGTHS.iter().flat_map(|name| backbone_columns(name, "mm", backbones)));
+    if rows.iter().any(|row| row.beyond_data.is_some()) {
+        columns.push("beyond_data".to_owned());
+    }
     if rows.iter().any(|row| row.sharing.is_some()) {
         columns.push("common_n".to_owned());
         columns.extend(backbone_columns("f", "n", backbones));
         columns.push("within_limits".to_owned());
     }
     csv_text([columns].into_iter().chain(rows.iter().map(|row| {
-        let TableRow { configuration, q_mm, command_mm, sd_command_mm, sharing } = row;
+        let TableRow { configuration, q_mm, command_mm, sd_command_mm, beyond_data, sharing } = row;
         let mut fields = vec![decimals(configuration.theta_deg(), 6), azimuth(configuration.delta_deg())];
         fields.extend([q_mm, command_mm, sd_command_mm].into_iter().flat_map(|mm| backbone_decimals(mm, 6)));
+        fields.extend(beyond_data.map(|beyond| u8::from(beyond).to_string()));
         if let Some(sharing) = sharing {
             fields.push(decimals(sharing.common_n, 6));
             fields.extend(backbone_decimals(&sharing.actuation_n, 6));
@@ -151,7 +156,7 @@ struct JsonRow<'a>(&'a TableRow);
 
 impl Serialize for JsonRow<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
-        let TableRow { configuration, q_mm, command_mm, sd_command_mm, sharing } = self.0;
+        let TableRow { configuration, q_mm, command_mm, sd_command_mm, beyond_data, sharing } = self.0;
         let rounded = |value: f64| (value * 1e9).round() / 1e9;
         let mut map = serializer.serialize_map(None)?;
         map.serialize_entry("theta_deg", &rounded(configuration.theta_deg()))?;
@@ -160,6 +165,9 @@ impl Serialize for JsonRow<'_> {
             for (column, &mm) in backbone_columns(name, "mm", lengths.len()).zip(lengths) {
                 map.serialize_entry(&column, &rounded(mm))?;
             }
+        }
+        if let Some(beyond) = beyond_data {
+            map.serialize_entry("beyond_data", beyond)?;
         }
         if let Some(Sharing { common_n, actuation_n, within, .. }) = sharing {
             map.serialize_entry("common_n", common_n)?;

@@ -86,7 +86,7 @@ impl Known {
 
     /// Adds the last effect of a model, which this table tells of.
     pub(super) fn add(&mut self, model: &Model, table: &EffectTable) -> Result<(), String> {
-        let Some(effect) = model.effects.last().filter(|effect| effect.physics.fitted) else { return Ok(()) };
+        let Some(effect) = model.effects.last() else { return Ok(()) };
         let before = self.sds.len();
         let sd = |name: &str| table.parameters.get(name).map_or(0.0, |parameter| parameter.sd);
         self.sds.extend(effect.parameters().iter().map(|spec| sd(spec.name)));

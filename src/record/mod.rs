@@ -27,6 +27,7 @@ pub use columns::csv_of;
 pub use compensation::{
     compensation_csv, compensation_json, write_compensation, write_compensation_rows, write_judged_compensation,
 };
+pub use effect_table::read_effects;
 pub use encoders::{encoders_csv, read_encoders};
 pub use estimates::{estimate_line, estimates_csv, estimates_header};
 pub(crate) use experiment::line_at;

@@ -15,6 +15,7 @@
 //! found = "discover, 320 samples"
 //! form = "..."         # where it is not the first of its name
 //! parameters.play_mm = { value = 0.11, sd = 0.0004, unit = "mm" }
+//!                      # a user's own has formula, reading, domain, and parameters with a range: record::effect_table
 //! [covariance]         # of all parameters, where effects were estimated with them
 //! of = ["eta", "lambda_mm", "load_directed_backlash.play_mm"]
 //! matrix = [[1.6e-5, 2e-7, 1e-7], [2e-7, 3.6e-7, 2e-8], [1e-7, 2e-8, 1.6e-7]]
@@ -27,13 +28,12 @@
 //! does not know is an error, since a prediction without it would be wrong.
 
 use super::covariance::{CovarianceTable, Known};
-use super::effect_table::{EffectTable, ParameterTable};
+use super::effect_table::EffectTable;
 use super::experiment::line_at;
 use super::write::write_atomically;
 use crate::error::{Error, Result};
 use crate::input::read_text;
-use crate::robot::effects::ParameterSpec;
-use crate::robot::{Effect, Estimate, Friction, Model, Robot};
+use crate::robot::{Estimate, Friction, Model, Robot};
 use crate::verdict::Verdict;
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
@@ -56,23 +56,6 @@ pub(super) struct ModelFile {
     covariance: Option<toml::Spanned<CovarianceTable>>,
 }
 
-/// Effect k of a model as its file shows it.
-fn effect_table(model: &Model, k: usize) -> EffectTable {
-    let effect = &model.effects[k];
-    let parameter = |(spec, (&value, sd)): (&ParameterSpec, (&f64, f64))| {
-        (spec.name.to_owned(), ParameterTable { value, sd, unit: spec.unit.to_owned() })
-    };
-    let values = effect.values.iter().zip(model.effect_sds(k));
-    EffectTable {
-        name: effect.physics.name.to_owned(),
-        form: Some(effect.physics.form).filter(|form| !form.is_empty()).map(str::to_owned),
-        found: effect.found.clone(),
-        covariance_of: Vec::new(),
-        covariance: Vec::new(),
-        parameters: effect.parameters().iter().zip(values).map(parameter).collect(),
-    }
-}
-
 /// An estimate as files show it: sds and correlation rather than covariances.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -87,7 +70,7 @@ struct EstimateTable {
 
 impl From<&Model> for ModelFile {
     fn from(model: &Model) -> Self {
-        let effect = |k: usize| toml::Spanned::new(0..0, effect_table(model, k));
+        let effect = |k: usize| toml::Spanned::new(0..0, EffectTable::of(model, k));
         Self {
             robot: model.robot.clone(),
             friction: model.friction,
@@ -190,7 +173,7 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
         let line = line_at(text, table.span().start);
         let at = |why: String| Error::at_line(path, line, why);
         let table = table.into_inner();
-        model.effects.push(effect(&table, model.robot.backbone_count()).map_err(at)?);
+        model.effects.push(table.effect(model.robot.backbone_count()).map_err(at)?);
         known.add(&model, &table).map_err(at)?;
     }
     let covariance = match file.covariance {
@@ -209,22 +192,6 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
             Err(Error::Content { path: path.to_owned(), line, message: fault.to_string() })
         }
     }
-}
-
-/// One `[[effect]]` as an effect.
-fn effect(table: &EffectTable, backbones: usize) -> Result<Effect, String> {
-    let values: Vec<(String, f64)> = table.parameters.iter().map(|(name, p)| (name.clone(), p.value)).collect();
-    let effect = Effect::new(&table.name, table.form.as_deref(), &values, backbones).map_err(|why| why.to_string())?;
-    for spec in effect.parameters() {
-        let Some(parameter) = table.parameters.get(spec.name) else { continue };
-        if parameter.unit != spec.unit || !(parameter.sd >= 0.0 && parameter.sd.is_finite()) {
-            return Err(format!(
-                "effect {}: {} has sd = {} and unit = {:?}, expected an sd of 0 or more and {:?}",
-                table.name, spec.name, parameter.sd, parameter.unit, spec.unit
-            ));
-        }
-    }
-    Ok(Effect { found: table.found.clone(), ..effect })
 }
 
 /// Where in the text the key of a dotted path stands; `None` where a default stands in for it.

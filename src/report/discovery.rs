@@ -3,7 +3,7 @@
 use super::bend_map::bend_map;
 use super::page::{definitions, document, figure, list, table};
 use super::plot::{Plot, Point, Series, Style};
-use crate::discover::{Correction, Data, Discovery, Localisation, Named, NextExperiment, Part, Verdict};
+use crate::discover::{Data, Discovery, Localisation, Named, NextExperiment, Part, ProposedLaw, Verdict};
 use maud::{Markup, html};
 
 /// The most dots of one series.
@@ -34,8 +34,8 @@ pub struct Page<'a> {
     pub data: &'a Data,
     /// Where the gap is, where there is one.
     pub gap: Option<&'a Localisation>,
-    /// What came of learning a correction, where it was asked for.
-    pub correction: Option<&'a Correction>,
+    /// What came of looking for a law, where it was asked for.
+    pub correction: Option<&'a ProposedLaw>,
     /// The next experiment, where it was asked for and something is open.
     pub next: Option<&'a NextExperiment>,
 }
@@ -54,7 +54,8 @@ impl Page<'_> {
             @for named in &found.named { (effect(found, named)) }
             (self.before_and_after())
             @if let Some(correction) = self.correction {
-                h2 { "The correction" }
+                h2 { "The proposed law" }
+                @if let Some(effect) = correction.effect() { p.equation { (effect.physics.equation) } }
                 p { (capitalised(&correction.words)) }
             }
             @if let Some(next) = self.next { (proposal(next)) }
@@ -201,8 +202,11 @@ pub fn sentence(found: &Discovery) -> String {
         Verdict::Partly => {
             let each: Vec<String> = found.named.iter().map(|named| partial_reading(found, named)).collect();
             let most = found.structure_after.follows.first();
-            let follows = most.map(|(what, _)| format!("; what remains follows {what} most")).unwrap_or_default();
-            format!("Part of the gap has a name: {}{follows}.", each.join("; "))
+            let remains = match most {
+                Some((what, _)) => format!("what remains follows {what}"),
+                None => "what remains follows nothing that was measured".to_owned(),
+            };
+            capitalised(&format!("{}; {remains}", each.join("; ")))
         }
         Verdict::Named => {
             let readings: Vec<String> = found
@@ -216,7 +220,8 @@ pub fn sentence(found: &Discovery) -> String {
                         others => format!(" (these data cannot tell it from {})", others.join(", ")),
                     };
                     let size = size.collect::<Vec<_>>().join(", ");
-                    format!("{} ({}: {size}){or}", named.physics.reading, named.physics.name)
+                    let percent = 100.0 * named.probability();
+                    format!("{} ({}: {size}; {percent:.0} %){or}", named.physics.reading, named.physics.name)
                 })
                 .collect();
             format!("The data show {}.", readings.join(", and "))
@@ -224,19 +229,19 @@ pub fn sentence(found: &Discovery) -> String {
     }
 }
 
-/// "play at the bend (play_at_bend: half_gap_mm = 0.31 ± 0.02 mm; probability 97 %) removes 59 % of the gap".
+/// "play at the bend, 0.31 ± 0.02 mm (97 %), removes 59 % of the gap".
 fn partial_reading(found: &Discovery, named: &Named) -> String {
-    let size = parameters(found, named.physics.name);
-    let size: Vec<String> = size.iter().map(|(name, value)| format!("{name} = {value}")).collect();
+    let sizes = match &parameters(found, named.physics.name)[..] {
+        [(_, only)] => only.clone(),
+        several => several.iter().map(|(name, value)| format!("{name} = {value}")).collect::<Vec<_>>().join(", "),
+    };
     let or = match &named.indistinguishable_from[..] {
         [] => String::new(),
         others => format!(" (these data cannot tell it from {})", others.join(", ")),
     };
     format!(
-        "{} ({}: {}; probability {:.0} %) removes {:.0} % of the gap{or}",
-        named.physics.reading,
-        named.physics.name,
-        size.join(", "),
+        "{}, {sizes} ({:.0} %), removes {:.0} % of the gap{or}",
+        named.physics.name.replace('_', " "),
         100.0 * named.probability(),
         100.0 * named.removes
     )

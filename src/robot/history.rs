@@ -13,7 +13,7 @@ pub struct Motion {
     /// q̇, mm/s, from the sample before.
     pub speed_before_mm_per_s: PerBackbone,
     /// Where q stands in each [play](PlayOf) that it has to cross, mm from the play's middle.
-    pub play_mm: [PerBackbone; 2],
+    pub play_mm: [PerBackbone; PLAYS],
     /// Where the bend stands in a play that it has to cross, rad from the play's middle.
     pub bend_play: Vector2<f64>,
     /// From where the plays are crossed.
@@ -32,7 +32,7 @@ pub struct Before {
     /// The bend from rest, rad.
     pub bend: Vector2<f64>,
     /// Where q stood in each play, mm.
-    pub play_mm: [PerBackbone; 2],
+    pub play_mm: [PerBackbone; PLAYS],
     /// Where the bend stood in its play, rad.
     pub bend_play: Vector2<f64>,
 }
@@ -41,7 +41,7 @@ impl Before {
     /// A snake of so many backbones at rest, in the middle of its plays.
     pub fn at_rest(backbones: usize) -> Self {
         let zero = PerBackbone::repeat(backbones, 0.0);
-        Self { q_mm: zero, bend: Vector2::zeros(), play_mm: [zero; 2], bend_play: Vector2::zeros() }
+        Self { q_mm: zero, bend: Vector2::zeros(), play_mm: [zero; PLAYS], bend_play: Vector2::zeros() }
     }
 }
 
@@ -53,7 +53,7 @@ impl Motion {
             direction: zero,
             speed_mm_per_s: zero,
             speed_before_mm_per_s: zero,
-            play_mm: [zero; 2],
+            play_mm: [zero; PLAYS],
             bend_play: Vector2::zeros(),
             before: Before::at_rest(backbones),
             crept_load_n: zero,
@@ -70,7 +70,7 @@ pub struct History {
     /// Whether the creep had ended under the first reading's load; else it begins there.
     pub creep_ended_before: bool,
     /// The plays that each q has to cross at a reversal, by [`PlayOf`].
-    pub plays: [Option<Play>; 2],
+    pub plays: [Option<Play>; PLAYS],
     /// Half the width of a play that the bend has to cross, mm of travel at the backbones' circle.
     pub half_bend_play_mm: Option<f64>,
     /// Whether the speed matters: then a path feeds back on itself.
@@ -79,13 +79,30 @@ pub struct History {
     pub direction: bool,
 }
 
-/// Where plays are: each has its own place in a history.
+/// Plays of one model: that in the actuators, that in the sheaths, and those of up to [`FORMULA_PLAYS`] formulas.
+///
+/// Derived: two, and what formulas may have.
+pub const PLAYS: usize = PlayOf::COUNT + FORMULA_PLAYS;
+
+/// Formulas of one model that may have a play.
+///
+/// Convention: a resource limit: one of a user's own, one of a proposed law.
+pub const FORMULA_PLAYS: usize = 2;
+
+/// Where plays are: each has its own place in a history; those of formulas come after.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PlayOf {
     /// In the actuators.
     Actuator,
     /// In the sheaths, where it grows with the load.
     Sheath,
+}
+
+impl PlayOf {
+    /// The number of places with a name.
+    ///
+    /// Derived: from the list above.
+    pub(super) const COUNT: usize = 2;
 }
 
 /// Half the width of a play, which may grow with the load on it.
@@ -101,6 +118,13 @@ impl History {
     /// Whether more of the path matters than the direction of the motion and the reading before.
     pub fn is_long(&self) -> bool {
         self.creep_time_constant_s.is_some() || self.speed
+    }
+
+    /// Gives the play of one formula more its place, if there is one left.
+    pub(super) fn add_formula_play(&mut self, half_mm: f64) {
+        if let Some(place) = self.plays[PlayOf::COUNT..].iter_mut().find(|place| place.is_none()) {
+            *place = Some(Play { half_mm, half_mm_per_n: 0.0 });
+        }
     }
 
     /// Whether a play has to be crossed.

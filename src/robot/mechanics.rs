@@ -11,8 +11,8 @@
 //! [`path`](super::path).
 
 use super::directions::LEAST_MOVE_MM;
-use super::effects::{Changes, Effect, Instant};
-use super::history::{Before, History, Motion};
+use super::effects::{Changes, Effect, Instant, Variable};
+use super::history::{Before, History, Motion, PlayOf};
 use super::line::Line;
 use super::statics::{Snake, Statics};
 use super::{Model, PerBackbone};
@@ -73,13 +73,11 @@ impl<'a> Mechanics<'a> {
         for effect in &model.effects {
             match effect.physics.changes {
                 Changes::Snake(change) => change(&mut snake, &effect.values),
-                Changes::Line(_) => effects_on_line = true,
+                Changes::Line(_) | Changes::Formula(_) => effects_on_line = true,
                 Changes::Encoders(_) => effects_on_encoders = true,
                 Changes::Eye(_) | Changes::Exposure(_) => {}
             }
-            if let Some(needs) = effect.physics.history {
-                needs(&mut history, &effect.values);
-            }
+            effect.physics.note_history(&mut history, &effect.values);
         }
         Self {
             statics: Statics::new(robot, snake),
@@ -129,14 +127,36 @@ impl<'a> Mechanics<'a> {
                 &here
             }
         };
-        self.effects.iter().fold(paper, |line_mm, effect| match effect.physics.changes {
-            Changes::Line(summand) => {
-                let snake = self.statics.snake();
-                let at = Instant { snake, line: &self.line, bend, q_mm, tau_n, line_mm, motion };
-                line_mm + summand(&at, &effect.values)
+        let mut at =
+            Instant { snake: self.statics.snake(), line: &self.line, bend, q_mm, tau_n, line_mm: paper, motion };
+        let mut formula_plays = PlayOf::COUNT..;
+        for effect in self.effects {
+            match effect.physics.changes {
+                Changes::Line(summand) => at.line_mm += summand(&at, &effect.values),
+                Changes::Formula(formula) => {
+                    let play = if formula.has(Variable::Play) { formula_plays.next() } else { None };
+                    at.line_mm += formula.summand_mm(&at, &effect.values, play.unwrap_or(0));
+                }
+                _ => {}
             }
-            _ => line_mm,
-        })
+        }
+        at.line_mm
+    }
+
+    /// What a function gives of the snake at a bend of a path, as effects on the line see it.
+    pub fn instant<T>(&self, bend: Vector2<f64>, motion: &Motion, of: impl FnOnce(&Instant) -> T) -> T {
+        let (q_mm, tau_n) = (self.statics.q_mm(bend), self.forces_n(bend));
+        of(&Instant { snake: self.statics.snake(), line: &self.line, bend, q_mm, tau_n, line_mm: q_mm, motion })
+    }
+
+    /// Whether a single pose is beyond the domain of an effect; none where no effect has a domain.
+    pub fn is_beyond_data(&self, bend: Vector2<f64>) -> Option<bool> {
+        let rest = Motion::none(self.statics.robot().backbone_count());
+        let beyond = self.effects.iter().filter_map(|effect| match effect.physics.changes {
+            Changes::Formula(formula) => self.instant(bend, &rest, |at| formula.is_beyond_domain(at)),
+            _ => None,
+        });
+        beyond.reduce(|any, other| any || other)
     }
 
     /// A motion with the plays as they stand once the bend is this: they follow it from the reading before, as far as they are wide.

@@ -44,7 +44,7 @@ impl Estimate {
 ///
 /// The default is the paper's robot with the calibrated friction and no estimate: naive compensation.
 ///
-/// Its *parameters* are η, λ and the values of all effects that a fit may change, in the order of the list; they have one
+/// Its *parameters* are η, λ and the values of all effects, in the order of the list; they have one
 /// [covariance](Self::covariance).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
@@ -84,10 +84,9 @@ impl Model {
         self.estimate.map_or(Matrix2::zeros(), |estimate| estimate.covariance)
     }
 
-    /// The effects whose values are parameters, each with its place in the list and the index of its first parameter.
-    fn fitted_effects(&self) -> impl Iterator<Item = (usize, usize, &Effect)> {
-        let fitted = self.effects.iter().enumerate().filter(|(_, effect)| effect.physics.fitted);
-        fitted.scan(2, |next, (k, effect)| {
+    /// The effects, each with its place in the list and the index of its first parameter.
+    fn placed_effects(&self) -> impl Iterator<Item = (usize, usize, &Effect)> {
+        self.effects.iter().enumerate().scan(2, |next, (k, effect)| {
             let first = *next;
             *next += effect.values.len();
             Some((k, first, effect))
@@ -96,12 +95,12 @@ impl Model {
 
     /// The number of parameters, 2 + m.
     pub fn parameter_count(&self) -> usize {
-        2 + self.fitted_effects().map(|(_, _, effect)| effect.values.len()).sum::<usize>()
+        2 + self.placed_effects().map(|(_, _, effect)| effect.values.len()).sum::<usize>()
     }
 
     /// What is known of each parameter.
     pub fn parameter_specs(&self) -> Vec<ParameterSpec> {
-        let of_effects = self.fitted_effects().flat_map(|(_, _, effect)| effect.parameters().iter().copied());
+        let of_effects = self.placed_effects().flat_map(|(_, _, effect)| effect.parameters().iter().copied());
         [ETA, LAMBDA].into_iter().chain(of_effects).collect()
     }
 
@@ -109,14 +108,14 @@ impl Model {
     pub fn parameter_names(&self) -> Vec<String> {
         let name = |effect: &Effect, spec: &ParameterSpec| format!("{}.{}", effect.physics.name, spec.name);
         let of_effects =
-            self.fitted_effects().flat_map(|(_, _, e)| e.parameters().iter().map(move |spec| name(e, spec)));
+            self.placed_effects().flat_map(|(_, _, e)| e.parameters().iter().map(move |spec| name(e, spec)));
         [ETA.name, LAMBDA.name].map(str::to_owned).into_iter().chain(of_effects).collect()
     }
 
     /// The parameters' values.
     pub fn parameter_values(&self) -> Vec<f64> {
         let x = self.parameters();
-        let of_effects = self.fitted_effects().flat_map(|(_, _, effect)| effect.values.iter().copied());
+        let of_effects = self.placed_effects().flat_map(|(_, _, effect)| effect.values.iter().copied());
         [x.x, x.y].into_iter().chain(of_effects).collect()
     }
 
@@ -126,7 +125,7 @@ impl Model {
         let covariance = self.parameter_covariance();
         let samples = self.estimate.map_or(0, |estimate| estimate.samples);
         model.estimate = Some(Estimate { eta: values[0], lambda_mm: values[1], covariance, samples });
-        for (k, first, effect) in self.fitted_effects() {
+        for (k, first, effect) in self.placed_effects() {
             model.effects[k].values.copy_from_slice(&values[first..first + effect.values.len()]);
         }
         model
@@ -157,7 +156,7 @@ impl Model {
     /// Standard deviations of the values of an effect of the list; 0 where they are given and not estimated.
     pub fn effect_sds(&self, k: usize) -> Vec<f64> {
         let covariance = self.covariance();
-        let first = self.fitted_effects().find(|(place, _, _)| *place == k).map(|(_, first, _)| first);
+        let first = self.placed_effects().find(|(place, _, _)| *place == k).map(|(_, first, _)| first);
         let sd = |j: usize| first.map_or(0.0, |first| covariance[(first + j, first + j)].max(0.0).sqrt());
         (0..self.effects[k].values.len()).map(sd).collect()
     }
@@ -165,7 +164,7 @@ impl Model {
     /// The model without effect k of its list; what is known of the other parameters stays.
     pub fn without_effect(&self, k: usize) -> Self {
         let mut model = self.clone();
-        if let Some((_, first, effect)) = self.fitted_effects().find(|(place, _, _)| *place == k) {
+        if let Some((_, first, effect)) = self.placed_effects().find(|(place, _, _)| *place == k) {
             let covariance = self.covariance().remove_rows(first, effect.values.len());
             model.effects.remove(k);
             model.set_covariance(&covariance.remove_columns(first, effect.values.len()));
@@ -234,7 +233,7 @@ pub(crate) mod fixtures {
             Role::Size { .. } => spec.typical * scale,
             Role::Shape { example, .. } => example,
         };
-        let values = (physics.parameters)(usize::from(backbones)).iter().map(value).collect();
+        let values = physics.parameters_on(usize::from(backbones)).iter().map(value).collect();
         let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
         let robot = Robot { backbones, ..Robot::default() };
         Model { robot, estimate: Some(estimate), effects: vec![Effect::of(physics, values)], ..Model::default() }

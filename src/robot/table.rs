@@ -2,6 +2,7 @@
 
 use super::PerBackbone;
 use super::kinematics::MAX_THETA;
+use super::mechanics::Mechanics;
 use super::model::Model;
 use super::redundancy::{ForceLimits, Sharing};
 use crate::error::{ArgumentError, Error, GridError, Result};
@@ -104,6 +105,9 @@ pub struct TableRow {
     pub command_mm: PerBackbone,
     /// Standard deviation of q̃ from the covariance of all of the model's parameters, mm.
     pub sd_command_mm: PerBackbone,
+    /// Whether the pose is beyond what an effect of the model was learned from, which is then taken at the end of its domain; none where
+    /// no effect has a domain.
+    pub beyond_data: Option<bool>,
     /// How the backbones share the load, where the actuation unit's limits were given; q̃ then has it in.
     pub sharing: Option<Sharing>,
 }
@@ -116,6 +120,7 @@ impl TableRow {
             q_mm: model.robot.joint_displacements(configuration),
             command_mm: model.command(configuration),
             sd_command_mm: model.command_sds(configuration),
+            beyond_data: Mechanics::new(model).is_beyond_data(configuration.bend_vector()),
             sharing: None,
         }
     }

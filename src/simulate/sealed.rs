@@ -80,7 +80,7 @@ impl Sealed {
                 let alone =
                     Plant { model: Model { effects: vec![effect.clone()], ..truth.clone() }, sd_encoder_mm: 0.0 };
                 let scale = size_mm / size(&alone, &trajectory).max(1e-9);
-                for (value, spec) in effect.values.iter_mut().zip((physics.parameters)(backbones)) {
+                for (value, spec) in effect.values.iter_mut().zip(physics.parameters_on(backbones)) {
                     if let Role::Size { .. } = spec.role {
                         *value = (*value * scale).clamp(spec.range.0, spec.range.1);
                     }
@@ -142,7 +142,7 @@ fn size(plant: &Plant, trajectory: &[Waypoint]) -> f64 {
 
 /// An effect with random parameters; sizes have their typical size, more or less.
 fn drawn(physics: &'static Physics, backbones: usize, random: &mut StdRng) -> Effect {
-    let specs = (physics.parameters)(backbones);
+    let specs = physics.parameters_on(backbones);
     let mut size = |spec: &ParameterSpec| {
         let negative = matches!(spec.role, Role::Size { either_sign: true }) && random.random_bool(0.5);
         let sign = if negative { -1.0 } else { 1.0 };

@@ -109,7 +109,7 @@ fn clock(subject: &Subject, age_s: f64, misfits: &str) -> Reason {
 /// The largest turn of a view that the effect `plane_misalignment` accounts for, rad.
 fn largest_misalignment() -> f64 {
     let physics = LIBRARY.iter().find(|physics| physics.name == "plane_misalignment");
-    physics.map_or(0.0, |physics| (physics.parameters)(3)[0].range.1.to_radians())
+    physics.map_or(0.0, |physics| physics.parameters_on(3)[0].range.1.to_radians())
 }
 
 /// The azimuth of a view. A small turn is physics (`plane_misalignment`) and none of this check's business.

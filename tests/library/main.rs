@@ -6,4 +6,5 @@ mod estimator;
 mod extremes;
 mod house;
 mod numbers;
+mod real;
 mod sealed;

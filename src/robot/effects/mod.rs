@@ -8,6 +8,7 @@
 //! | where | what it is given | what it changes |
 //! | --- | --- | --- |
 //! | [`Changes::Line`] | the bend, τ, how the snake got there | a summand of ε, mm |
+//! | [`Changes::Formula`] | the same | the same, as a user's formula says |
 //! | [`Changes::Encoders`] | q̃ | what the encoders read beyond the lines' motion, mm |
 //! | [`Changes::Snake`] | the snake's constants | geometry, stiffness or load, and so q and τ |
 //! | [`Changes::Eye`] | the bend | the bend that is measured |
@@ -16,21 +17,25 @@
 //! Some physics can be written down in more than one way, and no convention says which is meant: whether a play is crossed at
 //! once or by travel, whether a screw's error follows what its encoder reads or what its nut travels. They are [forms](Physics::form)
 //! of one name. `discover` tries all and names the effect; the form goes into the model with it.
+//!
+//! A user's own effect is a [`Definition`] with a formula; once checked it is a [`Physics`] as well.
 
 mod actuator;
 mod eye;
+mod formula;
 mod friction;
-mod learned;
 mod physics;
 mod rig;
 mod snake;
 #[cfg(test)]
 mod tests;
 mod time;
+mod variables;
 
-pub use learned::{LEARNED_CORRECTION, POWERS, TERMS, basis};
+pub use formula::{Defined, Definition, Formula, HALF_GAP};
 pub use physics::{Changes, Confounded, Instant, ParameterSpec, Phases, Physics, Poses, Role, Starts};
 pub use rig::RIG_ERROR;
+pub use variables::Variable;
 
 use super::BACKBONES;
 use crate::error::{ArgumentError, Result};
@@ -85,7 +90,7 @@ pub static LIBRARY: [&Physics; 44] = [
 
 /// Every physics of this name, the first form first; those that `discover` does not search for come last.
 pub fn forms(name: &str) -> impl Iterator<Item = &'static Physics> {
-    LIBRARY.into_iter().chain([&LEARNED_CORRECTION, &snake::TIP_WRENCH]).filter(move |physics| physics.name == name)
+    LIBRARY.into_iter().chain([&snake::TIP_WRENCH]).filter(move |physics| physics.name == name)
 }
 
 /// The first form of the physics of this name.
@@ -122,7 +127,7 @@ impl Effect {
     /// [`ArgumentError`] for a name or form that is not in the library, an unknown or missing parameter, a value out of its range.
     pub fn new(name: &str, form: Option<&str>, parameters: &[(String, f64)], backbones: usize) -> Result<Self> {
         let fits = |physics: &&Physics| {
-            let specs = (physics.parameters)(backbones);
+            let specs = physics.parameters_on(backbones);
             specs.len() == parameters.len()
                 && specs.iter().all(|spec| parameters.iter().any(|(name, _)| name == spec.name))
         };
@@ -138,7 +143,15 @@ impl Effect {
                 ArgumentError::Unknown { what: format!("effect {name}: form"), name: form.into(), known }
             })?,
         };
-        let specs = (physics.parameters)(backbones);
+        Self::with_parameters(physics, parameters, backbones)
+    }
+
+    /// An effect of a physics on a robot of so many backbones, its parameters by name.
+    ///
+    /// # Errors
+    /// [`ArgumentError`] for an unknown or missing parameter, or a value out of its range.
+    pub fn with_parameters(physics: &'static Physics, parameters: &[(String, f64)], backbones: usize) -> Result<Self> {
+        let (name, specs) = (physics.name, physics.parameters_on(backbones));
         let takes = || specs.iter().map(|p| p.name).collect();
         if let Some((unknown, _)) = parameters.iter().find(|(n, _)| !specs.iter().any(|p| p.name == n)) {
             let (effect, parameter) = (name.to_owned(), unknown.clone());

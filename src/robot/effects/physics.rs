@@ -1,5 +1,7 @@
 //! What an effect says of itself: its equation, its parameters, what it changes, and how it is searched for.
 
+use super::formula::Formula;
+use super::variables::Variable;
 use crate::robot::history::{History, Motion};
 use crate::robot::line::Line;
 use crate::robot::statics::Snake;
@@ -95,6 +97,8 @@ pub struct Instant<'a> {
 pub enum Changes {
     /// A summand of ε, mm.
     Line(fn(&Instant, &[f64]) -> PerBackbone),
+    /// The same as a user's formula.
+    Formula(&'static Formula),
     /// What the encoders read beyond the lines' motion, mm, from q̃.
     Encoders(fn(&PerBackbone, &[f64]) -> PerBackbone),
     /// The snake's constants: geometry, stiffness or load, and so q and τ.
@@ -156,7 +160,8 @@ pub struct Physics {
     pub equation: &'static str,
     /// What it means, in words that follow "the data show".
     pub reading: &'static str,
-    /// Its parameters on a robot of so many backbones. More backbones never mean fewer parameters.
+    /// Its parameters on a robot of so many backbones. More backbones never mean fewer parameters. Those of a formula are its own;
+    /// [`parameters_on`](Self::parameters_on) gives either.
     pub parameters: fn(usize) -> &'static [ParameterSpec],
     /// Where a search for its parameters starts.
     pub starts: Starts,
@@ -170,8 +175,6 @@ pub struct Physics {
     pub largest_size: Option<fn(&[f64]) -> f64>,
     /// What it must gain in Schwarz's criterion beyond the price of its parameters before it is believed.
     pub prior_penalty: f64,
-    /// Whether its parameters are physics that a fit may change; those of a learned correction are not.
-    pub fitted: bool,
     /// Effects that are named in its place where the data do not decide: physics makes them likelier.
     pub yields_to: &'static [&'static str],
     /// What it is confounded with by its equation; a search finds out what a given experiment confounds besides.
@@ -191,7 +194,6 @@ pub(super) const LINEAR: Physics = Physics {
     in_time: false,
     largest_size: None,
     prior_penalty: 0.0,
-    fitted: true,
     yields_to: &[],
     confounded_with: &[],
 };
@@ -204,14 +206,36 @@ const EXAMPLE_SHARES: [f64; 8] = [1.0, -0.7, 0.4, -0.9, 0.6, -0.3, 0.8, -0.5];
 
 impl PartialEq for Physics {
     fn eq(&self, other: &Self) -> bool {
-        self.name == other.name && self.form == other.form
+        self.name == other.name && self.form == other.form && self.equation == other.equation
     }
 }
 
 impl Physics {
+    /// Its parameters on a robot of so many backbones.
+    pub fn parameters_on(&self, backbones: usize) -> &'static [ParameterSpec] {
+        match self.changes {
+            Changes::Formula(formula) => formula.parameters(),
+            _ => (self.parameters)(backbones),
+        }
+    }
+
     /// Whether it is a matter of the pose alone, however the snake got there.
     pub fn is_static(&self) -> bool {
-        self.history.is_none() && !self.in_time
+        let has_memory = matches!(self.changes, Changes::Formula(formula) if formula.has_memory());
+        self.history.is_none() && !has_memory && !self.in_time
+    }
+
+    /// Says to a history what it must know of the path.
+    pub(in crate::robot) fn note_history(&self, history: &mut History, values: &[f64]) {
+        if let Some(needs) = self.history {
+            needs(history, values);
+        }
+        let Changes::Formula(formula) = self.changes else { return };
+        history.direction |= formula.has(Variable::Direction);
+        history.speed |= formula.has(Variable::Speed);
+        if let Some(half_mm) = formula.half_gap_mm(values) {
+            history.add_formula_play(half_mm);
+        }
     }
 
     /// Its parameters' values where a search starts, on a robot of so many backbones; none where data must say them.
@@ -220,7 +244,7 @@ impl Physics {
             Starts::At(starts) => starts,
             Starts::Periodogram(_) | Starts::Nowhere => &[],
         };
-        let count = (self.parameters)(backbones).len();
+        let count = self.parameters_on(backbones).len();
         starts.iter().map(move |start| {
             let mut values = start.to_vec();
             values.resize(count, 0.0);
@@ -235,13 +259,13 @@ impl Physics {
             Role::Size { either_sign: false } => share.abs() * spec.typical,
             Role::Shape { example, .. } => example,
         };
-        (self.parameters)(backbones).iter().zip(EXAMPLE_SHARES.into_iter().cycle()).map(value).collect()
+        self.parameters_on(backbones).iter().zip(EXAMPLE_SHARES.into_iter().cycle()).map(value).collect()
     }
 
     /// The specifications of so many values, whatever the robot.
     pub(super) fn parameters_of(&self, values: usize) -> &'static [ParameterSpec] {
         // More backbones never mean fewer parameters, so that the number of values tells the list.
-        let lists = BACKBONES.map(|backbones| (self.parameters)(backbones));
+        let lists = BACKBONES.map(|backbones| self.parameters_on(backbones));
         lists.into_iter().find(|list| list.len() >= values).unwrap_or_default()
     }
 }

@@ -31,7 +31,7 @@ fn moving() -> Motion {
         direction: PerBackbone::from([1.0, -1.0, -1.0]),
         speed_mm_per_s: PerBackbone::from([0.4, -0.1, -0.3]),
         speed_before_mm_per_s: PerBackbone::from([0.5, -0.2, -0.4]),
-        play_mm: [PerBackbone::from([0.03, -0.05, 0.01]); 2],
+        play_mm: [PerBackbone::from([0.03, -0.05, 0.01]); 4],
         bend_play: Vector2::zeros(),
         before: crate::robot::history::Before::at_rest(3),
         crept_load_n: PerBackbone::from([3.0, -2.0, 1.0]),
@@ -219,10 +219,10 @@ fn what_is_said_to_be_confounded_is_and_elsewhere_is_not() {
         let h: Vec<_> = poses.iter().map(|&bend| model.epsilon_by_parameters(bend)).collect();
         let column = |axis: usize| DVector::from_vec(h.iter().flat_map(|h| h.column(axis).to_vec()).collect());
         let mut columns = vec![column(0), column(1)];
-        let count = other.map_or(0, |other| (other.parameters)(3).len());
+        let count = other.map_or(0, |other| other.parameters_on(3).len());
         for k in 0..count {
             let mut values = vec![0.0; count];
-            values[k] = (other.unwrap().parameters)(3)[k].typical * 1e-3;
+            values[k] = other.unwrap().parameters_on(3)[k].typical * 1e-3;
             columns.push(response(other.unwrap(), values, poses));
         }
         let basis = DMatrix::from_columns(&columns).qr().q();
@@ -254,7 +254,7 @@ fn names_are_unique_and_every_start_lies_in_its_range() {
         assert_eq!(forms(physics.name).next().unwrap().form, "");
         assert!(!physics.equation.is_empty() && !physics.reading.is_empty());
         for backbones in BACKBONES {
-            let specs = (physics.parameters)(backbones);
+            let specs = physics.parameters_on(backbones);
             let example = physics.example(backbones);
             assert_eq!(Effect::of(physics, example.clone()).parameters(), specs, "{}", physics.name);
             let mut starts: Vec<_> = physics.given_starts(backbones).collect();

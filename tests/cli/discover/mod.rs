@@ -3,5 +3,7 @@
 mod bad_input;
 mod naming;
 mod next;
+mod own_effects;
+mod real;
 mod sealed_frames;
 mod unexplained;

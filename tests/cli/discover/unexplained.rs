@@ -1,4 +1,4 @@
-//! A gap that no effect explains: it is localised, and a smooth correction is learned where it helps.
+//! A gap that no effect explains: it is localised, and a law is proposed where it helps.
 
 use crate::program::{Sandbox, data, number};
 use serde_json::Value;
@@ -23,7 +23,7 @@ fn discover(sandbox: &Sandbox, name: &str, out: &str) -> Value {
 }
 
 #[test]
-fn a_correction_learned_on_one_experiment_helps_on_another_in_every_command() {
+fn a_law_proposed_on_one_experiment_helps_on_another_in_every_command() {
     let sandbox = Sandbox::new();
     // One actuator pulls on the next.
     let pull = |_: f64, q: &mut PerBackbone| q[0] += 0.02 * q[1].abs().powi(3);
@@ -34,7 +34,7 @@ fn a_correction_learned_on_one_experiment_helps_on_another_in_every_command() {
     assert_eq!(found["where"]["backbone"], 1, "{found:#}");
     assert_eq!(found["correction"]["kept"], true, "{found:#}");
     let model = sandbox.read("found/model.toml");
-    assert!(model.contains("name = \"learned_correction\"") && model.contains("backbone_1_x2_mm_per_rad2"), "{model}");
+    assert!(model.contains("name = \"proposed_law\"") && model.contains("on_1 * abs(q_2)^3"), "{model}");
     let page = sandbox.read("found/report.html");
     assert!(page.contains("Where the gap is") && page.contains("in backbone 1") && !page.contains("http"));
 
@@ -43,13 +43,16 @@ fn a_correction_learned_on_one_experiment_helps_on_another_in_every_command() {
     sandbox.write("plain.toml", plain);
     let gap = |model: &str| number(&sandbox.json(&format!("evaluate --model {model} {}", data("two"))), "rms_eps_mm");
     let (before, after) = (gap("plain.toml"), gap("found/model.toml"));
-    assert!(after < 0.6 * before, "{before} → {after} mm");
+    assert!(after < 0.5 * before, "{before} → {after} mm");
 
     // The table, against what leads there: the plain command and the pull that it causes.
     let error = |model: &str| {
         sandbox.succeed(&format!("table --model {model} --theta-deg 10:70:10 --delta-deg=-180:180:20 -o table"));
         let mut squares = Vec::new();
-        for [theta, delta, qc @ ..] in columns(&sandbox.read("table/compensation.csv")) {
+        let text = sandbox.read("table/compensation.csv");
+        // The law does not go beyond the bends that it was learned from, and the table says so.
+        assert_eq!(text.contains("beyond_data"), model != "plain.toml");
+        for [theta, delta, qc @ ..] in columns(&text) {
             let mut truth = Model::default().command(Configuration::from_degrees(theta, delta));
             pull(0.0, &mut truth);
             squares.push((PerBackbone::from(qc) - truth).norm_squared());
@@ -57,17 +60,15 @@ fn a_correction_learned_on_one_experiment_helps_on_another_in_every_command() {
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
     let (before, after) = (error("plain.toml"), error("found/model.toml"));
-    assert!(after < 0.6 * before, "table: {before} → {after} mm");
+    assert!(after < 0.5 * before, "table: {before} → {after} mm");
 
-    // Every command takes the model; a fit leaves the correction as it is.
+    // Every command takes the model; the law is found again as it is, but for the noise.
     sandbox.simulate("three", "--model found/model.toml");
     sandbox.succeed(&format!("estimate {} --model found/model.toml -o estimated", data("two")));
     sandbox.succeed(&format!("discover {} --model found/model.toml -o again", data("two")));
     let again = sandbox.read("again/model.toml");
-    let effect = |model: &str| {
-        model[model.find("learned_correction").unwrap()..].lines().take(20).map(str::to_owned).collect::<Vec<_>>()
-    };
-    assert_eq!(effect(&again), effect(&model));
+    let formula = |model: &str| model.lines().find(|line| line.starts_with("formula")).unwrap().to_owned();
+    assert_eq!(formula(&again), formula(&model));
 }
 
 /// θ, δ and q̃ of a table's rows.
@@ -87,8 +88,8 @@ fn where_nothing_is_gained_it_is_said() {
     assert_eq!(found["verdict"], "unexplained", "{found:#}");
     assert_eq!(found["where"]["backbone"], 2, "{found:#}");
     assert_eq!(found["correction"]["kept"], false, "{found:#}");
-    assert!(found["correction"]["words"].as_str().unwrap().contains("no correction was kept"), "{found:#}");
-    assert!(!sandbox.read("found/model.toml").contains("learned_correction"));
+    assert!(found["correction"]["words"].as_str().unwrap().contains("no law is proposed"), "{found:#}");
+    assert!(!sandbox.read("found/model.toml").contains("proposed_law"));
 }
 
 #[test]

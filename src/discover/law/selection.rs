@@ -1,0 +1,248 @@
+//! Which terms a law needs: forward selection and backward elimination by what is left of sweeps that the fit did not see.
+//!
+//! All terms are columns of one linear least-squares problem, beside those of η, λ and the model's effects, which every law has. Its
+//! normal equations are summed over groups of sweeps, so that a fit to any groups and its cost on others are small dense solutions.
+
+use crate::discover::sweeps::FOLDS;
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+/// The most terms of a law.
+///
+/// Convention: what a person can read.
+const MOST_TERMS: usize = 8;
+
+/// A term must take away this share of what is left on sweeps that the fit did not see.
+///
+/// Convention: less is not worth reading.
+const LEAST_GAIN: f64 = 0.02;
+
+/// The relative ridge that keeps solutions finite.
+///
+/// Convention: a numerical guard.
+const RELATIVE_RIDGE: f64 = 1e-6;
+
+/// Sums over samples: DᵗD, Dᵗr and rᵗr.
+#[derive(Debug, Clone)]
+pub struct Sums {
+    information: DMatrix<f64>,
+    gradient: DVector<f64>,
+    squares: f64,
+}
+
+impl Sums {
+    /// Of no samples, for so many columns.
+    pub fn zero(columns: usize) -> Self {
+        Self { information: DMatrix::zeros(columns, columns), gradient: DVector::zeros(columns), squares: 0.0 }
+    }
+
+    /// Takes in the rows of some samples and their residuals.
+    pub fn add(&mut self, rows: &DMatrix<f64>, residuals: &DVector<f64>) {
+        self.information.gemm_tr(1.0, rows, rows, 1.0);
+        self.gradient.gemv_tr(1.0, rows, residuals, 1.0);
+        self.squares += residuals.norm_squared();
+    }
+
+    fn plus(mut self, other: &Self) -> Self {
+        self.information += &other.information;
+        self.gradient += &other.gradient;
+        self.squares += other.squares;
+        self
+    }
+
+    /// The coefficients of some columns that leave least.
+    pub fn solution(&self, columns: &[usize]) -> Option<DVector<f64>> {
+        let k = columns.len();
+        let ridge = |a: usize, b: usize| if a == b { 1.0 + RELATIVE_RIDGE } else { 1.0 };
+        let entry = |a: usize, b: usize| self.information[(columns[a], columns[b])] * ridge(a, b);
+        let gradient = DVector::from_fn(k, |a, _| -self.gradient[columns[a]]);
+        Some(DMatrix::from_fn(k, k, entry).cholesky()?.solve(&gradient))
+    }
+
+    /// What these coefficients leave.
+    fn cost(&self, columns: &[usize], x: &DVector<f64>) -> f64 {
+        let linear: f64 = columns.iter().zip(x).map(|(&c, x)| self.gradient[c] * x).sum();
+        let pair = |(&a, xa): (&usize, &f64)| -> f64 {
+            xa * columns.iter().zip(x).map(|(&b, xb)| self.information[(a, b)] * xb).sum::<f64>()
+        };
+        self.squares + 2.0 * linear + columns.iter().zip(x).map(pair).sum::<f64>()
+    }
+}
+
+/// The sums of every block of sweeps that follow each other and every fold of sweeps dealt in turn: `cells[block][fold]`.
+pub type Cells = [[Sums; FOLDS]; FOLDS];
+
+fn total<'a>(columns: usize, cells: impl Iterator<Item = &'a Sums>) -> Sums {
+    cells.fold(Sums::zero(columns), Sums::plus)
+}
+
+/// What a fit sees, and what it is judged on.
+struct Split {
+    seen: Sums,
+    held_out: Sums,
+}
+
+/// A selection among the columns from `fixed` on; the first ones are in every fit.
+pub struct Selection {
+    fixed: usize,
+    columns: usize,
+    /// One for each block.
+    blocks: Vec<Split>,
+    /// One for each fold.
+    folds: Vec<Split>,
+    seen: Sums,
+    /// The columns that stand and fall with a width of play, none for the others: a law has one width.
+    width_of: Vec<Option<usize>>,
+}
+
+/// What a set of columns leaves on what its fits did not see.
+struct Costs {
+    blocks: Vec<f64>,
+    total: f64,
+}
+
+impl Selection {
+    /// Of all cells but those of the block `without`.
+    pub fn new(cells: &Cells, (fixed, width_of): (usize, &[Option<usize>]), without: Option<usize>) -> Self {
+        let columns = fixed + width_of.len();
+        let used = || {
+            let cells = cells.iter().enumerate().filter(move |(block, _)| Some(*block) != without);
+            cells.flat_map(|(block, folds)| folds.iter().enumerate().map(move |(fold, sums)| (block, fold, sums)))
+        };
+        let split = |is_out: &dyn Fn(usize, usize) -> bool| Split {
+            seen: total(columns, used().filter(|(b, f, _)| !is_out(*b, *f)).map(|(_, _, sums)| sums)),
+            held_out: total(columns, used().filter(|(b, f, _)| is_out(*b, *f)).map(|(_, _, sums)| sums)),
+        };
+        let blocks = (0..FOLDS).filter(|block| Some(*block) != without);
+        Self {
+            fixed,
+            columns,
+            blocks: blocks.map(|block| split(&|b, _| b == block)).collect(),
+            folds: (0..FOLDS).map(|fold| split(&|_, f| f == fold)).collect(),
+            seen: total(columns, used().map(|(_, _, sums)| sums)),
+            width_of: width_of.to_vec(),
+        }
+    }
+
+    /// The columns of every fit.
+    pub fn base(&self) -> Vec<usize> {
+        (0..self.fixed).collect()
+    }
+
+    /// The columns that help, those of every fit first.
+    pub fn columns(&self) -> Vec<usize> {
+        let mut chosen = self.base();
+        let Some(mut costs) = self.costs(&chosen) else { return chosen };
+        while chosen.len() < self.fixed + MOST_TERMS {
+            let candidates = (self.fixed..self.columns).filter(|column| self.admits(&chosen, *column));
+            let candidates: Vec<usize> = candidates.collect();
+            let with = |column: usize| {
+                let longer = [&chosen[..], &[column]].concat();
+                let own = self.costs(&longer)?;
+                own.is_better_in_every_block(&costs).then_some((longer, own))
+            };
+            let best = candidates.into_par_iter().filter_map(with).min_by(|a, b| a.1.total.total_cmp(&b.1.total));
+            match best {
+                Some((longer, own)) if own.total < (1.0 - LEAST_GAIN) * costs.total => (chosen, costs) = (longer, own),
+                _ => break,
+            }
+        }
+        self.without_the_superfluous(chosen, costs)
+    }
+
+    /// Whether a column may join: a law has one width of play.
+    fn admits(&self, chosen: &[usize], column: usize) -> bool {
+        let width = |column: usize| column.checked_sub(self.fixed).and_then(|own| self.width_of[own]);
+        let widths = || chosen.iter().filter_map(|other| width(*other));
+        !chosen.contains(&column) && (width(column).is_none() || widths().all(|other| Some(other) == width(column)))
+    }
+
+    /// Drops columns that later ones have made superfluous.
+    fn without_the_superfluous(&self, mut chosen: Vec<usize>, mut costs: Costs) -> Vec<usize> {
+        loop {
+            let shorter = (self.fixed..chosen.len()).filter_map(|place| {
+                let mut shorter = chosen.clone();
+                shorter.remove(place);
+                let own = self.costs(&shorter)?;
+                Some((shorter, own))
+            });
+            let best = shorter.min_by(|a, b| a.1.total.total_cmp(&b.1.total));
+            match best {
+                Some((shorter, own)) if (1.0 - LEAST_GAIN) * own.total < costs.total => {
+                    (chosen, costs) = (shorter, own);
+                }
+                _ => return chosen,
+            }
+        }
+    }
+
+    fn costs(&self, columns: &[usize]) -> Option<Costs> {
+        let cost = |split: &Split| Some(split.held_out.cost(columns, &split.seen.solution(columns)?));
+        let blocks: Vec<f64> = self.blocks.iter().map(cost).collect::<Option<_>>()?;
+        let folds: Vec<f64> = self.folds.iter().map(cost).collect::<Option<_>>()?;
+        let total = 0.5 * (blocks.iter().sum::<f64>() + folds.iter().sum::<f64>());
+        Some(Costs { blocks, total })
+    }
+
+    /// The coefficients of some columns, fitted to all that the selection saw.
+    pub fn solution(&self, columns: &[usize]) -> Option<DVector<f64>> {
+        self.seen.solution(columns)
+    }
+}
+
+impl Costs {
+    fn is_better_in_every_block(&self, other: &Self) -> bool {
+        self.blocks.iter().zip(&other.blocks).all(|(own, other)| own <= other)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::rngs::StdRng;
+    use rand::{RngExt, SeedableRng};
+    use rand_distr::StandardNormal;
+
+    /// 500 rows of 40 columns of noise; the residual is made of the columns `truth`, and noise.
+    fn cells(truth: &[(usize, f64)], seed: u64) -> Cells {
+        let mut random = StdRng::seed_from_u64(seed);
+        let mut cells: Cells = std::array::from_fn(|_| std::array::from_fn(|_| Sums::zero(40)));
+        for k in 0..500 {
+            let rows = DMatrix::from_fn(1, 40, |_, _| random.sample::<f64, _>(StandardNormal));
+            let noise: f64 = random.sample(StandardNormal);
+            let sum: f64 = truth.iter().map(|(column, weight)| weight * rows[(0, *column)]).sum();
+            cells[k / 100][k % 5].add(&rows, &DVector::from_element(1, noise - sum));
+        }
+        cells
+    }
+
+    #[test]
+    fn the_columns_of_which_the_residuals_are_made_are_chosen_and_no_others() {
+        for seed in 0..8 {
+            let cells = cells(&[(0, 0.3), (17, 1.0), (31, -0.6)], seed);
+            let selection = Selection::new(&cells, (2, &[None; 38]), None);
+            let mut columns = selection.columns();
+            let x = selection.solution(&columns).unwrap();
+            assert!((x[2] - 1.0).abs() < 0.2, "{x}");
+            columns.sort_unstable();
+            assert_eq!(columns, [0, 1, 17, 31], "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn of_noise_nothing_is_made() {
+        let laws =
+            (0..20).filter(|seed| Selection::new(&cells(&[], *seed), (1, &[None; 39]), None).columns().len() > 1);
+        assert!(laws.count() <= 1);
+    }
+
+    #[test]
+    fn a_law_has_one_width_of_play() {
+        let cells = cells(&[(10, 1.0), (11, 0.5), (12, 0.5)], 3);
+        let mut widths = [None; 39];
+        (widths[9], widths[10], widths[11]) = (Some(0), Some(1), Some(0));
+        let mut columns = Selection::new(&cells, (1, &widths), None).columns();
+        columns.sort_unstable();
+        assert_eq!(columns, [0, 10, 12]);
+    }
+}

@@ -1,0 +1,473 @@
+//! A user's own effect: a summand of ε_i that is given as a formula.
+//!
+//! A [`Definition`] is plain data, read from a file. [`Definition::physics`] checks it and makes of it a [`Physics`] like those of the
+//! library, which is searched for, fitted, named and obeyed like them. A formula is parsed and evaluated by the crate `exmex`; no code is
+//! run.
+
+use super::physics::{Changes, Instant, LINEAR, ParameterSpec, Physics, Role, Starts};
+use super::variables::{Variable, known_variables};
+use crate::error::ArgumentError;
+use crate::robot::{BACKBONES, PerBackbone};
+use exmex::{Express, FlatEx};
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+
+/// The parameter of a formula with `play` that is half that play's width, mm.
+pub const HALF_GAP: &str = "half_gap_mm";
+
+/// The most variables and parameters of one formula.
+///
+/// Convention: a resource limit; a formula that a person can read has fewer.
+const MOST_INPUTS: usize = 48;
+
+/// The most combinations of parameters at which a search starts.
+///
+/// Convention: a bound on computing time.
+const MOST_STARTS: usize = 16;
+
+/// A size is expected to be this share of its largest value; see [`ParameterSpec::typical`].
+///
+/// Convention: as of the library's plays, 0.05 mm of 1 mm.
+const TYPICAL_SHARE: f64 = 0.05;
+
+/// The bends at which a formula must be finite, x and y in rad: straight, and 60° to four sides.
+///
+/// Convention: a check for divisions by zero.
+const CHECKED_BENDS: [[f64; 2]; 5] = [[0.0, 0.0], [1.0, 0.1], [-0.1, 1.0], [-1.0, -0.1], [0.1, -1.0]];
+
+/// A user's own effect, as a file says it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Definition {
+    /// Its name: small letters, digits and underscores.
+    pub name: String,
+    /// What it adds to ε_i, mm.
+    pub formula: String,
+    /// What it means, in words that follow "the data show"; may be empty.
+    pub reading: String,
+    /// Its parameters by name.
+    pub parameters: BTreeMap<String, Defined>,
+    /// Least and largest value of variables within which it holds; a variable beyond is taken at that end.
+    pub domain: BTreeMap<String, [f64; 2]>,
+}
+
+/// A parameter of a user's own effect.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Defined {
+    /// Its unit, `1` for a number without.
+    pub unit: String,
+    /// Least and largest value. A parameter that may be zero is a size: without it there is no effect.
+    pub range: [f64; 2],
+    /// Where a search for it starts; empty: at zero for a size, in the middle of the range else.
+    pub starts: Vec<f64>,
+}
+
+/// A formula made ready to be evaluated.
+#[derive(Debug)]
+pub struct Formula {
+    /// What it was made from.
+    pub definition: Definition,
+    expression: FlatEx<f64>,
+    /// What the expression is given, in its order.
+    inputs: Vec<Input>,
+    parameters: Vec<ParameterSpec>,
+}
+
+/// One input of the expression.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Input {
+    Variable(Variable, [f64; 2]),
+    Parameter(usize),
+}
+
+/// Every definition that was made to an effect. Effects stand in static places like the library's, since all of the program refers to
+/// them so; one definition is kept once, however often it is read.
+static DEFINED: Mutex<Vec<(Definition, &'static Physics)>> = Mutex::new(Vec::new());
+
+impl Definition {
+    /// Checks the definition and makes an effect of it.
+    ///
+    /// # Errors
+    /// [`ArgumentError::Formula`] for a name that the library has, a formula that cannot be parsed, names in it that nobody knows,
+    /// parameters that it does not have, ranges the wrong way round, and a value that is not finite anywhere within them.
+    pub fn physics(self) -> Result<&'static Physics, ArgumentError> {
+        let mut defined = DEFINED.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, physics)) = defined.iter().find(|(definition, _)| *definition == self) {
+            return Ok(physics);
+        }
+        let fault = |why: String| ArgumentError::Formula { effect: self.name.clone(), why };
+        let formula = Formula::new(self.clone()).map_err(fault)?;
+        let physics: &'static Physics = Box::leak(Box::new(formula.into_physics()));
+        defined.push((self, physics));
+        Ok(physics)
+    }
+
+    /// The parameters' ranges, starts and names, each without a fault.
+    fn checked_specs(&self) -> Result<Vec<ParameterSpec>, String> {
+        let is_name = |name: &str| {
+            name.starts_with(|c: char| c.is_ascii_lowercase())
+                && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
+        };
+        if !is_name(&self.name) {
+            return Err("a name is made of small letters, digits and underscores".to_owned());
+        }
+        let spec = |(name, defined): (&String, &Defined)| {
+            if Variable::of(name).is_some() {
+                return Err(format!("parameter {name} has the name of a variable ({})", known_variables()));
+            }
+            if !is_name(name) {
+                return Err(format!("parameter {name:?}: a name is made of small letters, digits and underscores"));
+            }
+            defined.spec(name)
+        };
+        self.parameters.iter().map(spec).collect()
+    }
+
+    /// The inputs of an expression that has variables of these names.
+    fn inputs(&self, names: &[String]) -> Result<Vec<Input>, String> {
+        let place = |name: &str| self.formula.find(name).map_or(0, |byte| self.formula[..byte].chars().count() + 1);
+        let input = |name: &String| {
+            if let Some(parameter) = self.parameters.keys().position(|own| own == name) {
+                return Ok(Input::Parameter(parameter));
+            }
+            let variable = Variable::of(name).ok_or_else(|| {
+                let parameters: Vec<&str> = self.parameters.keys().map(String::as_str).collect();
+                format!(
+                    "{name:?} at character {} of formula {:?} is not known; variables are {}, parameters here {}",
+                    place(name),
+                    self.formula,
+                    known_variables(),
+                    if parameters.is_empty() { "none".to_owned() } else { parameters.join(", ") }
+                )
+            })?;
+            Ok(Input::Variable(variable, *self.domain.get(name).unwrap_or(&[f64::NEG_INFINITY, f64::INFINITY])))
+        };
+        let inputs: Vec<Input> = names.iter().map(input).collect::<Result<_, String>>()?;
+        let has_play = inputs.iter().any(|input| matches!(input, Input::Variable(Variable::Play, _)));
+        if has_play && !self.parameters.contains_key(HALF_GAP) {
+            return Err(format!("a formula with play needs the parameter {HALF_GAP}, half the play's width"));
+        }
+        for name in self.parameters.keys().filter(|name| !(has_play && *name == HALF_GAP)) {
+            if !names.contains(name) {
+                return Err(format!("parameter {name} is not in formula {:?}", self.formula));
+            }
+        }
+        for (name, [least, most]) in &self.domain {
+            if !names.contains(name) || Variable::of(name).is_none() {
+                return Err(format!("domain.{name}: the formula has no variable of this name"));
+            }
+            if !(least.is_finite() && most.is_finite() && least <= most) {
+                return Err(format!("domain.{name} = [{least}, {most}]: expected the least value, then the largest"));
+            }
+        }
+        Ok(inputs)
+    }
+}
+
+impl Defined {
+    fn is_size(&self) -> bool {
+        (self.range[0]..=self.range[1]).contains(&0.0)
+    }
+
+    /// Where a search for it starts.
+    fn starts(&self) -> Vec<f64> {
+        match &self.starts[..] {
+            [] if self.is_size() => vec![0.0],
+            [] => vec![0.5 * (self.range[0] + self.range[1])],
+            starts => starts.to_vec(),
+        }
+    }
+
+    fn spec(&self, name: &str) -> Result<ParameterSpec, String> {
+        let [least, most] = self.range;
+        if !(least.is_finite() && most.is_finite() && least < most) {
+            return Err(format!(
+                "parameter {name}: range = [{least}, {most}], expected the least value, then the largest"
+            ));
+        }
+        if let Some(start) = self.starts.iter().find(|start| !(least..=most).contains(*start)) {
+            return Err(format!("parameter {name}: start = {start} is outside its range [{least}, {most}]"));
+        }
+        let example = self.starts().into_iter().next().unwrap_or(least);
+        let (typical, role) = if self.is_size() {
+            (TYPICAL_SHARE * most.max(-least), Role::Size { either_sign: least < 0.0 })
+        } else {
+            (0.5 * example.abs(), Role::Shape { example, drawn: (least, most) })
+        };
+        Ok(ParameterSpec { name: kept(name), unit: kept(&self.unit), range: (least, most), typical, role })
+    }
+}
+
+/// A text that stays where it is.
+fn kept(text: &str) -> &'static str {
+    Box::leak(text.to_owned().into_boxed_str())
+}
+
+impl Formula {
+    fn new(definition: Definition) -> Result<Self, String> {
+        let parameters = definition.checked_specs()?;
+        let expression = exmex::parse::<f64>(&definition.formula)
+            .map_err(|why| format!("formula {:?} cannot be read: {why}", definition.formula))?;
+        let inputs = definition.inputs(expression.var_names())?;
+        if inputs.len() > MOST_INPUTS {
+            return Err(format!(
+                "formula has {} variables and parameters, expected {MOST_INPUTS} at most",
+                inputs.len()
+            ));
+        }
+        if definition.starts().len() > MOST_STARTS {
+            return Err(format!(
+                "{} combinations of starts, expected {MOST_STARTS} at most",
+                definition.starts().len()
+            ));
+        }
+        let formula = Self { definition, expression, inputs, parameters };
+        formula.require_finite()?;
+        Ok(formula)
+    }
+
+    fn into_physics(self) -> Physics {
+        let starts: Vec<&'static [f64]> =
+            self.definition.starts().into_iter().map(|values| &*Box::leak(values.into_boxed_slice())).collect();
+        let reading = match &self.definition.reading[..] {
+            "" => format!("what the formula of {} says", self.definition.name),
+            words => words.to_owned(),
+        };
+        Physics {
+            name: kept(&self.definition.name),
+            equation: kept(&format!("ε_i += {}", self.definition.formula)),
+            reading: kept(&reading),
+            starts: Starts::At(Box::leak(starts.into_boxed_slice())),
+            in_time: self.has(Variable::Time),
+            changes: Changes::Formula(Box::leak(Box::new(self))),
+            ..LINEAR
+        }
+    }
+
+    /// Its parameters, whatever the robot.
+    pub fn parameters(&self) -> &[ParameterSpec] {
+        &self.parameters
+    }
+
+    /// Whether a variable stands in it.
+    pub fn has(&self, variable: Variable) -> bool {
+        self.inputs.iter().any(|input| matches!(input, Input::Variable(own, _) if *own == variable))
+    }
+
+    /// Half the width of its play, mm; none where it has none.
+    pub fn half_gap_mm(&self, values: &[f64]) -> Option<f64> {
+        let place = self.parameters.iter().position(|spec| spec.name == HALF_GAP)?;
+        self.has(Variable::Play).then(|| values[place])
+    }
+
+    /// Whether it hangs on how the snake got where it is.
+    pub fn has_memory(&self) -> bool {
+        [Variable::Play, Variable::Direction, Variable::Speed].into_iter().any(|variable| self.has(variable))
+    }
+
+    /// Whether some variable is beyond the domain at this instant; none where there is no domain.
+    pub fn is_beyond_domain(&self, at: &Instant) -> Option<bool> {
+        let beyond = |i: usize| {
+            self.inputs.iter().any(|input| match input {
+                Input::Variable(variable, [least, most]) => !(least..=most).contains(&&variable.value(at, i, 0)),
+                Input::Parameter(_) => false,
+            })
+        };
+        (!self.definition.domain.is_empty()).then(|| (0..at.q_mm.len()).any(beyond))
+    }
+
+    /// The summand of ε at an instant, mm; `play` is the place of its play among those of the motion.
+    pub fn summand_mm(&self, at: &Instant, values: &[f64], play: usize) -> PerBackbone {
+        let mut inputs = [0.0; MOST_INPUTS];
+        PerBackbone::from_fn(at.q_mm.len(), |i| {
+            for (place, input) in inputs.iter_mut().zip(&self.inputs) {
+                *place = match *input {
+                    Input::Variable(variable, [least, most]) => variable.value(at, i, play).clamp(least, most),
+                    Input::Parameter(k) => values[k],
+                };
+            }
+            self.expression.eval(&inputs[..self.inputs.len()]).unwrap_or(f64::NAN)
+        })
+    }
+
+    /// That the value is finite for the parameters' starts and ends at straight and far bends.
+    fn require_finite(&self) -> Result<(), String> {
+        let [start, ..] = &self.definition.starts()[..] else { return Ok(()) };
+        let ends = self.definition.parameters.values().enumerate().flat_map(|(k, defined)| {
+            let zero = defined.is_size().then_some(0.0);
+            defined.range.into_iter().chain(zero).map(move |value| {
+                let mut values = start.clone();
+                values[k] = value;
+                values
+            })
+        });
+        for values in std::iter::once(start.clone()).chain(ends) {
+            for bend in CHECKED_BENDS {
+                let value = Variable::at_bend(bend, *BACKBONES.start(), |at| self.summand_mm(at, &values, 0));
+                if value.iter().any(|value| !value.is_finite()) {
+                    let values =
+                        self.parameters.iter().zip(&values).map(|(spec, value)| format!("{} = {value}", spec.name));
+                    return Err(format!(
+                        "formula {:?} is not a finite number at x = {} and y = {} rad with {}: a division by zero, or a root or \
+                         logarithm of nothing",
+                        self.definition.formula,
+                        bend[0],
+                        bend[1],
+                        values.collect::<Vec<_>>().join(", ")
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Definition {
+    /// Every combination of the parameters' starts, in their order.
+    fn starts(&self) -> Vec<Vec<f64>> {
+        self.parameters.values().fold(vec![Vec::new()], |combinations, defined| {
+            let starts = defined.starts();
+            let longer = |so_far: Vec<f64>| {
+                starts.iter().map(move |start| [&so_far[..], &[*start]].concat()).collect::<Vec<_>>()
+            };
+            combinations.into_iter().flat_map(longer).collect()
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::effects::forms;
+    use crate::robot::{Effect, Mechanics, Model};
+    use nalgebra::Vector2;
+
+    fn definition(formula: &str, parameters: &[(&str, [f64; 2])]) -> Definition {
+        let defined = |(name, range): &(&str, [f64; 2])| {
+            ((*name).to_owned(), Defined { unit: "mm".into(), range: *range, starts: Vec::new() })
+        };
+        Definition {
+            name: "own".into(),
+            formula: formula.into(),
+            reading: String::new(),
+            parameters: parameters.iter().map(defined).collect(),
+            domain: BTreeMap::new(),
+        }
+    }
+
+    fn fault(definition: Definition) -> String {
+        definition.physics().unwrap_err().to_string()
+    }
+
+    /// q̃ along a sweep up, down and across, by one effect.
+    fn commands(physics: &'static Physics, values: &[f64]) -> Vec<PerBackbone> {
+        let model = Model { effects: vec![Effect::of(physics, values.to_vec())], ..Model::default() };
+        let mechanics = Mechanics::new(&model);
+        let up_and_down = |k: i32| Vector2::new(0.1 + 0.04 * f64::from(15 - (k - 15).abs()), 0.02 * f64::from(k));
+        let bends: Vec<_> = (0..40).map(up_and_down).collect();
+        let times: Vec<f64> = (0..40).map(|k| 0.3 * f64::from(k)).collect();
+        let motions = mechanics.motions(&times, &bends);
+        bends.iter().zip(&motions).map(|(bend, motion)| mechanics.command(*bend, Some(motion))).collect()
+    }
+
+    #[test]
+    fn a_formula_that_says_what_an_effect_of_the_library_does_is_that_effect() {
+        for (formula, parameters, name, form) in [
+            ("a_mm * tanh(tau / 0.3)", [("a_mm", [-1.0, 1.0])], "load_directed_backlash", ""),
+            ("play", [("half_gap_mm", [0.0, 20.0])], "motion_directed_backlash", "crossed by travel"),
+            ("a_mm * s", [("a_mm", [-1.0, 1.0])], "motion_directed_backlash", ""),
+            ("a_mm * t", [("a_mm", [-1.0, 1.0])], "thermal_drift", ""),
+        ] {
+            let own = definition(formula, &parameters).physics().unwrap();
+            let of_library = forms(name).find(|physics| physics.form == form).unwrap();
+            for (a, b) in commands(own, &[0.05]).iter().zip(commands(of_library, &[0.05])) {
+                assert!((*a - b).amax() < 1e-12, "{formula}: {a:?} {b:?}");
+            }
+            assert_eq!((own.is_static(), own.in_time), (of_library.is_static(), of_library.in_time), "{formula}");
+        }
+    }
+
+    #[test]
+    fn backbones_have_their_numbers_and_the_domain_ends_where_it_says() {
+        let mut bounded = definition("a * on_2 * (theta + q_3)", &[("a", [-1.0, 1.0])]);
+        bounded.domain.insert("theta".into(), [0.0, 0.5]);
+        let physics = bounded.physics().unwrap();
+        let added = |theta: f64| {
+            let model = Model { effects: vec![Effect::of(physics, vec![0.1])], ..Model::default() };
+            let bend = Vector2::new(theta, 0.0);
+            let mechanics = Mechanics::new(&model);
+            let q_3 = mechanics.statics.q_mm(bend)[2];
+            let plain = Model::default();
+            (mechanics.command(bend, None) - Mechanics::new(&plain).command(bend, None), q_3)
+        };
+        for (theta, held) in [(0.3, 0.3), (0.9, 0.5)] {
+            let (added, q_3) = added(theta);
+            assert!((added - PerBackbone::from([0.0, 0.1 * (held + q_3), 0.0])).amax() < 1e-12, "{added:?}");
+        }
+    }
+
+    #[test]
+    fn one_definition_is_one_effect_and_another_is_another() {
+        let one = || definition("a * q^2", &[("a", [-1.0, 1.0])]);
+        assert!(std::ptr::eq(one().physics().unwrap(), one().physics().unwrap()));
+        assert!(one().physics().unwrap() != definition("a * q^3", &[("a", [-1.0, 1.0])]).physics().unwrap());
+    }
+
+    #[test]
+    fn faults_are_named_with_their_place() {
+        let a = [("a", [-1.0, 1.0])];
+        for (formula, parameters, words) in [
+            ("a * q + moon", &a[..], "\"moon\" at character 9"),
+            ("a * q + b", &a[..], "parameters here a"),
+            ("a * q_9", &a[..], "\"q_9\" at character 5"),
+            ("a * (q", &a[..], "cannot be read"),
+            ("", &a[..], "cannot be read"),
+            ("q^2", &a[..], "parameter a is not in formula"),
+            ("a / (q - q_1)", &a[..], "not a finite number at x = 0"),
+            ("a * sqrt(q)", &a[..], "not a finite number"),
+            ("q / a", &a[..], "with a = 0"),
+            ("a * play", &a[..], "needs the parameter half_gap_mm"),
+            ("a * q", &[("a", [1.0, -1.0])], "range = [1, -1]"),
+            ("a * q", &[("a", [0.0, f64::INFINITY])], "expected the least value, then the largest"),
+            ("tau * q", &[("tau", [0.0, 1.0])], "has the name of a variable"),
+            ("A * q", &[("A", [0.0, 1.0])], "small letters"),
+        ] {
+            let said = fault(definition(formula, parameters));
+            assert!(said.starts_with("effect own: ") && said.contains(words), "{formula}: {said}");
+        }
+        let mut outside = definition("a * q", &a);
+        outside.parameters.get_mut("a").unwrap().starts = vec![0.1, 3.0];
+        assert!(fault(outside).contains("start = 3 is outside its range"));
+        let mut domain = definition("a * q", &a);
+        domain.domain.insert("theta".into(), [0.0, 1.0]);
+        assert!(fault(domain.clone()).contains("domain.theta"));
+        domain.domain = BTreeMap::from([("q".into(), [1.0, 0.0])]);
+        assert!(fault(domain).contains("domain.q = [1, 0]"));
+    }
+
+    #[test]
+    fn a_sign_binds_before_a_power_and_a_power_before_a_product() {
+        let value = |formula: &str| {
+            let physics = definition(formula, &[("a", [0.0, 9.0])]).physics().unwrap();
+            let Changes::Formula(formula) = physics.changes else { panic!("a formula") };
+            Variable::at_bend([0.0, 0.0], 3, |at| formula.summand_mm(at, &[2.0], 0))[0]
+        };
+        for (formula, expected) in [
+            ("3 * a^2 - 1", 11.0),
+            ("-a^2", 4.0),
+            ("-(a^2)", -4.0),
+            ("2^-a", 0.25),
+            ("max(a, 3) / 4", 0.75),
+            ("atan2(a, 2)", 0.25 * std::f64::consts::PI),
+        ] {
+            assert!((value(formula) - expected).abs() < 1e-12, "{formula} = {}", value(formula));
+        }
+    }
+
+    proptest::proptest! {
+        #![proptest_config(proptest::prelude::ProptestConfig::with_cases(256))]
+        #[test]
+        fn no_text_panics(text in "[a-z0-9 ()+*/^.,{}\\-αx]{0,24}") {
+            let _ = definition(&text, &[("a", [0.0, 1.0])]).physics();
+        }
+    }
+}
