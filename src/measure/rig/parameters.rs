@@ -1,7 +1,7 @@
 //! The rig: where camera, grid target and snake are, and what the snake looks like. Data only.
 
 use crate::geometry::Pose;
-use crate::measure::fit::{EdgeBias, FRAME_BIAS_SIGMA, FramePrior};
+use crate::measure::fit::{EdgeBias, FRAME_BIAS_SIGMA, FramePrior, UNKNOWN_SHAPE_RAD};
 use crate::measure::image::appearance::Appearance;
 use crate::measure::target::GridPattern;
 use crate::robot::MODES;
@@ -51,6 +51,13 @@ impl Rig {
     pub fn looking_from(mut self, delta_offset: f64) -> Self {
         self.camera_from_base.rotation *= azimuth(delta_offset);
         self
+    }
+
+    /// Whether the frames of a sequence told how far this snake departs from an arc.
+    pub(crate) fn is_shape_known(&self) -> bool {
+        // Degrees in rig.toml round the last digit.
+        let differs = |(sigma, unknown): (&f64, &f64)| (sigma - unknown).abs() > 1e-9 * unknown;
+        self.mode_sigma_rad.iter().zip(&UNKNOWN_SHAPE_RAD).any(differs)
     }
 
     /// What is known of a frame's state before it is looked at.
