@@ -17,6 +17,7 @@
 //! | module | what it is |
 //! | --- | --- |
 //! | [`error`], [`geometry`], [`statistics`] | the error type; angles and poses; estimation tools under their textbook names |
+//! | [`bag`] | ROS 2 recordings |
 //! | [`robot`], [`camera`] | the snake: kinematics, statics, friction, ε; lenses and sources of frames |
 //! | [`observation`] | measurements of frames and encoder readings, as plain values |
 //! | [`measure`], [`estimate`] | frames → θ, δ; measurements → η, λ |
@@ -32,6 +33,7 @@
 #![doc = include_str!("../docs/src/reference/library.md")]
 #![warn(missing_docs)]
 
+pub mod bag;
 pub mod camera;
 pub mod closed_loop;
 pub mod discover;

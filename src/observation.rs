@@ -3,7 +3,7 @@
 
 use crate::geometry::Configuration;
 use crate::robot::{BendProfile, PerBackbone};
-use nalgebra::{Matrix2, Matrix2x6};
+use nalgebra::{Matrix2, Matrix2x6, Point3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 use std::convert::Infallible;
 use std::fmt;
@@ -258,6 +258,21 @@ impl Wiring {
         };
         log.iter().filter_map(reading).collect()
     }
+}
+
+/// One pose of a sensor on the snake's tip, in the frame of a tracker.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrackerPose {
+    /// Its index, which goes with that of the encoder reading.
+    pub index: u64,
+    /// Time, s.
+    pub time_s: f64,
+    /// Where the sensor is, mm; `None` where the tracker lost it.
+    pub position_mm: Option<Point3<f64>>,
+    /// How it is turned: from the sensor's axes to the tracker's.
+    pub orientation: Option<UnitQuaternion<f64>>,
+    /// Standard deviation of each coordinate of the position, mm; where it is not given it is learned.
+    pub sigma_mm: Option<f64>,
 }
 
 /// One row of truth.csv: what a synthetic frame shows.

@@ -51,6 +51,11 @@ def test_a_model_is_written_and_read(tmp_path):
     assert "length_mm = 26.0" in str(MODEL) and "naive" in repr(MODEL)
 
 
+def test_the_version_is_the_library_s():
+    manifest = (ROOT / "Cargo.toml").read_text()
+    assert f'version = "{snakeloop.__version__}"' in manifest.split("[lib]")[0]
+
+
 def test_errors_carry_file_and_line(tmp_path):
     file = tmp_path / "model.toml"
     file.write_text('[robot]\nlength_mm = 26.0\nlenght_mm = 26.0\n')

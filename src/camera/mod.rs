@@ -6,6 +6,7 @@ pub mod capture;
 mod file;
 pub mod frame;
 pub mod lens;
+mod message;
 #[cfg(feature = "opencv")]
 mod opencv;
 #[cfg(not(feature = "opencv"))]

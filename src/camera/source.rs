@@ -1,7 +1,9 @@
 //! Where frames come from: picture files told by a glob or a numbered pattern, or a video file.
 
 use super::frame::{Frame, picture_size, read_frame};
+use super::message::Picture;
 use super::opencv::Video;
+use crate::bag::{Message, Topic};
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -15,6 +17,8 @@ pub enum FrameSource {
     Pictures(Vec<(u64, PathBuf)>),
     /// A video file that has at least one frame; a frame's index is its position, from 0.
     Video(PathBuf),
+    /// A topic of pictures in a ROS 2 recording, at least one; a frame's index is its position, from 0.
+    Topic(Topic),
 }
 
 /// One frame of a source, not decoded yet where that can wait.
@@ -22,25 +26,40 @@ pub enum FrameSource {
 pub struct SourceFrame {
     /// The number in the file's name, or the position in the video.
     pub index: u64,
-    /// When the frame was taken, s from the video's start; picture files do not say.
+    /// When the frame was taken: s from the video's start, or what the clock of a recording showed; picture files do not say.
     pub time_s: Option<f64>,
-    /// The picture file or the video.
+    /// The picture file, the video or the recording.
     pub path: PathBuf,
+    content: Content,
+}
+
+/// How far a frame is read already.
+#[derive(Debug, Clone, PartialEq)]
+enum Content {
+    /// A picture file that is not read yet.
+    File,
     /// A video's frame; videos decode in order.
-    decoded: Option<Frame>,
+    Decoded(Frame),
+    /// A recording's message, not decoded yet.
+    Message(Box<Message>),
 }
 
 impl SourceFrame {
     /// Width and height, px, as far as they can be told without decoding.
     pub fn size(&self) -> Option<(u32, u32)> {
-        self.decoded.as_ref().map(|frame| (frame.width, frame.height)).or_else(|| picture_size(&self.path))
+        match &self.content {
+            Content::File => picture_size(&self.path),
+            Content::Decoded(frame) => Some((frame.width, frame.height)),
+            Content::Message(_) => None,
+        }
     }
 
     /// The picture, read and decoded now if it is a file; see [`read_frame`] for the errors.
     pub fn read(self) -> Result<Frame> {
-        match self.decoded {
-            Some(frame) => Ok(frame),
-            None => read_frame(&self.path),
+        match self.content {
+            Content::File => read_frame(&self.path),
+            Content::Decoded(frame) => Ok(frame),
+            Content::Message(message) => Ok(message.decoded::<Picture>()?.frame),
         }
     }
 }
@@ -79,11 +98,21 @@ impl FrameSource {
         Ok(Self::Pictures(files))
     }
 
+    /// A topic of pictures in a ROS 2 recording: `sensor_msgs/CompressedImage` or `Image`.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, has no such topic, or something else in it.
+    pub fn of_topic(topic: Topic) -> Result<Self> {
+        topic.first::<Picture>()?;
+        Ok(Self::Topic(topic))
+    }
+
     /// How many frames there are; `None` where only reading the video to its end would tell.
     pub fn count(&self) -> Result<Option<usize>> {
         match self {
             Self::Pictures(files) => Ok(Some(files.len())),
             Self::Video(path) => Ok(Video::open(path)?.frame_count()),
+            Self::Topic(topic) => Ok(Some(topic.messages()?.filter(Result::is_ok).count())),
         }
     }
 
@@ -97,14 +126,20 @@ impl FrameSource {
                 index: *index,
                 time_s: None,
                 path: path.clone(),
-                decoded: None,
+                content: Content::File,
             })),
             Self::Video(path) => Box::new((0..).zip(Video::open(path)?).map(|(index, (time_s, frame))| SourceFrame {
                 index,
                 time_s,
                 path: path.clone(),
-                decoded: Some(frame),
+                content: Content::Decoded(frame),
             })),
+            Self::Topic(topic) => {
+                Box::new((0..).zip(topic.messages()?.map_while(Result::ok)).map(|(index, message)| {
+                    let (time_s, path) = (message.stamp_s(), topic.bag.clone());
+                    SourceFrame { index, time_s, path, content: Content::Message(Box::new(message)) }
+                }))
+            }
         })
     }
 }

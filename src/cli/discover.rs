@@ -5,6 +5,7 @@ use super::flow::Flow;
 use super::inputs::{encoders_of, files_read, model_of, model_or_paper, rows};
 use super::measuring::Count;
 use super::shard::Shard;
+use super::trackers::open_trackers;
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::discover::{
@@ -176,7 +177,15 @@ impl Args {
                 let Checked { rows: readings, warnings } = encoders_of(&experiment, &model)?;
                 console.warn(&warnings);
                 let views = open_views(&experiment, &model.robot)?;
-                let flow = Flow { views: &views, encoders: &readings, follow: false, shard: Shard::WHOLE, after: None };
+                let trackers = open_trackers(console, &experiment, &model.robot, &readings)?;
+                let flow = Flow {
+                    views: &views,
+                    trackers: &trackers,
+                    encoders: &readings,
+                    follow: false,
+                    shard: Shard::WHOLE,
+                    after: None,
+                };
                 let mut measurements = Vec::new();
                 flow.run(
                     console,

@@ -2,6 +2,7 @@
 
 use super::console::Console;
 use super::shard::Shard;
+use super::trackers::OpenTracker;
 use super::views::OpenView;
 use crate::camera::{Frame, FrameSource, Lens, SourceFrame};
 use crate::measure::{Eye, FrameMeasurement, fused};
@@ -30,6 +31,8 @@ pub struct Throughput {
 pub struct Flow<'a> {
     /// The views.
     pub views: &'a [OpenView],
+    /// The trackers, whose poses are measured already.
+    pub trackers: &'a [OpenTracker],
     /// The encoder log in order of its index, which tells times that the frames do not; empty where there is none.
     pub encoders: &'a [EncoderReading],
     /// Whether a camera that moves is followed from frame to frame.
@@ -81,7 +84,7 @@ impl Flow<'_> {
         let bar = console.progress(expected, "measuring");
         let (mut count, mut measured) = (0, 0_usize);
         let mut eyes: Vec<Eye> = self.views.iter().map(|view| view.eye().clone()).collect();
-        let sets = FrameSets::open(self.views)?.filter_map(|FrameSet { index, frames }| {
+        let sets = self.sets()?.filter_map(|FrameSet { index, frames }| {
             let rank = count;
             count += 1;
             let wanted = self.shard.has(rank) && self.after.is_none_or(|last| index > last);
@@ -122,10 +125,15 @@ impl Flow<'_> {
         frames.into_iter().map(prepare).collect()
     }
 
+    /// The frames of all views, and the poses of all trackers, index by index.
+    fn sets(&self) -> Result<FrameSets<'_>> {
+        FrameSets::open(self.views, self.trackers)
+    }
+
     /// How many indices there are; `None` where a video does not tell.
     fn count(&self) -> Result<Option<usize>> {
         if self.views.iter().all(|view| matches!(view.source(), FrameSource::Pictures(_))) {
-            return Ok(Some(FrameSets::open(self.views)?.count()));
+            return Ok(Some(self.sets()?.count()));
         }
         let counts: Result<Vec<_>> = self.views.iter().map(|view| view.source().count()).collect();
         Ok(counts?.into_iter().max().flatten())
@@ -154,15 +162,22 @@ impl Flow<'_> {
 
     /// The row of one index from what its views saw.
     fn row(&self, index: u64, seen: &[Seen]) -> Measurement {
-        let measurements: Vec<FrameMeasurement> = seen.iter().map(|s| s.measurement.clone()).collect();
+        let tracked: Vec<(&OpenTracker, f64, &FrameMeasurement)> =
+            self.trackers.iter().filter_map(|tracker| tracker.at(index)).collect();
+        let of_views = seen.iter().map(|s| (s.view.name(), &s.measurement));
+        let of_trackers = tracked.iter().map(|(tracker, _, measurement)| (tracker.name.as_str(), *measurement));
+        let all: Vec<(&str, &FrameMeasurement)> = of_views.chain(of_trackers).collect();
+        let measurements: Vec<FrameMeasurement> = all.iter().map(|(_, measurement)| (*measurement).clone()).collect();
         let FrameMeasurement { status, measured, quality, .. } = fused(&measurements);
-        let answered = |s: &&Seen| measured.is_none() || s.measurement.measured.is_some();
-        let names: Vec<&str> = seen.iter().filter(answered).map(|s| s.view.name()).collect();
+        let answered =
+            |(_, measurement): &&(&str, &FrameMeasurement)| measured.is_none() || measurement.measured.is_some();
+        let names: Vec<&str> = all.iter().filter(answered).map(|(name, _)| *name).collect();
         let logged = || {
             let place = self.encoders.binary_search_by_key(&index, |reading| reading.index).ok()?;
             Some(self.encoders[place].time_s)
         };
-        let time_s = seen.iter().find_map(|s| s.time_s).or_else(logged);
+        let told = seen.iter().find_map(|s| s.time_s).or_else(|| tracked.first().map(|(_, time_s, _)| *time_s));
+        let time_s = told.or_else(logged);
         Measurement { index, time_s, status, measured, quality, view: Some(names.join("+")) }
     }
 }
@@ -243,15 +258,16 @@ struct FrameSet {
     frames: Vec<(usize, SourceFrame)>,
 }
 
-/// The frames of all views, index by index.
+/// The frames of all views, index by index; also indices of which only trackers have a pose.
 struct FrameSets<'a> {
     views: Vec<Peekable<Box<dyn Iterator<Item = SourceFrame> + Send + 'a>>>,
+    trackers: Vec<Peekable<Box<dyn Iterator<Item = u64> + Send + 'a>>>,
 }
 
 impl<'a> FrameSets<'a> {
-    fn open(views: &'a [OpenView]) -> Result<Self> {
+    fn open(views: &'a [OpenView], trackers: &'a [OpenTracker]) -> Result<Self> {
         let views: Result<Vec<_>> = views.iter().map(|view| Ok(view.source().frames()?.peekable())).collect();
-        Ok(Self { views: views? })
+        Ok(Self { views: views?, trackers: trackers.iter().map(|tracker| tracker.indices().peekable()).collect() })
     }
 }
 
@@ -259,7 +275,12 @@ impl Iterator for FrameSets<'_> {
     type Item = FrameSet;
 
     fn next(&mut self) -> Option<FrameSet> {
-        let index = self.views.iter_mut().filter_map(|frames| Some(frames.peek()?.index)).min()?;
+        let of_views = self.views.iter_mut().filter_map(|frames| Some(frames.peek()?.index));
+        let of_trackers = self.trackers.iter_mut().filter_map(|indices| indices.peek().copied());
+        let index = of_views.chain(of_trackers).min()?;
+        for indices in &mut self.trackers {
+            indices.next_if_eq(&index);
+        }
         let of_this = |(view, frames): (usize, &mut Peekable<_>)| {
             Some((view, frames.next_if(|frame: &SourceFrame| frame.index == index)?))
         };

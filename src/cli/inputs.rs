@@ -5,7 +5,7 @@ use crate::Result;
 use crate::cli::failure::Failure;
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measurement};
-use crate::record::{Checked, Experiment, read_encoders, read_measurements, read_model};
+use crate::record::{Checked, EncoderLog, Experiment, read_encoders, read_joints, read_measurements, read_model};
 use crate::robot::{Effect, Model};
 use std::path::{Path, PathBuf};
 
@@ -92,9 +92,13 @@ pub fn encoders_of(experiment: &Experiment, model: &Model) -> Result<Checked<Enc
     let backbones = model.robot.backbone_count();
     let wiring = experiment.wiring(backbones)?;
     match &experiment.encoders {
-        Some(path) => {
+        Some(EncoderLog::File(path)) => {
             let Checked { rows, warnings } = read_encoders(path, backbones)?;
             Ok(Checked { rows: wiring.readings(&rows), warnings })
+        }
+        Some(EncoderLog::Joints(joints)) => {
+            let rows = read_joints(joints, &experiment.stamps_s()?, backbones)?;
+            Ok(Checked { rows: wiring.readings(&rows), warnings: Vec::new() })
         }
         None => Ok(Checked { rows: Vec::new(), warnings: Vec::new() }),
     }

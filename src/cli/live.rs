@@ -5,7 +5,7 @@ use super::estimator::EstimatorArgs;
 use super::inputs::{encoders_of, files_read, maker, model_of, rows};
 use super::verdict::{VerdictArgs, verdict_text};
 use super::views::rig_of;
-use crate::camera::{CaptureSettings, CaptureTarget, FrameSource, Lens};
+use crate::camera::{CaptureSettings, CaptureTarget, FrameSource};
 use crate::cli::failure::Failure;
 use crate::live::server::{AppState, Server};
 use crate::live::{
@@ -298,14 +298,20 @@ impl Args {
                 let target = CaptureTarget::Stream(address.clone());
                 Ok((Source::Device { target, settings }, without_secrets(address)))
             }
-            Some(pattern) => Ok(recording(Path::new(""), pattern, self.rate)?),
-            None => Ok(recording(experiment.folder(), &view.frames, self.rate)?),
+            Some(pattern) => {
+                let frames = FrameSource::open(Path::new(""), pattern)?;
+                Ok((Source::Recording { frames, rate_fps: self.rate }, pattern.clone()))
+            }
+            None => {
+                let frames = view.open_frames(experiment.folder())?;
+                Ok((Source::Recording { frames, rate_fps: self.rate }, view.frames.to_string()))
+            }
         }
     }
 
     /// The view's eye, by the rig of an earlier run where that is gone on with.
     fn open(&self, view: &record::View, robot: &Robot) -> Result<View> {
-        let lens = Lens::read(&view.camera)?;
+        let lens = view.lens()?;
         let retaken = self.output.join("rig.toml");
         let rig = if self.resume && retaken.exists() { Rig::read(&retaken)? } else { rig_of(view, &lens, robot)? };
         let (grid_pitch_mm, standoff_mm) = match view.rig {
@@ -319,11 +325,6 @@ impl Args {
         let eye = Eye::new(lens.clone(), rig, robot.clone());
         Ok(View { name: view.name.clone(), lens, robot: robot.clone(), rig_options, eye })
     }
-}
-
-fn recording(folder: &Path, pattern: &str, rate_fps: Option<f64>) -> Result<(Source, String)> {
-    let frames = FrameSource::open(folder, pattern)?;
-    Ok((Source::Recording { frames, rate_fps }, folder.join(pattern).display().to_string()))
 }
 
 /// An address without the name and password that it may carry.

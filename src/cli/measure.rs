@@ -3,6 +3,7 @@
 use super::console::Console;
 use super::inputs::{encoders_of, files_read, maker, model_of, rows};
 use super::measuring::{Count, Measured, MeasuringArgs, Summary};
+use super::trackers::open_trackers;
 use super::views::{OpenView, open_views};
 use crate::camera::Frame;
 use crate::cli::failure::Failure;
@@ -56,7 +57,8 @@ impl Args {
         if let Some(index) = self.explain {
             return Ok(self.explain(console, &experiment, &views, index)?);
         }
-        let inputs = (self.experiment.as_path(), &experiment, &views[..], &encoders[..]);
+        let trackers = open_trackers(console, &experiment, &model.robot, &encoders)?;
+        let inputs = (self.experiment.as_path(), &experiment, &views[..], &trackers[..], &encoders[..]);
         let throughput = match self.measuring.measure(console, inputs, None, &self.output, |_| Ok(()))? {
             Measured::Shard(throughput) => throughput,
             Measured::Whole(journal, throughput) => {

@@ -4,6 +4,7 @@ use super::console::Console;
 use super::flow::{Flow, MeasuredFrames, Throughput};
 use super::origin::{Done, Origin, SHARD, Settings};
 use super::shard::Shard;
+use super::trackers::OpenTracker;
 use super::views::OpenView;
 use crate::cli::failure::Failure;
 use crate::observation::EncoderReading;
@@ -58,12 +59,12 @@ impl MeasuringArgs {
     pub fn measure(
         &self,
         console: &Console,
-        inputs: (&Path, &Experiment, &[OpenView], &[EncoderReading]),
+        inputs: (&Path, &Experiment, &[OpenView], &[OpenTracker], &[EncoderReading]),
         run: Option<Settings>,
         output: &Path,
         draw: impl Fn(&MeasuredFrames) -> Result<()> + Sync,
     ) -> Result<Measured> {
-        let (named, experiment, views, encoders) = inputs;
+        let (named, experiment, views, trackers, encoders) = inputs;
         let shard = self.shard.unwrap_or(Shard::WHOLE);
         let origin = Origin::new(named, experiment, views, shard, self.follow, run)?;
         let marker = output.join(SHARD);
@@ -81,7 +82,7 @@ impl MeasuringArgs {
         if journal.rows() > 0 {
             console.say(format!("{} frames were measured before", journal.rows()));
         }
-        let flow = Flow { views, encoders, follow: self.follow, shard, after: journal.last() };
+        let flow = Flow { views, trackers, encoders, follow: self.follow, shard, after: journal.last() };
         let flowed = flow.run(console, draw, |measurement| journal.append(&measurement)).inspect_err(|_| {
             console.say(format!("{} rows are kept in {}; --resume goes on", journal.rows(), journal.path().display()));
         })?;

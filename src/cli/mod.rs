@@ -28,6 +28,7 @@ mod run;
 mod shard;
 mod simulate;
 mod table;
+mod trackers;
 mod verdict;
 mod views;
 

@@ -8,6 +8,7 @@ use super::measuring::{self, Count, Measured, MeasuringArgs};
 use super::origin::Settings;
 use super::overlays::{self, Overlays, draw, pictures};
 use super::table::largest_correction_mm;
+use super::trackers::open_trackers;
 use super::verdict::{VerdictArgs, subject, verdict_text};
 use super::views::open_views;
 use crate::cli::failure::Failure;
@@ -98,7 +99,8 @@ impl Args {
         let inputs = Inputs::read(console, &experiment)?;
         let views = open_views(&experiment, &inputs.start.robot)?;
 
-        let sources = (self.experiment.as_path(), &experiment, &views[..], &inputs.encoders[..]);
+        let trackers = open_trackers(console, &experiment, &inputs.start.robot, &inputs.encoders)?;
+        let sources = (self.experiment.as_path(), &experiment, &views[..], &trackers[..], &inputs.encoders[..]);
         let folder = self.output.join("overlays");
         if !self.measuring.resume {
             overlays::remove_former(&folder)?;
@@ -253,9 +255,12 @@ fn provenance(experiment: &Experiment) -> Vec<(String, String)> {
         ("robot".to_owned(), or_paper(&experiment.robot)),
         ("starting model".to_owned(), or_paper(&experiment.model)),
     ];
-    lines.extend(experiment.encoders.as_deref().map(|path| ("encoders".to_owned(), shown(path))));
+    lines.extend(experiment.encoders.as_ref().map(|log| ("encoders".to_owned(), shown(log.path()))));
     for view in &experiment.views {
-        lines.push((format!("view {}", view.name), format!("{} through {}", view.frames, shown(&view.camera))));
+        lines.push((format!("view {}", view.name), format!("{} through {}", view.frames, view.camera)));
+    }
+    for tracker in &experiment.trackers {
+        lines.push((format!("tracker {}", tracker.name), tracker.poses.to_string()));
     }
     lines
 }

@@ -1,6 +1,7 @@
 //! The views of an experiment, made ready to measure.
 
 use super::checksum::Checksum;
+use crate::bag::Topic;
 use crate::camera::{Frame, FrameSource, Lens, SourceFrame, read_frame};
 use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::measure::{Explanation, Eye, Rig, RigOptions, calibrate_rig};
@@ -39,10 +40,10 @@ pub fn rig_of(view: &View, lens: &Lens, robot: &Robot) -> Result<Rig> {
 
 impl OpenView {
     fn open(view: &View, experiment: &Experiment, robot: &Robot) -> Result<Self> {
-        let frames = FrameSource::open(experiment.folder(), &view.frames)?;
+        let frames = view.open_frames(experiment.folder())?;
         // First of all: a frame that is changed from here on is not the one that was refined from.
         let checksum = checksum_of(&frames)?;
-        let lens = Lens::read(&view.camera)?;
+        let lens = view.lens()?;
         let rig = rig_of(view, &lens, robot)?;
         // In order, so that sums over them are the same in every run.
         let sample = refining_frames(&frames)?.into_par_iter().filter_map(|frame| frame.read().ok());
@@ -109,7 +110,7 @@ fn checksum_of(source: &FrameSource) -> Result<String> {
                 checksum.add(&content.unwrap_or_default());
             }
         }
-        FrameSource::Video(path) => {
+        FrameSource::Video(path) | FrameSource::Topic(Topic { bag: path, .. }) => {
             let length = fs::metadata(path).map_err(Error::io(path, "read"))?.len();
             checksum.add(&length.to_le_bytes());
         }

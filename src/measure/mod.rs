@@ -10,6 +10,8 @@
 //! 4. `target`: the grid's lines and its pose.
 //! 5. `rig`: where camera, target and base are, and whether they stay there.
 //!
+//! Poses of a tracker take the place of pictures: [`measure_poses`].
+//!
 //! Frames of bent snakes tell more about the rig than the straight picture does: [`Eye::refined`].
 
 mod body;
@@ -25,6 +27,7 @@ mod sequence;
 mod several;
 mod straight;
 mod target;
+mod tracker;
 
 pub use body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 pub use explain::{Explanation, SearchedPoint, WeightedEdge};
@@ -36,3 +39,4 @@ pub use rig::{CalibrationStep, Rig, RigError, RigOptions, SnakePart};
 pub use several::fused;
 pub use straight::calibrate_rig;
 pub use target::{GridPattern, PatternKind};
+pub use tracker::{TrackedPoses, TrackerError, TrackerOptions, measure_poses};

@@ -1,5 +1,7 @@
 //! experiment.toml: what belongs to one experiment and where it lies.
 
+use super::source::{EncoderLog, Source};
+use crate::camera::{FrameSource, Lens};
 use crate::error::{Error, Result};
 use crate::input::read_text;
 use crate::observation::Wiring;
@@ -17,11 +19,13 @@ pub struct Experiment {
     /// The model to start from (a model.toml); the paper's where absent.
     pub model: Option<PathBuf>,
     /// The encoder log; measuring alone needs none.
-    pub encoders: Option<PathBuf>,
+    pub encoders: Option<EncoderLog>,
     /// How the log's columns hold the readings; as they are named where absent.
     pub wiring: WiringKeys,
-    /// The cameras, at least one.
+    /// The cameras.
     pub views: Vec<View>,
+    /// The trackers; there is at least one view or tracker.
+    pub trackers: Vec<Tracker>,
 }
 
 /// `[wiring]` of an experiment.toml: what it leaves out is as it stands in the log.
@@ -40,14 +44,27 @@ pub struct WiringKeys {
 pub struct View {
     /// Its name, unique in the experiment: letters, digits, `-` and `_`.
     pub name: String,
-    /// The camera file.
-    pub camera: PathBuf,
-    /// The frames: a glob, a numbered pattern or a video, relative to the experiment's folder.
-    pub frames: String,
+    /// The camera file, or a topic of `CameraInfo`.
+    pub camera: Source<PathBuf>,
+    /// The frames: a glob, a numbered pattern or a video, relative to the experiment's folder; or a topic of pictures.
+    pub frames: Source<String>,
     /// Where grid and base are, or the picture that tells.
     pub rig: RigSource,
     /// Azimuth in {b} of the direction that points to this view's image right, degrees.
     pub delta_offset_deg: f64,
+}
+
+/// A tracker's part of an experiment: poses of a sensor on the snake's tip, in place of pictures or beside them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tracker {
+    /// Its name, unique among views and trackers.
+    pub name: String,
+    /// The file with the poses, or a topic of them.
+    pub poses: Source<PathBuf>,
+    /// Index of a pose in which the snake is unbent.
+    pub straight: u64,
+    /// Azimuth in {b} of the tracker's x axis, degrees; the encoders tell where absent.
+    pub delta_offset_deg: Option<f64>,
 }
 
 /// Where a view's rig comes from.
@@ -72,18 +89,30 @@ pub enum RigSource {
 struct ExperimentFile {
     robot: Option<PathBuf>,
     model: Option<PathBuf>,
-    encoders: Option<PathBuf>,
+    encoders: Option<EncoderLog>,
     #[serde(default)]
     wiring: WiringKeys,
+    #[serde(default)]
     view: Vec<toml::Spanned<ViewTable>>,
+    #[serde(default)]
+    tracker: Vec<toml::Spanned<TrackerTable>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TrackerTable {
+    name: String,
+    poses: Source<PathBuf>,
+    straight: u64,
+    delta_offset_deg: Option<f64>,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ViewTable {
     name: String,
-    camera: PathBuf,
-    frames: String,
+    camera: Source<PathBuf>,
+    frames: Source<String>,
     rig: Option<PathBuf>,
     straight: Option<PathBuf>,
     grid_pitch_mm: Option<f64>,
@@ -136,15 +165,22 @@ impl Experiment {
     /// The files that it names, itself among them; the frames are told apart ([`frames`](Self::frames)).
     pub fn files(&self) -> Vec<PathBuf> {
         let of_views = self.views.iter().flat_map(|view| match &view.rig {
-            RigSource::File(path) | RigSource::Straight { picture: path, .. } => [view.camera.clone(), path.clone()],
+            RigSource::File(path) | RigSource::Straight { picture: path, .. } => {
+                [view.camera.path().to_owned(), path.clone()]
+            }
         });
-        let named = [&self.robot, &self.model, &self.encoders].into_iter().flatten().cloned();
-        std::iter::once(self.path.clone()).chain(named).chain(of_views).collect()
+        let log = self.encoders.iter().map(|log| log.path().to_owned());
+        let named = [&self.robot, &self.model].into_iter().flatten().cloned().chain(log);
+        let of_trackers = self.trackers.iter().map(|tracker| tracker.poses.path().to_owned());
+        std::iter::once(self.path.clone()).chain(named).chain(of_views).chain(of_trackers).collect()
     }
 
-    /// The frames of each view: a video, or a pattern of file names.
+    /// The frames of each view: a video, a recording, or a pattern of file names.
     pub fn frames(&self) -> impl Iterator<Item = PathBuf> {
-        self.views.iter().map(|view| self.folder().join(&view.frames))
+        self.views.iter().map(|view| match &view.frames {
+            Source::Files(pattern) => self.folder().join(pattern),
+            Source::Topic(topic) => topic.bag.clone(),
+        })
     }
 
     fn parse(path: &Path, text: &str) -> Result<Self> {
@@ -158,39 +194,75 @@ impl Experiment {
         let mut names = HashSet::new();
         for table in file.view {
             let line = line_at(text, table.span().start);
-            let view = View::from_table(table.into_inner(), &here).map_err(|why| Error::at_line(path, line, why))?;
+            let view = View::from_table(table.into_inner(), folder).map_err(|why| Error::at_line(path, line, why))?;
             if !names.insert(view.name.clone()) {
                 return Err(Error::at_line(path, line, format!("two views are called {:?}; rename one", view.name)));
             }
             views.push(view);
         }
-        if views.is_empty() {
-            return Err(Error::content(path, "no [[view]]; an experiment needs one at least"));
+        let mut trackers = Vec::new();
+        for table in file.tracker {
+            let line = line_at(text, table.span().start);
+            let tracker =
+                Tracker::from_table(table.into_inner(), folder).map_err(|why| Error::at_line(path, line, why))?;
+            if !names.insert(tracker.name.clone()) {
+                let message = format!("another view or tracker is called {:?}; rename one", tracker.name);
+                return Err(Error::at_line(path, line, message));
+            }
+            trackers.push(tracker);
+        }
+        if views.is_empty() && trackers.is_empty() {
+            return Err(Error::content(path, "no [[view]] and no [[tracker]]; an experiment needs one at least"));
         }
         Ok(Self {
             path: path.to_owned(),
             robot: file.robot.map(here),
             model: file.model.map(here),
-            encoders: file.encoders.map(here),
+            encoders: file.encoders.map(|log| log.within(folder)),
             wiring: file.wiring,
             views,
+            trackers,
         })
     }
 }
 
 impl View {
-    fn from_table(table: ViewTable, here: &impl Fn(PathBuf) -> PathBuf) -> std::result::Result<Self, String> {
+    /// The view's frames; `folder` is the experiment's.
+    ///
+    /// # Errors
+    /// As [`FrameSource::open`] and [`FrameSource::of_topic`].
+    pub fn open_frames(&self, folder: &Path) -> Result<FrameSource> {
+        match &self.frames {
+            Source::Files(pattern) => FrameSource::open(folder, pattern),
+            Source::Topic(topic) => FrameSource::of_topic(topic.clone()),
+        }
+    }
+
+    /// The view's lens.
+    ///
+    /// # Errors
+    /// As [`Lens::read`] and [`Lens::of_topic`].
+    pub fn lens(&self) -> Result<Lens> {
+        match &self.camera {
+            Source::Files(path) => Lens::read(path),
+            Source::Topic(topic) => Lens::of_topic(topic),
+        }
+    }
+
+    fn from_table(table: ViewTable, folder: &Path) -> std::result::Result<Self, String> {
         let ViewTable { name, camera, frames, rig, straight, grid_pitch_mm, standoff_mm, delta_offset_deg } = table;
-        if name.is_empty() || !name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_') {
-            return Err(format!("name = {name:?}, expected letters, digits, - and _"));
-        }
-        if frames.is_empty() {
-            return Err(format!("view {name:?}: frames is empty, expected a pattern such as \"frames/*.png\""));
-        }
+        check_name(&name)?;
+        let frames = match frames {
+            Source::Files(pattern) if pattern.is_empty() => {
+                return Err(format!("view {name:?}: frames is empty, expected a pattern such as \"frames/*.png\""));
+            }
+            Source::Files(pattern) => Source::Files(pattern),
+            Source::Topic(topic) => Source::Topic(topic.within(folder)),
+        };
         let rig = match (rig, straight) {
-            (Some(file), None) => RigSource::File(here(file)),
+            (Some(file), None) => RigSource::File(folder.join(file)),
             (None, Some(picture)) => RigSource::Straight {
-                picture: here(picture),
+                picture: folder.join(picture),
                 grid_pitch_mm: length(&name, "grid_pitch_mm", grid_pitch_mm, 0.05, 100.0)?,
                 standoff_mm: length(&name, "standoff_mm", standoff_mm, 0.0, 1000.0)?,
             },
@@ -202,11 +274,32 @@ impl View {
                 ));
             }
         };
-        if delta_offset_deg.is_nan() || delta_offset_deg.abs() > 360.0 {
-            return Err(format!("view {name:?}: delta_offset_deg = {delta_offset_deg}, expected −360 to 360"));
-        }
-        Ok(Self { name, camera: here(camera), frames, rig, delta_offset_deg })
+        check_azimuth(&name, delta_offset_deg)?;
+        Ok(Self { name, camera: camera.within(folder), frames, rig, delta_offset_deg })
     }
+}
+
+impl Tracker {
+    fn from_table(table: TrackerTable, folder: &Path) -> std::result::Result<Self, String> {
+        let TrackerTable { name, poses, straight, delta_offset_deg } = table;
+        check_name(&name)?;
+        delta_offset_deg.map_or(Ok(()), |azimuth| check_azimuth(&name, azimuth))?;
+        Ok(Self { name, poses: poses.within(folder), straight, delta_offset_deg })
+    }
+}
+
+fn check_name(name: &str) -> std::result::Result<(), String> {
+    if name.is_empty() || !name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_') {
+        return Err(format!("name = {name:?}, expected letters, digits, - and _"));
+    }
+    Ok(())
+}
+
+fn check_azimuth(name: &str, delta_offset_deg: f64) -> std::result::Result<(), String> {
+    if delta_offset_deg.is_nan() || delta_offset_deg.abs() > 360.0 {
+        return Err(format!("{name:?}: delta_offset_deg = {delta_offset_deg}, expected −360 to 360"));
+    }
+    Ok(())
 }
 
 /// A length that `straight` needs, within what a laboratory can have.
@@ -232,6 +325,7 @@ pub(crate) fn line_at(text: &str, byte: usize) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bag::Topic;
     use proptest::prelude::*;
 
     const GOOD: &str = r#"encoders = "encoders.csv"
@@ -252,10 +346,10 @@ standoff_mm = 25
     #[test]
     fn paths_are_relative_to_the_file() {
         let experiment = parse(GOOD).unwrap();
-        assert_eq!(experiment.encoders, Some(PathBuf::from("lab/encoders.csv")));
+        assert_eq!(experiment.encoders, Some(EncoderLog::File(PathBuf::from("lab/encoders.csv"))));
         assert_eq!(experiment.folder(), Path::new("lab"));
         let [view] = &experiment.views[..] else { panic!("one view") };
-        assert_eq!((view.name.as_str(), view.frames.as_str()), ("side", "frames/*.jpg"));
+        assert_eq!((view.name.as_str(), view.frames.to_string().as_str()), ("side", "frames/*.jpg"));
         assert_eq!(view.delta_offset_deg, 0.0);
         let picture = PathBuf::from("lab/straight.jpg");
         assert_eq!(view.rig, RigSource::Straight { picture, grid_pitch_mm: 1.0, standoff_mm: 25.0 });
@@ -275,6 +369,41 @@ standoff_mm = 25
             assert!(message.contains("lab/experiment.toml: [wiring]"), "{message}");
         }
         assert!(with("sign = [1, 1, 1]").unwrap_err().to_string().contains("unknown field `sign`"));
+    }
+
+    #[test]
+    fn frames_camera_and_encoders_may_be_topics_of_a_recording() {
+        let text = GOOD
+            .replace("\"frames/*.jpg\"", "{ bag = \"run.mcap\", topic = \"/image\" }")
+            .replace("\"camera.yaml\"", "{ bag = \"run.mcap\", topic = \"/info\" }")
+            .replace(
+                "\"encoders.csv\"",
+                "{ bag = \"run.mcap\", topic = \"/joints\", joints = [\"b1\"], mm_per_unit = 1e3 }",
+            );
+        let experiment = parse(&text).unwrap();
+        let topic = |name: &str| Topic { bag: PathBuf::from("lab/run.mcap"), topic: name.to_owned() };
+        let [view] = &experiment.views[..] else { panic!("one view") };
+        assert_eq!((&view.frames, &view.camera), (&Source::Topic(topic("/image")), &Source::Topic(topic("/info"))));
+        let Some(EncoderLog::Joints(joints)) = &experiment.encoders else { panic!("{:?}", experiment.encoders) };
+        assert_eq!((joints.topic(), joints.mm_per_unit), (topic("/joints"), 1e3));
+        assert!(experiment.files().contains(&PathBuf::from("lab/run.mcap")));
+        let wrong = parse(&text.replace("topic = \"/image\"", "topics = 1")).unwrap_err().to_string();
+        assert!(wrong.contains(":6: expected a file, or a table such as"), "{wrong}");
+    }
+
+    #[test]
+    fn a_tracker_stands_beside_a_view_or_alone() {
+        let tracker = "[[tracker]]\nname = \"em\"\nposes = \"tip.csv\"\nstraight = 3\n";
+        let alone = parse(&format!("encoders = \"e.csv\"\n{tracker}")).unwrap();
+        let poses = PathBuf::from("lab/tip.csv");
+        assert!(alone.files().contains(&poses));
+        let expected = Tracker { name: "em".into(), poses: Source::Files(poses), straight: 3, delta_offset_deg: None };
+        assert_eq!((alone.views.len(), alone.trackers), (0, vec![expected]));
+        assert_eq!(parse(&format!("{GOOD}{tracker}")).unwrap().trackers.len(), 1);
+        let same_name = parse(&format!("{GOOD}{}", tracker.replace("em", "side"))).unwrap_err().to_string();
+        assert!(same_name.contains(":10: another view or tracker is called \"side\""), "{same_name}");
+        let without = parse(&tracker.replace("straight = 3\n", "")).unwrap_err().to_string();
+        assert!(without.contains("missing field `straight`"), "{without}");
     }
 
     #[test]
@@ -306,7 +435,7 @@ standoff_mm = 25
         }
         let twice = format!("{GOOD}{}", &GOOD[GOOD.find("[[").unwrap()..]);
         assert!(parse(&twice).unwrap_err().to_string().contains(":10: two views are called \"side\""));
-        assert!(parse("encoders = \"e.csv\"").unwrap_err().to_string().contains("missing field `view`"));
+        assert!(parse("encoders = \"e.csv\"").unwrap_err().to_string().contains("no [[view]] and no [[tracker]]"));
     }
 
     proptest! {

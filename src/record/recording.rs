@@ -9,16 +9,16 @@
 //! that messages come in order of time and memory does not grow with the rows.
 
 mod camera;
-mod mcap;
+mod recorder;
 mod table;
 #[cfg(test)]
 mod tests;
 
-use super::Experiment;
 use super::table::Warning;
+use super::{EncoderLog, Experiment};
 use crate::error::{Error, Result};
 use camera::Camera;
-use mcap::Recorder;
+use recorder::Recorder;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -89,6 +89,10 @@ pub fn write_recording(path: &Path, folder: &Path, experiment: Option<&Experimen
 fn place(name: &str, folder: &Path, experiment: Option<&Experiment>) -> Option<PathBuf> {
     let plural = if name == "measurement" { "measurements" } else { name };
     let path = folder.join(format!("{plural}.csv"));
-    let elsewhere = || experiment.and_then(|experiment| experiment.encoders.clone()).filter(|_| name == "encoders");
+    let log = || match experiment?.encoders.as_ref()? {
+        EncoderLog::File(path) => Some(path.clone()),
+        EncoderLog::Joints(_) => None,
+    };
+    let elsewhere = || log().filter(|_| name == "encoders");
     if name == "measurement" || path.exists() { Some(path) } else { elsewhere() }
 }

@@ -108,8 +108,8 @@ fn rig_json(scene: &Scene) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::{FrameSource, Lens, read_frame};
-    use crate::record::{Experiment, read_truth};
+    use crate::camera::read_frame;
+    use crate::record::{EncoderLog, Experiment, read_truth};
     use crate::simulate::scene::Pattern;
     use nalgebra::{Point2, Vector2};
     use std::sync::atomic::{AtomicUsize, Ordering};
@@ -139,11 +139,10 @@ mod tests {
 
             assert_eq!(drawn.into_inner(), 3);
             let experiment = Experiment::read(folder).unwrap();
-            assert_eq!(experiment.encoders, Some(folder.join("encoders.csv")));
+            assert_eq!(experiment.encoders.as_ref().map(EncoderLog::path), Some(&*folder.join("encoders.csv")));
             let view = &experiment.views[0];
-            assert_eq!(Lens::read(&view.camera).unwrap(), scene.lens);
-            let frames: Vec<u64> =
-                FrameSource::open(folder, &view.frames).unwrap().frames().unwrap().map(|f| f.index).collect();
+            assert_eq!(view.lens().unwrap(), scene.lens);
+            let frames: Vec<u64> = view.open_frames(folder).unwrap().frames().unwrap().map(|f| f.index).collect();
             assert_eq!(frames, [3, 4, 11]);
             let back = read_truth(&folder.join("truth.csv")).unwrap();
             assert_eq!(back.rows.iter().map(|row| row.index).collect::<Vec<_>>(), [3, 4, 11]);

@@ -1,6 +1,6 @@
 //! The frames of a view, each a message beside its measurement.
 
-use super::mcap::Recorder;
+use super::recorder::Recorder;
 use crate::camera::FrameSource;
 use crate::error::{Error, Result};
 use crate::input::{PICTURE_BYTES, read_bytes};
@@ -41,11 +41,12 @@ struct Timestamp {
 impl<'a> Camera<'a> {
     /// A view's frames; in words, why there are none.
     pub fn open(view: &'a View, folder: &Path, recorder: &mut Recorder) -> Result<std::result::Result<Self, String>> {
-        let files = match FrameSource::open(folder, &view.frames) {
+        let files = match view.open_frames(folder) {
             Ok(FrameSource::Pictures(files)) => files,
             Ok(FrameSource::Video(_)) | Err(Error::NoOpenCv { .. }) => {
                 return Ok(Err("its frames are a video".to_owned()));
             }
+            Ok(FrameSource::Topic(topic)) => return Ok(Err(format!("its frames are in a recording already, {topic}"))),
             Err(error) => return Ok(Err(error.to_string())),
         };
         let files = files.into_iter().peekable();

@@ -1,6 +1,6 @@
 //! A table of a run, gone through row by row, each row a message.
 
-use super::mcap::Recorder;
+use super::recorder::Recorder;
 use crate::error::{Error, Result};
 use crate::input::{LINE_BYTES, read_line};
 use crate::record::columns::fields_of;

@@ -1,0 +1,14 @@
+# The program without OpenCV: measures pictures, learns, compensates, discovers.
+#
+#   docker build --tag snakeloop .
+#   docker run --rm --volume "$PWD/fixtures/bending:/experiment:ro" --volume "$PWD/out:/out" snakeloop run /experiment -o /out
+
+FROM rust:1-slim-bookworm AS build
+WORKDIR /snakeloop
+COPY . .
+RUN cargo build --release --locked --no-default-features --features cli
+
+FROM debian:bookworm-slim
+COPY --from=build /snakeloop/target/release/snakeloop /usr/local/bin/
+ENTRYPOINT ["snakeloop"]
+CMD ["--help"]

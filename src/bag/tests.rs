@@ -1,0 +1,103 @@
+use super::messages::{CameraInfo, JointState, StampedPose};
+use super::*;
+use std::fs;
+use std::io::Cursor;
+
+/// Written by the Python package rosbags: tests/golden/ros2.py.
+const GOLDEN: &str = "tests/golden/ros2.mcap";
+
+fn topic(bag: &Path, topic: &str) -> Topic {
+    Topic { bag: bag.to_owned(), topic: topic.to_owned() }
+}
+
+#[test]
+fn messages_of_another_program_are_read_with_their_times() {
+    let states: Vec<JointState> = topic(Path::new(GOLDEN), "/joint_states").all().unwrap();
+    assert_eq!(
+        states.iter().map(|state| state.stamp_s - 1.7e9).map(|s| (10.0 * s).round()).collect::<Vec<_>>(),
+        [0.0, 2.0, 4.0, 6.0]
+    );
+    assert_eq!(states[2].names, ["b3", "b1", "b2", "grip"]);
+    assert_eq!(states[1].positions, [0.003, 0.001, 0.002, 9.0]);
+    let info: CameraInfo = topic(Path::new(GOLDEN), "/camera/camera_info").first().unwrap();
+    assert_eq!((info.width, info.height, info.distortion_model.as_str()), (640, 480, "plumb_bob"));
+    assert_eq!((info.matrix[0], info.matrix[5], info.distortion[4]), (900.0, 240.5, 0.03));
+    for name in ["/tip/pose", "/tip/transform"] {
+        let pose: StampedPose = topic(Path::new(GOLDEN), name).first().unwrap();
+        assert_eq!(pose.position_m.as_slice(), [0.1, -0.2, 0.3]);
+        assert_eq!((pose.orientation.w, pose.orientation.j), (0.8, 0.6));
+    }
+}
+
+/// The golden file's messages in chunks of another compression.
+fn rewritten(compression: Option<mcap::Compression>) -> Vec<u8> {
+    let mut file = Cursor::new(Vec::new());
+    let options = mcap::WriteOptions::new().compression(compression).chunk_size(Some(1000));
+    let mut writer = options.create(&mut file).unwrap();
+    for message in mcap::MessageStream::new(&fs::read(GOLDEN).unwrap()).unwrap() {
+        writer.write(&message.unwrap()).unwrap();
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    file.into_inner()
+}
+
+#[test]
+fn chunks_may_be_compressed_and_a_file_may_end_anywhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let expected: Vec<JointState> = topic(Path::new(GOLDEN), "/joint_states").all().unwrap();
+    for compression in [None, Some(mcap::Compression::Zstd), Some(mcap::Compression::Lz4)] {
+        let whole = rewritten(compression);
+        fs::write(&path, &whole).unwrap();
+        let joints = topic(&path, "/joint_states");
+        assert_eq!(joints.all::<JointState>().unwrap(), expected, "{compression:?}");
+        let mut counts = Vec::new();
+        for kept in (0..whole.len()).step_by(97) {
+            fs::write(&path, &whole[..kept]).unwrap();
+            let read: Vec<Message> = joints.messages().unwrap().map_while(Result::ok).collect();
+            let states: Vec<JointState> = read.iter().map(|message| message.decoded().unwrap()).collect();
+            assert_eq!(states, expected[..states.len()], "{kept} bytes");
+            counts.push(states.len());
+        }
+        assert!(counts.is_sorted() && counts.last() == Some(&4), "{counts:?}");
+    }
+}
+
+#[test]
+fn what_is_not_there_is_named_with_what_is() {
+    let golden = Path::new(GOLDEN);
+    let said = |found: Result<JointState>| found.unwrap_err().to_string();
+    let missing = said(topic(golden, "/joints").first());
+    assert!(missing.contains("ros2.mcap: topic /joints: no message; the recording has "), "{missing}");
+    assert!(missing.contains("/joint_states (sensor_msgs/msg/JointState)"), "{missing}");
+    let other = said(topic(golden, "/tip/pose").first());
+    assert!(other.contains("messages of type geometry_msgs/PoseStamped, expected sensor_msgs/JointState"), "{other}");
+    assert!(said(topic(Path::new("nowhere.mcap"), "/a").first()).contains("nowhere.mcap: cannot read"));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    fs::write(&path, "this is no recording at all, and long enough").unwrap();
+    assert!(said(topic(&path, "/a").first()).contains("no readable recording (MCAP)"));
+    let mut writer = mcap::Writer::new(fs::File::create(&path).unwrap()).unwrap();
+    let channel = writer.add_channel(0, "/a", "json", &BTreeMap::new()).unwrap();
+    let header = mcap::records::MessageHeader { channel_id: channel, sequence: 0, log_time: 0, publish_time: 0 };
+    writer.write_to_known_channel(&header, b"{}").unwrap();
+    writer.finish().unwrap();
+    assert!(said(topic(&path, "/a").first()).contains("expected cdr"));
+}
+
+#[test]
+fn cut_messages_are_errors_and_no_panic() {
+    for name in ["/joint_states", "/camera/camera_info", "/tip/transform"] {
+        let message = topic(Path::new(GOLDEN), name).messages().unwrap().next().unwrap().unwrap();
+        for kept in 0..message.cdr.len() {
+            let cut = Message { cdr: message.cdr[..kept].to_vec(), ..message.clone() };
+            let (states, infos, poses) =
+                (cut.decoded::<JointState>(), cut.decoded::<CameraInfo>(), cut.decoded::<StampedPose>());
+            // Of a CameraInfo more follows than is read, of a JointState the velocities.
+            assert!(states.is_ok() || infos.is_ok() || poses.is_err(), "{name} {kept}");
+        }
+        let claims = [&message.cdr[..4], &[0xff; 40]].concat();
+        assert!(Message { cdr: claims, ..message.clone() }.decoded::<JointState>().is_err());
+    }
+}

@@ -1,0 +1,60 @@
+//! The trackers of an experiment, measured: their poses take part like a view's frames.
+
+use super::console::Console;
+use super::inputs::rows;
+use crate::measure::{FrameMeasurement, TrackedPoses, TrackerOptions, measure_poses};
+use crate::observation::EncoderReading;
+use crate::record::{Experiment, Source, Tracker, read_tracker_poses, tracker_poses_of};
+use crate::robot::Robot;
+use crate::{Error, Result};
+
+/// A tracker whose poses are measured.
+pub struct OpenTracker {
+    /// The tracker's name.
+    pub name: String,
+    /// For each pose its index, time in s, and measurement; in order of the index.
+    pub measurements: Vec<(u64, f64, FrameMeasurement)>,
+}
+
+impl OpenTracker {
+    /// The indices of its poses, in order.
+    pub fn indices(&self) -> Box<dyn Iterator<Item = u64> + Send + '_> {
+        Box::new(self.measurements.iter().map(|(index, _, _)| *index))
+    }
+
+    /// Its pose of an index: the tracker, the time in s and the measurement.
+    pub fn at(&self, index: u64) -> Option<(&Self, f64, &FrameMeasurement)> {
+        let place = self.measurements.binary_search_by_key(&index, |(index, _, _)| *index).ok()?;
+        let (_, time_s, measurement) = &self.measurements[place];
+        Some((self, *time_s, measurement))
+    }
+}
+
+/// Reads and measures the poses of every tracker, and says what came of it.
+///
+/// # Errors
+/// A file that cannot be read, poses that cannot be registered.
+pub fn open_trackers(
+    console: &Console,
+    experiment: &Experiment,
+    robot: &Robot,
+    encoders: &[EncoderReading],
+) -> Result<Vec<OpenTracker>> {
+    experiment.trackers.iter().map(|tracker| open(console, tracker, robot, encoders)).collect()
+}
+
+fn open(console: &Console, tracker: &Tracker, robot: &Robot, encoders: &[EncoderReading]) -> Result<OpenTracker> {
+    let Tracker { name, poses: source, straight, delta_offset_deg } = tracker;
+    let poses = match source {
+        Source::Files(path) => rows(console, read_tracker_poses(path)?),
+        Source::Topic(topic) => tracker_poses_of(topic)?,
+    };
+    let options = TrackerOptions { straight: *straight, delta_offset: delta_offset_deg.map(f64::to_radians) };
+    let tracked = measure_poses(&poses, encoders, robot, &options);
+    let TrackedPoses { measurements, remarks } =
+        tracked.map_err(|why| Error::content(source.path(), why.to_string()))?;
+    for remark in remarks {
+        console.say(format!("tracker {name}: {remark}"));
+    }
+    Ok(OpenTracker { name: name.clone(), measurements })
+}

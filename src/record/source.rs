@@ -1,0 +1,103 @@
+//! Where the parts of an experiment come from: files, or topics of a ROS 2 recording.
+
+use crate::bag::Topic;
+use serde::Deserialize;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Files, or a topic of a ROS 2 recording.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected a file, or a table such as { bag = \"run.mcap\", topic = \"/camera/image_raw\" }"
+)]
+pub enum Source<F> {
+    /// Files.
+    Files(F),
+    /// A topic.
+    Topic(Topic),
+}
+
+/// Where encoder readings come from.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected a file, or a table such as { bag = \"run.mcap\", topic = \"/joint_states\", joints = [\"b1\", \"b2\", \"b3\"], mm_per_unit = 1000.0 }"
+)]
+pub enum EncoderLog {
+    /// An encoders.csv.
+    File(PathBuf),
+    /// A topic of `JointState`.
+    Joints(JointTopic),
+}
+
+/// A topic of `JointState`, read at the times of frames or poses.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JointTopic {
+    bag: PathBuf,
+    topic: String,
+    /// The joint of each backbone.
+    pub joints: Vec<String>,
+    /// What one unit of a joint's position is, mm.
+    pub mm_per_unit: f64,
+}
+
+impl JointTopic {
+    /// The topic.
+    pub fn topic(&self) -> Topic {
+        Topic { bag: self.bag.clone(), topic: self.topic.clone() }
+    }
+}
+
+impl Source<PathBuf> {
+    /// The file that is read.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Files(path) => path,
+            Self::Topic(topic) => &topic.bag,
+        }
+    }
+
+    pub(super) fn within(self, folder: &Path) -> Self {
+        match self {
+            Self::Files(path) => Self::Files(folder.join(path)),
+            Self::Topic(topic) => Self::Topic(topic.within(folder)),
+        }
+    }
+}
+
+impl fmt::Display for Source<PathBuf> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Files(path) => path.display().fmt(f),
+            Self::Topic(topic) => topic.fmt(f),
+        }
+    }
+}
+
+impl fmt::Display for Source<String> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Files(pattern) => pattern.fmt(f),
+            Self::Topic(topic) => topic.fmt(f),
+        }
+    }
+}
+
+impl EncoderLog {
+    /// The file that is read.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::File(path) => path,
+            Self::Joints(joints) => &joints.bag,
+        }
+    }
+
+    pub(super) fn within(self, folder: &Path) -> Self {
+        match self {
+            Self::File(path) => Self::File(folder.join(path)),
+            Self::Joints(joints) => Self::Joints(JointTopic { bag: folder.join(&joints.bag), ..joints }),
+        }
+    }
+}
