@@ -145,11 +145,11 @@ impl<'a> RawImage<'a> {
             for x in 0..self.width {
                 let (mut sums, mut counts) = ([0u32; 3], [0u32; 3]);
                 let own = colour(x, y, red_column, red_row);
-                for v in y.saturating_sub(1)..(y + 2).min(self.height) {
-                    for u in x.saturating_sub(1)..(x + 2).min(self.width) {
+                for (v, row) in rows.iter().enumerate().take(y + 2).skip(y.saturating_sub(1)) {
+                    for (u, &level) in row.iter().enumerate().take(x + 2).skip(x.saturating_sub(1)) {
                         let of = colour(u, v, red_column, red_row);
                         if of != own || (u, v) == (x, y) {
-                            sums[of] += u32::from(rows[v][u]);
+                            sums[of] += u32::from(level);
                             counts[of] += 1;
                         }
                     }
