@@ -1,10 +1,12 @@
-//! Ratios and scaling of one run: `run` beside decoding alone, measuring beside reading the pixels, time and memory over the number of
-//! frames. `tools/bench` calls it and says how busy the machine was.
+//! Ratios and scaling of one run: measuring beside decoding, `run` beside decoding alone, time and memory over the number of frames.
+//! `tools/bench` calls it and says how busy the machine was.
 //!
-//! `BENCH_FRAMES="100 1000" cargo bench --no-default-features --features cli --bench end_to_end`
+//! `BENCH_FRAMES="100 1000" cargo bench --no-default-features --features cli --bench end_to_end`; `BENCH_JSON=FILE` writes the figures,
+//! `BENCH_AGAINST=FILE` prints them beside those of another run.
 
 use nalgebra::Matrix2;
 use rayon::prelude::*;
+use rustix::time::{ClockId, clock_gettime};
 use snakeloop::camera::{Frame, Lens, Samples, read_frame};
 use snakeloop::estimate::{Estimator, Options};
 use snakeloop::geometry::Configuration;
@@ -13,6 +15,7 @@ use snakeloop::observation::EncoderReading;
 use snakeloop::record::{encoders_csv, read_encoders, read_measurements};
 use snakeloop::robot::table::{Grid, compensation_table};
 use snakeloop::robot::{Estimate, Model};
+use std::collections::BTreeMap;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -49,21 +52,108 @@ fn show(what: &str, seconds: f64, asked: &str) {
     println!("{what:<44} {value:>12}  {asked}");
 }
 
-fn steps(frame: &Path) {
+/// Seconds of CPU that this thread has had.
+fn thread_cpu_s() -> f64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+}
+
+/// How often the steps of a frame are timed, each time one after the other, so that whatever else the machine does meets all of them alike.
+const REPETITIONS: usize = 41;
+
+/// The median of some times and the quartiles beside it, ms.
+#[derive(Clone, Copy)]
+struct Timed {
+    quartile_ms: f64,
+    median_ms: f64,
+    upper_quartile_ms: f64,
+}
+
+impl Timed {
+    fn of(mut seconds: Vec<f64>) -> Self {
+        seconds.sort_by(f64::total_cmp);
+        let at = |share: f64| 1e3 * seconds[(share * (seconds.len() - 1) as f64) as usize];
+        Self { quartile_ms: at(0.25), median_ms: at(0.5), upper_quartile_ms: at(0.75) }
+    }
+}
+
+/// The figures of one run of the benchmark by their names.
+type Figures = BTreeMap<String, f64>;
+
+/// A step's name, whether its CPU time is told, and the step.
+type Step<'a> = (&'static str, bool, Box<dyn FnMut() + Send + 'a>);
+
+/// The steps of a frame beside what reading and decoding it costs. What one thread computes is told in CPU time, what all of them do
+/// together in time on the clock.
+fn frame_steps(eye: &Eye, path: &Path, figures: &mut Figures) {
+    let bytes = std::fs::read(path).unwrap();
+    let frame: Frame = read_frame(path).unwrap();
+    let last = eye.measure(&frame).bend.unwrap().vector * 0.97;
+    let Samples::Bits8(samples) = &frame.samples else { unreachable!("the bundled frames have 8 bits") };
+    let mut copy = vec![0_u8; samples.len()];
+    let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+
+    let mut steps: Vec<Step> = vec![
+        (
+            "byte_sum_ms",
+            true,
+            Box::new(|| {
+                black_box(black_box(samples).iter().map(|&v| u32::from(v)).sum::<u32>());
+            }),
+        ),
+        ("memcpy_ms", true, Box::new(|| black_box(&mut copy).copy_from_slice(black_box(samples)))),
+        (
+            "decode_jpeg_ms",
+            true,
+            Box::new(|| {
+                black_box(image::load_from_memory(black_box(&bytes)).unwrap());
+            }),
+        ),
+        ("measure_cpu_ms", true, Box::new(|| drop(black_box(eye.measure(&frame))))),
+        ("track_cpu_ms", true, Box::new(|| drop(black_box(eye.track(&frame, last))))),
+        ("measure_wall_ms", false, Box::new(|| drop(black_box(eye.measure(&frame))))),
+        ("track_wall_ms", false, Box::new(|| drop(black_box(eye.track(&frame, last))))),
+    ];
+    let mut times = vec![Vec::new(); steps.len()];
+    for _ in 0..REPETITIONS {
+        for ((_, by_cpu, step), times) in steps.iter_mut().zip(&mut times) {
+            times.push(if *by_cpu {
+                alone.install(|| {
+                    let before = thread_cpu_s();
+                    step();
+                    thread_cpu_s() - before
+                })
+            } else {
+                let started = Instant::now();
+                step();
+                started.elapsed().as_secs_f64()
+            });
+        }
+    }
+    let timed: Vec<(&str, Timed)> =
+        steps.iter().map(|(name, ..)| *name).zip(times.into_iter().map(Timed::of)).collect();
+    let of = |wanted: &str| timed.iter().find(|(name, _)| *name == wanted).unwrap().1.median_ms;
+    let (sum_ms, copy_ms, decode_ms) = (of("byte_sum_ms"), of("memcpy_ms"), of("decode_jpeg_ms"));
+    println!("{:<18} {:>9} {:>19} {:>10} {:>8} {:>9}", "", "median", "quartiles", "byte sums", "memcpys", "decodings");
+    for (name, Timed { quartile_ms, median_ms, upper_quartile_ms }) in &timed {
+        println!(
+            "{name:<18} {median_ms:>9.3} {quartile_ms:>9.3} {upper_quartile_ms:>9.3} {:>10.1} {:>8.1} {:>9.2}",
+            median_ms / sum_ms,
+            median_ms / copy_ms,
+            median_ms / decode_ms
+        );
+        figures.insert((*name).to_owned(), *median_ms);
+        figures.insert(name.replace("_ms", "_quartile_ms"), *quartile_ms);
+        figures.insert(name.replace("_ms", "_upper_quartile_ms"), *upper_quartile_ms);
+    }
+}
+
+fn steps(frame: &Path, figures: &mut Figures) {
     let lens = Lens::read(&bundled("camera.yaml")).unwrap();
     let robot = Model::default().robot;
     let options = RigOptions { grid_pitch_mm: 1.0, standoff_mm: 25.0, delta_offset: 0.0 };
     let rig = calibrate_rig(&read_frame(&bundled("straight.jpg")).unwrap(), &lens, &robot, &options).unwrap();
-    let eye = Eye::new(lens, rig, robot);
-    let frame: Frame = read_frame(frame).unwrap();
-    let last = eye.measure(&frame).bend.unwrap().vector * 0.97;
-    let Samples::Bits8(samples) = &frame.samples else { unreachable!("the bundled frames have 8 bits") };
-    let pass = least(|| black_box(samples).iter().map(|&v| f32::from(v)).sum::<f32>());
-    let measure = least(|| eye.measure(&frame));
-    let track = least(|| eye.track(&frame, last));
-    show("one pass over a decoded frame's pixels", pass, "");
-    show("measuring a decoded frame", measure, &format!("{:.1} passes (asked: at most 10)", measure / pass));
-    show("tracking a decoded frame", track, &format!("{:.1} passes (asked: at most 3)", track / pass));
+    frame_steps(&Eye::new(lens, rig, robot), frame, figures);
 
     let covariance = Matrix2::from_diagonal_element(1e-6);
     let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance, samples: 17 };
@@ -174,8 +264,9 @@ fn main() {
         })
         .collect();
 
-    println!("\n== steps, 1280×720, the least of two seconds");
-    steps(&jpeg[2]);
+    let mut figures = Figures::new();
+    println!("\n== steps of a frame of 1280×720 in turn, ms: CPU time of one thread, and time on the clock with all");
+    steps(&jpeg[2], &mut figures);
     println!("\n== `run` beside decoding alone, {} cores (asked: at least 0.8)", rayon::current_num_threads());
     for (kind, pictures) in [("JPEG", &jpeg), ("PNG", &png)] {
         let folder = lab.path().join(kind);
@@ -183,6 +274,7 @@ fn main() {
         let (before, (whole, ..), after) = (decode(&frames), run(&folder, &folder.join("out")), decode(&frames));
         let alone = before.max(after);
         println!("{kind:<5} run {whole:>6.1} frames/s, decoding alone {alone:>6.1} frames/s: {:.2}", whole / alone);
+        figures.insert(format!("run_{}_over_decode", kind.to_lowercase()), whole / alone);
     }
     println!("\n== scaling of `run`, JPEG, and of one update of η and λ (asked: at most 2 µs)");
     for count in counts {
@@ -194,6 +286,27 @@ fn main() {
             "{count:>6} frames  {seconds:>8.1} s  {:>6.2} ms a frame  peak {most_mb:>6.1} MB  an update {update_us:>5.2} µs",
             1000.0 / rate
         );
+        figures.insert("update_us".to_owned(), update_us);
+        let peak_mb = figures.entry("peak_mb".to_owned()).or_default();
+        *peak_mb = peak_mb.max(most_mb);
         std::fs::remove_dir_all(&folder).unwrap();
+    }
+    if let Ok(path) = std::env::var("BENCH_AGAINST") {
+        compare(&figures, Path::new(&path));
+    }
+    if let Ok(path) = std::env::var("BENCH_JSON") {
+        std::fs::write(path, serde_json::to_string_pretty(&figures).unwrap()).unwrap();
+    }
+}
+
+/// Prints the figures beside those of another run, and the ratio of both.
+fn compare(figures: &Figures, other: &Path) {
+    let text = std::fs::read_to_string(other).unwrap_or_else(|e| panic!("{}: {e}", other.display()));
+    let before: Figures = serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", other.display()));
+    println!("\n== against {}", other.display());
+    for (name, now) in figures {
+        if let Some(then) = before.get(name) {
+            println!("{name:<30} {now:>10.3}, was {then:>10.3}: {:.2}", now / then);
+        }
     }
 }

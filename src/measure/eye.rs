@@ -14,7 +14,7 @@ use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
     Alternative, BendFit, CoarseSearch, EDGE_ON_RAD, EdgeFinder, FitSchedule, POSE_VARIANCE, ProfileCovariance, Start,
-    State, depth, distinct, fit_bend, mirrored,
+    State, distinct, fit_bend, mirrored,
 };
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
@@ -256,21 +256,13 @@ impl Eye {
         fits.into_iter().map(|(_, fit)| fit).collect()
     }
 
-    /// Fits the best of the coarse fits until they converge. Where the best of these leaves part of the outline unexplained, as in dark or
-    /// noisy pictures, it may lie in a local minimum beside the right one, at another bend towards the camera or away from it.
+    /// Fits the best of the coarse fits until they converge.
     fn refine(&self, coarse: Vec<BendFit>, finder: &EdgeFinder) -> Vec<BendFit> {
         let mut coarse = distinct(coarse, SAME_COARSE_RAD);
         coarse.truncate(REFINED);
         let least_cost = coarse.first().map_or(0.0, |best| best.cost);
         let promising = coarse.par_iter().filter(|fit| fit.cost <= REFINED_COST_RATIO * least_cost);
-        let mut fits: Vec<BendFit> = promising.filter_map(|fit| self.fit(finder, fit.start(), &REFINEMENT)).collect();
-        let best = fits.iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).filter(|best| !best.explains_all());
-        if let Some(bend) = best.map(BendFit::bend) {
-            let depth = depth(&self.rig.camera_from_base) * EDGE_ON_RAD;
-            let beside = [bend - depth, bend + depth];
-            fits.par_extend(beside.into_par_iter().filter_map(|bend| self.fit(finder, self.start(bend), &REFINEMENT)));
-        }
-        fits
+        promising.filter_map(|fit| self.fit(finder, fit.start(), &REFINEMENT)).collect()
     }
 
     /// Selects among the minima and gives the verdict on the best, beside the check of whether camera, base and target are where the

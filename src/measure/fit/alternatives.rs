@@ -119,12 +119,7 @@ pub(crate) fn distinct(mut fits: Vec<BendFit>, apart_rad: f64) -> Vec<BendFit> {
 /// The bend whose outline is nearly the same for a camera at this pose: mirrored in the plane through the snake's axis that is
 /// perpendicular to the line of sight.
 pub(crate) fn mirrored(bend: Vector2<f64>, camera_from_base: &Pose) -> Vector2<f64> {
-    let depth = depth(camera_from_base);
-    bend - 2.0 * depth * depth.dot(&bend)
-}
-
-/// The direction of bends away from a camera at this pose, which a picture tells least of.
-pub(crate) fn depth(camera_from_base: &Pose) -> Vector2<f64> {
     let sight = camera_from_base.inverse() * camera_from_base.translation.vector;
-    sight.xy().normalize()
+    let depth = sight.xy().normalize();
+    bend - 2.0 * depth * depth.dot(&bend)
 }

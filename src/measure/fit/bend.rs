@@ -8,7 +8,7 @@ use super::correspondences::Correspondences;
 use super::edges::EdgeFinder;
 use super::linearised::Linearised;
 use super::noise_model::SHARP_PX;
-use super::state::{CONTRADICTION_CHI2, EdgeBias, FramePrior, STATE, State};
+use super::state::{EdgeBias, FramePrior, STATE, State};
 use super::uncertainty::{FitCovariance, RobustPhase, inliers};
 use super::visibility::PartVisibility;
 use crate::measure::body::{Outline, Piece, Projection};
@@ -281,7 +281,7 @@ impl<'a> Fitting<'a> {
             inliers,
             rms_px,
             blur_px: edges.blur_px,
-            contradicts_shape: prior.contradiction(&state.profile, &covariance.independent)? > CONTRADICTION_CHI2,
+            contradicts_shape: prior.contradiction(&state.profile, &covariance.independent)? > prior.contradiction_chi2,
             out_of_frame: self.drawn?.1.out_of_frame,
             cost: 1.0 - agreement / edges.searched().len() as f64,
             edges,

@@ -19,7 +19,7 @@ mod state;
 mod uncertainty;
 mod visibility;
 
-pub(super) use alternatives::{Alternative, EDGE_ON_RAD, depth, distinct, mirrored};
+pub(super) use alternatives::{Alternative, EDGE_ON_RAD, distinct, mirrored};
 pub(super) use bend::{BendFit, FINE_SEARCH_PX, FitSchedule, ProfileCovariance, Start, fit_bend};
 pub(super) use blur::{fine_filter, predict_blur};
 pub(super) use coarse::CoarseSearch;
@@ -30,6 +30,6 @@ pub(super) use noise_model::{FRAME_BIAS_SIGMA, GLARE, GLARE_SIGMA, POSE_VARIANCE
 pub use shape_prior::UNKNOWN_SHAPE_RAD;
 pub(super) use shape_prior::learned_mode_sigmas;
 pub use state::EdgeBias;
-pub(super) use state::{BIASES, FramePrior, State};
+pub(super) use state::{BIASES, CONTRADICTION_OF_KNOWN_CHI2, CONTRADICTION_OF_UNKNOWN_CHI2, FramePrior, State};
 pub(super) use uncertainty::{RobustPhase, inliers, systematic_covariance};
 pub use visibility::PartVisibility;

@@ -68,17 +68,23 @@ impl EdgeBias {
     }
 }
 
-/// A χ² of the six components of the modes above this contradicts the prior.
+/// A χ² of the six components of the modes above this contradicts what a sequence told of the snake's shape.
+///
+/// Derived: it is exceeded once in 10,000 frames.
+pub(crate) const CONTRADICTION_OF_KNOWN_CHI2: f64 = 27.9;
+/// A χ² above this contradicts what is taken for granted before any sequence.
 ///
 /// Derived: its mean. Edges are weighted as if only one in [`DESIGN_EFFECT`] counted, so that pictures of arcs have 0.1 to 1; one that is
 /// doubted without need costs precision only.
-pub(super) const CONTRADICTION_CHI2: f64 = 6.0;
+pub(crate) const CONTRADICTION_OF_UNKNOWN_CHI2: f64 = 6.0;
 
 /// A Gaussian prior of the modes of the bend profile and of the edges' biases, all independent of each other.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FramePrior {
     /// Standard deviation of either component of each mode about zero, rad.
     pub mode_sigma_rad: [f64; MODES],
+    /// The χ² from which on a picture contradicts that, see [`contradiction`](Self::contradiction).
+    pub contradiction_chi2: f64,
     pub bias: EdgeBias,
     /// Standard deviation of each of the bias' numbers, in their order.
     pub bias_sigma: [f64; BIASES],
@@ -146,6 +152,7 @@ impl FramePrior {
     /// That of the unit tests: of a snake that is known to be an arc, without bias.
     pub const FIXTURE: Self = Self {
         mode_sigma_rad: [1e-3, 5e-4, 2e-4],
+        contradiction_chi2: CONTRADICTION_OF_KNOWN_CHI2,
         bias: EdgeBias { side_px: 0.0, tube_px: 0.0, rim_px: 0.0, glare: [0.0; 2] },
         bias_sigma: [0.05, 0.05, 0.05, 0.1, 0.1],
     };

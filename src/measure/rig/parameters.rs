@@ -1,7 +1,10 @@
 //! The rig: where camera, grid target and snake are, and what the snake looks like. Data only.
 
 use crate::geometry::Pose;
-use crate::measure::fit::{EdgeBias, FRAME_BIAS_SIGMA, FramePrior, UNKNOWN_SHAPE_RAD};
+use crate::measure::fit::{
+    CONTRADICTION_OF_KNOWN_CHI2, CONTRADICTION_OF_UNKNOWN_CHI2, EdgeBias, FRAME_BIAS_SIGMA, FramePrior,
+    UNKNOWN_SHAPE_RAD,
+};
 use crate::measure::image::appearance::Appearance;
 use crate::measure::target::GridPattern;
 use crate::robot::MODES;
@@ -62,7 +65,14 @@ impl Rig {
 
     /// What is known of a frame's state before it is looked at.
     pub(crate) fn prior(&self) -> FramePrior {
-        FramePrior { mode_sigma_rad: self.mode_sigma_rad, bias: self.edge_bias, bias_sigma: FRAME_BIAS_SIGMA }
+        let contradiction_chi2 =
+            if self.is_shape_known() { CONTRADICTION_OF_KNOWN_CHI2 } else { CONTRADICTION_OF_UNKNOWN_CHI2 };
+        FramePrior {
+            mode_sigma_rad: self.mode_sigma_rad,
+            contradiction_chi2,
+            bias: self.edge_bias,
+            bias_sigma: FRAME_BIAS_SIGMA,
+        }
     }
 
     /// Distance from the snake's base back to the grid target, mm.
