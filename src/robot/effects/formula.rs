@@ -20,6 +20,11 @@ pub const HALF_GAP: &str = "half_gap_mm";
 /// Convention: a resource limit; a formula that a person can read has fewer.
 const MOST_INPUTS: usize = 48;
 
+/// The most characters of a formula.
+///
+/// Convention: a resource limit; parentheses within parentheses take memory as they are read.
+const MOST_CHARACTERS: usize = 1000;
+
 /// The most combinations of parameters at which a search starts.
 ///
 /// Convention: a bound on computing time.
@@ -204,6 +209,10 @@ fn kept(text: &str) -> &'static str {
 
 impl Formula {
     fn new(definition: Definition) -> Result<Self, String> {
+        let characters = definition.formula.chars().count();
+        if characters > MOST_CHARACTERS {
+            return Err(format!("formula has {characters} characters, expected {MOST_CHARACTERS} at most"));
+        }
         let parameters = definition.checked_specs()?;
         let expression = exmex::parse::<f64>(&definition.formula)
             .map_err(|why| format!("formula {:?} cannot be read: {why}", definition.formula))?;
@@ -434,6 +443,9 @@ mod tests {
             let said = fault(definition(formula, parameters));
             assert!(said.starts_with("effect own: ") && said.contains(words), "{formula}: {said}");
         }
+        let deep = |levels: usize| format!("{}a * q{}", "(".repeat(levels), ")".repeat(levels));
+        assert!(definition(&deep(450), &a).physics().is_ok());
+        assert!(fault(definition(&deep(9000), &a)).contains("expected 1000 at most"));
         let mut outside = definition("a * q", &a);
         outside.parameters.get_mut("a").unwrap().starts = vec![0.1, 3.0];
         assert!(fault(outside).contains("start = 3 is outside its range"));
