@@ -17,7 +17,7 @@ pub use board::Board;
 pub use calibrate::{CameraCalibration, calibrate_camera};
 pub use capture::{CaptureSettings, CaptureTarget};
 pub use file::CameraFormat;
-pub use frame::{Frame, Sample, Samples, decode_frame, read_frame};
+pub use frame::{Frame, Sample, Samples, decode_frame, picture_size, read_frame};
 pub use lens::Lens;
 pub use opencv::Capture;
 pub use source::{FrameSource, SourceFrame};

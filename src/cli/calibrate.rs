@@ -4,6 +4,8 @@ mod camera;
 mod friction;
 mod rig;
 
+pub(super) use camera::corners;
+
 use super::console::Console;
 use crate::Result;
 use crate::cli::failure::Failure;

@@ -44,6 +44,11 @@ impl Console {
         }
     }
 
+    /// Whether a person may be asked: not where the result is for machines, or nothing is to be said.
+    pub fn may_ask(&self) -> bool {
+        !self.quiet && !self.json
+    }
+
     /// A progress bar over so many steps, or an unknown number; it shows only on a terminal, and not when quiet.
     pub fn progress(&self, steps: Option<usize>, doing: &'static str) -> ProgressBar {
         let visible = !self.quiet && std::io::stderr().is_terminal();

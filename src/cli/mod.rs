@@ -3,6 +3,7 @@
 //! Each command is one file: what it may be told (a clap structure) and what it does, top to bottom.
 
 mod calibrate;
+mod check;
 mod checksum;
 mod completions;
 mod console;
@@ -20,8 +21,10 @@ mod live;
 mod measure;
 mod measuring;
 mod merge;
+mod new;
 mod origin;
 mod overlays;
+mod print;
 mod render;
 mod reproduce;
 mod run;
@@ -56,6 +59,8 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    New(new::Args),
+    Check(check::Args),
     Run(run::Args),
     Live(live::Args),
     Measure(measure::Args),
@@ -69,6 +74,7 @@ enum Command {
     Export(export::Args),
     Simulate(simulate::Args),
     Render(render::Args),
+    Print(print::Args),
     Calibrate(calibrate::Args),
     Reproduce(reproduce::Args),
     Completions(completions::Args),
@@ -78,6 +84,8 @@ enum Command {
 impl Command {
     fn run(&self, console: &Console) -> Result<(), Failure> {
         match self {
+            Self::New(args) => args.run(console),
+            Self::Check(args) => args.run(console),
             Self::Run(args) => args.run(console),
             Self::Live(args) => args.run(console),
             Self::Measure(args) => args.run(console),
@@ -91,6 +99,7 @@ impl Command {
             Self::Export(args) => args.run(console),
             Self::Simulate(args) => args.run(console),
             Self::Render(args) => args.run(console),
+            Self::Print(args) => args.run(console),
             Self::Calibrate(args) => args.run(console),
             Self::Reproduce(args) => args.run(console),
             Self::Completions(args) => args.run(),

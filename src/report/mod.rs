@@ -11,4 +11,5 @@ pub mod plot;
 pub mod reproduction;
 pub mod run_history;
 pub mod run_page;
+pub mod sheet;
 pub mod verdict;

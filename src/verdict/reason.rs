@@ -32,6 +32,8 @@ impl fmt::Display for Level {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Code {
+    /// A file or a row is missing, or cannot be read (`check`).
+    Files,
     /// An encoder's readings stand still, or one's stand in two columns.
     EncoderStuck,
     /// Another order, sign, unit or numbering of the readings explains the bends far better.

@@ -4,11 +4,13 @@
 mod program;
 
 mod backbones;
+mod book;
 #[cfg(feature = "opencv")]
 mod calibrate_camera;
 mod commands;
 mod discover;
 mod faults;
+mod first_hour;
 mod live;
 mod run;
 mod several_views;

@@ -35,7 +35,7 @@ pub struct Args {
 }
 
 /// `9x6`.
-fn corners(text: &str) -> std::result::Result<(usize, usize), String> {
+pub fn corners(text: &str) -> std::result::Result<(usize, usize), String> {
     let numbers = text.split_once(['x', '×']).and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
     numbers.ok_or_else(|| "expected inner corners like 9x6".to_owned())
 }

@@ -1,0 +1,454 @@
+//! `check`: whether an experiment is fit for a run, in seconds, and what to do where it is not.
+//!
+//! Files, sizes, indices and clocks are looked at as they stand. A small share of the frames is then measured, by the rig as the straight
+//! picture gives it, and passed to the verdict's rules; what a run will know of η and λ is predicted by the estimator itself from
+//! measurements as it expects them at every reading.
+
+use super::console::Console;
+use super::inputs::{encoders_of, model_of};
+use super::verdict::{VerdictArgs, subject, verdict_text};
+use super::views::rig_of;
+use crate::camera::{FrameSource, Lens, picture_size};
+use crate::cli::failure::Failure;
+use crate::estimate::{Options, estimate, or_one_gain};
+use crate::measure::Eye;
+use crate::observation::{EncoderReading, Measured, Measurement, Status};
+use crate::record::{Checked, Experiment, RigSource, View};
+use crate::report::decimation::keeps;
+use crate::robot::{MAX_THETA, Model};
+use crate::statistics::order::median;
+use crate::verdict::{Code, Level, Reason, Subject, Verdict};
+use crate::{Error, Result};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
+use std::convert::Infallible;
+use std::path::{Path, PathBuf};
+
+/// Frames of a view that are measured. Convention: what takes a second or two, and shows all sweeps of an experiment.
+const MEASURED: usize = 36;
+/// Frames of a view of which the size is looked at. Convention: headers only; a resource limit.
+const SIZED: usize = 500;
+/// Readings for which a measurement is expected. Convention: a resource limit; with more of them σ only gets smaller.
+const EXPECTED: usize = 500;
+
+/// Look whether an experiment is fit for a run: files, sizes, indices, clocks, wiring, coverage, and the σ of η and λ to expect
+///
+/// Takes seconds, writes nothing, and says what to do about each thing that is not as it should be. Exit code 1 where a run could not begin.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  snakeloop check fixtures/bending")]
+pub struct Args {
+    /// The experiment: a folder with an experiment.toml, or that file
+    experiment: PathBuf,
+    #[command(flatten)]
+    verdict: VerdictArgs,
+}
+
+/// One thing that was looked at.
+#[derive(Debug, Serialize)]
+struct Look {
+    /// `files`, `sizes`, `indices`, `clocks`, `frames`, `coverage` or `expected`.
+    what: &'static str,
+    /// What was found.
+    text: String,
+}
+
+/// What a run would know.
+#[derive(Debug, Clone, Copy, Serialize)]
+struct Expected {
+    sd_eta: f64,
+    sd_lambda_mm: f64,
+    /// Measurements with readings behind it.
+    measurements: usize,
+}
+
+#[derive(Serialize)]
+struct Summary {
+    verdict: Verdict,
+    looks: Vec<Look>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    expected: Option<Expected>,
+}
+
+impl Args {
+    pub fn run(&self, console: &Console) -> Result<(), Failure> {
+        let experiment = Experiment::read(&self.experiment)?;
+        let mut inspection = Inspection::default();
+        inspection.files(&experiment);
+        let summary = if inspection.reasons.is_empty() { inspection.with_data(&experiment)? } else { inspection.end() };
+        console.result(&summary, || summary.text());
+        match summary
+            .verdict
+            .reasons
+            .iter()
+            .find(|reason| reason.code == Code::Files && reason.level == Level::DoNotUse)
+        {
+            Some(reason) => Err(Failure::Work(Error::content(&experiment.path, reason.text.clone()))),
+            None => self.verdict.check(&summary.verdict),
+        }
+    }
+}
+
+/// What was found so far.
+#[derive(Default)]
+struct Inspection {
+    looks: Vec<Look>,
+    reasons: Vec<Reason>,
+    expected: Option<Expected>,
+}
+
+impl Inspection {
+    fn saw(&mut self, what: &'static str, text: impl Into<String>) {
+        self.looks.push(Look { what, text: text.into() });
+    }
+
+    fn fault(&mut self, code: Code, level: Level, text: impl Into<String>, remedy: impl Into<String>) {
+        self.reasons.push(Reason::new(code, level, text, remedy));
+    }
+
+    fn end(self) -> Summary {
+        Summary { verdict: Verdict::of(self.reasons), looks: self.looks, expected: self.expected }
+    }
+
+    /// Whether every file that the experiment names is there.
+    fn files(&mut self, experiment: &Experiment) {
+        let mut named = vec![];
+        for (path, remedy) in files_with_remedies(experiment) {
+            let name = name_in(experiment, &path);
+            if !path.is_file() {
+                self.fault(Code::Files, Level::DoNotUse, format!("{name} is not there"), remedy);
+            } else {
+                named.push(name);
+            }
+        }
+        for view in &experiment.views {
+            match FrameSource::open(experiment.folder(), &view.frames) {
+                Ok(source) => {
+                    let count = source.count().ok().flatten().map_or("a video".to_owned(), |n| format!("{n} frames"));
+                    named.push(format!("{count} of {}", view.name));
+                }
+                Err(error) => {
+                    self.fault(Code::Files, Level::DoNotUse, error.to_string(), frames_remedy(experiment, view))
+                }
+            }
+        }
+        self.saw("files", named.join(", "));
+    }
+
+    /// All that can be said once the files are there.
+    fn with_data(mut self, experiment: &Experiment) -> Result<Summary> {
+        let model = model_of(experiment)?;
+        self.sizes(experiment);
+        let Checked { rows: log, warnings } = encoders_of(experiment, &model)?;
+        for warning in warnings.iter().take(3) {
+            self.fault(
+                Code::Files,
+                Level::Look,
+                warning.to_string(),
+                "mend the row, or leave it: it costs its frame only",
+            );
+        }
+        let indices = self.indices(experiment, &log)?;
+        self.clocks(&log);
+        let mut measurements = Vec::new();
+        for view in &experiment.views {
+            measurements.extend(self.measured(experiment, view, &model, &log)?);
+        }
+        measurements.sort_by_key(|measurement| measurement.index);
+        self.judge(experiment, &model, &measurements, &log, &indices)?;
+        Ok(self.end())
+    }
+
+    /// Whether pictures are as large as the camera files say.
+    fn sizes(&mut self, experiment: &Experiment) {
+        for view in &experiment.views {
+            let lens = match Lens::read(&view.camera) {
+                Ok(lens) => lens,
+                Err(error) => {
+                    let remedy =
+                        "`snakeloop calibrate camera` writes a camera file, OpenCV's and ROS's are read as well";
+                    self.fault(Code::Files, Level::DoNotUse, error.to_string(), remedy);
+                    continue;
+                }
+            };
+            let mut sizes = BTreeMap::<(u32, u32), (usize, String)>::new();
+            for path in pictures(experiment, view) {
+                if let Some(size) = picture_size(&path) {
+                    let name = name_in(experiment, &path);
+                    sizes.entry(size).or_insert((0, name)).0 += 1;
+                }
+            }
+            let expected = (lens.width, lens.height);
+            for ((width, height), (count, name)) in sizes.iter().filter(|(size, _)| **size != expected) {
+                let text = format!(
+                    "{count} pictures of view {} have {width}×{height} px ({name}), and the camera file says {}×{}",
+                    view.name, lens.width, lens.height
+                );
+                let remedy = "calibrate the camera at the size of the frames, or take the frames at the size of the calibration; cropped or \
+                              scaled pictures need a camera file of their own";
+                self.fault(Code::CameraLens, Level::DoNotUse, text, remedy);
+            }
+            let fitting = sizes.get(&expected).map_or(0, |(count, _)| *count);
+            self.saw(
+                "sizes",
+                format!("{}: {fitting} pictures of {}×{} px, as the camera file", view.name, lens.width, lens.height),
+            );
+        }
+    }
+
+    /// Which frames have a reading; gives their indices.
+    fn indices(&mut self, experiment: &Experiment, log: &[EncoderReading]) -> Result<BTreeSet<u64>> {
+        let read: BTreeSet<u64> = log.iter().map(|row| row.index).collect();
+        let mut frames = BTreeSet::new();
+        for view in &experiment.views {
+            match FrameSource::open(experiment.folder(), &view.frames)? {
+                FrameSource::Pictures(files) => frames.extend(files.iter().map(|(index, _)| *index)),
+                FrameSource::Video(_) => frames.extend(&read),
+            }
+        }
+        if experiment.encoders.is_none() {
+            self.saw("indices", "no encoder log: angles can be measured (`snakeloop measure`), η and λ not learned");
+            let remedy = "log the encoders, `index,time_s,q1_mm,q2_mm,q3_mm`, and name the file as `encoders` in experiment.toml";
+            self.fault(Code::Files, Level::Look, "no encoder log is named", remedy);
+            return Ok(BTreeSet::new());
+        }
+        let both: BTreeSet<u64> = frames.intersection(&read).copied().collect();
+        self.saw(
+            "indices",
+            format!("{} of {} frames have a reading, of {} rows in the log", both.len(), frames.len(), read.len()),
+        );
+        let without = frames.len() - both.len();
+        if without > 0 && !both.is_empty() {
+            let first = frames.difference(&read).next().copied().unwrap_or_default();
+            let text = format!("{without} of {} frames have no reading, frame {first} first", frames.len());
+            let remedy = "the index of a row is the number in its frame's file name; frames without a reading are measured and not learned from";
+            self.fault(Code::Files, Level::Look, text, remedy);
+        }
+        Ok(both)
+    }
+
+    fn clocks(&mut self, log: &[EncoderReading]) {
+        let (Some(first), Some(last)) = (log.first(), log.last()) else { return };
+        let mut steps: Vec<f64> = log.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect();
+        let step = if steps.is_empty() {
+            String::new()
+        } else {
+            format!(", a row every {:.3} s (median)", median(&mut steps))
+        };
+        self.saw("clocks", format!("the log goes from {} to {} s{step}", first.time_s, last.time_s));
+    }
+
+    /// Some frames of a view, measured by the rig as its straight picture gives it.
+    fn measured(
+        &mut self,
+        experiment: &Experiment,
+        view: &View,
+        model: &Model,
+        log: &[EncoderReading],
+    ) -> Result<Vec<Measurement>> {
+        let Ok(lens) = Lens::read(&view.camera) else { return Ok(Vec::new()) };
+        let rig = match rig_of(view, &lens, &model.robot) {
+            Ok(rig) => rig,
+            Err(error) => {
+                let remedy = "see \"Take the straight frame\" and \"Troubleshooting\" in the book";
+                self.fault(Code::Files, Level::DoNotUse, error.to_string(), remedy);
+                return Ok(Vec::new());
+            }
+        };
+        let eye = Eye::new(lens, rig, model.robot.clone());
+        let source = FrameSource::open(experiment.folder(), &view.frames)?;
+        let count = source.count()?.unwrap_or(MEASURED);
+        let frames = source.frames()?.enumerate().filter(|(k, _)| keeps(*k, MEASURED, count)).take(MEASURED);
+        let frames: Vec<_> = frames.map(|(_, frame)| frame).collect();
+        let measurements: Vec<Measurement> = frames
+            .into_par_iter()
+            .map(|frame| {
+                let index = frame.index;
+                let found = frame.read().ok().map(|picture| eye.measure(&picture));
+                let (status, measured, quality) = found
+                    .map_or((Status::Unreadable, None, None), |found| (found.status, found.measured, found.quality));
+                let time_s = log.binary_search_by_key(&index, |row| row.index).ok().map(|row| log[row].time_s);
+                Measurement { index, time_s, status, measured, quality, view: Some(view.name.clone()) }
+            })
+            .collect();
+        let ok = measurements.iter().filter(|measurement| measurement.measured.is_some()).count();
+        self.saw("frames", format!("{}: {ok} of {} looked at were measured", view.name, measurements.len()));
+        Ok(measurements)
+    }
+
+    /// The verdict on the sample, where the snake goes, and what a run would know.
+    fn judge(
+        &mut self,
+        experiment: &Experiment,
+        model: &Model,
+        measurements: &[Measurement],
+        log: &[EncoderReading],
+        indices: &BTreeSet<u64>,
+    ) -> Result<()> {
+        if measurements.is_empty() || log.is_empty() {
+            return Ok(());
+        }
+        let options = Options::default();
+        let rows = || measurements.iter().cloned().map(Ok::<_, Infallible>);
+        let (_, learned) = estimate(model, options, measurements, log)?;
+        let Ok((learned, replaced)) = or_one_gain(learned, rows(), log);
+        let wiring = experiment.wiring(model.robot.backbone_count())?;
+        let judged = Subject { replaced, ..subject(&learned, experiment, wiring, options.sd_encoder_mm) };
+        let Ok(verdict) = judged.verdict(rows(), log);
+        let wired_wrong = verdict.has(Code::Wiring) || verdict.has(Code::EncoderStuck);
+        self.reasons.extend(verdict.reasons);
+        let poses = poses_of(&learned, log, indices);
+        if !wired_wrong && !poses.is_empty() {
+            self.saw("coverage", coverage(&poses));
+            self.expected = expected(&learned, options, measurements, &poses)?;
+        }
+        Ok(())
+    }
+}
+
+/// The files that an experiment names, each with what to do where it is missing.
+fn files_with_remedies(experiment: &Experiment) -> Vec<(PathBuf, String)> {
+    let mut files = Vec::new();
+    let constants = "`snakeloop new` writes a robot.toml to correct; without the key the paper's robot is taken";
+    files.extend(
+        [&experiment.robot, &experiment.model].into_iter().flatten().map(|path| (path.clone(), constants.to_owned())),
+    );
+    let log = "write one row a frame: index,time_s,q1_mm,q2_mm,q3_mm; without a log `snakeloop measure` measures the angles alone";
+    files.extend(experiment.encoders.iter().map(|path| (path.clone(), log.to_owned())));
+    for view in &experiment.views {
+        let lens = "`snakeloop print chessboard`, take a dozen pictures of it, tilted differently, and `snakeloop calibrate camera boards/*.jpg \
+                    --corners 9x6 -o camera.yaml`";
+        files.push((view.camera.clone(), lens.to_owned()));
+        files.push(match &view.rig {
+            RigSource::File(path) => {
+                (path.clone(), "`snakeloop calibrate rig` writes it; or give `straight`".to_owned())
+            }
+            RigSource::Straight { picture, .. } => {
+                let remedy =
+                    "take a picture of the unbent snake before the grid target, the camera where it is in the frames";
+                (picture.clone(), remedy.to_owned())
+            }
+        });
+    }
+    files
+}
+
+/// What to do where a view's frames are not found: the pattern that would match what is there, if anything is.
+fn frames_remedy(experiment: &Experiment, view: &View) -> String {
+    let folder = experiment.folder().join(&view.frames);
+    let folder = folder.parent().unwrap_or(Path::new(""));
+    let mut extensions = BTreeMap::<String, usize>::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        if let Some(extension) = entry.path().extension() {
+            *extensions.entry(extension.to_string_lossy().into_owned()).or_default() += 1;
+        }
+    }
+    match extensions.iter().max_by_key(|(_, count)| **count) {
+        Some((extension, count)) => format!(
+            "there are {count} files *.{extension} in {}: correct `frames` of view {}",
+            folder.display(),
+            view.name
+        ),
+        None => format!("put the frames into {}, numbered in their names, or correct `frames`", folder.display()),
+    }
+}
+
+/// The straight picture and some of the frames, where they are picture files.
+fn pictures(experiment: &Experiment, view: &View) -> Vec<PathBuf> {
+    let straight = match &view.rig {
+        RigSource::Straight { picture, .. } => Some(picture.clone()),
+        RigSource::File(_) => None,
+    };
+    let frames = match FrameSource::open(experiment.folder(), &view.frames) {
+        Ok(FrameSource::Pictures(files)) => files,
+        _ => Vec::new(),
+    };
+    let count = frames.len();
+    let some = frames.into_iter().enumerate().filter(|(k, _)| keeps(*k, SIZED, count)).map(|(_, (_, path))| path);
+    straight.into_iter().chain(some).collect()
+}
+
+/// A path as the experiment's folder shows it.
+fn name_in(experiment: &Experiment, path: &Path) -> String {
+    path.strip_prefix(experiment.folder()).unwrap_or(path).display().to_string()
+}
+
+/// Where the snake goes by the model, at the readings that have a frame.
+fn poses_of(model: &Model, log: &[EncoderReading], indices: &BTreeSet<u64>) -> Vec<(EncoderReading, Measured)> {
+    let with_frame: Vec<&EncoderReading> = log.iter().filter(|row| indices.contains(&row.index)).collect();
+    let count = with_frame.len();
+    let some = with_frame.into_iter().enumerate().filter(|(k, _)| keeps(*k, EXPECTED, count)).map(|(_, row)| row);
+    let pose = |row: &EncoderReading| {
+        let configuration = model.forward(&row.q_mm).ok()?.configuration;
+        let measured = Measured { configuration, sigma_theta: 0.0, sigma_delta: 0.0, correlation: 0.0 };
+        (configuration.theta <= MAX_THETA).then_some((*row, measured))
+    };
+    some.filter_map(pose).collect()
+}
+
+/// Bends and directions that the readings imply, in words.
+fn coverage(poses: &[(EncoderReading, Measured)]) -> String {
+    let bends = || poses.iter().map(|(_, measured)| measured.configuration);
+    let (least, most) = bends()
+        .fold((f64::INFINITY, 0.0f64), |(least, most), psi| (least.min(psi.theta_deg()), most.max(psi.theta_deg())));
+    // Sectors of 30° that hold a pose at which δ means something.
+    let sectors: BTreeSet<i64> = bends()
+        .filter(|psi| psi.theta_deg() > 5.0)
+        .map(|psi| (psi.delta_deg() / 30.0).round().rem_euclid(12.0) as i64)
+        .collect();
+    format!("{} poses, θ {least:.0}° to {most:.0}°, in {} of 12 directions of δ", poses.len(), sectors.len())
+}
+
+/// σ of η and λ after a run, as the estimator itself gives them for measurements with typical sigmas at all these poses.
+fn expected(
+    model: &Model,
+    options: Options,
+    measurements: &[Measurement],
+    poses: &[(EncoderReading, Measured)],
+) -> Result<Option<Expected>> {
+    let seen = || measurements.iter().filter_map(|measurement| measurement.measured);
+    // The error across the bend, θ σ_δ, is what is alike at all bends; σ_δ itself is not.
+    let mut along: Vec<f64> = seen().map(|m| m.sigma_theta).collect();
+    let mut across: Vec<f64> = seen().map(|m| m.sigma_delta * m.configuration.theta).collect();
+    if along.is_empty() {
+        return Ok(None);
+    }
+    let (along, across) = (median(&mut along), median(&mut across));
+    let all: Vec<Measurement> = poses
+        .iter()
+        .map(|(row, pose)| Measurement {
+            index: row.index,
+            time_s: Some(row.time_s),
+            status: Status::Ok,
+            measured: Some(Measured {
+                sigma_theta: along,
+                sigma_delta: across / pose.configuration.theta.max(along),
+                ..*pose
+            }),
+            quality: None,
+            view: None,
+        })
+        .collect();
+    let readings: Vec<EncoderReading> = poses.iter().map(|(row, _)| *row).collect();
+    let plain = Model { estimate: None, ..model.clone() };
+    let (_, learned) = estimate(&plain, options, &all, &readings)?;
+    Ok(learned.estimate.map(|estimate| Expected {
+        sd_eta: estimate.sd_eta(),
+        sd_lambda_mm: estimate.sd_lambda_mm(),
+        measurements: all.len(),
+    }))
+}
+
+impl Summary {
+    fn text(&self) -> String {
+        let mut text = verdict_text(&self.verdict);
+        for Look { what, text: found } in &self.looks {
+            text += &format!("{what:<9} {found}\n");
+        }
+        if let Some(Expected { sd_eta, sd_lambda_mm, measurements }) = self.expected {
+            text +=
+                &format!("expected  η ± {sd_eta:.4}, λ ± {sd_lambda_mm:.4} mm after a run of {measurements} frames\n");
+        }
+        text
+    }
+}

@@ -1,0 +1,60 @@
+//! From nothing to an experiment that is fit for a run: `new`, `check`, `print`.
+
+use crate::program::{Sandbox, all_said, json, number};
+use std::fs;
+
+#[test]
+fn a_new_folder_is_an_experiment_that_check_says_is_empty() {
+    let sandbox = Sandbox::new();
+    let made = sandbox.json("new lab --grid-pitch 2 --backbones 4");
+    assert_eq!(made["written"].as_array().unwrap().len(), 3);
+    assert!(sandbox.read("lab/experiment.toml").contains("grid_pitch_mm = 2.0"));
+    let output = sandbox.call("check lab --json");
+    assert_eq!(output.status.code(), Some(1), "{}", all_said(&output));
+    let found = json(&String::from_utf8(output.stdout).unwrap());
+    let reasons = found["verdict"]["reasons"].as_array().unwrap();
+    let texts: Vec<&str> = reasons.iter().map(|reason| reason["text"].as_str().unwrap()).collect();
+    for missing in
+        ["encoders.csv is not there", "camera.yaml is not there", "straight.jpg is not there", "frames/*.jpg"]
+    {
+        assert!(texts.iter().any(|text| text.contains(missing)), "{missing}: {texts:?}");
+    }
+    assert!(reasons.iter().all(|reason| reason["code"] == "files" && reason["remedy"].as_str().unwrap().len() > 20));
+    assert!(sandbox.fail("new lab", 1).contains("is there already"));
+}
+
+#[test]
+fn check_predicts_what_a_run_will_know_and_names_what_does_not_fit() {
+    let sandbox = Sandbox::new();
+    sandbox.copy_bending(&[0, 4, 8, 12, 16, 20, 24, 28, 32]);
+    let run = sandbox.json("run bending -o out");
+    let good = sandbox.json("check bending");
+    assert_eq!(good["verdict"]["level"], run["verdict"]["level"], "{good:#}");
+    for name in ["sd_eta", "sd_lambda_mm"] {
+        // The run's rig is refined from the frames, which makes its sigmas a little smaller.
+        let ratio = number(&good["expected"], name) / number(&run, name);
+        assert!((0.7..2.0).contains(&ratio), "{name}: {ratio} of the run's");
+    }
+
+    let log = sandbox.read("bending/encoders.csv");
+    let swapped: String = log.replace("q1_mm,q2_mm", "q2_mm,q1_mm");
+    sandbox.write("bending/encoders.csv", &swapped);
+    assert_eq!(sandbox.json("check bending")["verdict"]["reasons"][0]["code"], "wiring");
+    sandbox.write("bending/encoders.csv", &log);
+    let text = sandbox.read("bending/experiment.toml").replace("frames/*.jpg", "frames/*.png");
+    sandbox.write("bending/experiment.toml", &text);
+    let output = sandbox.call("check bending");
+    assert!(all_said(&output).contains("there are 9 files *.jpg"), "{}", all_said(&output));
+}
+
+#[test]
+fn sheets_are_pdf_files() {
+    let sandbox = Sandbox::new();
+    for (line, file) in
+        [("print grid --paper letter", "grid.pdf"), ("print chessboard --corners 7x5", "chessboard.pdf")]
+    {
+        assert_eq!(number(&sandbox.json(line), "ruler_mm"), 100.0);
+        assert!(fs::read(sandbox.join(file)).unwrap().starts_with(b"%PDF-"), "{file}");
+    }
+    assert!(sandbox.fail("print grid --pitch 0.1", 2).contains("expected 0.5"));
+}
