@@ -68,6 +68,75 @@ impl fmt::Display for Status {
     }
 }
 
+impl Status {
+    /// All that this version knows.
+    pub const ALL: [Self; 13] = [
+        Self::Ok,
+        Self::NoSnake,
+        Self::Occluded,
+        Self::Ambiguous,
+        Self::Blurred,
+        Self::Saturated,
+        Self::OutOfFrame,
+        Self::CameraMoved,
+        Self::BaseMoved,
+        Self::GridLost,
+        Self::ViewsDisagree,
+        Self::Unreadable,
+        Self::WrongSize,
+    ];
+
+    /// What it means, and what to do about it, in words.
+    pub fn explained(&self) -> (&'static str, &'static str) {
+        match self {
+            Self::Ok => ("the frame was measured", "nothing"),
+            Self::NoSnake => (
+                "nothing in the picture looks like the snake",
+                "look whether the frame is of this view, and the light as in the straight picture",
+            ),
+            Self::Occluded => (
+                "too much of the snake's outline is hidden or disturbed",
+                "keep hands, tools and wires from before the snake; a second view sees what this one does not",
+            ),
+            Self::Ambiguous => (
+                "two bends explain the picture equally well",
+                "add a second view from the side; on a checkerboard, take one whose dark squares are lighter than the snake",
+            ),
+            Self::Blurred => (
+                "the outline is too soft to place its edges",
+                "let the snake rest while the frame is taken, expose for a shorter time, and focus on the snake",
+            ),
+            Self::Saturated => ("the picture is almost entirely black or white", "correct exposure or light"),
+            Self::OutOfFrame => (
+                "too much of the snake lies outside the picture",
+                "move the camera back or aside, so that the largest bend is within the picture",
+            ),
+            Self::CameraMoved => (
+                "the grid target is not where the straight picture shows it: the camera or the target moved",
+                "take a new straight picture; or `--follow`, where the camera is meant to move",
+            ),
+            Self::BaseMoved => (
+                "the base is not where the straight picture shows it, though the grid target is",
+                "clamp the holder, and take a new straight picture",
+            ),
+            Self::GridLost => (
+                "the camera was to be followed, and neither grid target nor base tells where it is",
+                "keep more of the grid target in the picture",
+            ),
+            Self::ViewsDisagree => (
+                "the views of one moment contradict each other",
+                "trigger the cameras together; check `delta_offset_deg` of each view and its straight picture",
+            ),
+            Self::Unreadable => ("the picture could not be read", "look whether the file is whole; write it anew"),
+            Self::WrongSize => (
+                "the picture has another size than the camera file says",
+                "calibrate the camera at the size of the frames; `snakeloop check` names the pictures",
+            ),
+            Self::Other(_) => ("a reason that this version does not know", "see the program that wrote the file"),
+        }
+    }
+}
+
 impl FromStr for Status {
     type Err = Infallible;
 

@@ -6,7 +6,7 @@ use super::flow::{MeasuredFrames, Throughput};
 use super::inputs::{encoders_of, files_read, maker, model_of};
 use super::measuring::{self, Count, Measured, MeasuringArgs};
 use super::origin::Settings;
-use super::overlays::{self, Overlays, draw, pictures};
+use super::overlays::{self, Overlays, closeup, draw, pictures};
 use super::table::largest_correction_mm;
 use super::trackers::open_trackers;
 use super::verdict::{VerdictArgs, subject, verdict_text};
@@ -200,15 +200,21 @@ pub fn finish(
         output: output.to_owned(),
         verdict,
     };
-    let pictures = match settings.overlays {
-        Overlays::None => Vec::new(),
-        Overlays::All | Overlays::Sample => pictures(experiment, &output.join("overlays"), &history.pictured)?,
+    let drawn = output.join("overlays");
+    let (pictures, closeup) = match settings.overlays {
+        Overlays::None => (Vec::new(), None),
+        Overlays::All | Overlays::Sample => {
+            (pictures(experiment, &drawn, &history.pictured)?, closeup(experiment, &drawn, &history.pictured)?)
+        }
     };
     let report = Report {
         title: format!("snakeloop: {}", name_of(experiment)),
         verdict: summary.verdict.clone(),
         summary: summary.lines(),
+        model: Some(&model).filter(|model| model.estimate.is_some()),
+        readings: encoders,
         history: &history,
+        closeup,
         pictures,
         warnings: warnings.iter().map(ToString::to_string).collect(),
         provenance: provenance(experiment),

@@ -301,6 +301,10 @@ async fn table(State(app): State<AppState>, query: std::result::Result<Query<Pos
     Json(json!({
         "theta_deg": row.configuration.theta_deg(),
         "delta_deg": row.configuration.delta_deg(),
+        "q_desired_mm": row.q_mm,
+        "q_command_mm": row.command_mm,
+        "sd_q_command_mm": row.sd_command_mm,
+        // The names of earlier versions.
         "q_mm": row.q_mm,
         "qc_mm": row.command_mm,
         "sd_qc_mm": row.sd_command_mm,

@@ -45,8 +45,8 @@ pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str) -> Re
     Ok(format!(
         "/* The compensation table of snakeloop {version}, model: {source}.
  *
- * snakeloop_command(theta_deg, delta_deg, q_mm) gives what to command, mm, for a bend of theta_deg degrees from straight
- * towards the azimuth delta_deg. It returns 0, or 1 and leaves q_mm alone where theta_deg is not within {first} to {last} or an
+ * snakeloop_command(theta_deg, delta_deg, q_command_mm) gives what to command, mm, for a bend of theta_deg degrees from straight
+ * towards the azimuth delta_deg. It returns 0, or 1 and leaves q_command_mm alone where theta_deg is not within {first} to {last} or an
  * angle is not finite. C89 and later; link with the mathematics library (-lm).
  */
 #ifndef SNAKELOOP_COMPENSATION_H
@@ -79,7 +79,7 @@ SNAKELOOP_FUNCTION void snakeloop_weights(double x, double w[4])
     w[3] = x * (x - 1) * (x - 2) / 6;
 }}
 
-SNAKELOOP_FUNCTION int snakeloop_command(double theta_deg, double delta_deg, double q_mm[{backbones}])
+SNAKELOOP_FUNCTION int snakeloop_command(double theta_deg, double delta_deg, double q_command_mm[{backbones}])
 {{
     const double row = (theta_deg - snakeloop_theta_deg[0]) / snakeloop_theta_deg[1];
     const double turn = (delta_deg - snakeloop_delta_deg[0]) / 360.0;
@@ -105,7 +105,7 @@ SNAKELOOP_FUNCTION int snakeloop_command(double theta_deg, double delta_deg, dou
                 sum[k] += wi[i] * wj[j] * node[k];
         }}
     for (k = 0; k < {backbones}; k++)
-        q_mm[k] = sum[k];
+        q_command_mm[k] = sum[k];
     return 0;
 }}
 

@@ -20,8 +20,10 @@ const LEGEND_PX: f64 = 26.0;
 const CIRCLE_DEG: f64 = 30.0;
 /// Share of the values that are told apart by their size; larger ones look alike. Convention: a display choice.
 const TOLD_APART: f64 = 0.98;
-const NEGATIVE: &str = "#2F78C8";
-const POSITIVE: &str = "#D6621E";
+// Other colours than those of backbones and series. Convention: display choices.
+const NEGATIVE: &str = "#0F8C8C";
+/// Convention: a display choice.
+const POSITIVE: &str = "#BE3264";
 
 /// The map as an SVG element; the largest 2 % of the values share the strongest colour. `None` without a finite value.
 pub fn bend_map(values: &[(Configuration, f64)], unit: &str) -> Option<Markup> {
@@ -37,9 +39,9 @@ pub fn bend_map(values: &[(Configuration, f64)], unit: &str) -> Option<Markup> {
     Some(html! {
         svg viewBox={ "0 0 " (SIZE_PX) " " (SIZE_PX + LEGEND_PX) } role="img" {
             (axes(CIRCLE_DEG * circles, px_per_deg))
-            @for (psi, value) in finite() { (dot(psi, *value, strongest, px_per_deg)) }
+            @for (psi, value) in finite() { (dot(psi, *value, strongest, px_per_deg, unit)) }
             @for circle in 1..=circles as usize { (circle_label(CIRCLE_DEG * circle as f64, px_per_deg)) }
-            (legend(strongest, unit))
+            (legend(strongest, unit, [finite().any(|(_, value)| *value < 0.0), finite().any(|(_, value)| *value > 0.0)]))
         }
     })
 }
@@ -65,7 +67,7 @@ fn ray(delta: i32, anchor: &str, length_px: f64) -> Markup {
     // Beside the map there is no room for a label; it stands above the line then.
     let beside = delta % 180 == 0;
     let (x, y) = if beside { (x.clamp(MARGIN_PX, SIZE_PX - MARGIN_PX), y - 8.0) } else { (x, y) };
-    let label = if delta == 0 { "δ 0°".to_owned() } else { format!("{delta}°") };
+    let label = if delta == 0 { "δ 0°".to_owned() } else { format!("{delta}°").replace('-', "−") };
     html! {
         line x1=(MIDDLE_PX) y1=(MIDDLE_PX) x2=(px(MIDDLE_PX + length_px * cos)) y2=(px(MIDDLE_PX - length_px * sin))
             stroke=(GRID) {}
@@ -79,20 +81,22 @@ fn circle_label(theta_deg: f64, px_per_deg: f64) -> Markup {
 }
 
 /// The dot of one value.
-fn dot(psi: &Configuration, value: f64, strongest: f64, px_per_deg: f64) -> Markup {
+fn dot(psi: &Configuration, value: f64, strongest: f64, px_per_deg: f64, unit: &str) -> Markup {
+    let says = format!("θ {:.1}°, δ {:.1}°: {value:.4} {unit}", psi.theta_deg(), psi.delta_deg()).replace('-', "−");
     let bend_px = psi.bend_vector().map(f64::to_degrees) * px_per_deg;
     let strength = if strongest > 0.0 { (value.abs() / strongest).min(1.0) } else { 0.0 };
     html! {
         circle cx=(px(MIDDLE_PX + bend_px.x)) cy=(px(MIDDLE_PX - bend_px.y)) r=(px(1.5 + 4.0 * strength))
-            fill=(if value < 0.0 { NEGATIVE } else { POSITIVE }) fill-opacity=(format!("{:.2}", 0.35 + 0.5 * strength)) {}
+            data-tip=(says) fill=(if value < 0.0 { NEGATIVE } else { POSITIVE }) fill-opacity=(format!("{:.2}", 0.35 + 0.5 * strength)) {}
     }
 }
 
-/// What the strongest colours mean.
-fn legend(strongest: f64, unit: &str) -> Markup {
+/// What the strongest colours mean; those of the signs that there are.
+fn legend(strongest: f64, unit: &str, signs: [bool; 2]) -> Markup {
     let y = SIZE_PX + 14.0;
     html! {
-        @for (share, colour, sign) in [(0.28, NEGATIVE, "−"), (0.58, POSITIVE, "+")] {
+        @let both = [(0.28, NEGATIVE, "−"), (0.58, POSITIVE, "+")];
+        @for ((share, colour, sign), _) in both.into_iter().zip(signs).filter(|(_, is_there)| *is_there) {
             circle cx=(px(share * SIZE_PX)) cy=(px(y - 4.0)) r="5.5" fill=(colour) fill-opacity="0.85" {}
             (text(share * SIZE_PX + 10.0, y, "start", &format!("{sign}{strongest:.3} {unit}")))
         }

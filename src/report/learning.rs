@@ -8,11 +8,8 @@ const LEAST_DEG: f64 = 1e-4;
 
 /// The table's rms error and each command's own over the number of measurements, as SVG; `naive_deg` is the error before any.
 pub fn learning_curve(naive_deg: f64, cycles: &[Cycle]) -> Option<String> {
-    let point = |measurements: usize, error_deg: f64| Point {
-        x: measurements as f64,
-        y: error_deg.max(LEAST_DEG).log10(),
-        sd: 0.0,
-    };
+    let point =
+        |measurements: usize, error_deg: f64| Point { x: measurements as f64, y: error_deg.max(LEAST_DEG), sd: 0.0 };
     let after = cycles.iter().enumerate().map(|(k, cycle)| point(k + 1, cycle.table_error_deg));
     let table = [point(0, naive_deg)].into_iter().chain(after).collect();
     let own = cycles.iter().enumerate().map(|(k, cycle)| point(k, cycle.error_deg)).collect();
@@ -22,9 +19,9 @@ pub fn learning_curve(naive_deg: f64, cycles: &[Cycle]) -> Option<String> {
     ];
     let plot = Plot {
         x_label: "measurements".into(),
-        y_label: "log₁₀ of the bending error (°)".into(),
+        y_label: "bending error, degrees".into(),
         series,
-        y_shown: vec![-2.0, 1.0],
+        y_shown: vec![0.01, 10.0],
     };
-    plot.svg()
+    plot.log_svg()
 }

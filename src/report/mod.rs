@@ -11,5 +11,6 @@ pub mod plot;
 pub mod reproduction;
 pub mod run_history;
 pub mod run_page;
+mod run_plots;
 pub mod sheet;
 pub mod verdict;

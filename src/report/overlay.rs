@@ -90,6 +90,21 @@ pub fn overlay(frame: &Frame, measurement: &Measurement, shape: Option<&Shape>) 
     picture
 }
 
+/// Whether a pixel of a picture that was drawn on, and may have been a JPEG file since, has the outline's colour.
+pub fn is_drawn_on(pixel: &Rgb<u8>) -> bool {
+    // Convention: what JPEG leaves of a line one px wide; nothing of the snake or a grid target is so much bluer and greener than red.
+    let [red, green, blue] = pixel.0.map(i32::from);
+    green - red > 110 && blue - red > 110
+}
+
+/// Paints a part of a picture as the outline is drawn.
+#[cfg(test)]
+pub fn paint_for_test(picture: &mut RgbImage, columns: Range<u32>, rows: Range<u32>) {
+    for (x, y) in columns.flat_map(|x| rows.clone().map(move |y| (x, y))) {
+        picture.put_pixel(x, y, OUTLINE);
+    }
+}
+
 /// What stands in the corner of the picture: the frame, then θ ± σ and δ ± σ, or why there are none.
 fn caption(measurement: &Measurement) -> Vec<String> {
     let mut lines = vec![format!("frame {}", measurement.index)];

@@ -5,6 +5,8 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 /// The style of all pages.
 const STYLE: &str = include_str!("report.css");
+/// What answers a hover and opens pictures. Everything is there without it.
+const SCRIPT: &str = include_str!("page.js");
 
 /// A whole page: its title, style of its own besides what all pages share, and what stands on it.
 pub(super) fn document(title: &str, own_style: &str, content: &Markup) -> String {
@@ -17,7 +19,10 @@ pub(super) fn document(title: &str, own_style: &str, content: &Markup) -> String
                 title { (title) }
                 style { (PreEscaped(STYLE)) (PreEscaped(own_style)) }
             }
-            body { main { (content) } }
+            body {
+                main { (content) }
+                script { (PreEscaped(SCRIPT)) }
+            }
         }
     };
     document.into_string()
@@ -100,7 +105,7 @@ mod tests {
             list(&text, &text, std::slice::from_ref(&text)),
             html! { (PreEscaped(document(&text, "", &html! {}))) },
         ] {
-            let written = markup.into_string();
+            let written = markup.into_string().replace(&format!("<script>{SCRIPT}</script>"), "");
             assert!(written.contains(escaped) && !written.contains("<script>"), "{written}");
         }
     }

@@ -3,22 +3,31 @@
 //! Text and lines of the axes are drawn in [`INK`] and [`GRID`], so that a page's style sheet can give them its own
 //! colours, for dark mode say.
 
+use super::decimation::keeps;
 use crate::statistics::order::median;
+use maud::html;
 use plotters::coord::Shift;
+use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, Ranged};
 use plotters::prelude::*;
+use std::ops::Range;
 
 /// Colour of text and axes. Convention: a display choice.
 pub const INK: &str = "#1B1F24";
 /// Colour of the grid lines. Convention: a display choice.
 pub const GRID: &str = "#D0D4DA";
 
-/// Width and height. Convention: a display choice.
-const SIZE_PX: (u32, u32) = (560, 300);
+/// Width and height, px; about what a plot has on a page with three side by side, so that text keeps its size there and on a phone.
+///
+/// Convention: a display choice.
+const SIZE_PX: (u32, u32) = (440, 290);
+/// Units in which the drawing is made, for each px: plotters places everything on whole units, and lines would wobble on whole px.
+///
+/// Convention: a tenth of a px is not seen.
+const UNITS_PER_PX: i32 = 10;
 /// Share of the y range that is left free above the points for each line of the legend. Convention: a display choice.
 const LEGEND_ROOM: f64 = 0.115;
-/// Colours of the series, as many as a robot can have backbones. Convention: a display choice.
-const PALETTE: [RGBColor; 8] = [
-    RGBColor(47, 120, 200),
+/// Colours of backbones, as many as a robot can have: the same on every page. Convention: a display choice.
+const BACKBONES: [RGBColor; 8] = [
     RGBColor(214, 98, 30),
     RGBColor(46, 148, 88),
     RGBColor(150, 90, 190),
@@ -26,7 +35,21 @@ const PALETTE: [RGBColor; 8] = [
     RGBColor(110, 120, 40),
     RGBColor(30, 150, 160),
     RGBColor(130, 100, 80),
+    RGBColor(90, 110, 200),
 ];
+/// Colours of all other series, in order. Convention: a display choice.
+const OTHERS: [RGBColor; 4] =
+    [RGBColor(47, 120, 200), RGBColor(200, 140, 20), RGBColor(20, 130, 120), RGBColor(170, 70, 140)];
+/// Colour of what stands beside the thing itself for comparison. Convention: a display choice.
+const FAINT: RGBColor = RGBColor(140, 146, 156);
+/// Names of such series.
+const FAINT_NAMES: [&str; 3] = ["rejected", "naive", "as asked for"];
+/// Ticks of an axis at most. Convention: a display choice.
+const MOST_TICKS: f64 = 7.0;
+/// Points of a series that answer a hover at most. Convention: more are closer than a finger, and make pages heavy.
+const MOST_TIPS: usize = 400;
+/// A band this many times as wide as the values and the later bands reach is not shown whole. Convention: a display choice.
+const WIDE: f64 = 4.0;
 
 /// How a series is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -80,18 +103,46 @@ impl Plot {
 
     /// The plot as an SVG element, or `None` where there is no finite point to draw.
     pub fn svg(&self) -> Option<String> {
-        let (x_range, y_range) = self.ranges()?;
-        let mut text = String::new();
-        {
-            let area = SVGBackend::with_string(&mut text, SIZE_PX).into_drawing_area();
-            self.draw(&area, x_range, y_range).ok()?;
-            area.present().ok()?;
-        }
-        Some(text)
+        self.drawn(&|y| format!("{y}"), &ticks)
     }
 
-    /// Ranges of x and y that show every value, and the sds of the later half: the first estimates may know so little
-    /// that their bands would flatten everything else.
+    /// The plot with a logarithmic y axis; values that are not positive are left out.
+    pub fn log_svg(&self) -> Option<String> {
+        let log = |series: &Series| Series {
+            points: series.points.iter().map(|p| Point { y: p.y.log10(), sd: 0.0, ..*p }).collect(),
+            ..series.clone()
+        };
+        let y_shown = self.y_shown.iter().map(|y| y.log10()).collect();
+        let plot = Self { series: self.series.iter().map(log).collect(), y_shown, ..self.clone() };
+        let decades = |[bottom, top]: [f64; 2], _: &str| -> Vec<f64> {
+            (bottom.ceil() as i32..=top.floor() as i32).map(f64::from).collect()
+        };
+        plot.drawn(&|y| format!("{}", significant(10f64.powf(y), 3)), &decades)
+    }
+
+    /// Draws with labels of y as `label` writes them, at the ticks that `y_ticks` gives for a range and the axis' name.
+    fn drawn(&self, label: &dyn Fn(f64) -> String, y_ticks: &dyn Fn([f64; 2], &str) -> Vec<f64>) -> Option<String> {
+        let (x_range, y_range) = self.ranges()?;
+        let y_ticks = y_ticks(y_range, &self.y_label);
+        let mut text = String::new();
+        let tips = {
+            let size = (SIZE_PX.0 * UNITS_PER_PX as u32, SIZE_PX.1 * UNITS_PER_PX as u32);
+            let area = SVGBackend::with_string(&mut text, size).into_drawing_area();
+            let tips = self.draw(&area, x_range, y_range, y_ticks, label).ok()?;
+            area.present().ok()?;
+            tips
+        };
+        // Where the picture stands alone it has the size that it is meant for.
+        let (wide, high) = SIZE_PX;
+        let large = format!("width=\"{}\" height=\"{}\"", 10 * wide, 10 * high);
+        Some(
+            text.replacen(&large, &format!("width=\"{wide}\" height=\"{high}\""), 1)
+                .replace("</svg>", &format!("{tips}</svg>")),
+        )
+    }
+
+    /// Ranges of x and y that show every value, and its band, but for bands so wide that they would flatten everything else, as the
+    /// first estimates may have.
     fn ranges(&self) -> Option<([f64; 2], [f64; 2])> {
         let all = || self.series.iter().flat_map(|s| s.points.iter().filter(|p| p.x.is_finite() && p.y.is_finite()));
         let mut xs: Vec<f64> = all().map(|p| p.x).collect();
@@ -99,74 +150,193 @@ impl Plot {
             return None;
         }
         let middle = median(&mut xs);
-        let settled = all().filter(|p| p.x >= middle && p.sd.is_finite()).flat_map(|p| [p.y - p.sd, p.y + p.sd]);
+        let ends = |p: &Point| [p.y - p.sd, p.y + p.sd];
+        let settled = all().filter(|p| p.x >= middle && p.sd.is_finite()).flat_map(ends);
         let shown = self.y_shown.iter().copied().filter(|y| y.is_finite());
-        let mut y_range = widened(all().map(|p| p.y).chain(settled).chain(shown));
-        if self.series.len() > 1 {
-            y_range[1] += LEGEND_ROOM * self.series.len() as f64 * (y_range[1] - y_range[0]);
+        let [bottom, top] = widened(all().map(|p| p.y).chain(settled).chain(shown.clone()));
+        let is_shown = |p: &&Point| 2.0 * p.sd <= WIDE * (top - bottom);
+        let mut y_range = widened([bottom, top].into_iter().chain(all().filter(is_shown).flat_map(ends)));
+        if self.legend_lines() > 0 {
+            y_range[1] += LEGEND_ROOM * self.legend_lines() as f64 * (y_range[1] - y_range[0]);
         }
         Some((widened(xs.into_iter()), y_range))
     }
 
+    /// How many series the legend names.
+    fn legend_lines(&self) -> usize {
+        if self.series.len() > 1 { self.series.iter().filter(|series| !series.name.is_empty()).count() } else { 0 }
+    }
+
+    /// Draws, and gives the elements that answer a hover.
     fn draw(
         &self,
         area: &DrawingArea<SVGBackend, Shift>,
         [left, right]: [f64; 2],
         [bottom, top]: [f64; 2],
-    ) -> Result<(), Box<dyn std::error::Error>> {
+        y_ticks: Vec<f64>,
+        y_text: &dyn Fn(f64) -> String,
+    ) -> Result<String, Box<dyn std::error::Error>> {
         let ink = RGBColor(0x1b, 0x1f, 0x24);
         let grid = RGBColor(0xd0, 0xd4, 0xda);
-        let text = |size: i32| ("sans-serif", size).into_font().color(&ink);
+        let px = |px: i32| px * UNITS_PER_PX;
+        let text = |size: i32| ("sans-serif", px(size)).into_font().color(&ink);
+        let (x_ticks, step) = (ticks([left, right], &self.x_label), smallest_step(&y_ticks));
+        let longest = y_ticks.iter().map(|y| tick_text(*y, step, y_text).chars().count()).max().unwrap_or(0);
+        let x_step = smallest_step(&x_ticks);
         let mut chart = ChartBuilder::on(area)
-            .margin(8)
-            .margin_right(16)
-            .x_label_area_size(40)
-            .y_label_area_size(62)
-            .build_cartesian_2d(left..right, bottom..top)?;
+            .margin(px(6))
+            .margin_right(px(14))
+            .x_label_area_size(px(42))
+            // Ticks are about 8 px a letter wide, and the axis' name stands beside them.
+            .y_label_area_size(px(28 + 8 * longest as i32))
+            .build_cartesian_2d(
+                Axis { range: left..right, ticks: x_ticks },
+                Axis { range: bottom..top, ticks: y_ticks },
+            )?;
         chart
             .configure_mesh()
             .light_line_style(TRANSPARENT)
-            .bold_line_style(grid)
-            .axis_style(ink)
+            .bold_line_style(grid.stroke_width(UNITS_PER_PX as u32))
+            .axis_style(ink.stroke_width(UNITS_PER_PX as u32))
+            .set_all_tick_mark_size(px(4))
             .label_style(text(14))
-            .axis_desc_style(text(15))
-            .x_labels(7)
-            .y_labels(6)
+            .axis_desc_style(text(14))
+            .x_labels(20)
+            .y_labels(20)
+            .x_label_formatter(&|x| tick_text(*x, x_step, &|x| format!("{x}")))
+            .y_label_formatter(&|y| tick_text(*y, step, y_text))
             .x_desc(&self.x_label)
             .y_desc(&self.y_label)
             .draw()?;
         let inside = |y: f64| y.clamp(bottom, top);
-        for (series, colour) in self.series.iter().zip(PALETTE) {
+        let mut tips = String::new();
+        for (place, series) in self.series.iter().enumerate() {
+            let colour = colour_of(&series.name, place);
             let points: Vec<Point> =
                 series.points.iter().filter(|p| p.x.is_finite() && p.y.is_finite()).copied().collect();
             let ends = |p: &Point| [(p.x, inside(p.y - p.sd)), (p.x, inside(p.y + p.sd))];
+            for (_, p) in points.iter().enumerate().filter(|(k, _)| keeps(*k, MOST_TIPS, points.len())) {
+                let (x, y) = chart.backend_coord(&(p.x, p.y));
+                tips += &self.tip((x, y), series, p, y_text);
+            }
             let handle = match series.style {
                 Style::Dots => {
                     let barred = points.iter().filter(|p| p.sd > 0.0);
-                    chart.draw_series(barred.map(|p| PathElement::new(ends(p), colour.mix(0.55))))?;
-                    chart.draw_series(points.iter().map(|p| Circle::new((p.x, p.y), 3, colour.filled())))?
+                    let thin = colour.mix(0.55).stroke_width(UNITS_PER_PX as u32);
+                    chart.draw_series(barred.map(|p| PathElement::new(ends(p), thin)))?;
+                    chart.draw_series(points.iter().map(|p| Circle::new((p.x, p.y), px(3), colour.filled())))?
                 }
                 Style::Band => {
                     let lower = points.iter().map(|p| ends(p)[0]);
                     let band: Vec<_> = lower.chain(points.iter().rev().map(|p| ends(p)[1])).collect();
                     chart.draw_series(std::iter::once(Polygon::new(band, colour.mix(0.22))))?;
-                    chart.draw_series(LineSeries::new(points.iter().map(|p| (p.x, p.y)), colour.stroke_width(2)))?
+                    let line = colour.stroke_width(2 * UNITS_PER_PX as u32);
+                    chart.draw_series(LineSeries::new(points.iter().map(|p| (p.x, p.y)), line))?
                 }
             };
-            if self.series.len() > 1 {
-                handle.label(&series.name).legend(move |(x, y)| Circle::new((x + 8, y), 4, colour.filled()));
+            if self.legend_lines() > 0 && !series.name.is_empty() {
+                handle.label(&series.name).legend(move |(x, y)| Circle::new((x + px(8), y), px(4), colour.filled()));
             }
         }
-        if self.series.len() > 1 {
-            chart
-                .configure_series_labels()
+        if self.legend_lines() > 0 {
+            let labels = &mut chart.configure_series_labels();
+            labels
                 .position(SeriesLabelPosition::UpperRight)
-                .label_font(text(14))
-                .legend_area_size(18)
+                .label_font(text(13))
+                .legend_area_size(px(18))
+                .margin(px(4))
                 .draw()?;
         }
-        Ok(())
+        Ok(tips)
     }
+
+    /// An unseen dot that says on hover what stands there.
+    fn tip(&self, (x, y): (i32, i32), series: &Series, point: &Point, y_text: &dyn Fn(f64) -> String) -> String {
+        let number = |value: f64| format!("{}", significant(value, 5)).replace('-', "−");
+        let sd = if point.sd > 0.0 { format!(" ± {}", significant(point.sd, 2)) } else { String::new() };
+        let name = if series.name.is_empty() { String::new() } else { format!("{}: ", series.name) };
+        let value = if y_text(1.0) == "1" { number(point.y) } else { y_text(point.y) };
+        let text = format!("{name}{} {value}{sd}; {} {}", self.y_label, self.x_label, number(point.x));
+        let text = html! { (text) }.into_string();
+        format!("<circle class=\"tip\" cx=\"{x}\" cy=\"{y}\" r=\"60\" fill=\"none\" data-tip=\"{text}\"/>\n")
+    }
+}
+
+/// An axis with ticks of its own.
+struct Axis {
+    range: Range<f64>,
+    ticks: Vec<f64>,
+}
+
+impl Ranged for Axis {
+    type FormatOption = DefaultFormatting;
+    type ValueType = f64;
+
+    fn map(&self, value: &f64, limit: (i32, i32)) -> i32 {
+        let share = (value - self.range.start) / (self.range.end - self.range.start);
+        limit.0 + (share * f64::from(limit.1 - limit.0)).round() as i32
+    }
+
+    fn key_points<Hint: KeyPointHint>(&self, _hint: Hint) -> Vec<f64> {
+        self.ticks.clone()
+    }
+
+    fn range(&self) -> Range<f64> {
+        self.range.clone()
+    }
+}
+
+/// The colour of a series: a backbone's own, grey for what is there for comparison, else by its place.
+fn colour_of(name: &str, place: usize) -> RGBColor {
+    let backbone = name.strip_prefix("backbone ").and_then(|rest| rest.split(' ').next()?.parse::<usize>().ok());
+    match backbone {
+        Some(number) => BACKBONES[number.saturating_sub(1) % BACKBONES.len()],
+        None if FAINT_NAMES.iter().any(|faint| name.starts_with(faint)) => FAINT,
+        None => OTHERS[place % OTHERS.len()],
+    }
+}
+
+/// Round numbers within a range: 1, 2 or 5 times a power of ten apart; angles, whose axis' name ends in (°), 15°, 30°, 45° or 90° apart where
+/// that is so far.
+fn ticks([least, most]: [f64; 2], label: &str) -> Vec<f64> {
+    let width = most - least;
+    let apart = width / MOST_TICKS;
+    if !(apart > 0.0 && apart.is_finite()) {
+        return vec![least];
+    }
+    let decade = 10f64.powf(apart.log10().floor());
+    let round = [1.0, 2.0, 5.0, 10.0].map(|factor| factor * decade);
+    let angles = [15.0, 30.0, 45.0, 90.0];
+    let is_angle = label.ends_with("(°)") && apart > 5.0;
+    let steps = if is_angle { &angles[..] } else { &round[..] };
+    let step = steps.iter().copied().find(|step| *step >= apart).unwrap_or(steps[steps.len() - 1]);
+    let first = (least / step).ceil() as i64;
+    (0..=MOST_TICKS as i64 + 1).map(|k| (first + k) as f64 * step).take_while(|tick| *tick <= most).collect()
+}
+
+/// The distance between neighbouring ticks; 1 where there are no two.
+fn smallest_step(ticks: &[f64]) -> f64 {
+    ticks.windows(2).map(|pair| pair[1] - pair[0]).reduce(f64::min).unwrap_or(1.0)
+}
+
+/// A tick's number with as many places as tell it from its neighbours; `written` is what writes numbers that are no plain ones.
+fn tick_text(value: f64, step: f64, written: &dyn Fn(f64) -> String) -> String {
+    if written(1.0) != "1" {
+        return written(value);
+    }
+    let places = (-(step.abs().max(1e-12)).log10()).ceil().clamp(0.0, 9.0) as usize;
+    let text = if value.abs() >= 1e6 { format!("{value:.0e}") } else { format!("{value:.places$}") };
+    let zero = text.trim_start_matches('-').chars().all(|c| c == '0' || c == '.');
+    if zero { text.trim_start_matches('-').to_owned() } else { text.replace('-', "−") }
+}
+
+/// A number rounded to so many significant digits.
+fn significant(value: f64, digits: i32) -> f64 {
+    if value == 0.0 || !value.is_finite() {
+        return value;
+    }
+    let digits = (digits - 1) as usize;
+    format!("{value:.digits$e}").parse().unwrap_or(value)
 }
 
 /// The least range that holds all values, with a margin on both sides. Convention: the margin is a display choice, and keeps the range
@@ -195,7 +365,7 @@ mod tests {
     fn every_point_has_its_dot_and_labels_are_escaped() {
         let points = (0..20).map(|i| Point { x: f64::from(i), y: f64::from(i * i), sd: 5.0 }).collect();
         let svg = plot(Style::Dots, points).svg().unwrap();
-        assert_eq!(svg.matches("<circle").count(), 2 * 20 + 2, "dots and legend");
+        assert_eq!(svg.matches("<circle").count(), 2 * 20 + 2 + 2 * 20, "dots, legend, and what answers a hover");
         assert!(svg.contains("θ (°)") && svg.contains("&lt;rejected&gt;") && svg.contains(INK) && svg.contains(GRID));
     }
 
@@ -204,6 +374,35 @@ mod tests {
         let points = (0..20).map(|i| Point { x: f64::from(i), y: 1.2, sd: if i == 0 { 1e6 } else { 0.01 } }).collect();
         let (_, [bottom, top]) = plot(Style::Band, points).ranges().unwrap();
         assert!(top - bottom < 0.05, "{bottom} to {top}");
+    }
+
+    #[test]
+    fn ticks_are_round_and_angles_are_told_in_their_own_steps() {
+        assert_eq!(ticks([-180.0, 180.0], "δ (°)"), [-180.0, -90.0, 0.0, 90.0, 180.0]);
+        assert_eq!(ticks([-3.0, 76.0], "θ (°)"), [0.0, 15.0, 30.0, 45.0, 60.0, 75.0]);
+        assert_eq!(ticks([0.13, 0.52], "x (mm)"), [0.2, 0.3, 0.4, 0.5].map(|x: f64| (x * 10.0).round() * 0.1));
+        let plain = |value: f64, step: f64| tick_text(value, step, &|x| format!("{x}"));
+        assert_eq!(
+            (plain(0.30000000000000004, 0.1), plain(-45.0, 45.0), plain(-0.0, 0.5)),
+            ("0.3".into(), "−45".into(), "0.0".into())
+        );
+    }
+
+    #[test]
+    fn a_logarithmic_axis_is_told_in_its_own_unit() {
+        let points =
+            [5.0, 0.5, 0.01, 0.0].iter().enumerate().map(|(k, &y)| Point { x: k as f64, y, sd: 0.0 }).collect();
+        let svg = plot(Style::Dots, points).log_svg().unwrap();
+        for tick in ["0.01", "0.1", "1"] {
+            assert!(svg.contains(&format!(">\n{tick}\n<")), "{tick}: {svg}");
+        }
+    }
+
+    #[test]
+    fn a_backbone_has_one_colour_wherever_it_stands() {
+        assert_eq!(colour_of("backbone 2", 0), colour_of("backbone 2 (command)", 5));
+        assert_eq!(colour_of("rejected", 1), colour_of("naive", 0));
+        assert_ne!(colour_of("backbone 1", 0), colour_of("used", 0));
     }
 
     #[test]

@@ -1,12 +1,16 @@
 //! report.html of `run`: one page that explains a run to a person.
 
+use super::bend_map::bend_map;
 use super::overlay::angles;
 use super::page::{definitions, document, figure, list, table};
 use super::plot::{Plot, Point, Series, Style};
 use super::run_history::RunHistory;
+use super::run_plots::{Sampled, Titled, command_over_theta, corrections_mm};
 use super::verdict::verdict_box;
 use crate::estimate::{EstimateRow, Verdict};
-use crate::observation::Measurement;
+use crate::geometry::Configuration;
+use crate::observation::{EncoderReading, Measurement};
+use crate::robot::{Model, TableRow};
 use crate::verdict::Verdict as RunVerdict;
 use base64::prelude::{BASE64_STANDARD, Engine};
 use maud::{Markup, html};
@@ -18,6 +22,28 @@ pub struct Picture {
     pub caption: String,
     /// The picture as a JPEG file.
     pub jpeg: Vec<u8>,
+    /// Where it stands beside the page, in full.
+    pub file: String,
+    /// The part with the snake, as shares of its width and height.
+    pub snake: Part,
+}
+
+/// A part of a picture, as shares of its width and height.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Part {
+    /// Of the part's left border.
+    pub left: f64,
+    /// Of its upper border.
+    pub top: f64,
+    /// Its width.
+    pub width: f64,
+    /// Its height.
+    pub height: f64,
+}
+
+impl Part {
+    /// All of it.
+    pub const WHOLE: Self = Self { left: 0.0, top: 0.0, width: 1.0, height: 1.0 };
 }
 
 /// What the page is made of.
@@ -29,8 +55,14 @@ pub struct Report<'a> {
     pub verdict: RunVerdict,
     /// The figures that matter, by name.
     pub summary: Vec<(String, String)>,
+    /// What was learned; `None` without an estimate.
+    pub model: Option<&'a Model>,
+    /// The encoders' readings.
+    pub readings: &'a [EncoderReading],
     /// The rows that are shown.
     pub history: &'a RunHistory,
+    /// One frame at the largest bend, cut to the snake, as a JPEG file, and what stands below it.
+    pub closeup: Option<(String, Vec<u8>)>,
     /// Frames with the model drawn on them.
     pub pictures: Vec<Picture>,
     /// What was passed over in the input.
@@ -46,6 +78,8 @@ impl Report<'_> {
             h1 { (self.title) }
             (verdict_box(&self.verdict))
             (definitions("summary", &self.summary))
+            (self.closeup())
+            (self.learned())
             (self.plots())
             (self.frames_not_measured())
             (self.measurements_not_used())
@@ -55,6 +89,50 @@ impl Report<'_> {
             (definitions("provenance", &self.provenance))
         };
         document(&self.title, "", &content)
+    }
+
+    fn closeup(&self) -> Markup {
+        html! {
+            @if let Some((caption, jpeg)) = &self.closeup {
+                h2 { "What was measured" }
+                figure.closeup {
+                    (embedded(jpeg, caption))
+                    figcaption { (caption) " " (DRAWN) }
+                }
+            }
+        }
+    }
+
+    /// What the model that was learned does, and what to command by it.
+    fn learned(&self) -> Markup {
+        let Some(model) = self.model else { return html! {} };
+        let sampled = Sampled::of(model, self.history, self.readings);
+        let titled = |Titled { title, caption, plot }: &Titled| figure(title, plot, caption);
+        let map = |title: &str, values: &[(Configuration, f64)], unit: &str, caption: &str| {
+            html! {
+                @if let Some(map) = bend_map(values, unit) {
+                    figure { h3 { (title) } (map) figcaption { (caption) } }
+                }
+            }
+        };
+        let coverage = "Each dot is a measured bend, seen from the tip: its distance from the middle is θ, its direction δ. The larger the dot, \
+                        the further the model misses it.";
+        let corrections =
+            "The largest |q̃ − q| of a backbone at each bend: how much more than the geometry says is to be commanded.";
+        html! {
+            h2 { "What was learned" }
+            .plots {
+                (titled(&sampled.reached_over_desired()))
+                (titled(&sampled.epsilon_over_tau()))
+                (map("Poses, and what the model misses of them", &sampled.misses_deg(), "°", coverage))
+            }
+            h2 { "What to command" }
+            .plots {
+                (titled(&command_over_theta(model)))
+                (map("Compensation", &corrections_mm(model), "mm", corrections))
+                figure { h3 { "The table in short" } (short_table(model)) figcaption { "All of it is in compensation.csv." } }
+            }
+        }
     }
 
     fn plots(&self) -> Markup {
@@ -119,6 +197,16 @@ impl Report<'_> {
                 })
                 .collect(),
         });
+        let rms =
+            self.history.plotted.iter().filter_map(|(m, row)| {
+                Some(Point { x: axis.place(row.index, row.time_s), y: m.quality?.rms_px, sd: 0.0 })
+            });
+        let rms = Series { name: String::new(), style: Style::Dots, points: rms.collect() };
+        plots.push((
+            "Reprojection residuals",
+            "Root mean square distance of the edges in each frame from the fitted outline.",
+            plot("rms (px)", vec![rms]),
+        ));
         plots.push((
             "Residuals of ε",
             "Measured ε less what the estimate before it predicted. A pattern here is something the model does not know.",
@@ -150,13 +238,17 @@ impl Report<'_> {
 
     fn frames_not_measured(&self) -> Markup {
         let failed = self.history.unmeasured.iter();
-        let rows: Vec<_> = failed.map(|m| [frame_name(m.index, &m.view), m.status.to_string()]).collect();
+        let row = |m: &Measurement| {
+            let (meaning, remedy) = m.status.explained();
+            [frame_name(m.index, &m.view), m.status.to_string(), meaning.to_owned(), remedy.to_owned()]
+        };
+        let rows: Vec<_> = failed.map(row).collect();
         html! {
             @if rows.is_empty() {
                 h2 { "Frames not measured" }
                 p { "None: every frame was measured." }
             } @else {
-                (table("Frames not measured", ["frame", "reason"], &rows))
+                (table("Frames not measured", ["frame", "status", "what it means", "what to do"], &rows))
                 (others(self.history.unmeasured_count - rows.len(), "measurements.csv"))
             }
         }
@@ -183,16 +275,65 @@ impl Report<'_> {
         html! {
             @if !self.pictures.is_empty() {
                 h2 { "Frames" }
-                p {
-                    "The model as it was fitted: centre line (orange) from base (green) to tip (magenta), outline (cyan)."
-                }
+                p { (DRAWN) " Choose one to see it in full." }
                 .pictures {
-                    @for Picture { caption, jpeg } in &self.pictures {
-                        figure {
-                            img loading="lazy" alt=(caption)
-                                src={ "data:image/jpeg;base64," (BASE64_STANDARD.encode(jpeg)) };
-                            figcaption { (caption) }
-                        }
+                    @for picture in &self.pictures { (thumbnail(picture)) }
+                }
+                dialog id="full" { img alt="The whole frame"; p {} }
+            }
+        }
+    }
+}
+
+/// What the colours on pictures mean.
+const DRAWN: &str =
+    "The model as it was fitted: centre line (orange) from base (green) to tip (magenta), outline (cyan).";
+
+/// A picture within the page.
+fn embedded(jpeg: &[u8], alt: &str) -> Markup {
+    html! { img alt=(alt) src={ "data:image/jpeg;base64," (BASE64_STANDARD.encode(jpeg)) }; }
+}
+
+/// A picture cut to the snake, which opens in full.
+fn thumbnail(Picture { caption, jpeg, file, snake }: &Picture) -> Markup {
+    let percent = |share: f64| format!("{:.2}%", 100.0 * share);
+    let place = format!(
+        "width:{};left:{};top:{}",
+        percent(1.0 / snake.width),
+        percent(-snake.left / snake.width),
+        percent(-snake.top / snake.height)
+    );
+    html! {
+        figure {
+            a.full href=(file) title=(caption) {
+                span.crop {
+                    img loading="lazy" alt=(caption) style=(place)
+                        src={ "data:image/jpeg;base64," (BASE64_STANDARD.encode(jpeg)) };
+                }
+            }
+            figcaption { (caption) }
+        }
+    }
+}
+
+/// What to command for a few poses.
+fn short_table(model: &Model) -> Markup {
+    let poses = [15.0, 30.0, 60.0, 90.0].into_iter().flat_map(|t| [-90.0, 0.0, 90.0, 180.0].map(|d| (t, d)));
+    let rows: Vec<TableRow> = poses.map(|(t, d)| TableRow::new(model, Configuration::from_degrees(t, d))).collect();
+    let number = |value: f64, places: usize| format!("{value:.places$}").replace('-', "−");
+    html! {
+        .wide {
+            table {
+                tr {
+                    th.number { "θ (°)" }
+                    th.number { "δ (°)" }
+                    @for i in 1..=model.robot.backbone_count() { th.number { "q̃" (i) " (mm)" } }
+                }
+                @for row in &rows {
+                    tr {
+                        td.number { (number(row.configuration.theta_deg(), 0)) }
+                        td.number { (number(row.configuration.delta_deg(), 0)) }
+                        @for q in &row.command_mm { td.number { (number(*q, 3)) } }
                     }
                 }
             }
@@ -281,7 +422,15 @@ mod tests {
             verdict: RunVerdict::default(),
             summary: vec![("η".into(), "1.200 ± 0.010".into())],
             history: &history,
-            pictures: vec![Picture { caption: "frame 1".into(), jpeg: vec![0xff, 0xd8] }],
+            model: Some(&Model::default()),
+            readings: &[],
+            closeup: Some(("frame 3".into(), vec![0xff, 0xd8])),
+            pictures: vec![Picture {
+                caption: "frame 1".into(),
+                jpeg: vec![0xff, 0xd8],
+                file: "overlays/side_00001.jpg".into(),
+                snake: Part { left: 0.25, top: 0.5, width: 0.5, height: 0.5 },
+            }],
             warnings: vec!["a.csv:3: row skipped".into()],
             provenance: vec![("encoders".into(), "a & b.csv".into())],
         }
@@ -289,7 +438,9 @@ mod tests {
         for expected in [
             "<h1>bending &lt;1&gt;</h1>",
             "1.200 ± 0.010",
-            "<td>2</td><td>no_snake</td>",
+            "<td>2</td><td>no_snake</td><td>nothing in the picture looks like the snake</td>",
+            "width:200.00%;left:-50.00%;top:-100.00%",
+            "href=\"overlays/side_00001.jpg\"",
             "rejected: outlier",
             "a.csv:3: row skipped",
             "a &amp; b.csv",
@@ -297,7 +448,8 @@ mod tests {
         ] {
             assert!(page.contains(expected), "{expected}");
         }
-        assert_eq!(page.matches("<svg").count(), 5);
+        // Five of the run's course, q̃ over θ, and the polar map of the compensation; no readings, so nothing of bends and forces.
+        assert_eq!(page.matches("<svg").count(), 7);
         assert!(!page.contains("http"), "no outside address");
     }
 
@@ -311,6 +463,9 @@ mod tests {
             verdict: RunVerdict::default(),
             summary: vec![],
             history: &history,
+            model: None,
+            readings: &[],
+            closeup: None,
             pictures: vec![],
             warnings: vec![],
             provenance: vec![],

@@ -43,7 +43,7 @@ fn the_chain_from_simulation_to_table_holds_for_four_five_and_six() {
         let columns = header(&sandbox, "table/compensation.csv");
         assert_eq!(columns, format!("theta_deg,delta_deg,{},{},{}", q("q"), q("qc"), q("sd_qc")));
         let c = sandbox.read("table/compensation.h");
-        assert!(c.contains(&format!("double q_mm[{backbones}]")), "{c}");
+        assert!(c.contains(&format!("double q_command_mm[{backbones}]")), "{c}");
 
         let wanted = sandbox.json("invert --model out/model.toml --theta-deg 50 --delta-deg 70");
         let qc: Vec<String> = (1..=backbones).map(|i| wanted[format!("qc{i}_mm")].to_string()).collect();

@@ -49,7 +49,7 @@ fn pages() -> Vec<(String, Vec<String>)> {
 /// A folder with what pages speak of: the experiment, a run's outputs, tables and pictures under the names that they have there.
 fn prepared() -> Sandbox {
     let sandbox = Sandbox::new();
-    sandbox.copy_bending(&[0, 4, 8, 12, 16, 20, 24, 28, 32]);
+    sandbox.copy_bending(&[0, 4, 8, 13, 17, 21, 24, 28, 32]);
     for name in ["fixtures", "EXPERIMENT", "loaded"] {
         fs::create_dir_all(sandbox.join(name)).unwrap();
     }

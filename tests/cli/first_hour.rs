@@ -26,7 +26,7 @@ fn a_new_folder_is_an_experiment_that_check_says_is_empty() {
 #[test]
 fn check_predicts_what_a_run_will_know_and_names_what_does_not_fit() {
     let sandbox = Sandbox::new();
-    sandbox.copy_bending(&[0, 4, 8, 12, 16, 20, 24, 28, 32]);
+    sandbox.copy_bending(&[0, 4, 8, 13, 17, 21, 24, 28, 32]);
     let run = sandbox.json("run bending -o out");
     let good = sandbox.json("check bending");
     assert_eq!(good["verdict"]["level"], run["verdict"]["level"], "{good:#}");

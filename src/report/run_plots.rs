@@ -1,0 +1,205 @@
+//! The plots of a run's report: what the model says of bends, forces and commands, beside what was measured.
+
+use super::plot::{Plot, Point, Series, Style};
+use super::run_history::RunHistory;
+use crate::geometry::Configuration;
+use crate::observation::{EncoderReading, Measured};
+use crate::robot::{Model, PerBackbone, TableRow};
+
+/// Largest θ of the curves of q̃, degrees. Convention: the default table's.
+const LARGEST_DEG: f64 = 90.0;
+/// Step of these curves, degrees. Convention: a display choice.
+const STEP_DEG: f64 = 3.0;
+
+/// Direction δ of these curves, degrees. Convention: one in which no two of three backbones need the same.
+const DIRECTION_DEG: f64 = 15.0;
+
+/// A plot with its title and caption.
+pub struct Titled {
+    /// The heading.
+    pub title: &'static str,
+    /// What stands below.
+    pub caption: String,
+    /// The plot.
+    pub plot: Plot,
+}
+
+/// The measured angles of rows that have a reading, with it.
+pub struct Sampled<'a> {
+    /// The model that was learned.
+    model: &'a Model,
+    samples: Vec<(Measured, PerBackbone)>,
+}
+
+impl<'a> Sampled<'a> {
+    /// The rows that are plotted, with their readings; these are in order of their index.
+    pub fn of(model: &'a Model, history: &RunHistory, readings: &[EncoderReading]) -> Self {
+        let sample = |index: u64, measured: Option<Measured>| {
+            let at = readings.binary_search_by_key(&index, |reading| reading.index).ok()?;
+            Some((measured?, readings[at].q_mm))
+        };
+        Self { model, samples: history.plotted.iter().filter_map(|(m, _)| sample(m.index, m.measured)).collect() }
+    }
+
+    /// The bend that a model expects of each command, beside the bend that was measured.
+    fn expected(&self, model: &Model) -> Vec<(Configuration, Configuration)> {
+        let expected = |(measured, q_mm): &(Measured, PerBackbone)| {
+            Some((model.forward(q_mm).ok()?.configuration, measured.configuration))
+        };
+        self.samples.iter().filter_map(expected).collect()
+    }
+
+    /// Reached bend over desired bend, as the naive table would have commanded it and as the learned one does.
+    pub fn reached_over_desired(&self) -> Titled {
+        let naive = Model { estimate: None, ..self.model.clone() };
+        let points = |model: &Model| -> Vec<Point> {
+            let both = self.expected(model).into_iter();
+            let mut points: Vec<Point> =
+                both.map(|(to, at)| Point { x: to.theta_deg(), y: at.theta_deg(), sd: 0.0 }).collect();
+            points.sort_by(|a, b| a.x.total_cmp(&b.x));
+            points
+        };
+        let (before, after) = (points(&naive), points(self.model));
+        let largest = before.iter().chain(&after).map(|p| p.x.max(p.y)).fold(0.0, f64::max);
+        let asked = [0.0, largest].map(|x| Point { x, y: x, sd: 0.0 });
+        let asked = asked.into_iter().filter(|_| largest > 0.0).collect();
+        let series = |name: &str, style, points| Series { name: name.into(), style, points };
+        Titled {
+            title: "Desired and reached bend",
+            caption: "A command that the table of the naive model (η = 1, λ = 0, nothing learned) gives for a desired bend, and one that the \
+                      learned table gives, and the bend that was measured under it. On the line the snake goes where it was sent."
+                .into(),
+            plot: Plot {
+                x_label: "desired θ (°)".into(),
+                y_label: "reached θ (°)".into(),
+                series: vec![
+                    series("as asked for", Style::Band, asked),
+                    series("before compensation", Style::Dots, before),
+                    series("after compensation", Style::Dots, after),
+                ],
+                y_shown: vec![0.0],
+            },
+        }
+    }
+
+    /// ε over τ: what the line takes up, and the law that was found.
+    pub fn epsilon_over_tau(&self) -> Titled {
+        let backbones = self.model.robot.backbone_count();
+        let robot = &self.model.robot;
+        let tau = |psi: Configuration| robot.actuation_forces(psi.bend_vector(), None);
+        let measured = (0..backbones).map(|i| Series {
+            name: format!("backbone {}", i + 1),
+            style: Style::Dots,
+            points: self
+                .samples
+                .iter()
+                .map(|(measured, q_mm)| {
+                    let psi = measured.configuration;
+                    Point { x: tau(psi)[i], y: q_mm[i] - robot.joint_displacements(psi)[i], sd: 0.0 }
+                })
+                .collect(),
+        });
+        let of_law = self.samples.iter().flat_map(|(measured, _)| {
+            let psi = measured.configuration;
+            let epsilon = self.model.epsilon(psi);
+            (0..backbones).map(move |i| (psi, i, epsilon[i]))
+        });
+        let mut law: Vec<Point> = of_law.map(|(psi, i, y)| Point { x: tau(psi)[i], y, sd: 0.0 }).collect();
+        law.sort_by(|a, b| a.x.total_cmp(&b.x));
+        let law = Series { name: "Eq. 18 as learned".into(), style: Style::Band, points: law };
+        Titled {
+            title: "Compensation ε over force τ",
+            caption: "ε = q̃ − q is what the actuation line takes up of a command; τ is the force that the model says the bent snake needs of a \
+                      backbone. The slope tells η, the height λ."
+                .into(),
+            plot: Plot {
+                x_label: "τ (N)".into(),
+                y_label: "ε (mm)".into(),
+                series: std::iter::once(law).chain(measured).collect(),
+                y_shown: vec![],
+            },
+        }
+    }
+
+    /// Each measured bend, with how far the model misses it, degrees.
+    pub fn misses_deg(&self) -> Vec<(Configuration, f64)> {
+        let miss = |(expected, measured): (Configuration, Configuration)| {
+            (measured, (measured.bend_vector() - expected.bend_vector()).norm().to_degrees())
+        };
+        self.expected(self.model).into_iter().map(miss).collect()
+    }
+}
+
+/// q̃ over θ in one direction.
+pub fn command_over_theta(model: &Model) -> Titled {
+    let rows: Vec<TableRow> = (0..=(LARGEST_DEG / STEP_DEG) as usize)
+        .map(|k| TableRow::new(model, Configuration::from_degrees(k as f64 * STEP_DEG, DIRECTION_DEG)))
+        .collect();
+    let series = (0..model.robot.backbone_count()).map(|i| Series {
+        name: format!("backbone {}", i + 1),
+        style: Style::Band,
+        points: rows
+            .iter()
+            .map(|row| Point { x: row.configuration.theta_deg(), y: row.command_mm[i], sd: row.sd_command_mm[i] })
+            .collect(),
+    });
+    Titled {
+        title: "Command q̃ over θ",
+        caption: format!(
+            "What to command each backbone for a bend towards δ = {DIRECTION_DEG}°, with its band of ±1σ."
+        ),
+        plot: Plot { x_label: "θ (°)".into(), y_label: "q̃ (mm)".into(), series: series.collect(), y_shown: vec![] },
+    }
+}
+
+/// The largest correction of a backbone at each pose of a coarse grid, mm.
+pub fn corrections_mm(model: &Model) -> Vec<(Configuration, f64)> {
+    let poses = (1..=9).flat_map(|t| (0..24).map(move |d| (10.0 * f64::from(t), 15.0 * f64::from(d) - 165.0)));
+    let poses = poses.map(|(theta_deg, delta_deg)| Configuration::from_degrees(theta_deg, delta_deg));
+    poses.map(|psi| (psi, model.epsilon(psi).amax())).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::{EstimateRow, Verdict};
+    use crate::observation::{Measurement, Status};
+    use crate::robot::Estimate;
+    use nalgebra::Matrix2;
+
+    #[test]
+    fn a_perfect_model_reaches_what_is_desired_and_lies_on_its_law() {
+        let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::identity() * 1e-6, samples: 9 };
+        let model = Model { estimate: Some(estimate), ..Model::default() };
+        let mut history = RunHistory::new(4);
+        let mut readings = Vec::new();
+        for index in 0..4u64 {
+            let configuration = Configuration::from_degrees(20.0 * index as f64 + 5.0, 30.0);
+            let measured = Measured { configuration, sigma_theta: 1e-3, sigma_delta: 1e-3, correlation: 0.0 };
+            let (time_s, view) = (Some(index as f64), None);
+            let measurement =
+                Measurement { index, time_s, status: Status::Ok, measured: Some(measured), quality: None, view };
+            let row = EstimateRow {
+                index,
+                time_s,
+                estimate: None,
+                verdict: Verdict::Used,
+                reason: String::new(),
+                residual_mm: None,
+                view: None,
+            };
+            history.add(&measurement, &row);
+            readings.push(EncoderReading { index, time_s: index as f64, q_mm: model.command(configuration) });
+        }
+        let sampled = Sampled::of(&model, &history, &readings);
+        let [_, before, after] = &sampled.reached_over_desired().plot.series[..] else { panic!("three series") };
+        assert!(after.points.iter().all(|p| (p.x - p.y).abs() < 1e-6));
+        assert!(before.points.last().is_some_and(|p| p.x - p.y > 3.0), "the naive table falls short");
+        let plot = sampled.epsilon_over_tau().plot;
+        let law = &plot.series[0].points;
+        for p in plot.series[1..].iter().flat_map(|series| &series.points) {
+            assert!(law.iter().any(|l| (l.x - p.x).abs() < 1e-9 && (l.y - p.y).abs() < 1e-9), "{p:?}");
+        }
+        assert!(sampled.misses_deg().iter().all(|(_, miss)| *miss < 1e-5));
+    }
+}
