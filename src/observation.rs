@@ -70,11 +70,12 @@ impl fmt::Display for Status {
 
 impl Status {
     /// All that this version knows.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Ok,
         Self::NoSnake,
         Self::Occluded,
         Self::Ambiguous,
+        Self::UnknownShape,
         Self::Blurred,
         Self::Saturated,
         Self::OutOfFrame,
@@ -101,6 +102,10 @@ impl Status {
             Self::Ambiguous => (
                 "two bends explain the picture equally well",
                 "add a second view from the side; on a checkerboard, take one whose dark squares are lighter than the snake",
+            ),
+            Self::UnknownShape => (
+                "the outline contradicts what is known of the snake's shape, and no other shape explains all of it",
+                "look at the frame by `measure --explain`: contact along the body, or something that touches the outline; check robot.toml",
             ),
             Self::Blurred => (
                 "the outline is too soft to place its edges",

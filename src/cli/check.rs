@@ -11,6 +11,7 @@ use super::views::rig_of;
 use crate::camera::{FrameSource, Lens, picture_size};
 use crate::cli::failure::Failure;
 use crate::estimate::{Options, estimate, or_one_gain};
+use crate::geometry::Configuration;
 use crate::measure::Eye;
 use crate::observation::{EncoderReading, Measured, Measurement, Status};
 use crate::record::{Checked, Experiment, RigSource, View};
@@ -374,21 +375,17 @@ fn name_in(experiment: &Experiment, path: &Path) -> String {
 }
 
 /// Where the snake goes by the model, at the readings that have a frame.
-fn poses_of(model: &Model, log: &[EncoderReading], indices: &BTreeSet<u64>) -> Vec<(EncoderReading, Measured)> {
+fn poses_of(model: &Model, log: &[EncoderReading], indices: &BTreeSet<u64>) -> Vec<(EncoderReading, Configuration)> {
     let with_frame: Vec<&EncoderReading> = log.iter().filter(|row| indices.contains(&row.index)).collect();
     let count = with_frame.len();
     let some = with_frame.into_iter().enumerate().filter(|(k, _)| keeps(*k, EXPECTED, count)).map(|(_, row)| row);
-    let pose = |row: &EncoderReading| {
-        let configuration = model.forward(&row.q_mm).ok()?.configuration;
-        let measured = Measured { configuration, sigma_theta: 0.0, sigma_delta: 0.0, correlation: 0.0 };
-        (configuration.theta <= MAX_THETA).then_some((*row, measured))
-    };
-    some.filter_map(pose).collect()
+    let pose = |row: &EncoderReading| Some((*row, model.forward(&row.q_mm).ok()?.configuration));
+    some.filter_map(pose).filter(|(_, psi)| psi.theta <= MAX_THETA).collect()
 }
 
 /// Bends and directions that the readings imply, in words.
-fn coverage(poses: &[(EncoderReading, Measured)]) -> String {
-    let bends = || poses.iter().map(|(_, measured)| measured.configuration);
+fn coverage(poses: &[(EncoderReading, Configuration)]) -> String {
+    let bends = || poses.iter().map(|(_, psi)| *psi);
     let (least, most) = bends()
         .fold((f64::INFINITY, 0.0f64), |(least, most), psi| (least.min(psi.theta_deg()), most.max(psi.theta_deg())));
     // Sectors of 30° that hold a pose at which δ means something.
@@ -399,37 +396,33 @@ fn coverage(poses: &[(EncoderReading, Measured)]) -> String {
     format!("{} poses, θ {least:.0}° to {most:.0}°, in {} of 12 directions of δ", poses.len(), sectors.len())
 }
 
-/// σ of η and λ after a run, as the estimator itself gives them for measurements with typical sigmas at all these poses.
+/// σ of η and λ after a run, as the estimator itself gives them: at every pose the nearest measurement of the sample, with its errors and
+/// with the reading that the model gives it.
 fn expected(
     model: &Model,
     options: Options,
     measurements: &[Measurement],
-    poses: &[(EncoderReading, Measured)],
+    poses: &[(EncoderReading, Configuration)],
 ) -> Result<Option<Expected>> {
-    let seen = || measurements.iter().filter_map(|measurement| measurement.measured);
-    // The error across the bend, θ σ_δ, is what is alike at all bends; σ_δ itself is not.
-    let mut along: Vec<f64> = seen().map(|m| m.sigma_theta).collect();
-    let mut across: Vec<f64> = seen().map(|m| m.sigma_delta * m.configuration.theta).collect();
-    if along.is_empty() {
-        return Ok(None);
-    }
-    let (along, across) = (median(&mut along), median(&mut across));
-    let all: Vec<Measurement> = poses
-        .iter()
-        .map(|(row, pose)| Measurement {
-            index: row.index,
-            time_s: Some(row.time_s),
+    let nearest = |psi: &Configuration| {
+        let distance = |measured: &Measured| (measured.configuration.bend_vector() - psi.bend_vector()).norm();
+        let seen = measurements.iter().filter_map(|measurement| measurement.measured);
+        seen.min_by(|a, b| distance(a).total_cmp(&distance(b)))
+    };
+    let (mut all, mut readings) = (Vec::new(), Vec::new());
+    for (row, psi) in poses {
+        let Some(measured) = nearest(psi) else { return Ok(None) };
+        let (index, time_s) = (row.index, Some(row.time_s));
+        all.push(Measurement {
+            index,
+            time_s,
             status: Status::Ok,
-            measured: Some(Measured {
-                sigma_theta: along,
-                sigma_delta: across / pose.configuration.theta.max(along),
-                ..*pose
-            }),
+            measured: Some(measured),
             quality: None,
             view: None,
-        })
-        .collect();
-    let readings: Vec<EncoderReading> = poses.iter().map(|(row, _)| *row).collect();
+        });
+        readings.push(EncoderReading { q_mm: model.command(measured.configuration), ..*row });
+    }
     let plain = Model { estimate: None, ..model.clone() };
     let (_, learned) = estimate(&plain, options, &all, &readings)?;
     Ok(learned.estimate.map(|estimate| Expected {

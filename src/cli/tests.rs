@@ -72,7 +72,7 @@ fn shown_by(physics: &Physics) -> &'static str {
         _ if physics.in_time => "time stamps, slow and fast motion, and bends returned to after a while",
         Changes::Encoders(_) => "many poses along each backbone's travel",
         Changes::Eye(_) | Changes::Snake(_) => "large bends in at least three directions of δ",
-        Changes::Line(_) => "bends up to the largest, in at least two planes",
+        Changes::Line(_) | Changes::Formula(_) => "bends up to the largest, in at least two planes",
     }
 }
 
@@ -105,7 +105,7 @@ fn catalogue() -> String {
         let form = if physics.form.is_empty() { String::new() } else { format!("Form *{}*: ", physics.form) };
         text += &format!("\n{form}`{}`\n", physics.equation);
         text += "\n| parameter | unit | least | largest |\n| --- | --- | --- | --- |\n";
-        for spec in (physics.parameters)(*BACKBONES.start()) {
+        for spec in physics.parameters_on(*BACKBONES.start()) {
             text += &format!("| `{}` | {} | {} | {} |\n", spec.name, spec.unit, spec.range.0, spec.range.1);
         }
     }

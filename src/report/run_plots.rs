@@ -175,7 +175,7 @@ mod tests {
         let mut readings = Vec::new();
         for index in 0..4u64 {
             let configuration = Configuration::from_degrees(20.0 * index as f64 + 5.0, 30.0);
-            let measured = Measured { configuration, sigma_theta: 1e-3, sigma_delta: 1e-3, correlation: 0.0 };
+            let measured = Measured::independent(configuration, 1e-3, 1e-3, 0.0);
             let (time_s, view) = (Some(index as f64), None);
             let measurement =
                 Measurement { index, time_s, status: Status::Ok, measured: Some(measured), quality: None, view };
