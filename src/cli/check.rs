@@ -8,13 +8,13 @@ use super::console::Console;
 use super::inputs::{encoders_of, model_of};
 use super::verdict::{VerdictArgs, subject, verdict_text};
 use super::views::rig_of;
-use crate::camera::{FrameSource, Lens, picture_size};
+use crate::camera::{FrameSource, picture_size};
 use crate::cli::failure::Failure;
 use crate::estimate::{Options, estimate, or_one_gain};
 use crate::geometry::Configuration;
 use crate::measure::Eye;
 use crate::observation::{EncoderReading, Measured, Measurement, Status};
-use crate::record::{Checked, Experiment, RigSource, View};
+use crate::record::{Checked, Experiment, RigSource, Source, View};
 use crate::report::decimation::keeps;
 use crate::robot::{MAX_THETA, Model};
 use crate::statistics::order::median;
@@ -123,7 +123,7 @@ impl Inspection {
             }
         }
         for view in &experiment.views {
-            match FrameSource::open(experiment.folder(), &view.frames) {
+            match view.open_frames(experiment.folder()) {
                 Ok(source) => {
                     let count = source.count().ok().flatten().map_or("a video".to_owned(), |n| format!("{n} frames"));
                     named.push(format!("{count} of {}", view.name));
@@ -155,6 +155,10 @@ impl Inspection {
         for view in &experiment.views {
             measurements.extend(self.measured(experiment, view, &model, &log)?);
         }
+        if !experiment.trackers.is_empty() {
+            let remedy = "`snakeloop run` reads them, and says what it thinks of them";
+            self.fault(Code::Files, Level::Look, "trackers are not looked at here", remedy);
+        }
         measurements.sort_by_key(|measurement| measurement.index);
         self.judge(experiment, &model, &measurements, &log, &indices)?;
         Ok(self.end())
@@ -163,7 +167,7 @@ impl Inspection {
     /// Whether pictures are as large as the camera files say.
     fn sizes(&mut self, experiment: &Experiment) {
         for view in &experiment.views {
-            let lens = match Lens::read(&view.camera) {
+            let lens = match view.lens() {
                 Ok(lens) => lens,
                 Err(error) => {
                     let remedy =
@@ -202,9 +206,9 @@ impl Inspection {
         let read: BTreeSet<u64> = log.iter().map(|row| row.index).collect();
         let mut frames = BTreeSet::new();
         for view in &experiment.views {
-            match FrameSource::open(experiment.folder(), &view.frames)? {
+            match view.open_frames(experiment.folder())? {
                 FrameSource::Pictures(files) => frames.extend(files.iter().map(|(index, _)| *index)),
-                FrameSource::Video(_) => frames.extend(&read),
+                FrameSource::Video(_) | FrameSource::Topic(_) => frames.extend(&read),
             }
         }
         if experiment.encoders.is_none() {
@@ -247,7 +251,7 @@ impl Inspection {
         model: &Model,
         log: &[EncoderReading],
     ) -> Result<Vec<Measurement>> {
-        let Ok(lens) = Lens::read(&view.camera) else { return Ok(Vec::new()) };
+        let Ok(lens) = view.lens() else { return Ok(Vec::new()) };
         let rig = match rig_of(view, &lens, &model.robot) {
             Ok(rig) => rig,
             Err(error) => {
@@ -257,7 +261,7 @@ impl Inspection {
             }
         };
         let eye = Eye::new(lens, rig, model.robot.clone());
-        let source = FrameSource::open(experiment.folder(), &view.frames)?;
+        let source = view.open_frames(experiment.folder())?;
         let count = source.count()?.unwrap_or(MEASURED);
         let frames = source.frames()?.enumerate().filter(|(k, _)| keeps(*k, MEASURED, count)).take(MEASURED);
         let frames: Vec<_> = frames.map(|(_, frame)| frame).collect();
@@ -315,11 +319,11 @@ fn files_with_remedies(experiment: &Experiment) -> Vec<(PathBuf, String)> {
         [&experiment.robot, &experiment.model].into_iter().flatten().map(|path| (path.clone(), constants.to_owned())),
     );
     let log = "write one row a frame: index,time_s,q1_mm,q2_mm,q3_mm; without a log `snakeloop measure` measures the angles alone";
-    files.extend(experiment.encoders.iter().map(|path| (path.clone(), log.to_owned())));
+    files.extend(experiment.encoders.iter().map(|source| (source.path().to_owned(), log.to_owned())));
     for view in &experiment.views {
         let lens = "`snakeloop print chessboard`, take a dozen pictures of it, tilted differently, and `snakeloop calibrate camera boards/*.jpg \
                     --corners 9x6 -o camera.yaml`";
-        files.push((view.camera.clone(), lens.to_owned()));
+        files.push((view.camera.path().to_owned(), lens.to_owned()));
         files.push(match &view.rig {
             RigSource::File(path) => {
                 (path.clone(), "`snakeloop calibrate rig` writes it; or give `straight`".to_owned())
@@ -336,7 +340,11 @@ fn files_with_remedies(experiment: &Experiment) -> Vec<(PathBuf, String)> {
 
 /// What to do where a view's frames are not found: the pattern that would match what is there, if anything is.
 fn frames_remedy(experiment: &Experiment, view: &View) -> String {
-    let folder = experiment.folder().join(&view.frames);
+    let pattern = match &view.frames {
+        Source::Files(pattern) => pattern,
+        Source::Topic(_) => return "name a topic of pictures that the recording has".to_owned(),
+    };
+    let folder = experiment.folder().join(pattern);
     let folder = folder.parent().unwrap_or(Path::new(""));
     let mut extensions = BTreeMap::<String, usize>::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
@@ -360,7 +368,7 @@ fn pictures(experiment: &Experiment, view: &View) -> Vec<PathBuf> {
         RigSource::Straight { picture, .. } => Some(picture.clone()),
         RigSource::File(_) => None,
     };
-    let frames = match FrameSource::open(experiment.folder(), &view.frames) {
+    let frames = match view.open_frames(experiment.folder()) {
         Ok(FrameSource::Pictures(files)) => files,
         _ => Vec::new(),
     };
