@@ -173,7 +173,7 @@ mod tests {
 
     #[test]
     fn angles_that_may_be_radians_are_told_and_others_are_not() {
-        assert!(looks_like_radians(0.524, 0.785).unwrap().contains("--theta-deg 30.023 --delta-deg 44.977"));
+        assert!(looks_like_radians(0.52, 0.8).unwrap().contains("--theta-deg 29.794 --delta-deg 45.837"));
         for (theta_deg, delta_deg) in [(30.0, 0.5), (1.0, 0.0), (0.0, 0.3), (1.5, 45.0)] {
             assert_eq!(looks_like_radians(theta_deg, delta_deg), None, "{theta_deg}, {delta_deg}");
         }
