@@ -13,8 +13,8 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    Alternative, BendFit, CoarseSearch, EDGE_ON_RAD, EdgeFinder, FitSchedule, POSE_VARIANCE, ProfileCovariance, Start,
-    State, distinct, fit_bend, mirrored,
+    Alternative, BendFit, CoarseSearch, EDGE_ON_RAD, EXPLAINING_INLIERS, EdgeFinder, FitSchedule, POSE_VARIANCE,
+    ProfileCovariance, Start, State, distinct, fit_bend, mirrored,
 };
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
@@ -347,7 +347,7 @@ impl Eye {
         }
         // With any shape a fit has local minima of its own. From a shape that the sequence told it starts in the right one; else one
         // that leaves part of the outline unexplained is not to be relied on.
-        if fit.contradicts_shape && !self.rig.is_shape_known() && !fit.explains_all() {
+        if fit.contradicts_shape && !self.rig.is_shape_known() && fit.inlier_fraction() < EXPLAINING_INLIERS {
             return FrameMeasurement::failed(Status::UnknownShape, Some(quality));
         }
         let covariance = covariance.fixed_view::<2, 2>(0, 0).into_owned();
