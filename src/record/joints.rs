@@ -2,7 +2,7 @@
 //! messages around each.
 
 use super::experiment::Experiment;
-use super::source::{JointTopic, Source};
+use super::source::JointTopic;
 use crate::bag::messages::JointState;
 use crate::bag::{Message, Topic};
 use crate::error::{Error, Result};
@@ -22,14 +22,8 @@ impl Experiment {
     /// # Errors
     /// An experiment without either, since picture files do not tell their times; a recording that cannot be read.
     pub fn stamps_s(&self) -> Result<Vec<f64>> {
-        let of_view = self.views.iter().find_map(|view| match &view.frames {
-            Source::Topic(topic) => Some(topic),
-            Source::Files(_) => None,
-        });
-        let of_tracker = self.trackers.iter().find_map(|tracker| match &tracker.poses {
-            Source::Topic(topic) => Some(topic),
-            Source::Files(_) => None,
-        });
+        let of_view = self.views.iter().find_map(|view| view.frames.topic());
+        let of_tracker = self.trackers.iter().find_map(|tracker| tracker.poses.topic());
         let Some(topic) = of_view.or(of_tracker) else {
             let message = "encoders are in a recording, and neither frames nor poses are: nothing tells when the frames were taken; \
                            give an encoders.csv with the readings of each frame's index";

@@ -50,6 +50,16 @@ impl JointTopic {
     }
 }
 
+impl<F> Source<F> {
+    /// The topic, where it is one.
+    pub fn topic(&self) -> Option<&Topic> {
+        match self {
+            Self::Files(_) => None,
+            Self::Topic(topic) => Some(topic),
+        }
+    }
+}
+
 impl Source<PathBuf> {
     /// The file that is read.
     pub fn path(&self) -> &Path {

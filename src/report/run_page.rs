@@ -168,11 +168,7 @@ impl Report<'_> {
             ),
         ];
         let estimates = |value: fn(&crate::estimate::EtaLambda) -> (f64, f64)| {
-            let points = self.history.plotted.iter().filter_map(|(_, row)| {
-                let (y, sd) = value(row.estimate.as_ref()?);
-                Some(Point { x: axis.place(row.index, row.time_s), y, sd })
-            });
-            vec![Series { name: String::new(), style: Style::Band, points: points.collect() }]
+            vec![self.series(&axis, "", Style::Band, |_, row| row.estimate.as_ref().map(value))]
         };
         plots.push((
             "Force scale η",
@@ -185,23 +181,10 @@ impl Report<'_> {
             plot("λ (mm)", estimates(|e| (e.lambda_mm, e.sd_lambda_mm))),
         ));
         let backbones = self.history.plotted.iter().find_map(|(_, row)| Some(row.residual_mm?.len())).unwrap_or(0);
-        let residuals = (0..backbones).map(|i| Series {
-            name: format!("backbone {}", i + 1),
-            style: Style::Dots,
-            points: self
-                .history
-                .plotted
-                .iter()
-                .filter_map(|(_, row)| {
-                    Some(Point { x: axis.place(row.index, row.time_s), y: row.residual_mm?[i], sd: 0.0 })
-                })
-                .collect(),
+        let residuals = (0..backbones).map(|i| {
+            self.series(&axis, &format!("backbone {}", i + 1), Style::Dots, |_, row| Some((row.residual_mm?[i], 0.0)))
         });
-        let rms =
-            self.history.plotted.iter().filter_map(|(m, row)| {
-                Some(Point { x: axis.place(row.index, row.time_s), y: m.quality?.rms_px, sd: 0.0 })
-            });
-        let rms = Series { name: String::new(), style: Style::Dots, points: rms.collect() };
+        let rms = self.series(&axis, "", Style::Dots, |m, _| Some((m.quality?.rms_px, 0.0)));
         plots.push((
             "Reprojection residuals",
             "Root mean square distance of the edges in each frame from the fitted outline.",
@@ -215,21 +198,28 @@ impl Report<'_> {
         plots
     }
 
+    /// A value with its σ over the course of the run, of the rows that have it.
+    fn series(
+        &self,
+        axis: &Axis,
+        name: &str,
+        style: Style,
+        value: impl Fn(&Measurement, &EstimateRow) -> Option<(f64, f64)>,
+    ) -> Series {
+        let point = |(m, row): &(Measurement, EstimateRow)| {
+            let (y, sd) = value(m, row)?;
+            Some(Point { x: axis.place(row.index, row.time_s), y, sd })
+        };
+        Series { name: name.to_owned(), style, points: self.history.plotted.iter().filter_map(point).collect() }
+    }
+
     /// The measured angles, those apart that the estimator rejected.
     fn angle_series(&self, axis: &Axis, angle: impl Fn(&crate::observation::Measured) -> (f64, f64)) -> Vec<Series> {
-        let series = |name: &str, wanted: bool| Series {
-            name: name.to_owned(),
-            style: Style::Dots,
-            points: self
-                .history
-                .plotted
-                .iter()
-                .filter(|(_, row)| (row.verdict == Verdict::Rejected) == wanted)
-                .filter_map(|(m, _)| {
-                    let (y, sd) = angle(m.measured.as_ref()?);
-                    Some(Point { x: axis.place(m.index, m.time_s), y, sd })
-                })
-                .collect(),
+        let series = |name: &str, wanted: bool| {
+            self.series(axis, name, Style::Dots, |m, row| {
+                let is_of_these = (row.verdict == Verdict::Rejected) == wanted;
+                m.measured.as_ref().filter(|_| is_of_these).map(&angle)
+            })
         };
         let mut both = vec![series("used", false), series("rejected", true)];
         both.retain(|series| !series.points.is_empty());

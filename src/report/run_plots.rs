@@ -84,27 +84,23 @@ impl<'a> Sampled<'a> {
 
     /// ε over τ: what the line takes up, and the law that was found.
     pub fn epsilon_over_tau(&self) -> Titled {
-        let backbones = self.model.robot.backbone_count();
-        let robot = &self.model.robot;
-        let tau = |psi: Configuration| robot.actuation_forces(psi.bend_vector(), None);
+        let (robot, backbones) = (&self.model.robot, self.model.robot.backbone_count());
+        // τ, ε as it was measured, and ε by the law, of every sample.
+        let of_sample = |(measured, q_mm): &(Measured, PerBackbone)| {
+            let psi = measured.configuration;
+            let tau_n = robot.actuation_forces(psi.bend_vector(), None);
+            (tau_n, *q_mm - robot.joint_displacements(psi), self.model.epsilon(psi))
+        };
+        let samples: Vec<_> = self.samples.iter().map(of_sample).collect();
+        let point =
+            |tau_n: &PerBackbone, epsilon_mm: &PerBackbone, i: usize| Point { x: tau_n[i], y: epsilon_mm[i], sd: 0.0 };
         let measured = (0..backbones).map(|i| Series {
             name: format!("backbone {}", i + 1),
             style: Style::Dots,
-            points: self
-                .samples
-                .iter()
-                .map(|(measured, q_mm)| {
-                    let psi = measured.configuration;
-                    Point { x: tau(psi)[i], y: q_mm[i] - robot.joint_displacements(psi)[i], sd: 0.0 }
-                })
-                .collect(),
+            points: samples.iter().map(|(tau_n, measured_mm, _)| point(tau_n, measured_mm, i)).collect(),
         });
-        let of_law = self.samples.iter().flat_map(|(measured, _)| {
-            let psi = measured.configuration;
-            let epsilon = self.model.epsilon(psi);
-            (0..backbones).map(move |i| (psi, i, epsilon[i]))
-        });
-        let mut law: Vec<Point> = of_law.map(|(psi, i, y)| Point { x: tau(psi)[i], y, sd: 0.0 }).collect();
+        let of_law = samples.iter().flat_map(|(tau_n, _, law_mm)| (0..backbones).map(move |i| point(tau_n, law_mm, i)));
+        let mut law: Vec<Point> = of_law.collect();
         law.sort_by(|a, b| a.x.total_cmp(&b.x));
         let law = Series { name: "Eq. 18 as learned".into(), style: Style::Band, points: law };
         Titled {

@@ -114,6 +114,13 @@ pub struct Play {
     pub half_mm_per_n: f64,
 }
 
+impl Play {
+    /// Where each q stands in its play after a motion, mm from the middle: it follows as far as the play is wide.
+    pub fn crossed(stood_mm: PerBackbone, moved_mm: PerBackbone, half_mm: &PerBackbone) -> PerBackbone {
+        (stood_mm + moved_mm).zip_map(half_mm, |x, half| x.clamp(-half, half))
+    }
+}
+
 impl History {
     /// Whether more of the path matters than the direction of the motion and the reading before.
     pub fn is_long(&self) -> bool {

@@ -12,7 +12,7 @@
 
 use super::directions::LEAST_MOVE_MM;
 use super::effects::{Changes, Effect, Instant, Variable};
-use super::history::{Before, History, Motion, PlayOf};
+use super::history::{Before, History, Motion, Play, PlayOf};
 use super::line::Line;
 use super::statics::{Snake, Statics};
 use super::{Model, PerBackbone};
@@ -171,8 +171,7 @@ impl<'a> Mechanics<'a> {
             } else {
                 self.forces_n(bend).map(|tau| (play.half_mm + play.half_mm_per_n * tau.abs()).max(0.0))
             };
-            let followed = before.play_mm[place] + q_mm - before.q_mm;
-            here.play_mm[place] = followed.zip_map(&half, |x, half| x.clamp(-half, half));
+            here.play_mm[place] = Play::crossed(before.play_mm[place], q_mm - before.q_mm, &half);
         }
         if let Some(half_mm) = self.history.half_bend_play_mm {
             let half = half_mm / self.statics.robot().backbone_circle_radius_mm;

@@ -31,7 +31,7 @@ pub use curve::{BendProfile, Curve, MODES, PROFILE};
 pub use effects::{Effect, LIBRARY, Physics};
 pub use forward::{ForwardSolution, LineJacobian};
 pub use friction::{Friction, FrictionFit, FrictionSample};
-pub use history::Motion;
+pub use history::{Motion, Play};
 pub use kinematics::MAX_THETA;
 pub use limits::OutOfRange;
 pub use mechanics::Mechanics;

@@ -18,7 +18,7 @@ use super::residuals::{Problem, Residual};
 use super::sweeps::FOLDS;
 use super::verdict::Verdict;
 use crate::robot::effects::{Defined, Definition, HALF_GAP, Variable};
-use crate::robot::{Effect, Mechanics, Model, Motion, PerBackbone};
+use crate::robot::{Effect, Mechanics, Model, Motion, PerBackbone, Play};
 use crate::statistics::moments::{mean, rms};
 use nalgebra::{DMatrix, DVector, Rotation2, Vector2};
 use selection::{Cells, Selection, Sums};
@@ -95,11 +95,13 @@ fn proposed(found: &Discovery, data: &Data) -> ProposedLaw {
     let candidates = Candidates::new(&problem, &fit);
     let cells = candidates.cells();
     let judged = Judged::new(&candidates, &cells);
-    let selection = candidates.selection(&cells, None);
-    let columns = selection.columns();
-    let fitted = selection.solution(&columns).and_then(|x| candidates.fitted(&columns, &x));
+    let law = || {
+        let selection = candidates.selection(&cells, None);
+        let columns = selection.columns();
+        candidates.fitted(&columns, &selection.solution(&columns)?)
+    };
     let (before_mm, after_mm) = (judged.rms_mm(0), judged.rms_mm(1));
-    match fitted.filter(|_| judged.helps()) {
+    match judged.helps().then(law).flatten() {
         Some(model) => {
             let law = in_words(&model);
             let words = format!(
@@ -175,26 +177,32 @@ impl<'a> Candidates<'a> {
         Self { problem, fit, samples, residuals, states, all }
     }
 
-    /// The rows of sample k: the residuals' derivatives by the model's parameters, and by the candidates' coefficients.
-    fn rows(&self, k: usize) -> DMatrix<f64> {
-        let (n, fixed) = (self.problem.data.backbones(), self.fit.parameter_count());
-        let mut rows = DMatrix::zeros(n, fixed + self.all.len());
-        rows.columns_mut(0, fixed).copy_from(&self.fit.jacobian.rows(n * k, n));
-        for (j, candidate) in self.all.iter().enumerate() {
-            let summand = self.states.summand_mm(&candidate.term, candidate.width, k) / candidate.scale;
-            let response = self.problem.response(k, &summand);
-            (0..n).for_each(|c| rows[(c, fixed + j)] = response[c]);
-        }
-        rows
+    /// How many columns there are: the model's parameters, then the candidates' coefficients.
+    fn columns(&self) -> usize {
+        self.fit.parameter_count() + self.all.len()
+    }
+
+    /// A column at sample k: the residuals' derivatives by a parameter or a coefficient.
+    fn column(&self, column: usize, k: usize) -> Residual {
+        let n = self.problem.data.backbones();
+        let Some(own) = column.checked_sub(self.fit.parameter_count()) else {
+            return Residual::from_fn(n, |c| self.fit.jacobian[(n * k + c, column)]);
+        };
+        let Candidate { term, width, scale } = &self.all[own];
+        self.problem.response(k, &(self.states.summand_mm(term, *width, k) / *scale))
     }
 
     fn cells(&self) -> Cells {
-        let (data, columns) = (self.problem.data, self.fit.parameter_count() + self.all.len());
+        let (data, columns) = (self.problem.data, self.columns());
         let blocks = data.blocks();
         let mut cells: Cells = std::array::from_fn(|_| std::array::from_fn(|_| Sums::zero(columns)));
         for &k in &self.samples {
             let residuals = DVector::from_iterator(data.backbones(), self.residuals[k].iter().copied());
-            cells[blocks[data.sweeps[k]]][data.fold(k)].add(&self.rows(k), &residuals);
+            let mut rows = DMatrix::zeros(data.backbones(), columns);
+            for (column, mut place) in rows.column_iter_mut().enumerate() {
+                place.iter_mut().zip(&self.column(column, k)).for_each(|(place, value)| *place = *value);
+            }
+            cells[blocks[data.sweeps[k]]][data.fold(k)].add(&rows, &residuals);
         }
         cells
     }
@@ -206,9 +214,9 @@ impl<'a> Candidates<'a> {
 
     /// The residuals of sample k after a step of these columns.
     fn after(&self, k: usize, columns: &[usize], x: &DVector<f64>) -> Residual {
-        let rows = self.rows(k);
-        let step = |c: usize| columns.iter().zip(x).map(|(&column, x)| rows[(c, column)] * x).sum::<f64>();
-        Residual::from_fn(rows.nrows(), |c| self.residuals[k][c] + step(c))
+        let steps = columns.iter().zip(x).map(|(&column, &x)| self.column(column, k) * x);
+        let none = Residual::repeat(self.residuals[k].len(), 0.0);
+        self.residuals[k] + steps.fold(none, |sum, step| sum + step)
     }
 
     /// The model with the law of these columns, fitted; none where there is no law, or where it does not help as it stands.
@@ -388,9 +396,9 @@ impl States {
 /// Where q stands in a play of this half width at every reading, from the middle at rest, mm.
 fn play(q_mm: &[PerBackbone], half_mm: f64) -> Vec<PerBackbone> {
     let Some(first) = q_mm.first() else { return Vec::new() };
-    let rest = *first * 0.0;
+    let (rest, half) = (PerBackbone::repeat(first.len(), 0.0), PerBackbone::repeat(first.len(), half_mm));
     let steps = q_mm.iter().scan((rest, rest), |(play, before), q| {
-        *play = (*play + *q - *before).map(|x| x.clamp(-half_mm, half_mm));
+        *play = Play::crossed(*play, *q - *before, &half);
         *before = *q;
         Some(*play)
     });

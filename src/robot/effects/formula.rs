@@ -223,11 +223,11 @@ impl Formula {
                 inputs.len()
             ));
         }
-        if definition.starts().len() > MOST_STARTS {
-            return Err(format!(
-                "{} combinations of starts, expected {MOST_STARTS} at most",
-                definition.starts().len()
-            ));
+        // Counted before they are made: a file may ask for more than memory holds.
+        let combinations = definition.parameters.values().map(|defined| defined.starts().len());
+        let combinations = combinations.fold(1, usize::saturating_mul);
+        if combinations > MOST_STARTS {
+            return Err(format!("{combinations} combinations of starts, expected {MOST_STARTS} at most"));
         }
         let formula = Self { definition, expression, inputs, parameters };
         formula.require_finite()?;
@@ -446,6 +446,11 @@ mod tests {
         let deep = |levels: usize| format!("{}a * q{}", "(".repeat(levels), ")".repeat(levels));
         assert!(definition(&deep(450), &a).physics().is_ok());
         assert!(fault(definition(&deep(9000), &a)).contains("expected 1000 at most"));
+        let many: Vec<String> = (0..40).map(|k| format!("c{k}")).collect();
+        let ranges: Vec<_> = many.iter().map(|name| (name.as_str(), [-1.0, 1.0])).collect();
+        let mut costly = definition(&many.join(" + "), &ranges);
+        costly.parameters.values_mut().for_each(|defined| defined.starts = vec![0.1, 0.2]);
+        assert!(fault(costly).contains("combinations of starts, expected 16 at most"));
         let mut outside = definition("a * q", &a);
         outside.parameters.get_mut("a").unwrap().starts = vec![0.1, 3.0];
         assert!(fault(outside).contains("start = 3 is outside its range"));
