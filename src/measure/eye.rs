@@ -14,7 +14,7 @@ use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
     Alternative, BendFit, CoarseSearch, EDGE_ON_RAD, EXPLAINING_INLIERS, EdgeFinder, FitSchedule, POSE_VARIANCE,
-    ProfileCovariance, Start, State, distinct, fit_bend, mirrored,
+    PartVisibility, ProfileCovariance, Start, State, distinct, fit_bend, mirrored,
 };
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
@@ -278,7 +278,7 @@ impl Eye {
         let (selection, drift) = rayon::join(select, || self.drift_monitor.check(frame, finder));
         let Selection { fits, has_fine_fit, is_ambiguous } = selection;
         let mut measurement = match fits.first().filter(|_| has_fine_fit) {
-            Some(best) => self.verdict(best, is_ambiguous),
+            Some(best) => self.verdict(best, is_ambiguous, finder),
             None => FrameMeasurement::failed(Status::NoSnake, None),
         };
         if let Some(quality) = &mut measurement.quality {
@@ -325,7 +325,7 @@ impl Eye {
     }
 
     /// The measurement of a fit that can be believed, or why it cannot.
-    fn verdict(&self, fit: &BendFit, is_ambiguous: bool) -> FrameMeasurement {
+    fn verdict(&self, fit: &BendFit, is_ambiguous: bool, finder: &EdgeFinder) -> FrameMeasurement {
         let quality = Quality {
             edges: fit.inliers,
             inlier_fraction: fit.inlier_fraction(),
@@ -339,7 +339,8 @@ impl Eye {
         let covariance = fit.covariance + by_rig * by_rig.transpose();
         let quality = Quality { shape: shape(&fit.profile, &covariance), profile: Some(fit.profile), ..quality };
         let visibility = fit.visibility();
-        if visibility.visible_disk_share() < LEAST_VISIBLE_DISKS || !visibility.is_end_visible() {
+        let is_end_visible = visibility.is_end_visible() || self.mirrors_a_lamp(fit, finder);
+        if visibility.visible_disk_share() < LEAST_VISIBLE_DISKS || !is_end_visible {
             return FrameMeasurement::failed(Status::Occluded, Some(quality));
         }
         if is_ambiguous {
@@ -353,6 +354,13 @@ impl Eye {
         let covariance = covariance.fixed_view::<2, 2>(0, 0).into_owned();
         let by_rig = by_rig.fixed_rows::<2>(0).into_owned();
         FrameMeasurement::of(Bend { vector: fit.bend(), covariance, by_rig }, quality)
+    }
+
+    /// Whether the snake's end is visible though it is as unlike the snake as the target is, or more: a face that mirrors a lamp shines, and its
+    /// border is an edge the other way round.
+    fn mirrors_a_lamp(&self, fit: &BendFit, finder: &EdgeFinder) -> bool {
+        let outline = Outline::new(&self.projection(), fit.profile);
+        PartVisibility::new(&outline, &finder.either_way()).is_end_visible()
     }
 }
 

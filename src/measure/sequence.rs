@@ -24,7 +24,9 @@ impl Eye {
     pub fn refined(self, frames: impl ParallelIterator<Item = Frame>) -> Self {
         let find = |frame: Frame| {
             let MeasurementStages { measurement, fits, .. } = self.measure_in_stages(&frame);
-            let fit = fits.first().filter(|_| measurement.status == Status::Ok)?;
+            // What shape a snake has that is no arc is told by its frames together, where none tells it alone.
+            let is_seen = matches!(measurement.status, Status::Ok | Status::UnknownShape);
+            let fit = fits.first().filter(|_| is_seen)?;
             Some((self.plane(&frame, &Region::whole(frame.width, frame.height)), fit.start()))
         };
         let (planes, starts): (Vec<Plane>, Vec<Start>) = frames.filter_map(find).unzip();

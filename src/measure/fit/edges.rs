@@ -113,6 +113,11 @@ impl<'a> EdgeFinder<'a> {
         finder.with_filter(FILTER_PX)
     }
 
+    /// The same for a snake that is different from its background, be it brighter or darker.
+    pub fn either_way(&self) -> Self {
+        Self { two_sided: true, ..self.clone() }
+    }
+
     /// The same with the filter for the coarse stages: as wide as the blur. A filter much narrower than the blur finds more noise than
     /// edge, and takes the edge for as sharp as noise is.
     pub fn coarse_for_blur(&self, blur_px: f64) -> Self {

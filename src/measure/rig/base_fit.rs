@@ -12,8 +12,8 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::Configuration;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    BIASES, Correspondences, EdgeBias, EdgeFinder, FINE_SEARCH_PX, GLARE, GLARE_SIGMA, PartVisibility, RobustPhase,
-    UNKNOWN_BIAS, UNKNOWN_SHAPE_RAD, fine_filter, inliers, predict_blur, systematic_covariance,
+    BIASES, Correspondences, DESIGN_EFFECT, EdgeBias, EdgeFinder, FINE_SEARCH_PX, GLARE, GLARE_SIGMA, PartVisibility,
+    RobustPhase, UNKNOWN_BIAS, UNKNOWN_SHAPE_RAD, fine_filter, inliers, predict_blur, systematic_covariance,
 };
 use crate::measure::image::appearance::Appearance;
 use crate::measure::image::plane::Plane;
@@ -201,7 +201,8 @@ impl<'a> BaseFit<'a> {
         if is_enough { Ok(edges) } else { Err(RigError::TooFewEdges { edges: found, places }) }
     }
 
-    /// The placement and the biases that agree best with weighted edges and with what is known beforehand.
+    /// The placement and the biases that agree best with weighted edges and with what is known beforehand, which counts against as many
+    /// edges as err alike ([`DESIGN_EFFECT`]): what displaces all rims together looks like a lean.
     fn solve(&self, edges: &Correspondences, roots: &[f64], bias_sigma_px: f64) -> Result<Solution, RigError> {
         let residuals = |x: &DVector<f64>| {
             let placement = Placement(x.rows(0, PLACEMENT).into_owned());
@@ -212,7 +213,8 @@ impl<'a> BaseFit<'a> {
             let [side, tube, rim, near, far] = bias.to_array();
             let biases = [side, tube, rim].map(|bias_px| bias_px / bias_sigma_px);
             let faces = [(near - GLARE) / GLARE_SIGMA, (far - GLARE) / GLARE_SIGMA];
-            DVector::from_vec(weighted.chain(priors).chain(biases).chain(faces).collect())
+            let known = priors.into_iter().chain(biases).chain(faces).map(|prior| prior * DESIGN_EFFECT.sqrt());
+            DVector::from_vec(weighted.chain(known).collect())
         };
         let start = self.placement.0.iter().copied().chain(self.bias.to_array());
         let start = DVector::from_iterator(STEPS.len(), start);
@@ -279,7 +281,7 @@ fn covariance(
     view: &Projection,
     edge_rms_px: f64,
 ) -> Option<DMatrix<f64>> {
-    let clustered = clustered_covariance(&solution.jacobian, &solution.residuals, edges.clusters(), 1.0)?;
+    let clustered = clustered_covariance(&solution.jacobian, &solution.residuals, edges.clusters(), DESIGN_EFFECT)?;
     let independent = solution.covariance()?;
     let systematic = systematic_covariance(edges, &solution.jacobian, &independent, view, roots, edge_rms_px);
     Some(clustered + systematic)

@@ -31,6 +31,10 @@ const ROUNDS: usize = 3;
 ///
 /// Convention: a cap on a fixed point that is reached sooner.
 const INFLATION_ROUNDS: usize = 6;
+/// The share of the prior's information that stands for none, where the frames have none.
+///
+/// Convention: far below what any frame tells, far above rounding.
+const LEAST_OF_PRIOR: f64 = 1e-6;
 /// How far from the outline edges are searched for, px, and how a frame's bend follows in a round.
 ///
 /// Convention: as the last stage of a measurement.
@@ -202,7 +206,9 @@ impl Prior {
         }
         let mut all = NormalEquations::none();
         clusters.values().for_each(|cluster| all.add(cluster));
-        let alone = all.information.cholesky()?.inverse();
+        // Where no face is seen at a glancing angle, the edges say nothing of what it mirrors.
+        let alone = (all.information + self.information * LEAST_OF_PRIOR).cholesky()?.inverse();
+        let determined = (alone * all.information).trace();
         let modes = evidence.first().map_or(0, |e| e.modes.len());
         let modes = (0..modes).map(|mode| evidence.iter().map(|e| e.modes[mode]).sum::<Shared>());
         let systematic: SharedInformation = modes.map(|slope| slope * slope.transpose()).sum();
@@ -211,7 +217,7 @@ impl Prior {
         for _ in 0..INFLATION_ROUNDS {
             let scores = clusters.values().map(|cluster| cluster.slope + cluster.information * step);
             let meat = scores.map(|s| s * s.transpose()).sum::<SharedInformation>() * (count / (count - parameters));
-            let inflation = ((alone * meat).trace() / parameters).max(1.0);
+            let inflation = ((alone * meat).trace() / determined).max(1.0);
             let bread = (self.information + all.information / inflation).cholesky()?.inverse();
             step = -bread * (self.information * moved + all.slope / inflation);
             covariance = bread * (self.information + (meat + systematic) / inflation.powi(2)) * bread;
@@ -281,6 +287,26 @@ mod tests {
             // 900 degrees of freedom tell it to 5 %; 40 clusters tell their own scatter less well, which makes it larger.
             assert!((0.8..1.6).contains(&chi2), "common error {common_sigma}: {chi2}");
         }
+    }
+
+    #[test]
+    fn what_no_frame_tells_keeps_its_prior_and_the_rest_is_told() {
+        let mut rig = rig();
+        rig.pose_covariance = Matrix6::from_diagonal_element(1.0);
+        let prior = Prior::new(&rig, [1.0; BIASES]).unwrap();
+        let truth = Shared::from_fn(|r, _| 0.01 * (r as f64 - 4.0));
+        let mut evidence = evidence(&truth, 0.0, 1);
+        for equations in evidence.iter_mut().flat_map(|frame| frame.clusters.values_mut()) {
+            // What was displaced by the last parameter is no more.
+            equations.slope += equations.information.column(SHARED - 1) * truth[SHARED - 1];
+            equations.information.column_mut(SHARED - 1).fill(0.0);
+            equations.information.row_mut(SHARED - 1).fill(0.0);
+            equations.slope[SHARED - 1] = 0.0;
+        }
+        let (step, covariance) = prior.combined(&Shared::zeros(), &evidence).unwrap();
+        assert!(step[SHARED - 1].abs() < 1e-9 && (covariance[(SHARED - 1, SHARED - 1)] - 1.0).abs() < 1e-9);
+        let off = (step - truth).rows(0, SHARED - 1).amax();
+        assert!(off < 0.01, "{off}");
     }
 
     #[test]
