@@ -12,11 +12,9 @@ pub struct Motion {
     pub speed_mm_per_s: PerBackbone,
     /// q̇, mm/s, from the sample before.
     pub speed_before_mm_per_s: PerBackbone,
-    /// Where q stands in each [play](PlayOf) that it has to cross, mm from the play's middle.
-    pub play_mm: [PerBackbone; PLAYS],
-    /// Where the bend stands in a play that it has to cross, rad from the play's middle.
-    pub bend_play: Vector2<f64>,
-    /// From where the plays are crossed.
+    /// Where q and the bend stand in whatever they have to cross at a reversal.
+    pub hysteresis: Hysteresis,
+    /// From where that is crossed.
     pub before: Before,
     /// The load that a creeping line has followed so far, N: τ once the creep has ended.
     pub crept_load_n: PerBackbone,
@@ -24,24 +22,48 @@ pub struct Motion {
     pub elapsed_s: f64,
 }
 
-/// Where the snake stood at the reading before, as plays need it: a play follows the bend within the step from there.
+/// Where q and the bend stand in the hystereses that they have to cross at a reversal; 0 is the middle of each.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hysteresis {
+    /// Where q stands in each [play](PlayOf), mm.
+    pub play_mm: [PerBackbone; PLAYS],
+    /// Where the bend stands in each [play](BendPlayOf), rad.
+    pub bend_play: [Vector2<f64>; BEND_PLAYS],
+    /// How much of a Bouc–Wen friction holds each backbone, between −1 and 1.
+    pub bouc_wen: PerBackbone,
+    /// How much of one holds the bend, and in which direction: a vector of length 1 at most.
+    pub bend_bouc_wen: Vector2<f64>,
+}
+
+impl Hysteresis {
+    /// Of a snake of so many backbones, in the middle of all.
+    pub fn at_rest(backbones: usize) -> Self {
+        let zero = PerBackbone::repeat(backbones, 0.0);
+        Self {
+            play_mm: [zero; PLAYS],
+            bend_play: [Vector2::zeros(); BEND_PLAYS],
+            bouc_wen: zero,
+            bend_bouc_wen: Vector2::zeros(),
+        }
+    }
+}
+
+/// Where the snake stood at the reading before, as hystereses need it: they follow the bend within the step from there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Before {
     /// q, mm.
     pub q_mm: PerBackbone,
     /// The bend from rest, rad.
     pub bend: Vector2<f64>,
-    /// Where q stood in each play, mm.
-    pub play_mm: [PerBackbone; PLAYS],
-    /// Where the bend stood in its play, rad.
-    pub bend_play: Vector2<f64>,
+    /// Where q and the bend stood in their hystereses.
+    pub hysteresis: Hysteresis,
 }
 
 impl Before {
-    /// A snake of so many backbones at rest, in the middle of its plays.
+    /// A snake of so many backbones at rest.
     pub fn at_rest(backbones: usize) -> Self {
-        let zero = PerBackbone::repeat(backbones, 0.0);
-        Self { q_mm: zero, bend: Vector2::zeros(), play_mm: [zero; PLAYS], bend_play: Vector2::zeros() }
+        let (q_mm, hysteresis) = (PerBackbone::repeat(backbones, 0.0), Hysteresis::at_rest(backbones));
+        Self { q_mm, bend: Vector2::zeros(), hysteresis }
     }
 }
 
@@ -53,8 +75,7 @@ impl Motion {
             direction: zero,
             speed_mm_per_s: zero,
             speed_before_mm_per_s: zero,
-            play_mm: [zero; PLAYS],
-            bend_play: Vector2::zeros(),
+            hysteresis: Hysteresis::at_rest(backbones),
             before: Before::at_rest(backbones),
             crept_load_n: zero,
             elapsed_s: 0.0,
@@ -71,18 +92,33 @@ pub struct History {
     pub creep_ended_before: bool,
     /// The plays that each q has to cross at a reversal, by [`PlayOf`].
     pub plays: [Option<Play>; PLAYS],
-    /// Half the width of a play that the bend has to cross, mm of travel at the backbones' circle.
-    pub half_bend_play_mm: Option<f64>,
+    /// Half the widths of the plays that the bend has to cross, by [`BendPlayOf`], mm of travel at the backbones' circle.
+    pub half_bend_plays_mm: [Option<f64>; BEND_PLAYS],
+    /// The travel over which a Bouc–Wen friction of each backbone turns round, mm.
+    pub bouc_wen_travel_mm: Option<f64>,
+    /// The same of the bend, mm of travel at the backbones' circle.
+    pub bend_bouc_wen_travel_mm: Option<f64>,
     /// Whether the speed matters: then a path feeds back on itself.
     pub speed: bool,
     /// Whether the direction of the motion matters.
     pub direction: bool,
 }
 
-/// Plays of one model: that in the actuators, that in the sheaths, and those of up to [`FORMULA_PLAYS`] formulas.
+/// Plays of one model: that in the actuators, that in the sheaths, those of a distributed friction, and those of up to
+/// [`FORMULA_PLAYS`] formulas.
 ///
-/// Derived: two, and what formulas may have.
+/// Derived: those with a place, and what formulas may have.
 pub const PLAYS: usize = PlayOf::COUNT + FORMULA_PLAYS;
+
+/// Plays that stand for a distributed friction.
+///
+/// Derived: the parabola that a reversal follows is met by chords to within 1/(4 · 4²) = 2 % of the friction.
+pub const DISTRIBUTED_PLAYS: usize = 4;
+
+/// Plays of the bend: one, and those of a distributed friction.
+///
+/// Derived: as it says.
+pub const BEND_PLAYS: usize = BendPlayOf::Distributed as usize + DISTRIBUTED_PLAYS;
 
 /// Formulas of one model that may have a play.
 ///
@@ -96,13 +132,24 @@ pub enum PlayOf {
     Actuator,
     /// In the sheaths, where it grows with the load.
     Sheath,
+    /// The first of those of a distributed friction.
+    Distributed,
 }
 
 impl PlayOf {
-    /// The number of places with a name.
+    /// The number of places that are not of formulas.
     ///
     /// Derived: from the list above.
-    pub(super) const COUNT: usize = 2;
+    pub(super) const COUNT: usize = Self::Distributed as usize + DISTRIBUTED_PLAYS;
+}
+
+/// Where plays of the bend are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BendPlayOf {
+    /// Between the lines and the bend.
+    Bend,
+    /// The first of those of a distributed friction.
+    Distributed,
 }
 
 /// Half the width of a play, which may grow with the load on it.
@@ -119,6 +166,32 @@ impl Play {
     pub fn crossed(stood_mm: PerBackbone, moved_mm: PerBackbone, half_mm: &PerBackbone) -> PerBackbone {
         (stood_mm + moved_mm).zip_map(half_mm, |x, half| x.clamp(-half, half))
     }
+
+    /// The same of a vector, within a disk.
+    pub fn crossed_by_vector(stood: Vector2<f64>, moved: Vector2<f64>, half: f64) -> Vector2<f64> {
+        let followed = stood + moved;
+        let size = followed.norm();
+        if size > half { followed * (half / size) } else { followed }
+    }
+}
+
+/// Half the widths of the plays of a distributed friction that is spread evenly up to the width `widest_mm`: in the middle of as many equal
+/// parts of it, mm.
+pub fn distributed_half_widths_mm(widest_mm: f64) -> [f64; DISTRIBUTED_PLAYS] {
+    std::array::from_fn(|j| widest_mm * (j as f64 + 0.5) / DISTRIBUTED_PLAYS as f64)
+}
+
+/// A Bouc–Wen friction after a straight move, before which `held` of it held: dz/dx = (s − z) / travel, s being the move's direction.
+///
+/// Source: Wen 1976, Method for random vibration of hysteretic systems, J. Eng. Mech. Div. 102:249, with exponent 1 and β = γ, solved along
+/// the move; for a vector its two-dimensional form.
+pub fn bouc_wen_after(held: Vector2<f64>, moved: Vector2<f64>, travel: f64) -> Vector2<f64> {
+    let length = moved.norm();
+    if length == 0.0 {
+        return held;
+    }
+    let direction = moved / length;
+    direction + (held - direction) * (-length / travel).exp()
 }
 
 impl History {
@@ -134,8 +207,11 @@ impl History {
         }
     }
 
-    /// Whether a play has to be crossed.
-    pub fn has_play(&self) -> bool {
-        self.plays.iter().any(Option::is_some) || self.half_bend_play_mm.is_some()
+    /// Whether there is any hysteresis that has to be crossed.
+    pub fn has_hysteresis(&self) -> bool {
+        self.plays.iter().any(Option::is_some)
+            || self.half_bend_plays_mm.iter().any(Option::is_some)
+            || self.bouc_wen_travel_mm.is_some()
+            || self.bend_bouc_wen_travel_mm.is_some()
     }
 }

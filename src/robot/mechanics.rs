@@ -12,7 +12,7 @@
 
 use super::directions::LEAST_MOVE_MM;
 use super::effects::{Changes, Effect, Instant, Variable};
-use super::history::{Before, History, Motion, Play, PlayOf};
+use super::history::{Before, History, Hysteresis, Motion, Play, PlayOf, bouc_wen_after};
 use super::line::Line;
 use super::statics::{Snake, Statics};
 use super::{Model, PerBackbone};
@@ -114,21 +114,18 @@ impl<'a> Mechanics<'a> {
         if !self.effects_on_line {
             return paper;
         }
-        let here;
+        let of_pose;
         let motion = match past {
-            Past::Path(motion) if !self.history.has_play() => motion,
-            Past::Path(motion) => {
-                here = self.crossed(motion, bend);
-                &here
-            }
+            Past::Path(motion) => motion,
             Past::Pose(direction) => {
-                let motion = Motion { direction, crept_load_n: tau_n, ..Motion::none(q_mm.len()) };
-                here = self.crossed(&motion, bend);
-                &here
+                of_pose = Motion { direction, crept_load_n: tau_n, ..Motion::none(q_mm.len()) };
+                &of_pose
             }
         };
-        let mut at =
-            Instant { snake: self.statics.snake(), line: &self.line, bend, q_mm, tau_n, line_mm: paper, motion };
+        let crossed = self.history.has_hysteresis().then(|| self.crossed(&motion.before, bend, &q_mm, &tau_n));
+        let hysteresis = crossed.as_ref().unwrap_or(&motion.hysteresis);
+        let snake = self.statics.snake();
+        let mut at = Instant { snake, line: &self.line, bend, q_mm, tau_n, line_mm: paper, motion, hysteresis };
         let mut formula_plays = PlayOf::COUNT..;
         for effect in self.effects {
             match effect.physics.changes {
@@ -146,7 +143,8 @@ impl<'a> Mechanics<'a> {
     /// What a function gives of the snake at a bend of a path, as effects on the line see it.
     pub fn instant<T>(&self, bend: Vector2<f64>, motion: &Motion, of: impl FnOnce(&Instant) -> T) -> T {
         let (q_mm, tau_n) = (self.statics.q_mm(bend), self.forces_n(bend));
-        of(&Instant { snake: self.statics.snake(), line: &self.line, bend, q_mm, tau_n, line_mm: q_mm, motion })
+        let (snake, hysteresis) = (self.statics.snake(), &motion.hysteresis);
+        of(&Instant { snake, line: &self.line, bend, q_mm, tau_n, line_mm: q_mm, motion, hysteresis })
     }
 
     /// Whether a single pose is beyond the domain of an effect; none where no effect has a domain.
@@ -159,33 +157,47 @@ impl<'a> Mechanics<'a> {
         beyond.reduce(|any, other| any || other)
     }
 
-    /// A motion with the plays as they stand once the bend is this: they follow it from the reading before, as far as they are wide.
-    pub(super) fn crossed(&self, motion: &Motion, bend: Vector2<f64>) -> Motion {
-        let mut here = *motion;
-        let before = &motion.before;
-        let q_mm = self.statics.q_mm(bend);
-        for (place, play) in self.history.plays.iter().enumerate() {
+    /// Where the hystereses stand once the bend is this: they follow it from the reading before, as far as they give way. `q_mm` and
+    /// `tau_n` are q and τ at the bend.
+    fn crossed(&self, before: &Before, bend: Vector2<f64>, q_mm: &PerBackbone, tau_n: &PerBackbone) -> Hysteresis {
+        let History { plays, half_bend_plays_mm, bouc_wen_travel_mm, bend_bouc_wen_travel_mm, .. } = &self.history;
+        let mut here = before.hysteresis;
+        let moved_mm = *q_mm - before.q_mm;
+        for (stands_mm, play) in here.play_mm.iter_mut().zip(plays) {
             let Some(play) = play else { continue };
             let half = if play.half_mm_per_n == 0.0 {
                 self.alike(play.half_mm)
             } else {
-                self.forces_n(bend).map(|tau| (play.half_mm + play.half_mm_per_n * tau.abs()).max(0.0))
+                tau_n.map(|tau| (play.half_mm + play.half_mm_per_n * tau.abs()).max(0.0))
             };
-            here.play_mm[place] = Play::crossed(before.play_mm[place], q_mm - before.q_mm, &half);
+            *stands_mm = Play::crossed(*stands_mm, moved_mm, &half);
         }
-        if let Some(half_mm) = self.history.half_bend_play_mm {
-            let half = half_mm / self.statics.robot().backbone_circle_radius_mm;
-            let followed = before.bend_play + self.statics.from_rest(bend) - before.bend;
-            let size = followed.norm();
-            here.bend_play = if size > half { followed * (half / size) } else { followed };
+        let moved = self.statics.from_rest(bend) - before.bend;
+        let radius_mm = self.statics.robot().backbone_circle_radius_mm;
+        for (stands, half_mm) in here.bend_play.iter_mut().zip(half_bend_plays_mm) {
+            let Some(half_mm) = half_mm else { continue };
+            *stands = Play::crossed_by_vector(*stands, moved, half_mm / radius_mm);
+        }
+        if let Some(travel_mm) = bouc_wen_travel_mm {
+            let along = |x: f64| Vector2::new(x, 0.0);
+            here.bouc_wen =
+                here.bouc_wen.zip_map(&moved_mm, |held, moved| bouc_wen_after(along(held), along(moved), *travel_mm).x);
+        }
+        if let Some(travel_mm) = bend_bouc_wen_travel_mm {
+            here.bend_bouc_wen = bouc_wen_after(here.bend_bouc_wen, moved, travel_mm / radius_mm);
         }
         here
     }
 
-    /// Where a motion to a bend leaves the plays for the next reading.
+    /// Where a motion that has come to a bend leaves the hystereses.
+    pub(super) fn hysteresis_at(&self, motion: &Motion, bend: Vector2<f64>) -> Hysteresis {
+        self.crossed(&motion.before, bend, &self.statics.q_mm(bend), &self.forces_n(bend))
+    }
+
+    /// Where a motion to a bend leaves the snake for the next reading.
     pub(super) fn behind(&self, motion: &Motion, bend: Vector2<f64>) -> Before {
-        let Motion { play_mm, bend_play, .. } = self.crossed(motion, bend);
-        Before { q_mm: self.statics.q_mm(bend), bend: self.statics.from_rest(bend), play_mm, bend_play }
+        let hysteresis = self.hysteresis_at(motion, bend);
+        Before { q_mm: self.statics.q_mm(bend), bend: self.statics.from_rest(bend), hysteresis }
     }
 
     /// The past of a single pose: each q_i moved away from straight.

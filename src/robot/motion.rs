@@ -2,7 +2,7 @@
 
 use super::PerBackbone;
 use super::effects::Changes;
-use super::history::Motion;
+use super::history::{Before, Motion};
 use super::mechanics::Mechanics;
 use super::without_effects::Observation;
 use crate::geometry::Configuration;
@@ -45,15 +45,15 @@ impl Mechanics<'_> {
                     decided_at[i] = q[k][i];
                 }
             }
-            motion.speed_mm_per_s = speed(times_s, &q, k);
-            motion.speed_before_mm_per_s = speed_before(times_s, &q, k);
+            motion.set_speeds(times_s, &q, k);
             motion.elapsed_s = times_s[k] - times_s[0];
             let step_s = if k == 0 { 0.0 } else { (times_s[k] - times_s[k - 1]).max(0.0) };
-            if self.history.has_play() {
+            if self.history.has_hysteresis() {
                 if k > 0 {
-                    motion.before = self.behind(&motion, bends[k - 1]);
+                    let bend = self.statics.from_rest(bends[k - 1]);
+                    motion.before = Before { q_mm: q[k - 1], bend, hysteresis: motion.hysteresis };
                 }
-                motion = self.crossed(&motion, bends[k]);
+                motion.hysteresis = self.hysteresis_at(&motion, bends[k]);
             }
             if let Some(time_constant_s) = self.history.creep_time_constant_s {
                 let share = 1.0 - (-step_s / time_constant_s).exp();
@@ -97,6 +97,14 @@ impl Mechanics<'_> {
             return bends.to_vec();
         }
         (0..bends.len()).map(|k| interpolated(times_s, bends, times_s[k] - delay_s, k)).collect()
+    }
+}
+
+impl Motion {
+    /// The speeds at sample k of a path of q (mm).
+    pub(super) fn set_speeds(&mut self, times_s: &[f64], q_mm: &[PerBackbone], k: usize) {
+        self.speed_mm_per_s = speed(times_s, q_mm, k);
+        self.speed_before_mm_per_s = speed_before(times_s, q_mm, k);
     }
 }
 

@@ -24,6 +24,7 @@ mod actuator;
 mod eye;
 mod formula;
 mod friction;
+mod hysteresis;
 mod physics;
 mod rig;
 mod snake;
@@ -41,7 +42,7 @@ use super::BACKBONES;
 use crate::error::{ArgumentError, Result};
 
 /// Every effect that `discover` searches for, in every form; the first form of a name has none.
-pub static LIBRARY: [&Physics; 44] = [
+pub static LIBRARY: [&Physics; 48] = [
     &friction::LOAD_DIRECTED_BACKLASH,
     &friction::LOAD_DIRECTED_WIDTH,
     &friction::LOAD_DIRECTED_GRADUAL,
@@ -49,6 +50,10 @@ pub static LIBRARY: [&Physics; 44] = [
     &friction::MOTION_DIRECTED_PLAY,
     &friction::PLAY_AT_BEND,
     &friction::CAPSTAN_PLAY,
+    &hysteresis::DISTRIBUTED_FRICTION,
+    &hysteresis::DISTRIBUTED_PER_BACKBONE,
+    &hysteresis::BOUC_WEN,
+    &hysteresis::BOUC_WEN_PER_BACKBONE,
     &friction::TENDON_SLACK,
     &friction::DEAD_BAND,
     &friction::DISC_FRICTION,

@@ -2,7 +2,7 @@
 
 use super::formula::Formula;
 use super::variables::Variable;
-use crate::robot::history::{History, Motion};
+use crate::robot::history::{History, Hysteresis, Motion};
 use crate::robot::line::Line;
 use crate::robot::statics::Snake;
 use crate::robot::{BACKBONES, PerBackbone};
@@ -90,6 +90,8 @@ pub struct Instant<'a> {
     pub line_mm: PerBackbone,
     /// How the snake got there.
     pub motion: &'a Motion,
+    /// Where that left q and the bend in what they have to cross at a reversal.
+    pub hysteresis: &'a Hysteresis,
 }
 
 /// What an effect changes, and how. The parameters come in the order of [`Physics::parameters`].

@@ -31,8 +31,7 @@ fn moving() -> Motion {
         direction: PerBackbone::from([1.0, -1.0, -1.0]),
         speed_mm_per_s: PerBackbone::from([0.4, -0.1, -0.3]),
         speed_before_mm_per_s: PerBackbone::from([0.5, -0.2, -0.4]),
-        play_mm: [PerBackbone::from([0.03, -0.05, 0.01]); 4],
-        bend_play: Vector2::zeros(),
+        hysteresis: crate::robot::history::Hysteresis::at_rest(3),
         before: crate::robot::history::Before::at_rest(3),
         crept_load_n: PerBackbone::from([3.0, -2.0, 1.0]),
         elapsed_s: 7.0,
@@ -168,9 +167,9 @@ fn what_follows_the_path_follows_its_equation_of_motion() {
     let motions = Mechanics::new(&play).motions(&times, &up_and_down);
     let q = play.robot.displacement_by_bend() * bend;
     let sign = q.map(f64::signum);
-    assert!((motions[20].play_mm[0] - sign * 0.06).amax() < 1e-12);
-    assert!((motions[39].play_mm[0] + sign * 0.06).amax() < 1e-12);
-    let back = motions[21].play_mm[0] - (sign * 0.06 - q * 0.02);
+    assert!((motions[20].hysteresis.play_mm[0] - sign * 0.06).amax() < 1e-12);
+    assert!((motions[39].hysteresis.play_mm[0] + sign * 0.06).amax() < 1e-12);
+    let back = motions[21].hysteresis.play_mm[0] - (sign * 0.06 - q * 0.02);
     assert!(back.amax() < 1e-12, "one sample after the reversal it has followed q");
 }
 
@@ -375,7 +374,7 @@ fn a_play_at_the_bend_follows_within_its_disk_and_a_sheath_holds_a_share_of_the_
     let bends: Vec<_> = up.chain(across).map(|b| b.map(f64::to_radians)).collect();
     let times: Vec<f64> = (0..bends.len()).map(|k| k as f64).collect();
     let motions = Mechanics::new(&model).motions(&times, &bends);
-    let play = |k: usize| motions[k].bend_play.map(f64::to_degrees);
+    let play = |k: usize| motions[k].hysteresis.bend_play[0].map(f64::to_degrees);
     assert!((play(1) - Vector2::new(1.0, 0.0)).norm() < 1e-9 && (play(30) - Vector2::new(2.0, 0.0)).norm() < 1e-9);
     assert!((play(40).norm() - 2.0).abs() < 1e-9 && play(40).y > 1.95, "{}", play(40));
     let sheath = with("capstan_play:half_gap_mm_per_n=0.02");
@@ -383,5 +382,45 @@ fn a_play_at_the_bend_follows_within_its_disk_and_a_sheath_holds_a_share_of_the_
     let motions = mechanics.motions(&times, &bends);
     let tau = mechanics.forces_n(bends[30]);
     let sign = mechanics.statics.q_mm(bends[30]).map(f64::signum);
-    assert!((motions[30].play_mm[1] - tau.map(f64::abs).component_mul(&sign) * 0.02).amax() < 1e-9);
+    assert!((motions[30].hysteresis.play_mm[1] - tau.map(f64::abs).component_mul(&sign) * 0.02).amax() < 1e-9);
+}
+
+#[test]
+fn friction_that_is_spread_turns_round_along_a_parabola_or_an_exponential() {
+    // Out by 40° and back by up to 20° in one plane, at r = 1.5 mm: travels of up to 1.05 mm and 0.52 mm.
+    let (a, travel) = (0.08, 0.3);
+    let degrees = (0..=40).chain((20..40).rev()).map(f64::from);
+    let bends: Vec<_> = degrees.map(|degrees| Vector2::new(degrees.to_radians(), 0.0)).collect();
+    let times: Vec<f64> = (0..bends.len()).map(|k| k as f64).collect();
+    let eps = |effect: &str, form: &str, k: usize| {
+        let travel_name = if effect == "bouc_wen" { "travel_mm" } else { "widest_mm" };
+        let parameters = [("half_gap_mm".to_owned(), a), (travel_name.to_owned(), travel)];
+        let effects = vec![Effect::new(effect, Some(form), &parameters, 3).unwrap()];
+        let model = Model { effects, ..with_example(LIBRARY[0], 3, 1.0) };
+        let motions = Mechanics::new(&model).motions(&times, &bends);
+        let command = |model: &Model| Mechanics::new(model).command(bends[k], Some(&motions[k]));
+        command(&model) - command(&model.plain())
+    };
+    // Backbone 1 lies in the plane and shortens; the two others travel half as far, at the bend by half as much.
+    for k in [3, 40, 45, 52, 60] {
+        let (out, back) =
+            (1.5 * f64::from(k.min(40) as u32).to_radians(), 1.5 * f64::from(k.max(40) as u32 - 40).to_radians());
+        let parabola = |x: f64| if x < 1.0 { x * (2.0 - x) } else { 1.0 };
+        let (up, turned) = (parabola(out / travel), 2.0 * parabola(0.5 * back / travel));
+        let prandtl = eps("distributed_friction", "", k);
+        assert!((prandtl[0] + a * (up - turned)).abs() < a / 30.0, "{k}: {prandtl:?}");
+        let (up, e) = (1.0 - (-out / travel).exp(), (-back / travel).exp());
+        let bouc_wen = eps("bouc_wen", "", k);
+        let z = if back > 0.0 { up * e - (1.0 - e) } else { up };
+        assert!((bouc_wen[0] + a * z).abs() < 1e-12, "{k}: {bouc_wen:?}");
+        for own in [prandtl, bouc_wen] {
+            assert!((own[1] + 0.5 * own[0]).abs() < 1e-12 && (own[2] + 0.5 * own[0]).abs() < 1e-12);
+        }
+        for effect in ["distributed_friction", "bouc_wen"] {
+            let (each, whole) = (eps(effect, "per backbone", k), eps(effect, "", k));
+            // Each by itself: the first travels as the bend does, and the two others alike.
+            let (first, others) = (each[0] - whole[0], each[1] - each[2]);
+            assert!(first.abs() < 1e-12 && others.abs() < 1e-12 && each[1] != 0.0, "{effect} {k}: {each:?}");
+        }
+    }
 }

@@ -101,7 +101,7 @@ impl Variable {
             Self::Y => at.bend.y,
             Self::Theta => at.bend.norm(),
             Self::Load => at.tau_n.iter().map(|tau| tau.abs()).sum(),
-            Self::Play => at.motion.play_mm[play][i],
+            Self::Play => at.hysteresis.play_mm[play][i],
             Self::QOf(number) => of(&at.q_mm, number),
             Self::TauOf(number) => of(&at.tau_n, number),
             Self::On(number) => f64::from(u8::from(number == i + 1)),
@@ -115,6 +115,7 @@ impl Variable {
         let line = Line::new(&robot, &Friction::default(), Vector2::new(1.0, 0.0));
         let statics = Statics::new(&robot, Snake::of(&robot));
         let (q_mm, tau_n) = (statics.q_mm(bend), statics.forces_n(bend));
-        of(&Instant { snake: statics.snake(), line: &line, bend, q_mm, tau_n, line_mm: q_mm, motion: &motion })
+        let (snake, line, hysteresis) = (statics.snake(), &line, &motion.hysteresis);
+        of(&Instant { snake, line, bend, q_mm, tau_n, line_mm: q_mm, motion: &motion, hysteresis })
     }
 }
