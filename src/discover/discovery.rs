@@ -8,7 +8,7 @@ use super::noise::Noise;
 use super::null_distribution::largest_gain_of_noise;
 use super::partial::Partial;
 use super::residuals::Problem;
-use super::search::{Found, Named, search};
+use super::search::{Found, Named, explained, search};
 use super::structure::Structure;
 use super::tangent_spaces::{TangentSpace, tangent_spaces};
 use super::verdict::Verdict;
@@ -124,10 +124,26 @@ impl<'a> Searched<'a> {
         Self { problem, spaces, least_bic_gain, found }
     }
 
+    /// What is stated, where it is clearly finer than the noise that was learned and effects account for the difference: jumps at
+    /// reversals are as quick as noise, and noise as large as they are would hide the reversals themselves.
+    fn stated_noise(data: &'a Data, learned: &Noise, rough: &Fit) -> Option<Noise> {
+        let stated = Noise::stated(data);
+        if !stated.is_finer_than(learned) {
+            return None;
+        }
+        let problem = Problem::new(data, &stated, &rough.model);
+        let before = problem.fit(&rough.model, Some(&rough.path), None);
+        let beneath = Noise::learned(&problem, &explained(&problem, before));
+        (!stated.is_finer_than(&beneath)).then_some(beneath)
+    }
+
     /// What effects do from one sample to the next looks like noise until they are found: then the noise is learned anew, and the
     /// search repeated with it.
     fn until_the_noise_is_learned(first: &Problem<'a>, rough: &Fit) -> Self {
         let mut noise = Noise::learned(first, rough);
+        if let Some(finer) = Self::stated_noise(first.data, &noise, rough) {
+            noise = finer;
+        }
         let mut searched = Self::new(first.data, &noise, rough);
         for _ in 1..MOST_SEARCHES {
             let finer = Noise::learned(&searched.problem, &searched.found.after);

@@ -91,6 +91,13 @@ pub fn search(problem: &Problem, before: Fit, least_bic_gain: f64) -> Found {
     Found { before: search.before, after, named }
 }
 
+/// The model with whatever effects lower the cost, none of them judged against noise.
+pub fn explained(problem: &Problem, before: Fit) -> Fit {
+    let excess = (before.cost - problem.data.residual_count() as f64).max(0.0);
+    let given = before.model.effects.len();
+    Search { problem, before, least_bic_gain: 0.0, excess, given }.forward()
+}
+
 struct Search<'a> {
     problem: &'a Problem<'a>,
     before: Fit,

@@ -2,7 +2,6 @@
 
 mod faults;
 mod fixture;
-mod kills;
 #[cfg(feature = "opencv")]
 mod page;
 mod sequence;
