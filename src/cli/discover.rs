@@ -9,11 +9,11 @@ use super::trackers::open_trackers;
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::discover::{
-    Data, Discovery, Localisation, NextExperiment, ProposedLaw, discover, discover_in_frames, next_experiment,
-    nothing_named, propose_law,
+    Data, Discovery, Localisation, NextExperiment, ProposedLaw, Verdict as Found, discover, discover_in_frames,
+    next_experiment, nothing_named, propose_law,
 };
-use crate::estimate::Options;
 use crate::estimate::gap::{Gap, gap};
+use crate::estimate::{Options, Verdict as GateVerdict, estimate};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
     Checked, Experiment, OutputFolder, measurements_csv, read_effects, read_encoders, read_measurements, read_model,
@@ -66,6 +66,11 @@ pub struct Args {
     correction: bool,
 }
 
+/// Samples beyond which it is said beforehand that the search takes minutes.
+///
+/// Convention: 20 000 take about one on one core.
+const MANY_SAMPLES: usize = 5000;
+
 /// The trajectory that --next writes.
 const NEXT: &str = "next.csv";
 
@@ -84,12 +89,17 @@ impl Args {
         if let Some(mistake) = subject.wiring_mistake(&measurements, &readings) {
             return Ok(self.name_nothing(console, &model, mistake, &data, &gap(&model, &measurements, &readings))?);
         }
+        if measurements.len() > MANY_SAMPLES {
+            console.say(format!("{} measurements: this takes minutes", measurements.len()));
+        }
         let from_frames = measurements.iter().any(|measurement| measurement.quality.is_some());
         let found = if from_frames { discover_in_frames(model, &data) } else { discover(&model, &data) };
         let localised = Localisation::new(&found, &data);
+        let outliers = self.outliers(&found, &measurements, &readings)?;
         let correction = self.correction.then(|| propose_law(&found, &data));
 
         let mut json = found.json();
+        json["outliers"] = outliers.iter().map(|measurement| measurement.index).collect::<Vec<_>>().into();
         json["where"] = localised.as_ref().map(Localisation::json).into();
         if let Some(correction) = &correction {
             json["correction"] = correction.json();
@@ -112,11 +122,29 @@ impl Args {
         console.warn(&found.remarks);
         console.result(&json, || {
             lines(&found)
+                + &without(&outliers, &found, &measurements, &readings)
                 + &localised.map(|gap| format!("\nthe gap is  {}", gap.words())).unwrap_or_default()
                 + &correction.map(|ProposedLaw { words, .. }| format!("\n{words}")).unwrap_or_default()
                 + &self.next_in_words(next.as_ref())
         });
         Ok(())
+    }
+
+    /// Where what is left is called noise: measurements that contradict it, as the estimator's gate tells them. They decide nothing, and the
+    /// gap's figures have them.
+    fn outliers<'a>(
+        &self,
+        found: &Discovery,
+        measurements: &'a [Measurement],
+        readings: &[EncoderReading],
+    ) -> Result<Vec<&'a Measurement>> {
+        if matches!(found.verdict, Found::Unexplained | Found::Partly) {
+            return Ok(Vec::new());
+        }
+        let options = Options { sd_encoder_mm: self.encoder_sd, ..Options::default() };
+        let (rows, _) = estimate(&found.model, options, measurements, readings)?;
+        let rejected = measurements.iter().zip(rows).filter(|(_, row)| row.verdict == GateVerdict::Rejected);
+        Ok(rejected.map(|(measurement, _)| measurement).collect())
     }
 
     /// No physics is named of a log that is wired otherwise than it is read.
@@ -211,4 +239,21 @@ impl Args {
     fn write(&self, name: &str, text: &str) -> Result<()> {
         write_atomically(&self.output.join(name), text.as_bytes())
     }
+}
+
+/// What the gap is without some outliers, in words; nothing where there are none.
+fn without(
+    outliers: &[&Measurement],
+    found: &Discovery,
+    measurements: &[Measurement],
+    readings: &[EncoderReading],
+) -> String {
+    let Some(first) = outliers.first() else { return String::new() };
+    let rest: Vec<Measurement> = measurements.iter().filter(|m| outliers.iter().all(|o| *o != *m)).cloned().collect();
+    let Gap { rms_eps_mm, rms_theta_deg, rms_delta_deg, .. } = gap(&found.model, &rest, readings);
+    let (count, all, index) = (outliers.len(), measurements.len(), first.index);
+    format!(
+        "\n{count} of {all} measurements contradict the others (the first is {index}): look at those frames. Without them the gap is \
+         {rms_eps_mm:.4} mm, {rms_theta_deg:.3}° and {rms_delta_deg:.3}°"
+    )
 }

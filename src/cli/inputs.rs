@@ -5,14 +5,20 @@ use crate::Result;
 use crate::cli::failure::Failure;
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measurement};
-use crate::record::{Checked, EncoderLog, Experiment, read_encoders, read_joints, read_measurements, read_model};
+use crate::record::{
+    Checked, EncoderLog, Experiment, read_encoders, read_joints, read_measurements, read_model, stale_mark,
+};
 use crate::robot::{Effect, Model};
 use std::path::{Path, PathBuf};
 
 /// The model in a file; without one the paper's naive one, with Table I, which is told.
 pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
     match path {
-        Some(path) => read_model(path),
+        Some(path) => {
+            let stale = stale_mark(path).map(|why| format!("{}: this model is marked as stale: {why}", path.display()));
+            console.warn(stale);
+            read_model(path)
+        }
         None => {
             console.say("no --model: the paper's naive model is used (Table I, η = 1, λ = 0)");
             Ok(Model::default())

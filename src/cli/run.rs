@@ -18,7 +18,7 @@ use crate::input::read_text;
 use crate::observation::EncoderReading;
 use crate::record::{
     Checked, Experiment, MeasurementRows, OutputFolder, PendingFile, Warning, estimate_line, estimates_header,
-    write_atomically, write_judged_compensation, write_judged_model,
+    mark_stale, write_atomically, write_judged_compensation, write_judged_model,
 };
 use crate::report::run_history::RunHistory;
 use crate::report::run_page::Report;
@@ -183,6 +183,10 @@ pub fn finish(
     let verdict = Subject { used_and_rejected, replaced, ..judged }.verdict(rows()?, encoders)?;
     let former = former_to_keep(output, &verdict);
     let verdict = former.into_iter().fold(verdict, Verdict::and);
+    if verdict.has(Code::Stale) {
+        let worst = verdict.reasons.first().map_or("", |reason| &reason.text);
+        mark_stale(output, &format!("a later run on the same folder ended in \"do not use\": {worst}"))?;
+    }
     let table = written_table(output, &model, &verdict)?;
     // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
     if table.is_some() || !output.join("model.toml").exists() {

@@ -7,9 +7,9 @@ use super::low_priority::lower_priority;
 use super::publication::Withheld;
 use super::recent_bends::RecentBends;
 use super::shared_state::SharedState;
-use super::status::PublicationState;
+use super::status::{PublicationState, PublicationStatus};
 use crate::error::{DataError, Error, Result};
-use crate::record::{write_atomically, write_compensation, write_model};
+use crate::record::{mark_stale, unmark_stale, write_atomically, write_compensation, write_model};
 use crate::robot::{Grid, PerBackbone};
 use nalgebra::Vector2;
 use std::fs::OpenOptions;
@@ -156,26 +156,39 @@ fn review(shared: &SharedState, output: &Path) -> Result<()> {
     tell(shared, output, &decided)
 }
 
-/// Brings the state, the notices and publication.json up to date with what was decided.
+/// Brings the mark in the files, publication.json, the state and the notices up to date with what was decided.
 fn tell(shared: &SharedState, output: &Path, decided: &std::result::Result<(), Withheld>) -> Result<()> {
     let (status, former) = {
-        let mut shared = shared.lock();
-        let status = shared.gate.status(decided);
-        (status.clone(), std::mem::replace(&mut shared.state.publication, status))
+        let shared = shared.lock();
+        (shared.gate.status(decided), shared.state.publication.clone())
     };
     if (status.state, status.code) == (former.state, former.code) {
+        shared.lock().state.publication = status;
         return Ok(());
     }
     let reason = status.reason.as_deref().unwrap_or_default();
+    let written = write_status(output, &status, reason);
     let said = match status.state {
         PublicationState::Stale => Some(format!("the table in the folder is stale and stays as it is: {reason}")),
         PublicationState::Withheld => Some(format!("no table is written: {reason}")),
         PublicationState::Current if former.code.is_some() => Some("the table is written again".to_owned()),
         PublicationState::Current | PublicationState::Nothing => None,
     };
+    let mut shared = shared.lock();
     if let Some(said) = said {
-        shared.lock().notice(said);
+        shared.notice(said);
     }
-    let json = serde_json::to_string_pretty(&status).map_err(Error::encode("publication.json"))?;
+    shared.state.publication = status;
+    written
+}
+
+/// Marks the table that stands in the folder as stale, or takes the mark away, and writes publication.json.
+fn write_status(output: &Path, status: &PublicationStatus, reason: &str) -> Result<()> {
+    match status.state {
+        PublicationState::Stale => mark_stale(output, reason)?,
+        PublicationState::Current => unmark_stale(output)?,
+        PublicationState::Nothing | PublicationState::Withheld => {}
+    }
+    let json = serde_json::to_string_pretty(status).map_err(Error::encode("publication.json"))?;
     write_atomically(&output.join(PUBLICATION), (json + "\n").as_bytes())
 }

@@ -18,6 +18,7 @@ mod output;
 pub mod recording;
 mod rig;
 mod source;
+mod stale;
 pub mod stem;
 pub mod table;
 mod tracker;
@@ -44,6 +45,7 @@ pub use model::{model_json, model_toml, read_model, write_judged_model, write_mo
 pub use output::OutputFolder;
 pub use recording::{Recorded, write_recording};
 pub use source::{EncoderLog, JointTopic, Source};
+pub use stale::{mark_stale, stale_mark, unmark_stale};
 pub use stem::stems_csv;
 pub use table::{Checked, Warning};
 pub use tracker::{read_tracker_poses, tracker_poses_of};

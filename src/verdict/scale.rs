@@ -32,6 +32,14 @@ const UNITS: [(f64, &str); 8] = [
     (2.0, "half as large as they should be (a radius for a diameter, a pulley block)"),
     (0.25, "four times too large (every edge of a quadrature encoder counted)"),
 ];
+/// Units that are the machine's own: how large one can be, mm, what it is, and what `scale` is then. Nothing but the machine's drawing tells
+/// them from a unit of the list that is about as large.
+///
+/// Convention: drums and pulleys that fit into an actuation unit; resolutions of encoders.
+const OF_THE_MACHINE: [(RangeInclusive<f64>, &str, &str); 2] = [
+    (2.0..=50.0, "in radians of a drum", "the drum's radius in mm"),
+    (1e-6..=0.05, "in counts of an encoder", "the travel of one count in mm"),
+];
 /// A factor that no unit of the list gives is told where it is larger than this, or smaller than one over it.
 ///
 /// Convention: a smaller one may as well be the robot's own, and is told as η out of range.
@@ -44,6 +52,10 @@ pub(super) struct Unit {
     pub mm: f64,
     /// Its name, where the factor is that of a unit.
     pub name: Option<&'static str>,
+    /// What else it may be: a unit of the machine's own, and what `scale` is then.
+    pub of_the_machine: Option<(&'static str, &'static str)>,
+    /// η in that unit.
+    pub eta: f64,
     /// The factor at which η would be 1, two digits of it.
     pub mm_at_nominal_eta: f64,
     /// η as the log stands.
@@ -67,11 +79,14 @@ pub(super) fn unit(model: &Model, gain: f64, sd_gain: f64) -> Option<Unit> {
     let named = UNITS.iter().filter(|(mm, _)| PLAUSIBLE_ETA.contains(&eta(gain / mm)));
     let distance = |mm: f64| (gain / mm / nominal).ln().abs();
     let mm_at_nominal_eta = two_digits(gain / nominal);
+    let of_the_machine = OF_THE_MACHINE.iter().find(|(sizes, ..)| sizes.contains(&mm_at_nominal_eta));
+    let of_the_machine = of_the_machine.map(|&(_, what, scale)| (what, scale));
+    let unit = |mm: f64, name| Unit { mm, name, of_the_machine, eta: eta(gain / mm), mm_at_nominal_eta, eta_as_it_is };
     if let Some(&(mm, name)) = named.min_by(|a, b| distance(a.0).total_cmp(&distance(b.0))) {
-        return Some(Unit { mm, name: Some(name), mm_at_nominal_eta, eta_as_it_is });
+        return Some(unit(mm, Some(name)));
     }
     let is_large = mm_at_nominal_eta.ln().abs() > LEAST_UNNAMED.ln();
-    is_large.then_some(Unit { mm: mm_at_nominal_eta, name: None, mm_at_nominal_eta, eta_as_it_is })
+    is_large.then(|| unit(mm_at_nominal_eta, None))
 }
 
 /// Least bends that the readings must imply for the angles' unit to be judged, rad; their median may not be above π either.
@@ -141,8 +156,12 @@ mod tests {
         let model = Model { estimate: Some(estimate), ..Model::default() };
         for mm in [0.5, 2.0, 10.0] {
             let found = unit(&model, gain_of(&model, mm), 1e-4).unwrap();
-            assert_eq!(found.mm, mm, "{found:?}");
+            assert!(found.mm == mm && (found.eta - 1.221).abs() < 0.01, "{found:?}");
         }
+        // A drum of 8 mm is within what robots differ by from a centimetre, and one of 1 m is none.
+        let drum = unit(&model, gain_of(&model, 8.0), 1e-4).unwrap();
+        assert_eq!((drum.mm, drum.of_the_machine.map(|(what, _)| what)), (10.0, Some("in radians of a drum")));
+        assert_eq!(unit(&model, gain_of(&model, 1000.0), 1e-4).unwrap().of_the_machine, None);
         let counts = unit(&model, gain_of(&model, 0.0001), 1e-9).unwrap();
         assert!(counts.name.is_none() && (counts.mm / 0.0001).ln().abs() < 0.2, "{counts:?}");
         assert_eq!(unit(&model, 1.5, 1.0), None, "a gain that is hardly known says nothing");

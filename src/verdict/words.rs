@@ -49,12 +49,7 @@ fn log(subject: &Subject, found: &Wiring, unit: Option<Unit>, misfits: &str) -> 
         let (rows, side) = (found.index_shift.abs(), if found.index_shift > 0 { "after" } else { "before" });
         said.push(format!("a frame's reading stands {rows} row{} {side} its own", if rows == 1 { "" } else { "s" }));
     }
-    if let Some(Unit { name, mm_at_nominal_eta, eta_as_it_is, .. }) = unit {
-        let name = name.unwrap_or("in counts, radians of a drum or the like");
-        said.push(format!(
-            "the readings are {name}: taken for mm they make η {eta_as_it_is:.2}; at η = 1 one unit is {mm_at_nominal_eta} mm"
-        ));
-    }
+    said.extend(unit.map(readings_are));
     let text = match misfits {
         "" => format!("encoder log: {}", said.join("; ")),
         _ => format!("encoder log: {}; {misfits}", said.join("; ")),
@@ -62,9 +57,23 @@ fn log(subject: &Subject, found: &Wiring, unit: Option<Unit>, misfits: &str) -> 
     let scale = unit.map_or(1.0, |unit| unit.mm);
     let wiring = subject.wiring.then(&Wiring { scale, ..found.clone() });
     let header = header(&wiring).map_or(String::new(), |header| format!(", or call the log's columns {header}"));
-    let remedy = format!("if the robot is so wired, write into experiment.toml: {}{header}", in_toml(&wiring));
+    let own = unit.and_then(|unit| unit.of_the_machine);
+    let own = own.map_or(String::new(), |(what, scale)| format!("; if the log is {what}, scale is {scale}"));
+    let remedy = format!("if the robot is so wired, write into experiment.toml: {}{header}{own}", in_toml(&wiring));
     let suggestion = Suggestion { wiring, clock_offset_s: None, view: None, delta_offset_deg: None, mirrored: false };
     Reason { suggestion: Some(suggestion), ..Reason::new(Code::Wiring, Level::DoNotUse, text, remedy) }
+}
+
+/// The unit of the readings, with all that it may be.
+fn readings_are(unit: Unit) -> String {
+    let Unit { name, of_the_machine, eta, mm_at_nominal_eta, eta_as_it_is, .. } = unit;
+    let named = name.map(|name| format!("{name} (η is then {eta:.2})"));
+    let own = of_the_machine.map(|(what, _)| what.to_owned());
+    let all: Vec<String> = named.into_iter().chain(own).collect();
+    let what = if all.is_empty() { "in another unit than mm".to_owned() } else { all.join(", or ") };
+    format!(
+        "the readings are {what}: taken for mm they make η {eta_as_it_is:.2}; at η = 1 one unit is {mm_at_nominal_eta} mm"
+    )
 }
 
 /// The table of an experiment.toml.

@@ -1,5 +1,6 @@
 //! From nothing to an experiment that is fit for a run: `new`, `check`, `print`.
 
+use crate::faults::fixture::{copy_folder, rendered};
 use crate::program::{Sandbox, all_said, json, number};
 use std::fs;
 
@@ -26,7 +27,7 @@ fn a_new_folder_is_an_experiment_that_check_says_is_empty() {
 #[test]
 fn check_predicts_what_a_run_will_know_and_names_what_does_not_fit() {
     let sandbox = Sandbox::new();
-    sandbox.copy_bending(&[0, 4, 8, 13, 17, 21, 24, 28, 32]);
+    copy_folder(rendered(), &sandbox.join("bending"));
     let run = sandbox.json("run bending -o out");
     let good = sandbox.json("check bending");
     assert_eq!(good["verdict"]["level"], run["verdict"]["level"], "{good:#}");
@@ -41,10 +42,10 @@ fn check_predicts_what_a_run_will_know_and_names_what_does_not_fit() {
     sandbox.write("bending/encoders.csv", &swapped);
     assert_eq!(sandbox.json("check bending")["verdict"]["reasons"][0]["code"], "wiring");
     sandbox.write("bending/encoders.csv", &log);
-    let text = sandbox.read("bending/experiment.toml").replace("frames/*.jpg", "frames/*.png");
+    let text = sandbox.read("bending/experiment.toml").replace("frames/*.png", "frames/*.jpg");
     sandbox.write("bending/experiment.toml", &text);
     let output = sandbox.call("check bending");
-    assert!(all_said(&output).contains("there are 9 files *.jpg"), "{}", all_said(&output));
+    assert!(all_said(&output).contains("there are 8 files *.png"), "{}", all_said(&output));
 }
 
 #[test]

@@ -2,6 +2,9 @@
 
 #[path = "../harness/program.rs"]
 mod program;
+#[path = "../harness/scenes.rs"]
+#[allow(dead_code, reason = "the rest is for the tests of the eye")]
+mod scenes;
 
 mod backbones;
 mod book;

@@ -1,6 +1,7 @@
 //! Two cameras around one snake, from rendered frames through the program.
 
 use crate::program::Sandbox;
+use crate::scenes::smaller;
 use snakeloop::geometry::{Configuration, wrap_degrees};
 use snakeloop::observation::{Measurement, Truth};
 use snakeloop::simulate::scene::{Scene, Sensor, Viewpoint};
@@ -23,9 +24,9 @@ fn views(experiment: &Path) -> String {
     let turned = [("side", 0.0), ("front", OFFSET_DEG)];
     for (seed, (name, offset)) in (1..).zip(turned) {
         let scene = Scene {
-            sensor: Sensor { rays_per_pixel: 2, blur_px: 0.6, noise: 2.0 },
+            sensor: Sensor { rays_per_pixel: 4, blur_px: 0.6, noise: 2.0 },
             view: Viewpoint { pitch_deg: 3.0, ..Scene::default().view },
-            ..Scene::default()
+            ..smaller(Scene::default(), 2)
         };
         let seen = (0..).zip(POSES).map(|(index, (theta, delta))| Truth {
             index,
@@ -47,7 +48,7 @@ fn measure(sandbox: &Sandbox, views: &str) -> Vec<Measurement> {
 fn two_views_are_one_measurement_and_either_answers_for_the_other() {
     let sandbox = Sandbox::new();
     let both = views(sandbox.path());
-    let white = image::RgbImage::from_pixel(1280, 720, image::Rgb([255; 3]));
+    let white = image::RgbImage::from_pixel(640, 360, image::Rgb([255; 3]));
     white.save(sandbox.join("front/frames/00003.png")).unwrap();
 
     let together = measure(&sandbox, &both);

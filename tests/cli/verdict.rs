@@ -1,11 +1,15 @@
 //! The mistakes of a laboratory, made one by one on a simulated experiment, and what the program says of each.
 
+use crate::faults::fixture::{self, write_clean};
 use crate::program::{Sandbox, all_said, data, json, number};
+use crate::scenes::smaller;
 use serde_json::Value;
 use snakeloop::geometry::Configuration;
 use snakeloop::observation::{EncoderReading, Measurement, Status};
 use snakeloop::record::{encoders_csv, measurements_csv, read_encoders};
 use snakeloop::robot::PerBackbone;
+use snakeloop::simulate::BendingExperiment;
+use snakeloop::simulate::scene::{Scene, Sensor, Viewpoint};
 use std::f64::consts::PI;
 
 /// Measurements and log of one experiment, to be spoilt.
@@ -75,7 +79,12 @@ const MISTAKES: [Mistake; 45] = [
     ("twice too large", |t| t.readings(|q| [0, 1, 2].map(|i| 2.0 * q[i])), "wiring", "scale = 0.5"),
     ("half as large", |t| t.readings(|q| [0, 1, 2].map(|i| 0.5 * q[i])), "wiring", "scale = 2.0"),
     ("in counts of 0.1 µm", |t| t.readings(|q| [0, 1, 2].map(|i| 1e4 * q[i])), "wiring", "scale = 9e-5"),
-    ("radians of a drum of 8 mm", |t| t.readings(|q| [0, 1, 2].map(|i| q[i] / 8.0)), "wiring", "scale ="),
+    (
+        "radians of a drum of 8 mm",
+        |t| t.readings(|q| [0, 1, 2].map(|i| q[i] / 8.0)),
+        "wiring",
+        "scale is the drum's radius in mm",
+    ),
     (
         "metres and exchanged",
         |t| t.readings(|q| [0, 2, 1].map(|i| 0.001 * q[i])),
@@ -207,6 +216,11 @@ fn the_mistakes_of_a_laboratory_are_named_with_the_right_remedy_first() {
         let said = first["remedy"].as_str().unwrap_or_default();
         assert_ne!(verdict["level"], "good", "{name}: no gross mistake ends calmly");
         println!("{name}: {} / {}: {} -> {said}", verdict["level"], first["code"], first["text"]);
+        let both = ["in centimetres", "radians of a drum"];
+        if name.starts_with("in centimetres") || name.starts_with("radians of a drum") {
+            // No data can tell one from the other, on a robot whose η is not known.
+            assert!(both.iter().all(|unit| first["text"].as_str().unwrap().contains(unit)), "{name}: {first}");
+        }
         if first["code"] != code || !said.contains(remedy) {
             wrong.push(format!("{name}: expected {code} ({remedy}), got {verdict:#}"));
         }
@@ -235,6 +249,34 @@ fn strict_ends_with_exit_code_1_and_the_files_are_written_and_marked() {
 }
 
 #[test]
+fn what_must_not_be_used_leaves_the_good_table_which_is_marked_as_stale_until_it_is_confirmed() {
+    let sandbox = fixture::sandbox();
+    let run = || sandbox.json("run experiment -o out --overlays none");
+    assert_ne!(run()["verdict"]["level"], "do_not_use");
+    let names = ["model.toml", "compensation.csv", "compensation.json"];
+    let good = names.map(|name| sandbox.read(&format!("out/{name}")));
+    let log = sandbox.read("experiment/encoders.csv");
+    sandbox.write("experiment/encoders.csv", &log.replace("q1_mm,q2_mm", "q2_mm,q1_mm"));
+    // However often it is repeated.
+    for _ in 0..2 {
+        let verdict = &run()["verdict"];
+        let codes: Vec<&str> =
+            verdict["reasons"].as_array().unwrap().iter().filter_map(|r| r["code"].as_str()).collect();
+        assert!(verdict["level"] == "do_not_use" && codes.contains(&"stale"), "{verdict:#}");
+    }
+    let [model, csv, table] = names.map(|name| sandbox.read(&format!("out/{name}")));
+    assert!(model.starts_with("# stale: ") && model.ends_with(&good[0]), "{model}");
+    assert!(csv.lines().zip(good[1].lines()).skip(1).all(|(line, before)| line == format!("{before},1")));
+    assert!(json(&table)["stale"].as_str().unwrap().contains("ended in \"do not use\": "));
+    let warned = sandbox.call("table --model out/model.toml -o table");
+    assert!(warned.status.success() && all_said(&warned).contains("model.toml: this model is marked as stale"));
+
+    sandbox.write("experiment/encoders.csv", &log);
+    run();
+    assert_eq!(names.map(|name| sandbox.read(&format!("out/{name}"))), good);
+}
+
+#[test]
 #[ignore = "takes a minute: cargo test --release --test cli of_a_hundred_clean -- --ignored --nocapture"]
 fn of_a_hundred_clean_experiments_two_at_most_are_not_called_good() {
     let sandbox = Sandbox::new();
@@ -248,6 +290,30 @@ fn of_a_hundred_clean_experiments_two_at_most_are_not_called_good() {
     }
     println!("{} of 100 were not called good\n{}", accused.len(), accused.join("\n"));
     assert!(accused.len() <= 2);
+}
+
+#[test]
+#[ignore = "takes minutes: cargo test --test cli of_thirty_rendered_clean -- --ignored --nocapture"]
+fn of_thirty_rendered_clean_experiments_none_must_not_be_used_and_all_but_one_are_good() {
+    let mut accused = Vec::new();
+    for seed in 0..30 {
+        let sandbox = Sandbox::new();
+        // Seen from about there, in light and noise that differ from one to the next.
+        let part = |k: u64| ((seed * 7 + k * 11) % 13) as f64 / 6.0 - 1.0;
+        let mut scene = smaller(Scene::default(), 2);
+        scene.sensor = Sensor { rays_per_pixel: 8, blur_px: 0.6 + 0.2 * part(1), noise: 2.0 + part(2) };
+        scene.light.gradient = [0.1 * part(3), 0.1 * part(4)];
+        let (yaw, pitch, roll) = (5.0 * part(5), 5.0 * part(6), 3.0 * part(7));
+        scene.view = Viewpoint { yaw_deg: yaw, pitch_deg: pitch, roll_deg: roll, ..scene.view };
+        let ride = BendingExperiment { sweep_poses: 4, round_poses: 6, seed, ..BendingExperiment::default() };
+        write_clean(&sandbox.join("lab"), &ride, &scene, 500 + seed);
+        let verdict = sandbox.json("run lab -o out --overlays none --quiet")["verdict"].clone();
+        if verdict["level"] != "good" {
+            accused.push(format!("seed {seed}: {verdict:#}"));
+        }
+    }
+    println!("{} of 30 were not called good\n{}", accused.len(), accused.join("\n"));
+    assert!(accused.len() <= 1 && !accused.concat().contains("\"level\": \"do_not_use\""));
 }
 
 #[test]

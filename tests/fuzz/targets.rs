@@ -3,13 +3,15 @@
 
 use image::{DynamicImage, imageops};
 use nalgebra::{Point3, Vector2};
-use snakeloop::camera::{CameraFormat, Frame, Lens, Samples, read_frame};
+use snakeloop::bag::Topic;
+use snakeloop::bag::messages::JointState;
+use snakeloop::camera::{CameraFormat, Frame, FrameSource, Lens, Samples, read_frame};
 use snakeloop::geometry::Configuration;
 use snakeloop::live::{LineParser, journal};
 use snakeloop::measure::{Eye, FrameMeasurement, Rig, RigOptions, calibrate_rig};
 use snakeloop::record::{
-    Experiment, MeasurementJournal, model_toml, read_encoders, read_friction, read_measurements, read_model,
-    read_trajectory, read_truth,
+    Experiment, MeasurementJournal, model_toml, read_effects, read_encoders, read_friction, read_measurements,
+    read_model, read_tracker_poses, read_trajectory, read_truth, tracker_poses_of,
 };
 use snakeloop::robot::Model;
 use snakeloop::simulate::{Scene, render};
@@ -53,7 +55,13 @@ pub fn tables(bytes: &[u8]) -> Outcomes {
         for measured in measurements.iter().flat_map(|checked| &checked.rows).filter_map(|row| row.measured) {
             assert!(measured.configuration.theta.is_finite() && measured.configuration.delta.is_finite());
         }
+        let tracker = read_tracker_poses(path);
+        for pose in tracker.iter().flat_map(|checked| &checked.rows) {
+            assert!(pose.position_mm.is_none_or(|position| position.iter().all(|mm| mm.is_finite())));
+            assert!(pose.orientation.is_none_or(|turn| (turn.norm() - 1.0).abs() < 1e-6));
+        }
         vec![
+            outcome("tracker", tracker),
             outcome("encoders", encoders),
             outcome("truth", truth),
             outcome("measurements", measurements),
@@ -63,7 +71,8 @@ pub fn tables(bytes: &[u8]) -> Outcomes {
     })
 }
 
-/// Every reader of a TOML file. A model that is accepted can be written, read back and asked what to command.
+/// Every reader of a TOML file. A model that is accepted can be written, read back and asked what to command; a wiring that is accepted
+/// is one of three backbones.
 pub fn settings(bytes: &[u8]) -> Outcomes {
     in_file(bytes, |path| {
         let model = read_model(path);
@@ -71,8 +80,16 @@ pub fn settings(bytes: &[u8]) -> Outcomes {
             model_toml(model).unwrap();
             obey(model);
         }
+        let experiment = Experiment::read(path);
+        let wiring = experiment.as_ref().map_err(ToString::to_string).and_then(|experiment| {
+            let wiring = experiment.wiring(3).map_err(|e| e.to_string())?;
+            assert_eq!((wiring.columns.len(), wiring.signs.len()), (3, 3));
+            if wiring.is_straight() { Err("no wiring".to_owned()) } else { Ok(()) }
+        });
         vec![
-            outcome("experiment", Experiment::read(path)),
+            ("wiring", wiring),
+            outcome("experiment", experiment),
+            outcome("effects", read_effects(path)),
             outcome("rig", Rig::read(path)),
             outcome("model", model),
             outcome("scene", Scene::read(path)),
@@ -115,6 +132,76 @@ fn camera(reader: &'static str, bytes: &[u8]) -> Outcomes {
         lens.ray(&lens.centre_px);
     }
     vec![outcome(reader, lens)]
+}
+
+/// Topics of the recording in the corpus, by what is in them.
+const PICTURES: [&str; 5] = ["/camera/image_raw/compressed", "/raw/mono8", "/raw/bgr8", "/raw/rgb8", "/raw/bayer"];
+const JOINTS: &str = "/joint_states";
+const LENS: &str = "/camera/camera_info";
+const POSES: [&str; 2] = ["/tip/pose", "/tip/transform"];
+
+/// Recordings of ROS 2: the container, and the messages in it.
+pub fn recording(bytes: &[u8]) -> Outcomes {
+    in_file(bytes, |path| {
+        let topic = |topic: &str| Topic { bag: path.to_owned(), topic: topic.to_owned() };
+        let mut outcomes =
+            vec![outcome("joints", topic(JOINTS).all::<JointState>()), outcome("lens", Lens::of_topic(&topic(LENS)))];
+        for name in POSES {
+            let poses = tracker_poses_of(&topic(name));
+            for pose in poses.iter().flatten() {
+                assert!(pose.position_mm.is_none_or(|position| position.iter().all(|mm| mm.is_finite())));
+            }
+            outcomes.push(outcome("poses", poses));
+        }
+        outcomes.extend(PICTURES.map(|name| outcome("pictures", pictures(topic(name)))));
+        outcomes
+    })
+}
+
+/// The first pictures of a topic, decoded; each holds as many samples as its size says.
+fn pictures(topic: Topic) -> snakeloop::Result<()> {
+    let source = FrameSource::of_topic(topic)?;
+    for frame in source.frames()?.take(4) {
+        let frame = frame.read()?;
+        assert_eq!(frame.samples.len(), frame.width as usize * frame.height as usize * frame.channels);
+    }
+    Ok(())
+}
+
+/// Messages of ROS 2 (CDR): the first byte says which, the rest is one. They stand in a recording without chunks, whose checksums would
+/// keep most of what is tried from ever being decoded.
+pub fn message(bytes: &[u8]) -> Outcomes {
+    let kinds = [
+        ("sensor_msgs/msg/JointState", JOINTS),
+        ("sensor_msgs/msg/CameraInfo", LENS),
+        ("geometry_msgs/msg/PoseStamped", POSES[0]),
+        ("geometry_msgs/msg/TransformStamped", POSES[1]),
+        ("sensor_msgs/msg/CompressedImage", PICTURES[0]),
+        ("sensor_msgs/msg/Image", PICTURES[1]),
+    ];
+    let Some((&which, cdr)) = bytes.split_first() else { return Vec::new() };
+    let (kind, topic) = kinds[usize::from(which) % kinds.len()];
+    let missing = |outcome: &(_, Result<(), String>)| {
+        outcome.1.as_ref().is_err_and(|why| why.contains("no message; the recording has"))
+    };
+    recording(&recorded(kind, topic, cdr)).into_iter().filter(|outcome| !missing(outcome)).collect()
+}
+
+/// A recording of one message.
+///
+/// Source: <https://mcap.dev/spec>.
+fn recorded(kind: &str, topic: &str, cdr: &[u8]) -> Vec<u8> {
+    const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+    let text = |text: &str| [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat();
+    let record = |opcode: u8, body: &[u8]| [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat();
+    let one = 1u16.to_le_bytes();
+    let schema = [&one[..], &text(kind), &text("ros2msg"), &text("")].concat();
+    let channel = [&one[..], &one, &text(topic), &text("cdr"), &text("")].concat();
+    // Number, sequence and two times.
+    let message = [&one[..], &[0; 20], cdr].concat();
+    let records =
+        [record(1, &[text("ros2"), text("")].concat()), record(3, &schema), record(4, &channel), record(5, &message)];
+    [MAGIC, &records.concat()].concat()
 }
 
 /// The journal of `live`, read to go on with a run.

@@ -24,15 +24,30 @@ fn replay(target: &str, run: fn(&[u8]) -> Outcomes, accepted_by: &[&str], faults
 
 #[test]
 fn tables() {
-    let readers = ["encoders", "truth", "measurements", "friction", "trajectory"];
-    let faults = ["is missing, expected", "expected a number", "no usable row", "separated by semicolons"];
+    let readers = ["encoders", "truth", "measurements", "friction", "trajectory", "tracker"];
+    let faults = [
+        "is missing, expected",
+        "expected a number",
+        "no usable row",
+        "separated by semicolons",
+        "x_mm,y_mm,z_mm, in mm",
+    ];
     replay("tables", targets::tables, &readers, &faults);
 }
 
 #[test]
 fn settings() {
-    let faults = ["neither rig nor straight", "not a scene", "expected 0.05 to 100", "unknown field", "recur"];
-    replay("settings", targets::settings, &["experiment", "rig", "model", "scene"], &faults);
+    let faults = [
+        "neither rig nor straight",
+        "not a scene",
+        "expected 0.05 to 100",
+        "unknown field",
+        "recur",
+        "wiring",
+        "formula",
+    ];
+    let readers = ["experiment", "rig", "model", "scene", "effects", "wiring"];
+    replay("settings", targets::settings, &readers, &faults);
 }
 
 #[test]
@@ -46,6 +61,18 @@ fn camera_xml() {
     let faults =
         ["DTD", "expected a camera file with <opencv_storage>", "is this a camera file", "neither a YAML nor an XML"];
     replay("camera_xml", targets::camera_xml, &["xml"], &faults);
+}
+
+#[test]
+fn recording() {
+    let faults = ["no readable recording", "no message; the recording has", "expected cdr"];
+    replay("recording", targets::recording, &["joints", "lens", "poses", "pictures"], &faults);
+}
+
+#[test]
+fn message() {
+    let faults = ["is cut short after", "quaternion of length 1", "expected plain CDR"];
+    replay("message", targets::message, &["joints", "lens", "poses", "pictures"], &faults);
 }
 
 #[test]

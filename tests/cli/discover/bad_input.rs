@@ -5,6 +5,8 @@ use crate::program::{Sandbox, json};
 use serde_json::Value;
 
 const SWEEPS: &str = "--sweeps=0,80,160,-110 --sweep-poses 20 --round-poses 30";
+/// Half as many poses of the same motion.
+const SHORT: &str = "--sweeps=0,80,160,-110 --sweep-poses 10 --round-poses 15";
 
 /// Rewrites a file's rows: the row's number and its fields by column.
 fn rewrite(sandbox: &Sandbox, file: &str, change: impl Fn(usize, &mut Vec<String>)) {
@@ -74,14 +76,31 @@ fn one_plane_and_small_bends_are_told_and_nothing_is_named() {
 }
 
 #[test]
+fn one_measurement_that_is_far_off_is_told_beside_the_gap_that_it_makes() {
+    with_experiment(SHORT, |sandbox| {
+        rewrite(sandbox, "measurements.csv", |k, row| {
+            if k == 30 {
+                row[2] = (row[2].parse::<f64>().unwrap() + 30.0).to_string();
+            }
+        });
+        let (found, _) = answer(sandbox);
+        assert_eq!((&found["verdict"], &found["outliers"]), (&json("\"none\""), &json("[30]")), "{found:#}");
+        let told = sandbox.succeed(&DISCOVER.replace(" --json", ""));
+        assert!(told.contains("1 of 95 measurements contradict the others (the first is 30)"), "{told}");
+        let gap = told.split("Without them the gap is ").nth(1).unwrap().split(' ').next().unwrap();
+        assert!(gap.parse::<f64>().unwrap() < 0.02, "{told}");
+    });
+}
+
+#[test]
 fn a_stuck_encoder_or_camera_gets_no_false_name() {
-    with_experiment(SWEEPS, |sandbox| {
+    with_experiment(SHORT, |sandbox| {
         rewrite(sandbox, "encoders.csv", |_, row| row[4] = "0.25".into());
         let (found, said) = answer(sandbox);
         assert_eq!(found["verdict"], "unexplained", "{found:#}");
         assert!(said.contains("q3_mm is the same"), "{said}");
     });
-    with_experiment(SWEEPS, |sandbox| {
+    with_experiment(SHORT, |sandbox| {
         rewrite(sandbox, "measurements.csv", |_, row| (row[2], row[3]) = ("30".into(), "40".into()));
         assert_eq!(answer(sandbox).0["verdict"], "unexplained");
     });

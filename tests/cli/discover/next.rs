@@ -40,7 +40,7 @@ fn is_decided(found: &Value, name: &str, alternative: &str) {
 fn drag_and_a_late_camera_are_told_apart_where_the_pace_changes() {
     let sandbox = Sandbox::new();
     // Slow turns and no corner: speed and lag are one and the same.
-    let even = (0..240).map(|k| (42.0 - 34.0 * (f64::from(k) / 25.0).cos(), 1.5 * f64::from(k)));
+    let even = (0..150).map(|k| (42.0 - 34.0 * (f64::from(k) / 25.0).cos(), 1.5 * f64::from(k)));
     write_trajectory(&sandbox, "even.csv", even);
     for (effect, name, alternative) in [
         ("viscous_drag:drag_n_s_per_mm=2", "viscous_drag", "camera_latency"),
@@ -58,7 +58,7 @@ fn drag_and_a_late_camera_are_told_apart_where_the_pace_changes() {
 #[test]
 fn what_one_plane_hides_more_planes_show() {
     let sandbox = Sandbox::new();
-    let plane = (0..200).map(|k| (40.0 - 34.0 * (f64::from(k) / 12.0).cos(), 0.0));
+    let plane = (0..150).map(|k| (40.0 - 34.0 * (f64::from(k) / 12.0).cos(), 0.0));
     write_trajectory(&sandbox, "plane.csv", plane);
     // Azimuth errors without a mean are, to first order, a shift of the circle of backbones, as radii are: no trajectory tells them apart.
     for (effect, name) in [

@@ -3,6 +3,7 @@
 //! `SEALED_FRAMES=3 cargo test --release --test cli sealed_frames -- --nocapture` runs every effect with so many seeds.
 
 use crate::program::{Sandbox, number};
+use crate::scenes::smaller;
 use serde_json::Value;
 use snakeloop::record::{encoders_csv, write_atomically};
 use snakeloop::robot::{LIBRARY, Physics};
@@ -10,9 +11,9 @@ use snakeloop::simulate::scene::{Scene, Sensor};
 use snakeloop::simulate::{FrameFormat, Sealed, write_experiment};
 use std::path::Path;
 
-/// A sharp picture with some noise.
+/// A sharp picture with some noise, of half the usual width and height.
 fn scene() -> Scene {
-    Scene { sensor: Sensor { rays_per_pixel: 2, blur_px: 0.5, noise: 2.0 }, ..Scene::default() }
+    Scene { sensor: Sensor { rays_per_pixel: 8, blur_px: 0.5, noise: 1.0 }, ..smaller(Scene::default(), 2) }
 }
 
 /// Renders a sealed experiment, takes the truth out of the folder and asks `discover`. What it answers, and what was hidden.

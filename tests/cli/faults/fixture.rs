@@ -1,6 +1,7 @@
-//! A small rendered experiment, and what an uninterrupted run makes of it.
+//! A rendered experiment of small pictures, and what an uninterrupted run makes of it.
 
 use crate::program::{ETA, LAMBDA_MM, Sandbox, all_said, text};
+use crate::scenes::smaller;
 use snakeloop::record::{encoders_csv, write_atomically};
 use snakeloop::robot::{Estimate, Model};
 use snakeloop::simulate::{BendingExperiment, FrameFormat, Plant, Scene, write_experiment};
@@ -13,10 +14,22 @@ use std::sync::OnceLock;
 /// Frames of the experiment: two poses on each way of four sweeps.
 pub const FRAMES: usize = 8;
 
-/// A sandbox of a test's own with a copy of the experiment in `experiment`.
+/// A sandbox of a test's own with a copy of the experiment in `experiment`. Its rig is that of a file, calibrated once, which is most of
+/// the work of so short a run.
 pub fn sandbox() -> Sandbox {
+    static RIG: OnceLock<String> = OnceLock::new();
     let sandbox = Sandbox::new();
-    copy(rendered(), &sandbox.join("experiment"));
+    copy_folder(rendered(), &sandbox.join("experiment"));
+    let settings = sandbox.read("experiment/experiment.toml");
+    let of_picture = "straight = \"straight.png\"\ngrid_pitch_mm = 1.0\nstandoff_mm = 25.0\n";
+    assert!(settings.contains(of_picture), "{settings}");
+    sandbox.write("experiment/experiment.toml", &settings.replace(of_picture, "rig = \"rig.toml\"\n"));
+    let rig = RIG.get_or_init(|| {
+        let picture = "--camera experiment/camera.yaml --straight experiment/straight.png --grid-pitch 1 --standoff 25";
+        sandbox.succeed(&format!("calibrate rig {picture} -o experiment/rig.toml --quiet"));
+        sandbox.read("experiment/rig.toml")
+    });
+    sandbox.write("experiment/rig.toml", rig);
     sandbox
 }
 
@@ -37,38 +50,40 @@ pub fn outputs() -> &'static BTreeMap<String, Vec<u8>> {
     })
 }
 
-/// The folder of the experiment's small frames, rendered once.
-fn rendered() -> &'static Path {
+/// The folder of the experiment, whose frames have a third of the usual width and height; rendered once.
+pub fn rendered() -> &'static Path {
     static RENDERED: OnceLock<tempfile::TempDir> = OnceLock::new();
     let folder = RENDERED.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
-        let estimate = Estimate { eta: ETA, lambda_mm: LAMBDA_MM, covariance: Default::default(), samples: 0 };
-        let model = Model { estimate: Some(estimate), ..Model::default() };
         let ride = BendingExperiment { sweep_poses: 2, round_poses: 0, ..BendingExperiment::default() };
-        let samples = Plant { model, sd_encoder_mm: 0.0015 }.run(&ride.waypoints().unwrap(), 1);
-        assert_eq!(samples.len(), FRAMES);
-        let readings: Vec<_> = samples.iter().map(|sample| sample.reading).collect();
-        let truths: Vec<_> = samples.iter().map(|sample| sample.truth).collect();
-        write_atomically(&folder.path().join("encoders.csv"), encoders_csv(&readings, 3).as_bytes()).unwrap();
-        let mut scene = Scene::default();
-        // Half the size: pixel centres are at integers.
-        (scene.lens.width, scene.lens.height) = (640, 360);
-        scene.lens.focal_px /= 2.0;
-        scene.lens.centre_px.coords.apply(|c| *c = (*c - 0.5) / 2.0);
-        scene.sensor.rays_per_pixel = 4;
-        write_experiment(folder.path(), &scene, &truths, FrameFormat::Png, 1, &|| ()).unwrap();
+        let mut scene = smaller(Scene::default(), 3);
+        (scene.sensor.rays_per_pixel, scene.sensor.noise) = (8, 1.0);
+        assert_eq!(write_clean(folder.path(), &ride, &scene, 1), FRAMES);
         folder
     });
     folder.path()
 }
 
-fn copy(from: &Path, to: &Path) {
+/// Renders an experiment in which nothing is wrong. How many frames it has.
+pub fn write_clean(folder: &Path, ride: &BendingExperiment, scene: &Scene, seed: u64) -> usize {
+    let estimate = Estimate { eta: ETA, lambda_mm: LAMBDA_MM, covariance: Default::default(), samples: 0 };
+    let model = Model { estimate: Some(estimate), ..Model::default() };
+    let samples = Plant { model, sd_encoder_mm: 0.0015 }.run(&ride.waypoints().unwrap(), seed);
+    let readings: Vec<_> = samples.iter().map(|sample| sample.reading).collect();
+    let truths: Vec<_> = samples.iter().map(|sample| sample.truth).collect();
+    write_atomically(&folder.join("encoders.csv"), encoders_csv(&readings, 3).as_bytes()).unwrap();
+    write_experiment(folder, scene, &truths, FrameFormat::Png, seed, &|| ()).unwrap();
+    truths.len()
+}
+
+/// Copies a folder with all below it.
+pub fn copy_folder(from: &Path, to: &Path) {
     fs::create_dir_all(to).unwrap();
     for entry in fs::read_dir(from).unwrap() {
         let entry = entry.unwrap();
         let target = to.join(entry.file_name());
         if entry.path().is_dir() {
-            copy(&entry.path(), &target);
+            copy_folder(&entry.path(), &target);
         } else {
             fs::copy(entry.path(), target).unwrap();
         }

@@ -1,6 +1,7 @@
 //! Outputs and inputs that are not what they should be: an output that is an input, a folder of another call, a place that takes nothing,
 //! and things in a frame's place that are none.
 
+use super::fixture::{FRAMES, sandbox};
 use crate::program::{Sandbox, all_said, data, text};
 use std::fs;
 use std::process::{Command, Output, Stdio};
@@ -44,11 +45,13 @@ fn no_output_replaces_an_input_and_no_call_mixes_with_another() {
 
 #[test]
 fn of_two_runs_started_together_one_gets_in() {
-    let sandbox = Sandbox::new();
-    sandbox.copy_bending(&[2]);
+    let sandbox = sandbox();
+    for index in 1..FRAMES {
+        fs::remove_file(sandbox.join(&format!("experiment/frames/{index:05}.png"))).unwrap();
+    }
     for round in 0..3 {
         let start = || {
-            let mut command = sandbox.command(&format!("run bending -o out{round} --jobs 1"));
+            let mut command = sandbox.command(&format!("run experiment -o out{round} --jobs 1"));
             command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
         };
         let both = [start(), start()].map(|child| all_said(&child.wait_with_output().unwrap()));
@@ -58,7 +61,7 @@ fn of_two_runs_started_together_one_gets_in() {
     // One frame gives no estimate: nothing that looks like one stands beside what an earlier run left.
     let _ = fs::remove_file(sandbox.join("out0/estimate.csv"));
     fs::write(sandbox.join("out0/model.toml"), "an earlier run's").unwrap();
-    assert!(sandbox.fail("run bending -o out0", 1).contains("give no estimate"));
+    assert!(sandbox.fail("run experiment -o out0", 1).contains("give no estimate"));
     assert!(!sandbox.join("out0/estimate.csv").exists());
 }
 

@@ -147,6 +147,8 @@ fn frozen_encoders_leave_the_good_table_and_a_trickling_camera_lets_go() {
     let table = fs::read(output.join("compensation.csv")).unwrap();
     let told: serde_json::Value = serde_json::from_slice(&fs::read(output.join("publication.json")).unwrap()).unwrap();
     assert_eq!(told["state"], "stale");
+    assert!(fs::read_to_string(output.join("model.toml")).unwrap().starts_with("# stale: the encoders stand still"));
+    assert!(String::from_utf8_lossy(&table).lines().next().unwrap().ends_with(",stale"));
     let answer = live.get("/api/table?theta=60&delta=0");
     assert!(answer["stale"].as_str().unwrap().contains("stand still"), "{answer}");
     let truth = fixture::robot().command(snakeloop::geometry::Configuration::from_degrees(60.0, 0.0));

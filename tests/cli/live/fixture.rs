@@ -1,8 +1,8 @@
 //! A small rendered experiment along a closed path, and a running `live` to ask.
 
-use nalgebra::{Matrix2, Point2, Vector2};
+use crate::scenes::smaller;
+use nalgebra::{Matrix2, Vector2};
 use serde_json::Value;
-use snakeloop::camera::Lens;
 use snakeloop::geometry::Configuration;
 use snakeloop::observation::{EncoderReading, Truth};
 use snakeloop::record::{encoders_csv, write_atomically};
@@ -62,16 +62,9 @@ pub fn write(folder: &Path, robot: &Model, bends: &[Configuration]) {
     };
     let readings: Vec<EncoderReading> = truths.iter().map(reading).collect();
     write_atomically(&folder.join("encoders.csv"), encoders_csv(&readings, 3).as_bytes()).unwrap();
-    let whole = Scene::default();
-    let lens = Lens {
-        width: 640,
-        height: 360,
-        focal_px: whole.lens.focal_px / 2.0,
-        centre_px: Point2::new(319.5, 179.5),
-        distortion: [0.0; 12],
-    };
     // With fewer rays the renderer errs by more than the eye's sigmas, and `discover` rightly finds it unexplained.
-    let scene = Scene { lens, sensor: Sensor { rays_per_pixel: 8, blur_px: 0.5, noise: 1.0 }, ..whole };
+    let sensor = Sensor { rays_per_pixel: 8, blur_px: 0.5, noise: 1.0 };
+    let scene = Scene { sensor, ..smaller(Scene::default(), 2) };
     write_experiment(folder, &scene, &truths, FrameFormat::Jpeg(92), 1, &|| ()).unwrap();
 }
 

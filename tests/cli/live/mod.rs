@@ -2,6 +2,7 @@
 
 mod faults;
 mod fixture;
+mod kills;
 #[cfg(feature = "opencv")]
 mod page;
 mod sequence;

@@ -8,12 +8,12 @@ use snakeloop::robot::{Effect, Model};
 use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 use std::fs;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 /// The indices in a journal, which must be in order.
-fn journaled(output: &std::path::Path) -> Vec<u64> {
+pub fn journaled(output: &std::path::Path) -> Vec<u64> {
     let text = fs::read_to_string(output.join("journal.jsonl")).unwrap();
     let whole = text.split_inclusive('\n').filter(|line| line.ends_with('\n'));
     let entries = whole.map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
@@ -26,7 +26,7 @@ fn journaled(output: &std::path::Path) -> Vec<u64> {
 fn a_killed_run_goes_on_with_all_but_the_frame_in_hand() {
     let sandbox = Sandbox::new();
     let output = sandbox.join("out");
-    let mut live = Live::start(&output, &["--rate", "4"]);
+    let mut live = Live::start(&output, &["--rate", "6"]);
     let before = live.until("eight measurements", |state| state["measurements"].as_u64() >= Some(8));
     live.kill();
     let kept = journaled(&output);
@@ -39,7 +39,7 @@ fn a_killed_run_goes_on_with_all_but_the_frame_in_hand() {
     // What a kill in the middle of a write leaves.
     let mut journal = fs::OpenOptions::new().append(true).open(output.join("journal.jsonl")).unwrap();
     journal.write_all(b"{\"index\":999,\"time_s\":3.").unwrap();
-    let live = Live::start(&output, &["--rate", "4", "--resume"]);
+    let live = Live::start(&output, &["--rate", "6", "--resume"]);
     let state = live.until("the end", |state| state["ended"] == true);
     assert_eq!(state["resumed"].as_u64().unwrap(), kept.len() as u64);
     assert_learned(&state);
@@ -60,7 +60,7 @@ fn a_killed_run_goes_on_with_all_but_the_frame_in_hand() {
 fn readings_from_a_file_are_matched_by_time_and_the_machine_interface_tells() {
     let folder = tempfile::tempdir().unwrap();
     let lines = folder.path().join("readings.jsonl");
-    let rate = 4.0;
+    let rate = 6.0;
     let reading = |k: u32| {
         let time_s = f64::from(k) / 50.0;
         let q = fixture::encoders(time_s * rate / fixture::FRAMES as f64);
@@ -68,7 +68,7 @@ fn readings_from_a_file_are_matched_by_time_and_the_machine_interface_tells() {
     };
     fs::write(&lines, (0..500).map(reading).collect::<String>()).unwrap();
     let out = folder.path().join("out");
-    let live = Live::start(&out, &["--rate", "4", "--save-every", "1", "--encoders", lines.to_str().unwrap()]);
+    let live = Live::start(&out, &["--rate", "6", "--save-every", "1", "--encoders", lines.to_str().unwrap()]);
     live.until("measurements", |state| state["measurements"].as_u64() >= Some(3));
 
     let (status, _) = live.ask("POST", "/api/command/pause", "Origin: http://localhost\r\n", "");
@@ -96,13 +96,17 @@ fn readings_from_a_file_are_matched_by_time_and_the_machine_interface_tells() {
         assert!(row["verdict"] != "used" || seen.is_number() && expected.is_number(), "{row}");
     }
     let model = live.get("/api/model");
-    assert_eq!(model["estimate"]["eta"], state["estimate"]["eta"]);
+    // Where the last measurements did not confirm the model, on a machine too busy to measure all, it is the one before them.
+    assert!(model["stale"].is_string() || model["estimate"]["eta"] == state["estimate"]["eta"], "{model:#} {state:#}");
     let table = live.get("/api/table?theta=30&delta=-15");
     let truth = fixture::robot().command(snakeloop::geometry::Configuration::from_degrees(30.0, -15.0));
     for (k, truth) in truth.iter().enumerate() {
         assert!((table["qc_mm"][k].as_f64().unwrap() - truth).abs() < 0.05, "{table}");
     }
-    assert_eq!(live.ask("GET", "/api/table?theta=300&delta=0", "", "").0, 400);
+    // As far as `table` goes.
+    assert_eq!(live.get("/api/table?theta=120&delta=0")["theta_deg"].as_f64().map(f64::round), Some(120.0));
+    assert_eq!(live.ask("GET", "/api/table?theta=120.1&delta=0", "", "").0, 400);
+    assert_a_picture_comes_with_the_boundary_behind_it(&live);
     let (status, metrics) = live.ask("GET", "/metrics", "", "");
     assert_eq!(status, 200);
     for line in metrics.lines().filter(|line| !line.starts_with('#')) {
@@ -111,6 +115,23 @@ fn readings_from_a_file_are_matched_by_time_and_the_machine_interface_tells() {
     }
     assert!(metrics.contains(&format!("snakeloop_latency_seconds_count {}", rows.len())));
     assert!(live.finish().success());
+}
+
+/// A browser shows a picture once it has seen the boundary behind it: that comes with the picture, and not with the next one, for which
+/// the recording that is over never has the time.
+fn assert_a_picture_comes_with_the_boundary_behind_it(live: &Live) {
+    let mut stream = TcpStream::connect(live.address).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    write!(stream, "GET /video.mjpg HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
+    let mut seen = Vec::new();
+    let boundaries = |seen: &[u8]| seen.windows(13).filter(|bytes| bytes.starts_with(b"--picture\r\n")).count();
+    while boundaries(&seen) < 2 {
+        let mut piece = [0; 4096];
+        let read = stream.read(&mut piece).expect("the boundary behind the picture does not come");
+        assert!(read > 0, "the stream ended");
+        seen.extend_from_slice(&piece[..read]);
+    }
+    assert_eq!(seen.windows(2).filter(|bytes| bytes == b"\xff\xd9").count(), 1, "one JPEG");
 }
 
 #[test]
@@ -168,7 +189,7 @@ fn an_effect_that_the_model_lacks_raises_an_alarm_and_is_named() {
         let (turn, out) = (k as f64 / 20.0 * TAU, k as f64 / 33.0 * TAU);
         Configuration::new(0.75 - 0.5 * out.cos(), turn)
     };
-    fixture::write(&experiment, &robot, &(0..90).map(bend).collect::<Vec<_>>());
+    fixture::write(&experiment, &robot, &(0..64).map(bend).collect::<Vec<_>>());
     let live = Live::start_on(&experiment, &output, &["--rate", "6"]);
     let state = live.until("the gap", |state| state["gap"]["state"] == "above");
     assert!(state["notices"].to_string().contains("has left the noise"), "{state:#}");
@@ -197,7 +218,7 @@ fn a_flexible_stem_is_followed_with_eta_and_lambda_as_they_are() {
     let known = folder.path().join("known.toml");
     write_model(&known, &fixture::robot()).unwrap();
 
-    let live = Live::start_on(&experiment, &output, &["--rate", "4", "--stem", "--model", known.to_str().unwrap()]);
+    let live = Live::start_on(&experiment, &output, &["--rate", "6", "--stem", "--model", known.to_str().unwrap()]);
     let state = live.until("the end", |state| state["ended"] == true);
     let (phi, sd) = (state["stem"]["phi_deg"].as_f64().unwrap(), state["stem"]["sd_phi_deg"].as_f64().unwrap());
     assert!((phi - PHI_DEG).abs() < 4.0 * sd && sd < 20.0, "{phi} ± {sd}, it is {PHI_DEG}°");

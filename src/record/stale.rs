@@ -1,0 +1,132 @@
+//! The mark of a table that stays although what was measured since does not confirm it: why, in each of the files that hold it.
+//!
+//! | file | mark |
+//! | --- | --- |
+//! | `model.toml` | a first line `# stale: why` |
+//! | `compensation.csv` | a last column `stale`, 1 in every row |
+//! | `compensation.json` | a first key `"stale"`: why |
+//!
+//! Who does not know the mark reads the files as before: comments, further columns and further keys are passed over. The numbers stay as
+//! they are, to the byte, and writing the files anew removes the mark.
+
+use super::write::write_atomically;
+use crate::error::{Error, Result};
+use crate::input::read_text;
+use std::io::ErrorKind;
+use std::path::Path;
+
+/// How the mark of a model begins.
+const IN_MODEL: &str = "# stale: ";
+/// How the mark of a JSON file's second line begins.
+const IN_JSON: &str = "  \"stale\": ";
+/// The column of a table.
+const COLUMN: &str = ",stale";
+
+/// Marks the model and the tables of a folder as stale, and says why in one sentence; those that are not there are passed over.
+///
+/// # Errors
+/// A file that cannot be read or written.
+pub fn mark_stale(folder: &Path, why: &str) -> Result<()> {
+    set_mark(folder, Some(why))
+}
+
+/// Takes the mark away: what stands there is confirmed again.
+///
+/// # Errors
+/// Those of [`mark_stale`].
+pub fn unmark_stale(folder: &Path) -> Result<()> {
+    set_mark(folder, None)
+}
+
+/// Why the model in a file is stale, if it is marked so.
+pub fn stale_mark(model: &Path) -> Option<String> {
+    let text = read_text(model).ok()?;
+    Some(text.lines().next()?.strip_prefix(IN_MODEL)?.to_owned())
+}
+
+fn set_mark(folder: &Path, why: Option<&str>) -> Result<()> {
+    // A line is one line.
+    let why = why.map(|why| why.split_whitespace().collect::<Vec<_>>().join(" "));
+    let why = why.as_deref();
+    rewrite(&folder.join("model.toml"), |text| in_model(text, why))?;
+    rewrite(&folder.join("compensation.csv"), |text| in_csv(text, why.is_some()))?;
+    rewrite(&folder.join("compensation.json"), |text| in_json(text, why))
+}
+
+/// Writes a file with other content, if it is there and the content is another.
+fn rewrite(path: &Path, change: impl FnOnce(&str) -> String) -> Result<()> {
+    let text = match read_text(path) {
+        Err(Error::Io { source, .. }) if source.kind() == ErrorKind::NotFound => return Ok(()),
+        read => read?,
+    };
+    let changed = change(&text);
+    if changed == text { Ok(()) } else { write_atomically(path, changed.as_bytes()) }
+}
+
+fn in_model(text: &str, why: Option<&str>) -> String {
+    let plain = if text.starts_with(IN_MODEL) { text.split_once('\n').map_or("", |(_, rest)| rest) } else { text };
+    why.map_or(String::new(), |why| format!("{IN_MODEL}{why}\n")) + plain
+}
+
+fn in_csv(text: &str, is_stale: bool) -> String {
+    let was_stale = text.lines().next().is_some_and(|header| header.ends_with(COLUMN));
+    let line = |(k, line): (usize, &str)| {
+        let plain = if was_stale { line.rsplit_once(',').map_or(line, |(plain, _)| plain) } else { line };
+        let mark = match (is_stale, k) {
+            (false, _) => "",
+            (true, 0) => COLUMN,
+            (true, _) => ",1",
+        };
+        format!("{plain}{mark}\n")
+    };
+    text.lines().enumerate().map(line).collect()
+}
+
+fn in_json(text: &str, why: Option<&str>) -> String {
+    let Some(rest) = text.strip_prefix("{\n") else { return text.to_owned() };
+    let plain = if rest.starts_with(IN_JSON) { rest.split_once('\n').map_or("", |(_, plain)| plain) } else { rest };
+    let mark = why.map_or(String::new(), |why| format!("{IN_JSON}{},\n", serde_json::Value::from(why)));
+    format!("{{\n{mark}{plain}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::{read_model, write_compensation, write_model};
+    use crate::robot::{Grid, Model};
+    use std::collections::BTreeMap;
+
+    #[test]
+    fn the_mark_is_in_every_file_changes_no_number_and_goes_without_a_trace() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path();
+        mark_stale(path, "nothing is there").unwrap();
+        assert_eq!(std::fs::read_dir(path).unwrap().count(), 0);
+        let names = ["model.toml", "compensation.csv", "compensation.json"];
+        let files = || -> BTreeMap<&str, String> {
+            names.iter().map(|name| (*name, std::fs::read_to_string(path.join(name)).unwrap())).collect()
+        };
+        write_model(&path.join("model.toml"), &Model::default()).unwrap();
+        let grid = Grid { theta: "0:90:45".parse().unwrap(), delta: "0:345:120".parse().unwrap() };
+        write_compensation(path, &Model::default(), "model.toml", &grid).unwrap();
+        let plain = files();
+
+        // Once more with another reason: there is one mark.
+        mark_stale(path, "first").unwrap();
+        mark_stale(path, "the gap is \"above\"\nnoise").unwrap();
+        let marked = files();
+        assert_eq!(stale_mark(&path.join("model.toml")).unwrap(), "the gap is \"above\" noise");
+        assert_eq!(read_model(&path.join("model.toml")).unwrap(), Model::default());
+        let json: serde_json::Value = serde_json::from_str(&marked["compensation.json"]).unwrap();
+        assert_eq!(json["stale"], "the gap is \"above\" noise");
+        let before: serde_json::Value = serde_json::from_str(&plain["compensation.json"]).unwrap();
+        assert_eq!(json["rows"], before["rows"]);
+        for (line, before) in marked["compensation.csv"].lines().zip(plain["compensation.csv"].lines()) {
+            let mark = if before.starts_with("theta") { ",stale" } else { ",1" };
+            assert_eq!(line, format!("{before}{mark}"));
+        }
+        unmark_stale(path).unwrap();
+        assert_eq!(files(), plain);
+        assert_eq!(stale_mark(&path.join("model.toml")), None);
+    }
+}
