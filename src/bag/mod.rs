@@ -26,6 +26,11 @@ use std::path::{Path, PathBuf};
 ///
 /// Convention: a limit on memory; recorders write chunks of some megabytes.
 const RECORD_BYTES: usize = 1 << 30;
+/// The longest record of a file that is shorter than this, bytes. No record is longer than its file but one that was packed, and memory for
+/// a record is taken before it is read: a few damaged bytes must not take a gigabyte.
+///
+/// Convention: a limit on memory; a plain picture of 21 megapixels.
+const PACKED_RECORD_BYTES: usize = 64 << 20;
 
 /// A topic of a recording, as experiment.toml names it.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -61,10 +66,12 @@ impl Topic {
     /// A file that cannot be opened.
     pub fn messages(&self) -> Result<Messages> {
         let file = File::open(&self.bag).map_err(Error::io(&self.bag, "read"))?;
+        let length = file.metadata().map_or(0, |about| about.len());
+        let longest = usize::try_from(length).unwrap_or(usize::MAX).clamp(PACKED_RECORD_BYTES, RECORD_BYTES);
         let options = LinearReaderOptions::default()
             .with_validate_chunk_crcs(true)
             .with_skip_end_magic(true)
-            .with_record_length_limit(RECORD_BYTES);
+            .with_record_length_limit(longest);
         Ok(Messages {
             topic: self.clone(),
             file,

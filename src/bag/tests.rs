@@ -101,3 +101,13 @@ fn cut_messages_are_errors_and_no_panic() {
         assert!(Message { cdr: claims, ..message.clone() }.decoded::<JointState>().is_err());
     }
 }
+
+#[test]
+fn a_few_bytes_that_claim_to_be_a_gigabyte_take_no_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let claimed = 900u64 << 20;
+    fs::write(&path, [&b"\x89MCAP0\r\n\x01"[..], &claimed.to_le_bytes(), &[0; 100]].concat()).unwrap();
+    let refused = topic(&path, "/joint_states").all::<JointState>().unwrap_err().to_string();
+    assert!(refused.contains("no readable recording (MCAP)"), "{refused}");
+}
