@@ -68,12 +68,13 @@ pub fn tracker_poses_of(topic: &Topic) -> Result<Vec<TrackerPose>> {
     const MM_PER_M: f64 = 1000.0;
     let poses: Vec<StampedPose> = topic.all()?;
     let pose_of = |(index, pose): (usize, &StampedPose)| {
-        let is_there = pose.position_m.iter().chain(pose.orientation.coords.iter()).all(|value| value.is_finite());
+        let position_mm = pose.position_m * MM_PER_M;
+        let is_there = position_mm.iter().chain(pose.orientation.coords.iter()).all(|value| value.is_finite());
         let orientation = is_there.then(|| unit_quaternion(pose.orientation)).transpose();
         Ok(TrackerPose {
             index: index as u64,
             time_s: pose.stamp_s,
-            position_mm: is_there.then(|| Point3::from(pose.position_m * MM_PER_M)),
+            position_mm: is_there.then(|| Point3::from(position_mm)),
             orientation: orientation.map_err(|why| topic.error(format!("pose {index}: {why}")))?,
             sigma_mm: None,
         })
