@@ -108,17 +108,26 @@ impl<'a> Partial<'a> {
         // The likeliest first, since on a few sweeps much can imitate it: where the snake rests and how its frame is turned, which no
         // model knows exactly, then other statics, then what hangs on the path or the time.
         answer.add((f64::NEG_INFINITY, 0.0), is_of_the_frame);
+        let frame_alone = answer.clone();
         answer.add((0.0, LEAST_SHARE), |physics| is_believable(physics) && physics.is_static());
         answer.add((0.0, LEAST_SHARE), is_believable);
+        let has_others = answer.added() > frame_alone.added();
+        let answer = answer.settled();
+        // What follows the path may take the place of a bend at rest on a few sweeps and not hold on others: then neither is left.
+        if has_others && answer.named.is_empty() { frame_alone.settled() } else { answer }
+    }
+
+    /// The answer without what does not hold beside the rest.
+    fn settled(mut self) -> Self {
         loop {
-            answer.prune();
-            answer.named = (answer.given()..answer.after.model.effects.len()).map(|k| answer.describe(k)).collect();
+            self.prune();
+            self.named = (self.given()..self.after.model.effects.len()).map(|k| self.describe(k)).collect();
             let unlikely = |named: &&Named| named.probability() < LEAST_INCLUSION;
-            let least = answer.named.iter().filter(unlikely).map(|named| named.removes).fold(f64::INFINITY, f64::min);
-            let Some(place) = answer.named.iter().position(|named| unlikely(&named) && named.removes == least) else {
-                return answer.or_nothing();
+            let least = self.named.iter().filter(unlikely).map(|named| named.removes).fold(f64::INFINITY, f64::min);
+            let Some(place) = self.named.iter().position(|named| unlikely(&named) && named.removes == least) else {
+                return self.or_nothing();
             };
-            answer.after = answer.without(answer.given() + place);
+            self.after = self.without(self.given() + place);
         }
     }
 
