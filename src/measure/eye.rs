@@ -13,8 +13,8 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    Alternative, BendFit, CoarseSearch, EDGE_ON_RAD, EXPLAINING_INLIERS, EdgeFinder, FitSchedule, POSE_VARIANCE,
-    PartVisibility, ProfileCovariance, Start, State, distinct, fit_bend, mirrored,
+    Alternative, BendFit, CoarseSearch, EDGE_ON_RAD, EdgeFinder, FitSchedule, POSE_VARIANCE, PartVisibility,
+    ProfileCovariance, Start, State, distinct, fit_bend, mirrored,
 };
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
@@ -82,6 +82,11 @@ const LEAST_INLIERS: f64 = 0.45;
 ///
 /// Fitted: by hand on renders; it decides between two reasons, not whether there are angles.
 const LEAST_INLIERS_OF_A_SNAKE: f64 = 0.25;
+/// The share that must agree with the fit of a lone frame that contradicts what is known of the snake's shape.
+///
+/// Fitted: to frames of `tests/eye/robustness` that were measured falsely with 0.95, where 0.961, 0.964, 0.971 and 0.998 of the outline agree, and arcs
+/// in noise, 0.973; not judged on others.
+const LEAST_INLIERS_OF_ANY_SHAPE: f64 = 0.965;
 /// The share of the disks that must be visible: one may be hidden and one half hidden, though not both at the tip.
 ///
 /// Fitted: by hand; when the visibility of parts was first demanded and the mirrored solution tried, frames of `tests/robustness` that were
@@ -348,7 +353,7 @@ impl Eye {
         }
         // With any shape a fit has local minima of its own. From a shape that the sequence told it starts in the right one; else one
         // that leaves part of the outline unexplained is not to be relied on.
-        if fit.contradicts_shape && !self.rig.is_shape_known() && fit.inlier_fraction() < EXPLAINING_INLIERS {
+        if fit.contradicts_shape && !self.rig.is_shape_known() && fit.inlier_fraction() < LEAST_INLIERS_OF_ANY_SHAPE {
             return FrameMeasurement::failed(Status::UnknownShape, Some(quality));
         }
         let covariance = covariance.fixed_view::<2, 2>(0, 0).into_owned();

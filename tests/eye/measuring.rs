@@ -12,6 +12,7 @@ use snakeloop::simulate::scene::{Pattern, Scene, Surface, Wire};
 
 /// Measures some poses and checks errors against the bounds and against the sigmas that come with them.
 fn check_poses(eye: &Eye, scene: &Scene, poses: &[(f64, f64)], most_theta_deg: f64, most_delta_deg: f64) {
+    let mut either_way = 0;
     for (seed, &(theta_deg, delta_deg)) in (100..).zip(poses) {
         let psi = Configuration::from_degrees(theta_deg, delta_deg);
         let measurement = eye.measure(&frame(scene, psi, seed));
@@ -27,8 +28,12 @@ fn check_poses(eye: &Eye, scene: &Scene, poses: &[(f64, f64)], most_theta_deg: f
         assert!(theta_error.abs() < most_theta_deg, "{told}");
         assert!(theta_error.abs() < 5.0 * measured.sigma_theta.to_degrees(), "{told}");
         assert!(delta_error.abs() < 5.0 * measured.sigma_delta.to_degrees(), "{told}");
-        assert!(theta_deg < 15.0 || delta_error.abs() < most_delta_deg, "{told}");
+        // A bend that is seen edge-on may be taken for its mirrored one, where σ says so.
+        let is_either = measured.sigma_delta.to_degrees() > most_delta_deg;
+        either_way += u32::from(is_either);
+        assert!(theta_deg < 15.0 || is_either || delta_error.abs() < most_delta_deg, "{told}");
     }
+    assert!(either_way <= 2, "{either_way} bends are told no better than {most_delta_deg}°");
 }
 
 #[test]

@@ -31,7 +31,7 @@ const EXPLAINING_COST: f64 = 0.01;
 /// And only if this share of the outline agrees with it.
 ///
 /// Fitted: together with [`EXPLAINING_COST`].
-pub(crate) const EXPLAINING_INLIERS: f64 = 0.95;
+const EXPLAINING_INLIERS: f64 = 0.95;
 
 /// Of two fits that explain a picture as well, the one nearer to an arc is taken if its shape is this many times as likely.
 ///

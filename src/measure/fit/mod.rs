@@ -19,7 +19,7 @@ mod state;
 mod uncertainty;
 mod visibility;
 
-pub(super) use alternatives::{Alternative, EDGE_ON_RAD, EXPLAINING_INLIERS, distinct, mirrored};
+pub(super) use alternatives::{Alternative, EDGE_ON_RAD, distinct, mirrored};
 pub(super) use bend::{BendFit, FINE_SEARCH_PX, FitSchedule, ProfileCovariance, Start, fit_bend};
 pub(super) use blur::{fine_filter, predict_blur};
 pub(super) use coarse::CoarseSearch;

@@ -202,18 +202,20 @@ impl<'a> BaseFit<'a> {
     }
 
     /// The placement and the biases that agree best with weighted edges and with what is known beforehand, which counts against as many
-    /// edges as err alike ([`DESIGN_EFFECT`]): what displaces all rims together looks like a lean.
+    /// edges as err alike ([`DESIGN_EFFECT`]): what displaces all rims together looks like a lean. The standoff alone gives way, so that a scale
+    /// that was stated wrongly shows in it.
     fn solve(&self, edges: &Correspondences, roots: &[f64], bias_sigma_px: f64) -> Result<Solution, RigError> {
         let residuals = |x: &DVector<f64>| {
             let placement = Placement(x.rows(0, PLACEMENT).into_owned());
             let bias = EdgeBias::default().moved(&x.as_slice()[PLACEMENT..]);
             let of_edges = edges.residuals(&self.view(&placement), STRAIGHT, bias);
             let weighted = of_edges.iter().zip(roots).map(|(r, root)| r * root);
-            let priors = [placement.height_mm() / STANDOFF_SIGMA_MM, placement.tilt() / TILT_SIGMA];
             let [side, tube, rim, near, far] = bias.to_array();
             let biases = [side, tube, rim].map(|bias_px| bias_px / bias_sigma_px);
             let faces = [(near - GLARE) / GLARE_SIGMA, (far - GLARE) / GLARE_SIGMA];
-            let known = priors.into_iter().chain(biases).chain(faces).map(|prior| prior * DESIGN_EFFECT.sqrt());
+            let height = placement.height_mm() / STANDOFF_SIGMA_MM;
+            let known = [placement.tilt() / TILT_SIGMA].into_iter().chain(biases).chain(faces);
+            let known = known.map(|prior| prior * DESIGN_EFFECT.sqrt()).chain([height]);
             DVector::from_vec(weighted.chain(known).collect())
         };
         let start = self.placement.0.iter().copied().chain(self.bias.to_array());

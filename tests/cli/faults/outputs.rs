@@ -46,9 +46,6 @@ fn no_output_replaces_an_input_and_no_call_mixes_with_another() {
 #[test]
 fn of_two_runs_started_together_one_gets_in() {
     let sandbox = sandbox();
-    for index in 1..FRAMES {
-        fs::remove_file(sandbox.join(&format!("experiment/frames/{index:05}.png"))).unwrap();
-    }
     for round in 0..3 {
         let start = || {
             let mut command = sandbox.command(&format!("run experiment -o out{round} --jobs 1"));
@@ -59,10 +56,13 @@ fn of_two_runs_started_together_one_gets_in() {
         assert_eq!(refused, 1, "{both:?}");
     }
     // One frame gives no estimate: nothing that looks like one stands beside what an earlier run left.
-    let _ = fs::remove_file(sandbox.join("out0/estimate.csv"));
-    fs::write(sandbox.join("out0/model.toml"), "an earlier run's").unwrap();
-    assert!(sandbox.fail("run experiment -o out0", 1).contains("give no estimate"));
-    assert!(!sandbox.join("out0/estimate.csv").exists());
+    for index in 1..FRAMES {
+        fs::remove_file(sandbox.join(&format!("experiment/frames/{index:05}.png"))).unwrap();
+    }
+    fs::create_dir(sandbox.join("out")).unwrap();
+    fs::write(sandbox.join("out/model.toml"), "an earlier run's").unwrap();
+    assert!(sandbox.fail("run experiment -o out", 1).contains("give no estimate"));
+    assert!(!sandbox.join("out/estimate.csv").exists());
 }
 
 #[test]

@@ -163,14 +163,14 @@ fn no_angle_of_a_thousand_frames_is_false() {
     survey.assert_none_is_false();
 }
 
-/// The test above in small. To refuse every frame would be no way to pass: those that nothing spoilt are measured, and so is half
-/// of all, among which there are some that show no snake, or half of one.
+/// The test above in small. To refuse every frame would be no way to pass: those that nothing spoilt are measured, and so are two
+/// fifths of all, among which every third shows no snake, half of one, or nothing but white or black.
 #[test]
 fn no_angle_of_a_slice_of_them_is_false() {
     let survey = survey(2001..2005, 19);
     survey.assert_none_is_false();
     assert_eq!((survey.frames, survey.unspoilt_measured), (4 * 19, survey.unspoilt));
-    assert!(2 * survey.measured >= survey.frames, "{} of {} measured", survey.measured, survey.frames);
+    assert!(5 * survey.measured >= 2 * survey.frames, "{} of {} measured", survey.measured, survey.frames);
 }
 
 /// About one and a half times the errors of the table in the book's "How well it measures"; a mean square above 4 would be σ that
