@@ -140,10 +140,8 @@ impl<'a> Searched<'a> {
     /// What effects do from one sample to the next looks like noise until they are found: then the noise is learned anew, and the
     /// search repeated with it.
     fn until_the_noise_is_learned(first: &Problem<'a>, rough: &Fit) -> Self {
-        let mut noise = Noise::learned(first, rough);
-        if let Some(finer) = Self::stated_noise(first.data, &noise, rough) {
-            noise = finer;
-        }
+        let learned = Noise::learned(first, rough);
+        let mut noise = Self::stated_noise(first.data, &learned, rough).unwrap_or(learned);
         let mut searched = Self::new(first.data, &noise, rough);
         for _ in 1..MOST_SEARCHES {
             let finer = Noise::learned(&searched.problem, &searched.found.after);

@@ -344,8 +344,8 @@ impl Eye {
         let covariance = fit.covariance + by_rig * by_rig.transpose();
         let quality = Quality { shape: shape(&fit.profile, &covariance), profile: Some(fit.profile), ..quality };
         let visibility = fit.visibility();
-        let is_end_visible = visibility.is_end_visible() || self.mirrors_a_lamp(fit, finder);
-        if visibility.visible_disk_share() < LEAST_VISIBLE_DISKS || !is_end_visible {
+        let is_end_visible = || visibility.is_end_visible() || self.mirrors_a_lamp(fit, finder);
+        if visibility.visible_disk_share() < LEAST_VISIBLE_DISKS || !is_end_visible() {
             return FrameMeasurement::failed(Status::Occluded, Some(quality));
         }
         if is_ambiguous {

@@ -270,12 +270,15 @@ mod tests {
         (0..8).map(|_| frame(&mut random)).collect()
     }
 
+    /// A prior of unit variances, and what frames are to tell.
+    fn unit_prior_and_truth() -> (Prior, Shared) {
+        let rig = Rig { pose_covariance: Matrix6::identity(), ..rig() };
+        (Prior::new(&rig, [1.0; BIASES]).unwrap(), Shared::from_fn(|r, _| 0.01 * (r as f64 - 4.0)))
+    }
+
     #[test]
     fn frames_tell_what_they_share_with_the_covariance_that_they_state() {
-        let mut rig = rig();
-        rig.pose_covariance = Matrix6::from_diagonal_element(1.0);
-        let prior = Prior::new(&rig, [1.0; BIASES]).unwrap();
-        let truth = Shared::from_fn(|r, _| 0.01 * (r as f64 - 4.0));
+        let (prior, truth) = unit_prior_and_truth();
         for common_sigma in [0.0, 1.0] {
             let normalised = (0..100).map(|seed| {
                 let (step, covariance) =
@@ -291,10 +294,7 @@ mod tests {
 
     #[test]
     fn what_no_frame_tells_keeps_its_prior_and_the_rest_is_told() {
-        let mut rig = rig();
-        rig.pose_covariance = Matrix6::from_diagonal_element(1.0);
-        let prior = Prior::new(&rig, [1.0; BIASES]).unwrap();
-        let truth = Shared::from_fn(|r, _| 0.01 * (r as f64 - 4.0));
+        let (prior, truth) = unit_prior_and_truth();
         let mut evidence = evidence(&truth, 0.0, 1);
         for equations in evidence.iter_mut().flat_map(|frame| frame.clusters.values_mut()) {
             // What was displaced by the last parameter is no more.
