@@ -2,14 +2,14 @@
 
 use crate::camera::{Frame, Samples};
 use crate::geometry::Configuration;
-use crate::measure::body::{Outline, OutlinePoint};
+use crate::measure::body::{BodyPoint, Outline, OutlinePoint, Projection};
 use crate::measure::eye::Eye;
 use crate::measure::fit::{Edge, EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase};
 use crate::measure::image::plane::Region;
 use crate::measure::measurement::FrameMeasurement;
 use crate::measure::target::project_target;
 use crate::robot::BendProfile;
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2, Vector3};
 
 /// Grey of the target and of the snake in the picture of the discriminant, 0 to 255.
 ///
@@ -21,6 +21,10 @@ const SNAKE_GREY: f32 = 191.0;
 ///
 /// Convention: enough for any picture in which single lines can be told apart.
 const GRID_LINES: i32 = 150;
+/// The step along the snake by which its direction in the picture is told, mm.
+///
+/// Convention: numerical; a snake turns by a fraction of a degree over it.
+const LENGTH_STEP_MM: f64 = 0.05;
 /// How far outside the picture lines are drawn, px.
 ///
 /// Convention: so that they end outside it.
@@ -50,6 +54,11 @@ pub struct Explanation {
 pub struct SearchedPoint {
     /// Where the model puts the border, px.
     pub expected: Point2<f64>,
+    /// Where along the snake it lies, mm from the base; negative on the holder.
+    pub s_mm: f64,
+    /// The component of the border's outward normal to the left of the snake as it is seen, looking from its base to its tip: 1 on its left
+    /// side, −1 on its right one, 0 on the upper and lower borders of disks.
+    pub leftward: f64,
     /// The edge; `None` where none stands out.
     pub edge: Option<WeightedEdge>,
 }
@@ -59,6 +68,8 @@ pub struct SearchedPoint {
 pub struct WeightedEdge {
     /// Where it is, px.
     pub pixel: Point2<f64>,
+    /// How far outside the model's border that is, px.
+    pub offset_px: f64,
     /// Its robust weight, 0 to 1.
     pub weight: f64,
 }
@@ -69,10 +80,12 @@ impl Eye {
         let stages = self.measure_in_stages(frame);
         let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
         let fits: Vec<BendProfile> = stages.fits.iter().map(|fit| fit.profile).collect();
-        let outline = fits.first().map(|&profile| Outline::new(&self.projection(), profile));
+        let view = self.projection();
+        let outline = fits.first().map(|&profile| Outline::new(&view, profile));
         let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
         let disks = outline.as_ref().map(|outline| PartVisibility::new(outline, &finder).disk_shares().collect());
-        let points = outline.as_ref().map(|outline| searched_points(outline, &finder));
+        let points = fits.first().zip(outline.as_ref());
+        let points = points.map(|(&profile, outline)| searched_points(outline, &finder, &view, profile));
         Explanation {
             disks: disks.unwrap_or_default(),
             discriminant: Frame {
@@ -111,14 +124,29 @@ impl Eye {
 }
 
 /// Searches an edge near every point of an outline, and weighs the edges as the fit's redescending phase does.
-fn searched_points(outline: &Outline, finder: &EdgeFinder) -> Vec<SearchedPoint> {
+fn searched_points(
+    outline: &Outline,
+    finder: &EdgeFinder,
+    view: &Projection,
+    profile: BendProfile,
+) -> Vec<SearchedPoint> {
+    let curve = view.curve(profile);
+    let central = |s_mm: f64| view.pixel(&curve, &BodyPoint { s_mm, local: Vector3::zeros() });
+    // The picture's y points down, so that left of (x, y) is (y, −x).
+    let leftward = |point: &OutlinePoint| {
+        let along = central(point.body.s_mm + LENGTH_STEP_MM) - central(point.body.s_mm - LENGTH_STEP_MM);
+        along.try_normalize(0.0).map_or(0.0, |along| Vector2::new(along.y, -along.x).dot(&point.normal))
+    };
     let edges: Vec<_> = outline.points.iter().map(|point| (point, finder.find(point, FINE_SEARCH_PX))).collect();
     let residuals: Vec<f64> = edges.iter().filter_map(|(_, edge)| edge.map(|e| e.offset_px / e.sigma_px)).collect();
     let mut roots = RobustPhase::Redescending.roots(&residuals).into_iter();
     let searched = |(point, edge): (&OutlinePoint, Option<Edge>)| SearchedPoint {
         expected: point.pixel,
+        s_mm: point.body.s_mm,
+        leftward: leftward(point),
         edge: edge.zip(edge.and_then(|_| roots.next())).map(|(edge, root)| WeightedEdge {
             pixel: point.pixel + point.normal.into_inner() * edge.offset_px,
+            offset_px: edge.offset_px,
             weight: root * root,
         }),
     };

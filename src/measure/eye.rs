@@ -58,10 +58,11 @@ const FINE: FitSchedule = FitSchedule { searches_px: &[3.0], rounds: 9, is_fine:
 /// The fine stage of a tracked sequence, which must keep up with the camera: another round would change the bend by a hundredth of a
 /// degree.
 const TRACKED_FINE: FitSchedule = FitSchedule { rounds: 1, ..FINE };
-/// Coarse fits are refined if their cost is at most this many times the best one's.
+/// A fit goes on to the next stage if its cost is at most this many times the best one's: the stages so far search fewer points and end a
+/// little off, which changes the cost by some tens of per cent.
 ///
 /// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
-const REFINED_COST_RATIO: f64 = 3.0;
+const NEXT_STAGE_COST_RATIO: f64 = 3.0;
 /// Of coarse fits that end within this distance of each other, rad, only the best is refined.
 ///
 /// Convention: half a spacing of the coarse search's lattice.
@@ -266,7 +267,7 @@ impl Eye {
         let mut coarse = distinct(coarse, SAME_COARSE_RAD);
         coarse.truncate(REFINED);
         let least_cost = coarse.first().map_or(0.0, |best| best.cost);
-        let promising = coarse.par_iter().filter(|fit| fit.cost <= REFINED_COST_RATIO * least_cost);
+        let promising = coarse.par_iter().filter(|fit| fit.cost <= NEXT_STAGE_COST_RATIO * least_cost);
         promising.filter_map(|fit| self.fit(finder, fit.start(), &REFINEMENT)).collect()
     }
 
@@ -313,9 +314,9 @@ impl Eye {
         let Some(mut best) = finest else { return Selection { fits, has_fine_fit: false, is_ambiguous: false } };
         let diameter_px = self.projection().diameter_px();
         let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, diameter_px);
-        let alternatives = fits[1..].iter().filter(|other| compare(other, &fits[0]) != Alternative::Worse);
+        let alternatives = fits[1..].iter().filter(|other| other.cost <= NEXT_STAGE_COST_RATIO * fits[0].cost);
         let mut is_ambiguous = false;
-        // An alternative that looked as good may end at the same bend in the fine stage, or prove to be worse.
+        // An alternative may end at the same bend in the fine stage, or prove to be worse.
         for other in alternatives.filter_map(|other| self.fit_fine(finder, other.start(), fine)) {
             match compare(&other, &best) {
                 Alternative::EdgeOn => best = best.or_edge_on(other),

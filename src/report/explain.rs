@@ -1,7 +1,8 @@
 //! One frame, stage by stage: pictures of what the eye saw and a page that says what to look for in them.
 
 use super::overlay::{Shape, angles, overlay, rgb, stroke};
-use super::page::document;
+use super::page::{document, figure};
+use super::plot::{Plot, Point, Series, Style};
 use crate::camera::Frame;
 use crate::geometry::Configuration;
 use crate::measure::{Explanation, SearchedPoint, WeightedEdge};
@@ -10,6 +11,7 @@ use crate::robot::BendProfile;
 use image::{Rgb, RgbImage, imageops};
 use maud::html;
 use nalgebra::Point2;
+use std::f64::consts::FRAC_1_SQRT_2;
 
 // Colours. Convention: display choices.
 const GRID: Rgb<u8> = Rgb([0, 200, 255]);
@@ -30,6 +32,10 @@ const CANDIDATES: [Rgb<u8>; 6] = [
     Rgb([0, 200, 255]),
     Rgb([220, 110, 255]),
 ];
+/// What the plot of the residuals shows.
+const LEFT_BY_THE_FIT: &str = "How far to the left of the best fit's outline the edges lie, looking from the base to the tip, by their place \
+    along the snake. Both sides off together: the snake runs elsewhere there, in the pattern of its shape. Off the opposite way: it \
+    looks wider or narrower there. A few places alone: something is in front of it or behind it.";
 /// How much larger the picture of the edges is than the frame. Convention: a display choice.
 const ENLARGED: u32 = 4;
 
@@ -133,7 +139,7 @@ fn edges(frame: &Frame, points: &[SearchedPoint]) -> RgbImage {
         let expected = enlarged(&point.expected);
         match point.edge {
             None => stroke(&mut picture, &[expected], 1.3 * scale, NO_EDGE),
-            Some(WeightedEdge { pixel, weight }) => {
+            Some(WeightedEdge { pixel, weight, .. }) => {
                 let seen = enlarged(&pixel);
                 let mix = |k: usize| {
                     (f64::from(AGREES.0[k]) * weight + f64::from(DISAGREES.0[k]) * (1.0 - weight)).round() as u8
@@ -204,12 +210,33 @@ pub fn page(title: &str, explanation: &Explanation, measurement: &Measurement, s
         table {
             @for (name, value) in figures(explanation, measurement) { tr { th { (name) } td { (value) } } }
         }
+        (figure("What the best fit leaves", &residuals(&explanation.points), LEFT_BY_THE_FIT))
         @for Stage { file, caption, .. } in stages {
             h2 { (file.trim_end_matches(".png")) }
             figure { img src=(file) alt=""; figcaption { (caption) } }
         }
     };
     document(title, "", &content)
+}
+
+/// The residuals of the best fit along the snake, at the borders of its two sides.
+fn residuals(points: &[SearchedPoint]) -> Plot {
+    /// A border whose normal is within 45° of the picture's left or right of the snake is one of its sides. Convention: a display choice.
+    const SIDEWARD: f64 = FRAC_1_SQRT_2;
+    let of_side = |name: &str, side: f64| {
+        let at_side = points.iter().filter(|point| point.leftward * side > SIDEWARD);
+        let displaced =
+            |point: &SearchedPoint| point.edge.map(|edge| Point { x: point.s_mm, y: side * edge.offset_px, sd: 0.0 });
+        let mut points: Vec<Point> = at_side.filter_map(displaced).collect();
+        points.sort_by(|a, b| a.x.total_cmp(&b.x));
+        Series { name: name.to_owned(), style: Style::Dots, points }
+    };
+    Plot {
+        x_label: "place along the snake, mm".to_owned(),
+        y_label: "edge left of the fit, px".to_owned(),
+        series: vec![of_side("left side", 1.0), of_side("right side", -1.0)],
+        y_shown: vec![-1.0, 1.0],
+    }
 }
 
 fn figures(explanation: &Explanation, measurement: &Measurement) -> Vec<(&'static str, String)> {
@@ -262,9 +289,11 @@ mod tests {
     fn points_are_drawn_where_they_are_and_as_they_agree() {
         let point = |x: f64, weight: f64| SearchedPoint {
             expected: Point2::new(x, 24.0),
-            edge: Some(WeightedEdge { pixel: Point2::new(x, 24.0), weight }),
+            s_mm: 0.0,
+            leftward: 1.0,
+            edge: Some(WeightedEdge { pixel: Point2::new(x, 24.0), offset_px: 0.0, weight }),
         };
-        let missing = SearchedPoint { expected: Point2::new(40.0, 24.0), edge: None };
+        let missing = SearchedPoint { expected: Point2::new(40.0, 24.0), s_mm: 0.0, leftward: 1.0, edge: None };
         let picture = edges(&frame(), &[point(20.0, 1.0), point(30.0, 0.0), missing]);
         // The part starts 15 px left of the first point and above them all.
         assert_eq!(picture.dimensions(), (4 * (40 - 20 + 31), 4 * 31));
@@ -284,10 +313,26 @@ mod tests {
         assert!(page.contains("Nothing here looks like the snake"), "{page}");
     }
 
+    /// A snake 0.5 px to the left of the fit over its upper half: the left border lies outside, the right one inside.
+    #[test]
+    fn the_residuals_show_where_along_the_snake_it_runs_elsewhere() {
+        let point = |s_mm: f64, leftward: f64| {
+            let offset_px = if s_mm > 13.0 { 0.5 * leftward } else { 0.0 };
+            let edge = Some(WeightedEdge { pixel: Point2::origin(), offset_px, weight: 1.0 });
+            SearchedPoint { expected: Point2::origin(), s_mm, leftward, edge }
+        };
+        let upper_border = point(20.0, 0.1);
+        let points = [point(20.0, 1.0), point(20.0, -1.0), point(5.0, 0.9), upper_border];
+        let plot = residuals(&points);
+        let places = |side: usize| -> Vec<[f64; 2]> { plot.series[side].points.iter().map(|p| [p.x, p.y]).collect() };
+        assert_eq!(places(0), [[5.0, 0.0], [20.0, 0.5]]);
+        assert_eq!(places(1), [[20.0, 0.5]]);
+    }
+
     #[test]
     fn points_are_counted() {
-        let edge = |weight| Some(WeightedEdge { pixel: Point2::origin(), weight });
-        let point = |edge| SearchedPoint { expected: Point2::new(20.0, 20.0), edge };
+        let edge = |weight| Some(WeightedEdge { pixel: Point2::origin(), offset_px: 0.0, weight });
+        let point = |edge| SearchedPoint { expected: Point2::new(20.0, 20.0), s_mm: 0.0, leftward: 1.0, edge };
         let points = [point(edge(1.0)), point(edge(0.1)), point(None), point(edge(0.9))];
         assert_eq!(counted(&points), "4 points: 2 agree, 1 disagree, 1 show no edge.");
     }

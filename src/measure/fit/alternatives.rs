@@ -83,12 +83,15 @@ impl BendFit {
         (0..MODES).map(of_mode).sum()
     }
 
-    /// The better of two fits of a snake seen edge-on. If the other one is as good, the covariance contains the doubt between them:
-    /// the variance of two equally likely values.
+    /// The better of two fits of a snake seen edge-on. If the other one is as good, the one whose shape is much likelier is the better one,
+    /// and the covariance contains the doubt between them: the variance of two equally likely values.
     pub fn or_edge_on(self, other: Self) -> Self {
         let apart = SVector::from(self.profile.to_array()) - SVector::from(other.profile.to_array());
         let (mut better, worse) = if other.cost < self.cost { (other, self) } else { (self, other) };
         if worse.cost < COST_RATIO * better.cost {
+            if worse.has_likelier_shape_than(&better) {
+                better = worse;
+            }
             better.covariance += apart * apart.transpose() / 4.0;
         }
         better

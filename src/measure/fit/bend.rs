@@ -455,8 +455,13 @@ mod tests {
         assert_eq!(Alternative::of(&other, &best, 12.0), Alternative::EdgeOn);
         // Two equally likely values ±a/2 about their mean have the variance a²/4.
         let other = BendFit { profile: moved(0.04), cost: 0.12, ..best.clone() };
-        let joined = best.clone().or_edge_on(other);
+        let joined = best.clone().or_edge_on(other.clone());
         assert_eq!(joined.profile, best.profile);
+        // A fit that was free to take any shape, and took one, has a little less cost whatever the snake is.
+        let mut free = BendFit { cost: 0.09, contradicts_shape: true, ..other };
+        free.profile.modes[0] = Vector2::new(0.0, 0.04);
+        assert_eq!(best.clone().or_edge_on(free.clone()).profile, best.profile);
+        assert_eq!(best.clone().or_edge_on(BendFit { cost: 0.06, ..free.clone() }).profile, free.profile);
         let added = joined.covariance - best.covariance;
         assert!((added[(0, 0)] - 4e-4).abs() < 1e-12 && added[(1, 1)].abs() < 1e-12);
     }

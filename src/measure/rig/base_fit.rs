@@ -56,6 +56,11 @@ const LEAST_SHARE: f64 = 1.0 / 3.0;
 ///
 /// Convention: a majority.
 const LEAST_AGREEING: f64 = 0.5;
+/// Before squares of which one colour is like the snake's, half of the outline may have no edge at all. Where every part is visible all the
+/// same, at least this share of the edges found must agree.
+///
+/// Convention: nearly all; of edges at random within the last search a third would lie as near.
+const LEAST_AGREEING_OF_FOUND: f64 = 0.9;
 /// An edge bias beyond this, px, is no edge's but a wrong model's; blurred edges are displaced by as much more as they are wider than
 /// a pixel.
 ///
@@ -234,9 +239,11 @@ impl<'a> BaseFit<'a> {
         let residuals_px = edges.in_px(&edges.residuals(&view, STRAIGHT, self.bias));
         let (agreeing, edge_rms_px) = inliers(&residuals_px, roots);
         let covariance = covariance(edges, roots, solution, &view, edge_rms_px).ok_or(RigError::Undetermined)?;
-        self.check_agreement(edges, agreeing, edge_rms_px)?;
         let finder = EdgeFinder::new(plane, appearance.two_sided);
-        check_visibility(&PartVisibility::new(&Outline::new(&view, STRAIGHT), &finder), robot)?;
+        let visibility = PartVisibility::new(&Outline::new(&view, STRAIGHT), &finder);
+        let are_all_visible = visibility.are_all_faintly_visible(last_part(robot));
+        self.check_agreement(edges, agreeing, edge_rms_px, are_all_visible)?;
+        check_visibility(&visibility, robot)?;
         let pose_covariance = self.placement.pose_covariance(&covariance, options, self.grid);
         let turn_sigma = (0..3).map(|axis| pose_covariance[(axis, axis)]).fold(0.0, f64::max).sqrt();
         if turn_sigma > MOST_TURN_SIGMA {
@@ -258,12 +265,21 @@ impl<'a> BaseFit<'a> {
     }
 
     /// Whether enough of the outline agrees with the model, without a bias that no edge has.
-    fn check_agreement(&self, edges: &Correspondences, agreeing: usize, rms_px: f64) -> Result<(), RigError> {
+    fn check_agreement(
+        &self,
+        edges: &Correspondences,
+        agreeing: usize,
+        rms_px: f64,
+        are_all_visible: bool,
+    ) -> Result<(), RigError> {
+        let is_confirmed_throughout =
+            are_all_visible && agreeing as f64 >= LEAST_AGREEING_OF_FOUND * edges.len() as f64;
         let agreeing = agreeing as f64 / edges.searched().len().max(1) as f64;
         let [side, tube, rim, ..] = self.bias.to_array();
         let bias_px = [side, tube, rim].into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
         let most_bias_px = MOST_BIAS_PX * edges.blur_px.max(1.0);
-        if agreeing < LEAST_AGREEING || bias_px.abs() > most_bias_px {
+        let is_confirmed = agreeing >= LEAST_AGREEING || is_confirmed_throughout;
+        if !is_confirmed || bias_px.abs() > most_bias_px {
             let least_agreeing = LEAST_AGREEING;
             return Err(RigError::ModelDisagrees { agreeing, least_agreeing, bias_px, most_bias_px, rms_px });
         }
@@ -289,14 +305,18 @@ fn covariance(
     Some(clustered + systematic)
 }
 
+/// The number of the snake's last part: its end disk, or the tool on it.
+fn last_part(robot: &Robot) -> u8 {
+    robot.body.spacer_disk_count + 1 + u8::from(robot.body.tool.is_some())
+}
+
 /// Whether holder, first and end disk, and a tool, are seen where the model says, or at least all parts faintly.
 fn check_visibility(visibility: &PartVisibility, robot: &Robot) -> Result<(), RigError> {
     let end = robot.body.spacer_disk_count + 1;
     let tool = robot.body.tool.map(|_| (SnakePart::Tool, end + 1));
     let parts = [(SnakePart::Holder, 0), (SnakePart::FirstDisk, 1), (SnakePart::EndDisk, end)];
-    let last = end + u8::from(tool.is_some());
     match parts.into_iter().chain(tool).find(|&(_, part)| !visibility.is_visible(part)) {
-        Some((part, _)) if !visibility.are_all_faintly_visible(last) => Err(RigError::PartNotVisible(part)),
+        Some((part, _)) if !visibility.are_all_faintly_visible(last_part(robot)) => Err(RigError::PartNotVisible(part)),
         _ => Ok(()),
     }
 }

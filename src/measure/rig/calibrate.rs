@@ -35,6 +35,10 @@ const SAME_RANGE: f64 = 0.15;
 ///
 /// Convention: what follows searches further than that.
 const SAME_START: f64 = 0.1;
+/// Grids whose distances differ by less than this share are the same lines.
+///
+/// Convention: a line more or less among a hundred would change it by three times as much.
+const SAME_GRID: f64 = 0.003;
 /// Other pitches, in units of the one that was stated, with which it may be plain what is wrong.
 ///
 /// Convention: every other line missing, or as many between.
@@ -121,14 +125,21 @@ impl Search {
     /// The contradiction of a snake that fits before a grid that was found, if its lines are half or twice as far apart as was stated.
     fn contradiction(&self, picture: StraightPicture, holders: &[(&Colours, Holder)]) -> Option<RigError> {
         let (colours, holder) = holders.first()?;
-        let StraightPicture { robot, options, .. } = picture;
+        let StraightPicture { lens, robot, options, .. } = picture;
+        let ray = lens.ray(&holder.root);
+        let mut distinct: Vec<&Grid> = Vec::new();
+        for grid in self.grids.iter().filter_map(|(_, _, grid)| grid.as_ref()) {
+            let is_same = |other: &&Grid| (other.distance_mm(&ray) / grid.distance_mm(&ray) - 1.0).abs() < SAME_GRID;
+            if !distinct.iter().any(is_same) {
+                distinct.push(grid);
+            }
+        }
         OTHER_PITCHES.into_iter().find_map(|factor| {
             let other = RigOptions { grid_pitch_mm: factor * options.grid_pitch_mm, ..*options };
             let picture = StraightPicture { options: &other, ..picture };
-            let grids = self.grids.iter().filter_map(|(_, _, grid)| Some(grid.as_ref()?.with_pitch_times(factor)));
-            let mut calibrated = grids.filter_map(|grid| {
+            let mut calibrated = distinct.iter().filter_map(|grid| {
                 let mut afresh = Self::default();
-                calibrate_on(picture, colours, holder, &grid, &mut afresh).ok()
+                calibrate_on(picture, colours, holder, &grid.with_pitch_times(factor), &mut afresh).ok()
             });
             // Of lines that are closer or further apart than was looked for no grid was found yet.
             let rig = calibrated.next().or_else(|| calibrate_from(picture, colours, holder, &mut Self::default()).ok());
