@@ -14,12 +14,13 @@ pub use messages::Stamped;
 use crate::error::{Error, Result};
 use mcap::McapError;
 use mcap::records::Record;
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use serde::Deserialize;
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 
 /// The longest record of a file, bytes: a chunk, or a message in it.
@@ -80,6 +81,38 @@ impl Topic {
             channels: HashMap::new(),
             ended: false,
         })
+    }
+
+    /// How many messages the topic has: by the summary at the end of a finished file, else by reading all of it.
+    ///
+    /// # Errors
+    /// A file that cannot be opened.
+    pub fn count(&self) -> Result<usize> {
+        match self.counted_by_summary() {
+            Some(count) => Ok(count),
+            None => Ok(self.messages()?.filter(Result::is_ok).count()),
+        }
+    }
+
+    /// What the file's summary says of the topic; `None` where there is none that can be read.
+    fn counted_by_summary(&self) -> Option<usize> {
+        let mut file = File::open(&self.bag).ok()?;
+        let length = file.metadata().ok()?.len();
+        let options = SummaryReaderOptions::default().with_file_size(length).with_record_length_limit(RECORD_BYTES);
+        let mut reader = SummaryReader::new_with_options(options);
+        while let Some(event) = reader.next_event() {
+            match event.ok()? {
+                SummaryReadEvent::ReadRequest(wanted) => {
+                    let read = file.read(reader.insert(wanted)).ok()?;
+                    reader.notify_read(read);
+                }
+                SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to).ok()?),
+            }
+        }
+        let summary = reader.finish()?;
+        let counts = summary.stats?.channel_message_counts;
+        let of_topic = summary.channels.values().filter(|channel| channel.topic == self.topic);
+        usize::try_from(of_topic.filter_map(|channel| counts.get(&channel.id)).sum::<u64>()).ok()
     }
 
     /// The first message, decoded.

@@ -52,12 +52,14 @@ fn chunks_may_be_compressed_and_a_file_may_end_anywhere() {
         fs::write(&path, &whole).unwrap();
         let joints = topic(&path, "/joint_states");
         assert_eq!(joints.all::<JointState>().unwrap(), expected, "{compression:?}");
+        assert_eq!(joints.counted_by_summary(), Some(expected.len()), "{compression:?}");
         let mut counts = Vec::new();
         for kept in (0..whole.len()).step_by(97) {
             fs::write(&path, &whole[..kept]).unwrap();
             let read: Vec<Message> = joints.messages().unwrap().map_while(Result::ok).collect();
             let states: Vec<JointState> = read.iter().map(|message| message.decoded().unwrap()).collect();
             assert_eq!(states, expected[..states.len()], "{kept} bytes");
+            assert_eq!(joints.count().unwrap(), states.len(), "{kept} bytes");
             counts.push(states.len());
         }
         assert!(counts.is_sorted() && counts.last() == Some(&4), "{counts:?}");

@@ -1,11 +1,11 @@
 //! `new`: a folder for an experiment, with its files commented.
 
 use super::console::Console;
+use crate::camera::source::commonest_picture;
 use crate::cli::failure::Failure;
 use crate::record::write_atomically;
 use crate::{Error, Result};
 use serde::Serialize;
-use std::collections::BTreeMap;
 use std::fs;
 use std::io::{BufRead, IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -147,14 +147,7 @@ impl Found {
             let there = names.iter().find(|name| folder.join(name).is_file());
             (*there.unwrap_or(&names[0])).to_owned()
         };
-        let mut extensions = BTreeMap::<String, usize>::new();
-        for entry in fs::read_dir(folder.join("frames")).into_iter().flatten().flatten() {
-            let extension = entry.path().extension().unwrap_or_default().to_string_lossy().into_owned();
-            if ["jpg", "jpeg", "png", "tif", "tiff"].contains(&extension.to_lowercase().as_str()) {
-                *extensions.entry(extension).or_default() += 1;
-            }
-        }
-        let most = extensions.into_iter().max_by_key(|(_, count)| *count).map_or("jpg".to_owned(), |(name, _)| name);
+        let most = commonest_picture(&folder.join("frames")).map_or("jpg".to_owned(), |(extension, _)| extension);
         let straight =
             [format!("straight.{most}"), "straight.jpg".into(), "straight.png".into(), "straight.tif".into()];
         Self {

@@ -156,37 +156,16 @@ pub fn finish(
     let Inputs { start, encoders, warnings } = inputs;
     let path = output.join("measurements.csv");
     let count = Count::of(&path)?;
-
     let rows = || MeasurementRows::open(&path);
-    let mut history = RunHistory::new(count.frames);
-    let mut verdicts = Verdicts::default();
-    let estimate_path = output.join("estimate.csv");
-    let mut estimates = PendingFile::create(&estimate_path)?;
-    let mut write = |line: String| writeln!(estimates, "{line}").map_err(Error::io(&estimate_path, "write"));
-    let backbones = start.robot.backbone_count();
-    write(estimates_header(backbones))?;
-    let mut measured = rows()?;
-    let model = estimate_each(start, settings.estimator.options(1.0), rows, encoders, |row| {
-        write(estimate_line(&row, backbones))?;
-        verdicts.add(&row);
-        if let Some(measurement) = measured.next() {
-            history.add(&measurement?, &row);
-        }
-        Ok(())
-    })?;
+    let Learned { model, verdicts, history, estimates } = learn(inputs, settings, count.frames, rows, output)?;
 
     let (model, replaced) = or_one_gain(model, rows()?, encoders)?;
     let estimated = Estimated::of(verdicts, model.estimate);
     let used_and_rejected = Some((estimated.used, estimated.rejected));
-    let wiring = experiment.wiring(backbones)?;
+    let wiring = experiment.wiring(start.robot.backbone_count())?;
     let judged = subject(&model, experiment, wiring, settings.estimator.options(1.0).sd_encoder_mm);
     let verdict = Subject { used_and_rejected, replaced, ..judged }.verdict(rows()?, encoders)?;
-    let former = former_to_keep(output, &verdict);
-    let verdict = former.into_iter().fold(verdict, Verdict::and);
-    if verdict.has(Code::Stale) {
-        let worst = verdict.reasons.first().map_or("", |reason| &reason.text);
-        mark_stale(output, &format!("a later run on the same folder ended in \"do not use\": {worst}"))?;
-    }
+    let verdict = beside_former(output, verdict)?;
     let table = written_table(output, &model, &verdict)?;
     // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
     if table.is_some() || !output.join("model.toml").exists() {
@@ -204,7 +183,67 @@ pub fn finish(
         output: output.to_owned(),
         verdict,
     };
-    let drawn = output.join("overlays");
+    let page = page(experiment, &summary, (&model, encoders), &history, (settings, warnings))?;
+    write_atomically(&output.join("report.html"), page.as_bytes())?;
+    Ok(summary)
+}
+
+/// What the rows of a run teach.
+struct Learned {
+    model: Model,
+    verdicts: Verdicts,
+    /// The rows that the report shows.
+    history: RunHistory,
+    /// estimate.csv, written and not renamed yet.
+    estimates: PendingFile,
+}
+
+/// Updates η and λ by each of a run's rows, in order, and writes one line of estimate.csv for each.
+fn learn(
+    Inputs { start, encoders, .. }: &Inputs,
+    settings: Settings,
+    frames: usize,
+    rows: impl Fn() -> Result<MeasurementRows>,
+    output: &Path,
+) -> Result<Learned> {
+    let mut history = RunHistory::new(frames);
+    let mut verdicts = Verdicts::default();
+    let path = output.join("estimate.csv");
+    let mut estimates = PendingFile::create(&path)?;
+    let mut write = |line: String| writeln!(estimates, "{line}").map_err(Error::io(&path, "write"));
+    let backbones = start.robot.backbone_count();
+    write(estimates_header(backbones))?;
+    let mut measured = rows()?;
+    let model = estimate_each(start, settings.estimator.options(1.0), &rows, encoders, |row| {
+        write(estimate_line(&row, backbones))?;
+        verdicts.add(&row);
+        if let Some(measurement) = measured.next() {
+            history.add(&measurement?, &row);
+        }
+        Ok(())
+    })?;
+    Ok(Learned { model, verdicts, history, estimates })
+}
+
+/// The verdict on a run, with what it means for the files of an earlier run in the same folder, which are marked as stale where they stay.
+fn beside_former(output: &Path, verdict: Verdict) -> Result<Verdict> {
+    let verdict = former_to_keep(output, &verdict).into_iter().fold(verdict, Verdict::and);
+    if verdict.has(Code::Stale) {
+        let worst = verdict.reasons.first().map_or("", |reason| &reason.text);
+        mark_stale(output, &format!("a later run on the same folder ended in \"do not use\": {worst}"))?;
+    }
+    Ok(verdict)
+}
+
+/// report.html of a run.
+fn page(
+    experiment: &Experiment,
+    summary: &Summary,
+    (model, readings): (&Model, &[EncoderReading]),
+    history: &RunHistory,
+    (settings, warnings): (Settings, &[Warning]),
+) -> Result<String> {
+    let drawn = summary.output.join("overlays");
     let (pictures, closeup) = match settings.overlays {
         Overlays::None => (Vec::new(), None),
         Overlays::All | Overlays::Sample => {
@@ -215,16 +254,15 @@ pub fn finish(
         title: format!("snakeloop: {}", name_of(experiment)),
         verdict: summary.verdict.clone(),
         summary: summary.lines(),
-        model: Some(&model).filter(|model| model.estimate.is_some()),
-        readings: encoders,
-        history: &history,
+        model: Some(model).filter(|model| model.estimate.is_some()),
+        readings,
+        history,
         closeup,
         pictures,
         warnings: warnings.iter().map(ToString::to_string).collect(),
         provenance: provenance(experiment),
     };
-    write_atomically(&output.join("report.html"), report.html().as_bytes())?;
-    Ok(summary)
+    Ok(report.html())
 }
 
 /// Writes the model and its table, unless there is no estimate or an earlier run's are to stay.
@@ -319,7 +357,9 @@ impl Summary {
 
     /// Lines for people.
     pub fn text(&self) -> String {
-        let speed = self.throughput.map(|Throughput { frames_per_second, decoding_share, .. }| {
+        // A tracker's poses are no frames, and take no time.
+        let timed = self.throughput.filter(|throughput| throughput.frames_per_second > 0.0);
+        let speed = timed.map(|Throughput { frames_per_second, decoding_share, .. }| {
             ("speed", format!("{frames_per_second:.1} frames/s, {:.0} % of it decoding", 100.0 * decoding_share))
         });
         let written = ("written", self.output.join("report.html").display().to_string());

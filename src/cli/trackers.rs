@@ -3,7 +3,7 @@
 use super::console::Console;
 use super::inputs::rows;
 use crate::measure::{FrameMeasurement, TrackedPoses, TrackerOptions, measure_poses};
-use crate::observation::EncoderReading;
+use crate::observation::{EncoderReading, Measurement};
 use crate::record::{Experiment, Source, Tracker, read_tracker_poses, tracker_poses_of};
 use crate::robot::Robot;
 use crate::{Error, Result};
@@ -20,6 +20,18 @@ impl OpenTracker {
     /// The indices of its poses, in order.
     pub fn indices(&self) -> Box<dyn Iterator<Item = u64> + Send + '_> {
         Box::new(self.measurements.iter().map(|(index, _, _)| *index))
+    }
+
+    /// Its poses as rows of measurements.
+    pub fn rows(&self) -> impl Iterator<Item = Measurement> + '_ {
+        self.measurements.iter().map(|(index, time_s, found)| Measurement {
+            index: *index,
+            time_s: Some(*time_s),
+            status: found.status.clone(),
+            measured: found.measured,
+            quality: found.quality,
+            view: Some(self.name.clone()),
+        })
     }
 
     /// Its pose of an index: the tracker, the time in s and the measurement.
@@ -40,10 +52,27 @@ pub fn open_trackers(
     robot: &Robot,
     encoders: &[EncoderReading],
 ) -> Result<Vec<OpenTracker>> {
-    experiment.trackers.iter().map(|tracker| open(console, tracker, robot, encoders)).collect()
+    let mut trackers = Vec::new();
+    for tracker in &experiment.trackers {
+        let (tracker, remarks) = open_tracker(console, tracker, robot, encoders)?;
+        for remark in remarks {
+            console.say(format!("tracker {}: {remark}", tracker.name));
+        }
+        trackers.push(tracker);
+    }
+    Ok(trackers)
 }
 
-fn open(console: &Console, tracker: &Tracker, robot: &Robot, encoders: &[EncoderReading]) -> Result<OpenTracker> {
+/// Reads and measures the poses of one tracker, with what is to be said of them, in sentences.
+///
+/// # Errors
+/// As [`open_trackers`].
+pub fn open_tracker(
+    console: &Console,
+    tracker: &Tracker,
+    robot: &Robot,
+    encoders: &[EncoderReading],
+) -> Result<(OpenTracker, Vec<String>)> {
     let Tracker { name, poses: source, straight, delta_offset_deg } = tracker;
     let poses = match source {
         Source::Files(path) => rows(console, read_tracker_poses(path)?),
@@ -53,8 +82,5 @@ fn open(console: &Console, tracker: &Tracker, robot: &Robot, encoders: &[Encoder
     let tracked = measure_poses(&poses, encoders, robot, &options);
     let TrackedPoses { measurements, remarks } =
         tracked.map_err(|why| Error::content(source.path(), why.to_string()))?;
-    for remark in remarks {
-        console.say(format!("tracker {name}: {remark}"));
-    }
-    Ok(OpenTracker { name: name.clone(), measurements })
+    Ok((OpenTracker { name: name.clone(), measurements }, remarks))
 }

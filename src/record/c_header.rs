@@ -3,10 +3,11 @@
 //! The lookup is the product of two cubics through the four nearest angles of the grid, δ going once round. Between the angles of the
 //! default grid it is within 2 µm of the model.
 
-use super::columns::backbone_columns;
 use crate::error::{ArgumentError, GridError, Result};
 use crate::robot::{Grid, TableRow};
-use std::fmt::Write;
+
+/// The header, with the names of what is filled in between `@`.
+const TEMPLATE: &str = include_str!("compensation.h.in");
 
 /// The header as text. `rows` are the table over `grid`, δ running fastest; `source` says where the model comes from.
 ///
@@ -14,112 +15,50 @@ use std::fmt::Write;
 /// [`ArgumentError::Grid`] for a grid with fewer than four angles either way, or whose δ does not go once round in even steps.
 pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str) -> Result<String> {
     let theta: Vec<f64> = grid.theta.values_deg().collect();
-    let mut delta: Vec<f64> = grid.delta.values_deg().collect();
+    let delta: Vec<f64> = grid.delta.values_deg().collect();
     let columns = delta.len();
-    let (&[theta_0, theta_1, _, _, ..], &[delta_0, delta_1, _, _, ..]) = (&theta[..], &delta[..]) else {
+    let (&[theta_0, theta_1, _, .., theta_last], &[delta_0, delta_1, _, _, ..]) = (&theta[..], &delta[..]) else {
         return Err(ArgumentError::from(GridError::TooFewAngles { theta: theta.len(), delta: columns }).into());
     };
     let step = delta_1 - delta_0;
     // A grid that names its seam twice, −180° and 180°, gives up the second.
-    if (step * (columns as f64 - 1.0) - 360.0).abs() < 1e-6 {
-        delta.pop();
-    }
-    if (step * delta.len() as f64 - 360.0).abs() > 1e-6 {
+    let deltas = if (step * (columns as f64 - 1.0) - 360.0).abs() < 1e-6 { columns - 1 } else { columns };
+    if (step * deltas as f64 - 360.0).abs() > 1e-6 {
         return Err(ArgumentError::from(GridError::NotRound { grid: grid.delta.to_string(), angles: columns }).into());
     }
     let backbones = rows.first().map_or(0, |row| row.command_mm.len());
-    let q: Vec<_> = backbone_columns("q", "mm", backbones).map(|name| name.replace("_mm", "")).collect();
-    let mut values = String::new();
-    for row in rows.chunks(columns) {
-        let cells: Vec<String> = row[..delta.len()]
-            .iter()
-            .map(|pose| {
-                let numbers: Vec<_> = pose.command_mm.iter().map(|q| format!("{q:.6}")).collect();
-                format!("{{{}}}", numbers.join(", "))
-            })
-            .collect();
-        let _ = writeln!(values, "    {{{}}},", cells.join(",\n     "));
-    }
-    // What could end the comment early does not belong in a file's name.
-    let source = source.replace("*/", "");
-    Ok(format!(
-        "/* The compensation table of snakeloop {version}, model: {source}.
- *
- * snakeloop_command(theta_deg, delta_deg, q_command_mm) gives what to command, mm, for a bend of theta_deg degrees from straight
- * towards the azimuth delta_deg. It returns 0, or 1 and leaves q_command_mm alone where theta_deg is not within {first} to {last} or an
- * angle is not finite. C89 and later; link with the mathematics library (-lm).
- */
-#ifndef SNAKELOOP_COMPENSATION_H
-#define SNAKELOOP_COMPENSATION_H
+    let names: Vec<String> = (1..=backbones).map(|i| format!("q_command[{}]", i - 1)).collect();
+    let filled_in = [
+        ("@VERSION@", env!("CARGO_PKG_VERSION").to_owned()),
+        // What could end the comment early does not belong in a file's name.
+        ("@SOURCE@", source.replace("*/", "")),
+        ("@FIRST@", theta_0.to_string()),
+        ("@LAST@", theta_last.to_string()),
+        ("@THETAS@", theta.len().to_string()),
+        ("@DELTAS@", deltas.to_string()),
+        ("@THETA_0@", format!("{theta_0:?}")),
+        ("@THETA_STEP@", format!("{:?}", theta_1 - theta_0)),
+        ("@DELTA_0@", format!("{delta_0:?}")),
+        ("@DELTA_STEP@", format!("{step:?}")),
+        ("@Q@", names.join(", ")),
+        ("@BACKBONES@", backbones.to_string()),
+        ("@ZEROS@", vec!["0"; backbones].join(", ")),
+        ("@VALUES@", values(rows, columns, deltas)),
+    ];
+    Ok(filled_in.iter().fold(TEMPLATE.to_owned(), |text, (name, value)| text.replace(name, value)))
+}
 
-#include <math.h>
-
-#if defined(__cplusplus) || (defined(__STDC_VERSION__) && __STDC_VERSION__ >= 199901L)
-#define SNAKELOOP_FUNCTION static inline
-#else
-#define SNAKELOOP_FUNCTION static
-#endif
-
-#define SNAKELOOP_THETAS {thetas}
-#define SNAKELOOP_DELTAS {deltas}
-
-static const double snakeloop_theta_deg[2] = {{{theta_0:?}, {theta_step:?}}}; /* first, step */
-static const double snakeloop_delta_deg[2] = {{{delta_0:?}, {step:?}}};       /* first, step; once round */
-
-/* {q} in mm */
-static const double snakeloop_table_mm[SNAKELOOP_THETAS][SNAKELOOP_DELTAS][{backbones}] = {{
-{values}}};
-
-/* Weights of the cubic through values at 0, 1, 2 and 3, at x. */
-SNAKELOOP_FUNCTION void snakeloop_weights(double x, double w[4])
-{{
-    w[0] = -(x - 1) * (x - 2) * (x - 3) / 6;
-    w[1] = x * (x - 2) * (x - 3) / 2;
-    w[2] = -x * (x - 1) * (x - 3) / 2;
-    w[3] = x * (x - 1) * (x - 2) / 6;
-}}
-
-SNAKELOOP_FUNCTION int snakeloop_command(double theta_deg, double delta_deg, double q_command_mm[{backbones}])
-{{
-    const double row = (theta_deg - snakeloop_theta_deg[0]) / snakeloop_theta_deg[1];
-    const double turn = (delta_deg - snakeloop_delta_deg[0]) / 360.0;
-    double column, wi[4], wj[4], sum[{backbones}] = {{{zeros}}};
-    const double *node;
-    int i, j, k, i0, j0;
-    /* What is not finite is not equal to itself once it is subtracted from itself. */
-    if (!(row >= -1e-9 && row <= SNAKELOOP_THETAS - 1 + 1e-9) || turn - turn != 0.0)
-        return 1;
-    column = (turn - floor(turn)) * SNAKELOOP_DELTAS;
-    i0 = (int)floor(row) - 1;
-    if (i0 < 0)
-        i0 = 0;
-    if (i0 > SNAKELOOP_THETAS - 4)
-        i0 = SNAKELOOP_THETAS - 4;
-    j0 = (int)floor(column) - 1;
-    snakeloop_weights(row - i0, wi);
-    snakeloop_weights(column - j0, wj);
-    for (i = 0; i < 4; i++)
-        for (j = 0; j < 4; j++) {{
-            node = snakeloop_table_mm[i0 + i][(j0 + j + SNAKELOOP_DELTAS) % SNAKELOOP_DELTAS];
-            for (k = 0; k < {backbones}; k++)
-                sum[k] += wi[i] * wj[j] * node[k];
-        }}
-    for (k = 0; k < {backbones}; k++)
-        q_command_mm[k] = sum[k];
-    return 0;
-}}
-
-#endif
-",
-        zeros = vec!["0"; backbones].join(", "),
-        q = q.join(", "),
-        version = env!("CARGO_PKG_VERSION"),
-        first = theta_0,
-        last = theta[theta.len() - 1],
-        thetas = theta.len(),
-        deltas = delta.len(),
-        theta_step = theta_1 - theta_0,
-    ))
+/// The table's numbers, a row of braces for each θ; of each `columns` rows the first `deltas`.
+fn values(rows: &[TableRow], columns: usize, deltas: usize) -> String {
+    let cell = |pose: &TableRow| {
+        let numbers: Vec<_> = pose.command_mm.iter().map(|q| format!("{q:.6}")).collect();
+        format!("{{{}}}", numbers.join(", "))
+    };
+    let of_theta = |row: &[TableRow]| {
+        let cells: Vec<String> = row[..deltas].iter().map(cell).collect();
+        format!("    {{{}}},\n", cells.join(",\n     "))
+    };
+    rows.chunks(columns).map(of_theta).collect()
 }
 
 #[cfg(test)]

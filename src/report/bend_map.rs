@@ -62,7 +62,7 @@ fn axes(rim_deg: f64, px_per_deg: f64) -> Markup {
 /// The line from the middle towards an azimuth δ, degrees, with its label.
 fn ray(delta: i32, anchor: &str, length_px: f64) -> Markup {
     let (sin, cos) = f64::from(delta).to_radians().sin_cos();
-    let label_px = length_px + 8.0;
+    let label_px = length_px + 14.0;
     let (x, y) = (MIDDLE_PX + label_px * cos, MIDDLE_PX - label_px * sin + 4.0);
     // Beside the map there is no room for a label; it stands above the line then.
     let beside = delta % 180 == 0;
@@ -82,7 +82,8 @@ fn circle_label(theta_deg: f64, px_per_deg: f64) -> Markup {
 
 /// The dot of one value.
 fn dot(psi: &Configuration, value: f64, strongest: f64, px_per_deg: f64, unit: &str) -> Markup {
-    let says = format!("θ {:.1}°, δ {:.1}°: {value:.4} {unit}", psi.theta_deg(), psi.delta_deg()).replace('-', "−");
+    let says = format!("θ {:.1}°, δ {:.1}°: {}", psi.theta_deg(), psi.delta_deg(), with_unit(value, 4, unit))
+        .replace('-', "−");
     let bend_px = psi.bend_vector().map(f64::to_degrees) * px_per_deg;
     let strength = if strongest > 0.0 { (value.abs() / strongest).min(1.0) } else { 0.0 };
     html! {
@@ -98,15 +99,20 @@ fn legend(strongest: f64, unit: &str, signs: [bool; 2]) -> Markup {
         @let both = [(0.28, NEGATIVE, "−"), (0.58, POSITIVE, "+")];
         @for ((share, colour, sign), _) in both.into_iter().zip(signs).filter(|(_, is_there)| *is_there) {
             circle cx=(px(share * SIZE_PX)) cy=(px(y - 4.0)) r="5.5" fill=(colour) fill-opacity="0.85" {}
-            (text(share * SIZE_PX + 10.0, y, "start", &format!("{sign}{strongest:.3} {unit}")))
+            (text(share * SIZE_PX + 10.0, y, "start", &format!("{}{}", if signs == [true; 2] { sign } else { "" }, with_unit(strongest, 3, unit))))
         }
     }
 }
 
 fn text(x: f64, y: f64, anchor: &str, text: &str) -> Markup {
     html! {
-        text x=(px(x)) y=(px(y)) text-anchor=(anchor) font-size="13" font-family="sans-serif" fill=(INK) { (text) }
+        text.halo x=(px(x)) y=(px(y)) text-anchor=(anchor) font-size="13" font-family="sans-serif" fill=(INK) { (text) }
     }
+}
+
+/// A value with its unit; degrees stand without a space.
+fn with_unit(value: f64, places: usize, unit: &str) -> String {
+    format!("{value:.places$}{}{unit}", if unit == "°" { "" } else { " " })
 }
 
 /// A length in px as it is written.

@@ -9,6 +9,7 @@ pub mod overlay;
 mod page;
 pub mod plot;
 pub mod reproduction;
+mod run_course;
 pub mod run_history;
 pub mod run_page;
 mod run_plots;

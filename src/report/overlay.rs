@@ -86,7 +86,10 @@ pub fn overlay(frame: &Frame, measurement: &Measurement, shape: Option<&Shape>) 
         }
     }
     let colour = if measurement.status == Status::Ok { GOOD_TEXT } else { BAD_TEXT };
-    label(&mut picture, &caption(measurement), TEXT_PX * unit, colour);
+    // On the side where the base is not, so that pictures cut to the snake are free of it.
+    let base = shape.and_then(|shape| shape.arc.first());
+    let at_right = base.is_some_and(|base| base.x < f64::from(frame.width) / 2.0);
+    label(&mut picture, &caption(measurement), TEXT_PX * unit, colour, at_right);
     picture
 }
 
@@ -199,22 +202,23 @@ fn blend(pixel: &mut Rgb<u8>, colour: Rgb<u8>, share: f64) {
     }
 }
 
-/// Writes lines of text on a dark box in the top left corner, `size` px high each.
-fn label(picture: &mut RgbImage, lines: &[String], size: f64, colour: Rgb<u8>) {
+/// Writes lines of text on a dark box in the top left or right corner, `size` px high each.
+fn label(picture: &mut RgbImage, lines: &[String], size: f64, colour: Rgb<u8>, at_right: bool) {
     let Ok(font) = FontRef::try_from_slice(epaint_default_fonts::HACK_REGULAR) else { return };
     let size = size.max(MIN_TEXT_PX);
     let scale = PxScale::from(size as f32);
     let (step, pad) = ((1.25 * size) as u32, (0.5 * size) as u32);
     let width = lines.iter().map(|line| text_size(scale, &font, line).0).max().unwrap_or(0);
-    let (right, bottom) = (width + 2 * pad, step * lines.len() as u32 + pad);
-    for y in 0..bottom.min(picture.height()) {
-        for x in 0..right.min(picture.width()) {
+    let (wide, high) = ((width + 2 * pad).min(picture.width()), step * lines.len() as u32 + pad);
+    let left = if at_right { picture.width() - wide } else { 0 };
+    for y in 0..high.min(picture.height()) {
+        for x in left..left + wide {
             blend(picture.get_pixel_mut(x, y), BOX, BOX_OPACITY);
         }
     }
     for (row, line) in lines.iter().enumerate() {
         let top = (pad / 2 + step * row as u32) as i32;
-        draw_text_mut(picture, colour, pad as i32, top, scale, &font, line);
+        draw_text_mut(picture, colour, (left + pad) as i32, top, scale, &font, line);
     }
 }
 

@@ -9,6 +9,7 @@ use maud::html;
 use plotters::coord::Shift;
 use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, Ranged};
 use plotters::prelude::*;
+use plotters::style::TextStyle;
 use std::ops::Range;
 
 /// Colour of text and axes. Convention: a display choice.
@@ -16,10 +17,10 @@ pub const INK: &str = "#1B1F24";
 /// Colour of the grid lines. Convention: a display choice.
 pub const GRID: &str = "#D0D4DA";
 
-/// Width and height, px; about what a plot has on a page with three side by side, so that text keeps its size there and on a phone.
+/// Width and height, px: what a plot has on a page with three side by side, and nearly on a phone, so that text keeps its size.
 ///
 /// Convention: a display choice.
-const SIZE_PX: (u32, u32) = (440, 290);
+const SIZE_PX: (u32, u32) = (360, 250);
 /// Units in which the drawing is made, for each px: plotters places everything on whole units, and lines would wobble on whole px.
 ///
 /// Convention: a tenth of a px is not seen.
@@ -176,13 +177,8 @@ impl Plot {
         y_ticks: Vec<f64>,
         y_text: &dyn Fn(f64) -> String,
     ) -> Result<String, Box<dyn std::error::Error>> {
-        let ink = RGBColor(0x1b, 0x1f, 0x24);
-        let grid = RGBColor(0xd0, 0xd4, 0xda);
-        let px = |px: i32| px * UNITS_PER_PX;
-        let text = |size: i32| ("sans-serif", px(size)).into_font().color(&ink);
-        let (x_ticks, step) = (ticks([left, right], &self.x_label), smallest_step(&y_ticks));
-        let longest = y_ticks.iter().map(|y| tick_text(*y, step, y_text).chars().count()).max().unwrap_or(0);
-        let x_step = smallest_step(&x_ticks);
+        let steps = (smallest_step(&ticks([left, right], &self.x_label)), smallest_step(&y_ticks));
+        let longest = y_ticks.iter().map(|y| tick_text(*y, steps.1, y_text).chars().count()).max().unwrap_or(0);
         let mut chart = ChartBuilder::on(area)
             .margin(px(6))
             .margin_right(px(14))
@@ -190,53 +186,19 @@ impl Plot {
             // Ticks are about 8 px a letter wide, and the axis' name stands beside them.
             .y_label_area_size(px(28 + 8 * longest as i32))
             .build_cartesian_2d(
-                Axis { range: left..right, ticks: x_ticks },
+                Axis { range: left..right, ticks: ticks([left, right], &self.x_label) },
                 Axis { range: bottom..top, ticks: y_ticks },
             )?;
-        chart
-            .configure_mesh()
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(grid.stroke_width(UNITS_PER_PX as u32))
-            .axis_style(ink.stroke_width(UNITS_PER_PX as u32))
-            .set_all_tick_mark_size(px(4))
-            .label_style(text(14))
-            .axis_desc_style(text(14))
-            .x_labels(20)
-            .y_labels(20)
-            .x_label_formatter(&|x| tick_text(*x, x_step, &|x| format!("{x}")))
-            .y_label_formatter(&|y| tick_text(*y, step, y_text))
-            .x_desc(&self.x_label)
-            .y_desc(&self.y_label)
-            .draw()?;
-        let inside = |y: f64| y.clamp(bottom, top);
+        self.draw_axes(&mut chart, steps, y_text)?;
         let mut tips = String::new();
         for (place, series) in self.series.iter().enumerate() {
-            let colour = colour_of(&series.name, place);
             let points: Vec<Point> =
                 series.points.iter().filter(|p| p.x.is_finite() && p.y.is_finite()).copied().collect();
-            let ends = |p: &Point| [(p.x, inside(p.y - p.sd)), (p.x, inside(p.y + p.sd))];
             for (_, p) in points.iter().enumerate().filter(|(k, _)| keeps(*k, MOST_TIPS, points.len())) {
-                let (x, y) = chart.backend_coord(&(p.x, p.y));
-                tips += &self.tip((x, y), series, p, y_text);
+                tips += &self.tip(chart.backend_coord(&(p.x, p.y)), series, p, y_text);
             }
-            let handle = match series.style {
-                Style::Dots => {
-                    let barred = points.iter().filter(|p| p.sd > 0.0);
-                    let thin = colour.mix(0.55).stroke_width(UNITS_PER_PX as u32);
-                    chart.draw_series(barred.map(|p| PathElement::new(ends(p), thin)))?;
-                    chart.draw_series(points.iter().map(|p| Circle::new((p.x, p.y), px(3), colour.filled())))?
-                }
-                Style::Band => {
-                    let lower = points.iter().map(|p| ends(p)[0]);
-                    let band: Vec<_> = lower.chain(points.iter().rev().map(|p| ends(p)[1])).collect();
-                    chart.draw_series(std::iter::once(Polygon::new(band, colour.mix(0.22))))?;
-                    let line = colour.stroke_width(2 * UNITS_PER_PX as u32);
-                    chart.draw_series(LineSeries::new(points.iter().map(|p| (p.x, p.y)), line))?
-                }
-            };
-            if self.legend_lines() > 0 && !series.name.is_empty() {
-                handle.label(&series.name).legend(move |(x, y)| Circle::new((x + px(8), y), px(4), colour.filled()));
-            }
+            let has_label = self.legend_lines() > 0 && !series.name.is_empty();
+            draw_series(&mut chart, series, colour_of(&series.name, place), &points, has_label)?;
         }
         if self.legend_lines() > 0 {
             let labels = &mut chart.configure_series_labels();
@@ -250,6 +212,32 @@ impl Plot {
         Ok(tips)
     }
 
+    /// Draws axes, ticks and grid lines; `steps` are the distances between ticks of x and of y.
+    fn draw_axes(
+        &self,
+        chart: &mut Chart,
+        (x_step, y_step): (f64, f64),
+        y_text: &dyn Fn(f64) -> String,
+    ) -> Result<(), Box<dyn std::error::Error>> {
+        let thin = UNITS_PER_PX as u32;
+        chart
+            .configure_mesh()
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(RGBColor(0xd0, 0xd4, 0xda).stroke_width(thin))
+            .axis_style(INK_RGB.stroke_width(thin))
+            .set_all_tick_mark_size(px(4))
+            .label_style(text(14))
+            .axis_desc_style(text(14))
+            .x_labels(20)
+            .y_labels(20)
+            .x_label_formatter(&|x| tick_text(*x, x_step, &|x| format!("{x}")))
+            .y_label_formatter(&|y| tick_text(*y, y_step, y_text))
+            .x_desc(&self.x_label)
+            .y_desc(&self.y_label)
+            .draw()?;
+        Ok(())
+    }
+
     /// An unseen dot that says on hover what stands there.
     fn tip(&self, (x, y): (i32, i32), series: &Series, point: &Point, y_text: &dyn Fn(f64) -> String) -> String {
         let number = |value: f64| format!("{}", significant(value, 5)).replace('-', "−");
@@ -260,6 +248,53 @@ impl Plot {
         let text = html! { (text) }.into_string();
         format!("<circle class=\"tip\" cx=\"{x}\" cy=\"{y}\" r=\"60\" fill=\"none\" data-tip=\"{text}\"/>\n")
     }
+}
+
+/// A plot while it is drawn.
+type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Axis, Axis>>;
+
+/// [`INK`] as plotters has it.
+const INK_RGB: RGBColor = RGBColor(0x1b, 0x1f, 0x24);
+
+/// A length of the drawing in its own units.
+fn px(px: i32) -> i32 {
+    px * UNITS_PER_PX
+}
+
+/// The style of text of this size, px.
+fn text(size: i32) -> TextStyle<'static> {
+    ("sans-serif", px(size)).into_font().color(&INK_RGB)
+}
+
+/// Draws one series in its colour, with its line of the legend where it is to have one. Bars and bands end at the border.
+fn draw_series(
+    chart: &mut Chart,
+    series: &Series,
+    colour: RGBColor,
+    points: &[Point],
+    has_label: bool,
+) -> Result<(), Box<dyn std::error::Error>> {
+    let y_range = chart.y_range();
+    let inside = |y: f64| y.clamp(y_range.start, y_range.end);
+    let ends = |p: &Point| [(p.x, inside(p.y - p.sd)), (p.x, inside(p.y + p.sd))];
+    let thin = UNITS_PER_PX as u32;
+    let handle = match series.style {
+        Style::Dots => {
+            let barred = points.iter().filter(|p| p.sd > 0.0);
+            chart.draw_series(barred.map(|p| PathElement::new(ends(p), colour.mix(0.55).stroke_width(thin))))?;
+            chart.draw_series(points.iter().map(|p| Circle::new((p.x, p.y), px(3), colour.filled())))?
+        }
+        Style::Band => {
+            let lower = points.iter().map(|p| ends(p)[0]);
+            let band: Vec<_> = lower.chain(points.iter().rev().map(|p| ends(p)[1])).collect();
+            chart.draw_series(std::iter::once(Polygon::new(band, colour.mix(0.22))))?;
+            chart.draw_series(LineSeries::new(points.iter().map(|p| (p.x, p.y)), colour.stroke_width(2 * thin)))?
+        }
+    };
+    if has_label {
+        handle.label(&series.name).legend(move |(x, y)| Circle::new((x + px(8), y), px(4), colour.filled()));
+    }
+    Ok(())
 }
 
 /// An axis with ticks of its own.

@@ -3,11 +3,10 @@
 use super::bend_map::bend_map;
 use super::overlay::angles;
 use super::page::{definitions, document, figure, list, table};
-use super::plot::{Plot, Point, Series, Style};
+use super::run_course::course;
 use super::run_history::RunHistory;
 use super::run_plots::{Sampled, Titled, command_over_theta, corrections_mm};
 use super::verdict::verdict_box;
-use crate::estimate::{EstimateRow, Verdict};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::{Model, TableRow};
@@ -80,7 +79,7 @@ impl Report<'_> {
             (definitions("summary", &self.summary))
             (self.closeup())
             (self.learned())
-            (self.plots())
+            (self.course())
             (self.frames_not_measured())
             (self.measurements_not_used())
             (list("Warnings", "What was passed over in the input files.", &self.warnings))
@@ -135,95 +134,16 @@ impl Report<'_> {
         }
     }
 
-    fn plots(&self) -> Markup {
-        let plots = self.all_plots();
+    fn course(&self) -> Markup {
+        let plots = course(self.history);
         html! {
-            @if plots.iter().any(|(_, _, plot)| plot.has_points()) {
+            @if plots.iter().any(|titled| titled.plot.has_points()) {
                 h2 { "Course of the run" }
                 .plots {
-                    @for (title, note, plot) in &plots { (figure(title, plot, note)) }
+                    @for Titled { title, caption, plot } in &plots { (figure(title, plot, caption)) }
                 }
             }
         }
-    }
-
-    fn all_plots(&self) -> Vec<(&'static str, &'static str, Plot)> {
-        let axis = Axis::of(&self.history.plotted);
-        let plot = |y_label: &str, series| Plot {
-            x_label: axis.label().into(),
-            y_label: y_label.into(),
-            series,
-            y_shown: vec![],
-        };
-        let mut plots = vec![
-            (
-                "Bend θ",
-                "Measured bend from straight, with bars of ±1σ (often smaller than the dot).",
-                plot("θ (°)", self.angle_series(&axis, |m| (m.configuration.theta_deg(), m.sigma_theta.to_degrees()))),
-            ),
-            (
-                "Azimuth δ",
-                "Measured azimuth of the bend, with bars of ±1σ. Near straight δ means little and its bar is long.",
-                plot("δ (°)", self.angle_series(&axis, |m| (m.configuration.delta_deg(), m.sigma_delta.to_degrees()))),
-            ),
-        ];
-        let estimates = |value: fn(&crate::estimate::EtaLambda) -> (f64, f64)| {
-            vec![self.series(&axis, "", Style::Band, |_, row| row.estimate.as_ref().map(value))]
-        };
-        plots.push((
-            "Force scale η",
-            "The estimate after each measurement, with its band of ±1σ.",
-            plot("η", estimates(|e| (e.eta, e.sd_eta))),
-        ));
-        plots.push((
-            "Backlash λ",
-            "The estimate after each measurement, with its band of ±1σ.",
-            plot("λ (mm)", estimates(|e| (e.lambda_mm, e.sd_lambda_mm))),
-        ));
-        let backbones = self.history.plotted.iter().find_map(|(_, row)| Some(row.residual_mm?.len())).unwrap_or(0);
-        let residuals = (0..backbones).map(|i| {
-            self.series(&axis, &format!("backbone {}", i + 1), Style::Dots, |_, row| Some((row.residual_mm?[i], 0.0)))
-        });
-        let rms = self.series(&axis, "", Style::Dots, |m, _| Some((m.quality?.rms_px, 0.0)));
-        plots.push((
-            "Reprojection residuals",
-            "Root mean square distance of the edges in each frame from the fitted outline.",
-            plot("rms (px)", vec![rms]),
-        ));
-        plots.push((
-            "Residuals of ε",
-            "Measured ε less what the estimate before it predicted. A pattern here is something the model does not know.",
-            plot("residual (mm)", residuals.collect()),
-        ));
-        plots
-    }
-
-    /// A value with its σ over the course of the run, of the rows that have it.
-    fn series(
-        &self,
-        axis: &Axis,
-        name: &str,
-        style: Style,
-        value: impl Fn(&Measurement, &EstimateRow) -> Option<(f64, f64)>,
-    ) -> Series {
-        let point = |(m, row): &(Measurement, EstimateRow)| {
-            let (y, sd) = value(m, row)?;
-            Some(Point { x: axis.place(row.index, row.time_s), y, sd })
-        };
-        Series { name: name.to_owned(), style, points: self.history.plotted.iter().filter_map(point).collect() }
-    }
-
-    /// The measured angles, those apart that the estimator rejected.
-    fn angle_series(&self, axis: &Axis, angle: impl Fn(&crate::observation::Measured) -> (f64, f64)) -> Vec<Series> {
-        let series = |name: &str, wanted: bool| {
-            self.series(axis, name, Style::Dots, |m, row| {
-                let is_of_these = (row.verdict == Verdict::Rejected) == wanted;
-                m.measured.as_ref().filter(|_| is_of_these).map(&angle)
-            })
-        };
-        let mut both = vec![series("used", false), series("rejected", true)];
-        both.retain(|series| !series.points.is_empty());
-        both
     }
 
     fn frames_not_measured(&self) -> Markup {
@@ -331,32 +251,6 @@ fn short_table(model: &Model) -> Markup {
     }
 }
 
-/// What runs along the plots' x axis: time where every frame has one, else the frame's index.
-enum Axis {
-    Time,
-    Index,
-}
-
-impl Axis {
-    fn of(rows: &[(Measurement, EstimateRow)]) -> Self {
-        if rows.iter().all(|(m, _)| m.time_s.is_some()) { Self::Time } else { Self::Index }
-    }
-
-    fn label(&self) -> &'static str {
-        match self {
-            Self::Time => "time (s)",
-            Self::Index => "frame",
-        }
-    }
-
-    fn place(&self, index: u64, time_s: Option<f64>) -> f64 {
-        match self {
-            Self::Time => time_s.unwrap_or(f64::NAN),
-            Self::Index => index as f64,
-        }
-    }
-}
-
 /// What a list that was cut says of the rest.
 fn others(more: usize, file: &str) -> Markup {
     html! {
@@ -374,7 +268,7 @@ fn frame_name(index: u64, view: &Option<String>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::EtaLambda;
+    use crate::estimate::{EstimateRow, EtaLambda, Verdict};
     use crate::geometry::Configuration;
     use crate::observation::{Measured, Status};
     use crate::robot::PerBackbone;

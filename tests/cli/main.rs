@@ -15,6 +15,7 @@ mod discover;
 mod faults;
 mod first_hour;
 mod live;
+mod recordings;
 mod run;
 mod several_views;
 mod verdict;

@@ -5,6 +5,7 @@ mod fixture;
 mod kills;
 #[cfg(feature = "opencv")]
 mod page;
+mod rtsp;
 mod sequence;
 mod streams;
 #[cfg(feature = "opencv")]

@@ -10,7 +10,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// How long one round of the path takes: slowly enough that neighbouring frames show nearly the same.
-const ROUND_S: f64 = FRAMES as f64 / 3.0;
+pub const ROUND_S: f64 = FRAMES as f64 / 3.0;
 
 /// A server that does its work for each visitor until it is dropped.
 pub struct Server {

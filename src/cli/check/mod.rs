@@ -1,37 +1,38 @@
 //! `check`: whether an experiment is fit for a run, in seconds, and what to do where it is not.
 //!
 //! Files, sizes, indices and clocks are looked at as they stand. A small share of the frames is then measured, by the rig as the straight
-//! picture gives it, and passed to the verdict's rules; what a run will know of η and λ is predicted by the estimator itself from
-//! measurements as it expects them at every reading.
+//! picture gives it, and every pose of a tracker; they are passed to the verdict's rules. What a run will know of η and λ is predicted by
+//! the estimator itself from measurements as it expects them at every reading.
+
+mod expected;
+mod files;
 
 use super::console::Console;
 use super::inputs::{encoders_of, model_of};
+use super::trackers::{OpenTracker, open_tracker};
 use super::verdict::{VerdictArgs, subject, verdict_text};
 use super::views::rig_of;
 use crate::camera::{FrameSource, picture_size};
 use crate::cli::failure::Failure;
 use crate::estimate::{Options, estimate, or_one_gain};
-use crate::geometry::Configuration;
 use crate::measure::Eye;
-use crate::observation::{EncoderReading, Measured, Measurement, Status};
-use crate::record::{Checked, Experiment, RigSource, Source, View};
+use crate::observation::{EncoderReading, Measurement, Status};
+use crate::record::{Checked, Experiment, View};
 use crate::report::decimation::keeps;
-use crate::robot::{MAX_THETA, Model};
+use crate::robot::Model;
 use crate::statistics::order::median;
 use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};
+use expected::{Expected, coverage, expected, poses_of};
+use files::{files_with_remedies, frames_remedy, name_in, pictures};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::convert::Infallible;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Frames of a view that are measured. Convention: what takes a second or two, and shows all sweeps of an experiment.
 const MEASURED: usize = 36;
-/// Frames of a view of which the size is looked at. Convention: headers only; a resource limit.
-const SIZED: usize = 500;
-/// Readings for which a measurement is expected. Convention: a resource limit; with more of them σ only gets smaller.
-const EXPECTED: usize = 500;
 
 /// Look whether an experiment is fit for a run: files, sizes, indices, clocks, wiring, coverage, and the σ of η and λ to expect
 ///
@@ -48,19 +49,10 @@ pub struct Args {
 /// One thing that was looked at.
 #[derive(Debug, Serialize)]
 struct Look {
-    /// `files`, `sizes`, `indices`, `clocks`, `frames`, `coverage` or `expected`.
+    /// `files`, `sizes`, `tracker`, `indices`, `clocks`, `frames` or `coverage`.
     what: &'static str,
     /// What was found.
     text: String,
-}
-
-/// What a run would know.
-#[derive(Debug, Clone, Copy, Serialize)]
-struct Expected {
-    sd_eta: f64,
-    sd_lambda_mm: f64,
-    /// Measurements with readings behind it.
-    measurements: usize,
 }
 
 #[derive(Serialize)]
@@ -76,7 +68,8 @@ impl Args {
         let experiment = Experiment::read(&self.experiment)?;
         let mut inspection = Inspection::default();
         inspection.files(&experiment);
-        let summary = if inspection.reasons.is_empty() { inspection.with_data(&experiment)? } else { inspection.end() };
+        let summary =
+            if inspection.reasons.is_empty() { inspection.with_data(console, &experiment)? } else { inspection.end() };
         console.result(&summary, || summary.text());
         match summary
             .verdict
@@ -118,7 +111,7 @@ impl Inspection {
             let name = name_in(experiment, &path);
             if !path.is_file() {
                 self.fault(Code::Files, Level::DoNotUse, format!("{name} is not there"), remedy);
-            } else {
+            } else if !named.contains(&name) {
                 named.push(name);
             }
         }
@@ -137,7 +130,7 @@ impl Inspection {
     }
 
     /// All that can be said once the files are there.
-    fn with_data(mut self, experiment: &Experiment) -> Result<Summary> {
+    fn with_data(mut self, console: &Console, experiment: &Experiment) -> Result<Summary> {
         let model = model_of(experiment)?;
         self.sizes(experiment);
         let Checked { rows: log, warnings } = encoders_of(experiment, &model)?;
@@ -149,16 +142,14 @@ impl Inspection {
                 "mend the row, or leave it: it costs its frame only",
             );
         }
-        let indices = self.indices(experiment, &log)?;
+        let trackers = self.trackers(console, experiment, &model, &log);
+        let indices = self.indices(experiment, &trackers, &log)?;
         self.clocks(&log);
         let mut measurements = Vec::new();
         for view in &experiment.views {
             measurements.extend(self.measured(experiment, view, &model, &log)?);
         }
-        if !experiment.trackers.is_empty() {
-            let remedy = "`snakeloop run` reads them, and says what it thinks of them";
-            self.fault(Code::Files, Level::Look, "trackers are not looked at here", remedy);
-        }
+        measurements.extend(trackers.iter().flat_map(OpenTracker::rows));
         measurements.sort_by_key(|measurement| measurement.index);
         self.judge(experiment, &model, &measurements, &log, &indices)?;
         Ok(self.end())
@@ -201,10 +192,44 @@ impl Inspection {
         }
     }
 
-    /// Which frames have a reading; gives their indices.
-    fn indices(&mut self, experiment: &Experiment, log: &[EncoderReading]) -> Result<BTreeSet<u64>> {
+    /// The trackers whose poses can be registered, all of their poses measured.
+    fn trackers(
+        &mut self,
+        console: &Console,
+        experiment: &Experiment,
+        model: &Model,
+        log: &[EncoderReading],
+    ) -> Vec<OpenTracker> {
+        let mut trackers = Vec::new();
+        for tracker in &experiment.trackers {
+            match open_tracker(console, tracker, &model.robot, log) {
+                Ok((tracker, remarks)) => {
+                    self.saw("tracker", format!("{}: {}", tracker.name, remarks.join("; ")));
+                    trackers.push(tracker);
+                }
+                Err(error) => {
+                    let remedy = "see \"Use a tracker, or ROS 2 recordings\" in the book";
+                    self.fault(Code::Files, Level::DoNotUse, error.to_string(), remedy);
+                }
+            }
+        }
+        trackers
+    }
+
+    /// Which frames and poses have a reading; gives their indices.
+    fn indices(
+        &mut self,
+        experiment: &Experiment,
+        trackers: &[OpenTracker],
+        log: &[EncoderReading],
+    ) -> Result<BTreeSet<u64>> {
         let read: BTreeSet<u64> = log.iter().map(|row| row.index).collect();
-        let mut frames = BTreeSet::new();
+        let mut frames: BTreeSet<u64> = trackers.iter().flat_map(OpenTracker::indices).collect();
+        // The unbent pose is there to register the base, and need not be one of the ride.
+        for straight in experiment.trackers.iter().map(|tracker| tracker.straight).filter(|index| !read.contains(index))
+        {
+            frames.remove(&straight);
+        }
         for view in &experiment.views {
             match view.open_frames(experiment.folder())? {
                 FrameSource::Pictures(files) => frames.extend(files.iter().map(|(index, _)| *index)),
@@ -220,7 +245,12 @@ impl Inspection {
         let both: BTreeSet<u64> = frames.intersection(&read).copied().collect();
         self.saw(
             "indices",
-            format!("{} of {} frames have a reading, of {} rows in the log", both.len(), frames.len(), read.len()),
+            format!(
+                "{} of {} frames and poses have a reading, of {} rows in the log",
+                both.len(),
+                frames.len(),
+                read.len()
+            ),
         );
         let without = frames.len() - both.len();
         if without > 0 && !both.is_empty() {
@@ -240,7 +270,7 @@ impl Inspection {
         } else {
             format!(", a row every {:.3} s (median)", median(&mut steps))
         };
-        self.saw("clocks", format!("the log goes from {} to {} s{step}", first.time_s, last.time_s));
+        self.saw("clocks", format!("the log goes from {:.3} to {:.3} s{step}", first.time_s, last.time_s));
     }
 
     /// Some frames of a view, measured by the rig as its straight picture gives it.
@@ -311,135 +341,6 @@ impl Inspection {
     }
 }
 
-/// The files that an experiment names, each with what to do where it is missing.
-fn files_with_remedies(experiment: &Experiment) -> Vec<(PathBuf, String)> {
-    let mut files = Vec::new();
-    let constants = "`snakeloop new` writes a robot.toml to correct; without the key the paper's robot is taken";
-    files.extend(
-        [&experiment.robot, &experiment.model].into_iter().flatten().map(|path| (path.clone(), constants.to_owned())),
-    );
-    let log = "write one row a frame: index,time_s,q1_mm,q2_mm,q3_mm; without a log `snakeloop measure` measures the angles alone";
-    files.extend(experiment.encoders.iter().map(|source| (source.path().to_owned(), log.to_owned())));
-    for view in &experiment.views {
-        let lens = "`snakeloop print chessboard`, take a dozen pictures of it, tilted differently, and `snakeloop calibrate camera boards/*.jpg \
-                    --corners 9x6 -o camera.yaml`";
-        files.push((view.camera.path().to_owned(), lens.to_owned()));
-        files.push(match &view.rig {
-            RigSource::File(path) => {
-                (path.clone(), "`snakeloop calibrate rig` writes it; or give `straight`".to_owned())
-            }
-            RigSource::Straight { picture, .. } => {
-                let remedy =
-                    "take a picture of the unbent snake before the grid target, the camera where it is in the frames";
-                (picture.clone(), remedy.to_owned())
-            }
-        });
-    }
-    files
-}
-
-/// What to do where a view's frames are not found: the pattern that would match what is there, if anything is.
-fn frames_remedy(experiment: &Experiment, view: &View) -> String {
-    let pattern = match &view.frames {
-        Source::Files(pattern) => pattern,
-        Source::Topic(_) => return "name a topic of pictures that the recording has".to_owned(),
-    };
-    let folder = experiment.folder().join(pattern);
-    let folder = folder.parent().unwrap_or(Path::new(""));
-    let mut extensions = BTreeMap::<String, usize>::new();
-    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-        if let Some(extension) = entry.path().extension() {
-            *extensions.entry(extension.to_string_lossy().into_owned()).or_default() += 1;
-        }
-    }
-    match extensions.iter().max_by_key(|(_, count)| **count) {
-        Some((extension, count)) => format!(
-            "there are {count} files *.{extension} in {}: correct `frames` of view {}",
-            folder.display(),
-            view.name
-        ),
-        None => format!("put the frames into {}, numbered in their names, or correct `frames`", folder.display()),
-    }
-}
-
-/// The straight picture and some of the frames, where they are picture files.
-fn pictures(experiment: &Experiment, view: &View) -> Vec<PathBuf> {
-    let straight = match &view.rig {
-        RigSource::Straight { picture, .. } => Some(picture.clone()),
-        RigSource::File(_) => None,
-    };
-    let frames = match view.open_frames(experiment.folder()) {
-        Ok(FrameSource::Pictures(files)) => files,
-        _ => Vec::new(),
-    };
-    let count = frames.len();
-    let some = frames.into_iter().enumerate().filter(|(k, _)| keeps(*k, SIZED, count)).map(|(_, (_, path))| path);
-    straight.into_iter().chain(some).collect()
-}
-
-/// A path as the experiment's folder shows it.
-fn name_in(experiment: &Experiment, path: &Path) -> String {
-    path.strip_prefix(experiment.folder()).unwrap_or(path).display().to_string()
-}
-
-/// Where the snake goes by the model, at the readings that have a frame.
-fn poses_of(model: &Model, log: &[EncoderReading], indices: &BTreeSet<u64>) -> Vec<(EncoderReading, Configuration)> {
-    let with_frame: Vec<&EncoderReading> = log.iter().filter(|row| indices.contains(&row.index)).collect();
-    let count = with_frame.len();
-    let some = with_frame.into_iter().enumerate().filter(|(k, _)| keeps(*k, EXPECTED, count)).map(|(_, row)| row);
-    let pose = |row: &EncoderReading| Some((*row, model.forward(&row.q_mm).ok()?.configuration));
-    some.filter_map(pose).filter(|(_, psi)| psi.theta <= MAX_THETA).collect()
-}
-
-/// Bends and directions that the readings imply, in words.
-fn coverage(poses: &[(EncoderReading, Configuration)]) -> String {
-    let bends = || poses.iter().map(|(_, psi)| *psi);
-    let (least, most) = bends()
-        .fold((f64::INFINITY, 0.0f64), |(least, most), psi| (least.min(psi.theta_deg()), most.max(psi.theta_deg())));
-    // Sectors of 30° that hold a pose at which δ means something.
-    let sectors: BTreeSet<i64> = bends()
-        .filter(|psi| psi.theta_deg() > 5.0)
-        .map(|psi| (psi.delta_deg() / 30.0).round().rem_euclid(12.0) as i64)
-        .collect();
-    format!("{} poses, θ {least:.0}° to {most:.0}°, in {} of 12 directions of δ", poses.len(), sectors.len())
-}
-
-/// σ of η and λ after a run, as the estimator itself gives them: at every pose the nearest measurement of the sample, with its errors and
-/// with the reading that the model gives it.
-fn expected(
-    model: &Model,
-    options: Options,
-    measurements: &[Measurement],
-    poses: &[(EncoderReading, Configuration)],
-) -> Result<Option<Expected>> {
-    let nearest = |psi: &Configuration| {
-        let distance = |measured: &Measured| (measured.configuration.bend_vector() - psi.bend_vector()).norm();
-        let seen = measurements.iter().filter_map(|measurement| measurement.measured);
-        seen.min_by(|a, b| distance(a).total_cmp(&distance(b)))
-    };
-    let (mut all, mut readings) = (Vec::new(), Vec::new());
-    for (row, psi) in poses {
-        let Some(measured) = nearest(psi) else { return Ok(None) };
-        let (index, time_s) = (row.index, Some(row.time_s));
-        all.push(Measurement {
-            index,
-            time_s,
-            status: Status::Ok,
-            measured: Some(measured),
-            quality: None,
-            view: None,
-        });
-        readings.push(EncoderReading { q_mm: model.command(measured.configuration), ..*row });
-    }
-    let plain = Model { estimate: None, ..model.clone() };
-    let (_, learned) = estimate(&plain, options, &all, &readings)?;
-    Ok(learned.estimate.map(|estimate| Expected {
-        sd_eta: estimate.sd_eta(),
-        sd_lambda_mm: estimate.sd_lambda_mm(),
-        measurements: all.len(),
-    }))
-}
-
 impl Summary {
     fn text(&self) -> String {
         let mut text = verdict_text(&self.verdict);
@@ -448,7 +349,7 @@ impl Summary {
         }
         if let Some(Expected { sd_eta, sd_lambda_mm, measurements }) = self.expected {
             text +=
-                &format!("expected  η ± {sd_eta:.4}, λ ± {sd_lambda_mm:.4} mm after a run of {measurements} frames\n");
+                &format!("expected  η ± {sd_eta:.4}, λ ± {sd_lambda_mm:.4} mm after a run of {measurements} poses\n");
         }
         text
     }

@@ -1,0 +1,98 @@
+//! What a run of an experiment will know, predicted from a sample of its measurements.
+
+use crate::Result;
+use crate::estimate::{Options, estimate};
+use crate::geometry::Configuration;
+use crate::observation::{EncoderReading, Measured, Measurement, Status};
+use crate::report::decimation::keeps;
+use crate::robot::{MAX_THETA, Model, PerBackbone};
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+use rand_distr::{Distribution, StandardNormal};
+use serde::Serialize;
+use std::collections::BTreeSet;
+
+/// Readings for which a measurement is expected. Convention: a resource limit; with more of them σ only gets smaller.
+const EXPECTED: usize = 500;
+/// Seed of the errors that are drawn. Convention: any; the same experiment gives the same answer.
+const SEED: u64 = 1;
+
+/// What a run would know.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Expected {
+    pub sd_eta: f64,
+    pub sd_lambda_mm: f64,
+    /// Measurements with readings behind it.
+    pub measurements: usize,
+}
+
+/// Where the snake goes by the model, at the readings that have a frame.
+pub fn poses_of(
+    model: &Model,
+    log: &[EncoderReading],
+    indices: &BTreeSet<u64>,
+) -> Vec<(EncoderReading, Configuration)> {
+    let with_frame: Vec<&EncoderReading> = log.iter().filter(|row| indices.contains(&row.index)).collect();
+    let count = with_frame.len();
+    let some = with_frame.into_iter().enumerate().filter(|(k, _)| keeps(*k, EXPECTED, count)).map(|(_, row)| row);
+    let pose = |row: &EncoderReading| Some((*row, model.forward(&row.q_mm).ok()?.configuration));
+    some.filter_map(pose).filter(|(_, psi)| psi.theta <= MAX_THETA).collect()
+}
+
+/// Bends and directions that the readings imply, in words.
+pub fn coverage(poses: &[(EncoderReading, Configuration)]) -> String {
+    let bends = || poses.iter().map(|(_, psi)| *psi);
+    let (least, most) = bends()
+        .fold((f64::INFINITY, 0.0f64), |(least, most), psi| (least.min(psi.theta_deg()), most.max(psi.theta_deg())));
+    // Sectors of 30° that hold a pose at which δ means something.
+    let sectors: BTreeSet<i64> = bends()
+        .filter(|psi| psi.theta_deg() > 5.0)
+        .map(|psi| (psi.delta_deg() / 30.0).round().rem_euclid(12.0) as i64)
+        .collect();
+    format!("{} poses, θ {least:.0}° to {most:.0}°, in {} of 12 directions of δ", poses.len(), sectors.len())
+}
+
+/// σ of η and λ after a run, as the estimator itself gives them: at every pose the nearest measurement of the sample, and the reading that the
+/// model gives for a bend that differs from it by errors drawn from its covariance. (Without them no residual is left, whose scatter
+/// the estimator's σ heed.)
+pub fn expected(
+    model: &Model,
+    options: Options,
+    measurements: &[Measurement],
+    poses: &[(EncoderReading, Configuration)],
+) -> Result<Option<Expected>> {
+    let nearest = |psi: &Configuration| {
+        let distance = |measured: &Measured| (measured.configuration.bend_vector() - psi.bend_vector()).norm();
+        let seen = measurements.iter().filter_map(|measurement| measurement.measured);
+        seen.min_by(|a, b| distance(a).total_cmp(&distance(b)))
+    };
+    let mut random = StdRng::seed_from_u64(SEED);
+    let mut draw = || -> f64 { StandardNormal.sample(&mut random) };
+    let (mut all, mut readings) = (Vec::new(), Vec::new());
+    for (row, psi) in poses {
+        let Some(measured) = nearest(psi) else { return Ok(None) };
+        let (index, time_s) = (row.index, Some(row.time_s));
+        all.push(Measurement {
+            index,
+            time_s,
+            status: Status::Ok,
+            measured: Some(measured),
+            quality: None,
+            view: None,
+        });
+        let (theta, delta) = (draw(), draw());
+        let Configuration { theta: bend, delta: azimuth } = measured.configuration;
+        let along = measured.correlation * theta + (1.0 - measured.correlation.powi(2)).max(0.0).sqrt() * delta;
+        let truth =
+            Configuration::new((bend + measured.sigma_theta * theta).abs(), azimuth + measured.sigma_delta * along);
+        let noise = PerBackbone::from_fn(row.q_mm.len(), |_| options.sd_encoder_mm * draw());
+        readings.push(EncoderReading { q_mm: model.command(truth) + noise, ..*row });
+    }
+    let plain = Model { estimate: None, ..model.clone() };
+    let (_, learned) = estimate(&plain, options, &all, &readings)?;
+    Ok(learned.estimate.map(|estimate| Expected {
+        sd_eta: estimate.sd_eta(),
+        sd_lambda_mm: estimate.sd_lambda_mm(),
+        measurements: all.len(),
+    }))
+}

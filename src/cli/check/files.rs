@@ -1,0 +1,77 @@
+//! The files of an experiment: which it names, and what to do where one is missing.
+
+use crate::camera::FrameSource;
+use crate::camera::source::commonest_picture;
+use crate::record::{Experiment, RigSource, Source, View};
+use crate::report::decimation::keeps;
+use std::path::{Path, PathBuf};
+
+/// Frames of a view of which the size is looked at. Convention: headers only; a resource limit.
+const SIZED: usize = 500;
+
+/// The files that an experiment names, each with what to do where it is missing.
+pub fn files_with_remedies(experiment: &Experiment) -> Vec<(PathBuf, String)> {
+    let mut files = Vec::new();
+    let constants = "`snakeloop new` writes a robot.toml to correct; without the key the paper's robot is taken";
+    files.extend(
+        [&experiment.robot, &experiment.model].into_iter().flatten().map(|path| (path.clone(), constants.to_owned())),
+    );
+    let log = "write one row a frame: index,time_s,q1_mm,q2_mm,q3_mm; without a log `snakeloop measure` measures the angles alone";
+    files.extend(experiment.encoders.iter().map(|source| (source.path().to_owned(), log.to_owned())));
+    for view in &experiment.views {
+        let lens = "`snakeloop print chessboard`, take a dozen pictures of it, tilted differently, and `snakeloop calibrate camera boards/*.jpg \
+                    --corners 9x6 -o camera.yaml`";
+        files.push((view.camera.path().to_owned(), lens.to_owned()));
+        files.push(match &view.rig {
+            RigSource::File(path) => {
+                (path.clone(), "`snakeloop calibrate rig` writes it; or give `straight`".to_owned())
+            }
+            RigSource::Straight { picture, .. } => {
+                let remedy =
+                    "take a picture of the unbent snake before the grid target, the camera where it is in the frames";
+                (picture.clone(), remedy.to_owned())
+            }
+        });
+    }
+    let poses = "write the tracker's poses, one row a pose: index,time_s,x_mm,y_mm,z_mm[,qw,qx,qy,qz]";
+    files.extend(experiment.trackers.iter().map(|tracker| (tracker.poses.path().to_owned(), poses.to_owned())));
+    files
+}
+
+/// What to do where a view's frames are not found: the pattern that would match what is there, if anything is.
+pub fn frames_remedy(experiment: &Experiment, view: &View) -> String {
+    let pattern = match &view.frames {
+        Source::Files(pattern) => pattern,
+        Source::Topic(_) => return "name a topic of pictures that the recording has".to_owned(),
+    };
+    let folder = experiment.folder().join(pattern);
+    let folder = folder.parent().unwrap_or(Path::new(""));
+    match commonest_picture(folder) {
+        Some((extension, count)) => format!(
+            "there are {count} files *.{extension} in {}: correct `frames` of view {}",
+            folder.display(),
+            view.name
+        ),
+        None => format!("put the frames into {}, numbered in their names, or correct `frames`", folder.display()),
+    }
+}
+
+/// The straight picture and some of the frames, where they are picture files.
+pub fn pictures(experiment: &Experiment, view: &View) -> Vec<PathBuf> {
+    let straight = match &view.rig {
+        RigSource::Straight { picture, .. } => Some(picture.clone()),
+        RigSource::File(_) => None,
+    };
+    let frames = match view.open_frames(experiment.folder()) {
+        Ok(FrameSource::Pictures(files)) => files,
+        _ => Vec::new(),
+    };
+    let count = frames.len();
+    let some = frames.into_iter().enumerate().filter(|(k, _)| keeps(*k, SIZED, count)).map(|(_, (_, path))| path);
+    straight.into_iter().chain(some).collect()
+}
+
+/// A path as the experiment's folder shows it.
+pub fn name_in(experiment: &Experiment, path: &Path) -> String {
+    path.strip_prefix(experiment.folder()).unwrap_or(path).display().to_string()
+}

@@ -1,0 +1,113 @@
+//! The course of a run, for its report: angles, estimate and residuals over time, or over the frames where not all have a time.
+
+use super::plot::{Plot, Point, Series, Style};
+use super::run_history::RunHistory;
+use super::run_plots::Titled;
+use crate::estimate::{EstimateRow, EtaLambda, Verdict};
+use crate::observation::{Measured, Measurement};
+
+/// The plots of a run's course.
+pub fn course(history: &RunHistory) -> Vec<Titled> {
+    let rows = &history.plotted[..];
+    let axis = Axis::of(rows);
+    let one = |style, value: &dyn Fn(&Measurement, &EstimateRow) -> Option<(f64, f64)>| {
+        vec![series(rows, &axis, "", style, value)]
+    };
+    let estimate =
+        |value: fn(&EtaLambda) -> (f64, f64)| one(Style::Band, &move |_, row| row.estimate.as_ref().map(value));
+    let angle = |value: fn(&Measured) -> (f64, f64)| angle_series(rows, &axis, value);
+    let backbones = rows.iter().find_map(|(_, row)| Some(row.residual_mm?.len())).unwrap_or(0);
+    let residual = |i: usize| {
+        series(rows, &axis, &format!("backbone {}", i + 1), Style::Dots, &|_, row| Some((row.residual_mm?[i], 0.0)))
+    };
+    let over_time = |title, y_label: &str, series, caption: &str| Titled {
+        title,
+        caption: caption.to_owned(),
+        plot: Plot { x_label: axis.label().into(), y_label: y_label.into(), series, y_shown: vec![] },
+    };
+    vec![
+        over_time(
+            "Bend θ",
+            "θ (°)",
+            angle(|m| (m.configuration.theta_deg(), m.sigma_theta.to_degrees())),
+            "Measured bend from straight, with bars of ±1σ (often smaller than the dot).",
+        ),
+        over_time(
+            "Azimuth δ",
+            "δ (°)",
+            angle(|m| (m.configuration.delta_deg(), m.sigma_delta.to_degrees())),
+            "Measured azimuth of the bend, with bars of ±1σ. Near straight δ means little and its bar is long.",
+        ),
+        over_time("Force scale η", "η", estimate(|e| (e.eta, e.sd_eta)), ESTIMATE),
+        over_time("Backlash λ", "λ (mm)", estimate(|e| (e.lambda_mm, e.sd_lambda_mm)), ESTIMATE),
+        over_time(
+            "Reprojection residuals",
+            "rms (px)",
+            one(Style::Dots, &|m, _| Some((m.quality?.rms_px, 0.0))),
+            "Root mean square distance of the edges in each frame from the fitted outline.",
+        ),
+        over_time(
+            "Residuals of ε",
+            "residual (mm)",
+            (0..backbones).map(residual).collect(),
+            "Measured ε less what the estimate before it predicted. A pattern here is something the model does not know.",
+        ),
+    ]
+}
+
+/// What stands below the plots of η and λ.
+const ESTIMATE: &str = "The estimate after each measurement, with its band of ±1σ.";
+
+/// A value with its σ over the course of the run, of the rows that have it.
+fn series(
+    rows: &[(Measurement, EstimateRow)],
+    axis: &Axis,
+    name: &str,
+    style: Style,
+    value: &dyn Fn(&Measurement, &EstimateRow) -> Option<(f64, f64)>,
+) -> Series {
+    let point = |(m, row): &(Measurement, EstimateRow)| {
+        let (y, sd) = value(m, row)?;
+        Some(Point { x: axis.place(row.index, row.time_s), y, sd })
+    };
+    Series { name: name.to_owned(), style, points: rows.iter().filter_map(point).collect() }
+}
+
+/// The measured angles, those apart that the estimator rejected.
+fn angle_series(rows: &[(Measurement, EstimateRow)], axis: &Axis, angle: fn(&Measured) -> (f64, f64)) -> Vec<Series> {
+    let of = |name: &str, rejected: bool| {
+        series(rows, axis, name, Style::Dots, &|m, row| {
+            let is_of_these = (row.verdict == Verdict::Rejected) == rejected;
+            m.measured.as_ref().filter(|_| is_of_these).map(angle)
+        })
+    };
+    let mut both = vec![of("used", false), of("rejected", true)];
+    both.retain(|series| !series.points.is_empty());
+    both
+}
+
+/// What runs along the plots' x axis: time where every frame has one, else the frame's index.
+enum Axis {
+    Time,
+    Index,
+}
+
+impl Axis {
+    fn of(rows: &[(Measurement, EstimateRow)]) -> Self {
+        if rows.iter().all(|(m, _)| m.time_s.is_some()) { Self::Time } else { Self::Index }
+    }
+
+    fn label(&self) -> &'static str {
+        match self {
+            Self::Time => "time (s)",
+            Self::Index => "frame",
+        }
+    }
+
+    fn place(&self, index: u64, time_s: Option<f64>) -> f64 {
+        match self {
+            Self::Time => time_s.unwrap_or(f64::NAN),
+            Self::Index => index as f64,
+        }
+    }
+}
