@@ -20,7 +20,7 @@ const CLOSEUP_WIDTH: u32 = 900;
 /// Free room about the snake, as a share of its size. Convention: a display choice.
 const ROOM: f64 = 0.12;
 /// Width over height of parts that are cut out. Convention: a display choice; the style sheet has it too.
-const ASPECT: f64 = 4.0 / 3.0;
+const ASPECT: f64 = 1.0;
 
 /// Which frames are drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]

@@ -319,7 +319,9 @@ fn effect(found: &Discovery, named: &Named) -> Markup {
         p.equation { (named.physics.equation) }
         @if !named.physics.form.is_empty() { p { "In the form: " (named.physics.form) "." } }
         (definitions("summary", &facts))
-        (table(&title, ["effect", "worse by (information criterion)"], &alternatives))
+        @if !alternatives.is_empty() {
+            (table(&title, ["effect", "worse by (information criterion)"], &alternatives))
+        }
         p {
             "The Bayesian information criterion is the sum of the squared residuals in units of the noise, and a charge for each \
              parameter. Less is better; what is worse by more than 6 is ruled out."

@@ -247,7 +247,7 @@ fn figures(explanation: &Explanation, measurement: &Measurement) -> Vec<(&'stati
     }
     for (name, profile) in ["best fit", "second fit"].into_iter().zip(&explanation.fits) {
         let psi = Configuration::from_bend_vector(profile.tip);
-        figures.push((name, format!("θ {:.2}°, δ {:.2}°", psi.theta_deg(), psi.delta_deg())));
+        figures.push((name, format!("θ {:.2}°, δ {:.2}°", psi.theta_deg(), psi.delta_deg()).replace('-', "−")));
     }
     if let Some(quality) = &measurement.quality {
         figures.push(("edges that agree", quality.edges.to_string()));
