@@ -10,9 +10,7 @@ use crate::observation::{Measured, Measurement};
 pub fn course(history: &RunHistory) -> Vec<Titled> {
     let rows = &history.plotted[..];
     let axis = Axis::of(rows);
-    let one = |style, value: &dyn Fn(&Measurement, &EstimateRow) -> Option<(f64, f64)>| {
-        vec![series(rows, &axis, "", style, value)]
-    };
+    let one = |style, value: Value| vec![series(rows, &axis, "", style, value)];
     let estimate =
         |value: fn(&EtaLambda) -> (f64, f64)| one(Style::Band, &move |_, row| row.estimate.as_ref().map(value));
     let angle = |value: fn(&Measured) -> (f64, f64)| angle_series(rows, &axis, value);
@@ -55,17 +53,14 @@ pub fn course(history: &RunHistory) -> Vec<Titled> {
     ]
 }
 
+/// A value of a row with its σ, where the row has it.
+type Value<'a> = &'a dyn Fn(&Measurement, &EstimateRow) -> Option<(f64, f64)>;
+
 /// What stands below the plots of η and λ.
 const ESTIMATE: &str = "The estimate after each measurement, with its band of ±1σ.";
 
 /// A value with its σ over the course of the run, of the rows that have it.
-fn series(
-    rows: &[(Measurement, EstimateRow)],
-    axis: &Axis,
-    name: &str,
-    style: Style,
-    value: &dyn Fn(&Measurement, &EstimateRow) -> Option<(f64, f64)>,
-) -> Series {
+fn series(rows: &[(Measurement, EstimateRow)], axis: &Axis, name: &str, style: Style, value: Value) -> Series {
     let point = |(m, row): &(Measurement, EstimateRow)| {
         let (y, sd) = value(m, row)?;
         Some(Point { x: axis.place(row.index, row.time_s), y, sd })

@@ -152,11 +152,12 @@ fn gaps_and_jumps_of_a_tracker_cost_their_poses_alone() {
 
 #[test]
 fn a_tracker_in_another_unit_or_frame_is_told_so() {
-    let cases: [(&dyn Fn(usize, &mut [f64; 7]), &str); 4] = [
-        (&|_, pose| pose[..3].iter_mut().for_each(|x| *x /= 1000.0), "look as if in metres; write them in mm"),
-        (&|_, pose| pose[..3].iter_mut().for_each(|x| *x *= 10.0), "check the unit"),
-        (&|_, pose| pose[1] = -pose[1], "unless the y axis of the positions is turned round; change its sign"),
-        (&|_, pose| pose[3..].rotate_left(1), "the order of quaternions (qw,qx,qy,qz)"),
+    type Change = fn(usize, &mut [f64; 7]);
+    let cases: [(Change, &str); 4] = [
+        (|_, pose| pose[..3].iter_mut().for_each(|x| *x /= 1000.0), "look as if in metres; write them in mm"),
+        (|_, pose| pose[..3].iter_mut().for_each(|x| *x *= 10.0), "check the unit"),
+        (|_, pose| pose[1] = -pose[1], "unless the y axis of the positions is turned round; change its sign"),
+        (|_, pose| pose[3..].rotate_left(1), "the order of quaternions (qw,qx,qy,qz)"),
     ];
     for (change, expected) in cases {
         let sandbox = tracked(change);
