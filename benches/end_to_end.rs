@@ -88,6 +88,7 @@ type Step<'a> = (&'static str, bool, Box<dyn FnMut() + Send + 'a>);
 fn frame_steps(eye: &Eye, path: &Path, figures: &mut Figures) {
     let bytes = std::fs::read(path).unwrap();
     let frame: Frame = read_frame(path).unwrap();
+    // 1.5° away: what the frame before it or an encoder reading would make expect.
     let last = eye.measure(&frame).bend.unwrap().vector * 0.97;
     let Samples::Bits8(samples) = &frame.samples else { unreachable!("the bundled frames have 8 bits") };
     let mut copy = vec![0_u8; samples.len()];
@@ -110,6 +111,7 @@ fn frame_steps(eye: &Eye, path: &Path, figures: &mut Figures) {
             }),
         ),
         ("measure_cpu_ms", true, Box::new(|| drop(black_box(eye.measure(&frame))))),
+        ("expected_cpu_ms", true, Box::new(|| drop(black_box(eye.measure_expected(&frame, last))))),
         ("track_cpu_ms", true, Box::new(|| drop(black_box(eye.track(&frame, last))))),
         ("measure_wall_ms", false, Box::new(|| drop(black_box(eye.measure(&frame))))),
         ("track_wall_ms", false, Box::new(|| drop(black_box(eye.track(&frame, last))))),

@@ -210,6 +210,7 @@ impl Args {
                     views: &views,
                     trackers: &trackers,
                     encoders: &readings,
+                    model: &model,
                     follow: false,
                     shard: Shard::WHOLE,
                     after: None,

@@ -7,7 +7,9 @@ use super::views::OpenView;
 use crate::camera::{Frame, FrameSource, Lens, SourceFrame};
 use crate::measure::{Eye, FrameMeasurement, fused};
 use crate::observation::{EncoderReading, Measurement, Status};
+use crate::robot::Model;
 use crate::{Error, Result};
+use nalgebra::Vector2;
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::iter::Peekable;
@@ -35,6 +37,8 @@ pub struct Flow<'a> {
     pub trackers: &'a [OpenTracker],
     /// The encoder log in order of its index, which tells times that the frames do not; empty where there is none.
     pub encoders: &'a [EncoderReading],
+    /// The model by which a reading tells about which bend to expect.
+    pub model: &'a Model,
     /// Whether a camera that moves is followed from frame to frame.
     pub follow: bool,
     /// The part of the frames that is measured.
@@ -96,7 +100,9 @@ impl Flow<'_> {
             prepared.filter(|_| wanted).map(|prepared| (rank, index, prepared))
         });
         let work = |(rank, index, prepared): (usize, u64, Result<Vec<Prepared>>)| {
-            let seen = prepared?.into_iter().map(|prepared| self.see(prepared, &clocks)).collect::<Result<Vec<_>>>()?;
+            let bend = self.reading(index).and_then(|reading| self.model.forward_bend(&reading.q_mm).ok());
+            let see = |prepared| self.see(prepared, bend, &clocks);
+            let seen = prepared?.into_iter().map(see).collect::<Result<Vec<_>>>()?;
             let measurement = self.row(index, &seen);
             let frames = seen.iter().filter_map(|seen| Some((seen.view, seen.frame.as_ref()?))).collect();
             draw(&MeasuredFrames { rank, count: expected, measurement: &measurement, frames })?;
@@ -139,11 +145,24 @@ impl Flow<'_> {
         Ok(counts?.into_iter().max().flatten())
     }
 
-    /// What one view saw: reads and measures its frame.
-    fn see(&self, Prepared { view, time_s, ready }: Prepared, clocks: &Clocks) -> Result<Seen<'_>> {
+    /// The encoder reading of an index.
+    fn reading(&self, index: u64) -> Option<&EncoderReading> {
+        self.encoders.binary_search_by_key(&index, |reading| reading.index).ok().map(|place| &self.encoders[place])
+    }
+
+    /// What one view saw: reads and measures its frame, where a reading tells which bend vector to expect from there.
+    fn see(
+        &self,
+        Prepared { view, time_s, ready }: Prepared,
+        expected: Option<Vector2<f64>>,
+        clocks: &Clocks,
+    ) -> Result<Seen<'_>> {
         let view = &self.views[view];
         let measure = |eye: &Eye, frame: Frame| {
-            let measurement = clocks.measuring.time(|| eye.measure(&frame));
+            let measurement = clocks.measuring.time(|| match expected {
+                Some(expected) => eye.measure_expected(&frame, expected),
+                None => eye.measure(&frame),
+            });
             (Some(frame), measurement)
         };
         let (frame, measurement) = match ready {
@@ -172,10 +191,7 @@ impl Flow<'_> {
         let answered =
             |(_, measurement): &&(&str, &FrameMeasurement)| measured.is_none() || measurement.measured.is_some();
         let names: Vec<&str> = all.iter().filter(answered).map(|(name, _)| *name).collect();
-        let logged = || {
-            let place = self.encoders.binary_search_by_key(&index, |reading| reading.index).ok()?;
-            Some(self.encoders[place].time_s)
-        };
+        let logged = || Some(self.reading(index)?.time_s);
         let told = seen.iter().find_map(|s| s.time_s).or_else(|| tracked.first().map(|(_, time_s, _)| *time_s));
         let time_s = told.or_else(logged);
         Measurement { index, time_s, status, measured, quality, view: Some(names.join("+")) }

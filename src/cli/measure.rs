@@ -58,7 +58,7 @@ impl Args {
             return Ok(self.explain(console, &experiment, &views, index)?);
         }
         let trackers = open_trackers(console, &experiment, &model.robot, &encoders)?;
-        let inputs = (self.experiment.as_path(), &experiment, &views[..], &trackers[..], &encoders[..]);
+        let inputs = (self.experiment.as_path(), &experiment, &views[..], &trackers[..], &encoders[..], &model);
         let throughput = match self.measuring.measure(console, inputs, None, &self.output, |_| Ok(()))? {
             Measured::Shard(throughput) => throughput,
             Measured::Whole(journal, throughput) => {

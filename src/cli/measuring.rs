@@ -9,6 +9,7 @@ use super::views::OpenView;
 use crate::cli::failure::Failure;
 use crate::observation::EncoderReading;
 use crate::record::{Experiment, MeasurementJournal, MeasurementRows, remove_abandoned, write_atomically};
+use crate::robot::Model;
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -59,12 +60,12 @@ impl MeasuringArgs {
     pub fn measure(
         &self,
         console: &Console,
-        inputs: (&Path, &Experiment, &[OpenView], &[OpenTracker], &[EncoderReading]),
+        inputs: (&Path, &Experiment, &[OpenView], &[OpenTracker], &[EncoderReading], &Model),
         run: Option<Settings>,
         output: &Path,
         draw: impl Fn(&MeasuredFrames) -> Result<()> + Sync,
     ) -> Result<Measured> {
-        let (named, experiment, views, trackers, encoders) = inputs;
+        let (named, experiment, views, trackers, encoders, model) = inputs;
         let shard = self.shard.unwrap_or(Shard::WHOLE);
         let origin = Origin::new(named, experiment, views, shard, self.follow, run)?;
         let marker = output.join(SHARD);
@@ -82,7 +83,7 @@ impl MeasuringArgs {
         if journal.rows() > 0 {
             console.say(format!("{} frames were measured before", journal.rows()));
         }
-        let flow = Flow { views, trackers, encoders, follow: self.follow, shard, after: journal.last() };
+        let flow = Flow { views, trackers, encoders, model, follow: self.follow, shard, after: journal.last() };
         let flowed = flow.run(console, draw, |measurement| journal.append(&measurement)).inspect_err(|_| {
             console.say(format!("{} rows are kept in {}; --resume goes on", journal.rows(), journal.path().display()));
         })?;

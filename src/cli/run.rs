@@ -100,7 +100,8 @@ impl Args {
         let views = open_views(&experiment, &inputs.start.robot)?;
 
         let trackers = open_trackers(console, &experiment, &inputs.start.robot, &inputs.encoders)?;
-        let sources = (self.experiment.as_path(), &experiment, &views[..], &trackers[..], &inputs.encoders[..]);
+        let (encoders, start) = (&inputs.encoders[..], &inputs.start);
+        let sources = (self.experiment.as_path(), &experiment, &views[..], &trackers[..], encoders, start);
         let folder = self.output.join("overlays");
         if !self.measuring.resume {
             overlays::remove_former(&folder)?;

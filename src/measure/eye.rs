@@ -23,33 +23,17 @@ use crate::measure::rig::{Rig, RigDriftMonitor};
 use crate::observation::{Quality, Shape, Status};
 use crate::robot::{BendProfile, Robot};
 use nalgebra::{Matrix6, Vector2};
-use rayon::prelude::*;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
-/// How many candidates the coarse search hands on.
-///
-/// Fitted: by hand on renders; judged by `tests/robustness`.
-const CANDIDATES: usize = 6;
-/// How many candidates are fitted at a time.
-///
-/// Convention: two whatever the number of cores, so that the answer does not depend on it.
-const CANDIDATES_AT_A_TIME: usize = 2;
-/// How many coarse fits are refined.
-///
-/// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
-const REFINED: usize = 2;
 /// A fit has converged when a round moves the bend by less than this, rad: the tip then moves by less than half a pixel, and the same
 /// edges would be found again.
 ///
 /// Derived: L/2 · 1e-3 = 0.013 mm for L = 26 mm, half a pixel at 38 px/mm.
-const CONVERGED_RAD: f64 = 1e-3;
-/// The fit of a candidate, from the lattice of the coarse search.
+pub(super) const CONVERGED_RAD: f64 = 1e-3;
+/// The refinement of a coarse fit.
 ///
 /// Fitted: the search distances, by hand on renders, here and below; judged by `tests/robustness`.
-const COARSE: FitSchedule =
-    FitSchedule { searches_px: &[14.0, 8.0], rounds: 2, is_fine: false, converged_rad: CONVERGED_RAD };
-/// The refinement of a coarse fit.
-const REFINEMENT: FitSchedule =
+pub(super) const REFINEMENT: FitSchedule =
     FitSchedule { searches_px: &[6.0, 3.0], rounds: 20, is_fine: false, converged_rad: CONVERGED_RAD };
 /// Both in one, from a start that is close: the last frame's bend, or a mirrored solution.
 const COARSE_TO_REFINED: FitSchedule = FitSchedule { searches_px: &[14.0, 6.0, 3.0], ..REFINEMENT };
@@ -62,15 +46,11 @@ const TRACKED_FINE: FitSchedule = FitSchedule { rounds: 1, ..FINE };
 /// little off, which changes the cost by some tens of per cent.
 ///
 /// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
-const NEXT_STAGE_COST_RATIO: f64 = 3.0;
-/// Of coarse fits that end within this distance of each other, rad, only the best is refined.
-///
-/// Convention: half a spacing of the coarse search's lattice.
-const SAME_COARSE_RAD: f64 = 0.035;
+pub(super) const NEXT_STAGE_COST_RATIO: f64 = 3.0;
 /// Refined fits that end within this distance of each other, rad, are one local minimum.
 ///
 /// Convention: five times what they have converged to.
-const SAME_MINIMUM_RAD: f64 = 5e-3;
+pub(super) const SAME_MINIMUM_RAD: f64 = 5e-3;
 /// How far the snake's outline may move between two frames of a tracked sequence, px.
 ///
 /// Convention: a snake that moves further is searched everywhere, which takes longer but costs no accuracy.
@@ -108,8 +88,8 @@ pub struct Eye {
     pub(super) lens: Lens,
     pub(super) rig: Rig,
     pub(super) robot: Robot,
-    /// The coarse search, and the camera's pose that it was made for.
-    pub(super) search: Arc<CoarseSearch>,
+    /// The coarse search, made when a frame first asks for it, and the camera's pose that it is made for.
+    pub(super) search: Arc<OnceLock<CoarseSearch>>,
     pub(super) search_pose: Pose,
     pub(super) drift_monitor: Arc<RigDriftMonitor>,
     /// The pose's covariance as calibrated, before a moving camera was followed.
@@ -125,20 +105,45 @@ pub(super) struct MeasurementStages {
     pub measurement: FrameMeasurement,
 }
 
+/// The verdict on a frame, and the fits that it is drawn from.
+struct Conclusion {
+    /// The local minima, best first.
+    fits: Vec<BendFit>,
+    /// Whether another of them was no worse in the fine stage than the best one so far.
+    has_alternative: bool,
+    measurement: FrameMeasurement,
+}
+
+impl Conclusion {
+    /// Whether a snake was measured, and no other bend came near to explaining the picture as well.
+    fn is_certain(&self) -> bool {
+        self.measurement.status == Status::Ok && !self.has_alternative
+    }
+}
+
 /// The outcome of the selection among local minima.
 struct Selection {
     /// The local minima, best first.
     fits: Vec<BendFit>,
     /// Whether there is a first and its fit in the fine stage succeeded.
     has_fine_fit: bool,
+    /// Whether another of them was no worse in the fine stage than the best one so far.
+    has_alternative: bool,
     /// Whether another one explains the picture as well as the first.
     is_ambiguous: bool,
 }
 
+impl Selection {
+    /// None of these minima has a fit in the fine stage.
+    fn without_fine_fit(fits: Vec<BendFit>) -> Self {
+        Self { fits, has_fine_fit: false, has_alternative: false, is_ambiguous: false }
+    }
+}
+
 impl Eye {
-    /// An eye for one view. Prepares the coarse search, which takes about as long as measuring a few frames.
+    /// An eye for one view. The first frame that is looked for everywhere takes longer than others: the coarse search is prepared then.
     pub fn new(lens: Lens, rig: Rig, robot: Robot) -> Self {
-        let search = Arc::new(CoarseSearch::new(&lens, rig.camera_from_base, &robot));
+        let search = Arc::default();
         let (search_pose, calibrated_covariance) = (rig.camera_from_base, rig.pose_covariance);
         let view = Projection { lens: &lens, camera_from_base: rig.camera_from_base, robot: &robot };
         let drift_monitor = Arc::new(RigDriftMonitor::new(&lens, &rig, &view));
@@ -162,32 +167,52 @@ impl Eye {
 
     /// Measures one frame: θ and δ in the base's axes.
     pub fn measure(&self, frame: &Frame) -> FrameMeasurement {
-        self.measure_in_stages(frame).measurement
+        self.measure_in_stages(frame, None).measurement
+    }
+
+    /// Measures one frame of a snake whose bend vector is expected to be about this: of the candidates the nearest is tried alone, and the
+    /// others only where its fit does not agree with the outline everywhere, or another bend might do so too. Says the same as
+    /// [`measure`](Self::measure), sooner.
+    pub fn measure_expected(&self, frame: &Frame, expected: Vector2<f64>) -> FrameMeasurement {
+        self.measure_in_stages(frame, Some(expected)).measurement
     }
 
     /// Measures a frame of a sequence whose `last` bend vector is known: fits from there, and searches everywhere only where that
     /// does not give a snake. Says the same as [`measure`](Self::measure) to about a hundredth of a degree, sooner.
     pub fn track(&self, frame: &Frame, last: Vector2<f64>) -> FrameMeasurement {
-        self.measure_near(frame, last).unwrap_or_else(|| self.measure(frame))
+        self.measure_near(frame, last, |_| true).unwrap_or_else(|| self.measure(frame))
     }
 
-    /// Measures one frame and keeps what its stages found.
-    pub(super) fn measure_in_stages(&self, frame: &Frame) -> MeasurementStages {
+    /// Measures a snake that is taken for straight: searches everywhere only where a straight start does not lead to a bend that explains
+    /// all of the outline.
+    pub(super) fn measure_straight(&self, frame: &Frame) -> FrameMeasurement {
+        self.measure_near(frame, Vector2::zeros(), BendFit::explains_all).unwrap_or_else(|| self.measure(frame))
+    }
+
+    /// Measures one frame, whose bend may be expected, and keeps what its stages found.
+    pub(super) fn measure_in_stages(&self, frame: &Frame, expected: Option<Vector2<f64>>) -> MeasurementStages {
         if let Some(status) = self.unusable(frame) {
             let measurement = FrameMeasurement::failed(status, None);
             return MeasurementStages { candidates: Vec::new(), fits: Vec::new(), measurement };
         }
         let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
         let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
-        let candidates = self.search.candidates(&plane, self.rig.appearance.two_sided, CANDIDATES);
-        let coarse = self.coarse_fits(&candidates, &finder);
-        let minima = self.refine(coarse, &finder);
-        let (fits, measurement) = self.conclude(minima, frame, &finder, &FINE);
+        let candidates = self.candidates(&plane);
+        let as_expected = expected.and_then(|expected| self.minimum_near(expected, &candidates, &finder));
+        let concluded = as_expected.map(|minimum| self.conclude(vec![minimum], frame, &finder, &FINE));
+        let Conclusion { fits, measurement, .. } = concluded
+            .filter(Conclusion::is_certain)
+            .unwrap_or_else(|| self.conclude(self.minima(&candidates, &finder), frame, &finder, &FINE));
         MeasurementStages { candidates, fits, measurement }
     }
 
-    /// What [`track`](Self::track) finds near the last bend; `None` where that is not certain to be the snake.
-    fn measure_near(&self, frame: &Frame, last: Vector2<f64>) -> Option<FrameMeasurement> {
+    /// What a fit from the last bend finds, if it is enough to go by; `None` where that is not certain to be the snake.
+    fn measure_near(
+        &self,
+        frame: &Frame,
+        last: Vector2<f64>,
+        is_enough: impl Fn(&BendFit) -> bool,
+    ) -> Option<FrameMeasurement> {
         if self.unusable(frame).is_some() {
             return None;
         }
@@ -195,12 +220,12 @@ impl Eye {
         let region = view.image_region(BendProfile::arc(last), TRACKED_MOTION_PX);
         let plane = self.plane(frame, &region);
         let finder = EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region);
-        let near = self.fit(&finder, self.start(last), &COARSE_TO_REFINED)?;
+        let near = self.fit(&finder, self.start(last), &COARSE_TO_REFINED).filter(is_enough)?;
         // A snake that reaches out of the region was not seen whole.
         if !region.contains(&view.image_region(near.profile, Outline::REACH_PX)) {
             return None;
         }
-        let (_, measurement) = self.conclude(vec![near], frame, &finder, &TRACKED_FINE);
+        let Conclusion { measurement, .. } = self.conclude(vec![near], frame, &finder, &TRACKED_FINE);
         (measurement.status == Status::Ok).then_some(measurement)
     }
 
@@ -218,15 +243,16 @@ impl Eye {
         is_saturated(frame).then_some(Status::Saturated)
     }
 
-    fn start(&self, bend: Vector2<f64>) -> Start {
-        Start { state: State { profile: BendProfile::arc(bend), bias: self.rig.edge_bias }, blur_px: None }
+    pub(super) fn start(&self, bend: Vector2<f64>) -> Start {
+        let state = State { profile: BendProfile::arc(bend), bias: self.rig.edge_bias };
+        Start { state, blur_px: None, origin: bend }
     }
 
-    fn mirrored(&self, bend: Vector2<f64>) -> Vector2<f64> {
+    pub(super) fn mirrored(&self, bend: Vector2<f64>) -> Vector2<f64> {
         mirrored(bend, &self.rig.camera_from_base)
     }
 
-    fn fit(&self, finder: &EdgeFinder, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
+    pub(super) fn fit(&self, finder: &EdgeFinder, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
         fit_bend(&self.projection(), finder, start, self.rig.prior(), schedule)
     }
 
@@ -245,44 +271,12 @@ impl Eye {
         Some(best)
     }
 
-    /// Fits the candidates, best first, until one explains all of the outline, and the mirrored solution of the best: the coarse
-    /// search may have taken one for the other, and the fit of the wrong one then ends between both.
-    fn coarse_fits(&self, candidates: &[Vector2<f64>], finder: &EdgeFinder) -> Vec<BendFit> {
-        let fit = |bend: Vector2<f64>| Some((bend, self.fit(finder, self.start(bend), &COARSE)?));
-        let mut fits: Vec<(Vector2<f64>, BendFit)> = Vec::new();
-        for few in candidates.chunks(CANDIDATES_AT_A_TIME) {
-            fits.par_extend(few.par_iter().filter_map(|&bend| fit(bend)));
-            if fits.iter().any(|(_, fit)| fit.explains_all()) {
-                break;
-            }
-        }
-        let best = fits.iter().min_by(|(_, a), (_, b)| a.cost.total_cmp(&b.cost));
-        let mirrored = best.and_then(|(candidate, _)| fit(self.mirrored(*candidate)));
-        fits.extend(mirrored);
-        fits.into_iter().map(|(_, fit)| fit).collect()
-    }
-
-    /// Fits the best of the coarse fits until they converge.
-    fn refine(&self, coarse: Vec<BendFit>, finder: &EdgeFinder) -> Vec<BendFit> {
-        let mut coarse = distinct(coarse, SAME_COARSE_RAD);
-        coarse.truncate(REFINED);
-        let least_cost = coarse.first().map_or(0.0, |best| best.cost);
-        let promising = coarse.par_iter().filter(|fit| fit.cost <= NEXT_STAGE_COST_RATIO * least_cost);
-        promising.filter_map(|fit| self.fit(finder, fit.start(), &REFINEMENT)).collect()
-    }
-
     /// Selects among the minima and gives the verdict on the best, beside the check of whether camera, base and target are where the
     /// rig says.
-    fn conclude(
-        &self,
-        minima: Vec<BendFit>,
-        frame: &Frame,
-        finder: &EdgeFinder,
-        fine: &FitSchedule,
-    ) -> (Vec<BendFit>, FrameMeasurement) {
+    fn conclude(&self, minima: Vec<BendFit>, frame: &Frame, finder: &EdgeFinder, fine: &FitSchedule) -> Conclusion {
         let select = || self.select(minima, finder, fine);
         let (selection, drift) = rayon::join(select, || self.drift_monitor.check(frame, finder));
-        let Selection { fits, has_fine_fit, is_ambiguous } = selection;
+        let Selection { fits, has_fine_fit, has_alternative, is_ambiguous } = selection;
         let mut measurement = match fits.first().filter(|_| has_fine_fit) {
             Some(best) => self.verdict(best, is_ambiguous, finder),
             None => FrameMeasurement::failed(Status::NoSnake, None),
@@ -291,16 +285,16 @@ impl Eye {
             quality.base_moved_px = drift.base.map(|base| base.by.norm());
             quality.grid_moved_px = drift.grid.map(|grid| grid.px);
         }
-        match drift.status() {
-            Some(status) => (fits, FrameMeasurement::failed(status, measurement.quality)),
-            None => (fits, measurement),
+        if let Some(status) = drift.status() {
+            measurement = FrameMeasurement::failed(status, measurement.quality);
         }
+        Conclusion { fits, has_alternative, measurement }
     }
 
     /// Fits the best of some local minima in the fine stage, and finds out whether another one explains the picture as well.
     fn select(&self, minima: Vec<BendFit>, finder: &EdgeFinder, fine: &FitSchedule) -> Selection {
         let fits = distinct(minima, SAME_MINIMUM_RAD);
-        let Some(best) = fits.first() else { return Selection { fits, has_fine_fit: false, is_ambiguous: false } };
+        let Some(best) = fits.first() else { return Selection::without_fine_fit(fits) };
         let fit_mirrored = || {
             let bend = self.mirrored(best.bend());
             let is_close = (bend - best.bend()).norm() < EDGE_ON_RAD;
@@ -311,14 +305,16 @@ impl Eye {
             finest = self.fit_fine(finder, mirrored.start(), fine);
         }
         let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
-        let Some(mut best) = finest else { return Selection { fits, has_fine_fit: false, is_ambiguous: false } };
+        let Some(mut best) = finest else { return Selection::without_fine_fit(fits) };
         let diameter_px = self.projection().diameter_px();
         let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, diameter_px);
         let alternatives = fits[1..].iter().filter(|other| other.cost <= NEXT_STAGE_COST_RATIO * fits[0].cost);
-        let mut is_ambiguous = false;
+        let (mut has_alternative, mut is_ambiguous) = (false, false);
         // An alternative may end at the same bend in the fine stage, or prove to be worse.
         for other in alternatives.filter_map(|other| self.fit_fine(finder, other.start(), fine)) {
-            match compare(&other, &best) {
+            let compared = compare(&other, &best);
+            has_alternative |= compared != Alternative::Worse;
+            match compared {
                 Alternative::EdgeOn => best = best.or_edge_on(other),
                 Alternative::AsGood if compare(&best, &other) == Alternative::Worse => best = other,
                 Alternative::AsGood if other.has_likelier_shape_than(&best) => best = other,
@@ -327,7 +323,7 @@ impl Eye {
             }
         }
         fits[0] = best;
-        Selection { fits, has_fine_fit: true, is_ambiguous }
+        Selection { fits, has_fine_fit: true, has_alternative, is_ambiguous }
     }
 
     /// The measurement of a fit that can be believed, or why it cannot.

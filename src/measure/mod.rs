@@ -22,6 +22,7 @@ mod fit;
 mod fixture;
 mod image;
 mod measurement;
+mod minima;
 mod rig;
 mod sequence;
 mod several;

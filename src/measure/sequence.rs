@@ -3,10 +3,10 @@
 use crate::camera::Frame;
 use crate::geometry::Pose;
 use crate::measure::eye::{Eye, MeasurementStages};
-use crate::measure::fit::{CoarseSearch, EdgeFinder, Start};
+use crate::measure::fit::{EdgeFinder, Start};
 use crate::measure::image::exposure::is_saturated;
-use crate::measure::image::plane::{Plane, Region};
-use crate::measure::rig::{Followed, Rig, RigDriftMonitor, RigFollower, refined_rig};
+use crate::measure::image::plane::Region;
+use crate::measure::rig::{Followed, Rig, RigDriftMonitor, RigFollower, SnakePlane, refined_rig};
 use crate::observation::Status;
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -16,6 +16,11 @@ use std::sync::Arc;
 ///
 /// Convention: a pixel or two of the search's small picture.
 const SEARCH_OFF_PX: f64 = 4.0;
+/// How much of a picture is kept around the snake for the refinement of the rig, px.
+///
+/// Derived: from the outline edges are searched up to 3 px away and examined 5 px further, the filters reach up to 9 px, and the outline
+/// moves by a pixel or two while the rig does.
+const REFINING_REACH_PX: f64 = 20.0;
 
 impl Eye {
     /// This eye with its rig refined from frames of a sequence: the errors of pose and bias are then what the frames
@@ -23,15 +28,19 @@ impl Eye {
     /// can, the eye stays as it is.
     pub fn refined(self, frames: impl ParallelIterator<Item = Frame>) -> Self {
         let find = |frame: Frame| {
-            let MeasurementStages { measurement, fits, .. } = self.measure_in_stages(&frame);
+            let MeasurementStages { measurement, fits, .. } = self.measure_in_stages(&frame, None);
             // What shape a snake has that is no arc is told by its frames together, where none tells it alone.
             let is_seen = matches!(measurement.status, Status::Ok | Status::UnknownShape);
             let fit = fits.first().filter(|_| is_seen)?;
-            Some((self.plane(&frame, &Region::whole(frame.width, frame.height)), fit.start()))
+            let plane = self.plane(&frame, &Region::whole(frame.width, frame.height));
+            let surroundings = self.projection().image_region(fit.profile, REFINING_REACH_PX);
+            Some((SnakePlane::new(&plane, &surroundings), fit.start()))
         };
-        let (planes, starts): (Vec<Plane>, Vec<Start>) = frames.filter_map(find).unzip();
+        // Made before frames are measured in parallel, of which each would make one of its own.
+        self.search();
+        let (planes, starts): (Vec<SnakePlane>, Vec<Start>) = frames.filter_map(find).unzip();
         match refined_rig(&self.lens, &self.robot, &self.rig, &planes, starts) {
-            Some(rig) => Self::new(self.lens, rig, self.robot),
+            Some(rig) => Self::new(self.lens.clone(), rig, self.robot.clone()).with_search_of(&self),
             None => self,
         }
     }
@@ -59,16 +68,19 @@ impl Eye {
         })
     }
 
-    /// The same eye with another rig, near enough for the coarse search to serve or with a new one.
+    /// The same eye with another rig.
     fn with_rig(&self, rig: Rig, drift_monitor: RigDriftMonitor) -> Self {
+        let search_pose = rig.camera_from_base;
+        let eye =
+            Self { rig, drift_monitor: Arc::new(drift_monitor), search: Arc::default(), search_pose, ..self.clone() };
+        eye.with_search_of(self)
+    }
+
+    /// This eye with the coarse search of another one, where both see the snake's ends nearly at the same places.
+    fn with_search_of(self, other: &Self) -> Self {
         let pixel = |pose: &Pose, along_mm: f64| self.lens.project(&(pose * Point3::new(0.0, 0.0, along_mm)));
-        let shift_px = |along_mm| (pixel(&rig.camera_from_base, along_mm) - pixel(&self.search_pose, along_mm)).norm();
-        let is_far = shift_px(0.0).max(shift_px(self.robot.length_mm)) > SEARCH_OFF_PX;
-        let mut eye = Self { rig, drift_monitor: Arc::new(drift_monitor), ..self.clone() };
-        if is_far {
-            eye.search_pose = eye.rig.camera_from_base;
-            eye.search = Arc::new(CoarseSearch::new(&eye.lens, eye.search_pose, &eye.robot));
-        }
-        eye
+        let shift_px = |along_mm| (pixel(&self.search_pose, along_mm) - pixel(&other.search_pose, along_mm)).norm();
+        let is_near = shift_px(0.0).max(shift_px(self.robot.length_mm)) <= SEARCH_OFF_PX;
+        if is_near { Self { search: other.search.clone(), search_pose: other.search_pose, ..self } } else { self }
     }
 }

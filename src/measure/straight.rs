@@ -21,7 +21,7 @@ const BENT_SIGMAS: f64 = 3.0;
 /// Why the try that came furthest ended, with the values that tell; or that the snake is bent, by how much.
 pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOptions) -> Result<Rig, RigError> {
     let rig = find_rig(frame, lens, robot, options)?;
-    let seen = Eye::new(lens.clone(), rig.clone(), robot.clone()).measure(frame).measured;
+    let seen = Eye::new(lens.clone(), rig.clone(), robot.clone()).measure_straight(frame).measured;
     if let Some(bend) = seen {
         let (theta_deg, sigma_deg) = (bend.configuration.theta_deg(), bend.sigma_theta.to_degrees());
         if theta_deg > MOST_BEND_DEG.max(BENT_SIGMAS * sigma_deg) {

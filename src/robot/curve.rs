@@ -16,6 +16,7 @@ use super::kinematics::{arc_functions, rotation_vector};
 use crate::geometry::{Configuration, Pose, sinc};
 use nalgebra::{Matrix3, Matrix3x2, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3};
 use std::f64::consts::PI;
+use std::sync::LazyLock;
 
 /// How many functions φ_k there are.
 /// Derived: two make any linear change of curvature and any S; the third makes sin πu to a hundredth of its height.
@@ -58,7 +59,11 @@ impl BendProfile {
 
     /// ϑ(u), rad.
     pub fn at(&self, u: f64) -> Vector2<f64> {
-        let weights = weights(u);
+        self.weighted(&weights(u))
+    }
+
+    /// ϑ where its numbers have these [`weights`], rad.
+    fn weighted(&self, weights: &[f64; 1 + MODES]) -> Vector2<f64> {
         self.modes.iter().zip(&weights[1..]).fold(self.tip * weights[0], |sum, (mode, weight)| sum + mode * *weight)
     }
 
@@ -77,6 +82,10 @@ impl BendProfile {
         Self { tip: self.tip + pair(0), modes: std::array::from_fn(|k| self.modes[k] + pair(k + 1)) }
     }
 }
+
+/// [`weights`] at the ends and the middles of all pieces.
+static PIECE_WEIGHTS: LazyLock<[[f64; 1 + MODES]; 2 * PIECES + 1]> =
+    LazyLock::new(|| std::array::from_fn(|half| weights(0.5 * half as f64 / PIECES as f64)));
 
 /// ∂ϑ(u)/∂(b, a_1, a_2, …): u and the φ_k.
 fn weights(u: f64) -> [f64; 1 + MODES] {
@@ -146,14 +155,15 @@ impl Curve {
     /// The centreline of a robot's snake with this profile.
     pub fn new(robot: &Robot, profile: &BendProfile) -> Self {
         let piece_mm = robot.length_mm / PIECES as f64;
-        let at = |u: f64| (Section::new(profile.at(u)), weights(u));
-        let (first, zero) = at(0.0);
+        // Half pieces are counted.
+        let at = |half: usize| (Section::new(profile.weighted(&PIECE_WEIGHTS[half])), PIECE_WEIGHTS[half]);
+        let (first, zero) = at(0);
         let mut nodes = Vec::with_capacity(PIECES + 1);
         nodes.push(Node { place: Vector3::zeros(), moved: SMatrix::zeros(), at: first, weights: zero });
         for k in 0..PIECES {
             let before = nodes[k];
-            let (middle, half) = at((k as f64 + 0.5) / PIECES as f64);
-            let (after, whole) = at((k as f64 + 1.0) / PIECES as f64);
+            let (middle, half) = at(2 * k + 1);
+            let (after, whole) = at(2 * k + 2);
             // Simpson's rule over the piece.
             let place = before.at.tangent + middle.tangent * 4.0 + after.tangent;
             let moved = before.at.tangent_moved(&before.weights)

@@ -35,8 +35,9 @@ pub fn clustered_covariance<K: Ord>(
     let mut sums: BTreeMap<K, (DMatrix<f64>, DVector<f64>)> = BTreeMap::new();
     let mut priors = DMatrix::zeros(parameters, parameters);
     let mut names = clusters.into_iter();
+    let rows = jacobian.transpose();
     for row in 0..jacobian.nrows() {
-        let slopes = jacobian.row(row).transpose();
+        let slopes = rows.column(row);
         match names.next() {
             Some(name) => {
                 let (information, score) = sums.entry(name).or_insert_with(zero);

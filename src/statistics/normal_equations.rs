@@ -8,11 +8,18 @@ pub fn normal_equations(
     residuals: &DVector<f64>,
     weights: &DVector<f64>,
 ) -> (DMatrix<f64>, DVector<f64>) {
-    let mut weighted = jacobian.clone();
-    for mut column in weighted.column_iter_mut() {
-        column.component_mul_assign(weights);
+    let parameters = jacobian.ncols();
+    let (mut information, mut slope) = (DMatrix::zeros(parameters, parameters), DVector::zeros(parameters));
+    for k in 0..parameters {
+        let weighted = jacobian.column(k).component_mul(weights);
+        slope[k] = weighted.dot(residuals);
+        // The other triangle is the same.
+        for other in k..parameters {
+            let sum = jacobian.column(other).dot(&weighted);
+            (information[(other, k)], information[(k, other)]) = (sum, sum);
+        }
     }
-    (jacobian.tr_mul(&weighted), weighted.tr_mul(residuals))
+    (information, slope)
 }
 
 #[cfg(test)]

@@ -99,7 +99,12 @@ impl BendFit {
 
     /// Whether the fit explains all of the outline, with every disk visible, so that no other bend needs to be tried.
     pub fn explains_all(&self) -> bool {
-        if self.cost >= EXPLAINING_COST || self.inlier_fraction() < EXPLAINING_INLIERS {
+        self.cost < EXPLAINING_COST && self.agrees_everywhere()
+    }
+
+    /// Whether nearly all of the outline has its edge, and every disk is visible.
+    pub fn agrees_everywhere(&self) -> bool {
+        if self.inlier_fraction() < EXPLAINING_INLIERS {
             return false;
         }
         let visibility = self.visibility();

@@ -54,6 +54,8 @@ const LINEAR_RAD: f64 = 5e-3;
 /// The snake's bend in one picture.
 #[derive(Debug, Clone)]
 pub(crate) struct BendFit {
+    /// Where the first of the fits started that led here.
+    pub origin: Vector2<f64>,
     /// The bend along the snake.
     pub profile: BendProfile,
     pub bias: EdgeBias,
@@ -96,7 +98,8 @@ impl BendFit {
 
     /// Where another fit may go on from here.
     pub fn start(&self) -> Start {
-        Start { state: State { profile: self.profile, bias: self.bias }, blur_px: Some(self.blur_px) }
+        let state = State { profile: self.profile, bias: self.bias };
+        Start { state, blur_px: Some(self.blur_px), origin: self.origin }
     }
 }
 
@@ -130,6 +133,8 @@ pub(crate) struct Start {
     pub state: State,
     /// The blur of the picture's edges, σ in px, if it is known.
     pub blur_px: Option<f64>,
+    /// The tip's bend vector where the first of the fits started that led here, rad.
+    pub origin: Vector2<f64>,
 }
 
 /// Fits bend and edge bias by matching edges within ever smaller distances.
@@ -161,6 +166,7 @@ struct Fitting<'a> {
     finder: &'a EdgeFinder<'a>,
     schedule: &'a FitSchedule,
     prior: FramePrior,
+    origin: Vector2<f64>,
     state: State,
     phase: RobustPhase,
     /// The blur that the model is given, in the fine stage.
@@ -195,6 +201,7 @@ impl<'a> Fitting<'a> {
             finder,
             schedule,
             prior: blur_px.map_or(prior, |blur_px| prior.at_blur(blur_px)),
+            origin: start.origin,
             state: start.state,
             phase: if schedule.is_fine { RobustPhase::Redescending } else { RobustPhase::Monotone },
             blur_px,
@@ -261,7 +268,7 @@ impl<'a> Fitting<'a> {
 
     /// The fit with its covariance, from the last round.
     fn finish(self) -> Option<BendFit> {
-        let Self { view, state, prior, .. } = self;
+        let Self { view, state, prior, origin, .. } = self;
         let Round { edges, roots, search_px } = self.last?;
         let linear = Linearised::new(&edges, view, &state);
         let distances_px = edges.in_px(linear.residuals.as_slice());
@@ -271,6 +278,7 @@ impl<'a> Fitting<'a> {
         let gain = &covariance.independent * linear.by_state.tr_mul(&linear.by_pose);
         let agreement: f64 = distances_px.iter().map(|d| 1.0 - (d / search_px).powi(2).min(1.0)).sum();
         Some(BendFit {
+            origin,
             profile: state.profile,
             bias: state.bias,
             covariance: covariance
@@ -353,7 +361,7 @@ mod tests {
 
     fn fitted(scene: &Scene, plane: &Plane, start: Vector2<f64>) -> BendFit {
         let (view, finder) = (scene.view(), EdgeFinder::new(plane, false));
-        let start = Start { state: state(start), blur_px: None };
+        let start = Start { state: state(start), blur_px: None, origin: start };
         let coarse = fit_bend(&view, &finder, start, FramePrior::FIXTURE, &COARSE).unwrap();
         fit_bend(&view, &finder, coarse.start(), FramePrior::FIXTURE, &FINE).unwrap()
     }

@@ -72,10 +72,10 @@ impl CoarseSearch {
     /// darker than the snake in places and brighter in others, count contrast of either sign.
     pub fn candidates(&self, plane: &Plane, two_sided: bool, most: usize) -> Vec<Vector2<f64>> {
         let (least, largest) = CONTRAST_RANGE;
-        let small: Vec<i32> =
-            plane.shrunk(SHRINK).data.iter().map(|v| (VALUE_STEPS * v.clamp(least, largest)) as i32).collect();
+        let small: Vec<i16> =
+            plane.shrunk::<SHRINK>().data.iter().map(|v| (VALUE_STEPS * v.clamp(least, largest)) as i16).collect();
         // The pixels are those of the lens; in a plane of another size some are missing.
-        let value = |pixel: u32| small.get(pixel as usize).copied().unwrap_or(0);
+        let value = |pixel: u32| small.get(pixel as usize).copied().map_or(0, i32::from);
         let contrast = |step: i32| if two_sided { step.abs() } else { step };
         let mut scored: Vec<(f64, Vector2<f64>)> = self
             .bends

@@ -104,12 +104,12 @@ impl<'a> EdgeFinder<'a> {
 
     /// The same for a picture of which only a region is known.
     pub fn within(plane: &'a Plane, two_sided: bool, region: &Region) -> Self {
-        let finder = Self {
-            two_sided,
-            neighbourhood_px: NEIGHBOURHOOD_PX,
-            noise: plane.noise(region),
-            ..Self::noiseless(plane)
-        };
+        Self::with_noise(plane, two_sided, plane.noise(region))
+    }
+
+    /// The same for a picture whose noise, σ of a pixel, is known.
+    pub fn with_noise(plane: &'a Plane, two_sided: bool, noise: f64) -> Self {
+        let finder = Self { two_sided, neighbourhood_px: NEIGHBOURHOOD_PX, noise, ..Self::noiseless(plane) };
         finder.with_filter(FILTER_PX)
     }
 

@@ -121,29 +121,39 @@ impl Appearance {
         let (x, y) = region.bounds();
         let (width, height) = (x.len(), y.len());
         let mut data = vec![0.0; width * height];
+        // What each number of 8 bits of each channel adds.
+        let shares: Vec<[f32; 256]> =
+            weights.iter().map(|weight| std::array::from_fn(|number| LIGHT_8[number] * weight)).collect();
         for (row, columns) in region.rows() {
             let pixels = &mut data[(row - y.start) * width..][columns.start - x.start..columns.end - x.start];
             let first = row * frame.width as usize;
             let colours = (first + columns.start) * frame.channels..(first + columns.end) * frame.channels;
             match &frame.samples {
-                Samples::Bits8(samples) => self.discriminate(&samples[colours], &weights, &LIGHT_8, pixels),
-                Samples::Bits16(samples) => self.discriminate(&samples[colours], &weights, &LIGHT_16, pixels),
+                Samples::Bits8(samples) => self.add_up(&samples[colours], &shares, pixels),
+                Samples::Bits16(samples) => self.discriminate(&samples[colours], &weights, pixels),
             }
         }
         Plane { width, height, first: Vector2::new(x.start as f64, y.start as f64), data }
     }
 
-    /// Writes the discriminant of pixels, from their colours, the weights of their channels and the light behind each number.
-    fn discriminate<S: Sample>(&self, colours: &[S], weights: &[f32], light: &[f32], pixels: &mut [f32]) {
+    /// Writes the discriminant of pixels of 8 bits, from their colours and what each number of each channel adds.
+    fn add_up(&self, colours: &[u8], shares: &[[f32; 256]], pixels: &mut [f32]) {
         let offset = self.offset as f32;
-        let of = |v: S| light[v.into()];
-        match *weights {
+        match shares {
             [red, green, blue] => pixels.iter_mut().zip(colours.as_chunks().0).for_each(|(pixel, &[r, g, b])| {
-                *pixel = offset + of(r) * red + of(g) * green + of(b) * blue;
+                *pixel = offset + red[usize::from(r)] + green[usize::from(g)] + blue[usize::from(b)];
             }),
-            _ => pixels.iter_mut().zip(colours.chunks_exact(weights.len())).for_each(|(pixel, colour)| {
-                *pixel = offset + colour.iter().zip(weights).map(|(&v, w)| of(v) * w).sum::<f32>();
+            _ => pixels.iter_mut().zip(colours.chunks_exact(shares.len())).for_each(|(pixel, colour)| {
+                *pixel = colour.iter().zip(shares).fold(offset, |sum, (&v, share)| sum + share[usize::from(v)]);
             }),
+        }
+    }
+
+    /// The same for pixels of 16 bits, from the weights of their channels.
+    fn discriminate(&self, colours: &[u16], weights: &[f32], pixels: &mut [f32]) {
+        let offset = self.offset as f32;
+        for (pixel, colour) in pixels.iter_mut().zip(colours.chunks_exact(weights.len())) {
+            *pixel = colour.iter().zip(weights).fold(offset, |sum, (&v, w)| sum + LIGHT_16[usize::from(v)] * w);
         }
     }
 

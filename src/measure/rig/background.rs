@@ -62,7 +62,7 @@ impl Colours {
     /// Blocks whose colour, as a mean over `reach` blocks around them, is unlike that of the target, a smooth surface that fills most
     /// of the picture.
     pub fn unlike_target(&self, reach: i64) -> GrayImage {
-        let channels: Vec<Plane> = self.planes.iter().map(|plane| smoothed(&plane.shrunk(BLOCK), reach)).collect();
+        let channels: Vec<Plane> = self.planes.iter().map(|plane| smoothed(&plane.shrunk::<BLOCK>(), reach)).collect();
         let (width, height) = (channels[0].width, channels[0].height);
         let mut distance = vec![0.0_f32; width * height];
         for plane in &channels {
@@ -93,7 +93,7 @@ struct Squares {
 impl Squares {
     /// The colours, if the picture has two that each cover much of it. In grey two levels explain all between them.
     fn find(planes: &[Plane]) -> Option<Self> {
-        let shrunk: Vec<Plane> = planes.iter().map(|plane| plane.shrunk(BLOCK)).collect();
+        let shrunk: Vec<Plane> = planes.iter().map(|plane| plane.shrunk::<BLOCK>()).collect();
         let count = shrunk.first().map_or(0, |plane| plane.data.len());
         if planes.len() < 2 || count == 0 {
             return None;

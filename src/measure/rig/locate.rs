@@ -144,7 +144,7 @@ fn in_its_own_colours(frame: &Frame, object: GrayImage) -> Result<GrayImage, Rig
         let appearance = Appearance::learn(frame, |x, y| Some((is_set(x, y), 1.0))).ok_or(RigError::NoObject)?;
         let overlap =
             |other: &GrayImage| other.pixels().zip(object.pixels()).filter(|(a, b)| a.0[0] & b.0[0] > 0).count();
-        let others = components(&opened(&above_half(&appearance.plane(frame).shrunk(BLOCK))));
+        let others = components(&opened(&above_half(&appearance.plane(frame).shrunk::<BLOCK>())));
         object = others.into_iter().max_by_key(overlap).ok_or(RigError::NoObject)?;
     }
     Ok(object)

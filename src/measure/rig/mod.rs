@@ -34,4 +34,4 @@ pub(super) use drift::RigDriftMonitor;
 pub use error::{CalibrationStep, RigError, SnakePart};
 pub(super) use follow::{Followed, RigFollower};
 pub use parameters::{Rig, RigOptions};
-pub(super) use refine::refined_rig;
+pub(super) use refine::{SnakePlane, refined_rig};

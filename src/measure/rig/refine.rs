@@ -13,7 +13,7 @@ use crate::measure::fit::{
     BIASES, BendFit, Correspondences, EdgeFinder, FRAME_BIAS_SIGMA, FitSchedule, FramePrior, Linearised, RobustPhase,
     Start, State, fine_filter, fit_bend, inliers, learned_mode_sigmas, predict_blur,
 };
-use crate::measure::image::plane::Plane;
+use crate::measure::image::plane::{Plane, Region};
 use crate::robot::{PROFILE, Robot};
 use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, SVector};
 use rayon::prelude::*;
@@ -64,12 +64,27 @@ struct SharedEvidence {
     modes: Vec<Shared>,
 }
 
+/// The picture around the snake in one frame, in the channel that shows it; what lies further away is not kept.
+pub struct SnakePlane {
+    plane: Plane,
+    /// The noise of the whole picture, σ of a pixel.
+    noise: f64,
+}
+
+impl SnakePlane {
+    /// What of a whole picture is within the rectangle around a region.
+    pub fn new(whole: &Plane, around: &Region) -> Self {
+        let noise = whole.noise(&Region::whole(whole.width as u32, whole.height as u32));
+        Self { plane: whole.cropped(around), noise }
+    }
+}
+
 /// A rig refined from frames, each as the plane that shows the snake and the fit that its bend starts from. `None` where too few frames can be fitted, or they do not determine what they share.
 pub fn refined_rig(
     lens: &Lens,
     robot: &Robot,
     calibrated: &Rig,
-    planes: &[Plane],
+    planes: &[SnakePlane],
     mut starts: Vec<Start>,
 ) -> Option<Rig> {
     let prior = Prior::new(calibrated, FRAME_BIAS_SIGMA)?;
@@ -79,8 +94,8 @@ pub fn refined_rig(
     for _ in 0..=ROUNDS {
         let view = Projection { lens, camera_from_base: rig.camera_from_base, robot };
         let frame_prior = rig.prior();
-        let evidence = |(plane, start): (&Plane, &mut Start)| {
-            let finder = EdgeFinder::new(plane, rig.appearance.two_sided);
+        let evidence = |(SnakePlane { plane, noise }, start): (&SnakePlane, &mut Start)| {
+            let finder = EdgeFinder::with_noise(plane, rig.appearance.two_sided, *noise);
             let state = State { bias: rig.edge_bias, ..start.state };
             let fit = fit_bend(&view, &finder, Start { state, ..*start }, frame_prior, &SCHEDULE)?;
             *start = fit.start();

@@ -10,6 +10,7 @@
 
 mod conditions;
 mod disturbances;
+mod expected;
 
 use crate::rigs::{self, Random};
 use crate::scenes::{self, frame_of};

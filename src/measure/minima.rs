@@ -1,0 +1,117 @@
+//! The local minima of a frame's fit, from the candidates of the coarse search.
+
+use super::eye::{CONVERGED_RAD, Eye, NEXT_STAGE_COST_RATIO, REFINEMENT, SAME_MINIMUM_RAD};
+use super::fit::{BendFit, CoarseSearch, EdgeFinder, FitSchedule, distinct};
+use super::image::plane::Plane;
+use nalgebra::Vector2;
+use rayon::prelude::*;
+
+/// How many candidates the coarse search hands on.
+///
+/// Fitted: by hand on renders; judged by `tests/robustness`.
+const CANDIDATES: usize = 6;
+/// How many candidates are fitted at a time.
+///
+/// Convention: two whatever the number of cores, so that the answer does not depend on it.
+const CANDIDATES_AT_A_TIME: usize = 2;
+/// How many coarse fits are refined.
+///
+/// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
+const REFINED: usize = 2;
+/// The fit of a candidate, from the lattice of the coarse search.
+///
+/// Fitted: the search distances, by hand on renders; judged by `tests/robustness`.
+const COARSE: FitSchedule =
+    FitSchedule { searches_px: &[14.0, 8.0], rounds: 2, is_fine: false, converged_rad: CONVERGED_RAD };
+/// Of coarse fits that end within this distance of each other, rad, only the best is refined.
+///
+/// Convention: half a spacing of the coarse search's lattice.
+const SAME_COARSE_RAD: f64 = 0.035;
+
+impl Eye {
+    /// The coarse search; made now if no frame asked for it before.
+    pub(super) fn search(&self) -> &CoarseSearch {
+        if let Some(made) = self.search.get() {
+            return made;
+        }
+        // Made outside of the lock: a thread of a pool that waits here for others may be given the next frame, which asks as well.
+        let made = CoarseSearch::new(&self.lens, self.search_pose, &self.robot);
+        self.search.get_or_init(|| made)
+    }
+
+    /// Bends that the coarse search finds in a whole picture, best first.
+    pub(super) fn candidates(&self, plane: &Plane) -> Vec<Vector2<f64>> {
+        self.search().candidates(plane, self.rig.appearance.two_sided, CANDIDATES)
+    }
+
+    /// The local minimum to which the candidate nearest to an expected bend leads. `None` where it does not agree with the outline everywhere,
+    /// or another candidate is nearer to it.
+    pub(super) fn minimum_near(
+        &self,
+        expected: Vector2<f64>,
+        candidates: &[Vector2<f64>],
+        finder: &EdgeFinder,
+    ) -> Option<BendFit> {
+        let candidate = nearest(candidates, expected)?;
+        let coarse = self.fit(finder, self.start(candidate), &COARSE)?;
+        let minimum = self.fit(finder, coarse.start(), &REFINEMENT)?;
+        (minimum.agrees_everywhere() && nearest(candidates, minimum.bend()) == Some(candidate)).then_some(minimum)
+    }
+
+    /// The local minima to which the candidates lead.
+    pub(super) fn minima(&self, candidates: &[Vector2<f64>], finder: &EdgeFinder) -> Vec<BendFit> {
+        let minima = self.refine(self.coarse_fits(candidates, finder), finder);
+        self.reached_from_nearest(minima, candidates, finder)
+    }
+
+    /// Local minima, of which the best, if another candidate than the nearest led to it, is reached once more from that: what a fit ends at
+    /// depends a little on where it starts, and the answer must not depend on which candidates were tried.
+    fn reached_from_nearest(
+        &self,
+        mut minima: Vec<BendFit>,
+        candidates: &[Vector2<f64>],
+        finder: &EdgeFinder,
+    ) -> Vec<BendFit> {
+        let Some(best) = minima.iter().min_by(|a, b| a.cost.total_cmp(&b.cost)) else { return minima };
+        if nearest(candidates, best.bend()) == Some(best.origin) {
+            return minima;
+        }
+        if let Some(again) = self.minimum_near(best.bend(), candidates, finder) {
+            minima.retain(|minimum| (minimum.bend() - again.bend()).norm() > SAME_MINIMUM_RAD);
+            minima.push(again);
+        }
+        minima
+    }
+
+    /// Fits the candidates, best first, until one explains all of the outline, and the mirrored solution of the best: the coarse
+    /// search may have taken one for the other, and the fit of the wrong one then ends between both.
+    fn coarse_fits(&self, candidates: &[Vector2<f64>], finder: &EdgeFinder) -> Vec<BendFit> {
+        let fit = |bend: Vector2<f64>| self.fit(finder, self.start(bend), &COARSE);
+        let mut fits: Vec<BendFit> = Vec::new();
+        for few in candidates.chunks(CANDIDATES_AT_A_TIME) {
+            fits.par_extend(few.par_iter().filter_map(|&bend| fit(bend)));
+            if fits.iter().any(BendFit::explains_all) {
+                break;
+            }
+        }
+        let best = fits.iter().min_by(|a, b| a.cost.total_cmp(&b.cost));
+        let mirrored = best.and_then(|best| fit(self.mirrored(best.origin)));
+        fits.extend(mirrored);
+        fits
+    }
+
+    /// Fits the best of the coarse fits until they converge.
+    fn refine(&self, coarse: Vec<BendFit>, finder: &EdgeFinder) -> Vec<BendFit> {
+        let mut coarse = distinct(coarse, SAME_COARSE_RAD);
+        coarse.truncate(REFINED);
+        let least_cost = coarse.first().map_or(0.0, |best| best.cost);
+        let promising = coarse.par_iter().filter(|fit| fit.cost <= NEXT_STAGE_COST_RATIO * least_cost);
+        promising.filter_map(|fit| self.fit(finder, fit.start(), &REFINEMENT)).collect()
+    }
+}
+
+/// The bend nearest to another one.
+fn nearest(candidates: &[Vector2<f64>], bend: Vector2<f64>) -> Option<Vector2<f64>> {
+    let distance2 = |candidate: &Vector2<f64>| (candidate - bend).norm_squared();
+    candidates.iter().copied().min_by(|a, b| distance2(a).total_cmp(&distance2(b)))
+}
