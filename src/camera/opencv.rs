@@ -79,6 +79,18 @@ const OPEN_TIMEOUT_MS: i32 = 3000;
 /// Convention: a timeout.
 const READ_TIMEOUT_MS: i32 = 1000;
 
+/// Which cameras Linux has, for a message about one that cannot be opened; empty for streams and elsewhere.
+fn devices(target: &CaptureTarget) -> String {
+    if !cfg!(target_os = "linux") || !matches!(target, CaptureTarget::Device(_)) {
+        return String::new();
+    }
+    let there = glob::glob("/dev/video*").into_iter().flatten().flatten().map(|path| path.display().to_string());
+    match there.collect::<Vec<_>>().join(", ") {
+        none if none.is_empty() => "; there is no camera (no /dev/video*)".to_owned(),
+        some => format!("; there are {some}"),
+    }
+}
+
 impl Capture {
     /// Opens a camera or a stream. What a camera cannot be set to it leaves alone; [`settings`](Self::settings) tells.
     ///
@@ -89,6 +101,8 @@ impl Capture {
             CaptureTarget::Device(number) => format!("open camera {number}"),
             CaptureTarget::Stream(address) => format!("open the stream {address}"),
         };
+        // What OpenCV itself would print of a camera that is not there, at every try, stands in the error.
+        let _ = opencv::core::set_log_level(opencv::core::LogLevel::LOG_LEVEL_ERROR);
         let open = || match target {
             CaptureTarget::Device(number) => VideoCapture::new(*number as i32, CAP_ANY),
             CaptureTarget::Stream(address) => {
@@ -99,7 +113,8 @@ impl Capture {
         };
         let capture = open().map_err(failed(name.clone()))?;
         if !capture.is_opened().map_err(failed(name.clone()))? {
-            return Err(Error::OpenCv { action: name, message: "it is not there, or does not answer".into() });
+            let message = format!("it is not there, or does not answer{}", devices(target));
+            return Err(Error::OpenCv { action: name, message });
         }
         let mut opened = Self { capture, picture: Mat::default() };
         opened.set(settings);
