@@ -1,7 +1,9 @@
 //! Every `snakeloop` command of README.md and of the book, run as it stands, in the shell, in a folder that has what the page speaks of.
 
-use crate::faults::fixture::{copy_folder, rendered};
+use crate::faults::fixture::{copy_folder, rendered, write_clean};
 use crate::program::Sandbox;
+use crate::scenes::smaller;
+use snakeloop::simulate::{BendingExperiment, Scene};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -46,11 +48,11 @@ fn pages() -> Vec<(String, Vec<String>)> {
     pages.iter().map(commands).filter(|(_, commands): &(String, Vec<String>)| !commands.is_empty()).collect()
 }
 
-/// A folder with what pages speak of: the experiment, a run's outputs, tables and pictures under the names that they have there.
-fn prepared() -> Sandbox {
+/// A folder with what pages speak of: an experiment of PNG files, a run's outputs, tables and pictures under the names that they have there.
+fn prepared(experiment: &Path) -> Sandbox {
     let sandbox = Sandbox::new();
     for name in ["EXPERIMENT", "fixtures/bending"] {
-        copy_folder(rendered(), &sandbox.join(name));
+        copy_folder(experiment, &sandbox.join(name));
     }
     fs::create_dir_all(sandbox.join("loaded")).unwrap();
     copy_folder(&repository().join("calib"), &sandbox.join("calib"));
@@ -109,7 +111,7 @@ fn commands(slow: bool) -> Vec<(String, String)> {
 
 #[test]
 fn every_command_of_readme_and_book_runs_as_it_stands() {
-    let master = prepared();
+    let master = prepared(rendered());
     let commands = commands(false);
     let failed: Vec<_> = commands.iter().filter_map(|(page, command)| failure_of(command, page, &master)).collect();
     assert!(failed.is_empty(), "{}", failed.join("\n"));
@@ -124,7 +126,12 @@ fn every_command_of_readme_and_book_runs_as_it_stands() {
 #[test]
 #[ignore = "takes minutes: discover, reproduce, the closed loop, live, rendered frames"]
 fn slow_commands_of_readme_and_book_run_as_they_stand() {
-    let master = prepared();
+    // `discover` asks for more samples than the others do.
+    let experiment = tempfile::tempdir().unwrap();
+    let mut scene = smaller(Scene::default(), 3);
+    (scene.sensor.rays_per_pixel, scene.sensor.noise) = (8, 1.0);
+    write_clean(experiment.path(), &BendingExperiment::default(), &scene, 1);
+    let master = prepared(experiment.path());
     for shard in 1..=2 {
         master.succeed(&format!("run EXPERIMENT -o parts/{shard} --shard {shard}/2 --quiet"));
     }
