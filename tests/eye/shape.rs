@@ -48,8 +48,7 @@ fn a_departure_from_the_circle_is_found_and_a_circle_is_one() {
 /// plane. a is a_1 = a θ/4 of a [`BendProfile`](snakeloop::robot::BendProfile).
 #[test]
 fn the_tips_angles_are_measured_whatever_the_shape() {
-    const POSES: [(f64, f64); 6] =
-        [(20.0, 10.0), (35.0, 70.0), (50.0, -170.0), (65.0, 110.0), (75.0, -60.0), (30.0, -120.0)];
+    const POSES: [(f64, f64); 4] = [(20.0, 10.0), (50.0, -170.0), (75.0, -60.0), (35.0, 110.0)];
     let varying = |share: f64, theta_deg: f64| [[share * theta_deg / 4.0, 0.0], [0.0; 2], [0.0; 2]];
     type Modes = [[f64; 2]; 3];
     let shapes: [(&str, &dyn Fn(f64) -> Modes); 6] = [
@@ -61,6 +60,7 @@ fn the_tips_angles_are_measured_whatever_the_shape() {
         ("3° out of its plane", &|_| [[0.0, 3.0], [0.0; 2], [0.0; 2]]),
     ];
     let scene = laboratory();
+    let straight = eye(&scene);
     for (name, modes_deg) in shapes {
         let frames: Vec<_> = (30..)
             .zip(POSES)
@@ -69,7 +69,7 @@ fn the_tips_angles_are_measured_whatever_the_shape() {
                 frame(&bent, Configuration::from_degrees(theta_deg, delta_deg), seed)
             })
             .collect();
-        let eye = eye(&scene).refined(frames.clone().into_par_iter());
+        let eye = straight.clone().refined(frames.clone().into_par_iter());
         let (mut theta, mut delta, mut chi2) = (0.0, 0.0, 0.0);
         for (frame, (theta_deg, delta_deg)) in frames.iter().zip(POSES) {
             let seen = eye.measure(frame);

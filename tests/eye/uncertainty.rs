@@ -204,20 +204,20 @@ fn with_refined_rigs_the_sigmas_are_those_of_the_errors() {
 
 /// Rigs that nothing was chosen on, with small pictures.
 fn rigs_of_the_slice() -> impl Iterator<Item = u64> {
-    (5500..).filter(|&seed| rigs::varied(&mut Random::new(seed)).lens.width == 640).take(20)
+    (5500..).filter(|&seed| rigs::varied(&mut Random::new(seed)).lens.width == 640).take(12)
 }
 
 /// A survey in small, with rigs and shapes learned from six frames, as `run` does. The mean square of honest normalised errors is 1. On
-/// these renders it was 0.35 when this was written: σ are as large as photo-real frames ask for, and 1.7 times too large here. The limits
+/// these renders it was 0.53 when this was written: σ are as large as photo-real frames ask for, and 1.4 times too large here. The limits
 /// are a factor of 1.5 from what was seen on both sides, so that where this passes it would fail with every σ 1.5 times as large, or as
 /// small: that changes the mean square by 2.25.
 #[test]
 fn a_slice_of_them_has_the_sigmas_that_it_had() {
     /// The mean square of the normalised errors.
-    const SEEN: f64 = 0.35;
+    const SEEN: f64 = 0.53;
     let honesty = survey(rigs_of_the_slice(), 4, 6, 0);
     let mean_square = honesty.eigenvalues.mean();
-    assert!(honesty.count >= 70, "{} bends measured", honesty.count);
+    assert!(honesty.count >= 42, "{} bends measured", honesty.count);
     assert!(
         (SEEN / 1.5..SEEN * 1.5).contains(&mean_square),
         "mean square {mean_square:.2}, within 95 % {}",
