@@ -5,11 +5,8 @@ use super::message::Picture;
 use super::opencv::Video;
 use crate::bag::{Message, Topic};
 use crate::error::{Error, Result};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// File name extensions, in lower case, of the pictures that are read.
-const PICTURE_EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
 /// File name extensions, in lower case, that make a source a video.
 const VIDEO_EXTENSIONS: [&str; 11] = ["avi", "m4v", "mjpeg", "mjpg", "mkv", "mov", "mp4", "mpeg", "mpg", "webm", "wmv"];
 
@@ -145,18 +142,6 @@ impl FrameSource {
             }
         })
     }
-}
-
-/// The extension that most pictures of a folder have, as it is written there, and how many have it.
-pub(crate) fn commonest_picture(folder: &Path) -> Option<(String, usize)> {
-    let mut extensions = BTreeMap::<String, usize>::new();
-    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-        let extension = entry.path().extension().unwrap_or_default().to_string_lossy().into_owned();
-        if PICTURE_EXTENSIONS.contains(&extension.to_lowercase().as_str()) {
-            *extensions.entry(extension).or_default() += 1;
-        }
-    }
-    extensions.into_iter().max_by_key(|(_, count)| *count)
 }
 
 fn is_video(pattern: &str) -> bool {

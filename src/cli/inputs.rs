@@ -9,7 +9,11 @@ use crate::record::{
     Checked, EncoderLog, Experiment, read_encoders, read_joints, read_measurements, read_model, stale_mark,
 };
 use crate::robot::{Effect, Model};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+
+/// File name extensions, in lower case, of the pictures that are read.
+const PICTURE_EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
 
 /// The model in a file; without one the paper's naive one, with Table I, which is told.
 pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
@@ -108,4 +112,16 @@ pub fn encoders_of(experiment: &Experiment, model: &Model) -> Result<Checked<Enc
         }
         None => Ok(Checked { rows: Vec::new(), warnings: Vec::new() }),
     }
+}
+
+/// The extension that most pictures of a folder have, as it is written there, and how many have it.
+pub fn commonest_picture(folder: &Path) -> Option<(String, usize)> {
+    let mut extensions = BTreeMap::<String, usize>::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let extension = entry.path().extension().unwrap_or_default().to_string_lossy().into_owned();
+        if PICTURE_EXTENSIONS.contains(&extension.to_lowercase().as_str()) {
+            *extensions.entry(extension).or_default() += 1;
+        }
+    }
+    extensions.into_iter().max_by_key(|(_, count)| *count)
 }

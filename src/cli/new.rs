@@ -1,7 +1,7 @@
 //! `new`: a folder for an experiment, with its files commented.
 
 use super::console::Console;
-use crate::camera::source::commonest_picture;
+use super::inputs::commonest_picture;
 use crate::cli::failure::Failure;
 use crate::record::write_atomically;
 use crate::{Error, Result};

@@ -1,7 +1,7 @@
 //! The files of an experiment: which it names, and what to do where one is missing.
 
 use crate::camera::FrameSource;
-use crate::camera::source::commonest_picture;
+use crate::cli::inputs::commonest_picture;
 use crate::record::{Experiment, RigSource, Source, View};
 use crate::report::decimation::keeps;
 use std::path::{Path, PathBuf};
