@@ -4,16 +4,13 @@
 //! library, which is searched for, fitted, named and obeyed like them. A formula is parsed and evaluated by the crate `exmex`; no code is
 //! run.
 
-use super::physics::{Changes, Instant, LINEAR, ParameterSpec, Physics, Role, Starts};
+use super::definition::{Definition, HALF_GAP, kept};
+use super::physics::{Changes, Instant, LINEAR, ParameterSpec, Physics, Starts};
 use super::variables::{Variable, known_variables};
 use crate::error::ArgumentError;
 use crate::robot::{BACKBONES, PerBackbone};
 use exmex::{Express, FlatEx};
-use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
-
-/// The parameter of a formula with `play` that is half that play's width, mm.
-pub const HALF_GAP: &str = "half_gap_mm";
 
 /// The most variables and parameters of one formula.
 ///
@@ -30,41 +27,10 @@ const MOST_CHARACTERS: usize = 1000;
 /// Convention: a bound on computing time.
 const MOST_STARTS: usize = 16;
 
-/// A size is expected to be this share of its largest value; see [`ParameterSpec::typical`].
-///
-/// Convention: as of the library's plays, 0.05 mm of 1 mm.
-const TYPICAL_SHARE: f64 = 0.05;
-
 /// The bends at which a formula must be finite, x and y in rad: straight, and 60° to four sides.
 ///
 /// Convention: a check for divisions by zero.
 const CHECKED_BENDS: [[f64; 2]; 5] = [[0.0, 0.0], [1.0, 0.1], [-0.1, 1.0], [-1.0, -0.1], [0.1, -1.0]];
-
-/// A user's own effect, as a file says it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Definition {
-    /// Its name: small letters, digits and underscores.
-    pub name: String,
-    /// What it adds to ε_i, mm.
-    pub formula: String,
-    /// What it means, in words that follow "the data show"; may be empty.
-    pub reading: String,
-    /// Its parameters by name.
-    pub parameters: BTreeMap<String, Defined>,
-    /// Least and largest value of variables within which it holds; a variable beyond is taken at that end.
-    pub domain: BTreeMap<String, [f64; 2]>,
-}
-
-/// A parameter of a user's own effect.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Defined {
-    /// Its unit, `1` for a number without.
-    pub unit: String,
-    /// Least and largest value. A parameter that may be zero is a size: without it there is no effect.
-    pub range: [f64; 2],
-    /// Where a search for it starts; empty: at zero for a size, in the middle of the range else.
-    pub starts: Vec<f64>,
-}
 
 /// A formula made ready to be evaluated.
 #[derive(Debug)]
@@ -106,27 +72,6 @@ impl Definition {
         Ok(physics)
     }
 
-    /// The parameters' ranges, starts and names, each without a fault.
-    fn checked_specs(&self) -> Result<Vec<ParameterSpec>, String> {
-        let is_name = |name: &str| {
-            name.starts_with(|c: char| c.is_ascii_lowercase())
-                && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
-        };
-        if !is_name(&self.name) {
-            return Err("a name is made of small letters, digits and underscores".to_owned());
-        }
-        let spec = |(name, defined): (&String, &Defined)| {
-            if Variable::of(name).is_some() {
-                return Err(format!("parameter {name} has the name of a variable ({})", known_variables()));
-            }
-            if !is_name(name) {
-                return Err(format!("parameter {name:?}: a name is made of small letters, digits and underscores"));
-            }
-            defined.spec(name)
-        };
-        self.parameters.iter().map(spec).collect()
-    }
-
     /// The inputs of an expression that has variables of these names.
     fn inputs(&self, names: &[String]) -> Result<Vec<Input>, String> {
         let place = |name: &str| self.formula.find(name).map_or(0, |byte| self.formula[..byte].chars().count() + 1);
@@ -166,45 +111,6 @@ impl Definition {
         }
         Ok(inputs)
     }
-}
-
-impl Defined {
-    fn is_size(&self) -> bool {
-        (self.range[0]..=self.range[1]).contains(&0.0)
-    }
-
-    /// Where a search for it starts.
-    fn starts(&self) -> Vec<f64> {
-        match &self.starts[..] {
-            [] if self.is_size() => vec![0.0],
-            [] => vec![0.5 * (self.range[0] + self.range[1])],
-            starts => starts.to_vec(),
-        }
-    }
-
-    fn spec(&self, name: &str) -> Result<ParameterSpec, String> {
-        let [least, most] = self.range;
-        if !(least.is_finite() && most.is_finite() && least < most) {
-            return Err(format!(
-                "parameter {name}: range = [{least}, {most}], expected the least value, then the largest"
-            ));
-        }
-        if let Some(start) = self.starts.iter().find(|start| !(least..=most).contains(*start)) {
-            return Err(format!("parameter {name}: start = {start} is outside its range [{least}, {most}]"));
-        }
-        let example = self.starts().into_iter().next().unwrap_or(least);
-        let (typical, role) = if self.is_size() {
-            (TYPICAL_SHARE * most.max(-least), Role::Size { either_sign: least < 0.0 })
-        } else {
-            (0.5 * example.abs(), Role::Shape { example, drawn: (least, most) })
-        };
-        Ok(ParameterSpec { name: kept(name), unit: kept(&self.unit), range: (least, most), typical, role })
-    }
-}
-
-/// A text that stays where it is.
-fn kept(text: &str) -> &'static str {
-    Box::leak(text.to_owned().into_boxed_str())
 }
 
 impl Formula {
@@ -330,25 +236,14 @@ impl Formula {
     }
 }
 
-impl Definition {
-    /// Every combination of the parameters' starts, in their order.
-    fn starts(&self) -> Vec<Vec<f64>> {
-        self.parameters.values().fold(vec![Vec::new()], |combinations, defined| {
-            let starts = defined.starts();
-            let longer = |so_far: Vec<f64>| {
-                starts.iter().map(move |start| [&so_far[..], &[*start]].concat()).collect::<Vec<_>>()
-            };
-            combinations.into_iter().flat_map(longer).collect()
-        })
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::definition::Defined;
     use super::*;
     use crate::robot::effects::forms;
     use crate::robot::{Effect, Mechanics, Model};
     use nalgebra::Vector2;
+    use std::collections::BTreeMap;
 
     fn definition(formula: &str, parameters: &[(&str, [f64; 2])]) -> Definition {
         let defined = |(name, range): &(&str, [f64; 2])| {

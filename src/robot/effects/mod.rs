@@ -21,6 +21,7 @@
 //! A user's own effect is a [`Definition`] with a formula; once checked it is a [`Physics`] as well.
 
 mod actuator;
+mod definition;
 mod eye;
 mod formula;
 mod friction;
@@ -33,7 +34,8 @@ mod tests;
 mod time;
 mod variables;
 
-pub use formula::{Defined, Definition, Formula, HALF_GAP};
+pub use definition::{Defined, Definition, HALF_GAP};
+pub use formula::Formula;
 pub use physics::{Changes, Confounded, Instant, ParameterSpec, Phases, Physics, Poses, Role, Starts};
 pub use rig::RIG_ERROR;
 pub use variables::Variable;
