@@ -66,7 +66,7 @@ fn discovered(
         return Ok(PyDiscovery { json, text, page: verdict_page("snakeloop: discover", &verdict), model });
     }
     let from_frames = measurements.iter().any(|measurement| measurement.quality.is_some());
-    let found = if from_frames { discover_in_frames(model, &data) } else { search(&model, &data) };
+    let found = if from_frames { discover_in_frames(model, &data, &|_| ()) } else { search(&model, &data) };
     let localised = Localisation::new(&found, &data);
     let page = Page { found: &found, data: &data, gap: localised.as_ref(), correction: None, next: None }.html();
     Ok(PyDiscovery { json: found.json(), text: lines(&found), page, model: found.model })

@@ -4,7 +4,14 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use std::fmt::Display;
 use std::io::{ErrorKind, IsTerminal, Write};
-use std::sync::OnceLock;
+use std::sync::{OnceLock, mpsc};
+use std::time::Duration;
+
+/// What ends sooner shows no stages. Convention: as long as one waits without asking.
+const SHOWN_AFTER: Duration = Duration::from_secs(2);
+
+/// How often a spinner turns. Convention: a display choice.
+const TICK: Duration = Duration::from_millis(150);
 
 /// The two switches that every command has.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -62,6 +69,34 @@ impl Console {
             Ok(style) => bar.with_style(style),
             Err(_) => bar,
         }
+    }
+}
+
+impl Console {
+    /// Does what may take long in stages of which nobody knows the length; from [`SHOWN_AFTER`] on the stage's name is shown, as
+    /// [`progress`](Self::progress) is.
+    pub fn in_stages<T>(&self, work: impl FnOnce(&dyn Fn(&'static str)) -> T) -> T {
+        if self.quiet || !std::io::stderr().is_terminal() {
+            return work(&|_| ());
+        }
+        let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());
+        let style = ProgressStyle::with_template("{spinner} {msg} ({elapsed})");
+        let bar = style.map_or(bar.clone(), |style| bar.with_style(style));
+        let (ended, end) = mpsc::channel::<()>();
+        let shown = &bar;
+        let out = std::thread::scope(|scope| {
+            scope.spawn(move || {
+                if end.recv_timeout(SHOWN_AFTER) == Err(mpsc::RecvTimeoutError::Timeout) {
+                    shown.set_draw_target(ProgressDrawTarget::stderr());
+                    shown.enable_steady_tick(TICK);
+                }
+            });
+            let out = work(&|stage| bar.set_message(stage));
+            drop(ended);
+            out
+        });
+        bar.finish_and_clear();
+        out
     }
 }
 

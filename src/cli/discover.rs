@@ -9,7 +9,7 @@ use super::trackers::open_trackers;
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::discover::{
-    Data, Discovery, Localisation, NextExperiment, ProposedLaw, Verdict as Found, discover, discover_in_frames,
+    Data, Discovery, Localisation, NextExperiment, ProposedLaw, Verdict as Found, discover_in_frames, discover_telling,
     next_experiment, nothing_named, propose_law,
 };
 use crate::estimate::gap::{Gap, gap};
@@ -66,11 +66,6 @@ pub struct Args {
     correction: bool,
 }
 
-/// Samples beyond which it is said beforehand that the search takes minutes.
-///
-/// Convention: 20 000 take about one on one core.
-const MANY_SAMPLES: usize = 5000;
-
 /// The trajectory that --next writes.
 const NEXT: &str = "next.csv";
 
@@ -89,14 +84,20 @@ impl Args {
         if let Some(mistake) = subject.wiring_mistake(&measurements, &readings) {
             return Ok(self.name_nothing(console, &model, mistake, &data, &gap(&model, &measurements, &readings))?);
         }
-        if measurements.len() > MANY_SAMPLES {
-            console.say(format!("{} measurements: this takes minutes", measurements.len()));
-        }
         let from_frames = measurements.iter().any(|measurement| measurement.quality.is_some());
-        let found = if from_frames { discover_in_frames(model, &data) } else { discover(&model, &data) };
+        let (found, correction) = console.in_stages(|tell| {
+            let found = match from_frames {
+                true => discover_in_frames(model, &data, tell),
+                false => discover_telling(&model, &data, tell),
+            };
+            let correction = self.correction.then(|| {
+                tell("looking for a law");
+                propose_law(&found, &data)
+            });
+            (found, correction)
+        });
         let localised = Localisation::new(&found, &data);
         let outliers = self.outliers(&found, &measurements, &readings)?;
-        let correction = self.correction.then(|| propose_law(&found, &data));
 
         let mut json = found.json();
         json["outliers"] = outliers.iter().map(|measurement| measurement.index).collect::<Vec<_>>().into();

@@ -14,7 +14,7 @@ const LEAST_EXCESS_SHARE: f64 = 0.004;
 ///
 /// Source: the strict end of the range from 0.6 to 0.9 for such shares in Meinshausen and Bühlmann 2010, Stability selection, J. R.
 /// Stat. Soc. B 72:417.
-const LEAST_INCLUSION: f64 = 0.9;
+pub const LEAST_INCLUSION: f64 = 0.9;
 
 /// What speaks for an effect.
 #[derive(Debug, Clone, Copy, PartialEq)]

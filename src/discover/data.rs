@@ -6,7 +6,8 @@ use crate::error::{DataError, Result};
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measured, Measurement, Status};
 use crate::robot::{LIBRARY, MAX_THETA, PerBackbone, Physics};
-use std::collections::{BTreeMap, HashMap};
+use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// The fewest samples that are searched.
 ///
@@ -136,6 +137,44 @@ impl Data {
     /// The number of sweeps.
     pub fn sweep_count(&self) -> usize {
         self.sweeps.last().map_or(1, |last| last + 1)
+    }
+
+    /// Evenly thinned to at most so many samples. Of the readings between them those stay at which a backbone turns, as far as one may turn
+    /// within a sample's stretch: its least and its largest.
+    pub fn thinned(&self, most: usize) -> Cow<'_, Self> {
+        let stride = self.len().div_ceil(most);
+        if stride <= 1 {
+            return Cow::Borrowed(self);
+        }
+        let kept: Vec<usize> = (0..self.len()).step_by(stride).collect();
+        let mut places: BTreeSet<usize> = kept.iter().map(|&k| self.log.samples[k]).collect();
+        let mut first = 0;
+        for last in kept.iter().map(|&k| self.log.samples[k]) {
+            let by_travel =
+                |i: usize| move |a: &usize, b: &usize| self.log.q_mm[*a][i].total_cmp(&self.log.q_mm[*b][i]);
+            for i in 0..self.backbones() {
+                places.extend((first..last).min_by(by_travel(i)));
+                places.extend((first..last).max_by(by_travel(i)));
+            }
+            first = last;
+        }
+        let places: Vec<usize> = places.into_iter().collect();
+        let log = Log {
+            times_s: places.iter().map(|&at| self.log.times_s[at]).collect(),
+            q_mm: places.iter().map(|&at| self.log.q_mm[at]).collect(),
+            samples: kept.iter().map(|&k| places.partition_point(|&at| at < self.log.samples[k])).collect(),
+        };
+        let measured: Vec<Measured> = kept.iter().map(|&k| self.measured[k]).collect();
+        let thetas: Vec<f64> = measured.iter().map(|measured| measured.configuration.theta).collect();
+        Cow::Owned(Self {
+            indices: kept.iter().map(|&k| self.indices[k]).collect(),
+            times_s: kept.iter().map(|&k| self.times_s[k]).collect(),
+            q_mm: kept.iter().map(|&k| self.q_mm[k]).collect(),
+            measured,
+            sweeps: sweeps::cut(&thetas),
+            log,
+            ..self.clone()
+        })
     }
 
     /// The block of each sweep, of as many blocks of about equal length as there are folds: sweeps that follow each other, so that a
@@ -288,6 +327,22 @@ mod tests {
         let (measurements, readings) = experiment((0..60).map(|k| (0.15 * f64::from(k), 7.0 * f64::from(k))));
         let data = Data::new(&measurements, &readings, 0.0015).unwrap();
         assert!(!data.one_plane && data.remarks.iter().any(|remark| remark.contains("no bend is above 8.8°")));
+    }
+
+    #[test]
+    fn thinned_data_keep_their_turns() {
+        let theta = |k: usize| if (k / 47).is_multiple_of(2) { k % 47 } else { 47 - k % 47 } as f64 + 10.0;
+        let (measurements, readings) = experiment((0..470).map(|k| (theta(k), 30.0)));
+        let data = Data::new(&measurements, &readings, 0.0015).unwrap();
+        let few = data.thinned(50);
+        assert_eq!((few.len(), few.indices[1]), (47, 10));
+        let ends = |log: &Log| log.q_mm.iter().map(|q| q[0]).fold((0.0f64, 0.0f64), |(a, b), q| (a.min(q), b.max(q)));
+        assert_eq!(ends(&few.log), ends(&data.log));
+        let turns = |log: &Log| log.q_mm.windows(3).filter(|q| (q[1][0] - q[0][0]) * (q[2][0] - q[1][0]) < 0.0).count();
+        assert_eq!(turns(&few.log), turns(&data.log));
+        assert!(few.log.samples.iter().zip(&few.q_mm).all(|(&at, q)| few.log.q_mm[at] == *q));
+        assert!(few.log.q_mm.len() < data.log.q_mm.len() / 2);
+        assert_eq!(data.thinned(470).len(), 470);
     }
 
     #[test]

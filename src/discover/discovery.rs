@@ -4,6 +4,7 @@ use super::confounding::confounded;
 use super::data::Data;
 use super::fit::Fit;
 use super::held_out::{Gap, HeldOutResiduals};
+use super::hypotheses::first_steps;
 use super::noise::Noise;
 use super::null_distribution::largest_gain_of_noise;
 use super::partial::Partial;
@@ -19,6 +20,11 @@ use crate::robot::{Effect, Estimate, Model, PerBackbone, Physics};
 ///
 /// Convention: decides about a remark only.
 const UNDETERMINED_SIZES: f64 = 10.0;
+
+/// So many samples are searched before all are.
+///
+/// Convention: a bound on computing time; the usual experiments are searched whole at once.
+const SEARCHED_FIRST: usize = 1000;
 
 /// How often the noise is learned and the search done with it.
 ///
@@ -63,28 +69,38 @@ impl Discovery {
     }
 }
 
+/// What is told in which stage a discovery is, in words.
+pub type Tell<'a> = &'a dyn Fn(&'static str);
+
 /// Compares what a model predicts with what was measured, and names what is missing.
 pub fn discover(model: &Model, data: &Data) -> Discovery {
-    let model = with_estimate(model);
-    let first = Problem::new(data, &Noise::stated(data), &model);
-    let rough = first.fit(&model, None, None);
-    let searched = Searched::until_the_noise_is_learned(&first, &rough);
-    let Searched { problem, least_bic_gain, found: Found { before, after, named }, .. } = &searched;
+    discover_telling(model, data, &|_| ())
+}
 
-    let structure_before = Structure::new(data, before);
-    let held_out_before = HeldOutResiduals::new(problem, before);
-    let full = Answer::new(problem, after, named.clone());
-    // An effect that does not shrink the gap on sweeps that the fit did not see is none.
-    let helps = !named.is_empty() && full.held_out.gap.eps_mm < held_out_before.gap.eps_mm;
-    let verdict = Verdict::new(helps, &structure_before, if helps { &full.structure } else { &structure_before });
+/// [`discover`], telling each stage.
+///
+/// Many samples are searched in part first. Where more is missing than the library accounts for, the rest would not tell more of it, and
+/// what was found is fitted to all; else all are searched.
+pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
+    let model = with_estimate(model);
+    let few = data.thinned(SEARCHED_FIRST);
+    let mut searched = Searched::until_the_noise_is_learned(&model, &few, tell);
+    let mut judged = searched.judged();
+    if few.len() < data.len() && judged.verdict != Verdict::Unexplained {
+        searched = Searched::until_the_noise_is_learned(&model, data, tell);
+        judged = searched.judged();
+    }
+    let Judged { verdict, structure_before, held_out_before, full } = judged;
+    let Searched { problem, least_bic_gain, found, .. } = &searched;
     let (verdict, answer, held_out_before) = match verdict {
         Verdict::Named => (verdict, full, held_out_before),
-        Verdict::None => (verdict, Answer::new(problem, before, Vec::new()), held_out_before),
-        _ => partly_answered(&searched, &model),
+        Verdict::None => (verdict, Answer::new(problem, &found.before, Vec::new()), held_out_before),
+        _ => partly_answered(&searched, (&model, data), tell),
     };
 
     let fitted = with_origin(answer.model, data);
     let mut remarks = data.remarks.clone();
+    remarks.extend(about_start(&answer.noise, data));
     remarks.extend(undetermined(&fitted));
     let confounded = confounded(&searched.spaces, *least_bic_gain);
     remarks.extend(confounded.into_iter().map(|effect| about_confounded(effect, data)));
@@ -105,6 +121,15 @@ pub fn discover(model: &Model, data: &Data) -> Discovery {
     }
 }
 
+/// What a search says before a partial answer is thought of.
+struct Judged {
+    verdict: Verdict,
+    structure_before: Structure,
+    held_out_before: HeldOutResiduals,
+    /// The answer with all effects that were found.
+    full: Answer,
+}
+
 /// A search with all that it was made from.
 struct Searched<'a> {
     problem: Problem<'a>,
@@ -118,9 +143,10 @@ impl<'a> Searched<'a> {
     fn new(data: &'a Data, noise: &Noise, rough: &Fit) -> Self {
         let problem = Problem::new(data, noise, &rough.model);
         let before = problem.fit(&rough.model, Some(&rough.path), None);
-        let spaces = tangent_spaces(&problem, &before);
+        let first = first_steps(&problem, &before, |_| true);
+        let spaces = tangent_spaces(&problem, &before, &first);
         let least_bic_gain = largest_gain_of_noise(&spaces);
-        let found = search(&problem, before, least_bic_gain);
+        let found = search(&problem, before, first, least_bic_gain);
         Self { problem, spaces, least_bic_gain, found }
     }
 
@@ -139,19 +165,36 @@ impl<'a> Searched<'a> {
 
     /// What effects do from one sample to the next looks like noise until they are found: then the noise is learned anew, and the
     /// search repeated with it.
-    fn until_the_noise_is_learned(first: &Problem<'a>, rough: &Fit) -> Self {
-        let learned = Noise::learned(first, rough);
-        let mut noise = Self::stated_noise(first.data, &learned, rough).unwrap_or(learned);
-        let mut searched = Self::new(first.data, &noise, rough);
+    fn until_the_noise_is_learned(model: &Model, data: &'a Data, tell: Tell) -> Self {
+        tell("learning the noise");
+        let first = Problem::new(data, &Noise::stated(data), model);
+        let rough = &first.fit(model, None, None);
+        let learned = Noise::learned(&first, rough);
+        let mut noise = Self::stated_noise(data, &learned, rough).unwrap_or(learned);
+        tell("comparing effects");
+        let mut searched = Self::new(data, &noise, rough);
         for _ in 1..MOST_SEARCHES {
             let finer = Noise::learned(&searched.problem, &searched.found.after);
             if searched.found.named.is_empty() || !finer.is_finer_than(&noise) {
                 break;
             }
             noise = finer;
-            searched = Self::new(first.data, &noise, rough);
+            tell("comparing effects again, with less noise");
+            searched = Self::new(data, &noise, rough);
         }
         searched
+    }
+
+    /// Whether what was found accounts for the gap.
+    fn judged(&self) -> Judged {
+        let Self { problem, found: Found { before, after, named }, .. } = self;
+        let structure_before = Structure::new(problem.data, before);
+        let held_out_before = HeldOutResiduals::new(problem, before);
+        let full = Answer::new(problem, after, named.clone());
+        // An effect that does not shrink the gap on sweeps that the fit did not see is none.
+        let helps = !named.is_empty() && full.held_out.gap.eps_mm < held_out_before.gap.eps_mm;
+        let verdict = Verdict::new(helps, &structure_before, if helps { &full.structure } else { &structure_before });
+        Judged { verdict, structure_before, held_out_before, full }
     }
 }
 
@@ -178,10 +221,22 @@ impl Answer {
 
 /// The answer where the library does not account for the gap: what helps all the same, or nothing; and the held-out residuals before.
 /// Where nothing helps, the effects that explain most are evidence only.
-fn partly_answered(searched: &Searched, given: &Model) -> (Verdict, Answer, HeldOutResiduals) {
+fn partly_answered(
+    searched: &Searched,
+    (given, data): (&Model, &Data),
+    tell: Tell,
+) -> (Verdict, Answer, HeldOutResiduals) {
+    tell("looking for effects that help beside others");
     let Searched { problem, found, .. } = searched;
     let anew = problem.fit(given, None, None);
-    let partial = Partial::new(problem, [&found.before, &anew]);
+    let mut partial = Partial::new(problem, [&found.before, &anew]);
+    // What the residuals follow is told in units of the noise.
+    let structure = |fit: &Fit| Structure::new(problem.data, &problem.evaluated(&fit.model, Some(&fit.path)));
+    let of_searched = [partial.before.clone(), partial.after.clone()];
+    if problem.data.len() < data.len() {
+        tell("fitting what was found to all samples");
+        partial = partial.of(data);
+    }
     let before = HeldOutResiduals::new(&partial.problem, &partial.before);
     let held_out = HeldOutResiduals::new(&partial.problem, &partial.after);
     let helps = !partial.named.is_empty() && held_out.gap.eps_mm < before.gap.eps_mm;
@@ -193,17 +248,16 @@ fn partly_answered(searched: &Searched, given: &Model) -> (Verdict, Answer, Held
         named,
         noise: partial.problem.noise,
         held_out: if helps { held_out } else { before.clone() },
-        // What the residuals follow is told in units of the noise.
-        structure: Structure::new(problem.data, &problem.evaluated(&fit.model, Some(&fit.path))),
+        structure: structure(&of_searched[usize::from(helps)]),
     };
     (verdict, answer, before)
 }
 
 /// [`discover`] for measurements that come from frames. They share the error of their rig, which is fitted as a nuisance parameter
 /// with every model, and is no part of the model that comes out.
-pub fn discover_in_frames(mut model: Model, data: &Data) -> Discovery {
+pub fn discover_in_frames(mut model: Model, data: &Data, tell: Tell) -> Discovery {
     model.effects.push(Effect::of(&RIG_ERROR, vec![0.0; RIG_ERROR.parameters_on(data.backbones()).len()]));
-    let mut found = discover(&model, data);
+    let mut found = discover_telling(&model, data, tell);
     if let Some(k) = found.model.effects.iter().position(|effect| effect.physics == &RIG_ERROR) {
         let (effect, sds) = (found.model.effects[k].clone(), found.model.effect_sds(k));
         found.model = found.model.without_effect(k);
@@ -243,6 +297,16 @@ fn undetermined(model: &Model) -> Vec<String> {
         }
     }
     remarks
+}
+
+/// A start of the log that was left out.
+fn about_start(noise: &Noise, data: &Data) -> Option<String> {
+    let count = noise.unknown_start;
+    let last = data.indices[..count].last()?;
+    Some(format!(
+        "the first {count} samples (up to index {last}) lie outside what all others follow, as if something had moved the snake before the \
+         log began: they are left out of the fit and of the gap. Lead the snake through a whole sweep before you record"
+    ))
 }
 
 fn about_confounded(physics: &Physics, data: &Data) -> String {

@@ -78,6 +78,15 @@ impl Problem<'_> {
     /// Fits η, λ and all parameters of the model's effects, starting from their values and from a path near that of the model.
     /// Samples of the fold `held_out` have no part in it.
     pub fn fit(&self, start: &Model, guess: Option<&[Vector2<f64>]>, held_out: Option<usize>) -> Fit {
+        self.fit_weighted(start, guess, held_out.map(|fold| self.weights(|k| self.data.fold(k) != fold)))
+    }
+
+    /// The same to the samples that are seen.
+    pub fn fit_to(&self, start: &Model, guess: Option<&[Vector2<f64>]>, is_seen: impl Fn(usize) -> bool) -> Fit {
+        self.fit_weighted(start, guess, Some(self.weights(is_seen)))
+    }
+
+    fn fit_weighted(&self, start: &Model, guess: Option<&[Vector2<f64>]>, weights: Option<DVector<f64>>) -> Fit {
         let specs = start.parameter_specs();
         let typical = DVector::from_iterator(specs.len(), specs.iter().map(|spec| spec.typical));
         let bound = |of: fn(&(f64, f64)) -> f64| {
@@ -92,7 +101,7 @@ impl Problem<'_> {
             least_relative_decrease: CONVERGED_SHARE,
         };
         let x = DVector::from_vec(start.parameter_values()).component_div(&typical);
-        let objective = Objective { problem: self, start, guess, typical, weights: self.weights(held_out) };
+        let objective = Objective { problem: self, start, guess, typical, weights };
         match least_squares::solve(&objective, x, &options) {
             Ok(solution) => {
                 let model = objective.model(&solution.parameters);
@@ -113,11 +122,10 @@ impl Problem<'_> {
         Fit { model: model.clone(), cost: cost(&residuals), residuals, path, jacobian }
     }
 
-    /// 0 for the residuals of a fold, 1 for all others; none where all count.
-    fn weights(&self, held_out: Option<usize>) -> Option<DVector<f64>> {
+    /// 1 for the residuals of the samples that are seen, 0 for all others.
+    fn weights(&self, is_seen: impl Fn(usize) -> bool) -> DVector<f64> {
         let n = self.data.backbones();
-        let counts = |fold: usize, row: usize| f64::from(u8::from(self.data.fold(row / n) != fold));
-        held_out.map(|fold| DVector::from_fn(self.data.residual_count(), |row, _| counts(fold, row)))
+        DVector::from_fn(self.data.residual_count(), |row, _| f64::from(u8::from(is_seen(row / n))))
     }
 
     /// The fitted model with its covariance, (JᵗWJ)⁻¹.

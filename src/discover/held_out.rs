@@ -29,7 +29,7 @@ pub fn held_out_fits(problem: &Problem, fit: &Fit) -> Vec<Fit> {
 pub struct HeldOutResiduals {
     /// The gap of ε, mm.
     pub eps_mm: Vec<PerBackbone>,
-    /// Its size, and that of θ and δ.
+    /// Its size, and that of θ and δ, without a start that nobody knows.
     pub gap: Gap,
 }
 
@@ -41,11 +41,12 @@ impl HeldOutResiduals {
         let residuals = |k: usize| &fits[data.fold(k)].residuals[..];
         let eps_mm: Vec<_> = (0..data.len()).map(|k| problem.eps_gap_mm(residuals(k), k)).collect();
         let bend: Vec<_> = (0..data.len()).map(|k| problem.bend_gap(residuals(k), k)).collect();
+        let known = problem.noise.unknown_start..;
         let thetas = data.measured.iter().map(|measured| measured.configuration.theta);
-        let far = bend.iter().zip(thetas).filter(|(_, theta)| *theta >= LEAST_THETA_FOR_DELTA);
+        let far = bend.iter().zip(thetas).skip(known.start).filter(|(_, theta)| *theta >= LEAST_THETA_FOR_DELTA);
         let gap = Gap {
-            eps_mm: rms(eps_mm.iter().flat_map(|eps| eps.iter().copied())),
-            theta_deg: rms(bend.iter().map(|gap| gap.x)).to_degrees(),
+            eps_mm: rms(eps_mm[known.clone()].iter().flat_map(|eps| eps.iter().copied())),
+            theta_deg: rms(bend[known].iter().map(|gap| gap.x)).to_degrees(),
             delta_deg: rms(far.map(|(gap, theta)| gap.y / theta)).to_degrees(),
         };
         Self { eps_mm, gap }

@@ -13,9 +13,10 @@
 //!    bootstrap of the sweeps), and the criteria that it must fulfil.
 //! 8. `search`: stepwise selection over a beam of models, with exchange and backward elimination.
 //! 9. `held_out`, `structure`, [`verdict`](Verdict): the gap on sweeps that the fit did not see, what the residuals still follow,
-//!    and the answer. `partial`: where more than noise is left, the effects that help all the same. `discovery` runs the stages so
-//!    far; `discrepancy` writes the answer down.
-//! 10. [`localisation`](Localisation): in which backbone, at which bends and when the gap is.
+//!    and the answer. `partial`: where more than noise is left, the effects that help all the same; `start`: whether the log begins
+//!    in a state that nobody knows. `discovery` runs the stages so far; `discrepancy` writes the answer down.
+//! 10. [`localisation`](Localisation): in which backbone, at which bends and when the gap is. [`effect_trace`](EffectTrace): what each
+//!     effect found does over the motion.
 //! 11. [`law`](propose_law): a formula proposed in place of an explanation.
 //! 12. `candidate_trajectories`, [`next_experiment`]: the trajectory that would decide what these data leave open.
 
@@ -26,6 +27,7 @@ mod confounding;
 mod data;
 mod discovery;
 mod discrepancy;
+mod effect_trace;
 mod fit;
 #[cfg(test)]
 mod fixture;
@@ -40,6 +42,7 @@ mod partial;
 mod periodogram;
 mod residuals;
 mod search;
+mod start;
 mod structure;
 mod sweep_equations;
 mod sweeps;
@@ -48,8 +51,9 @@ mod verdict;
 
 pub use comparison::Evidence;
 pub use data::{Data, LEAST_SAMPLES, Log};
-pub use discovery::{Discovery, discover, discover_in_frames};
+pub use discovery::{Discovery, Tell, discover, discover_in_frames, discover_telling};
 pub use discrepancy::nothing_named;
+pub use effect_trace::{EffectTrace, effect_traces};
 pub use held_out::Gap;
 pub use law::{PROPOSED_LAW, ProposedLaw, propose_law};
 pub use localisation::{Localisation, Part};

@@ -54,12 +54,20 @@ pub struct Noise {
     pub discrepancy_rad: f64,
     /// The same of each part of q̃ that bends nothing, mm.
     pub discrepancy_mm: f64,
+    /// How many samples at the [start](super::start) weigh nothing, since what moved the snake before the log still holds it there.
+    pub unknown_start: usize,
 }
 
 impl Noise {
     /// As stated.
     pub fn stated(data: &Data) -> Self {
-        Self { sd_encoder_mm: data.sd_encoder_mm, eye_factor: 1.0, discrepancy_rad: 0.0, discrepancy_mm: 0.0 }
+        Self {
+            sd_encoder_mm: data.sd_encoder_mm,
+            eye_factor: 1.0,
+            discrepancy_rad: 0.0,
+            discrepancy_mm: 0.0,
+            unknown_start: 0,
+        }
     }
 
     /// From the residuals of a fit, with what was stated as the prior.
@@ -90,9 +98,10 @@ impl Noise {
     /// The same noise, and as discrepancy what a fit leaves beyond it.
     pub fn with_discrepancy(&self, problem: &Problem, fit: &Fit) -> Self {
         let data = problem.data;
-        let bend = mean((0..data.len()).map(|k| problem.bend_gap(&fit.residuals, k).norm_squared())) / 2.0;
-        let n = data.backbones();
-        let internal = mean((2..n).flat_map(|c| problem.internal_mm(&fit.residuals, c - 2).map(|r| r * r)));
+        let known = self.unknown_start..data.len();
+        let bend = mean(known.map(|k| problem.bend_gap(&fit.residuals, k).norm_squared())) / 2.0;
+        let internal = |part: usize| problem.internal_mm(&fit.residuals, part).skip(self.unknown_start);
+        let internal = mean((0..data.backbones() - 2).flat_map(|part| internal(part).map(|r| r * r)));
         let bend_noise = problem.bend_noise_rad2();
         Self {
             discrepancy_rad: (bend - bend_noise).max(0.0).sqrt(),

@@ -6,18 +6,22 @@
 //! about equally well, the one that physics makes likelier. Those stay that help beside all the others, in every block of sweeps that
 //! follow each other and in most bootstrap resamples of the sweeps.
 
-use super::comparison::Comparison;
+use super::comparison::{Comparison, LEAST_INCLUSION};
+use super::data::Data;
 use super::fit::Fit;
 use super::held_out::HeldOutResiduals;
 use super::law;
+use super::noise::Noise;
 use super::residuals::Problem;
 use super::search::{Named, added, by_bic, extensions};
+use super::start::unknown_start;
 use super::sweep_equations::SweepEquations;
 use super::sweeps::FOLDS;
 use crate::robot::effects::{Role, Starts};
 use crate::robot::{Model, Physics};
 use crate::statistics::moments::rms;
 use nalgebra::Vector2;
+use std::cmp::Ordering;
 
 /// The most effects of a partial answer.
 ///
@@ -58,11 +62,6 @@ const LEAST_GAP: f64 = 0.06;
 /// Convention: the usual level of 5 %.
 const LEAST_SIZE_IN_SDS: f64 = 2.0;
 
-/// An effect must be the best in this share of the bootstrap resamples of the sweeps.
-///
-/// Convention: it is then likelier than all its rivals together.
-const LEAST_INCLUSION: f64 = 0.5;
-
 /// Effects whose held-out gains differ by less than this share are rivals that the data do not decide between.
 ///
 /// Convention: decides between effects of which one is physically likelier.
@@ -87,16 +86,17 @@ impl<'a> Partial<'a> {
         let one_is_better = bend_squares(problem, one) < bend_squares(problem, other);
         let mut problem = problem.clone();
         let mut before = if one_is_better { one.clone() } else { other.clone() };
+        let unknown_start = unknown_start(&problem, &before);
         // The weights follow from the discrepancy, and the discrepancy from the fit.
         for _ in 0..2 {
-            let noise = problem.noise.with_discrepancy(&problem, &before);
+            let noise = Noise { unknown_start, ..problem.noise }.with_discrepancy(&problem, &before);
             problem = Problem::new(problem.data, &noise, &before.model);
             let [one, other] = [one, other].map(|fit| problem.fit(&fit.model, None, None));
             before = if one.cost < other.cost { one } else { other };
         }
         let bends: Vec<Vector2<f64>> =
-            problem.data.measured.iter().map(|measured| measured.configuration.bend_vector()).collect();
-        let gap = (bend_squares(&problem, &before) / problem.data.len() as f64).sqrt();
+            problem.data.measured[unknown_start..].iter().map(|m| m.configuration.bend_vector()).collect();
+        let gap = (bend_squares(&problem, &before) / bends.len() as f64).sqrt();
         let is_near = gap < LEAST_GAP * rms(bends.iter().map(|bend| bend.norm()));
         // A picture that stands still tells nothing of a snake that should have moved.
         let middle = bends.iter().sum::<Vector2<f64>>() / bends.len().max(1) as f64;
@@ -117,16 +117,23 @@ impl<'a> Partial<'a> {
         if has_others && answer.named.is_empty() { frame_alone.settled() } else { answer }
     }
 
-    /// The answer without what does not hold beside the rest.
+    /// The same answer fitted to all samples, of which its own were a part.
+    pub fn of<'b>(&self, data: &'b Data) -> Partial<'b> {
+        let stride = data.len().div_ceil(self.problem.data.len());
+        let noise = Noise { unknown_start: self.problem.noise.unknown_start * stride, ..self.problem.noise };
+        let problem = Problem::new(data, &noise, &self.before.model);
+        let [before, after] = [&self.before, &self.after].map(|fit| problem.fit(&fit.model, None, None));
+        Partial { problem, before, after, named: self.named.clone() }
+    }
+
+    /// The answer without what does not hold beside the rest. What is likelier beforehand is judged once all else holds.
     fn settled(mut self) -> Self {
         loop {
             self.prune();
             self.named = (self.given()..self.after.model.effects.len()).map(|k| self.describe(k)).collect();
-            let unlikely = |named: &&Named| named.probability() < LEAST_INCLUSION;
-            let least = self.named.iter().filter(unlikely).map(|named| named.removes).fold(f64::INFINITY, f64::min);
-            let Some(place) = self.named.iter().position(|named| unlikely(&named) && named.removes == least) else {
-                return self.or_nothing();
-            };
+            let unlikely = self.named.iter().enumerate().filter(|(_, named)| named.probability() < LEAST_INCLUSION);
+            let first = unlikely.min_by(|(_, a), (_, b)| by_likelihood((a.physics, a.removes), (b.physics, b.removes)));
+            let Some((place, _)) = first else { return self.or_nothing() };
             self.after = self.without(self.given() + place);
         }
     }
@@ -187,9 +194,9 @@ impl<'a> Partial<'a> {
                     && (is_likely || with.is_better_in_every_block(&costs) && has_eta(&fitted))
                     && has_size(&fitted, k)
                     && inclusion >= LEAST_INCLUSION;
-                (simpler, gain, holds)
+                (simpler, (physics, gain), holds)
             });
-            let failing = each.filter(|(_, _, holds)| !holds).min_by(|a, b| a.1.total_cmp(&b.1));
+            let failing = each.filter(|(_, _, holds)| !holds).min_by(|a, b| by_likelihood(a.1, b.1));
             match failing {
                 Some((simpler, _, _)) => self.after = simpler,
                 None => return,
@@ -293,6 +300,11 @@ fn is_of_the_frame(physics: &Physics) -> bool {
     FRAME.contains(&physics.name)
 }
 
+/// The order in which effects that do not hold are dropped: those that are not of the frame, then by what they are worth.
+fn by_likelihood(a: (&Physics, f64), b: (&Physics, f64)) -> Ordering {
+    is_of_the_frame(a.0).cmp(&is_of_the_frame(b.0)).then(a.1.total_cmp(&b.1))
+}
+
 /// Whether η is clear of zero, as the forces of any snake make it: an effect that takes its place is none beside it.
 fn has_eta(model: &Model) -> bool {
     model.estimate.is_some_and(|estimate| estimate.eta > LEAST_SIZE_IN_SDS * estimate.sd_eta())
@@ -317,7 +329,8 @@ fn preferred(candidates: &[(Fit, f64)]) -> Option<usize> {
 
 /// What a fit leaves of the bend, rad².
 fn bend_squares(problem: &Problem, fit: &Fit) -> f64 {
-    (0..problem.data.len()).map(|k| problem.bend_gap(&fit.residuals, k).norm_squared()).sum()
+    let known = problem.noise.unknown_start..problem.data.len();
+    known.map(|k| problem.bend_gap(&fit.residuals, k).norm_squared()).sum()
 }
 
 #[cfg(test)]

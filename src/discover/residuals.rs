@@ -27,6 +27,11 @@ const DIFFERENCE_STEP: f64 = 1e-3;
 /// Convention: a numerical guard against an encoder noise of zero.
 const LEAST_SD_INTERNAL_MM: f64 = 1e-5;
 
+/// The weight of samples at a start that nobody knows.
+///
+/// Convention: numerical; none, but so that their gap can be had back from their residuals.
+const NO_WEIGHT: f64 = 1e-9;
+
 /// A sample's whitened residuals, as many as there are backbones: two of the bend, then the parts that bend nothing, their mean
 /// first.
 pub type Residual = PerBackbone;
@@ -36,6 +41,8 @@ pub type Residual = PerBackbone;
 struct SampleNoise {
     /// The eye's stated covariance of the bend, rad².
     eye: Matrix2<f64>,
+    /// What all its residuals are multiplied by.
+    weight: f64,
     /// L⁻¹ of the covariance L Lᵗ of the bend residual, 1/rad.
     whitening: Matrix2<f64>,
     /// The derivatives of the line's displacement at the sample's bend.
@@ -88,13 +95,14 @@ impl<'a> Problem<'a> {
         let start: Vec<_> =
             mechanics.solve_path(&log.times_s, &log.q_mm, None).iter().map(|solution| solution.bend).collect();
         let motions = mechanics.motions_from_readings(&log.times_s, &start, &log.q_mm);
-        let samples = data.measured.iter().zip(&log.samples).map(|(measured, &at)| {
+        let samples = data.measured.iter().zip(&log.samples).enumerate().map(|(k, (measured, &at))| {
+            let weight = if k < noise.unknown_start { NO_WEIGHT } else { 1.0 };
             let bend = start[at];
             let line = mechanics.line_jacobian(bend, &motions[at]);
             let eye = bend_covariance(measured, bend);
             let seen = eye * noise.eye_factor.powi(2);
             let floor = line.line_by_bend.map(|by| by.dot(&(seen * by))).mean() + noise.sd_encoder_mm.powi(2);
-            SampleNoise { eye, whitening: whitening(&eye, &line, noise), line, floor_mm2: floor }
+            SampleNoise { eye, weight, whitening: whitening(&eye, &line, noise), line, floor_mm2: floor }
         });
         Self {
             data,
@@ -157,14 +165,15 @@ impl<'a> Problem<'a> {
     /// nothing is no longer left of q̃.
     pub fn response(&self, k: usize, summand_mm: &PerBackbone) -> Residual {
         let noise = &self.samples[k];
-        self.residual(noise.whitening * noise.line.bend_by_line.tr_mul(summand_mm), &-*summand_mm)
+        self.residual(k, noise.line.bend_by_line.tr_mul(summand_mm), &-*summand_mm)
     }
 
     /// The gap of ε at sample k, mm: what the model leaves of q̃ at the measured bend.
     pub fn eps_gap_mm(&self, residuals: &[Residual], k: usize) -> PerBackbone {
         let by_bend = -self.samples[k].line.line_by_bend * self.bend_residual(residuals, k);
         let internal = self.internal.iter().zip(&residuals[k][2..]);
-        internal.fold(by_bend, |sum, (part, r)| sum + *part * (r * self.sd_internal_mm))
+        let unit_mm = self.sd_internal_mm / self.samples[k].weight;
+        internal.fold(by_bend, |sum, (part, r)| sum + *part * (r * unit_mm))
     }
 
     /// The gap of the bend vector at sample k, rad, along and across the measured bend.
@@ -189,12 +198,13 @@ impl<'a> Problem<'a> {
         let bend = self.bend_noise_rad2();
         let of_bend = bend / (bend + self.noise.discrepancy_rad.powi(2));
         let of_internal = (self.noise.sd_encoder_mm / self.sd_internal_mm).powi(2).min(1.0);
-        self.data.len() as f64 * (2.0 * of_bend + (self.data.backbones() - 2) as f64 * of_internal)
+        let known = self.data.len() - self.noise.unknown_start;
+        known as f64 * (2.0 * of_bend + (self.data.backbones() - 2) as f64 * of_internal)
     }
 
     /// The residuals of one of the parts of q̃ that bend nothing, mm.
-    pub fn internal_mm(&self, residuals: &[Residual], part: usize) -> impl Iterator<Item = f64> {
-        residuals.iter().map(move |r| r[2 + part] * self.sd_internal_mm)
+    pub fn internal_mm<'r>(&'r self, residuals: &'r [Residual], part: usize) -> impl Iterator<Item = f64> + 'r {
+        residuals.iter().zip(&self.samples).map(move |(r, sample)| r[2 + part] * self.sd_internal_mm / sample.weight)
     }
 
     /// The two components of the bend's residuals, whitened by another noise.
@@ -210,13 +220,15 @@ impl<'a> Problem<'a> {
     /// The residual of the bend at sample k before whitening, rad.
     fn bend_residual(&self, residuals: &[Residual], k: usize) -> Vector2<f64> {
         let r = residuals[k];
-        let whitening = &self.samples[k].whitening;
-        whitening.try_inverse().unwrap_or_else(Matrix2::zeros) * Vector2::new(r[0], r[1])
+        let SampleNoise { weight, whitening, .. } = &self.samples[k];
+        whitening.try_inverse().unwrap_or_else(Matrix2::zeros) * Vector2::new(r[0], r[1]) / *weight
     }
 
-    /// A sample's residuals from its whitened bend and the part of q̃ that the model does not explain, mm.
-    fn residual(&self, bend: Vector2<f64>, unexplained_mm: &PerBackbone) -> Residual {
-        let internal = |part: usize| self.internal[part].dot(unexplained_mm) / self.sd_internal_mm;
+    /// The residuals of sample k from its gap of the bend, rad, and the part of q̃ that the model does not explain, mm.
+    fn residual(&self, k: usize, bend: Vector2<f64>, unexplained_mm: &PerBackbone) -> Residual {
+        let SampleNoise { weight, whitening, .. } = &self.samples[k];
+        let bend = whitening * bend * *weight;
+        let internal = |part: usize| self.internal[part].dot(unexplained_mm) / self.sd_internal_mm * *weight;
         Residual::from_fn(unexplained_mm.len(), |c| if c < 2 { bend[c] } else { internal(c - 2) })
     }
 
@@ -227,7 +239,7 @@ impl<'a> Problem<'a> {
         let exposed = mechanics.exposed_bends(&log.times_s, &path);
         let residuals = self.data.measured.iter().zip(&log.samples).enumerate().map(|(k, (measured, &at))| {
             let gap = measured.configuration.bend_vector() - mechanics.apparent_bend(exposed[at]);
-            self.residual(self.samples[k].whitening * gap, &forward[at].residual_mm)
+            self.residual(k, gap, &forward[at].residual_mm)
         });
         residuals.collect()
     }

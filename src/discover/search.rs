@@ -2,12 +2,14 @@
 
 use super::comparison::{Comparison, Evidence};
 use super::fit::Fit;
-use super::hypotheses::{Hypothesis, one_effect_more};
+use super::hypotheses::{FirstStep, Hypothesis, first_steps};
 use super::residuals::Problem;
+use super::structure::mean_square_quantile;
 use super::sweep_equations::{RESAMPLES, SweepEquations};
 use crate::robot::effects::Changes;
 use crate::robot::{LIBRARY, Model, Physics};
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// An alternative that is worse by less than this in the information criterion is not ruled out.
 ///
@@ -78,29 +80,28 @@ pub struct Found {
     pub named: Vec<Named>,
 }
 
-/// Searches for effects beyond those of the model at hand, which stay in it. `least_bic_gain` is what the best hypothesis gains on
-/// noise alone.
-pub fn search(problem: &Problem, before: Fit, least_bic_gain: f64) -> Found {
-    let given = before.model.effects.len();
-    let excess = (before.cost - problem.data.residual_count() as f64).max(0.0);
-    let search = Search { problem, before, least_bic_gain, excess, given };
+/// Searches for effects beyond those of the model at hand, which stay in it. `first` are the first steps of all hypotheses about it, and
+/// `least_bic_gain` is what the best of them gains on noise alone.
+pub fn search(problem: &Problem, before: Fit, first: Vec<FirstStep>, least_bic_gain: f64) -> Found {
+    let search = Search::new(problem, before, first, least_bic_gain);
     let forward = search.forward();
     let exchanged = search.exchange(forward);
     let after = search.prefer(search.eliminate(exchanged));
-    let named = (given..after.model.effects.len()).map(|k| search.describe(&after, k)).collect();
+    let named = (search.given..after.model.effects.len()).map(|k| search.describe(&after, k)).collect();
     Found { before: search.before, after, named }
 }
 
 /// The model with whatever effects lower the cost, none of them judged against noise.
 pub fn explained(problem: &Problem, before: Fit) -> Fit {
-    let excess = (before.cost - problem.data.residual_count() as f64).max(0.0);
-    let given = before.model.effects.len();
-    Search { problem, before, least_bic_gain: 0.0, excess, given }.forward()
+    let first = first_steps(problem, &before, |_| true);
+    Search::new(problem, before, first, 0.0).forward()
 }
 
 struct Search<'a> {
     problem: &'a Problem<'a>,
     before: Fit,
+    /// The first steps from there.
+    first: Vec<FirstStep>,
     least_bic_gain: f64,
     /// The squares of the gap beyond those of noise, before anything was added.
     excess: f64,
@@ -108,9 +109,17 @@ struct Search<'a> {
     given: usize,
 }
 
-impl Search<'_> {
-    /// Adds effects one by one as long as the comparison accepts them.
+impl<'a> Search<'a> {
+    fn new(problem: &'a Problem<'a>, before: Fit, first: Vec<FirstStep>, least_bic_gain: f64) -> Self {
+        let given = before.model.effects.len();
+        let excess = (before.cost - problem.data.residual_count() as f64).max(0.0);
+        Self { problem, before, first, least_bic_gain, excess, given }
+    }
+
+    /// Adds effects one by one as long as the comparison accepts them. Where the best model leaves no more than noise, it alone is gone on
+    /// from: of the others one more effect makes at best its equal, with a parameter more.
     fn forward(&self) -> Fit {
+        let count = self.problem.data.residual_count() as f64;
         let mut best = self.before.clone();
         let mut beam = vec![self.before.clone()];
         for _ in 0..MOST_EFFECTS {
@@ -126,6 +135,8 @@ impl Search<'_> {
                 break;
             }
             best = first.clone();
+            let leaves_noise = best.cost < count * mean_square_quantile(count);
+            kept.truncate(if leaves_noise { 1 } else { BEAM_WIDTH });
             beam = kept;
         }
         best
@@ -193,9 +204,15 @@ impl Search<'_> {
         if model.effects.len() == self.given && self.before.cost < without.cost { self.before.clone() } else { without }
     }
 
+    /// The first steps of all hypotheses about a fit, at hand where it is the one before any effect.
+    fn first_steps(&self, fit: &Fit) -> Cow<'_, [FirstStep]> {
+        let is_first = fit.model.effects.len() == self.given;
+        if is_first { Cow::Borrowed(&self.first) } else { first_steps(self.problem, fit, |_| true).into() }
+    }
+
     /// [`extensions`] by any effect.
     fn extensions(&self, fit: &Fit, fitted: usize, least: f64) -> Vec<Fit> {
-        extensions(self.problem, fit, fitted, least, |_| true)
+        fitted_best(self.problem, fit, &self.first_steps(fit), (fitted, least))
     }
 
     /// The evidence for effect k of the answer, and what could stand in its place.
@@ -234,22 +251,15 @@ pub fn extensions(
     least: f64,
     admits: impl Fn(&Physics) -> bool,
 ) -> Vec<Fit> {
-    let per_parameter = (problem.data.residual_count() as f64).ln();
-    let squares: f64 = fit.residuals.iter().map(|r| r.norm_squared()).sum();
-    let mut hypotheses = one_effect_more(problem, fit);
-    hypotheses.retain(|hypothesis| admits(hypothesis.physics));
-    let mut expected: Vec<(f64, Hypothesis)> = hypotheses
-        .into_par_iter()
-        .map(|hypothesis| {
-            let parameters = hypothesis.physics.parameters_on(problem.data.backbones()).len() as f64;
-            let (_, left) = hypothesis.one_step(problem, &fit.path);
-            (squares - left - parameters * per_parameter, hypothesis)
-        })
-        .filter(|(gain, _)| *gain > least)
-        .collect();
-    expected.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let mut chosen: Vec<Hypothesis> = Vec::new();
-    for (_, hypothesis) in expected {
+    fitted_best(problem, fit, &first_steps(problem, fit, admits), (fitted, least))
+}
+
+/// The fits to convergence of as many first steps from a fit as are to be fitted, those that gain most.
+fn fitted_best(problem: &Problem, fit: &Fit, steps: &[FirstStep], (fitted, least): (usize, f64)) -> Vec<Fit> {
+    let mut expected: Vec<&FirstStep> = steps.iter().filter(|step| step.gain > least).collect();
+    expected.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    let mut chosen: Vec<&Hypothesis> = Vec::new();
+    for FirstStep { hypothesis, .. } in expected {
         let of_its_form = chosen.iter().filter(|other| other.physics == hypothesis.physics).count();
         if chosen.len() < fitted && of_its_form < FITTED_PER_FORM {
             chosen.push(hypothesis);

@@ -147,7 +147,7 @@ impl NoiseQuantiles {
 /// The quantile of χ²_f / f at 1 − [`LEVEL`].
 ///
 /// Source: Wilson and Hilferty 1931, The distribution of chi-square, Proc. Natl. Acad. Sci. 17:684.
-fn mean_square_quantile(freedom: f64) -> f64 {
+pub fn mean_square_quantile(freedom: f64) -> f64 {
     let variance = 2.0 / (9.0 * freedom);
     (1.0 - variance + NORMAL_QUANTILE * variance.sqrt()).powi(3)
 }

@@ -1,18 +1,13 @@
 //! The tangent space of every hypothesis: what its effect can do to the residuals, to first order.
 
 use super::fit::Fit;
-use super::hypotheses::{Hypothesis, one_effect_more};
+use super::hypotheses::{FirstStep, thinned};
 use super::periodogram::{Waves, frequencies};
 use super::residuals::Problem;
 use crate::robot::Physics;
 use crate::robot::effects::Starts;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
-
-/// Samples are thinned evenly until no more residuals than these are left.
-///
-/// Convention: a bound on memory and computing time.
-const MOST_ROWS: usize = 3000;
 
 /// The ridge that keeps a projection solvable, relative and absolute.
 ///
@@ -52,39 +47,26 @@ impl TangentSpace {
     }
 }
 
-/// The tangent spaces of all hypotheses about a fit.
-pub fn tangent_spaces(problem: &Problem, fit: &Fit) -> Vec<TangentSpace> {
+/// The tangent spaces of all hypotheses about a fit, of which these are the first steps.
+pub fn tangent_spaces(problem: &Problem, fit: &Fit, steps: &[FirstStep]) -> Vec<TangentSpace> {
     let data = problem.data;
-    let n = data.backbones();
-    let stride = data.residual_count().div_ceil(MOST_ROWS);
-    let thinned = |columns: &DMatrix<f64>| -> DMatrix<f64> {
-        let samples = data.len().div_ceil(stride);
-        DMatrix::from_fn(n * samples, columns.ncols(), |r, c| columns[(n * (r / n * stride) + r % n, c)])
-    };
-    let base = thinned(&fit.jacobian);
-    let p = base.ncols();
+    let base = thinned(data, &fit.jacobian);
     let per_parameter = (data.residual_count() as f64).ln();
     let space = |physics: Option<&'static Physics>, parameters: usize, columns: DMatrix<f64>| {
         let remaining = without_projection(&base, &columns);
         TangentSpace { physics, penalty: per_parameter * parameters as f64, columns, remaining }
     };
-    let is_periodic = |hypothesis: &Hypothesis| matches!(hypothesis.physics.starts, Starts::Periodogram(_));
-    let (periodic, others): (Vec<_>, Vec<_>) = one_effect_more(problem, fit).into_iter().partition(is_periodic);
-    let mut spaces: Vec<TangentSpace> = others
-        .into_par_iter()
-        .map(|hypothesis| {
-            let jacobian = thinned(&hypothesis.one_step(problem, &fit.path).0);
-            let own = jacobian.columns(p, jacobian.ncols() - p).into_owned();
-            space(Some(hypothesis.physics), own.ncols(), own)
-        })
-        .collect();
+    let is_periodic = |step: &&FirstStep| matches!(step.hypothesis.physics.starts, Starts::Periodogram(_));
+    let (periodic, others): (Vec<_>, Vec<_>) = steps.iter().partition(is_periodic);
+    let of_step = |step: &FirstStep| space(Some(step.hypothesis.physics), step.columns.ncols(), step.columns.clone());
+    let mut spaces: Vec<TangentSpace> = others.into_par_iter().map(of_step).collect();
     // A wave of every frequency, each with its pitch as a further parameter.
     if periodic.is_empty() {
         return spaces;
     }
     let waves = frequencies(data).into_par_iter().flat_map_iter(|frequency| {
         let Waves { common, separate } = Waves::new(problem, frequency);
-        [space(None, 3, thinned(&common)), space(None, 2 + n, thinned(&separate))]
+        [space(None, 3, thinned(data, &common)), space(None, 2 + data.backbones(), thinned(data, &separate))]
     });
     spaces.extend(waves.collect::<Vec<_>>());
     spaces

@@ -60,7 +60,7 @@ impl DiscoveryWorker {
             }
             let found = on_one_thread(|| -> Result<Discovery> {
                 let data = Data::new(&measurements, &readings, sd_encoder_mm)?;
-                let found = discover_in_frames(model, &data);
+                let found = discover_in_frames(model, &data, &|_| ());
                 write(&output, &found)?;
                 Ok(found)
             });

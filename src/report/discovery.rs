@@ -3,7 +3,9 @@
 use super::bend_map::bend_map;
 use super::page::{definitions, document, figure, list, table};
 use super::plot::{Plot, Point, Series, Style};
-use crate::discover::{Data, Discovery, Localisation, Named, NextExperiment, Part, ProposedLaw, Verdict};
+use crate::discover::{
+    Data, Discovery, EffectTrace, Localisation, Named, NextExperiment, Part, ProposedLaw, Verdict, effect_traces,
+};
 use maud::{Markup, html};
 
 /// The most dots of one series.
@@ -44,6 +46,7 @@ impl Page<'_> {
     /// The page as HTML; it asks no other address for anything.
     pub fn html(&self) -> String {
         let found = self.found;
+        let traces = effect_traces(found, self.data);
         let content = html! {
             h1 { "What the model lacks: " (heading(found)) }
             p.verdict { (sentence(found)) }
@@ -51,7 +54,10 @@ impl Page<'_> {
             p { (GLOSSARY) }
             @if let Some(gap) = self.gap { (self.localisation(gap)) }
             (considered(found))
-            @for named in &found.named { (effect(found, named)) }
+            @for (k, named) in found.named.iter().enumerate() {
+                (effect(found, named))
+                @if let Some(trace) = traces.get(k) { (self.loops(trace)) }
+            }
             (self.before_and_after())
             @if let Some(correction) = self.correction {
                 h2 { "The proposed law" }
@@ -84,6 +90,40 @@ impl Page<'_> {
                          dot, the larger the gap that the model as given leaves."
                     }
                 }
+            }
+        }
+    }
+
+    /// The loops of an effect found: the bend over the command, and the gap over what the effect follows.
+    fn loops(&self, trace: &EffectTrace) -> Markup {
+        let EffectTrace { backbone, command_mm, measured_deg, modelled_deg, gap_mm, follows, followed } = trace;
+        let beyond =
+            |side: usize| measured_deg.iter().zip(&modelled_deg[side]).map(|(a, b)| a - b).collect::<Vec<f64>>();
+        let beyond = [beyond(0), beyond(1)];
+        let dots = |name: &str, x: &[f64], y: &[f64]| {
+            let points = x.iter().zip(y).step_by(self.every()).map(|(&x, &y)| Point { x, y, sd: 0.0 });
+            Series { name: name.to_owned(), style: Style::Dots, points: points.collect() }
+        };
+        let plot = |x_label: &str, y_label: &str, series: Vec<Series>| Plot {
+            x_label: x_label.to_owned(),
+            y_label: y_label.to_owned(),
+            series,
+            y_shown: Vec::new(),
+        };
+        let command = format!("q̃ of backbone {backbone} (mm)");
+        let bends = [("measured", measured_deg), ("by the model", &modelled_deg[1])];
+        let sides = [("without it", 0), ("with it", 1)];
+        let of_sides = |x: &[f64], y: &[Vec<f64>; 2]| sides.map(|(name, side)| dots(name, x, &y[side])).to_vec();
+        html! {
+            .plots {
+                (figure("The bend over the command", &plot(&command, "bend towards it (°)",
+                    bends.map(|(name, bend)| dots(name, command_mm, bend)).to_vec()), ""))
+                (figure("What the model misses of it", &plot(&command, "bend missed (°)", of_sides(command_mm, &beyond)), ""))
+                (figure("The gap over what the effect follows", &plot(follows, "gap of ε (mm)", of_sides(followed, gap_mm)), ""))
+            }
+            p {
+                "Backbone " (backbone) " is where the effect does most. Without it all else is fitted anew; all samples are shown, as \
+                 they were fitted."
             }
         }
     }
@@ -321,10 +361,10 @@ fn effect(found: &Discovery, named: &Named) -> Markup {
         (definitions("summary", &facts))
         @if !alternatives.is_empty() {
             (table(&title, ["effect", "worse by (information criterion)"], &alternatives))
-        }
-        p {
-            "The Bayesian information criterion is the sum of the squared residuals in units of the noise, and a charge for each \
-             parameter. Less is better; what is worse by more than 6 is ruled out."
+            p {
+                "The Bayesian information criterion is the sum of the squared residuals in units of the noise, and a charge for \
+                 each parameter. Less is better; what is worse by more than 6 is ruled out."
+            }
         }
     }
 }

@@ -5,6 +5,7 @@ mod corpus;
 mod estimator;
 mod extremes;
 mod house;
+mod laws;
 mod numbers;
 mod real;
 mod sealed;

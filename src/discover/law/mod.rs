@@ -3,9 +3,10 @@
 //!
 //! A law is a sum of a few [terms](terms) with coefficients. At the bends that the eye saw, the gap of ε is linear in the coefficients,
 //! so that terms are [selected](selection) among hundreds by linear least squares. The selection itself is judged as well: it is
-//! repeated without each block of sweeps that follow each other, and the law that comes out must leave less of that block than there is
-//! without one, and at most half of the squares of all blocks. A law that fails is not kept. The law that is kept is fitted as it stands and goes into the model as the
-//! effect `proposed_law`, a formula like a user's own; its variables are held within the values that it was learned from.
+//! repeated without each block of sweeps that follow each other, and the model with the law that comes out, fitted as it stands to the
+//! other blocks, must predict that block better than the model without one, and leave at most half of the squares of all blocks. A law that
+//! fails is not kept. The law that is kept goes into the model as the effect `proposed_law`, a formula like a user's own; its variables are
+//! held within the values that it was learned from.
 
 mod selection;
 mod terms;
@@ -21,6 +22,7 @@ use crate::robot::effects::{Defined, Definition, HALF_GAP, Variable};
 use crate::robot::{Effect, Mechanics, Model, Motion, PerBackbone, Play};
 use crate::statistics::moments::{mean, rms};
 use nalgebra::{DMatrix, DVector, Rotation2, Vector2};
+use rayon::prelude::*;
 use selection::{Cells, Selection, Sums};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -95,13 +97,8 @@ fn proposed(found: &Discovery, data: &Data) -> ProposedLaw {
     let candidates = Candidates::new(&problem, &fit);
     let cells = candidates.cells();
     let judged = Judged::new(&candidates, &cells);
-    let law = || {
-        let selection = candidates.selection(&cells, None);
-        let columns = selection.columns();
-        candidates.fitted(&columns, &selection.solution(&columns)?)
-    };
     let (before_mm, after_mm) = (judged.rms_mm(0), judged.rms_mm(1));
-    match judged.helps().then(law).flatten() {
+    match judged.helps().then(|| candidates.fitted(&cells)).flatten() {
         Some(model) => {
             let law = in_words(&model);
             let words = format!(
@@ -156,7 +153,7 @@ impl<'a> Candidates<'a> {
     fn new(problem: &'a Problem<'a>, fit: &'a Fit) -> Self {
         let data = problem.data;
         let stride = data.len().div_ceil(MOST_SAMPLES);
-        let samples: Vec<usize> = (0..data.len()).step_by(stride).collect();
+        let samples: Vec<usize> = (problem.noise.unknown_start..data.len()).step_by(stride).collect();
         let path = seen(problem, fit);
         let mechanics = Mechanics::new(&fit.model);
         let motions = mechanics.motions_from_readings(&data.log.times_s, &path, &data.log.q_mm);
@@ -212,28 +209,28 @@ impl<'a> Candidates<'a> {
         Selection::new(cells, (self.fit.parameter_count(), &widths), without)
     }
 
-    /// The residuals of sample k after a step of these columns.
-    fn after(&self, k: usize, columns: &[usize], x: &DVector<f64>) -> Residual {
-        let steps = columns.iter().zip(x).map(|(&column, &x)| self.column(column, k) * x);
-        let none = Residual::repeat(self.residuals[k].len(), 0.0);
-        self.residuals[k] + steps.fold(none, |sum, step| sum + step)
-    }
-
-    /// The model with the law of these columns, fitted; none where there is no law, or where it does not help as it stands.
-    fn fitted(&self, columns: &[usize], x: &DVector<f64>) -> Option<Model> {
+    /// The model with the law that was selected, which holds within the values of the samples that were seen; none where there is no law.
+    fn start(&self, selection: &Selection, is_seen: impl Fn(usize) -> bool) -> Option<Model> {
         let fixed = self.fit.parameter_count();
+        let columns = selection.columns();
+        let x = selection.solution(&columns)?;
         let chosen: Vec<(&Candidate, f64)> = columns
             .iter()
-            .zip(x)
+            .zip(&x)
             .filter_map(|(&column, &x)| Some((&self.all[column.checked_sub(fixed)?], x)))
             .map(|(candidate, x)| (candidate, x / candidate.scale))
             .collect();
-        let (definition, values) = self.states.definition(&chosen)?;
+        let (definition, values) = self.states.definition(&chosen, is_seen)?;
         let effect = Effect::of(definition.physics().ok()?, values);
+        let found = format!("discover --correction, {} samples", self.problem.data.len());
         let mut start = self.fit.model.clone();
-        start
-            .effects
-            .push(Effect { found: format!("discover --correction, {} samples", self.problem.data.len()), ..effect });
+        start.effects.push(Effect { found, ..effect });
+        Some(start)
+    }
+
+    /// The model with the law of all samples, fitted; none where there is no law, or where it does not help as it stands.
+    fn fitted(&self, cells: &Cells) -> Option<Model> {
+        let start = self.start(&self.selection(cells, None), |_| true)?;
         let fitted = self.problem.fit(&start, Some(&self.fit.path), None);
         let gap = |fit: &Fit| HeldOutResiduals::new(self.problem, fit).gap.eps_mm;
         (gap(&fitted) < gap(self.fit)).then(|| self.problem.with_clustered_covariance(&fitted))
@@ -250,34 +247,30 @@ fn seen(problem: &Problem, fit: &Fit) -> Vec<Vector2<f64>> {
 }
 
 /// What is left of each block by laws that were chosen and fitted without it: of every sample the mean square of the gap of ε over the
-/// backbones, without a law and with it, mm².
+/// backbones, without a law and with it, mm². Both are predictions from the readings, as a model with the law makes them.
 struct Judged {
     blocks: Vec<Vec<[f64; 2]>>,
 }
 
 impl Judged {
     fn new(candidates: &Candidates, cells: &Cells) -> Self {
-        let data = candidates.problem.data;
-        let of_sweep = data.blocks();
+        let Candidates { problem, fit, .. } = candidates;
+        let (data, of_sweep) = (problem.data, problem.data.blocks());
         let block = |block: usize| {
-            let selection = candidates.selection(cells, Some(block));
-            let sets = [selection.base(), selection.columns()];
-            let solutions = sets.map(|columns| {
-                let x = selection.solution(&columns).unwrap_or_else(|| DVector::zeros(columns.len()));
-                (columns, x)
-            });
-            let mut residuals = candidates.residuals.clone();
-            let mut left = |k: usize| {
-                solutions.each_ref().map(|(columns, x)| {
-                    residuals[k] = candidates.after(k, columns, x);
-                    let gap = candidates.problem.eps_gap_mm(&residuals, k);
+            let is_seen = |k: usize| of_sweep[data.sweeps[k]] != block;
+            let fitted = |start: &Model| problem.fit_to(start, Some(&fit.path), is_seen);
+            let base = fitted(&fit.model);
+            let with = candidates.start(&candidates.selection(cells, Some(block)), is_seen).map(|start| fitted(&start));
+            let sides = [&base, with.as_ref().unwrap_or(&base)];
+            let left = |k: usize| {
+                sides.map(|fit| {
+                    let gap = problem.eps_gap_mm(&fit.residuals, k);
                     gap.norm_squared() / gap.len() as f64
                 })
             };
-            let own = candidates.samples.iter().filter(|&&k| of_sweep[data.sweeps[k]] == block);
-            own.map(|&k| left(k)).collect()
+            (problem.noise.unknown_start..data.len()).filter(|k| !is_seen(*k)).map(left).collect()
         };
-        Self { blocks: (0..FOLDS).map(block).collect() }
+        Self { blocks: (0..FOLDS).into_par_iter().map(block).collect() }
     }
 
     /// Without a law (side 0) or with it (side 1).
@@ -342,8 +335,13 @@ impl States {
         })
     }
 
-    /// The law of these terms and coefficients, and its parameters' values in their order; none without terms.
-    fn definition(&self, chosen: &[(&Candidate, f64)]) -> Option<(Definition, Vec<f64>)> {
+    /// The law of these terms and coefficients, learned from the samples that were seen, and its parameters' values in their order; none
+    /// without terms.
+    fn definition(
+        &self,
+        chosen: &[(&Candidate, f64)],
+        is_seen: impl Fn(usize) -> bool,
+    ) -> Option<(Definition, Vec<f64>)> {
         if chosen.is_empty() {
             return None;
         }
@@ -363,7 +361,7 @@ impl States {
                 parameters.insert(HALF_GAP.to_owned(), (defined, half));
             }
             for factor in &term.factors {
-                if let Some(range) = self.range_of(factor.variable) {
+                if let Some(range) = self.range_of(factor.variable, &is_seen) {
                     domain.insert(factor.variable.name(), range);
                 }
             }
@@ -383,12 +381,14 @@ impl States {
         2.0 * self.of(Variable::Q).iter().map(|q| q.amax()).fold(0.0, f64::max)
     }
 
-    /// The least and the largest value of a variable; none of those that have ends of their own.
-    fn range_of(&self, variable: Variable) -> Option<[f64; 2]> {
+    /// The least and the largest value of a variable at the samples that were seen; none of those that have ends of their own.
+    fn range_of(&self, variable: Variable, is_seen: impl Fn(usize) -> bool) -> Option<[f64; 2]> {
         if matches!(variable, Variable::Direction | Variable::Play | Variable::On(_)) {
             return None;
         }
-        let values = || self.of(variable).iter().flat_map(|values| values.iter().copied());
+        let seen: Vec<&PerBackbone> =
+            self.of(variable).iter().enumerate().filter(|(k, _)| is_seen(*k)).map(|(_, values)| values).collect();
+        let values = || seen.iter().flat_map(|values| values.iter().copied());
         Some([values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max)])
     }
 }

@@ -95,12 +95,6 @@ pub struct Selection {
     width_of: Vec<Option<usize>>,
 }
 
-/// What a set of columns leaves on what its fits did not see.
-struct Costs {
-    blocks: Vec<f64>,
-    total: f64,
-}
-
 impl Selection {
     /// Of all cells but those of the block `without`.
     pub fn new(cells: &Cells, (fixed, width_of): (usize, &[Option<usize>]), without: Option<usize>) -> Self {
@@ -124,30 +118,25 @@ impl Selection {
         }
     }
 
-    /// The columns of every fit.
-    pub fn base(&self) -> Vec<usize> {
-        (0..self.fixed).collect()
-    }
-
     /// The columns that help, those of every fit first.
     pub fn columns(&self) -> Vec<usize> {
-        let mut chosen = self.base();
-        let Some(mut costs) = self.costs(&chosen) else { return chosen };
+        let mut chosen: Vec<usize> = (0..self.fixed).collect();
+        let Some(mut cost) = self.cost(&chosen) else { return chosen };
         while chosen.len() < self.fixed + MOST_TERMS {
             let candidates = (self.fixed..self.columns).filter(|column| self.admits(&chosen, *column));
             let candidates: Vec<usize> = candidates.collect();
             let with = |column: usize| {
                 let longer = [&chosen[..], &[column]].concat();
-                let own = self.costs(&longer)?;
-                own.is_better_in_every_block(&costs).then_some((longer, own))
+                let own = self.cost(&longer)?;
+                Some((longer, own))
             };
-            let best = candidates.into_par_iter().filter_map(with).min_by(|a, b| a.1.total.total_cmp(&b.1.total));
+            let best = candidates.into_par_iter().filter_map(with).min_by(|a, b| a.1.total_cmp(&b.1));
             match best {
-                Some((longer, own)) if own.total < (1.0 - LEAST_GAIN) * costs.total => (chosen, costs) = (longer, own),
+                Some((longer, own)) if own < (1.0 - LEAST_GAIN) * cost => (chosen, cost) = (longer, own),
                 _ => break,
             }
         }
-        self.without_the_superfluous(chosen, costs)
+        self.without_the_superfluous(chosen, cost)
     }
 
     /// Whether a column may join: a law has one width of play.
@@ -158,41 +147,32 @@ impl Selection {
     }
 
     /// Drops columns that later ones have made superfluous.
-    fn without_the_superfluous(&self, mut chosen: Vec<usize>, mut costs: Costs) -> Vec<usize> {
+    fn without_the_superfluous(&self, mut chosen: Vec<usize>, mut cost: f64) -> Vec<usize> {
         loop {
             let shorter = (self.fixed..chosen.len()).filter_map(|place| {
                 let mut shorter = chosen.clone();
                 shorter.remove(place);
-                let own = self.costs(&shorter)?;
+                let own = self.cost(&shorter)?;
                 Some((shorter, own))
             });
-            let best = shorter.min_by(|a, b| a.1.total.total_cmp(&b.1.total));
+            let best = shorter.min_by(|a, b| a.1.total_cmp(&b.1));
             match best {
-                Some((shorter, own)) if (1.0 - LEAST_GAIN) * own.total < costs.total => {
-                    (chosen, costs) = (shorter, own);
-                }
+                Some((shorter, own)) if (1.0 - LEAST_GAIN) * own < cost => (chosen, cost) = (shorter, own),
                 _ => return chosen,
             }
         }
     }
 
-    fn costs(&self, columns: &[usize]) -> Option<Costs> {
+    /// What a set of columns leaves on what its fits did not see: the mean of both partitions.
+    fn cost(&self, columns: &[usize]) -> Option<f64> {
         let cost = |split: &Split| Some(split.held_out.cost(columns, &split.seen.solution(columns)?));
-        let blocks: Vec<f64> = self.blocks.iter().map(cost).collect::<Option<_>>()?;
-        let folds: Vec<f64> = self.folds.iter().map(cost).collect::<Option<_>>()?;
-        let total = 0.5 * (blocks.iter().sum::<f64>() + folds.iter().sum::<f64>());
-        Some(Costs { blocks, total })
+        let costs = self.blocks.iter().chain(&self.folds).map(cost);
+        Some(0.5 * costs.sum::<Option<f64>>()?)
     }
 
     /// The coefficients of some columns, fitted to all that the selection saw.
     pub fn solution(&self, columns: &[usize]) -> Option<DVector<f64>> {
         self.seen.solution(columns)
-    }
-}
-
-impl Costs {
-    fn is_better_in_every_block(&self, other: &Self) -> bool {
-        self.blocks.iter().zip(&other.blocks).all(|(own, other)| own <= other)
     }
 }
 
