@@ -8,9 +8,11 @@ use crate::geometry::Configuration;
 use crate::measure::{Explanation, SearchedPoint, WeightedEdge};
 use crate::observation::{Measurement, Status};
 use crate::robot::BendProfile;
+use crate::statistics::order::median;
 use image::{Rgb, RgbImage, imageops};
 use maud::html;
 use nalgebra::Point2;
+use std::collections::BTreeMap;
 use std::f64::consts::FRAC_1_SQRT_2;
 
 // Colours. Convention: display choices.
@@ -34,7 +36,7 @@ const CANDIDATES: [Rgb<u8>; 6] = [
 ];
 /// What the plot of the residuals shows.
 const LEFT_BY_THE_FIT: &str = "How far to the left of the best fit's outline the edges lie, looking from the base to the tip, by their place \
-    along the snake. Both sides off together: the snake runs elsewhere there, in the pattern of its shape. Off the opposite way: it \
+    along the snake (medians over a millimetre). Both sides off together: the snake runs elsewhere there, in the pattern of its shape. Off the opposite way: it \
     looks wider or narrower there. A few places alone: something is in front of it or behind it.";
 /// How much larger the picture of the edges is than the frame. Convention: a display choice.
 const ENLARGED: u32 = 4;
@@ -210,7 +212,7 @@ pub fn page(title: &str, explanation: &Explanation, measurement: &Measurement, s
         table {
             @for (name, value) in figures(explanation, measurement) { tr { th { (name) } td { (value) } } }
         }
-        (figure("What the best fit leaves", &residuals(&explanation.points), LEFT_BY_THE_FIT))
+        .plots { (figure("What the best fit leaves", &residuals(&explanation.points), LEFT_BY_THE_FIT)) }
         @for Stage { file, caption, .. } in stages {
             h2 { (file.trim_end_matches(".png")) }
             figure { img src=(file) alt=""; figcaption { (caption) } }
@@ -219,17 +221,23 @@ pub fn page(title: &str, explanation: &Explanation, measurement: &Measurement, s
     document(title, "", &content)
 }
 
-/// The residuals of the best fit along the snake, at the borders of its two sides.
+/// The residuals of the best fit along the snake, at the borders of its two sides: their median over every millimetre.
 fn residuals(points: &[SearchedPoint]) -> Plot {
     /// A border whose normal is within 45° of the picture's left or right of the snake is one of its sides. Convention: a display choice.
     const SIDEWARD: f64 = FRAC_1_SQRT_2;
     let of_side = |name: &str, side: f64| {
-        let at_side = points.iter().filter(|point| point.leftward * side > SIDEWARD);
-        let displaced =
-            |point: &SearchedPoint| point.edge.map(|edge| Point { x: point.s_mm, y: side * edge.offset_px, sd: 0.0 });
-        let mut points: Vec<Point> = at_side.filter_map(displaced).collect();
-        points.sort_by(|a, b| a.x.total_cmp(&b.x));
-        Series { name: name.to_owned(), style: Style::Dots, points }
+        let mut by_mm: BTreeMap<i64, Vec<f32>> = BTreeMap::new();
+        for point in points.iter().filter(|point| point.leftward * side > SIDEWARD) {
+            if let Some(edge) = point.edge {
+                by_mm.entry(point.s_mm.floor() as i64).or_default().push((side * edge.offset_px) as f32);
+            }
+        }
+        let middle = |(mm, mut offsets): (i64, Vec<f32>)| Point {
+            x: mm as f64 + 0.5,
+            y: f64::from(median(&mut offsets)),
+            sd: 0.0,
+        };
+        Series { name: name.to_owned(), style: Style::Band, points: by_mm.into_iter().map(middle).collect() }
     };
     Plot {
         x_label: "place along the snake, mm".to_owned(),
@@ -325,8 +333,8 @@ mod tests {
         let points = [point(20.0, 1.0), point(20.0, -1.0), point(5.0, 0.9), upper_border];
         let plot = residuals(&points);
         let places = |side: usize| -> Vec<[f64; 2]> { plot.series[side].points.iter().map(|p| [p.x, p.y]).collect() };
-        assert_eq!(places(0), [[5.0, 0.0], [20.0, 0.5]]);
-        assert_eq!(places(1), [[20.0, 0.5]]);
+        assert_eq!(places(0), [[5.5, 0.0], [20.5, 0.5]]);
+        assert_eq!(places(1), [[20.5, 0.5]]);
     }
 
     #[test]
