@@ -1,6 +1,6 @@
 //! The local minima of a frame's fit, from the candidates of the coarse search.
 
-use super::eye::{CONVERGED_RAD, Eye, NEXT_STAGE_COST_RATIO, REFINEMENT, SAME_MINIMUM_RAD};
+use super::eye::{CONVERGED_RAD, Eye, REFINEMENT, SAME_MINIMUM_RAD};
 use super::fit::{BendFit, CoarseSearch, EdgeFinder, FitSchedule, distinct};
 use super::image::plane::Plane;
 use nalgebra::Vector2;
@@ -23,6 +23,10 @@ const REFINED: usize = 2;
 /// Fitted: the search distances, by hand on renders; judged by `tests/robustness`.
 const COARSE: FitSchedule =
     FitSchedule { searches_px: &[14.0, 8.0], rounds: 2, is_fine: false, converged_rad: CONVERGED_RAD };
+/// Coarse fits are refined if their cost is at most this many times the best one's.
+///
+/// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
+const REFINED_COST_RATIO: f64 = 3.0;
 /// Of coarse fits that end within this distance of each other, rad, only the best is refined.
 ///
 /// Convention: half a spacing of the coarse search's lattice.
@@ -105,7 +109,7 @@ impl Eye {
         let mut coarse = distinct(coarse, SAME_COARSE_RAD);
         coarse.truncate(REFINED);
         let least_cost = coarse.first().map_or(0.0, |best| best.cost);
-        let promising = coarse.par_iter().filter(|fit| fit.cost <= NEXT_STAGE_COST_RATIO * least_cost);
+        let promising = coarse.par_iter().filter(|fit| fit.cost <= REFINED_COST_RATIO * least_cost);
         promising.filter_map(|fit| self.fit(finder, fit.start(), &REFINEMENT)).collect()
     }
 }
