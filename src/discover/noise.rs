@@ -54,7 +54,7 @@ pub struct Noise {
     pub discrepancy_rad: f64,
     /// The same of each part of q̃ that bends nothing, mm.
     pub discrepancy_mm: f64,
-    /// How many samples at the [start](super::start) weigh nothing, since what moved the snake before the log still holds it there.
+    /// How many samples at the start weigh nothing, since what moved the snake before the log still holds it there.
     pub unknown_start: usize,
 }
 
