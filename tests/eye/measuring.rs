@@ -114,7 +114,7 @@ fn near_straight_the_direction_is_said_to_be_unknown() {
 
 #[test]
 fn what_is_no_snake_gets_no_angle() {
-    let scene = laboratory();
+    let scene = smaller(laboratory(), 2);
     let eye = eye(&scene);
     let (width, height) = (scene.lens.width, scene.lens.height);
     let flat = |level: u8| Frame {
@@ -159,7 +159,7 @@ fn a_wrong_standoff_or_a_bent_snake_is_refused_with_a_reason() {
 #[test]
 fn a_bent_snake_is_no_straight_one_in_a_small_picture_either() {
     let scene = smaller(laboratory(), 2);
-    for (seed, delta_deg) in (0..).zip([-150.0, -90.0, 0.0, 90.0, 180.0]) {
+    for (seed, delta_deg) in (0..).zip([-150.0, 0.0, 90.0]) {
         let bent = frame(&scene, Configuration::from_degrees(40.0, delta_deg), seed);
         let error = calibrate_rig(&bent, &scene.lens, &scene.robot, &rig_options(&scene)).map(drop).unwrap_err();
         assert!(error.to_string().contains("unbent"), "δ {delta_deg}°: {error}");
