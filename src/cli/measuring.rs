@@ -78,8 +78,7 @@ impl MeasuringArgs {
             true => MeasurementJournal::resume(output, &origin.table()?)?,
             false => MeasurementJournal::create(output, &origin.table()?)?,
         };
-        // Whoever measures has the folder to itself.
-        [output, &output.join("overlays")].into_iter().try_for_each(remove_abandoned)?;
+        remove_abandoned(&output.join("overlays"))?;
         if journal.rows() > 0 {
             console.say(format!("{} frames were measured before", journal.rows()));
         }

@@ -5,7 +5,7 @@ use super::autosave::save;
 use super::commands::{Answer, Command, Request};
 use super::discovery_worker::DiscoveryWorker;
 use super::encoders::{Encoders, Lookup};
-use super::final_tables;
+use super::final_tables::FinalTables;
 use super::frame_queue::Captured;
 use super::frame_timing::{FrameTiming, LATE_S};
 use super::journal::{Entry, Journal};
@@ -62,6 +62,8 @@ pub struct Pipeline {
     pub estimator: OnlineEstimator,
     /// Where every measurement is written down.
     pub journal: Journal,
+    /// The tables that stand at the end.
+    pub tables: FinalTables,
     /// What everybody may see.
     pub shared: Arc<SharedState>,
     /// Where measured frames are drawn.
@@ -215,6 +217,7 @@ impl Pipeline {
         }
         self.journal.append(&Entry::Measured(measurement.clone(), reading))?;
         let update = self.estimator.update(&measurement, reading.as_ref());
+        self.tables.add(&measurement, reading.as_ref(), &update)?;
         let latency_s = arrived.elapsed().as_secs_f64();
         timing.measured(Instant::now(), (measured - arrived).as_secs_f64(), measured.elapsed().as_secs_f64(), late_s);
         let mut row = self.row(&measurement, time_s, reading.as_ref(), &update);
@@ -374,7 +377,7 @@ impl Pipeline {
         self.verdict.finish(&measurements, &readings);
         let is_estimated = self.shared.lock().model.estimate.is_some();
         let saved = if is_estimated { save(&self.shared, &self.output).map(|_| ()) } else { Ok(()) };
-        final_tables::write(&self.output, self.estimator)?;
+        self.tables.finish()?;
         self.shared.lock().state.ended = true;
         saved
     }

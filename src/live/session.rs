@@ -5,6 +5,7 @@ use super::autosave::{Autosave, AutosaveThread};
 use super::clock::FrameClock;
 use super::commands::Commands;
 use super::discovery_worker::DiscoveryWorker;
+use super::final_tables::FinalTables;
 use super::journal::{Entry, Journal};
 use super::latency::Histogram;
 use super::online_estimator::OnlineEstimator;
@@ -50,7 +51,8 @@ impl Live {
         let published = if resume { published_in(&output) } else { None };
         let gate = PublicationGate::new(options.sd_encoder_mm, stem.is_none(), published);
         let shared = Arc::new(SharedState::new(State::at_start(source_name, encoders.status()), model.clone(), gate));
-        let (journal, next_index) = open_journal(&output, resume, &mut estimator, &shared)?;
+        let mut tables = FinalTables::begin(&output, model.robot.backbone_count(), stem.is_some())?;
+        let (journal, next_index) = open_journal(&output, resume, &mut estimator, &mut tables, &shared)?;
         let reader = FrameReader::start(source, next_index, clock)?;
         let bends = Arc::new(RecentBends::default());
         let autosave = AutosaveThread::start(Autosave {
@@ -76,6 +78,7 @@ impl Live {
             encoders,
             estimator,
             journal,
+            tables,
             shared: Arc::clone(&shared),
             video: Arc::clone(&video),
             discovery,
@@ -129,19 +132,23 @@ fn published_in(output: &Path) -> Option<Model> {
     read_model(&output.join("model.toml")).ok().filter(|model| model.estimate.is_some())
 }
 
-/// Opens the journal and the index of the next frame. Where the run is resumed, the estimator takes what the journal has.
+/// Opens the journal and the index of the next frame. Where the run is resumed, estimator and tables take what the journal has.
 fn open_journal(
     output: &Path,
     resume: bool,
     estimator: &mut OnlineEstimator,
+    tables: &mut FinalTables,
     shared: &SharedState,
 ) -> Result<(Journal, u64)> {
-    let mut next_index = 0;
+    let (mut next_index, mut written) = (0, Ok(()));
     let (journal, remark) = if resume {
         Journal::resume(output, |entry| match entry {
             Entry::Measured(measurement, reading) => {
                 next_index = next_index.max(measurement.index + 1);
                 let update = estimator.update(&measurement, reading.as_ref());
+                if written.is_ok() {
+                    written = tables.add(&measurement, reading.as_ref(), &update);
+                }
                 let mut shared = shared.lock();
                 shared.count(&measurement, update.step.verdict);
                 shared.state.resumed += 1;
@@ -155,6 +162,7 @@ fn open_journal(
     } else {
         (Journal::create(output)?, None)
     };
+    written?;
     let mut shared = shared.lock();
     shared.model = estimator.model();
     shared.state.estimate = EstimateStatus::of(&shared.model);

@@ -3,7 +3,7 @@
 //! The record, `.snakeloop.toml`, holds for each file of the folder the call that made it. A call that is at work holds the operating
 //! system's lock on it, which ends with the process however that ends. Where a file system knows no locks, calls go without.
 
-use super::write::is_at;
+use super::write::{is_at, remove_abandoned};
 use crate::error::{Error, Result};
 use crate::input::SETTINGS_BYTES;
 use serde::{Deserialize, Serialize};
@@ -43,13 +43,22 @@ struct Record {
 
 impl OutputFolder {
     /// Takes a folder, which is created where it is missing, to write files (or folders) of these names into it. `inputs` are the
-    /// files that the call reads; a pattern of file names stands for all that lie where it does.
+    /// files that the call reads; a pattern of file names stands for all that lie where it does. Temporary files of calls that were killed
+    /// are removed.
     ///
     /// # Errors
     /// An output that would replace an input; a folder in which another call is at work, or that cannot be written to.
     pub fn claim(folder: &Path, outputs: &[&str], inputs: &[PathBuf]) -> Result<Self> {
         std::fs::create_dir_all(folder).map_err(Error::io(folder, "create the folder"))?;
         refuse_inputs(folder, outputs, inputs)?;
+        let claimed = Self::lock(folder)?;
+        remove_abandoned(folder)?;
+        Ok(claimed)
+    }
+
+    /// Takes the lock on a folder, which is created where it is missing.
+    fn lock(folder: &Path) -> Result<Self> {
+        std::fs::create_dir_all(folder).map_err(Error::io(folder, "create the folder"))?;
         let path = folder.join(RECORD);
         for _ in 0..TRIES {
             let record = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
@@ -100,13 +109,13 @@ impl OutputFolder {
     /// Takes the folder anew where it was removed while the call is at work.
     ///
     /// # Errors
-    /// Those of [`claim`](Self::claim) and [`made_by`](Self::made_by).
+    /// A folder in which another call is at work, or that cannot be written to, and those of [`made_by`](Self::made_by).
     pub fn restore(&mut self) -> Result<()> {
         if is_at(&self.record, &self.path.join(RECORD)) {
             return Ok(());
         }
         let made = self.made.take();
-        *self = Self::claim(&self.path, &[], &[])?;
+        *self = Self::lock(&self.path)?;
         made.map_or(Ok(()), |(maker, outputs)| {
             self.made_by(&maker, &outputs.iter().map(String::as_str).collect::<Vec<_>>())
         })
@@ -180,8 +189,14 @@ mod tests {
             let refused = claims.into_iter().find_map(Result::err).unwrap().to_string();
             assert!(refused.contains("another call of snakeloop is at work"), "{refused}");
         }
-        // A folder that was removed under one call's feet is another's.
+        // What a call that was killed left goes with the next one, and not while one is at work.
+        let left = out.join(".snakeloop-abc.tmp");
+        std::fs::write(&left, "half").unwrap();
         let first = OutputFolder::claim(&out, &OUTPUTS, &[]).unwrap();
+        assert!(!left.exists());
+        std::fs::write(&left, "half").unwrap();
+        assert!(OutputFolder::claim(&out, &OUTPUTS, &[]).is_err() && left.exists());
+        // A folder that was removed under one call's feet is another's.
         std::fs::remove_dir_all(&out).unwrap();
         OutputFolder::claim(&out, &OUTPUTS, &[]).unwrap();
         drop(first);

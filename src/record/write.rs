@@ -4,7 +4,7 @@
 //! that is killed half-way leaves the former file, or none, never a part of one.
 
 use crate::error::{Error, Result};
-use std::io::Write;
+use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
@@ -34,15 +34,30 @@ impl PendingFile {
         Ok(Self { path: path.to_owned(), temporary })
     }
 
-    /// Flushes the content to the disk and gives the file its name, replacing what stood there.
+    /// Flushes the content to the disk and gives the file its name, replacing what stood there. Where somebody removed the folder or the
+    /// temporary file meanwhile, both are made anew first.
     ///
     /// # Errors
     /// [`Error::Io`] where the disk is full or the name cannot be taken (a folder stands there, say).
     pub fn commit(self) -> Result<()> {
-        let Self { path, temporary } = self;
+        let Self { path, temporary } = self.restored()?;
         temporary.as_file().sync_all().map_err(Error::io(&path, "write"))?;
         temporary.persist(&path).map_err(|refused| Error::io(&path, "write")(refused.error))?;
         Ok(())
+    }
+}
+
+impl PendingFile {
+    /// Itself, or where its temporary name is gone a copy of what the open file still holds.
+    fn restored(self) -> Result<Self> {
+        let mut former = self.temporary.as_file();
+        if is_at(former, self.temporary.path()) {
+            return Ok(self);
+        }
+        let mut anew = Self::create(&self.path)?;
+        former.seek(SeekFrom::Start(0)).map_err(Error::io(&self.path, "read"))?;
+        std::io::copy(&mut former, &mut anew).map_err(Error::io(&self.path, "write"))?;
+        Ok(anew)
     }
 }
 
@@ -78,7 +93,7 @@ fn temporary_in(folder: &Path) -> std::io::Result<NamedTempFile> {
     builder.tempfile_in(folder)
 }
 
-/// Removes what runs that were killed left in a folder under temporary names. Nobody else may be writing there.
+/// Removes what calls that were killed left in a folder under temporary names. Nobody else may be writing there.
 ///
 /// # Errors
 /// A folder that does not let it go.
@@ -142,6 +157,19 @@ mod tests {
         fs::write(folder.path().join(".snakeloop-abc.tmp"), b"half").unwrap();
         remove_abandoned(folder.path()).unwrap();
         assert_eq!(names_in(folder.path()), ["a.csv"]);
+    }
+
+    #[test]
+    fn a_folder_that_is_removed_before_the_end_costs_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out/a.csv");
+        let mut pending = PendingFile::create(&path).unwrap();
+        pending.write_all(b"first, ").unwrap();
+        fs::remove_dir_all(path.parent().unwrap()).unwrap();
+        pending.write_all(b"second").unwrap();
+        pending.commit().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"first, second");
+        assert_eq!(names_in(path.parent().unwrap()), ["a.csv"]);
     }
 
     #[test]
