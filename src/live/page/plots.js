@@ -104,19 +104,28 @@ const plots = (() => {
     latency: () => [line((r) => r.latency_ms, "--c1")],
   };
 
+  // How far apart the ticks of an angle's axis are, degrees: as angles are told, six of them at most; plotly's own choice within some 30°.
+  function angle_step(traces) {
+    const values = traces.flatMap((trace) => trace.y).filter((value) => value !== null);
+    const apart = (Math.max(...values) - Math.min(...values)) / 6;
+    return apart > 5 ? [15, 30, 45, 60, 90].find((step) => step >= apart) || 180 : undefined;
+  }
+
   function draw() {
     if (!rows.length || document.hidden) return;
     const axis = { gridcolor: colour("--line"), zeroline: false, color: colour("--soft"), linecolor: colour("--line") };
     const oldest = rows[0].time_s - rows[rows.length - 1].time_s;
     for (const [name, traces] of Object.entries(shown)) {
       if (document.getElementById("plot-" + name).closest("[hidden]")) continue;
+      const drawn = traces();
+      const dtick = name === "theta" || name === "delta" ? angle_step(drawn) : undefined;
       const layout = {
         margin: { l: 52, r: 8, t: 6, b: 30 }, showlegend: false, paper_bgcolor: "transparent", plot_bgcolor: "transparent",
         font: { color: colour("--soft"), size: 11 },
         xaxis: { ...axis, range: [Math.max(-SPAN_S, Math.min(oldest, -5)), 0], ticksuffix: " s" },
-        yaxis: { ...axis, rangemode: name === "latency" ? "tozero" : "normal" },
+        yaxis: { ...axis, rangemode: name === "latency" ? "tozero" : "normal", dtick },
       };
-      Plotly.react("plot-" + name, traces(), layout, { displayModeBar: false, responsive: true, staticPlot: false });
+      Plotly.react("plot-" + name, drawn, layout, { displayModeBar: false, responsive: true, staticPlot: false });
     }
   }
 
