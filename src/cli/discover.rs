@@ -124,7 +124,7 @@ impl Args {
         console.result(&json, || {
             lines(&found)
                 + &without(&outliers, &found, &measurements, &readings)
-                + &localised.map(|gap| format!("\nthe gap is  {}", gap.words())).unwrap_or_default()
+                + &localised.map(|gap| format!("\nthe gap is {}", gap.words())).unwrap_or_default()
                 + &correction.map(|ProposedLaw { words, .. }| format!("\n{words}")).unwrap_or_default()
                 + &self.next_in_words(next.as_ref())
         });

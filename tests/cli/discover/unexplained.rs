@@ -1,6 +1,6 @@
 //! A gap that no effect explains: it is localised, and a law is proposed where it helps.
 
-use crate::program::{Sandbox, data, number};
+use crate::program::{Sandbox, data, json, number};
 use serde_json::Value;
 use snakeloop::geometry::Configuration;
 use snakeloop::record::{encoders_csv, read_encoders};
@@ -18,8 +18,10 @@ fn experiment(sandbox: &Sandbox, name: &str, seed: u64, change: impl Fn(f64, &mu
     std::fs::write(path, encoders_csv(&readings, 3)).unwrap();
 }
 
-fn discover(sandbox: &Sandbox, name: &str, out: &str) -> Value {
-    sandbox.json(&format!("discover {} --correction -o {out}", data(name)))
+/// discrepancy.json, and what is said of it.
+fn discover(sandbox: &Sandbox, name: &str) -> (Value, String) {
+    let said = sandbox.succeed(&format!("discover {} --correction -o found", data(name)));
+    (json(&sandbox.read("found/discrepancy.json")), said)
 }
 
 #[test]
@@ -29,9 +31,10 @@ fn a_law_proposed_on_one_experiment_helps_on_another_in_every_command() {
     let pull = |_: f64, q: &mut PerBackbone| q[0] += 0.02 * q[1].abs().powi(3);
     experiment(&sandbox, "one", 1, pull);
     experiment(&sandbox, "two", 9, pull);
-    let found = discover(&sandbox, "one", "found");
+    let (found, said) = discover(&sandbox, "one");
     assert_eq!(found["verdict"], "unexplained", "{found:#}");
     assert_eq!(found["where"]["backbone"], 1, "{found:#}");
+    assert!(said.contains("\nthe gap is in backbone 1 ("), "{said}");
     assert_eq!(found["correction"]["kept"], true, "{found:#}");
     let model = sandbox.read("found/model.toml");
     assert!(model.contains("name = \"proposed_law\"") && model.contains("on_1 * abs(q_2)^3"), "{model}");
@@ -84,7 +87,7 @@ fn columns(text: &str) -> Vec<[f64; 5]> {
 fn where_nothing_is_gained_it_is_said() {
     let sandbox = Sandbox::new();
     experiment(&sandbox, "hum", 1, |time_s, q| q[1] += 0.06 * (2.1 * time_s).sin());
-    let found = discover(&sandbox, "hum", "found");
+    let (found, _) = discover(&sandbox, "hum");
     assert_eq!(found["verdict"], "unexplained", "{found:#}");
     assert_eq!(found["where"]["backbone"], 2, "{found:#}");
     assert_eq!(found["correction"]["kept"], false, "{found:#}");
@@ -96,7 +99,7 @@ fn where_nothing_is_gained_it_is_said() {
 fn a_slip_is_told_with_its_time() {
     let sandbox = Sandbox::new();
     experiment(&sandbox, "slip", 1, |time_s, q| *q = q.add_scalar(if time_s > 50.0 { 0.08 } else { 0.0 }));
-    let found = discover(&sandbox, "slip", "found");
+    let (found, _) = discover(&sandbox, "slip");
     let gap = &found["where"];
     assert_eq!(gap["backbone"], "common", "{found:#}");
     let time_s = gap["step"]["time_s"].as_f64().unwrap();
