@@ -1,5 +1,6 @@
 //! What a person looks at: overlays on frames, plots, the HTML page.
 
+mod axis;
 pub mod bend_map;
 pub mod decimation;
 pub mod discovery;
