@@ -70,9 +70,7 @@ impl Console {
             Err(_) => bar,
         }
     }
-}
 
-impl Console {
     /// Does what may take long in stages of which nobody knows the length; from [`SHOWN_AFTER`] on the stage's name is shown, as
     /// [`progress`](Self::progress) is.
     pub fn in_stages<T>(&self, work: impl FnOnce(&dyn Fn(&'static str)) -> T) -> T {

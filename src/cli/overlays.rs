@@ -19,7 +19,9 @@ const PICTURE_WIDTH: u32 = 960;
 const CLOSEUP_WIDTH: u32 = 900;
 /// Free room about the snake, as a share of its size. Convention: a display choice.
 const ROOM: f64 = 0.12;
-/// Width over height of parts that are cut out. Convention: a display choice; the style sheet has it too.
+/// Width over height of parts that are cut out; report.css has it too (`.crop`).
+///
+/// Convention: a display choice; square, because the snake bends to all sides.
 const ASPECT: f64 = 1.0;
 
 /// Which frames are drawn.

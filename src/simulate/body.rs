@@ -80,6 +80,12 @@ struct Tube {
 /// All parts of a snake bent like this.
 pub fn body(robot: &Robot, profile: &BendProfile) -> Vec<Shape> {
     let curve = Curve::new(robot, profile);
+    let cylinders = cylinders(robot, profile, &curve).map(Shape::Cylinder);
+    cylinders.chain(tubes(robot, profile, &curve).into_iter().map(Shape::Tube)).collect()
+}
+
+/// Holder, spacer disks, end disk and tool.
+fn cylinders(robot: &Robot, profile: &BendProfile, curve: &Curve) -> impl Iterator<Item = Cylinder> {
     let psi = Configuration::from_bend_vector(profile.tip);
     // In closed form where there is one.
     let frame_at = |s_mm: f64| if profile.is_arc() { robot.frame_at(psi, s_mm) } else { curve.frame_at(s_mm) };
@@ -87,7 +93,7 @@ pub fn body(robot: &Robot, profile: &BendProfile) -> Vec<Shape> {
     // In short pieces, so that the renderer has few rays to try against each.
     let count = (robot.line.holder_length_mm / (4.0 * disk_radius)).ceil().clamp(1.0, 1000.0);
     let length = robot.line.holder_length_mm / count;
-    let holder = (0..count as usize).map(|k| Cylinder {
+    let holder = (0..count as usize).map(move |k| Cylinder {
         top: Point3::new(0.0, 0.0, -length * k as f64),
         axis: Vector3::z_axis(),
         length,
@@ -103,7 +109,7 @@ pub fn body(robot: &Robot, profile: &BendProfile) -> Vec<Shape> {
         }
     };
     // A spacer disk stands square on the axis at its middle; the end disk does so at its far face, where the axis ends.
-    let spacers = robot.spacer_middles_mm().into_iter().map(|middle| disk(frame_at(middle)));
+    let spacers: Vec<_> = robot.spacer_middles_mm().into_iter().map(|middle| disk(frame_at(middle))).collect();
     let tip = frame_at(robot.length_mm);
     let end_disk = disk(tip * Translation3::new(0.0, 0.0, -robot.body.disk_thickness_mm / 2.0));
     let tool = robot.body.tool.map(|tool| Cylinder {
@@ -112,14 +118,17 @@ pub fn body(robot: &Robot, profile: &BendProfile) -> Vec<Shape> {
         length: tool.length_mm,
         radius: tool.diameter_mm / 2.0,
     });
-    let cylinders = holder.chain(spacers).chain([end_disk]).chain(tool).map(Shape::Cylinder);
+    holder.chain(spacers).chain([end_disk]).chain(tool)
+}
 
+/// Primary and secondary backbones, arc by arc, in pieces.
+fn tubes(robot: &Robot, profile: &BendProfile, curve: &Curve) -> Vec<TubePiece> {
     // The tubes end within the end disk, so that no end shows.
     let end = robot.length_mm - robot.body.disk_thickness_mm / 2.0;
     let arcs: Vec<_> =
         if profile.is_arc() { vec![(Pose::identity(), profile.tip, robot.length_mm)] } else { curve.arcs().collect() };
     let last = arcs.len() - 1;
-    let tubes = arcs.into_iter().enumerate().flat_map(|(k, (start, bend, length_mm))| {
+    let pieces = arcs.into_iter().enumerate().flat_map(|(k, (start, bend, length_mm))| {
         let length_to_end = if k == last { length_mm - (robot.length_mm - end) } else { length_mm };
         let arc = Configuration::from_bend_vector(bend);
         let (sin, cos) = arc.delta.sin_cos();
@@ -140,7 +149,7 @@ pub fn body(robot: &Robot, profile: &BendProfile) -> Vec<Shape> {
         };
         centre.into_iter().chain(circle.to_vec()).flat_map(move |tube_of| tube(tube_of).pieces(start))
     });
-    cylinders.chain(tubes.map(Shape::Tube)).collect()
+    pieces.collect()
 }
 
 /// How far an arc of this curvature has come sideways and up after a length s.

@@ -102,6 +102,10 @@ pub fn correlation_ratio(quantity: &[f64], values: &[f64], classes: usize) -> f6
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector1;
+    use rand::SeedableRng;
+    use rand::rngs::StdRng;
+    use rand_distr::{Distribution, StandardNormal};
 
     #[test]
     fn a_parabola_follows_its_argument_wholly_and_a_mixed_order_hardly() {
@@ -114,10 +118,6 @@ mod tests {
         assert!(correlation_ratio(&mixed, &y, 16) < 0.12);
         assert_eq!(correlation_ratio(&x, &[2.0; 400], 16), 0.0);
     }
-    use nalgebra::Vector1;
-    use rand::SeedableRng;
-    use rand::rngs::StdRng;
-    use rand_distr::{Distribution, StandardNormal};
 
     /// A first-order autoregression of unit variance.
     fn autoregression(rho: f64, count: usize, random: &mut StdRng) -> Vec<f64> {
