@@ -4,8 +4,8 @@ use super::alignment::aligned_starts;
 use super::background::Colours;
 use super::base_fit::{STANDOFF_SIGMA_MM, StraightPicture, fit_base};
 use super::error::{CalibrationStep, RigError};
-use super::holder_sides::{SnakeStart, find_start};
-use super::locate::{Holder, locate_holders};
+use super::holder_sides::{SnakeStart, find_start, holders_at_border};
+use super::locate::{Holder, MOST_WIDTH, locate_holders};
 use super::parameters::{Rig, RigOptions};
 use super::scale::{contradiction, pattern_of};
 use crate::camera::{Frame, Lens};
@@ -76,9 +76,12 @@ pub fn find_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOptions)
             Err(error) => refused = Some(error.or_further(refused)),
         }
     }
-    let contradicted = || search.contradiction(StraightPicture { frame, lens, robot, options }, &holders);
+    let picture = StraightPicture { frame, lens, robot, options };
     match refused {
-        Some(error) if error.step() < CalibrationStep::Scale => Err(contradicted().unwrap_or(error)),
+        Some(error) if error.step() < CalibrationStep::Scale => {
+            let cut = search.cut_by_the_border(picture, &pictures);
+            cut.ok_or_else(|| search.contradiction(picture, &holders).unwrap_or(error))
+        }
         error => Err(error.unwrap_or(RigError::NoObject)),
     }
 }
@@ -122,27 +125,46 @@ impl Search {
         is_new
     }
 
+    /// The grids that were found, each once.
+    fn distinct_grids(&self, lens: &Lens) -> Vec<Grid> {
+        let ray = lens.ray(&lens.centre_px);
+        let mut distinct: Vec<Grid> = Vec::new();
+        for grid in self.grids.iter().filter_map(|(_, _, grid)| grid.as_ref()) {
+            let is_same = |other: &Grid| (other.distance_mm(&ray) / grid.distance_mm(&ray) - 1.0).abs() < SAME_GRID;
+            if !distinct.iter().any(is_same) {
+                distinct.push(grid.clone());
+            }
+        }
+        distinct
+    }
+
+    /// The rig of a snake that stood out too little to be an object, but whose holder the border cuts: a grid tells how wide it is.
+    fn cut_by_the_border(&mut self, picture: StraightPicture, pictures: &[Colours]) -> Option<Rig> {
+        let StraightPicture { lens, robot, options, .. } = picture;
+        self.distinct_grids(lens).iter().find_map(|grid| {
+            let distance_mm = grid.distance_mm(&lens.ray(&lens.centre_px)) - options.standoff_mm;
+            let width_px = lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm;
+            if !(0.0..MOST_WIDTH * f64::from(lens.width.max(lens.height))).contains(&width_px) {
+                return None;
+            }
+            let cut = |colours| holders_at_border(colours, width_px).into_iter().map(move |holder| (colours, holder));
+            let mut holders = pictures.iter().flat_map(cut);
+            holders.find_map(|(colours, holder)| calibrate_on(picture, colours, &holder, grid, self).ok())
+        })
+    }
+
     /// The contradiction of a snake that fits before a grid that was found, if its lines are half or twice as far apart as was stated.
     fn contradiction(&self, picture: StraightPicture, holders: &[(&Colours, Holder)]) -> Option<RigError> {
         let (colours, holder) = holders.first()?;
         let StraightPicture { lens, robot, options, .. } = picture;
-        let ray = lens.ray(&holder.root);
-        let mut distinct: Vec<&Grid> = Vec::new();
-        for grid in self.grids.iter().filter_map(|(_, _, grid)| grid.as_ref()) {
-            let is_same = |other: &&Grid| (other.distance_mm(&ray) / grid.distance_mm(&ray) - 1.0).abs() < SAME_GRID;
-            if !distinct.iter().any(is_same) {
-                distinct.push(grid);
-            }
-        }
+        let grids = self.distinct_grids(lens);
         OTHER_PITCHES.into_iter().find_map(|factor| {
             let other = RigOptions { grid_pitch_mm: factor * options.grid_pitch_mm, ..*options };
             let picture = StraightPicture { options: &other, ..picture };
-            let mut calibrated = distinct.iter().filter_map(|grid| {
+            let rig = grids.iter().find_map(|grid| {
                 let mut afresh = Self::default();
                 calibrate_on(picture, colours, holder, &grid.with_pitch_times(factor), &mut afresh).ok()
             });
-            // Of lines that are closer or further apart than was looked for no grid was found yet.
-            let rig = calibrated.next().or_else(|| calibrate_from(picture, colours, holder, &mut Self::default()).ok());
             rig.map(|rig| contradiction(robot, options, &rig))
         })
     }

@@ -45,6 +45,10 @@ const REACH_WIDTHS: f64 = 1.6;
 ///
 /// Convention: a side that is a little turned is followed all the same.
 const OFF_WIDTHS: f64 = 0.025;
+/// How many of the places at which the border may cut a holder are tried.
+///
+/// Convention: a limit of time.
+const MOST_CUT: usize = 3;
 /// Lengths over which colours are averaged before their step is measured, px: before a checkerboard a side may be a step up here and
 /// a step down there.
 ///
@@ -70,11 +74,45 @@ pub struct SnakeStart {
 /// [`RigError::NoHolder`] where no two sides reach far enough.
 pub fn find_start(colours: &Colours, holder: &Holder, width_px: f64) -> Result<SnakeStart, RigError> {
     let strip = Strip { channels: &colours.planes, root: holder.root, width_px };
-    let (axis, left) = strip.steepest_sides(holder.axis);
-    let end = strip.upper_end(axis, left);
+    let (_, mut axis, mut left) = strip.steepest_sides(holder.axis, SIDE_WIDTHS * width_px);
+    let mut end = strip.upper_end(axis, left);
+    // Twice the length tells the axis twice as well.
+    if let Some(followed_px) = end.filter(|followed_px| *followed_px > SIDE_WIDTHS * width_px) {
+        (_, axis, left) = strip.steepest_sides(axis, followed_px);
+        end = strip.upper_end(axis, left);
+    }
     let end = end.filter(|end| *end > LEAST_WIDTHS * width_px).ok_or(RigError::NoHolder { width_px })?;
     let across = Vector2::new(-axis.y, axis.x);
     Ok(SnakeStart { base: holder.root + axis * end + across * (left + width_px / 2.0), axis })
+}
+
+/// Where the picture's border may cut a holder of this width, px: the places whose two sides are the steepest, most likely first.
+pub fn holders_at_border(colours: &Colours, width_px: f64) -> Vec<Holder> {
+    let Some(plane) = colours.planes.first() else { return Vec::new() };
+    let (right, bottom) = (plane.width as f64 - 1.0, plane.height as f64 - 1.0);
+    let (left_top, right_bottom) = (Point2::origin(), Point2::new(right, bottom));
+    let borders = [
+        (right_bottom, -Vector2::x(), right, -Vector2::y()),
+        (left_top, Vector2::x(), right, Vector2::y()),
+        (left_top, Vector2::y(), bottom, Vector2::x()),
+        (right_bottom, -Vector2::y(), bottom, -Vector2::x()),
+    ];
+    // Around each root the sides are looked for as far as half the way to the next.
+    let step_px = (2.0 * REACH_WIDTHS - 1.0) * width_px;
+    let roots = borders.into_iter().flat_map(|(corner, along, length, inward)| {
+        let count = (length / step_px).ceil() as i32;
+        (0..count).map(move |k| (corner + along * (f64::from(k) + 0.5) * (length / f64::from(count)), inward))
+    });
+    let mut found: Vec<(f64, Holder)> = roots
+        .map(|(root, inward)| {
+            let strip = Strip { channels: &colours.planes, root, width_px };
+            let (strength, axis, left) = strip.steepest_sides(inward, SIDE_WIDTHS * width_px);
+            let across = Vector2::new(-axis.y, axis.x);
+            (strength, Holder { root: root + across * (left + width_px / 2.0), axis, width_px })
+        })
+        .collect();
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    found.into_iter().take(MOST_CUT).map(|(_, holder)| holder).collect()
 }
 
 /// The picture around the holder, in coordinates along and across it.
@@ -85,21 +123,22 @@ struct Strip<'a> {
 }
 
 impl Strip<'_> {
-    /// The axis, near a rough one, along which both sides are steepest, and the place of the left side, px across from the root.
-    fn steepest_sides(&self, rough: Vector2<f64>) -> (Vector2<f64>, f64) {
+    /// How steep the weaker of both sides is, over a length of the holder, along the axis, near a rough one, where it is steepest; that axis, and
+    /// the place of the left side, px across from the root.
+    fn steepest_sides(&self, rough: Vector2<f64>, length_px: f64) -> (f64, Vector2<f64>, f64) {
         let mut best = (0.0, rough, 0.0);
         for (reach, steps) in TURNS {
             let around = best.1;
             for k in -steps..=steps {
                 let turn = reach * f64::from(k) / f64::from(steps);
                 let axis = (around + Vector2::new(-around.y, around.x) * turn).normalize();
-                let (strength, left) = self.best_sides(axis);
+                let (strength, left) = self.best_sides(axis, length_px);
                 if strength > best.0 {
                     best = (strength, axis, left);
                 }
             }
         }
-        (best.1, best.2)
+        best
     }
 
     /// How far from the root both sides go on, px; `None` where they do nowhere.
@@ -135,9 +174,9 @@ impl Strip<'_> {
     }
 
     /// How steep the weaker of both sides is where they are steepest, and the place of the left one, px across from the root.
-    fn best_sides(&self, axis: Vector2<f64>) -> (f64, f64) {
+    fn best_sides(&self, axis: Vector2<f64>, length_px: f64) -> (f64, f64) {
         let reach = (REACH_WIDTHS * self.width_px) as i32;
-        let steps = self.steps(axis, -reach..reach, 0.0..SIDE_WIDTHS * self.width_px);
+        let steps = self.steps(axis, -reach..reach, 0.0..length_px);
         let step = |t: i32| steps.get((t + reach) as usize).copied().unwrap_or(0.0);
         let width = self.width_px.round() as i32;
         let pairs = (-reach..reach - width).map(|t| (step(t).min(step(t + width)), f64::from(t)));

@@ -44,7 +44,7 @@ const MOST_COMPONENTS: usize = 5;
 /// The largest width of a holder, as a share of the picture's longer side, and the largest share of the picture that it may cover.
 ///
 /// Fitted: by hand on the project's renders (tests/eye/robustness) and frames; not judged elsewhere.
-const MOST_WIDTH: f64 = 0.4;
+pub const MOST_WIDTH: f64 = 0.4;
 const MOST_AREA: f64 = 0.3;
 /// A block whose middle is this close to the border, in blocks, is cut by it.
 ///

@@ -65,7 +65,7 @@ pub(super) fn design_effect(kind: PatternKind) -> f64 {
 pub(super) struct Windows<'a> {
     plane: &'a Plane,
     kind: PatternKind,
-    radius: f64,
+    taper: Taper,
     columns: i64,
     /// Row by row.
     windows: Vec<Window>,
@@ -102,8 +102,9 @@ impl<'a> Windows<'a> {
         };
         let windows = (0..rows * columns).map(window).collect();
         let beside = clamp_into(plane, &seed.centre, radius);
-        let enough = seed.waves.map(|wave| LEAST_AMPLITUDE * phase_at(plane, &beside, wave, radius).1);
-        Some(Self { plane, kind, radius, columns, windows, enough })
+        let taper = Taper::new(radius);
+        let enough = phases_at(plane, &beside, seed.waves, &taper).map(|(_, amplitude)| LEAST_AMPLITUDE * amplitude);
+        Some(Self { plane, kind, taper, columns, windows, enough })
     }
 
     /// Counts phases from the window next to the seed over the whole picture; `None` where no window is clear.
@@ -113,8 +114,8 @@ impl<'a> Windows<'a> {
             let distance = |k: usize| (self.windows[k].centre - seed.centre).norm();
             distance(a).total_cmp(&distance(b))
         })?;
-        let first = seed.waves.map(|wave| phase_at(self.plane, &self.windows[start].centre, wave, self.radius).0);
-        self.windows[start].phases = Some(Vector2::new(first[0], first[1]));
+        let [(first, _), (second, _)] = phases_at(self.plane, &self.windows[start].centre, seed.waves, &self.taper);
+        self.windows[start].phases = Some(Vector2::new(first, second));
         let mut queue = VecDeque::from([start]);
         while let Some(from) = queue.pop_front() {
             let Some(known) = self.windows[from].phases else { continue };
@@ -171,8 +172,8 @@ impl<'a> Windows<'a> {
     /// The phases of a window near predicted ones; `None` where a wave is too weak or too far from there.
     fn measured(&self, k: usize, predicted: Vector2<f64>, waves: [Vector2<f64>; 2]) -> Option<Vector2<f64>> {
         let mut phases = Vector2::zeros();
-        for wave in 0..2 {
-            let (phase, amplitude) = phase_at(self.plane, &self.windows[k].centre, waves[wave], self.radius);
+        let seen = phases_at(self.plane, &self.windows[k].centre, waves, &self.taper);
+        for (wave, (phase, amplitude)) in seen.into_iter().enumerate() {
             let deviation = wrap_cycles(phase - predicted[wave]);
             if amplitude < self.enough[wave] || deviation.abs() > MOST_DEVIATION_CYCLES {
                 return None;
@@ -183,34 +184,81 @@ impl<'a> Windows<'a> {
     }
 }
 
-/// The phase (cycles, in [−½, ½]) of a wave (cycles per px) at the centre of a window of this radius (px), and its amplitude.
-fn phase_at(plane: &Plane, centre: &Point2<f64>, wave: Vector2<f64>, radius: f64) -> (f64, f64) {
-    let reach = radius.floor() as i64;
-    let (cx, cy) = (centre.x.round() as i64, centre.y.round() as i64);
-    let taper: Vec<f64> = (-reach..=reach).map(|k| 0.5 + 0.5 * (PI * k as f64 / radius).cos()).collect();
-    let turn = |k: f64| Complex::from_polar(1.0, -TAU * k);
-    let columns: Vec<Complex<f64>> = (-reach..=reach).zip(&taper).map(|(k, t)| turn(wave.x * k as f64) * t).collect();
-    let column_sum: Complex<f64> = columns.iter().sum();
-    let (mut total, mut plain, mut weight) = (Complex::<f64>::ZERO, 0.0, Complex::<f64>::ZERO);
-    let mut plain_weight = 0.0;
-    for (dy, t) in (-reach..=reach).zip(&taper) {
-        let row = &plane.data[(cy + dy) as usize * plane.width + (cx - reach) as usize..][..taper.len()];
-        let turned = turn(wave.y * dy as f64) * t;
-        let (mut sum, mut grey) = (Complex::<f64>::ZERO, 0.0);
-        for ((&v, c), w) in row.iter().zip(&columns).zip(&taper) {
-            sum += c * f64::from(v);
-            grey += w * f64::from(v);
-        }
-        total += sum * turned;
-        weight += column_sum * turned;
-        plain += grey * t;
-        plain_weight += t * taper.iter().sum::<f64>();
+/// Hann's window of one radius (px), along one direction: its weights at whole pixels from its middle.
+struct Taper {
+    weights: Vec<f64>,
+    sum: f64,
+}
+
+impl Taper {
+    fn new(radius: f64) -> Self {
+        let reach = radius.floor() as i64;
+        let weights: Vec<f64> = (-reach..=reach).map(|k| 0.5 + 0.5 * (PI * k as f64 / radius).cos()).collect();
+        Self { sum: weights.iter().sum(), weights }
     }
-    // The mean grey must not leak into the wave.
-    let wave_part: Complex<f64> = (total - weight * (plain / plain_weight)) / plain_weight;
-    // The phase belongs to the window's pixel; carry it to the exact centre.
-    let shift = wave.dot(&(centre - Point2::new(cx as f64, cy as f64)));
-    (wrap_cycles(wave_part.arg() / TAU + shift), wave_part.norm())
+
+    /// Pixels on either side of the middle.
+    fn reach(&self) -> i64 {
+        self.weights.len() as i64 / 2
+    }
+
+    /// The weights times exp(−2πi f k) at the k-th pixel from the middle, for a wave of f cycles per px.
+    fn turned(&self, cycles_per_px: f64) -> Vec<Complex<f64>> {
+        let by_pixel = Complex::from_polar(1.0, -TAU * cycles_per_px);
+        let first = Complex::from_polar(1.0, TAU * cycles_per_px * self.reach() as f64);
+        let turns = std::iter::successors(Some(first), |turn| Some(turn * by_pixel));
+        turns.zip(&self.weights).map(|(turn, weight)| turn * weight).collect()
+    }
+}
+
+/// The phases (cycles, in [−½, ½]) of two waves (cycles per px) at the centre of a window, and their amplitudes.
+fn phases_at(plane: &Plane, centre: &Point2<f64>, waves: [Vector2<f64>; 2], taper: &Taper) -> [(f64, f64); 2] {
+    let reach = taper.reach();
+    let (cx, cy) = (centre.x.round() as i64, centre.y.round() as i64);
+    let columns = waves.map(|wave| taper.turned(wave.x));
+    let rows = waves.map(|wave| taper.turned(wave.y));
+    let (mut totals, mut grey) = ([Complex::<f64>::ZERO; 2], 0.0);
+    for (k, weight) in taper.weights.iter().enumerate() {
+        let first = (cy - reach + k as i64) as usize * plane.width + (cx - reach) as usize;
+        let sums = row_sums(&plane.data[first..][..taper.weights.len()], &columns, &taper.weights);
+        totals.iter_mut().zip(&rows).zip(sums.0).for_each(|((total, row), sum)| *total += sum * row[k]);
+        grey += sums.1 * weight;
+    }
+    let all = taper.sum * taper.sum;
+    std::array::from_fn(|wave| {
+        // The mean grey must not leak into the wave.
+        let weight = columns[wave].iter().sum::<Complex<f64>>() * rows[wave].iter().sum::<Complex<f64>>();
+        let wave_part: Complex<f64> = (totals[wave] - weight * (grey / all)) / all;
+        // The phase belongs to the window's pixel; carry it to the exact centre.
+        let shift = waves[wave].dot(&(centre - Point2::new(cx as f64, cy as f64)));
+        (wrap_cycles(wave_part.arg() / TAU + shift), wave_part.norm())
+    })
+}
+
+/// The sums of a row of pixels times the two waves' columns, and times the weights.
+///
+/// Four sums of each, side by side: the compiler keeps the order in which floating-point numbers are added, and a single sum would wait
+/// for each of them.
+fn row_sums(row: &[f32], columns: &[Vec<Complex<f64>>; 2], weights: &[f64]) -> ([Complex<f64>; 2], f64) {
+    const LANES: usize = 4;
+    let mut waves = [[Complex::<f64>::ZERO; LANES]; 2];
+    let mut grey = [0.0; LANES];
+    let [first, second] = columns.each_ref().map(|column| column.as_chunks::<LANES>());
+    let (pixels, weights) = (row.as_chunks::<LANES>(), weights.as_chunks::<LANES>());
+    for (((pixels, first), second), weights) in pixels.0.iter().zip(first.0).zip(second.0).zip(weights.0) {
+        for lane in 0..LANES {
+            let value = f64::from(pixels[lane]);
+            waves[0][lane] += first[lane] * value;
+            waves[1][lane] += second[lane] * value;
+            grey[lane] += weights[lane] * value;
+        }
+    }
+    for (((&pixel, first), second), weight) in pixels.1.iter().zip(first.1).zip(second.1).zip(weights.1) {
+        waves[0][0] += first * f64::from(pixel);
+        waves[1][0] += second * f64::from(pixel);
+        grey[0] += weight * f64::from(pixel);
+    }
+    (waves.map(|lanes| lanes.iter().sum()), grey.iter().sum())
 }
 
 /// The nearest place to a centre at which a window of this radius lies inside the picture.
@@ -256,19 +304,22 @@ pub(super) mod tests {
     fn the_phase_of_a_wave_is_exact_without_noise_and_scatters_as_theory_says_with_it() {
         let wave = Vector2::new(0.061, 0.013);
         let (radius, centre) = (5.0 / wave.norm(), Point2::new(150.3, 120.8));
-        let plane = wave_plane(300, 240, [wave, Vector2::new(-0.013, 0.061)], [0.37, 0.1]);
+        let taper = Taper::new(radius);
+        let waves = [wave, Vector2::new(-0.013, 0.061)];
+        let plane = wave_plane(300, 240, waves, [0.37, 0.1]);
         let expected = wrap_cycles(wave.dot(&centre.coords) + 0.37);
-        let (phase, amplitude) = phase_at(&plane, &centre, wave, radius);
+        let [(phase, amplitude), _] = phases_at(&plane, &centre, waves, &taper);
         assert!(wrap_cycles(phase - expected).abs() < 1e-4, "{phase} for {expected}");
         assert!((amplitude - 5.0).abs() < 0.01, "half the cosine's amplitude, {amplitude}");
 
         // Of Σ w n exp(−i φ) with white noise n half the power lies across the wave: σ_φ = σ √(Σ w²/2) / (A/2 Σ w) rad.
         let (sigma, draws) = (8.0, 200);
-        let errors = (0..draws)
-            .map(|seed| wrap_cycles(phase_at(&noisy(plane.clone(), sigma, seed), &centre, wave, radius).0 - expected));
+        let errors = (0..draws).map(|seed| {
+            wrap_cycles(phases_at(&noisy(plane.clone(), sigma, seed), &centre, waves, &taper)[0].0 - expected)
+        });
         let reach = radius.floor() as i64;
-        let taper = (-reach..=reach).map(|k| 0.5 + 0.5 * (PI * k as f64 / radius).cos());
-        let (sum, squares) = taper.fold((0.0, 0.0), |(sum, squares), t| (sum + t, squares + t * t));
+        let weights = (-reach..=reach).map(|k| 0.5 + 0.5 * (PI * k as f64 / radius).cos());
+        let (sum, squares) = weights.fold((0.0, 0.0), |(sum, squares), t| (sum + t, squares + t * t));
         let predicted = sigma * squares / 2.0_f64.sqrt() / (5.0 * sum * sum) / TAU;
         let seen = rms(errors);
         // 200 draws tell a standard deviation to 5 %; four times that.
