@@ -38,7 +38,7 @@ pub(super) const REFINEMENT: FitSchedule =
 /// Both in one, from a start that is close: the last frame's bend, or a mirrored solution.
 const COARSE_TO_REFINED: FitSchedule = FitSchedule { searches_px: &[14.0, 6.0, 3.0], ..REFINEMENT };
 /// The fine stage.
-const FINE: FitSchedule = FitSchedule { searches_px: &[3.0], rounds: 9, is_fine: true, converged_rad: CONVERGED_RAD };
+const FINE: FitSchedule = FitSchedule { searches_px: &[3.0], rounds: 9, is_fine: true, ..REFINEMENT };
 /// The fine stage of a tracked sequence, which must keep up with the camera: another round would change the bend by a hundredth of a
 /// degree.
 const TRACKED_FINE: FitSchedule = FitSchedule { rounds: 1, ..FINE };
@@ -199,10 +199,10 @@ impl Eye {
         let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
         let candidates = self.candidates(&plane);
         let as_expected = expected.and_then(|expected| self.minimum_near(expected, &candidates, &finder));
-        let concluded = as_expected.map(|minimum| self.conclude(vec![minimum], frame, &finder, &FINE));
+        let concluded = as_expected.clone().map(|minimum| self.conclude(vec![minimum], frame, &finder, &FINE));
         let Conclusion { fits, measurement, .. } = concluded
             .filter(Conclusion::is_certain)
-            .unwrap_or_else(|| self.conclude(self.minima(&candidates, &finder), frame, &finder, &FINE));
+            .unwrap_or_else(|| self.conclude(self.minima(&candidates, as_expected, &finder), frame, &finder, &FINE));
         MeasurementStages { candidates, fits, measurement }
     }
 
@@ -295,15 +295,11 @@ impl Eye {
     fn select(&self, minima: Vec<BendFit>, finder: &EdgeFinder, fine: &FitSchedule) -> Selection {
         let fits = distinct(minima, SAME_MINIMUM_RAD);
         let Some(best) = fits.first() else { return Selection::without_fine_fit(fits) };
-        let fit_mirrored = || {
-            let bend = self.mirrored(best.bend());
-            let is_close = (bend - best.bend()).norm() < EDGE_ON_RAD;
-            self.fit(finder, self.start(bend), if is_close { &REFINEMENT } else { &COARSE_TO_REFINED })
-        };
-        let (mirrored, mut finest) = rayon::join(fit_mirrored, || self.fit_fine(finder, best.start(), fine));
-        if let Some(mirrored) = mirrored.as_ref().filter(|mirrored| mirrored.cost < best.cost) {
-            finest = self.fit_fine(finder, mirrored.start(), fine);
-        }
+        let bend = self.mirrored(best.bend());
+        let is_close = (bend - best.bend()).norm() < EDGE_ON_RAD;
+        let mirrored = self.fit(finder, self.start(bend), if is_close { &REFINEMENT } else { &COARSE_TO_REFINED });
+        let lowest = mirrored.iter().fold(best, |lowest, other| if other.cost < lowest.cost { other } else { lowest });
+        let finest = self.fit_fine(finder, lowest.start(), fine);
         let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
         let Some(mut best) = finest else { return Selection::without_fine_fit(fits) };
         let diameter_px = self.projection().diameter_px();

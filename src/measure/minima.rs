@@ -1,6 +1,6 @@
 //! The local minima of a frame's fit, from the candidates of the coarse search.
 
-use super::eye::{CONVERGED_RAD, Eye, REFINEMENT, SAME_MINIMUM_RAD};
+use super::eye::{Eye, REFINEMENT, SAME_MINIMUM_RAD};
 use super::fit::{BendFit, CoarseSearch, EdgeFinder, FitSchedule, distinct};
 use super::image::plane::Plane;
 use nalgebra::Vector2;
@@ -21,8 +21,7 @@ const REFINED: usize = 2;
 /// The fit of a candidate, from the lattice of the coarse search.
 ///
 /// Fitted: the search distances, by hand on renders; judged by `tests/robustness`.
-const COARSE: FitSchedule =
-    FitSchedule { searches_px: &[14.0, 8.0], rounds: 2, is_fine: false, converged_rad: CONVERGED_RAD };
+const COARSE: FitSchedule = FitSchedule { searches_px: &[14.0, 8.0], rounds: 2, ..REFINEMENT };
 /// Coarse fits are refined if their cost is at most this many times the best one's.
 ///
 /// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
@@ -62,10 +61,15 @@ impl Eye {
         (minimum.agrees_everywhere() && nearest(candidates, minimum.bend()) == Some(candidate)).then_some(minimum)
     }
 
-    /// The local minima to which the candidates lead.
-    pub(super) fn minima(&self, candidates: &[Vector2<f64>], finder: &EdgeFinder) -> Vec<BendFit> {
+    /// The local minima to which the candidates lead, of which one may be known already from [`minimum_near`](Self::minimum_near).
+    pub(super) fn minima(
+        &self,
+        candidates: &[Vector2<f64>],
+        known: Option<BendFit>,
+        finder: &EdgeFinder,
+    ) -> Vec<BendFit> {
         let minima = self.refine(self.coarse_fits(candidates, finder), finder);
-        self.reached_from_nearest(minima, candidates, finder)
+        self.reached_from_nearest(minima, candidates, known, finder)
     }
 
     /// Local minima, of which the best, if another candidate than the nearest led to it, is reached once more from that: what a fit ends at
@@ -74,13 +78,16 @@ impl Eye {
         &self,
         mut minima: Vec<BendFit>,
         candidates: &[Vector2<f64>],
+        known: Option<BendFit>,
         finder: &EdgeFinder,
     ) -> Vec<BendFit> {
         let Some(best) = minima.iter().min_by(|a, b| a.cost.total_cmp(&b.cost)) else { return minima };
-        if nearest(candidates, best.bend()) == Some(best.origin) {
+        let from = nearest(candidates, best.bend());
+        if from == Some(best.origin) {
             return minima;
         }
-        if let Some(again) = self.minimum_near(best.bend(), candidates, finder) {
+        let known = known.filter(|known| Some(known.origin) == from);
+        if let Some(again) = known.or_else(|| self.minimum_near(best.bend(), candidates, finder)) {
             minima.retain(|minimum| (minimum.bend() - again.bend()).norm() > SAME_MINIMUM_RAD);
             minima.push(again);
         }

@@ -15,6 +15,7 @@
 //! Methodology 28, 2002, Eq. 8; J. G. MacKinnon, M. Ø. Nielsen, M. D. Webb, "Cluster-robust inference: a guide to empirical practice",
 //! J. Econometrics 232, 2023, section 4, which recommend it.
 
+use super::normal_equations::normal_equations;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
@@ -31,32 +32,28 @@ pub fn clustered_covariance<K: Ord>(
 ) -> Option<DMatrix<f64>> {
     let parameters = jacobian.ncols();
     let bread = jacobian.tr_mul(jacobian).cholesky()?.inverse();
-    let zero = || (DMatrix::zeros(parameters, parameters), DVector::zeros(parameters));
-    let mut sums: BTreeMap<K, (DMatrix<f64>, DVector<f64>)> = BTreeMap::new();
-    let mut priors = DMatrix::zeros(parameters, parameters);
-    let mut names = clusters.into_iter();
-    let rows = jacobian.transpose();
-    for row in 0..jacobian.nrows() {
-        let slopes = rows.column(row);
-        match names.next() {
-            Some(name) => {
-                let (information, score) = sums.entry(name).or_insert_with(zero);
-                information.ger(1.0, &slopes, &slopes, 1.0);
-                score.axpy(residuals[row], &slopes, 1.0);
-            }
-            None => priors.ger(prior_variance, &slopes, &slopes, 1.0),
-        }
+    let mut clustered: BTreeMap<K, Vec<usize>> = BTreeMap::new();
+    for (row, name) in clusters.into_iter().take(jacobian.nrows()).enumerate() {
+        clustered.entry(name).or_default().push(row);
     }
-    if sums.len() <= parameters {
+    if clustered.len() <= parameters {
         return None;
     }
+    let normal = |rows: &[usize]| {
+        let weights = DVector::from_element(rows.len(), 1.0);
+        normal_equations(&jacobian.select_rows(rows), &residuals.select_rows(rows), &weights)
+    };
     let mut meat = DMatrix::zeros(parameters, parameters);
-    for (information, score) in sums.values() {
+    for rows in clustered.values() {
+        let (information, score) = normal(rows);
         let without = DMatrix::identity(parameters, parameters) - information * &bread;
-        let score = without.lu().solve(score)?;
+        let score = without.lu().solve(&score)?;
         meat.ger(1.0, &score, &score, 1.0);
     }
-    let count = sums.len() as f64;
+    let first_prior = clustered.values().map(Vec::len).sum();
+    let (priors, _) = normal(&(first_prior..jacobian.nrows()).collect::<Vec<_>>());
+    let priors = priors * prior_variance;
+    let count = clustered.len() as f64;
     let covariance = &bread * (meat * ((count - 1.0) / count) + priors) * &bread;
     covariance.iter().all(|value| value.is_finite()).then_some(covariance)
 }

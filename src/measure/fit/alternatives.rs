@@ -30,7 +30,7 @@ const EDGE_ON_PX: f64 = 2.0;
 const EXPLAINING_COST: f64 = 0.01;
 /// And only if this share of the outline agrees with it.
 ///
-/// Fitted: together with [`EXPLAINING_COST`].
+/// Fitted: by hand on renders, for speed, together with the cost; judged by `tests/robustness`.
 const EXPLAINING_INLIERS: f64 = 0.95;
 
 /// Of two fits that explain a picture as well, the one nearer to an arc is taken if its shape is this many times as likely.

@@ -6,7 +6,7 @@
 use super::blur::{fine_filter, predict_blur};
 use super::correspondences::Correspondences;
 use super::edges::EdgeFinder;
-use super::linearised::Linearised;
+use super::linearised::{Linearised, robust_step};
 use super::noise_model::SHARP_PX;
 use super::state::{EdgeBias, FramePrior, STATE, State};
 use super::uncertainty::{FitCovariance, RobustPhase, inliers};
@@ -14,6 +14,7 @@ use super::visibility::PartVisibility;
 use crate::measure::body::{Outline, Piece, Projection};
 use crate::robot::{BendProfile, PROFILE};
 use nalgebra::{SMatrix, SVector, Vector2};
+use std::collections::BTreeSet;
 
 /// From this search distance on, px, the model is close enough to the picture for the redescending loss.
 ///
@@ -59,9 +60,10 @@ pub(crate) struct BendFit {
     /// The bend along the snake.
     pub profile: BendProfile,
     pub bias: EdgeBias,
-    /// Covariance of the profile's numbers from this picture alone, rad².
+    /// Covariance of the profile's numbers from this picture alone, rad²; zero of a fit of the coarse stages, which nothing is drawn from
+    /// but where to go on.
     pub covariance: ProfileCovariance,
-    /// Change of the profile's numbers with the camera's pose (see [`perturbed`](crate::geometry::perturbed)).
+    /// Change of the profile's numbers with the camera's pose (see [`perturbed`](crate::geometry::perturbed)); zero of a coarse fit as well.
     pub by_pose: SMatrix<f64, PROFILE, 6>,
     /// The number of edges that agree with the model.
     pub inliers: usize,
@@ -69,7 +71,8 @@ pub(crate) struct BendFit {
     pub rms_px: f64,
     /// Median blur of the edges, σ in px.
     pub blur_px: f64,
-    /// Whether this picture's edges contradict what was known of the snake's shape, see [`FramePrior::contradiction`].
+    /// Whether this picture's edges contradict what was known of the snake's shape, see [`FramePrior::contradiction`]. Only
+    /// a fit of the fine stage asks.
     pub contradicts_shape: bool,
     /// Share of the outline that lies outside the picture.
     pub out_of_frame: f64,
@@ -266,34 +269,49 @@ impl<'a> Fitting<'a> {
         Some(moved_rad)
     }
 
-    /// The fit with its covariance, from the last round.
+    /// The fit from the last round; with its covariance in the fine stage.
     fn finish(self) -> Option<BendFit> {
-        let Self { view, state, prior, origin, .. } = self;
-        let Round { edges, roots, search_px } = self.last?;
-        let linear = Linearised::new(&edges, view, &state);
-        let distances_px = edges.in_px(linear.residuals.as_slice());
-        let (inliers, rms_px) = inliers(&distances_px, &roots);
-        let linear = linear.weighted(&roots).with_prior(&prior, &state);
-        let covariance = FitCovariance::new(&edges, &linear.by_state, &linear.residuals, view, &roots, rms_px)?;
-        let gain = &covariance.independent * linear.by_state.tr_mul(&linear.by_pose);
+        let Round { edges, roots, search_px } = self.last.as_ref()?;
+        let distances_px = edges.in_px(&edges.residuals(self.view, self.state.profile, self.state.bias));
+        let (inliers, rms_px) = inliers(&distances_px, roots);
+        // A fit to fewer clusters has no covariance, and is none.
+        if edges.clusters().collect::<BTreeSet<_>>().len() <= STATE {
+            return None;
+        }
+        let uncertainty = if self.schedule.is_fine { self.uncertainty(rms_px)? } else { Default::default() };
+        let (covariance, by_pose, contradicts_shape) = uncertainty;
         let agreement: f64 = distances_px.iter().map(|d| 1.0 - (d / search_px).powi(2).min(1.0)).sum();
         Some(BendFit {
-            origin,
-            profile: state.profile,
-            bias: state.bias,
-            covariance: covariance
-                .total(&std::array::from_fn::<_, PROFILE, _>(|k| k))?
-                .fixed_view::<PROFILE, PROFILE>(0, 0)
-                .into_owned(),
-            by_pose: SMatrix::from_fn(|row, column| -gain[(row, column)]),
+            origin: self.origin,
+            profile: self.state.profile,
+            bias: self.state.bias,
+            covariance,
+            by_pose,
             inliers,
             rms_px,
             blur_px: edges.blur_px,
-            contradicts_shape: prior.contradiction(&state.profile, &covariance.independent)? > prior.contradiction_chi2,
+            contradicts_shape,
             out_of_frame: self.drawn?.1.out_of_frame,
             cost: 1.0 - agreement / edges.searched().len() as f64,
-            edges,
+            edges: self.last?.edges,
         })
+    }
+
+    /// The covariance of the profile's numbers, their change with the camera's pose, and whether the edges contradict the prior of the
+    /// snake's shape.
+    fn uncertainty(&self, rms_px: f64) -> Option<(ProfileCovariance, SMatrix<f64, PROFILE, 6>, bool)> {
+        let Self { view, state, prior, .. } = self;
+        let Round { edges, roots, .. } = self.last.as_ref()?;
+        let linear = Linearised::new(edges, view, state).weighted(roots).with_prior(prior, state);
+        let covariance = FitCovariance::new(edges, &linear.by_state, &linear.residuals, view, roots, rms_px)?;
+        let gain = &covariance.independent * linear.by_state.tr_mul(&linear.by_pose);
+        let total = covariance.total(&std::array::from_fn::<_, PROFILE, _>(|k| k))?;
+        let contradiction = prior.contradiction(&state.profile, &covariance.independent)?;
+        Some((
+            total.fixed_view::<PROFILE, PROFILE>(0, 0).into_owned(),
+            SMatrix::from_fn(|row, column| -gain[(row, column)]),
+            contradiction > prior.contradiction_chi2,
+        ))
     }
 }
 
@@ -315,7 +333,7 @@ fn gauss_newton(
     let (mut state, mut roots) = (start, Vec::new());
     for _ in 0..LINEARISATIONS {
         let step;
-        (step, roots) = Linearised::new(edges, view, &state).step(prior, &state, phase)?;
+        (step, roots) = robust_step(edges, view, &state, prior, phase)?;
         let bends = |step: &SVector<f64, STATE>| step.fixed_rows::<PROFILE>(0).amax();
         let step = step * (LONGEST_STEP_RAD / bends(&step)).min(1.0);
         if step.iter().any(|v| !v.is_finite()) {

@@ -46,17 +46,58 @@ const CONTRAST_RANGE: (f32, f32) = (-0.25, 1.25);
 /// Convention: finer than the noise of any picture.
 const VALUE_STEPS: f32 = 1000.0;
 
+/// The least and the number of places, in columns and in rows, from a pair's inner pixel to its outer one.
+///
+/// Derived: they lie twice [`PAIR_DISTANCE_PX`] apart, and each is rounded to the nearest pixel.
+const LEAST_STEP: i32 = -4;
+const STEPS: u32 = 9;
+/// The bits of a pair that hold the index of its inner pixel.
+///
+/// Derived: what the places of the outer one leave of 32; a shrunk picture may have 16 million pixels.
+const INDEX_BITS: u32 = 24;
+
 /// Pairs of pixels just inside and just outside the outlines of all bends of a lattice, for one view.
 #[derive(Debug)]
 pub(crate) struct CoarseSearch {
     bends: Vec<LatticeBend>,
+    /// The width of the shrunk picture, px.
+    width: i32,
 }
 
 #[derive(Debug)]
 struct LatticeBend {
     bend: Vector2<f64>,
-    /// (inside, outside) pixels of the shrunk picture, as indices into its rows one after the other.
-    pairs: Vec<(u32, u32)>,
+    pairs: Vec<Pair>,
+}
+
+/// An inner and an outer pixel of the shrunk picture: the index of the inner one in its rows one after the other, and above that the number of
+/// the step to the outer one. All of them are read for every frame, which takes as long as the memory needs to deliver them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Pair(u32);
+
+impl Pair {
+    /// `None` of pixels that lie further apart, or in a larger picture, than there is room for.
+    fn new(inner: (i32, i32), outer: (i32, i32), width: i32) -> Option<Self> {
+        let index = i64::from(inner.1) * i64::from(width) + i64::from(inner.0);
+        let index = u32::try_from(index).ok().filter(|index| *index < 1 << INDEX_BITS)?;
+        let place = |from: i32, to: i32| u32::try_from(to - from - LEAST_STEP).ok().filter(|place| *place < STEPS);
+        let step = place(inner.0, outer.0)? + STEPS * place(inner.1, outer.1)?;
+        Some(Self(step << INDEX_BITS | index))
+    }
+
+    /// By how much the index of the outer pixel is larger, for each number of a step.
+    fn steps(width: i32) -> [i32; 1 << (u32::BITS - INDEX_BITS)] {
+        std::array::from_fn(|step| {
+            let (columns, rows) = (step as i32 % STEPS as i32, step as i32 / STEPS as i32);
+            columns + LEAST_STEP + (rows + LEAST_STEP) * width
+        })
+    }
+
+    /// The indices of both pixels.
+    fn indices(self, steps: &[i32; 1 << (u32::BITS - INDEX_BITS)]) -> (usize, usize) {
+        let inner = self.0 & ((1 << INDEX_BITS) - 1);
+        (inner as usize, inner.wrapping_add_signed(steps[(self.0 >> INDEX_BITS) as usize]) as usize)
+    }
 }
 
 impl CoarseSearch {
@@ -65,7 +106,7 @@ impl CoarseSearch {
         let small = shrunk_lens(lens);
         let view = Projection { lens: &small, camera_from_base, robot };
         let bends = lattice().into_par_iter().map(|bend| LatticeBend { bend, pairs: pairs(&view, bend) }).collect();
-        Self { bends }
+        Self { bends, width: small.width as i32 }
     }
 
     /// The bends with the most contrast across their outlines, best first, at most `most`. `two_sided` pictures, whose background is
@@ -75,15 +116,19 @@ impl CoarseSearch {
         let small: Vec<i16> =
             plane.shrunk::<SHRINK>().data.iter().map(|v| (VALUE_STEPS * v.clamp(least, largest)) as i16).collect();
         // The pixels are those of the lens; in a plane of another size some are missing.
-        let value = |pixel: u32| small.get(pixel as usize).copied().map_or(0, i32::from);
-        let contrast = |step: i32| if two_sided { step.abs() } else { step };
+        let value = |pixel: usize| small.get(pixel).copied().map_or(0, i32::from);
+        let steps = Pair::steps(self.width);
+        let contrast = |pair: &Pair| {
+            let (inside, outside) = pair.indices(&steps);
+            value(inside) - value(outside)
+        };
         let mut scored: Vec<(f64, Vector2<f64>)> = self
             .bends
             .iter()
             .filter(|b| b.pairs.len() >= FEWEST_PAIRS)
             .map(|b| {
-                let total: i32 =
-                    b.pairs.iter().map(|(inside, outside)| contrast(value(*inside) - value(*outside))).sum();
+                let contrasts = b.pairs.iter().map(contrast);
+                let total: i32 = if two_sided { contrasts.map(i32::abs).sum() } else { contrasts.sum() };
                 (f64::from(total) / b.pairs.len() as f64, b.bend)
             })
             .collect();
@@ -115,21 +160,22 @@ fn lattice() -> Vec<Vector2<f64>> {
 }
 
 /// The pairs of pixels on both sides of the outline of a bend.
-fn pairs(view: &Projection, bend: Vector2<f64>) -> Vec<(u32, u32)> {
+fn pairs(view: &Projection, bend: Vector2<f64>) -> Vec<Pair> {
     let outline = Outline::new(view, Configuration::from_bend_vector(bend));
     let points = outline.points.iter().filter(|p| p.body.s_mm > 0.0 && p.gap_px >= LEAST_GAP_PX);
     points
-        .map(|p| {
+        .filter_map(|p| {
             let step = p.normal.into_inner() * PAIR_DISTANCE_PX;
-            (index(view.lens, p.pixel - step), index(view.lens, p.pixel + step))
+            let (inner, outer) = (nearest_pixel(view.lens, p.pixel - step), nearest_pixel(view.lens, p.pixel + step));
+            Pair::new(inner, outer, view.lens.width as i32)
         })
         .collect()
 }
 
-/// The pixel of a picture that is nearest to a point, as an index into its rows one after the other.
-fn index(lens: &Lens, point: Point2<f64>) -> u32 {
-    let nearest = |v: f64, count: u32| ((v + 0.5).max(0.0) as u32).min(count.saturating_sub(1));
-    nearest(point.y, lens.height) * lens.width + nearest(point.x, lens.width)
+/// Column and row of the pixel of a picture that is nearest to a point.
+fn nearest_pixel(lens: &Lens, point: Point2<f64>) -> (i32, i32) {
+    let nearest = |v: f64, count: u32| ((v + 0.5).max(0.0) as u32).min(count.saturating_sub(1)) as i32;
+    (nearest(point.x, lens.width), nearest(point.y, lens.height))
 }
 
 /// The lens that would take the shrunk picture.
@@ -161,6 +207,22 @@ mod tests {
             let nearest = lattice.iter().map(|other| (bend - other).norm()).fold(f64::INFINITY, f64::min);
             assert!(nearest <= furthest + 1e-9, "{bend}: {nearest}");
         }
+    }
+
+    #[test]
+    fn a_pair_holds_both_its_pixels() {
+        let width = 320;
+        let index = |(column, row): (i32, i32)| (row * width + column) as usize;
+        let steps = Pair::steps(width);
+        for dx in -4..=4 {
+            for dy in -4..=4 {
+                let (inner, outer) = ((17, 40), (17 + dx, 40 + dy));
+                let pair = Pair::new(inner, outer, width).unwrap();
+                assert_eq!(pair.indices(&steps), (index(inner), index(outer)));
+            }
+        }
+        assert_eq!(Pair::new((17, 40), (22, 40), width), None);
+        assert_eq!(Pair::new((0, 1 << 24), (0, 1 << 24), 1), None);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use crate::geometry::Pose;
 use crate::measure::body::Projection;
 use crate::robot::{Curve, PROFILE};
 use crate::statistics::robust::Irls;
-use nalgebra::{DMatrix, DVector, Point3, SVector, Vector3};
+use nalgebra::{DMatrix, DVector, SVector, Vector3};
 
 /// The most reweightings of one linearisation.
 ///
@@ -47,80 +47,106 @@ impl MovingSection {
     }
 }
 
+/// One edge's residual, in units of σ, and its derivatives.
+struct LinearisedEdge {
+    residual: f64,
+    by_state: [f64; STATE],
+    /// The border point in the camera's frame, mm, and the residual's derivative by it.
+    point: Vector3<f64>,
+    by_point: Vector3<f64>,
+}
+
+/// Linearises the residual of each edge at a state, in closed form.
+fn linearised_edges(
+    edges: &Correspondences,
+    view: &Projection,
+    state: &State,
+) -> impl ExactSizeIterator<Item = LinearisedEdge> {
+    let curve = view.curve(state.profile);
+    let sections: Vec<MovingSection> =
+        edges.sections_mm.iter().map(|&s_mm| MovingSection::new(view, &curve, s_mm)).collect();
+    edges.all.iter().zip(&edges.section_of).map(move |(edge, &section)| {
+        let MovingSection { camera_from_section, by_profile } = &sections[section];
+        let arm = camera_from_section.rotation * edge.body.local;
+        let point = camera_from_section.translation.vector + arm;
+        let (expected, jacobian) = view.lens.project_with_jacobian(&point.into());
+        // ∂(distance along the normal, in units of σ)/∂(point in the camera's frame, mm).
+        let by_point = jacobian.transpose() * edge.normal / edge.sigma_px;
+        let distance_px = edge.normal.dot(&(edge.seen - expected));
+        let (bias_px, by_bias) = state.bias.at(edge.piece, edge.face);
+        let by_turn = arm.cross(&by_point);
+        let mut by_state = [0.0; STATE];
+        for (by, (translation, rotation)) in by_state.iter_mut().zip(by_profile) {
+            *by = -by_point.dot(translation) - by_turn.dot(rotation);
+        }
+        for (by, by_bias) in by_state[PROFILE..].iter_mut().zip(by_bias) {
+            *by = -by_bias / edge.sigma_px;
+        }
+        LinearisedEdge { residual: (distance_px - bias_px) / edge.sigma_px, by_state, point, by_point }
+    })
+}
+
+/// The Gauss–Newton step from a state under a robust loss, by iteratively reweighted least squares, and the square roots of the edges'
+/// weights. `None` where the edges do not determine the state.
+pub(crate) fn robust_step(
+    edges: &Correspondences,
+    view: &Projection,
+    state: &State,
+    prior: &FramePrior,
+    phase: RobustPhase,
+) -> Option<(SVector<f64, STATE>, Vec<f64>)> {
+    let irls = Irls {
+        loss: phase.loss(),
+        least_scale: LEAST_SCALE,
+        rounds: MOST_REWEIGHTINGS,
+        tolerance: REWEIGHTING_TOLERANCE,
+    };
+    let mut offset = DVector::zeros(edges.len() + PRIORS);
+    let mut design = DMatrix::zeros(edges.len() + PRIORS, STATE);
+    for (row, edge) in linearised_edges(edges, view, state).enumerate() {
+        offset[row] = edge.residual;
+        (0..STATE).for_each(|k| design[(row, k)] = edge.by_state[k]);
+    }
+    write_prior(prior, state, edges.len(), &mut design, &mut offset);
+    let fit = irls.fit(&design, &offset, edges.len())?;
+    let step = SVector::from_column_slice(fit.parameters.as_slice());
+    Some((step, fit.weights.iter().take(edges.len()).map(|weight| weight.sqrt()).collect()))
+}
+
+/// Writes a row for each number that has a prior, from the row `first` on.
+fn write_prior(prior: &FramePrior, state: &State, first: usize, design: &mut DMatrix<f64>, offset: &mut DVector<f64>) {
+    for (k, (off, root)) in prior.rows(state).into_iter().enumerate() {
+        offset[first + k] = off;
+        design[(first + k, 2 + k)] = root;
+    }
+}
+
 impl Linearised {
     /// Linearises the residuals of `edges` at a state, in closed form.
     pub fn new(edges: &Correspondences, view: &Projection, state: &State) -> Self {
-        let curve = view.curve(state.profile);
-        let sections: Vec<MovingSection> =
-            edges.sections_mm.iter().map(|&s_mm| MovingSection::new(view, &curve, s_mm)).collect();
         let mut linear = Self {
             residuals: DVector::zeros(edges.len()),
             by_state: DMatrix::zeros(edges.len(), STATE),
             by_pose: DMatrix::zeros(edges.len(), 6),
         };
-        for (row, (edge, &section)) in edges.all.iter().zip(&edges.section_of).enumerate() {
-            let MovingSection { camera_from_section, by_profile } = &sections[section];
-            let arm = camera_from_section.rotation * edge.body.local;
-            let point = Point3::from(camera_from_section.translation.vector + arm);
-            let (expected, jacobian) = view.lens.project_with_jacobian(&point);
-            // ∂(distance along the normal, in units of σ)/∂(point in the camera's frame, mm).
-            let by_point = jacobian.transpose() * edge.normal / edge.sigma_px;
-            let distance_px = edge.normal.dot(&(edge.seen - expected));
-            let (bias_px, by_bias) = state.bias.at(edge.piece, edge.face);
-            linear.residuals[row] = (distance_px - bias_px) / edge.sigma_px;
-            let by_turn = arm.cross(&by_point);
-            for (number, (translation, rotation)) in by_profile.iter().enumerate() {
-                linear.by_state[(row, number)] = -by_point.dot(translation) - by_turn.dot(rotation);
-            }
-            for (number, by) in by_bias.into_iter().enumerate() {
-                linear.by_state[(row, PROFILE + number)] = -by / edge.sigma_px;
-            }
-            let by_rotation = (point.coords - view.camera_from_base.translation.vector).cross(&by_point);
+        for (row, edge) in linearised_edges(edges, view, state).enumerate() {
+            linear.residuals[row] = edge.residual;
+            (0..STATE).for_each(|k| linear.by_state[(row, k)] = edge.by_state[k]);
+            let by_rotation = (edge.point - view.camera_from_base.translation.vector).cross(&edge.by_point);
             for axis in 0..3 {
                 linear.by_pose[(row, axis)] = -by_rotation[axis];
-                linear.by_pose[(row, axis + 3)] = -by_point[axis];
+                linear.by_pose[(row, axis + 3)] = -edge.by_point[axis];
             }
         }
         linear
     }
 
-    /// The Gauss–Newton step of the state under a robust loss, by iteratively reweighted least squares, and the square roots of
-    /// the edges' weights. `None` where the edges do not determine the state.
-    pub fn step(
-        &self,
-        prior: &FramePrior,
-        state: &State,
-        phase: RobustPhase,
-    ) -> Option<(SVector<f64, STATE>, Vec<f64>)> {
-        let irls = Irls {
-            loss: phase.loss(),
-            least_scale: LEAST_SCALE,
-            rounds: MOST_REWEIGHTINGS,
-            tolerance: REWEIGHTING_TOLERANCE,
-        };
-        let edges = self.residuals.len();
-        let (design, offset) = self.state_rows_with_prior(prior, state);
-        let fit = irls.fit(&design, &offset, edges)?;
-        let step = SVector::from_column_slice(fit.parameters.as_slice());
-        Some((step, fit.weights.iter().take(edges).map(|weight| weight.sqrt()).collect()))
-    }
-
-    /// `by_state` and the residuals with a row more for each number that has a prior.
-    fn state_rows_with_prior(&self, prior: &FramePrior, state: &State) -> (DMatrix<f64>, DVector<f64>) {
-        let edges = self.residuals.len();
-        let mut residuals = self.residuals.clone().insert_rows(edges, PRIORS, 0.0);
-        let mut by_state = self.by_state.clone().insert_rows(edges, PRIORS, 0.0);
-        for (k, (offset, root)) in prior.rows(state).into_iter().enumerate() {
-            residuals[edges + k] = offset;
-            by_state[(edges + k, 2 + k)] = root;
-        }
-        (by_state, residuals)
-    }
-
     /// With a row more for each number that has a prior.
     pub fn with_prior(self, prior: &FramePrior, state: &State) -> Self {
         let edges = self.residuals.len();
-        let (by_state, residuals) = self.state_rows_with_prior(prior, state);
+        let mut residuals = self.residuals.insert_rows(edges, PRIORS, 0.0);
+        let mut by_state = self.by_state.insert_rows(edges, PRIORS, 0.0);
+        write_prior(prior, state, edges, &mut by_state, &mut residuals);
         Self { residuals, by_state, by_pose: self.by_pose.insert_rows(edges, PRIORS, 0.0) }
     }
 

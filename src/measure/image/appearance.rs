@@ -3,7 +3,7 @@
 use crate::camera::{Frame, Sample, Samples};
 use crate::measure::image::plane::{Plane, Region};
 use crate::statistics::order::median;
-use nalgebra::{DMatrix, DVector, Vector2};
+use nalgebra::{DMatrix, Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 use std::sync::LazyLock;
 
@@ -70,12 +70,15 @@ impl Appearance {
             .step_by(LEARNING_STRIDE)
             .flat_map(|y| (0..frame.width).step_by(LEARNING_STRIDE).map(move |x| (x, y)));
         let pixels: Vec<_> = places.filter_map(|(x, y)| Some((x, y, label(x, y)?))).collect();
+        if !(1..=3).contains(&channels) {
+            return None;
+        }
         let colour = |x: u32, y: u32| {
             let first = (y as usize * frame.width as usize + x as usize) * channels;
-            DVector::from_fn(channels, |c, _| f64::from(light(&frame.samples, first + c)))
+            Vector3::from_fn(|c, _| if c < channels { f64::from(light(&frame.samples, first + c)) } else { 0.0 })
         };
         let mut count = [0.0; 2];
-        let mut mean = [DVector::zeros(channels), DVector::zeros(channels)];
+        let mut mean = [Vector3::zeros(); 2];
         for &(x, y, (is_snake, _)) in &pixels {
             count[usize::from(is_snake)] += 1.0;
             mean[usize::from(is_snake)] += colour(x, y);
@@ -84,15 +87,16 @@ impl Appearance {
             return None;
         }
         mean.iter_mut().zip(count).for_each(|(mean, count)| *mean /= count);
-        let (mut weights, mut square) = (0.0, DMatrix::zeros(channels, channels));
+        let (mut weights, mut square) = (0.0, Matrix3::zeros());
         for &(x, y, (is_snake, weight)) in &pixels {
-            let off = colour(x, y) - &mean[usize::from(is_snake)];
+            let off = colour(x, y) - mean[usize::from(is_snake)];
             square.syger(weight, &off, &off, 1.0);
             weights += weight;
         }
         square.fill_upper_triangle_with_lower_triangle();
         let floor = DMatrix::identity(channels, channels) * LIGHT_VARIANCE_FLOOR;
-        let scatter = square / weights + floor;
+        let scatter = (square / weights).view((0, 0), (channels, channels)) + floor;
+        let mean = mean.map(|mean| mean.rows(0, channels).into_owned());
         let difference = &mean[1] - &mean[0];
         let direction = scatter.cholesky()?.solve(&difference);
         let scale = direction.dot(&difference);

@@ -1,6 +1,6 @@
 //! Whether a picture is too bright or too dark to be measured.
 
-use crate::camera::Frame;
+use crate::camera::{Frame, Sample, Samples};
 
 /// A pixel is white if all its channels are at least at this level, 0 to 255.
 ///
@@ -25,13 +25,23 @@ const STRIDE: usize = 101;
 
 /// Whether nearly all of a picture is black or white, or most of it white.
 pub fn is_saturated(frame: &Frame) -> bool {
-    let pixels = || (0..frame.samples.len() / frame.channels).step_by(STRIDE).map(|pixel| pixel * frame.channels);
-    let share = |is_so: fn(f32) -> bool| {
-        let is_all_so = |first: &usize| (0..frame.channels).all(|c| is_so(frame.samples.level(first + c)));
-        pixels().filter(is_all_so).count() as f64 / pixels().count().max(1) as f64
+    let (white, black) = match &frame.samples {
+        Samples::Bits8(samples) => extreme_shares(samples, frame.channels),
+        Samples::Bits16(samples) => extreme_shares(samples, frame.channels),
     };
-    let (white, black) = (share(|level| level >= WHITE), share(|level| level <= BLACK));
     white > WHITE_SHARE || white + black > SATURATED_SHARE
+}
+
+/// The shares of white and of black pixels among those that are examined.
+fn extreme_shares<S: Sample>(samples: &[S], channels: usize) -> (f64, f64) {
+    let (mut white, mut black, mut all) = (0_u32, 0_u32, 0_u32);
+    for pixel in samples.chunks_exact(channels).step_by(STRIDE) {
+        white += u32::from(pixel.iter().all(|v| v.level() >= WHITE));
+        black += u32::from(pixel.iter().all(|v| v.level() <= BLACK));
+        all += 1;
+    }
+    let share = |count: u32| f64::from(count) / f64::from(all.max(1));
+    (share(white), share(black))
 }
 
 #[cfg(test)]

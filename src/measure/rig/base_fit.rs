@@ -340,8 +340,11 @@ pub fn appearance_of(frame: &Frame, view: &Projection, outline: &Outline, is_wel
     Appearance::learn(frame, |x, y| {
         let pixel = Point2::new(f64::from(x), f64::from(y));
         let near = pixel.x > x0 - margin && pixel.x < x1 + margin && pixel.y > y0 - margin && pixel.y < y1 + margin;
+        if !near {
+            return None;
+        }
         let is_snake = outline.covers(&pixel);
-        let is_known = near && (is_snake || !is_below_holder(&pixel));
-        is_known.then(|| (is_snake, if is_at_border(&pixel) { BORDER_WEIGHT } else { 1.0 }))
+        (is_snake || !is_below_holder(&pixel))
+            .then(|| (is_snake, if is_at_border(&pixel) { BORDER_WEIGHT } else { 1.0 }))
     })
 }

@@ -158,11 +158,16 @@ fn jittered_rows(side: usize, stride: usize) -> Vec<(usize, usize)> {
 
 /// The weighted sums of the channels of some pixels: every so many, from the `first` on.
 fn mix<S: Sample>(pixels: Option<&[S]>, weights: &[f32], (first, stride): (usize, usize), into: &mut Vec<f32>) {
-    let sampled = pixels.unwrap_or_default().chunks_exact(weights.len().max(1)).skip(first).step_by(stride);
-    into.extend(sampled.map(|pixel| match (pixel, weights) {
-        (&[r, g, b], &[red, green, blue]) => r.level() * red + g.level() * green + b.level() * blue,
-        _ => pixel.iter().zip(weights).map(|(v, w)| v.level() * w).sum(),
-    }));
+    let pixels = pixels.unwrap_or_default();
+    if let &[red, green, blue] = weights {
+        let colours = pixels.as_chunks::<3>().0.get(first..).unwrap_or_default();
+        let grey = |[r, g, b]: [S; 3]| r.level() * red + g.level() * green + b.level() * blue;
+        into.extend(colours.chunks(stride).map(|some| grey(some[0])));
+    } else {
+        let channels = weights.len().max(1);
+        let grey = |pixel: &[S]| pixel.iter().zip(weights).map(|(v, w)| v.level() * w).sum::<f32>();
+        into.extend(pixels.chunks_exact(channels).skip(first).step_by(stride).map(grey));
+    }
 }
 
 #[cfg(test)]
