@@ -165,6 +165,8 @@ impl Search {
                 let mut afresh = Self::default();
                 calibrate_on(picture, colours, holder, &grid.with_pitch_times(factor), &mut afresh).ok()
             });
+            // Of lines that are closer or further apart than was looked for no grid was found yet.
+            let rig = rig.or_else(|| calibrate_from(picture, colours, holder, &mut Self::default()).ok());
             rig.map(|rig| contradiction(robot, options, &rig))
         })
     }
