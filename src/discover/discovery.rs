@@ -4,17 +4,18 @@ use super::confounding::confounded;
 use super::data::Data;
 use super::fit::Fit;
 use super::held_out::{Gap, HeldOutResiduals};
-use super::hypotheses::first_steps;
+use super::hypotheses::{FirstStep, first_steps};
 use super::noise::Noise;
 use super::null_distribution::largest_gain_of_noise;
 use super::partial::Partial;
 use super::residuals::Problem;
-use super::search::{Found, Named, explained, search};
+use super::search::{Named, explained, named, search};
 use super::structure::Structure;
 use super::tangent_spaces::{TangentSpace, tangent_spaces};
 use super::verdict::Verdict;
 use crate::robot::effects::RIG_ERROR;
 use crate::robot::{Effect, Estimate, Model, PerBackbone, Physics};
+use std::borrow::Cow;
 
 /// A parameter whose standard deviation is beyond this many typical sizes is remarked.
 ///
@@ -79,24 +80,42 @@ pub fn discover(model: &Model, data: &Data) -> Discovery {
 
 /// [`discover`], telling each stage.
 ///
-/// Many samples are searched in part first. Where more is missing than the library accounts for, the rest would not tell more of it, and
-/// what was found is fitted to all; else all are searched.
+/// Of many samples a part is searched, and what was found is fitted to all. All are searched where they show more than that accounts for,
+/// unless the part does so as well.
 pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
     let model = with_estimate(model);
     let few = data.thinned(SEARCHED_FIRST);
-    let mut searched = Searched::until_the_noise_is_learned(&model, &few, tell);
-    let mut judged = searched.judged();
+    tell("learning the noise");
+    let stated = Problem::new(data, &Noise::stated(data), &model);
+    let rough = stated.fit(&model, None, None);
+    // From all samples: between thinned ones effects change as quickly as noise.
+    let learned = Noise::learned(&stated, &rough);
+    let until_learned = || Searched::until_the_noise_is_learned(data, learned, &rough, tell);
+    let mut searched = match &few {
+        Cow::Borrowed(_) => until_learned(),
+        Cow::Owned(few) => {
+            tell("comparing effects on a part of the samples");
+            let rough = Problem::new(few, &learned, &rough.model).fit(&rough.model, None, None);
+            Searched::new(few, &learned, &rough)
+        }
+    };
+    let mut judged = Judged::new(&searched.problem, &searched.before, &searched.after);
     if few.len() < data.len() && judged.verdict != Verdict::Unexplained {
-        searched = Searched::until_the_noise_is_learned(&model, data, tell);
-        judged = searched.judged();
+        tell("fitting what was found to all samples");
+        judged = searched.judged_on(data);
+        if judged.verdict == Verdict::Unexplained {
+            tell("comparing effects on all samples");
+            searched = until_learned();
+            judged = Judged::new(&searched.problem, &searched.before, &searched.after);
+        }
     }
-    let Judged { verdict, structure_before, held_out_before, full } = judged;
-    let Searched { problem, least_bic_gain, found, .. } = &searched;
+    let Judged { verdict, structure_before, held_out_before, answer } = judged;
     let (verdict, answer, held_out_before) = match verdict {
-        Verdict::Named => (verdict, full, held_out_before),
-        Verdict::None => (verdict, Answer::new(problem, &found.before, Vec::new()), held_out_before),
+        Verdict::Named => (verdict, Answer { named: searched.named(), ..answer }, held_out_before),
+        Verdict::None => (verdict, answer, held_out_before),
         _ => partly_answered(&searched, (&model, data), tell),
     };
+    let Searched { problem, least_bic_gain, .. } = &searched;
 
     let fitted = with_origin(answer.model, data);
     let mut remarks = data.remarks.clone();
@@ -126,16 +145,37 @@ struct Judged {
     verdict: Verdict,
     structure_before: Structure,
     held_out_before: HeldOutResiduals,
-    /// The answer with all effects that were found.
-    full: Answer,
+    /// With the effects that were found, which are not described yet, if they help.
+    answer: Answer,
+}
+
+impl Judged {
+    /// Whether what was found accounts for the gap.
+    fn new(problem: &Problem, before: &Fit, after: &Fit) -> Self {
+        let without = Answer::new(problem, before);
+        let (structure_before, held_out_before) = (without.structure.clone(), without.held_out.clone());
+        let has_found = after.model.effects.len() > before.model.effects.len();
+        let with = has_found.then(|| Answer::new(problem, after));
+        // An effect that does not shrink the gap on sweeps that the fit did not see is none.
+        let with = with.filter(|with| with.held_out.gap.eps_mm < held_out_before.gap.eps_mm);
+        let helps = with.is_some();
+        let answer = with.unwrap_or(without);
+        let verdict = Verdict::new(helps, &structure_before, &answer.structure);
+        Self { verdict, structure_before, held_out_before, answer }
+    }
 }
 
 /// A search with all that it was made from.
 struct Searched<'a> {
     problem: Problem<'a>,
+    /// The first steps of all hypotheses about the model before.
+    first: Vec<FirstStep>,
     spaces: Vec<TangentSpace>,
     least_bic_gain: f64,
-    found: Found,
+    /// The model as given, with η and λ at their best.
+    before: Fit,
+    /// The model with the effects found.
+    after: Fit,
 }
 
 impl<'a> Searched<'a> {
@@ -146,8 +186,17 @@ impl<'a> Searched<'a> {
         let first = first_steps(&problem, &before, |_| true);
         let spaces = tangent_spaces(&problem, &before, &first);
         let least_bic_gain = largest_gain_of_noise(&spaces);
-        let found = search(&problem, before, first, least_bic_gain);
-        Self { problem, spaces, least_bic_gain, found }
+        let after = search(&problem, &before, &first, least_bic_gain);
+        Self { problem, first, spaces, least_bic_gain, before, after }
+    }
+
+    fn has_found(&self) -> bool {
+        self.after.model.effects.len() > self.before.model.effects.len()
+    }
+
+    /// The effects found, with the evidence for each.
+    fn named(&self) -> Vec<Named> {
+        named(&self.problem, &self.before, &self.first, &self.after)
     }
 
     /// What is stated, where it is clearly finer than the noise that was learned and effects account for the difference: jumps at
@@ -159,23 +208,19 @@ impl<'a> Searched<'a> {
         }
         let problem = Problem::new(data, &stated, &rough.model);
         let before = problem.fit(&rough.model, Some(&rough.path), None);
-        let beneath = Noise::learned(&problem, &explained(&problem, before));
+        let beneath = Noise::learned(&problem, &explained(&problem, &before));
         (!stated.is_finer_than(&beneath)).then_some(beneath)
     }
 
     /// What effects do from one sample to the next looks like noise until they are found: then the noise is learned anew, and the
     /// search repeated with it.
-    fn until_the_noise_is_learned(model: &Model, data: &'a Data, tell: Tell) -> Self {
-        tell("learning the noise");
-        let first = Problem::new(data, &Noise::stated(data), model);
-        let rough = &first.fit(model, None, None);
-        let learned = Noise::learned(&first, rough);
+    fn until_the_noise_is_learned(data: &'a Data, learned: Noise, rough: &Fit, tell: Tell) -> Self {
         let mut noise = Self::stated_noise(data, &learned, rough).unwrap_or(learned);
         tell("comparing effects");
         let mut searched = Self::new(data, &noise, rough);
         for _ in 1..MOST_SEARCHES {
-            let finer = Noise::learned(&searched.problem, &searched.found.after);
-            if searched.found.named.is_empty() || !finer.is_finer_than(&noise) {
+            let finer = Noise::learned(&searched.problem, &searched.after);
+            if !searched.has_found() || !finer.is_finer_than(&noise) {
                 break;
             }
             noise = finer;
@@ -185,16 +230,11 @@ impl<'a> Searched<'a> {
         searched
     }
 
-    /// Whether what was found accounts for the gap.
-    fn judged(&self) -> Judged {
-        let Self { problem, found: Found { before, after, named }, .. } = self;
-        let structure_before = Structure::new(problem.data, before);
-        let held_out_before = HeldOutResiduals::new(problem, before);
-        let full = Answer::new(problem, after, named.clone());
-        // An effect that does not shrink the gap on sweeps that the fit did not see is none.
-        let helps = !named.is_empty() && full.held_out.gap.eps_mm < held_out_before.gap.eps_mm;
-        let verdict = Verdict::new(helps, &structure_before, if helps { &full.structure } else { &structure_before });
-        Judged { verdict, structure_before, held_out_before, full }
+    /// What was found, fitted to all samples, of which those that were searched are a part.
+    fn judged_on(&self, data: &Data) -> Judged {
+        let problem = Problem::new(data, &self.problem.noise, &self.after.model);
+        let [before, after] = [&self.before, &self.after].map(|fit| problem.fit(&fit.model, None, None));
+        Judged::new(&problem, &before, &after)
     }
 }
 
@@ -208,10 +248,11 @@ struct Answer {
 }
 
 impl Answer {
-    fn new(problem: &Problem, fit: &Fit, named: Vec<Named>) -> Self {
+    /// Without effects that are described.
+    fn new(problem: &Problem, fit: &Fit) -> Self {
         Self {
             model: problem.with_covariance(fit),
-            named,
+            named: Vec::new(),
             noise: problem.noise,
             held_out: HeldOutResiduals::new(problem, fit),
             structure: Structure::new(problem.data, fit),
@@ -227,9 +268,9 @@ fn partly_answered(
     tell: Tell,
 ) -> (Verdict, Answer, HeldOutResiduals) {
     tell("looking for effects that help beside others");
-    let Searched { problem, found, .. } = searched;
+    let problem = &searched.problem;
     let anew = problem.fit(given, None, None);
-    let mut partial = Partial::new(problem, [&found.before, &anew]);
+    let mut partial = Partial::new(problem, [&searched.before, &anew]);
     // What the residuals follow is told in units of the noise.
     let structure = |fit: &Fit| Structure::new(problem.data, &problem.evaluated(&fit.model, Some(&fit.path)));
     let of_searched = [partial.before.clone(), partial.after.clone()];
@@ -241,7 +282,7 @@ fn partly_answered(
     let held_out = HeldOutResiduals::new(&partial.problem, &partial.after);
     let helps = !partial.named.is_empty() && held_out.gap.eps_mm < before.gap.eps_mm;
     let (verdict, named) =
-        if helps { (Verdict::Partly, partial.named.clone()) } else { (Verdict::Unexplained, found.named.clone()) };
+        if helps { (Verdict::Partly, partial.named.clone()) } else { (Verdict::Unexplained, searched.named()) };
     let fit = if helps { &partial.after } else { &partial.before };
     let answer = Answer {
         model: partial.model(fit),

@@ -38,9 +38,10 @@ pub fn effect_traces(found: &Discovery, data: &Data) -> Vec<EffectTrace> {
         return Vec::new();
     }
     let problem = Problem::new(data, &found.noise, &found.model);
-    let with = problem.predict(&found.model, None).residuals;
-    let path = Mechanics::new(&found.model).solve_path(&data.log.times_s, &data.log.q_mm, None);
-    let bends: Vec<Vector2<f64>> = data.log.samples.iter().map(|&at| path[at].bend).collect();
+    let prediction = problem.predict(&found.model, None);
+    let path = prediction.path();
+    let bends: Vec<Vector2<f64>> = data.log.samples.iter().map(|&at| path[at]).collect();
+    let with = prediction.residuals;
     let effects = found.given_effects()..found.model.effects.len();
     let trace = |k: usize| {
         let without = problem.fit(&found.model.without_effect(k), None, None).residuals;

@@ -117,7 +117,8 @@ impl Problem<'_> {
     /// A model as it is, with its residuals and their derivatives.
     pub fn evaluated(&self, model: &Model, guess: Option<&[Vector2<f64>]>) -> Fit {
         let prediction = self.predict(model, guess);
-        let (jacobian, path) = (self.jacobian(model, &prediction), prediction.path());
+        let all = 0..model.parameter_specs().len();
+        let (jacobian, path) = (self.jacobian(model, &prediction, all), prediction.path());
         let residuals = prediction.residuals;
         Fit { model: model.clone(), cost: cost(&residuals), residuals, path, jacobian }
     }
@@ -201,7 +202,7 @@ impl least_squares::Problem for Objective<'_> {
     }
 
     fn jacobian(&self, x: &DVector<f64>, prediction: &Prediction) -> DMatrix<f64> {
-        self.problem.jacobian(&self.model(x), prediction)
+        self.problem.jacobian(&self.model(x), prediction, 0..x.len())
     }
 
     fn weights(&self) -> Option<&DVector<f64>> {

@@ -10,6 +10,7 @@ use super::comparison::{Comparison, LEAST_INCLUSION};
 use super::data::Data;
 use super::fit::Fit;
 use super::held_out::HeldOutResiduals;
+use super::hypotheses::is_periodic;
 use super::law;
 use super::noise::Noise;
 use super::residuals::Problem;
@@ -17,7 +18,7 @@ use super::search::{Named, added, by_bic, extensions};
 use super::start::unknown_start;
 use super::sweep_equations::SweepEquations;
 use super::sweeps::FOLDS;
-use crate::robot::effects::{Role, Starts};
+use crate::robot::effects::Role;
 use crate::robot::{Model, Physics};
 use crate::statistics::moments::rms;
 use nalgebra::Vector2;
@@ -292,7 +293,7 @@ impl HeldOutCosts {
 /// Periodic effects and those of time are not looked for: a wave with a pitch of its own fits any smooth gap over a few of its periods,
 /// and a drift any slow change.
 fn is_believable(physics: &Physics) -> bool {
-    !physics.in_time && !matches!(physics.starts, Starts::Periodogram(_))
+    !physics.in_time && !is_periodic(physics)
 }
 
 /// Whether it is one of the effects that are likely beforehand, of which only another of them is a rival.

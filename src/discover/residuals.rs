@@ -16,6 +16,7 @@ use crate::robot::{ForwardSolution, LineJacobian, Mechanics, Model, Motion, PerB
 use crate::statistics::moments::mean;
 use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2};
 use std::f64::consts::PI;
+use std::ops::Range;
 
 /// The step of a difference quotient, in units of each parameter's scale.
 ///
@@ -130,8 +131,9 @@ impl<'a> Problem<'a> {
         Prediction { forward, motions, residuals }
     }
 
-    /// ∂(residuals)/∂(parameter / its scale) by forward differences: a row for each component of each sample.
-    pub fn jacobian(&self, model: &Model, prediction: &Prediction) -> DMatrix<f64> {
+    /// ∂(residuals)/∂(parameter / its scale) by forward differences: a row for each component of each sample, a column for each of some of
+    /// the model's parameters.
+    pub fn jacobian(&self, model: &Model, prediction: &Prediction, parameters: Range<usize>) -> DMatrix<f64> {
         let mechanics = self.mechanics(model);
         let Prediction { forward, motions, residuals } = prediction;
         let lines: Vec<LineJacobian> = forward
@@ -142,8 +144,10 @@ impl<'a> Problem<'a> {
         let log = (&self.data.log.times_s[..], &self.data.log.q_mm[..]);
         let x = model.parameter_values();
         let n = self.data.backbones();
-        let mut jacobian = DMatrix::zeros(self.data.residual_count(), x.len());
-        for (j, spec) in model.parameter_specs().iter().enumerate() {
+        let mut jacobian = DMatrix::zeros(self.data.residual_count(), parameters.len());
+        let specs = model.parameter_specs();
+        for (column, j) in parameters.enumerate() {
+            let spec = &specs[j];
             // Towards the inside, where the range ends.
             let outside = x[j] + DIFFERENCE_STEP * spec.typical > spec.range.1;
             let h = if outside { -DIFFERENCE_STEP } else { DIFFERENCE_STEP };
@@ -154,7 +158,7 @@ impl<'a> Problem<'a> {
             let moved = mechanics.perturbed_path(&changed, log, (forward, motions, &lines));
             for (k, (after, before)) in self.whitened(&changed, &moved).iter().zip(residuals).enumerate() {
                 for c in 0..n {
-                    jacobian[(n * k + c, j)] = (after[c] - before[c]) / h;
+                    jacobian[(n * k + c, column)] = (after[c] - before[c]) / h;
                 }
             }
         }

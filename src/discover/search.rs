@@ -2,14 +2,13 @@
 
 use super::comparison::{Comparison, Evidence};
 use super::fit::Fit;
-use super::hypotheses::{FirstStep, Hypothesis, first_steps};
+use super::hypotheses::{FirstStep, Hypothesis, first_steps, promised};
 use super::residuals::Problem;
 use super::structure::mean_square_quantile;
 use super::sweep_equations::{RESAMPLES, SweepEquations};
 use crate::robot::effects::Changes;
 use crate::robot::{LIBRARY, Model, Physics};
 use rayon::prelude::*;
-use std::borrow::Cow;
 
 /// An alternative that is worse by less than this in the information criterion is not ruled out.
 ///
@@ -69,39 +68,30 @@ impl Named {
     }
 }
 
-/// What the search found.
-#[derive(Debug, Clone)]
-pub struct Found {
-    /// The model as given, with η and λ at their best.
-    pub before: Fit,
-    /// The model with the effects found.
-    pub after: Fit,
-    /// The effects found, in the order of the model's.
-    pub named: Vec<Named>,
+/// The model with the effects found beyond those of the model at hand, `before`, which stay in it. `first` are the first steps of all
+/// hypotheses about it, and `least_bic_gain` is what the best of them gains on noise alone.
+pub fn search(problem: &Problem, before: &Fit, first: &[FirstStep], least_bic_gain: f64) -> Fit {
+    let search = Search::new(problem, before, first, least_bic_gain);
+    let exchanged = search.exchange(search.forward(BEAM_WIDTH));
+    search.prefer(search.eliminate(exchanged))
 }
 
-/// Searches for effects beyond those of the model at hand, which stay in it. `first` are the first steps of all hypotheses about it, and
-/// `least_bic_gain` is what the best of them gains on noise alone.
-pub fn search(problem: &Problem, before: Fit, first: Vec<FirstStep>, least_bic_gain: f64) -> Found {
-    let search = Search::new(problem, before, first, least_bic_gain);
-    let forward = search.forward();
-    let exchanged = search.exchange(forward);
-    let after = search.prefer(search.eliminate(exchanged));
-    let named = (search.given..after.model.effects.len()).map(|k| search.describe(&after, k)).collect();
-    Found { before: search.before, after, named }
+/// The evidence for each effect that a search from there found, in the order of the model's.
+pub fn named(problem: &Problem, before: &Fit, first: &[FirstStep], after: &Fit) -> Vec<Named> {
+    let search = Search::new(problem, before, first, 0.0);
+    (search.given..after.model.effects.len()).map(|k| search.describe(after, k)).collect()
 }
 
 /// The model with whatever effects lower the cost, none of them judged against noise.
-pub fn explained(problem: &Problem, before: Fit) -> Fit {
-    let first = first_steps(problem, &before, |_| true);
-    Search::new(problem, before, first, 0.0).forward()
+pub fn explained(problem: &Problem, before: &Fit) -> Fit {
+    Search::new(problem, before, &first_steps(problem, before, |_| true), 0.0).forward(1)
 }
 
 struct Search<'a> {
     problem: &'a Problem<'a>,
-    before: Fit,
+    before: &'a Fit,
     /// The first steps from there.
-    first: Vec<FirstStep>,
+    first: &'a [FirstStep],
     least_bic_gain: f64,
     /// The squares of the gap beyond those of noise, before anything was added.
     excess: f64,
@@ -110,7 +100,7 @@ struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    fn new(problem: &'a Problem<'a>, before: Fit, first: Vec<FirstStep>, least_bic_gain: f64) -> Self {
+    fn new(problem: &'a Problem<'a>, before: &'a Fit, first: &'a [FirstStep], least_bic_gain: f64) -> Self {
         let given = before.model.effects.len();
         let excess = (before.cost - problem.data.residual_count() as f64).max(0.0);
         Self { problem, before, first, least_bic_gain, excess, given }
@@ -118,7 +108,7 @@ impl<'a> Search<'a> {
 
     /// Adds effects one by one as long as the comparison accepts them. Where the best model leaves no more than noise, it alone is gone on
     /// from: of the others one more effect makes at best its equal, with a parameter more.
-    fn forward(&self) -> Fit {
+    fn forward(&self, width: usize) -> Fit {
         let count = self.problem.data.residual_count() as f64;
         let mut best = self.before.clone();
         let mut beam = vec![self.before.clone()];
@@ -126,7 +116,7 @@ impl<'a> Search<'a> {
             let extended = by_bic(beam.iter().flat_map(|fit| self.extensions(fit, FITTED, 0.0)).collect());
             let mut kept: Vec<Fit> = Vec::new();
             for fit in extended {
-                if kept.len() < BEAM_WIDTH && kept.iter().all(|other| !have_same_effects(&other.model, &fit.model)) {
+                if kept.len() < width && kept.iter().all(|other| !have_same_effects(&other.model, &fit.model)) {
                     kept.push(fit);
                 }
             }
@@ -136,7 +126,7 @@ impl<'a> Search<'a> {
             }
             best = first.clone();
             let leaves_noise = best.cost < count * mean_square_quantile(count);
-            kept.truncate(if leaves_noise { 1 } else { BEAM_WIDTH });
+            kept.truncate(if leaves_noise { 1 } else { width });
             beam = kept;
         }
         best
@@ -204,15 +194,9 @@ impl<'a> Search<'a> {
         if model.effects.len() == self.given && self.before.cost < without.cost { self.before.clone() } else { without }
     }
 
-    /// The first steps of all hypotheses about a fit, at hand where it is the one before any effect.
-    fn first_steps(&self, fit: &Fit) -> Cow<'_, [FirstStep]> {
-        let is_first = fit.model.effects.len() == self.given;
-        if is_first { Cow::Borrowed(&self.first) } else { first_steps(self.problem, fit, |_| true).into() }
-    }
-
     /// [`extensions`] by any effect.
     fn extensions(&self, fit: &Fit, fitted: usize, least: f64) -> Vec<Fit> {
-        fitted_best(self.problem, fit, &self.first_steps(fit), (fitted, least))
+        fitted_best(self.problem, fit, self.first, (fitted, least))
     }
 
     /// The evidence for effect k of the answer, and what could stand in its place.
@@ -254,12 +238,12 @@ pub fn extensions(
     fitted_best(problem, fit, &first_steps(problem, fit, admits), (fitted, least))
 }
 
-/// The fits to convergence of as many first steps from a fit as are to be fitted, those that gain most.
+/// The fits to convergence of as many hypotheses about a fit as are to be fitted, those that promise to gain most, and more than `least`.
 fn fitted_best(problem: &Problem, fit: &Fit, steps: &[FirstStep], (fitted, least): (usize, f64)) -> Vec<Fit> {
-    let mut expected: Vec<&FirstStep> = steps.iter().filter(|step| step.gain > least).collect();
-    expected.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-    let mut chosen: Vec<&Hypothesis> = Vec::new();
-    for FirstStep { hypothesis, .. } in expected {
+    let mut all = promised(problem, fit, steps);
+    all.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let mut chosen: Vec<Hypothesis> = Vec::new();
+    for (_, hypothesis) in all.into_iter().take_while(|(gain, _)| *gain > least) {
         let of_its_form = chosen.iter().filter(|other| other.physics == hypothesis.physics).count();
         if chosen.len() < fitted && of_its_form < FITTED_PER_FORM {
             chosen.push(hypothesis);

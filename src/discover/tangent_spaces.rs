@@ -1,18 +1,13 @@
 //! The tangent space of every hypothesis: what its effect can do to the residuals, to first order.
 
 use super::fit::Fit;
-use super::hypotheses::{FirstStep, thinned};
+use super::hypotheses::{FirstStep, is_periodic, thinned};
 use super::periodogram::{Waves, frequencies};
 use super::residuals::Problem;
 use crate::robot::Physics;
-use crate::robot::effects::Starts;
+use crate::statistics::projection::Complement;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
-
-/// The ridge that keeps a projection solvable, relative and absolute.
-///
-/// Convention: a numerical guard.
-const RIDGE: f64 = 1e-12;
 
 /// Columns shorter than this after orthogonalisation are taken for zero.
 ///
@@ -50,14 +45,14 @@ impl TangentSpace {
 /// The tangent spaces of all hypotheses about a fit, of which these are the first steps.
 pub fn tangent_spaces(problem: &Problem, fit: &Fit, steps: &[FirstStep]) -> Vec<TangentSpace> {
     let data = problem.data;
-    let base = thinned(data, &fit.jacobian);
+    let beyond_fit = Complement::new(thinned(data, &fit.jacobian));
     let per_parameter = (data.residual_count() as f64).ln();
     let space = |physics: Option<&'static Physics>, parameters: usize, columns: DMatrix<f64>| {
-        let remaining = without_projection(&base, &columns);
+        let remaining = beyond_fit.of(&columns);
         TangentSpace { physics, penalty: per_parameter * parameters as f64, columns, remaining }
     };
-    let is_periodic = |step: &&FirstStep| matches!(step.hypothesis.physics.starts, Starts::Periodogram(_));
-    let (periodic, others): (Vec<_>, Vec<_>) = steps.iter().partition(is_periodic);
+    let (periodic, others): (Vec<_>, Vec<_>) =
+        steps.iter().partition(|step: &&FirstStep| is_periodic(step.hypothesis.physics));
     let of_step = |step: &FirstStep| space(Some(step.hypothesis.physics), step.columns.ncols(), step.columns.clone());
     let mut spaces: Vec<TangentSpace> = others.into_par_iter().map(of_step).collect();
     // A wave of every frequency, each with its pitch as a further parameter.
@@ -72,31 +67,9 @@ pub fn tangent_spaces(problem: &Problem, fit: &Fit, steps: &[FirstStep]) -> Vec<
     spaces
 }
 
-/// Columns less their projection on the span of a basis.
-fn without_projection(basis: &DMatrix<f64>, columns: &DMatrix<f64>) -> DMatrix<f64> {
-    let transposed = basis.transpose();
-    let mut information = &transposed * basis;
-    for j in 0..information.nrows() {
-        information[(j, j)] = information[(j, j)] * (1.0 + RIDGE) + RIDGE;
-    }
-    match information.cholesky() {
-        Some(factor) => columns - basis * factor.solve(&(transposed * columns)),
-        None => columns.clone(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn what_remains_is_at_right_angles_to_the_basis_and_nothing_of_its_span_is_left() {
-        let basis = DMatrix::from_fn(20, 2, |row, c| (row as f64 + 1.0).powi(c as i32));
-        let columns = DMatrix::from_fn(20, 2, |row, c| if c == 0 { 3.0 - row as f64 } else { (row as f64).sin() });
-        let remaining = without_projection(&basis, &columns);
-        assert!((basis.transpose() * &remaining).amax() < 1e-7);
-        assert!(remaining.column(0).norm() < 1e-8 && remaining.column(1).norm() > 1.0);
-    }
 
     #[test]
     fn the_basis_is_orthonormal_and_leaves_out_a_column_that_depends_on_another() {

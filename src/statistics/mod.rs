@@ -7,6 +7,7 @@
 //! | --- | --- |
 //! | [`least_squares`] | nonlinear least squares: Levenberg–Marquardt with box bounds and a robust loss |
 //! | [`normal_equations`] | those of weighted linear least squares |
+//! | [`projection`] | what columns have beyond the span of others |
 //! | [`robust`] | losses of Huber and Tukey, weights in units of the MAD, iteratively reweighted least squares (IRLS) |
 //! | [`trimmed`] | least trimmed squares (LTS): a start that outliers cannot spoil |
 //! | [`cluster`] | cluster-robust covariance of a fit whose errors come in groups |
@@ -29,6 +30,7 @@ pub mod moments;
 pub mod normal_equations;
 pub mod null_distribution;
 pub mod order;
+pub mod projection;
 pub mod robust;
 pub mod sign_flip;
 pub mod trimmed;

@@ -7,7 +7,7 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
-use snakeloop::discover::{Data, Discovery, Verdict, discover};
+use snakeloop::discover::{Data, Discovery, Named, Verdict, discover};
 use snakeloop::estimate::gap::gap;
 use snakeloop::robot::{LIBRARY, Model, PerBackbone, Physics};
 use snakeloop::simulate::Sealed;
@@ -43,8 +43,8 @@ fn library() -> Vec<&'static Physics> {
     LIBRARY.into_iter().filter(|physics| physics.form.is_empty()).collect()
 }
 
-/// The whole table for as many seeds as SEALED_SEEDS says, of the parts that SEALED_PARTS names (one, none, noisy, two, outside), and of one
-/// hidden effect those that SEALED_EFFECTS names (all by default); without SEALED_SEEDS a few of the second.
+/// The whole table for as many seeds as SEALED_SEEDS says, of the parts that SEALED_PARTS names (one, none, noisy, two, outside, long), and of
+/// one hidden effect those that SEALED_EFFECTS names (all by default); without SEALED_SEEDS a few of the second.
 #[test]
 fn what_is_hidden_is_named() {
     let seeds: u64 = std::env::var("SEALED_SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(0);
@@ -70,6 +70,62 @@ fn what_is_hidden_is_named() {
     if wanted("outside") {
         outside(seeds);
     }
+    if wanted("long") {
+        long(seeds);
+    }
+}
+
+/// Twenty thousand samples, of which a part is searched first.
+fn long(seeds: u64) {
+    for name in ["play_at_bend", "bouc_wen", "thermal_drift", "tip_load"] {
+        let physics = library().into_iter().find(|physics| physics.name == name).expect("an effect of the library");
+        let of_seed = |seed| discovered(&Sealed::of_poses(&[physics], 6000 + seed, 2125, 3000).expect("an experiment"));
+        let outcomes: Vec<Outcome> = (0..seeds).map(of_seed).collect();
+        let right = show(physics.name, &outcomes, Verdict::Named, &[physics.name]);
+        require("one hidden in a long log", right, outcomes.len(), LEAST_ONE);
+    }
+}
+
+/// Of effects that are given a probability, as many are there: pairs of hidden effects of half the usual number of samples, all that is
+/// named or, of what is unexplained, considered. Prints the shares by classes of the probability; of 70 to 90 %, 70 to 90 % must be there,
+/// within two standard errors.
+///
+/// ```sh
+/// SEALED_SEEDS=60 cargo test --release --no-default-features --features cli --test library calibrated -- --ignored --nocapture
+/// ```
+#[test]
+#[ignore = "a survey of several minutes"]
+fn probabilities_are_calibrated() {
+    let seeds: usize = std::env::var("SEALED_SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(20);
+    let library = library();
+    let of_seed = |seed: usize| {
+        let pair = [library[seed * 7 % library.len()], library[(seed * 11 + 5) % library.len()]];
+        let hidden = if pair[0] == pair[1] { &pair[..1] } else { &pair[..] };
+        let sealed = Sealed::of_poses(hidden, 3000 + seed as u64, 17, 24).expect("a sealed experiment");
+        let data = Data::new(&sealed.measurements, &sealed.readings, 0.0015).expect("enough samples");
+        let found = discover(&Model::default(), &data);
+        let is_there = |name: &str| hidden.iter().any(|physics| physics.name == name);
+        let of = |named: &Named| (found.verdict.has_effects(), named.probability(), is_there(named.physics.name));
+        found.named.iter().map(of).collect::<Vec<_>>()
+    };
+    let all: Vec<(bool, f64, bool)> = (0..seeds).into_par_iter().flat_map_iter(of_seed).collect();
+    let classes = [(0.0, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, 0.97), (0.97, 1.0)];
+    for (is_answer, what) in [(true, "named"), (false, "considered")] {
+        for (least, most) in classes {
+            let own: Vec<bool> =
+                all.iter().filter(|(a, p, _)| *a == is_answer && (least..most).contains(p)).map(|o| o.2).collect();
+            println!(
+                "{what} {least:.2} to {most:.2}: {} of {} are there",
+                own.iter().filter(|x| **x).count(),
+                own.len()
+            );
+        }
+    }
+    let likely: Vec<bool> =
+        all.iter().filter(|(is_answer, p, _)| *is_answer && (0.7..0.9).contains(p)).map(|o| o.2).collect();
+    let (there, count) = (likely.iter().filter(|x| **x).count() as f64, likely.len() as f64);
+    let slack = 2.0 * (0.8 * 0.2 * count).sqrt();
+    assert!(there >= 0.7 * count - slack && there <= 0.9 * count + slack, "{there} of {count}");
 }
 
 /// One seed of every effect: it is named, and what was found is the model that another trajectory obeys: there nothing is left to find, and
