@@ -262,13 +262,17 @@ impl Eye {
         if !fit.contradicts_shape {
             return Some(fit);
         }
+        self.fit_any_shape(finder, fit.start(), schedule).or(Some(fit))
+    }
+
+    /// The fit in the fine stage of a snake that may have any shape.
+    fn fit_any_shape(&self, finder: &EdgeFinder, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
         let (view, any_shape) = (self.projection(), self.rig.prior().of_any_shape());
         // Edges may lie further from the wrong shape than the fine stage searches.
-        let refined = fit_bend(&view, finder, fit.start(), any_shape, &COARSE_TO_REFINED);
-        let refitted = refined.and_then(|refined| fit_bend(&view, finder, refined.start(), any_shape, schedule));
-        let mut best = refitted.unwrap_or(fit);
-        best.contradicts_shape = true;
-        Some(best)
+        let refined = fit_bend(&view, finder, start, any_shape, &COARSE_TO_REFINED)?;
+        let mut fit = fit_bend(&view, finder, refined.start(), any_shape, schedule)?;
+        fit.contradicts_shape = true;
+        Some(fit)
     }
 
     /// Selects among the minima and gives the verdict on the best, beside the check of whether camera, base and target are where the
@@ -306,8 +310,11 @@ impl Eye {
         let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, diameter_px);
         let alternatives = fits[1..].iter().filter(|other| other.cost <= ALTERNATIVE_COST_RATIO * fits[0].cost);
         let (mut has_alternative, mut is_ambiguous) = (false, false);
+        let of_other_bends = alternatives.filter_map(|other| self.fit_fine(finder, other.start(), fine));
+        let shapes = best.contradicts_shape.then(|| best.shapes_beside(&self.rig.camera_from_base));
+        let of_other_shapes = shapes.into_iter().flatten().filter_map(|start| self.fit_any_shape(finder, start, fine));
         // An alternative may end at the same bend in the fine stage, or prove to be worse.
-        for other in alternatives.filter_map(|other| self.fit_fine(finder, other.start(), fine)) {
+        for other in of_other_bends.chain(of_other_shapes) {
             let compared = compare(&other, &best);
             has_alternative |= compared != Alternative::Worse;
             match compared {

@@ -3,9 +3,10 @@
 //! The picture of one camera hardly tells towards it from away from it, so that a fit has local minima: the mirrored solution, and
 //! bends whose disks fall on their neighbours' places. Two fits are compared by their cost and by the scatter of their edges.
 
-use super::bend::BendFit;
+use super::bend::{BendFit, Start};
+use super::state::State;
 use crate::geometry::Pose;
-use crate::robot::MODES;
+use crate::robot::{BendProfile, MODES};
 use nalgebra::{SVector, Vector2};
 
 /// Another fit explains the picture as well only if its cost is below this many times the best one's.
@@ -32,6 +33,12 @@ const EXPLAINING_COST: f64 = 0.01;
 ///
 /// Fitted: by hand on renders, for speed, together with the cost; judged by `tests/robustness`.
 const EXPLAINING_INLIERS: f64 = 0.95;
+
+/// How far the last disk of a snake that may have any shape is turned, rad, to look for other local minima.
+///
+/// Fitted: on lone frames of random rigs (`tests/robustness`), whose other minima were 1.4° to 3.1° from the first; starts from 1.5° to 5°
+/// away led to the same ones.
+const TIP_TURN_RAD: f64 = 0.05;
 
 /// Of two fits that explain a picture as well, the one nearer to an arc is taken if its shape is this many times as likely.
 ///
@@ -72,6 +79,21 @@ impl BendFit {
     /// 1/σ for its width): the density of a pair of components with mean square error s² is then in proportion to 1/(|a|² + s²).
     pub fn has_likelier_shape_than(&self, other: &Self) -> bool {
         !self.contradicts_shape && other.shape_surprise() - self.shape_surprise() > SHAPE_ODDS.ln()
+    }
+
+    /// Where other local minima of a snake that may have any shape are looked for.
+    ///
+    /// The picture hardly tells how far the last disk is turned about an axis across the line of sight: towards the camera and away from it
+    /// look alike, and so do some turns by few degrees. The rest of the profile moves with the tip as the covariance says, which leaves all
+    /// but the last disk where it is.
+    pub fn shapes_beside(&self, camera_from_base: &Pose) -> [Start; 3] {
+        let depth = depth_direction(camera_from_base);
+        let by_depth = self.covariance.fixed_columns::<2>(0) * depth;
+        let moved_rad = depth.dot(&by_depth.fixed_rows::<2>(0));
+        let turned = |by_rad: f64| self.profile.stepped((by_depth * (by_rad / moved_rad)).as_slice());
+        let mirrored = BendProfile { tip: mirrored(self.bend(), camera_from_base), ..self.profile };
+        [mirrored, turned(TIP_TURN_RAD), turned(-TIP_TURN_RAD)]
+            .map(|profile| Start { state: State { profile, bias: self.bias }, ..self.start() })
     }
 
     /// −ln of the density of the modes, but for a constant.
@@ -127,7 +149,12 @@ pub(crate) fn distinct(mut fits: Vec<BendFit>, apart_rad: f64) -> Vec<BendFit> {
 /// The bend whose outline is nearly the same for a camera at this pose: mirrored in the plane through the snake's axis that is
 /// perpendicular to the line of sight.
 pub(crate) fn mirrored(bend: Vector2<f64>, camera_from_base: &Pose) -> Vector2<f64> {
-    let sight = camera_from_base.inverse() * camera_from_base.translation.vector;
-    let depth = sight.xy().normalize();
+    let depth = depth_direction(camera_from_base);
     bend - 2.0 * depth * depth.dot(&bend)
+}
+
+/// The direction of a bend vector along which a straight snake bends towards a camera at this pose or away from it.
+fn depth_direction(camera_from_base: &Pose) -> Vector2<f64> {
+    let sight = camera_from_base.inverse() * camera_from_base.translation.vector;
+    sight.xy().normalize()
 }

@@ -44,26 +44,27 @@ fn outcomes(seed: u64, frames: usize) -> Result<Vec<Outcome>, String> {
     let scene = rigs::varied(&mut Random::new(seed));
     let eye = eye(&scene, seed)?;
     let start = seed as usize * frames;
-    let outcome = |k: usize| {
-        // Each frame has its own numbers, so that one can be drawn again without the others.
-        let mut random = Random::new(1000 * seed + k as u64);
-        let disturbance = Disturbance::ALL[(start + k) % Disturbance::ALL.len()];
-        let psi = Configuration::from_degrees(random.between(0.0, 95.0), random.between(-180.0, 180.0));
-        // Every second frame of a rig, and of a disturbance every second time, shows a snake that is no arc.
-        let is_arc = (seed as usize + k).is_multiple_of(2);
-        let modes_deg = if is_arc { [[0.0; 2]; 3] } else { rigs::shape(psi.theta_deg(), &mut random) };
-        let bent = Scene { modes_deg, ..scene.clone() };
-        let (picture, truth) = disturbed(&bent, psi, disturbance, &mut random);
-        let outcome = judged(&eye.measure(&frame_of(picture.clone())), truth, disturbance, psi);
-        if outcome.is_false {
-            let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("robustness");
-            std::fs::create_dir_all(&folder).unwrap();
-            picture.save(folder.join(format!("{seed}-{k}.png"))).unwrap();
-            std::fs::write(folder.join(format!("{seed}.toml")), scene.to_toml().unwrap()).unwrap();
-        }
-        Outcome { told: format!("{seed}-{k} modes {modes_deg:.1?}° {}", outcome.told), ..outcome }
-    };
-    Ok((0..frames).map(outcome).collect())
+    let disturbance = |k: usize| Disturbance::ALL[(start + k) % Disturbance::ALL.len()];
+    Ok((0..frames).map(|k| outcome(&scene, &eye, [seed, k as u64], disturbance(k))).collect())
+}
+
+/// Measures one frame of a rig's seed, whose numbers are its own, so that it can be drawn again without the others.
+fn outcome(scene: &Scene, eye: &Eye, [seed, k]: [u64; 2], disturbance: Disturbance) -> Outcome {
+    let mut random = Random::new(1000 * seed + k);
+    let psi = Configuration::from_degrees(random.between(0.0, 95.0), random.between(-180.0, 180.0));
+    // Every second frame of a rig, and of a disturbance every second time, shows a snake that is no arc.
+    let is_arc = (seed + k).is_multiple_of(2);
+    let modes_deg = if is_arc { [[0.0; 2]; 3] } else { rigs::shape(psi.theta_deg(), &mut random) };
+    let bent = Scene { modes_deg, ..scene.clone() };
+    let (picture, truth) = disturbed(&bent, psi, disturbance, &mut random);
+    let outcome = judged(&eye.measure(&frame_of(picture.clone())), truth, disturbance, psi);
+    if outcome.is_false {
+        let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("robustness");
+        std::fs::create_dir_all(&folder).unwrap();
+        picture.save(folder.join(format!("{seed}-{k}.png"))).unwrap();
+        std::fs::write(folder.join(format!("{seed}.toml")), scene.to_toml().unwrap()).unwrap();
+    }
+    Outcome { told: format!("{seed}-{k} modes {modes_deg:.1?}° {}", outcome.told), ..outcome }
 }
 
 fn judged(
@@ -110,6 +111,20 @@ fn squares_do_not_hide_the_snake() {
 #[test]
 fn a_snake_that_stands_out_little_is_found_where_the_border_cuts_its_holder() {
     [1041, 1052].into_iter().for_each(assert_calibrated);
+}
+
+/// The pictures of these snakes, which are no arcs or are seen by one frame alone, are explained by several shapes that differ most in how
+/// the last disk is turned: what was found first was 2.2°, 2.7° and, in δ, 2.3° off, by 8 of its σ and more.
+#[test]
+fn one_of_several_shapes_that_look_alike_is_no_angle() {
+    for (seed, frames) in [(6101, &[6, 16][..]), (6115, &[15])] {
+        let scene = rigs::varied(&mut Random::new(seed));
+        let eye = eye(&scene, seed).unwrap();
+        for &k in frames {
+            let outcome = outcome(&scene, &eye, [seed, k], Disturbance::None);
+            assert!(!outcome.is_false, "{}", outcome.told);
+        }
+    }
 }
 
 /// What a survey counts.
