@@ -104,8 +104,8 @@ impl Status {
                 "add a second view from the side; on a checkerboard, take one whose dark squares are lighter than the snake",
             ),
             Self::UnknownShape => (
-                "the outline contradicts what is known of the snake's shape, and no other shape explains all of it",
-                "look at the frame by `measure --explain`: contact along the body, or something that touches the outline; check robot.toml",
+                "the outline contradicts what is known of the snake's shape, and no other shape explains all of it, or more than one does",
+                "measure a sequence of three frames or more, which tells the shape; else look at the frame by `measure --explain`: contact along the body, or something that touches the outline; check robot.toml",
             ),
             Self::Blurred => (
                 "the outline is too soft to place its edges",

@@ -129,14 +129,14 @@ struct Selection {
     has_fine_fit: bool,
     /// Whether another of them was no worse in the fine stage than the best one so far.
     has_alternative: bool,
-    /// Whether another one explains the picture as well as the first.
-    is_ambiguous: bool,
+    /// Why the first is not to be relied on, if another one explains the picture as well: another bend, or the same snake of another shape.
+    doubt: Option<Status>,
 }
 
 impl Selection {
     /// None of these minima has a fit in the fine stage.
     fn without_fine_fit(fits: Vec<BendFit>) -> Self {
-        Self { fits, has_fine_fit: false, has_alternative: false, is_ambiguous: false }
+        Self { fits, has_fine_fit: false, has_alternative: false, doubt: None }
     }
 }
 
@@ -280,9 +280,9 @@ impl Eye {
     fn conclude(&self, minima: Vec<BendFit>, frame: &Frame, finder: &EdgeFinder, fine: &FitSchedule) -> Conclusion {
         let select = || self.select(minima, finder, fine);
         let (selection, drift) = rayon::join(select, || self.drift_monitor.check(frame, finder));
-        let Selection { fits, has_fine_fit, has_alternative, is_ambiguous } = selection;
+        let Selection { fits, has_fine_fit, has_alternative, doubt } = selection;
         let mut measurement = match fits.first().filter(|_| has_fine_fit) {
-            Some(best) => self.verdict(best, is_ambiguous, finder),
+            Some(best) => self.verdict(best, doubt, finder),
             None => FrameMeasurement::failed(Status::NoSnake, None),
         };
         if let Some(quality) = &mut measurement.quality {
@@ -309,28 +309,31 @@ impl Eye {
         let diameter_px = self.projection().diameter_px();
         let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, diameter_px);
         let alternatives = fits[1..].iter().filter(|other| other.cost <= ALTERNATIVE_COST_RATIO * fits[0].cost);
-        let (mut has_alternative, mut is_ambiguous) = (false, false);
+        let (mut has_alternative, mut doubt) = (false, None);
         let of_other_bends = alternatives.filter_map(|other| self.fit_fine(finder, other.start(), fine));
-        let shapes = best.contradicts_shape.then(|| best.shapes_beside(&self.rig.camera_from_base));
+        // From a shape that the sequence told a fit starts in the right minimum.
+        let has_any_shape = best.contradicts_shape && !self.rig.is_shape_known();
+        let shapes = has_any_shape.then(|| best.shapes_beside(&self.rig.camera_from_base));
         let of_other_shapes = shapes.into_iter().flatten().filter_map(|start| self.fit_any_shape(finder, start, fine));
         // An alternative may end at the same bend in the fine stage, or prove to be worse.
-        for other in of_other_bends.chain(of_other_shapes) {
+        let of_other_bends = of_other_bends.map(|other| (other, Status::Ambiguous));
+        for (other, status) in of_other_bends.chain(of_other_shapes.map(|other| (other, Status::UnknownShape))) {
             let compared = compare(&other, &best);
             has_alternative |= compared != Alternative::Worse;
             match compared {
                 Alternative::EdgeOn => best = best.or_edge_on(other),
                 Alternative::AsGood if compare(&best, &other) == Alternative::Worse => best = other,
                 Alternative::AsGood if other.has_likelier_shape_than(&best) => best = other,
-                Alternative::AsGood => is_ambiguous |= !best.has_likelier_shape_than(&other),
-                Alternative::Worse => {}
+                Alternative::AsGood if !best.has_likelier_shape_than(&other) => _ = doubt.get_or_insert(status),
+                Alternative::AsGood | Alternative::Worse => {}
             }
         }
         fits[0] = best;
-        Selection { fits, has_fine_fit: true, has_alternative, is_ambiguous }
+        Selection { fits, has_fine_fit: true, has_alternative, doubt }
     }
 
     /// The measurement of a fit that can be believed, or why it cannot.
-    fn verdict(&self, fit: &BendFit, is_ambiguous: bool, finder: &EdgeFinder) -> FrameMeasurement {
+    fn verdict(&self, fit: &BendFit, doubt: Option<Status>, finder: &EdgeFinder) -> FrameMeasurement {
         let quality = Quality {
             edges: fit.inliers,
             inlier_fraction: fit.inlier_fraction(),
@@ -348,8 +351,8 @@ impl Eye {
         if visibility.visible_disk_share() < LEAST_VISIBLE_DISKS || !is_end_visible() {
             return FrameMeasurement::failed(Status::Occluded, Some(quality));
         }
-        if is_ambiguous {
-            return FrameMeasurement::failed(Status::Ambiguous, Some(quality));
+        if let Some(status) = doubt {
+            return FrameMeasurement::failed(status, Some(quality));
         }
         // With any shape a fit has local minima of its own. From a shape that the sequence told it starts in the right one; else one
         // that leaves part of the outline unexplained is not to be relied on.

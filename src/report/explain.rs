@@ -181,7 +181,7 @@ fn meaning(status: &Status) -> &'static str {
         Status::Ambiguous => "Two bends explain the picture about equally well, so that neither is given.",
         Status::UnknownShape => {
             "The outline is that of no arc, or of another shape than this snake had in the sequence, and the best shape (6) leaves part of it \
-             unexplained: the edges beside the drawn outline (5) show where. Before a rig that was refined with three frames or more of this \
+             unexplained, which the edges beside the drawn outline (5) show, or another shape explains it as well. Before a rig that was refined with three frames or more of this \
              snake its shape is known."
         }
         Status::Blurred => "The outline is too blurred for its edges to be placed: focus, or a shorter exposure.",
