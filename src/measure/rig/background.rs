@@ -11,6 +11,7 @@ use crate::statistics::robust::{Irls, Loss};
 use image::{GrayImage, Luma};
 use imageproc::contrast::otsu_level;
 use nalgebra::{DMatrix, DVector, Vector6};
+use rayon::prelude::*;
 
 /// Side of the blocks of pixels that are looked at as one.
 ///
@@ -62,7 +63,8 @@ impl Colours {
     /// Blocks whose colour, as a mean over `reach` blocks around them, is unlike that of the target, a smooth surface that fills most
     /// of the picture.
     pub fn unlike_target(&self, reach: i64) -> GrayImage {
-        let channels: Vec<Plane> = self.planes.iter().map(|plane| smoothed(&plane.shrunk::<BLOCK>(), reach)).collect();
+        let channels: Vec<Plane> =
+            self.planes.par_iter().map(|plane| smoothed(&plane.shrunk::<BLOCK>(), reach)).collect();
         let (width, height) = (channels[0].width, channels[0].height);
         let mut distance = vec![0.0_f32; width * height];
         for plane in &channels {

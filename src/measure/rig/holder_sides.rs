@@ -5,6 +5,7 @@ use super::error::RigError;
 use super::locate::Holder;
 use crate::measure::image::plane::Plane;
 use nalgebra::{Point2, Vector2};
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// How far the axis is turned to either side, rad (as a tangent), and in how many steps: coarsely, then finely about the best.
@@ -129,14 +130,14 @@ impl Strip<'_> {
         let mut best = (0.0, rough, 0.0);
         for (reach, steps) in TURNS {
             let around = best.1;
-            for k in -steps..=steps {
+            let sides = |k: i32| {
                 let turn = reach * f64::from(k) / f64::from(steps);
                 let axis = (around + Vector2::new(-around.y, around.x) * turn).normalize();
                 let (strength, left) = self.best_sides(axis, length_px);
-                if strength > best.0 {
-                    best = (strength, axis, left);
-                }
-            }
+                (strength, axis, left)
+            };
+            let turned: Vec<_> = (-steps..=steps).into_par_iter().map(sides).collect();
+            best = turned.into_iter().fold(best, |best, sides| if sides.0 > best.0 { sides } else { best });
         }
         best
     }

@@ -10,8 +10,8 @@ use crate::camera::Lens;
 use crate::geometry::perturbed;
 use crate::measure::body::{Outline, Piece, Projection};
 use crate::measure::fit::{
-    BIASES, BendFit, Correspondences, EdgeFinder, FRAME_BIAS_SIGMA, FitSchedule, FramePrior, Linearised, RobustPhase,
-    Start, State, fine_filter, fit_bend, inliers, learned_mode_sigmas, predict_blur,
+    BIASES, BendFit, Correspondences, EdgeFinder, FRAME_BIAS_SIGMA, FitSchedule, Linearised, RobustPhase, Start, State,
+    fine_filter, fit_bend, inliers, learned_mode_sigmas, predict_blur,
 };
 use crate::measure::image::plane::{Plane, Region};
 use crate::robot::{PROFILE, Robot};
@@ -35,11 +35,18 @@ const INFLATION_ROUNDS: usize = 6;
 ///
 /// Convention: far below what any frame tells, far above rounding.
 const LEAST_OF_PRIOR: f64 = 1e-6;
-/// How far from the outline edges are searched for, px, and how a frame's bend follows in a round.
+/// How far from the outline edges are searched for, px, ...
 ///
 /// Convention: as the last stage of a measurement.
 const SEARCH_PX: f64 = 3.0;
-const SCHEDULE: FitSchedule = FitSchedule { searches_px: &[SEARCH_PX], rounds: 2, is_fine: true, converged_rad: 2e-5 };
+/// ... and how a frame's bend is fitted with a shape of its own, ...
+///
+/// Convention: as the fine stage of a measurement, which it comes from.
+const SHAPE: FitSchedule = FitSchedule { searches_px: &[SEARCH_PX], rounds: 2, is_fine: true, converged_rad: 2e-5 };
+/// ... and follows in a round.
+///
+/// Derived: what of the bend is not followed yet is eliminated, so that one round is enough for a Gauss–Newton step of all.
+const FOLLOWING: FitSchedule = FitSchedule { rounds: 1, ..SHAPE };
 
 /// What all frames of a sequence share: the camera's pose (see [`perturbed`]) and the edges' biases (px).
 ///
@@ -88,35 +95,36 @@ pub fn refined_rig(
     mut starts: Vec<Start>,
 ) -> Option<Rig> {
     let prior = Prior::new(calibrated, FRAME_BIAS_SIGMA)?;
-    let mut rig = calibrated.clone();
-    let mut moved = Shared::zeros();
-    let mut is_shape_known = false;
-    for _ in 0..=ROUNDS {
+    let follow = |rig: &Rig, SnakePlane { plane, noise }: &SnakePlane, start: &mut Start, schedule: &FitSchedule| {
         let view = Projection { lens, camera_from_base: rig.camera_from_base, robot };
-        let frame_prior = rig.prior();
-        let evidence = |(SnakePlane { plane, noise }, start): (&SnakePlane, &mut Start)| {
-            let finder = EdgeFinder::with_noise(plane, rig.appearance.two_sided, *noise);
-            let state = State { bias: rig.edge_bias, ..start.state };
-            let fit = fit_bend(&view, &finder, Start { state, ..*start }, frame_prior, &SCHEDULE)?;
-            *start = fit.start();
-            let state = State { profile: fit.profile, bias: rig.edge_bias };
-            let evidence = shared_evidence(&view, &finder, &state, &frame_prior, fit.blur_px)?;
-            Some((fit, evidence))
+        let finder = EdgeFinder::with_noise(plane, rig.appearance.two_sided, *noise);
+        start.state.bias = rig.edge_bias;
+        let fit = fit_bend(&view, &finder, *start, rig.prior(), schedule)?;
+        *start = fit.start();
+        Some(fit)
+    };
+    // What was fitted under the prior of any snake says how far this one departs from an arc, and no more.
+    let with_shape = planes.par_iter().zip(&mut starts);
+    let with_shape: Vec<BendFit> =
+        with_shape.filter_map(|(frame, start)| follow(calibrated, frame, start, &SHAPE)).collect();
+    if with_shape.len() < FEWEST_FRAMES {
+        return None;
+    }
+    let mode_sigma_rad = learned_mode_sigmas(&with_shape, &calibrated.pose_covariance);
+    let mut rig = Rig { mode_sigma_rad, ..calibrated.clone() };
+    let mut moved = Shared::zeros();
+    for _ in 0..ROUNDS {
+        let evidence = |(frame, start): (&SnakePlane, &mut Start)| {
+            let fit = follow(&rig, frame, start, &FOLLOWING)?;
+            shared_evidence(lens, robot, &rig, frame, &fit)
         };
-        let fitted: Vec<(BendFit, SharedEvidence)> = planes.par_iter().zip(&mut starts).filter_map(evidence).collect();
-        let (fits, evidence): (Vec<BendFit>, Vec<SharedEvidence>) = fitted.into_iter().unzip();
+        let evidence: Vec<SharedEvidence> = planes.par_iter().zip(&mut starts).filter_map(evidence).collect();
         if evidence.len() < FEWEST_FRAMES {
             return None;
         }
-        if !is_shape_known {
-            // What was fitted under the prior of any snake says how far this one departs from an arc, and no more.
-            rig.mode_sigma_rad = learned_mode_sigmas(&fits, &rig.pose_covariance);
-            is_shape_known = true;
-            continue;
-        }
         let (step, covariance) = prior.combined(&moved, &evidence)?;
         moved += step;
-        rig = Rig { mode_sigma_rad: rig.mode_sigma_rad, ..moved_rig(calibrated, &moved, &covariance) };
+        rig = Rig { mode_sigma_rad, ..moved_rig(calibrated, &moved, &covariance) };
     }
     Some(rig)
 }
@@ -135,15 +143,18 @@ fn moved_rig(rig: &Rig, by: &Shared, covariance: &SharedInformation) -> Rig {
 ///
 /// `None` where the edges do not determine the bend.
 fn shared_evidence(
-    view: &Projection,
-    finder: &EdgeFinder,
-    state: &State,
-    prior: &FramePrior,
-    blur_px: f64,
+    lens: &Lens,
+    robot: &Robot,
+    rig: &Rig,
+    SnakePlane { plane, noise }: &SnakePlane,
+    fit: &BendFit,
 ) -> Option<SharedEvidence> {
+    let view = &Projection { lens, camera_from_base: rig.camera_from_base, robot };
+    let finder = EdgeFinder::with_noise(plane, rig.appearance.two_sided, *noise);
+    let (prior, state) = (rig.prior(), &State { profile: fit.profile, bias: rig.edge_bias });
     let mut outline = Outline::new(view, state.profile);
-    let finder = fine_filter(finder, view, blur_px);
-    predict_blur(&mut outline, blur_px, &finder);
+    let finder = fine_filter(&finder, view, fit.blur_px);
+    predict_blur(&mut outline, fit.blur_px, &finder);
     let edges = Correspondences::find(&outline, &finder, SEARCH_PX, |_| true);
     let linear = Linearised::new(&edges, view, state);
     let roots = RobustPhase::Redescending.roots(linear.residuals.as_slice());

@@ -72,7 +72,7 @@ pub fn find_grid(
     pitch_mm: f64,
     pitch_px: &RangeInclusive<f64>,
     axis: Vector2<f64>,
-    is_snake: impl Fn(&Point2<f64>) -> bool,
+    is_snake: impl Fn(&Point2<f64>) -> bool + Sync,
 ) -> Option<Grid> {
     let pitch_px = &(pitch_px.start().max(LEAST_PITCH_PX)..=*pitch_px.end());
     if pitch_px.is_empty() {
@@ -102,7 +102,7 @@ fn pose_by_windows(
     kind: PatternKind,
     pitch_mm: f64,
     seed: &Seed,
-    is_snake: &impl Fn(&Point2<f64>) -> bool,
+    is_snake: &(impl Fn(&Point2<f64>) -> bool + Sync),
 ) -> Option<(usize, PoseFit)> {
     let mut windows = Windows::new(plane, kind, seed, is_snake)?;
     windows.unwrap_from(seed)?;
@@ -125,7 +125,7 @@ fn pose_by_lines(
     pitch_mm: f64,
     seed: &Seed,
     mut fit: PoseFit,
-    is_snake: &impl Fn(&Point2<f64>) -> bool,
+    is_snake: &(impl Fn(&Point2<f64>) -> bool + Sync),
 ) -> Option<PoseFit> {
     let lines = Lines { plane, lens, pitch_mm, is_snake };
     fit.camera_from_grid = lines.put_origin_on_a_line(fit.camera_from_grid)?;

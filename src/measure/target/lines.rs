@@ -8,6 +8,7 @@ use crate::camera::Lens;
 use crate::geometry::Pose;
 use crate::measure::image::plane::Plane;
 use nalgebra::{Point2, Translation3, Vector2};
+use rayon::prelude::*;
 use std::ops::RangeInclusive;
 
 /// How far from its place, in pitches, a line is searched for.
@@ -66,7 +67,7 @@ struct LinePlace {
     darkness: f64,
 }
 
-impl<F: Fn(&Point2<f64>) -> bool> Lines<'_, F> {
+impl<F: Fn(&Point2<f64>) -> bool + Sync> Lines<'_, F> {
     /// Fits the pose to the lines' places, looked for where a pose that is nearly right puts them.
     pub fn fit_pose(&self, start: &Pose) -> Option<PoseFit> {
         let places = of_one_kind(self.places(start)?)?;
@@ -92,18 +93,17 @@ impl<F: Fn(&Point2<f64>) -> bool> Lines<'_, F> {
     /// Looks at every line of both directions, in the middle between the lines that cross it.
     fn places(&self, pose: &Pose) -> Option<Vec<LinePlace>> {
         let lines = self.lines_in_view(pose)?;
-        let mut found = Vec::new();
-        for axis in 0..2 {
-            for line in lines[axis].clone() {
-                for between in lines[1 - axis].clone() {
-                    let mut target_mm = Point2::origin();
-                    target_mm[axis] = line as f64 * self.pitch_mm;
-                    target_mm[1 - axis] = (between as f64 + 0.5) * self.pitch_mm;
-                    found.extend(self.place(pose, target_mm, axis));
-                }
-            }
-        }
-        Some(found)
+        let of_line = |axis: usize, line: i64| {
+            lines[1 - axis].clone().filter_map(move |between| {
+                let mut target_mm = Point2::origin();
+                target_mm[axis] = line as f64 * self.pitch_mm;
+                target_mm[1 - axis] = (between as f64 + 0.5) * self.pitch_mm;
+                self.place(pose, target_mm, axis)
+            })
+        };
+        let all: Vec<(usize, i64)> =
+            (0..2).flat_map(|axis| lines[axis].clone().map(move |line| (axis, line))).collect();
+        Some(all.into_par_iter().flat_map_iter(|(axis, line)| of_line(axis, line)).collect())
     }
 
     /// The lines square to each of the target's axes that may be in the picture; `None` where they are too many.

@@ -11,6 +11,7 @@ use crate::camera::Lens;
 use crate::geometry::Pose;
 use crate::measure::image::plane::Plane;
 use nalgebra::{Point2, Vector2};
+use rayon::prelude::*;
 use rustfft::num_complex::Complex;
 use std::collections::VecDeque;
 use std::f64::consts::{PI, TAU};
@@ -137,14 +138,14 @@ impl<'a> Windows<'a> {
     /// Measures the phases of all clear windows again, with the waves and the cycles that a pose predicts; `None` where some of them
     /// would not see the target.
     pub fn measure_again(&mut self, lens: &Lens, pitch_mm: f64, camera_from_grid: &Pose) -> Option<()> {
-        for k in 0..self.windows.len() {
-            if !self.windows[k].is_clear {
-                continue;
-            }
+        let again = |k: usize| {
             let (place_mm, gradient) = target_at(lens, camera_from_grid, &self.windows[k].centre)?;
             let predicted = self.kind.phases(place_mm.coords / pitch_mm);
-            self.windows[k].phases = self.measured(k, predicted, self.kind.waves(gradient / pitch_mm));
-        }
+            Some((k, self.measured(k, predicted, self.kind.waves(gradient / pitch_mm))))
+        };
+        let clear = (0..self.windows.len()).into_par_iter().filter(|&k| self.windows[k].is_clear);
+        let measured: Vec<_> = clear.map(again).collect::<Option<_>>()?;
+        measured.into_iter().for_each(|(k, phases)| self.windows[k].phases = phases);
         Some(())
     }
 
