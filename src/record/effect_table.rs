@@ -7,7 +7,7 @@
 //! reading = "a sheath that gives way"           # may be left out
 //! parameters.a_mm = { unit = "mm", range = [-1.0, 1.0] }
 //! parameters.w_n = { unit = "N", range = [0.05, 5.0], start = [0.2, 1.0] }
-//! domain.theta = [0.0, 1.2]                     # may be left out: a variable beyond is taken at the end of its domain
+//! domain.theta = [0.0, 1.2]                     # may be left out: beyond it the formula goes on straight
 //! ```
 //!
 //! In a model.toml each parameter has its `value` and `sd` besides.

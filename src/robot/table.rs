@@ -105,8 +105,8 @@ pub struct TableRow {
     pub command_mm: PerBackbone,
     /// Standard deviation of q̃ from the covariance of all of the model's parameters, mm.
     pub sd_command_mm: PerBackbone,
-    /// Whether the pose is beyond what an effect of the model was learned from, which is then taken at the end of its domain; none where
-    /// no effect has a domain.
+    /// Whether the pose is beyond what an effect of the model was learned from, which then goes on straight from the end of its domain;
+    /// none where no effect has a domain.
     pub beyond_data: Option<bool>,
     /// How the backbones share the load, where the actuation unit's limits were given; q̃ then has it in.
     pub sharing: Option<Sharing>,

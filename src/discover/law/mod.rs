@@ -5,8 +5,8 @@
 //! so that terms are [selected](selection) among hundreds by linear least squares. The selection itself is judged as well: it is
 //! repeated without each block of sweeps that follow each other, and the model with the law that comes out, fitted as it stands to the
 //! other blocks, must predict that block better than the model without one, and leave at most half of the squares of all blocks. A law that
-//! fails is not kept. The law that is kept goes into the model as the effect `proposed_law`, a formula like a user's own; its variables are
-//! held within the values that it was learned from.
+//! fails is not kept. The law that is kept goes into the model as the effect `proposed_law`, a formula like a user's own; beyond the values
+//! that it was learned from it goes on straight.
 
 mod selection;
 mod terms;
@@ -23,10 +23,10 @@ use crate::robot::{Effect, Mechanics, Model, Motion, PerBackbone, Play};
 use crate::statistics::moments::{mean, rms};
 use nalgebra::{DMatrix, DVector, Rotation2, Vector2};
 use rayon::prelude::*;
-use selection::{Cells, Selection, Sums};
+use selection::{Cells, Selection, Sums, Tried};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use terms::{Term, dictionary};
+use terms::{SCALE, Shape, Shared, Term, dictionary};
 
 /// The name of the effect.
 pub const PROPOSED_LAW: &str = "proposed_law";
@@ -40,6 +40,16 @@ const MOST_SAMPLES: usize = 2000;
 ///
 /// Convention: each about three times the one before; the fit finds its way within a factor of two.
 const WIDTHS: usize = 6;
+
+/// Scales of saturations that are tried, each a third of the one before, from a third of the largest |q| on.
+///
+/// Convention: a larger one differs little from a cubic, a smaller one little from a step; the fit finds its way within a factor of two.
+const SCALES: usize = 3;
+
+/// A scale may be so many times the largest or the least that is tried, or a part of it.
+///
+/// Convention: a range that a fit does not reach.
+const RANGE_OF_SCALE: f64 = 10.0;
 
 /// The least half width in units of the encoders' noise.
 ///
@@ -129,10 +139,10 @@ fn in_words(model: &Model) -> String {
     format!("{} with {}", effect.physics.equation, values.collect::<Vec<_>>().join(", "))
 }
 
-/// A term that may be chosen; with a play, of this width.
+/// A term that may be chosen, with the value of the parameter in it that is not linear.
 struct Candidate {
     term: Term,
-    width: Option<usize>,
+    tried: Option<Tried>,
     /// The rms of its summand of ε where its coefficient is 1, mm.
     scale: f64,
 }
@@ -163,13 +173,16 @@ impl<'a> Candidates<'a> {
         };
         let residuals = (0..data.len()).map(|k| -problem.response(k, &gap(k))).collect();
         let states = States::new(problem, &mechanics, (&path, &motions));
-        let widths = |term: &Term| if term.has_play() { (0..WIDTHS).map(Some).collect() } else { vec![None] };
-        let with_widths = |term: Term| widths(&term).into_iter().map(move |width| (term.clone(), width));
-        let scaled = |(term, width): (Term, Option<usize>)| {
-            let summands = samples.iter().flat_map(|&k| states.summand_mm(&term, width, k).to_vec());
-            Candidate { scale: rms(summands), term, width }
+        let values = |term: &Term| match term.shared() {
+            Some(shared) => (0..states.tried_mm(shared).len()).map(|place| Some(Tried { shared, place })).collect(),
+            None => vec![None],
         };
-        let all = dictionary(data.backbones()).into_iter().flat_map(with_widths).map(scaled);
+        let with_values = |term: Term| values(&term).into_iter().map(move |tried| (term.clone(), tried));
+        let scaled = |(term, tried): (Term, Option<Tried>)| {
+            let summands = samples.iter().flat_map(|&k| states.summand_mm(&term, tried, k).to_vec());
+            Candidate { scale: rms(summands), term, tried }
+        };
+        let all = dictionary(data.backbones()).into_iter().flat_map(with_values).map(scaled);
         let all = all.filter(|candidate| candidate.scale > 0.0).collect();
         Self { problem, fit, samples, residuals, states, all }
     }
@@ -185,8 +198,8 @@ impl<'a> Candidates<'a> {
         let Some(own) = column.checked_sub(self.fit.parameter_count()) else {
             return Residual::from_fn(n, |c| self.fit.jacobian[(n * k + c, column)]);
         };
-        let Candidate { term, width, scale } = &self.all[own];
-        self.problem.response(k, &(self.states.summand_mm(term, *width, k) / *scale))
+        let Candidate { term, tried, scale } = &self.all[own];
+        self.problem.response(k, &(self.states.summand_mm(term, *tried, k) / *scale))
     }
 
     fn cells(&self) -> Cells {
@@ -205,8 +218,8 @@ impl<'a> Candidates<'a> {
     }
 
     fn selection(&self, cells: &Cells, without: Option<usize>) -> Selection {
-        let widths: Vec<Option<usize>> = self.all.iter().map(|candidate| candidate.width).collect();
-        Selection::new(cells, (self.fit.parameter_count(), &widths), without)
+        let tried: Vec<Option<Tried>> = self.all.iter().map(|candidate| candidate.tried).collect();
+        Selection::new(cells, (self.fit.parameter_count(), &tried), without)
     }
 
     /// The model with the law that was selected, which holds within the values of the samples that were seen; none where there is no law.
@@ -293,6 +306,7 @@ struct States {
     /// Where q stands in a play of each width, mm.
     plays: Vec<Vec<PerBackbone>>,
     half_widths_mm: Vec<f64>,
+    scales_mm: Vec<f64>,
 }
 
 impl States {
@@ -314,7 +328,16 @@ impl States {
             let all = play(&q, *half);
             log.samples.iter().map(|&at| all[at]).collect()
         });
-        Self { variables, plays: plays.collect(), half_widths_mm }
+        let scales_mm = (1..=SCALES).map(|s| most / 3f64.powi(s as i32)).collect();
+        Self { variables, plays: plays.collect(), half_widths_mm, scales_mm }
+    }
+
+    /// The values that are tried of a parameter, mm.
+    fn tried_mm(&self, shared: Shared) -> &[f64] {
+        match shared {
+            Shared::HalfGap => &self.half_widths_mm,
+            Shared::Scale => &self.scales_mm,
+        }
     }
 
     fn of(&self, variable: Variable) -> &[PerBackbone] {
@@ -322,16 +345,20 @@ impl States {
     }
 
     /// A term with coefficient 1 at sample k, mm.
-    fn summand_mm(&self, term: &Term, width: Option<usize>, k: usize) -> PerBackbone {
+    fn summand_mm(&self, term: &Term, tried: Option<Tried>, k: usize) -> PerBackbone {
         let n = self.of(Variable::Q)[k].len();
-        let values = |variable: Variable| match (variable, width) {
-            (Variable::Play, Some(width)) => self.plays[width][k],
+        let values = |variable: Variable| match (variable, tried) {
+            (Variable::Play, Some(tried)) => self.plays[tried.place][k],
             _ => self.of(variable)[k],
         };
         let on = PerBackbone::from_fn(n, |i| f64::from(u8::from(term.on.is_none_or(|on| on == i + 1))));
         term.factors.iter().fold(on, |product, factor| {
             let values = values(factor.variable);
-            product.component_mul(&if factor.absolute { values.map(f64::abs) } else { values })
+            product.component_mul(&match (factor.shape, tried) {
+                (Shape::Absolute, _) => values.map(f64::abs),
+                (Shape::Saturating, Some(tried)) => values.map(|q| (q / self.scales_mm[tried.place]).tanh()),
+                _ => values,
+            })
         })
     }
 
@@ -355,10 +382,11 @@ impl States {
             let most = 10f64.powf((RANGE_OF_COEFFICIENT * value.abs()).log10().ceil());
             let defined = Defined { unit: term.unit_of_coefficient(), range: [-most, most], starts: Vec::new() };
             parameters.insert(name, (defined, *value));
-            if let Some(width) = candidate.width {
-                let half = self.half_widths_mm[width];
-                let defined = Defined { unit: "mm".into(), range: [0.0, self.widest_mm()], starts: vec![half] };
-                parameters.insert(HALF_GAP.to_owned(), (defined, half));
+            if let Some(Tried { shared, place }) = candidate.tried {
+                let (name, range) = self.range_of_shared(shared);
+                let start = self.tried_mm(shared)[place];
+                let defined = Defined { unit: "mm".into(), range, starts: vec![start] };
+                parameters.insert(name.to_owned(), (defined, start));
             }
             for factor in &term.factors {
                 if let Some(range) = self.range_of(factor.variable, &is_seen) {
@@ -377,8 +405,13 @@ impl States {
         Some((definition, values))
     }
 
-    fn widest_mm(&self) -> f64 {
-        2.0 * self.of(Variable::Q).iter().map(|q| q.amax()).fold(0.0, f64::max)
+    /// The name and the range of a parameter that is not linear, mm.
+    fn range_of_shared(&self, shared: Shared) -> (&'static str, [f64; 2]) {
+        let most = self.of(Variable::Q).iter().map(|q| q.amax()).fold(0.0, f64::max);
+        match shared {
+            Shared::HalfGap => (HALF_GAP, [0.0, 2.0 * most]),
+            Shared::Scale => (SCALE, [most / 3f64.powi(SCALES as i32) / RANGE_OF_SCALE, RANGE_OF_SCALE * most]),
+        }
     }
 
     /// The least and the largest value of a variable at the samples that were seen; none of those that have ends of their own.

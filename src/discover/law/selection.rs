@@ -3,6 +3,7 @@
 //! All terms are columns of one linear least-squares problem, beside those of η, λ and the model's effects, which every law has. Its
 //! normal equations are summed over groups of sweeps, so that a fit to any groups and its cost on others are small dense solutions.
 
+use super::terms::Shared;
 use crate::discover::sweeps::FOLDS;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -91,14 +92,23 @@ pub struct Selection {
     /// One for each fold.
     folds: Vec<Split>,
     seen: Sums,
-    /// The columns that stand and fall with a width of play, none for the others: a law has one width.
-    width_of: Vec<Option<usize>>,
+    /// The value of a shared parameter that a column has, none for those without.
+    tried: Vec<Option<Tried>>,
+}
+
+/// A parameter that all terms of a law share, and which of the values that are tried it has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Tried {
+    /// Which parameter.
+    pub shared: Shared,
+    /// The place of its value among those that are tried.
+    pub place: usize,
 }
 
 impl Selection {
     /// Of all cells but those of the block `without`.
-    pub fn new(cells: &Cells, (fixed, width_of): (usize, &[Option<usize>]), without: Option<usize>) -> Self {
-        let columns = fixed + width_of.len();
+    pub fn new(cells: &Cells, (fixed, tried): (usize, &[Option<Tried>]), without: Option<usize>) -> Self {
+        let columns = fixed + tried.len();
         let used = || {
             let cells = cells.iter().enumerate().filter(move |(block, _)| Some(*block) != without);
             cells.flat_map(|(block, folds)| folds.iter().enumerate().map(move |(fold, sums)| (block, fold, sums)))
@@ -114,7 +124,7 @@ impl Selection {
             blocks: blocks.map(|block| split(&|b, _| b == block)).collect(),
             folds: (0..FOLDS).map(|fold| split(&|_, f| f == fold)).collect(),
             seen: total(columns, used().map(|(_, _, sums)| sums)),
-            width_of: width_of.to_vec(),
+            tried: tried.to_vec(),
         }
     }
 
@@ -139,11 +149,11 @@ impl Selection {
         self.without_the_superfluous(chosen, cost)
     }
 
-    /// Whether a column may join: a law has one width of play.
+    /// Whether a column may join: a law has one value of each shared parameter.
     fn admits(&self, chosen: &[usize], column: usize) -> bool {
-        let width = |column: usize| column.checked_sub(self.fixed).and_then(|own| self.width_of[own]);
-        let widths = || chosen.iter().filter_map(|other| width(*other));
-        !chosen.contains(&column) && (width(column).is_none() || widths().all(|other| Some(other) == width(column)))
+        let tried = |column: usize| column.checked_sub(self.fixed).and_then(|own| self.tried[own]);
+        let agrees = |other: Tried| tried(column).is_none_or(|own| own.shared != other.shared || own == other);
+        !chosen.contains(&column) && chosen.iter().filter_map(|other| tried(*other)).all(agrees)
     }
 
     /// Drops columns that later ones have made superfluous.
@@ -217,12 +227,14 @@ mod tests {
     }
 
     #[test]
-    fn a_law_has_one_width_of_play() {
-        let cells = cells(&[(10, 1.0), (11, 0.5), (12, 0.5)], 3);
-        let mut widths = [None; 39];
-        (widths[9], widths[10], widths[11]) = (Some(0), Some(1), Some(0));
-        let mut columns = Selection::new(&cells, (1, &widths), None).columns();
+    fn a_law_has_one_width_of_play_and_one_scale() {
+        let cells = cells(&[(10, 1.0), (11, 0.5), (12, 0.5), (13, 0.5)], 3);
+        let mut tried = [None; 39];
+        let of = |shared, place| Some(Tried { shared, place });
+        (tried[9], tried[10], tried[11]) = (of(Shared::HalfGap, 0), of(Shared::HalfGap, 1), of(Shared::HalfGap, 0));
+        tried[12] = of(Shared::Scale, 1);
+        let mut columns = Selection::new(&cells, (1, &tried), None).columns();
         columns.sort_unstable();
-        assert_eq!(columns, [0, 10, 12]);
+        assert_eq!(columns, [0, 10, 12, 13]);
     }
 }

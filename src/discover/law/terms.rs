@@ -1,16 +1,39 @@
-//! The terms that a proposed law may have: products of up to three of bend, load, direction, play, speed and time, for all backbones
-//! alike or for one of them.
+//! The terms that a proposed law may have: products of up to three of bend, load, direction, play, speed and time, and saturations of q,
+//! for all backbones alike or for one of them.
 
 use crate::robot::effects::Variable;
 use std::fmt;
+
+/// The parameter of a law with a saturation: the q at which that has reached three quarters of its end, mm.
+pub const SCALE: &str = "scale_mm";
 
 /// What a term is a product of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Factor {
     /// Of which variable.
     pub variable: Variable,
-    /// Whether its size is meant, without the sign.
-    pub absolute: bool,
+    /// How it stands there.
+    pub shape: Shape,
+}
+
+/// How a variable stands in a term.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shape {
+    /// As it is.
+    Plain,
+    /// Its size, without the sign.
+    Absolute,
+    /// tanh of its share of the law's [scale](SCALE); for variables in mm.
+    Saturating,
+}
+
+/// A parameter that is not linear, of which all terms of a law with it have the same value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shared {
+    /// Half the width of the play.
+    HalfGap,
+    /// The scale of saturations.
+    Scale,
 }
 
 /// A product of factors, for all backbones or for one.
@@ -23,11 +46,15 @@ pub struct Term {
 }
 
 const fn plain(variable: Variable) -> Factor {
-    Factor { variable, absolute: false }
+    Factor { variable, shape: Shape::Plain }
 }
 
 const fn absolute(variable: Variable) -> Factor {
-    Factor { variable, absolute: true }
+    Factor { variable, shape: Shape::Absolute }
+}
+
+const fn saturating(variable: Variable) -> Factor {
+    Factor { variable, shape: Shape::Saturating }
 }
 
 const Q: Factor = plain(Variable::Q);
@@ -42,12 +69,13 @@ const THETA: Factor = plain(Variable::Theta);
 const LOAD: Factor = plain(Variable::Load);
 
 /// What a backbone's own state gives.
-const OWN: [&[Factor]; 36] = [
+const OWN: [&[Factor]; 37] = [
     &[Q, Q],
     &[Q, Q, Q],
     &[Q_SIZE],
     &[Q, Q_SIZE],
     &[Q_SIZE, Q_SIZE, Q_SIZE],
+    &[saturating(Variable::Q)],
     &[THETA],
     &[THETA, THETA],
     &[THETA, THETA, THETA],
@@ -97,7 +125,7 @@ pub fn dictionary(backbones: usize) -> Vec<Term> {
 }
 
 /// What another backbone gives.
-fn of_neighbour(number: usize) -> [Vec<Factor>; 10] {
+fn of_neighbour(number: usize) -> [Vec<Factor>; 11] {
     let (other, size) = (plain(Variable::QOf(number)), absolute(Variable::QOf(number)));
     [
         vec![other],
@@ -106,6 +134,7 @@ fn of_neighbour(number: usize) -> [Vec<Factor>; 10] {
         vec![other, size],
         vec![other, other, other],
         vec![size, size, size],
+        vec![saturating(Variable::QOf(number))],
         vec![Q, other],
         vec![Q, size],
         vec![Q, Q, other],
@@ -114,16 +143,20 @@ fn of_neighbour(number: usize) -> [Vec<Factor>; 10] {
 }
 
 impl Term {
-    /// Whether q's play is in it.
-    pub fn has_play(&self) -> bool {
-        self.factors.contains(&P)
+    /// The parameter that is not linear in it; it has one at most.
+    pub fn shared(&self) -> Option<Shared> {
+        self.factors.iter().find_map(|factor| match factor {
+            Factor { variable: Variable::Play, .. } => Some(Shared::HalfGap),
+            Factor { shape: Shape::Saturating, .. } => Some(Shared::Scale),
+            _ => None,
+        })
     }
 
     /// The unit of its coefficient, so that the term is in mm.
     pub fn unit_of_coefficient(&self) -> String {
         // Powers of mm, rad, N and s.
         let mut powers = [1, 0, 0, 0];
-        for factor in &self.factors {
+        for factor in self.factors.iter().filter(|factor| factor.shape != Shape::Saturating) {
             match factor.variable {
                 Variable::Q | Variable::QOf(_) | Variable::Play => powers[0] -= 1,
                 Variable::X | Variable::Y | Variable::Theta => powers[1] -= 1,
@@ -157,7 +190,11 @@ impl Term {
 impl fmt::Display for Factor {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = self.variable.name();
-        if self.absolute { write!(f, "abs({name})") } else { f.write_str(&name) }
+        match self.shape {
+            Shape::Plain => f.write_str(&name),
+            Shape::Absolute => write!(f, "abs({name})"),
+            Shape::Saturating => write!(f, "tanh({name} / {SCALE})"),
+        }
     }
 }
 
@@ -193,6 +230,7 @@ mod tests {
             (term(&[V], None), "v", "s"),
             (term(&[T, S], None), "t * s", "mm/s"),
             (term(&[P], None), "play", "1"),
+            (term(&[saturating(Variable::QOf(2))], Some(1)), "on_1 * tanh(q_2 / scale_mm)", "mm"),
             (term(&[], Some(3)), "on_3", "mm"),
         ] {
             assert_eq!((term.to_string(), term.unit_of_coefficient()), (text.to_owned(), unit.to_owned()));

@@ -23,7 +23,7 @@ pub struct Definition {
     pub reading: String,
     /// Its parameters by name.
     pub parameters: BTreeMap<String, Defined>,
-    /// Least and largest value of variables within which it holds; a variable beyond is taken at that end.
+    /// Least and largest value of variables within which it holds; beyond it goes on as its tangent at that end, in time as its value there.
     pub domain: BTreeMap<String, [f64; 2]>,
 }
 
