@@ -12,6 +12,7 @@ use crate::camera::{Frame, Lens};
 use crate::measure::target::{Grid, find_grid};
 use crate::robot::Robot;
 use nalgebra::Point2;
+use rayon::prelude::*;
 use std::ops::{Range, RangeInclusive};
 
 /// A snake further from where the standoff puts it than this many times the standoff's precision contradicts what was stated.
@@ -158,7 +159,7 @@ impl Search {
         let (colours, holder) = holders.first()?;
         let StraightPicture { lens, robot, options, .. } = picture;
         let grids = self.distinct_grids(lens);
-        OTHER_PITCHES.into_iter().find_map(|factor| {
+        OTHER_PITCHES.into_par_iter().find_map_first(|factor| {
             let other = RigOptions { grid_pitch_mm: factor * options.grid_pitch_mm, ..*options };
             let picture = StraightPicture { options: &other, ..picture };
             let rig = grids.iter().find_map(|grid| {
