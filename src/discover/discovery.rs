@@ -122,7 +122,7 @@ pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
     remarks.extend(about_start(&answer.noise, data));
     remarks.extend(undetermined(&fitted));
     let confounded = confounded(&searched.spaces, *least_bic_gain);
-    remarks.extend(confounded.into_iter().map(|effect| about_confounded(effect, data)));
+    remarks.extend(about_confounded(&confounded, data));
     Discovery {
         verdict,
         named: answer.named,
@@ -350,8 +350,14 @@ fn about_start(noise: &Noise, data: &Data) -> Option<String> {
     ))
 }
 
-fn about_confounded(physics: &Physics, data: &Data) -> String {
-    let form = if physics.form.is_empty() { String::new() } else { format!(" ({})", physics.form) };
-    let part = if physics.parameters_on(data.backbones()).len() > 1 { "a part of " } else { "" };
-    format!("{part}{}{form} is confounded with η and λ: these data cannot tell it from them", physics.name)
+/// The effects that the data cannot tell from η and λ, each form once.
+fn about_confounded(confounded: &[&Physics], data: &Data) -> Option<String> {
+    let name = |physics: &&Physics| {
+        let form = if physics.form.is_empty() { String::new() } else { format!(" ({})", physics.form) };
+        let part = if physics.parameters_on(data.backbones()).len() > 1 { "a part of " } else { "" };
+        format!("{part}{}{form}", physics.name)
+    };
+    let names: Vec<String> = confounded.iter().map(name).collect();
+    let are_found = !names.is_empty();
+    are_found.then(|| format!("confounded with η and λ, from which these data cannot tell them: {}", names.join(", ")))
 }
