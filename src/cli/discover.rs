@@ -12,6 +12,7 @@ use crate::discover::{
     Data, Discovery, Localisation, NextExperiment, ProposedLaw, Verdict as Found, discover_in_frames, discover_telling,
     next_experiment, nothing_named, propose_law,
 };
+use crate::error::DataError;
 use crate::estimate::gap::{Gap, gap};
 use crate::estimate::{Options, Verdict as GateVerdict, estimate};
 use crate::observation::{EncoderReading, Measurement};
@@ -21,7 +22,7 @@ use crate::record::{
 };
 use crate::report::discovery::{Page, lines};
 use crate::report::verdict::verdict_page;
-use crate::robot::Model;
+use crate::robot::{Estimate, Model};
 use crate::verdict::{Reason, Subject, Verdict};
 use crate::{Error, Result};
 use std::path::PathBuf;
@@ -76,7 +77,11 @@ impl Args {
         }
         let _out = self.claim()?;
         let (model, measurements, readings) = self.inputs(console)?;
-        let mut data = Data::new(&measurements, &readings, self.encoder_sd)?;
+        let mut data = Data::new(&measurements, &readings, self.encoder_sd).inspect_err(|error| {
+            if matches!(error, Error::Data(DataError::TooFewSamples { .. })) {
+                console.warn(self.without_a_search(&model, &measurements, &readings));
+            }
+        })?;
         if let Some(path) = &self.effects {
             data.library.extend(read_effects(path)?);
         }
@@ -146,6 +151,35 @@ impl Args {
         let (rows, _) = estimate(&found.model, options, measurements, readings)?;
         let rejected = measurements.iter().zip(rows).filter(|(_, row)| row.verdict == GateVerdict::Rejected);
         Ok(rejected.map(|(measurement, _)| measurement).collect())
+    }
+
+    /// What too few samples for a search tell all the same: how large the gap is, and what η and λ alone leave of it. Nothing where no
+    /// sample is left.
+    fn without_a_search(
+        &self,
+        model: &Model,
+        measurements: &[Measurement],
+        readings: &[EncoderReading],
+    ) -> Option<String> {
+        let before = gap(model, measurements, readings);
+        if before.samples == 0 {
+            return None;
+        }
+        let given =
+            format!("no effect was looked for; the model as given leaves {:.4} mm of ε (rms)", before.rms_eps_mm);
+        let options = Options { sd_encoder_mm: self.encoder_sd, ..Options::default() };
+        let fitted = estimate(model, options, measurements, readings).ok().map(|(_, model)| model);
+        let Some((fitted, Estimate { eta, lambda_mm, .. })) =
+            fitted.and_then(|model| Some((model.clone(), model.estimate?)))
+        else {
+            return Some(given + ", and η and λ cannot be fitted");
+        };
+        let after = gap(&fitted, measurements, readings);
+        Some(format!(
+            "{given}; with η = {eta:.4} and λ = {lambda_mm:.4} mm fitted to the same samples {:.4} mm are left, where the \
+             measurements' noise alone leaves {:.4} mm",
+            after.rms_eps_mm, after.noise_floor_mm
+        ))
     }
 
     /// No physics is named of a log that is wired otherwise than it is read.

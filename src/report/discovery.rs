@@ -296,7 +296,8 @@ fn parameters(found: &Discovery, name: &str) -> Vec<(String, String)> {
     let written = values.map(|(spec, (value, sd))| {
         let unit = if spec.unit == "1" { "" } else { spec.unit };
         let digits = if sd > 0.0 { (1.0 - sd.log10().floor()).clamp(0.0, 7.0) as usize } else { 4 };
-        (spec.name.to_owned(), format!("{value:.digits$} ± {sd:.digits$} {unit}").trim_end().to_owned())
+        let number = format!("{value:.digits$} ± {sd:.digits$}").replace('-', "−");
+        (spec.name.to_owned(), format!("{number} {unit}").trim_end().to_owned())
     });
     written.collect()
 }

@@ -47,7 +47,16 @@ fn with_experiment(more: &str, check: impl FnOnce(&Sandbox)) {
 #[test]
 fn too_few_samples_or_no_motion_are_refused() {
     with_experiment("--sweep-poses 4 --round-poses 4", |sandbox| {
-        assert!(refusal(sandbox).contains("20 usable samples, and 24"));
+        let message = refusal(sandbox);
+        assert!(message.contains("20 usable samples, and 24"), "{message}");
+        // The plant is the starting model itself, so that η is 1, and what is left is the noise of 20 samples.
+        let after = |words: &str| -> f64 {
+            let tail = message.split(words).nth(1).unwrap();
+            tail.split(' ').next().unwrap().parse().unwrap()
+        };
+        assert!((0.99..1.01).contains(&after("with η = ")), "{message}");
+        let (left, noise) = (after("fitted to the same samples "), after("alone leaves "));
+        assert!((0.6..1.5).contains(&(left / noise)), "{message}");
     });
     with_experiment(SWEEPS, |sandbox| {
         rewrite(sandbox, "encoders.csv", |_, row| {
