@@ -19,6 +19,15 @@ def long_experiment():
     return snakeloop.simulate(trajectory=poses, effects=effects)[:2]
 
 
+@pytest.fixture
+def interruptible():
+    """A job in a shell's background starts with Ctrl-C ignored, and Python then leaves it so: the tests may be such a job."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_ends_it_and_other_threads_run_meanwhile():
     measurements, encoders = long_experiment()
     turns = 0
