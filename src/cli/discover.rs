@@ -239,7 +239,7 @@ impl Args {
                 };
                 let Checked { rows: readings, warnings } = encoders_of(&experiment, &model)?;
                 console.warn(&warnings);
-                let views = open_views(&experiment, &model.robot)?;
+                let views = open_views(console, &experiment, &model.robot)?;
                 let trackers = open_trackers(console, &experiment, &model.robot, &readings)?;
                 let flow = Flow {
                     views: &views,
