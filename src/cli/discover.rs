@@ -220,7 +220,7 @@ impl Args {
     fn next_in_words(&self, next: Option<&NextExperiment>) -> String {
         match next {
             None if !self.next => String::new(),
-            None => "\nnothing is open that another trajectory would decide".to_owned(),
+            None => "\nno trajectory of those tried would decide anything that is still open".to_owned(),
             Some(next) => format!("\n{}\n{}", next.sentence(), self.output.join(NEXT).display()),
         }
     }
