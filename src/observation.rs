@@ -42,6 +42,10 @@ pub enum Status {
     Unreadable,
     /// The picture has another size than the camera file says.
     WrongSize,
+    /// The tracker has no position.
+    TrackerLost,
+    /// The tracker's position lies off what the tip can reach.
+    TrackerJump,
     /// A reason that this version does not know.
     Other(String),
 }
@@ -63,6 +67,8 @@ impl fmt::Display for Status {
             Self::ViewsDisagree => "views_disagree",
             Self::Unreadable => "unreadable",
             Self::WrongSize => "wrong_size",
+            Self::TrackerLost => "tracker_lost",
+            Self::TrackerJump => "tracker_jump",
             Self::Other(reason) => reason,
         })
     }
@@ -70,7 +76,7 @@ impl fmt::Display for Status {
 
 impl Status {
     /// All that this version knows.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 16] = [
         Self::Ok,
         Self::NoSnake,
         Self::Occluded,
@@ -85,6 +91,8 @@ impl Status {
         Self::ViewsDisagree,
         Self::Unreadable,
         Self::WrongSize,
+        Self::TrackerLost,
+        Self::TrackerJump,
     ];
 
     /// What it means, and what to do about it, in words.
@@ -137,6 +145,14 @@ impl Status {
                 "the picture has another size than the camera file says",
                 "calibrate the camera at the size of the frames; `snakeloop check` names the pictures",
             ),
+            Self::TrackerLost => (
+                "the tracker gave no position at that moment",
+                "keep the sensor within the tracker's reach, and metal away from both",
+            ),
+            Self::TrackerJump => (
+                "the tracker's position lies off all that the snake's tip can reach, by more than noise",
+                "look for metal or another disturbance at that moment; after a sensor slipped take a new straight pose",
+            ),
             Self::Other(_) => ("a reason that this version does not know", "see the program that wrote the file"),
         }
     }
@@ -161,6 +177,8 @@ impl FromStr for Status {
             "views_disagree" => Self::ViewsDisagree,
             "unreadable" => Self::Unreadable,
             "wrong_size" => Self::WrongSize,
+            "tracker_lost" => Self::TrackerLost,
+            "tracker_jump" => Self::TrackerJump,
             other => Self::Other(other.to_owned()),
         })
     }

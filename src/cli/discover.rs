@@ -220,7 +220,7 @@ impl Args {
     fn next_in_words(&self, next: Option<&NextExperiment>) -> String {
         match next {
             None if !self.next => String::new(),
-            None => "\nnothing is open that another trajectory would decide".to_owned(),
+            None => "\nno trajectory of those tried would decide anything that is still open".to_owned(),
             Some(next) => format!("\n{}\n{}", next.sentence(), self.output.join(NEXT).display()),
         }
     }
@@ -239,7 +239,7 @@ impl Args {
                 };
                 let Checked { rows: readings, warnings } = encoders_of(&experiment, &model)?;
                 console.warn(&warnings);
-                let views = open_views(&experiment, &model.robot)?;
+                let views = open_views(console, &experiment, &model.robot)?;
                 let trackers = open_trackers(console, &experiment, &model.robot, &readings)?;
                 let flow = Flow {
                     views: &views,

@@ -53,7 +53,7 @@ impl Args {
         }
         let model = model_of(&experiment)?;
         let encoders = rows(console, encoders_of(&experiment, &model)?);
-        let views = open_views(&experiment, &model.robot)?;
+        let views = open_views(console, &experiment, &model.robot)?;
         if let Some(index) = self.explain {
             return Ok(self.explain(console, &experiment, &views, index)?);
         }

@@ -190,7 +190,7 @@ name = "side"
 camera = "{camera}"        # lens, from `snakeloop calibrate camera`, OpenCV or ROS
 frames = "{frames}"       # the number in a frame's name is its index
 straight = "{straight}"     # the unbent snake before the same grid target, camera and robot where they are in the frames
-grid_pitch_mm = {pitch:?}           # distance between the grid target's thin lines: measure it on the paper
+grid_pitch_mm = {pitch:?}           # distance between the grid target's thin lines: measure it on the print
 standoff_mm = {standoff:?}            # from the snake's axis back to the grid target, to half a millimetre
 # delta_offset_deg = 0.0      # azimuth in the base frame that points to this view's image right
 "#

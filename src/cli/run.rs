@@ -97,7 +97,7 @@ impl Args {
         let mut out = OutputFolder::claim(&self.output, &OUTPUTS, &files_read(&experiment, &[]))?;
         out.made_by(&maker("run", &experiment), &OUTPUTS)?;
         let inputs = Inputs::read(console, &experiment)?;
-        let views = open_views(&experiment, &inputs.start.robot)?;
+        let views = open_views(console, &experiment, &inputs.start.robot)?;
 
         let trackers = open_trackers(console, &experiment, &inputs.start.robot, &inputs.encoders)?;
         let (encoders, start) = (&inputs.encoders[..], &inputs.start);
@@ -336,8 +336,14 @@ impl Summary {
         }
         if gap.samples > 0 {
             lines.push(("ε left (rms)", format!("{:.4} mm, noise alone {:.4} mm", gap.rms_eps_mm, gap.noise_floor_mm)));
-            lines.push(("θ left (rms)", format!("{:.3}°, naive model {:.3}°", gap.rms_theta_deg, naive.rms_theta_deg)));
-            lines.push(("δ left (rms)", format!("{:.3}°, naive model {:.3}°", gap.rms_delta_deg, naive.rms_delta_deg)));
+            lines.push((
+                "θ left (rms)",
+                format!("{:.3}°, before learning {:.3}°", gap.rms_theta_deg, naive.rms_theta_deg),
+            ));
+            lines.push((
+                "δ left (rms)",
+                format!("{:.3}°, before learning {:.3}°", gap.rms_delta_deg, naive.rms_delta_deg),
+            ));
         }
         lines.push(match &self.table {
             Some(Table { poses, largest_correction_mm }) => {

@@ -4,6 +4,7 @@ use super::*;
 use crate::observation::Status;
 use crate::robot::BACKBONES;
 use crate::robot::effects::{Changes, LIBRARY, Physics, Poses};
+use crate::verdict::Code;
 use clap::CommandFactory;
 
 fn with_all_below(command: &clap::Command) -> Vec<clap::Command> {
@@ -135,6 +136,17 @@ fn the_book_says_of_every_status_what_a_report_says() {
         table += &format!("| `{status}` | {meaning} | {remedy} |\n");
     }
     page_must_be("troubleshooting.md", &with_table("troubleshooting.md", "<!-- statuses -->", &table));
+}
+
+#[test]
+fn the_book_says_of_every_verdict_code_what_is_seen_and_what_to_do() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/src/reference/verdict.md");
+    let page = std::fs::read_to_string(path).unwrap();
+    for code in Code::ALL {
+        let start = format!("| {} | ", serde_json::to_string(&code).unwrap().replace('"', "`"));
+        let row = page.lines().find(|line| line.starts_with(&start)).unwrap_or_else(|| panic!("no row {start}"));
+        assert!(row.split(" | ").filter(|cell| cell.len() > 10).count() >= 2, "{row}");
+    }
 }
 
 #[test]

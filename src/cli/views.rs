@@ -1,6 +1,7 @@
 //! The views of an experiment, made ready to measure.
 
 use super::checksum::Checksum;
+use super::console::Console;
 use crate::bag::Topic;
 use crate::camera::{Frame, FrameSource, Lens, SourceFrame, read_frame};
 use crate::input::{PICTURE_BYTES, read_bytes};
@@ -21,9 +22,14 @@ pub struct OpenView {
     checksum: String,
 }
 
-/// Reads cameras and rigs and finds the frames of every view; calibrates rigs that are given by a straight picture.
-pub fn open_views(experiment: &Experiment, robot: &Robot) -> Result<Vec<OpenView>> {
-    experiment.views.iter().map(|view| OpenView::open(view, experiment, robot)).collect()
+/// Reads cameras and rigs and finds the frames of every view; calibrates rigs that are given by a straight picture. Warns of views in which
+/// the snake is small.
+pub fn open_views(console: &Console, experiment: &Experiment, robot: &Robot) -> Result<Vec<OpenView>> {
+    let views: Vec<OpenView> =
+        experiment.views.iter().map(|view| OpenView::open(view, experiment, robot)).collect::<Result<_>>()?;
+    let small = |view: &OpenView| Some(format!("view {}: {}", view.name, view.eye.small_picture()?));
+    console.warn(views.iter().filter_map(small));
+    Ok(views)
 }
 
 /// The rig of a view: from its file, or calibrated from its straight picture.

@@ -159,9 +159,13 @@ impl Localisation {
             Part::Backbone(i) => format!("in backbone {i} ({} of it)", percent(self.shares[i - 1])),
             Part::Common => "in what all backbones have in common".to_owned(),
             Part::Several => {
-                let numbers: Vec<_> = (1..self.shares.len()).map(|i| i.to_string()).collect();
-                let shares: Vec<_> = self.shares.iter().map(|&share| percent(share)).collect();
-                format!("in backbones {} and {} ({})", numbers.join(", "), self.shares.len(), shares.join(", "))
+                let shares: Vec<_> = self
+                    .shares
+                    .iter()
+                    .enumerate()
+                    .map(|(i, &share)| format!("{} in {}", percent(share), i + 1))
+                    .collect();
+                format!("in several backbones ({})", shares.join(", "))
             }
         }
     }

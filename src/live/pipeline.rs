@@ -246,8 +246,10 @@ impl Pipeline {
         reading: Option<&EncoderReading>,
         Update { step, expected, stem, .. }: &Update,
     ) -> Row {
+        let q_mm = reading.map(|reading| reading.q_mm);
         Row {
-            q_mm: reading.map(|reading| reading.q_mm),
+            q_measured_mm: q_mm,
+            q_mm,
             expected_theta_deg: expected.map(|psi| psi.theta_deg()),
             expected_delta_deg: expected.map(|psi| psi.delta_deg()),
             verdict: step.verdict.to_string(),

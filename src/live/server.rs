@@ -361,10 +361,11 @@ async fn events(
     Ok(Sse::new(stream).keep_alive(KeepAlive::default()))
 }
 
-/// The annotated video: JPEG after JPEG. Browsers show a picture once they have seen the boundary behind it, so each is sent with the
-/// boundary that follows, and the first with the one before it too.
+/// The annotated video: JPEG after JPEG. Chromium shows a picture once the head of the part behind it has come, so each is sent with the
+/// boundary and head that follow, and the first with those before it too. The head cannot tell a length: the next picture is not drawn yet.
 async fn video(State(served): State<Served>) -> Response {
     const BOUNDARY: &str = "picture";
+    const NEXT: &str = "--picture\r\nContent-Type: image/jpeg\r\n\r\n";
     let room = match served.stream() {
         Ok(room) => room,
         Err(refused) => return refused.into_response(),
@@ -377,9 +378,8 @@ async fn video(State(served): State<Served>) -> Response {
                 break picture;
             }
         };
-        let before = if is_first { format!("--{BOUNDARY}\r\n") } else { String::new() };
-        let head = format!("{before}Content-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", picture.len());
-        let part = [head.as_bytes(), &picture, format!("\r\n--{BOUNDARY}\r\n").as_bytes()].concat();
+        let before = if is_first { NEXT } else { "" };
+        let part = [before.as_bytes(), &picture, b"\r\n", NEXT.as_bytes()].concat();
         Some((Ok::<_, Infallible>(part), (pictures, false, room)))
     });
     let kind = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");

@@ -68,6 +68,7 @@ impl Live {
         let (commands, requests) = Commands::channel();
         let stop = Arc::new(AtomicBool::new(false));
         let View { name, lens, robot, rig_options, eye } = view;
+        eye.small_picture().into_iter().for_each(|small| shared.lock().notice(format!("view {name}: {small}")));
         let discovery = DiscoveryWorker::new(Arc::clone(&shared), output.clone(), options.sd_encoder_mm);
         let verdict = VerdictWorker::new(Arc::clone(&shared), options.sd_encoder_mm);
         let eye = Arc::new(RenewableEye::new(eye, lens, robot, rig_options, output.clone()));

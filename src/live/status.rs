@@ -70,8 +70,9 @@ impl State {
 
 /// The verdict before anything was judged.
 pub fn nothing_judged() -> RunVerdict {
-    let remedy = "bend the snake, in at least two planes";
-    RunVerdict::of(vec![Reason::new(Code::WorkspaceNotCovered, Level::Look, "nothing was judged yet", remedy)])
+    let text = "nothing was judged yet: no frame was measured";
+    let remedy = "see that frames and readings come, and bend the snake in at least two planes";
+    RunVerdict::of(vec![Reason::new(Code::WorkspaceNotCovered, Level::Look, text, remedy)])
 }
 
 /// One measurement and what the estimator did with it.
@@ -92,6 +93,8 @@ pub struct Row {
     /// Standard deviation of δ, degrees.
     pub sigma_delta_deg: Option<f64>,
     /// Encoder readings q̃, mm.
+    pub q_measured_mm: Option<PerBackbone>,
+    /// The same, under the name of earlier versions.
     pub q_mm: Option<PerBackbone>,
     /// θ that the model predicts from q̃, degrees.
     pub expected_theta_deg: Option<f64>,

@@ -96,10 +96,10 @@ fn dot(psi: &Configuration, value: f64, strongest: f64, px_per_deg: f64, unit: &
 fn legend(strongest: f64, unit: &str, signs: [bool; 2]) -> Markup {
     let y = SIZE_PX + 14.0;
     html! {
-        @let both = [(0.28, NEGATIVE, "−"), (0.58, POSITIVE, "+")];
+        @let both = [(0.22, NEGATIVE, "−"), (0.52, POSITIVE, "+")];
         @for ((share, colour, sign), _) in both.into_iter().zip(signs).filter(|(_, is_there)| *is_there) {
             circle cx=(px(share * SIZE_PX)) cy=(px(y - 4.0)) r="5.5" fill=(colour) fill-opacity="0.85" {}
-            (text(share * SIZE_PX + 10.0, y, "start", &format!("{}{}", if signs == [true; 2] { sign } else { "" }, with_unit(strongest, 3, unit))))
+            (text(share * SIZE_PX + 10.0, y, "start", &format!("{}{}", if signs == [true; 2] { sign } else { "largest: " }, with_unit(strongest, 3, unit))))
         }
     }
 }

@@ -141,8 +141,8 @@ impl Page<'_> {
                 (format!("{:.4} mm rms.", found.noise_floor_mm))
             }
             .plots {
-                @for (what, x) in self.abscissae() {
-                    @for (side, title) in titles.iter().enumerate() {
+                @for (side, title) in titles.iter().enumerate() {
+                    @for (what, x) in self.abscissae() {
                         (figure(&format!("{title}, over {what}"), &self.plot(what, &x, side), ""))
                     }
                 }

@@ -38,6 +38,12 @@ const CANDIDATES: [Rgb<u8>; 6] = [
 const LEFT_BY_THE_FIT: &str = "How far to the left of the best fit's outline the edges lie, looking from the base to the tip, by their place \
     along the snake (medians over a millimetre). Both sides off together: the snake runs elsewhere there, in the pattern of its shape. Off the opposite way: it \
     looks wider or narrower there. A few places alone: something is in front of it or behind it.";
+/// Two stages beside each other where there is room, and none higher than a screen: each opens in full.
+const STYLE: &str = "
+table { align-self: start; }
+.stages { display: grid; gap: 1rem; margin: 1rem 0; align-items: start; grid-template-columns: repeat(auto-fit, minmax(min(100%, 30rem), 1fr)); }
+.stages img { width: auto; max-width: 100%; max-height: 90vh; margin: 0 auto; }
+";
 /// How much larger the picture of the edges is than the frame. Convention: a display choice.
 const ENLARGED: u32 = 4;
 
@@ -200,7 +206,7 @@ fn meaning(status: &Status) -> &'static str {
         }
         Status::Unreadable => "The picture could not be read.",
         Status::WrongSize => "The picture is not of the size that the camera file says.",
-        Status::Other(_) => "",
+        Status::TrackerLost | Status::TrackerJump | Status::Other(_) => "",
     }
 }
 
@@ -209,16 +215,23 @@ pub fn page(title: &str, explanation: &Explanation, measurement: &Measurement, s
     let content = html! {
         h1 { (title) ": " (measurement.status) }
         p { (meaning(&measurement.status)) }
-        table {
-            @for (name, value) in figures(explanation, measurement) { tr { th { (name) } td { (value) } } }
+        .plots {
+            table {
+                @for (name, value) in figures(explanation, measurement) { tr { th { (name) } td { (value) } } }
+            }
+            (figure("What the best fit leaves", &residuals(&explanation.points), LEFT_BY_THE_FIT))
         }
-        .plots { (figure("What the best fit leaves", &residuals(&explanation.points), LEFT_BY_THE_FIT)) }
-        @for Stage { file, caption, .. } in stages {
-            h2 { (file.trim_end_matches(".png")) }
-            figure { img src=(file) alt=""; figcaption { (caption) } }
+        .stages {
+            @for Stage { file, caption, .. } in stages {
+                figure {
+                    h3 { (file.trim_end_matches(".png").replacen('-', ". ", 1)) }
+                    a href=(file) { img src=(file) alt=(caption); }
+                    figcaption { (caption) }
+                }
+            }
         }
     };
-    document(title, "", &content)
+    document(title, STYLE, &content)
 }
 
 /// The residuals of the best fit along the snake, at the borders of its two sides: their median over every millimetre.

@@ -35,7 +35,7 @@ const ARC_WIDTH_PX: f64 = 1.2;
 /// Convention: a display choice.
 const END_DOT_PX: f64 = 5.0;
 /// Convention: a display choice.
-const TEXT_PX: f64 = 13.0;
+const TEXT_PX: f64 = 11.0;
 /// Text is not smaller, px. Convention: a display choice.
 const MIN_TEXT_PX: f64 = 9.0;
 /// Share of the box behind the text in its pixels. Convention: a display choice.
@@ -86,9 +86,9 @@ pub fn overlay(frame: &Frame, measurement: &Measurement, shape: Option<&Shape>) 
         }
     }
     let colour = if measurement.status == Status::Ok { GOOD_TEXT } else { BAD_TEXT };
-    // On the side where the base is not, so that pictures cut to the snake are free of it.
-    let base = shape.and_then(|shape| shape.arc.first());
-    let at_right = base.is_some_and(|base| base.x < f64::from(frame.width) / 2.0);
+    // On the side where the snake is not, so that pictures cut to it are free of it.
+    let middle_px = shape.and_then(|shape| Some((shape.arc.first()?.x + shape.arc.last()?.x) / 2.0));
+    let at_right = middle_px.is_some_and(|x| x < f64::from(frame.width) / 2.0);
     label(&mut picture, &caption(measurement), TEXT_PX * unit, colour, at_right);
     picture
 }

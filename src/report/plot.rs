@@ -40,6 +40,18 @@ const BACKBONES: [RGBColor; 8] = [
 /// Colours of all other series, in order. Convention: a display choice.
 const OTHERS: [RGBColor; 4] =
     [RGBColor(47, 120, 200), RGBColor(200, 140, 20), RGBColor(20, 130, 120), RGBColor(170, 70, 140)];
+/// Series that mean the same on several plots, with the place of their colour in [`OTHERS`]: what is missed before, and what is left after.
+///
+/// Convention: a display choice.
+const MEANT: [(&str, usize); 7] = [
+    ("before compensation", 3),
+    ("without it", 3),
+    ("none", 3),
+    ("after compensation", 2),
+    ("with it", 2),
+    ("estimated", 2),
+    ("estimated, play known", 0),
+];
 /// Colour of what stands beside the thing itself for comparison. Convention: a display choice.
 const FAINT: RGBColor = RGBColor(140, 146, 156);
 /// Names of such series.
@@ -294,13 +306,16 @@ fn draw_series(
     Ok(())
 }
 
-/// The colour of a series: a backbone's own, grey for what is there for comparison, else by its place.
+/// The colour of a series: a backbone's own, grey for what is there for comparison, that of its meaning, else by its place.
 fn colour_of(name: &str, place: usize) -> RGBColor {
     let backbone = name.strip_prefix("backbone ").and_then(|rest| rest.split(' ').next()?.parse::<usize>().ok());
     match backbone {
         Some(number) => BACKBONES[number.saturating_sub(1) % BACKBONES.len()],
         None if FAINT_NAMES.iter().any(|faint| name.starts_with(faint)) => FAINT,
-        None => OTHERS[place % OTHERS.len()],
+        None => {
+            let meant = MEANT.iter().find(|(meant, _)| *meant == name).map(|(_, place)| *place);
+            OTHERS[meant.unwrap_or(place) % OTHERS.len()]
+        }
     }
 }
 
@@ -364,6 +379,9 @@ mod tests {
     fn a_backbone_has_one_colour_wherever_it_stands() {
         assert_eq!(colour_of("backbone 2", 0), colour_of("backbone 2 (command)", 5));
         assert_eq!(colour_of("rejected", 1), colour_of("naive", 0));
+        // Before and after mean the same on the pages of `run` and of `discover`.
+        assert_eq!(colour_of("before compensation", 1), colour_of("without it", 0));
+        assert_eq!(colour_of("after compensation", 2), colour_of("with it", 1));
         assert_ne!(colour_of("backbone 1", 0), colour_of("used", 0));
     }
 

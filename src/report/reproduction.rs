@@ -10,13 +10,14 @@ td { vertical-align: top; }
 td:first-child { white-space: nowrap; }
 .plots { margin: 1rem 0; }
 td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+td.quantity { min-width: 11rem; }
 td.why { min-width: 18rem; color: var(--soft); }
 ";
 
 const LEAD: &str = "Every number and picture of the paper that can be computed, beside what this program gives. Where the two \
     differ the last column says why. Where the paper measured its robot, a simulated one stands in: it obeys Eq. 18 with the \
     paper's η = 1.221 and λ = 0.1765 mm, and in a second form has play of ± 0.0875 mm that each backbone's load takes up, the \
-    middle of what the paper's dial indicator found.";
+    middle of what the paper's dial indicator found. Naive is compensation by the model alone, with η = 1 and λ = 0.";
 
 /// The page as HTML; it asks no other address for anything.
 pub fn page(all: &Reproduction) -> String {
@@ -61,7 +62,7 @@ fn section(title: &str, comparisons: &[Comparison], places: &[&str], figures: &[
                 @for row in comparisons.iter().filter(|row| places.contains(&row.place)) {
                     tr {
                         td { (row.place) }
-                        td { (row.quantity) }
+                        td.quantity { (row.quantity) }
                         td.number { (optional(row.paper)) }
                         td.number { (number(row.ours)) }
                         td.number { (optional(row.difference())) }
@@ -153,7 +154,6 @@ fn bending(rows: &[BendingError], x_label: &str, x: fn(&BendingError) -> f64, an
         Angle::Theta => ("error of θ (°)", |row| row.error_theta_deg),
         Angle::Delta => ("error of δ (°)", |row| row.error_delta_deg),
     };
-    // The uncompensated last, so that the others keep their colours without it.
     let all_four = [
         (Compensation::Naive, "naive"),
         (Compensation::Estimated, "estimated"),

@@ -6,45 +6,48 @@ use super::run_plots::Titled;
 use crate::estimate::{EstimateRow, EtaLambda, Verdict};
 use crate::observation::{Measured, Measurement};
 
-/// The plots of a run's course.
+/// The measured angles over the course of a run.
+pub fn angles_over_time(history: &RunHistory) -> [Titled; 2] {
+    let rows = &history.plotted[..];
+    let axis = Axis::of(rows);
+    let angle = |value: fn(&Measured) -> (f64, f64)| angle_series(rows, &axis, value);
+    [
+        axis.plot(
+            "Bend θ",
+            "θ (°)",
+            angle(|m| (m.configuration.theta_deg(), m.sigma_theta.to_degrees())),
+            "Measured bend from straight, with bars of ±1σ (often smaller than the dot).",
+        ),
+        axis.plot(
+            "Azimuth δ",
+            "δ (°)",
+            angle(|m| (m.configuration.delta_deg(), m.sigma_delta.to_degrees())),
+            "Measured azimuth of the bend, with bars of ±1σ. Near straight δ means little and its bar is long.",
+        ),
+    ]
+}
+
+/// The estimate and what it leaves over the course of a run.
 pub fn course(history: &RunHistory) -> Vec<Titled> {
     let rows = &history.plotted[..];
     let axis = Axis::of(rows);
     let one = |style, value: Value| vec![series(rows, &axis, "", style, value)];
     let estimate =
         |value: fn(&EtaLambda) -> (f64, f64)| one(Style::Band, &move |_, row| row.estimate.as_ref().map(value));
-    let angle = |value: fn(&Measured) -> (f64, f64)| angle_series(rows, &axis, value);
     let backbones = rows.iter().find_map(|(_, row)| Some(row.residual_mm?.len())).unwrap_or(0);
     let residual = |i: usize| {
         series(rows, &axis, &format!("backbone {}", i + 1), Style::Dots, &|_, row| Some((row.residual_mm?[i], 0.0)))
     };
-    let over_time = |title, y_label: &str, series, caption: &str| Titled {
-        title,
-        caption: caption.to_owned(),
-        plot: Plot { x_label: axis.label().into(), y_label: y_label.into(), series, y_shown: vec![] },
-    };
     vec![
-        over_time(
-            "Bend θ",
-            "θ (°)",
-            angle(|m| (m.configuration.theta_deg(), m.sigma_theta.to_degrees())),
-            "Measured bend from straight, with bars of ±1σ (often smaller than the dot).",
-        ),
-        over_time(
-            "Azimuth δ",
-            "δ (°)",
-            angle(|m| (m.configuration.delta_deg(), m.sigma_delta.to_degrees())),
-            "Measured azimuth of the bend, with bars of ±1σ. Near straight δ means little and its bar is long.",
-        ),
-        over_time("Force scale η", "η", estimate(|e| (e.eta, e.sd_eta)), ESTIMATE),
-        over_time("Backlash λ", "λ (mm)", estimate(|e| (e.lambda_mm, e.sd_lambda_mm)), ESTIMATE),
-        over_time(
+        axis.plot("Force scale η", "η", estimate(|e| (e.eta, e.sd_eta)), ESTIMATE),
+        axis.plot("Backlash λ", "λ (mm)", estimate(|e| (e.lambda_mm, e.sd_lambda_mm)), ESTIMATE),
+        axis.plot(
             "Reprojection residuals",
             "rms (px)",
             one(Style::Dots, &|m, _| Some((m.quality?.rms_px, 0.0))),
             "Root mean square distance of the edges in each frame from the fitted outline.",
         ),
-        over_time(
+        axis.plot(
             "Residuals of ε",
             "residual (mm)",
             (0..backbones).map(residual).collect(),
@@ -90,6 +93,12 @@ enum Axis {
 impl Axis {
     fn of(rows: &[(Measurement, EstimateRow)]) -> Self {
         if rows.iter().all(|(m, _)| m.time_s.is_some()) { Self::Time } else { Self::Index }
+    }
+
+    /// A plot along this axis.
+    fn plot(&self, title: &'static str, y_label: &str, series: Vec<Series>, caption: &str) -> Titled {
+        let plot = Plot { x_label: self.label().into(), y_label: y_label.into(), series, y_shown: vec![] };
+        Titled { title, caption: caption.to_owned(), plot }
     }
 
     fn label(&self) -> &'static str {

@@ -3,7 +3,7 @@
 use super::bend_map::bend_map;
 use super::overlay::angles;
 use super::page::{definitions, document, figure, list, table};
-use super::run_course::course;
+use super::run_course::{angles_over_time, course};
 use super::run_history::RunHistory;
 use super::run_plots::{Sampled, Titled, command_over_theta, corrections_mm};
 use super::verdict::verdict_box;
@@ -77,7 +77,8 @@ impl Report<'_> {
             h1 { (self.title) }
             (verdict_box(&self.verdict))
             (definitions("summary", &self.summary))
-            (self.closeup())
+            p { (GLOSSARY) }
+            (self.measured())
             (self.learned())
             (self.course())
             (self.frames_not_measured())
@@ -90,13 +91,19 @@ impl Report<'_> {
         document(&self.title, "", &content)
     }
 
-    fn closeup(&self) -> Markup {
+    /// One frame as it was measured, and beside it the angles of all.
+    fn measured(&self) -> Markup {
         html! {
-            @if let Some((caption, jpeg)) = &self.closeup {
+            @if self.closeup.is_some() || self.history.plotted.iter().any(|(m, _)| m.measured.is_some()) {
                 h2 { "What was measured" }
-                figure.closeup {
-                    (embedded(jpeg, caption))
-                    figcaption { (caption) " " (DRAWN) }
+                .measured {
+                    @if let Some((caption, jpeg)) = &self.closeup {
+                        figure.closeup {
+                            (embedded(jpeg, caption))
+                            figcaption { (caption) " " (DRAWN) }
+                        }
+                    }
+                    @for Titled { title, caption, plot } in &angles_over_time(self.history) { (figure(title, plot, caption)) }
                 }
             }
         }
@@ -139,7 +146,7 @@ impl Report<'_> {
         html! {
             @if plots.iter().any(|titled| titled.plot.has_points()) {
                 h2 { "Course of the run" }
-                .plots {
+                .plots.pairs {
                     @for Titled { title, caption, plot } in &plots { (figure(title, plot, caption)) }
                 }
             }
@@ -195,6 +202,11 @@ impl Report<'_> {
     }
 }
 
+/// The words of the page.
+const GLOSSARY: &str = "θ is the snake's bend from straight, δ the direction that it leans towards. η scales the forces that bend it, λ is the play that all actuators \
+     share. q is what a backbone is to move in the snake for a bend, q̃ what to command, and ε = q̃ − q what the actuation line takes up. \
+     Left is what the model misses (root mean square). Values stand with one standard deviation σ (±).";
+
 /// What the colours on pictures mean.
 const DRAWN: &str =
     "The model as it was fitted: centre line (orange) from base (green) to tip (magenta), outline (cyan).";
@@ -228,7 +240,7 @@ fn thumbnail(Picture { caption, jpeg, file, snake }: &Picture) -> Markup {
 
 /// What to command for a few poses.
 fn short_table(model: &Model) -> Markup {
-    let poses = [15.0, 30.0, 60.0, 90.0].into_iter().flat_map(|t| [-90.0, 0.0, 90.0, 180.0].map(|d| (t, d)));
+    let poses = [30.0, 60.0, 90.0].into_iter().flat_map(|t| [-90.0, 0.0, 90.0, 180.0].map(|d| (t, d)));
     let rows: Vec<TableRow> = poses.map(|(t, d)| TableRow::new(model, Configuration::from_degrees(t, d))).collect();
     let number = |value: f64, places: usize| format!("{value:.places$}").replace('-', "−");
     html! {

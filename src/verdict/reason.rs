@@ -60,6 +60,25 @@ pub enum Code {
     Stale,
 }
 
+impl Code {
+    /// Every kind of reason.
+    pub const ALL: [Self; 13] = [
+        Self::Files,
+        Self::EncoderStuck,
+        Self::Wiring,
+        Self::Clock,
+        Self::RigDrift,
+        Self::CameraLens,
+        Self::ManyNotMeasured,
+        Self::ParameterOutOfRange,
+        Self::WorseThanNaive,
+        Self::ManyRejected,
+        Self::GapAboveNoise,
+        Self::WorkspaceNotCovered,
+        Self::Stale,
+    ];
+}
+
 /// How a mistake would be written down, for machines.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Suggestion {

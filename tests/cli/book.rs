@@ -89,11 +89,14 @@ fn failure_of(command: &str, page: &str, master: &Sandbox) -> Option<String> {
         // It makes what the others of its page take.
         fs::remove_dir_all(sandbox.join("out")).unwrap();
     }
-    // What runs until it is asked to end is asked after a while.
-    let shell =
-        if command.contains("snakeloop live") { "exec timeout --preserve-status -s INT 15 sh -c" } else { "sh -c" };
+    // What runs until it is asked to end is asked after a while, once: a second signal would end it without its tables.
+    let line = if command.contains("snakeloop live") {
+        "exec timeout --foreground --preserve-status -s INT 15 sh -c \"exec $0\""
+    } else {
+        "sh -c \"$0\""
+    };
     let mut call = Command::new("sh");
-    call.arg("-c").arg(format!("{shell} \"$0\"")).arg(command);
+    call.arg("-c").arg(line).arg(command);
     let output = call.env("PATH", &path).env("HOME", sandbox.path()).current_dir(sandbox.path()).output().unwrap();
     (!output.status.success()).then(|| format!("{page}: {command}\n{}", String::from_utf8_lossy(&output.stderr)))
 }

@@ -37,6 +37,12 @@ fn check_predicts_what_a_run_will_know_and_names_what_does_not_fit() {
         assert!((0.7..2.0).contains(&ratio), "{name}: {ratio} of the run's");
     }
 
+    // The pictures are small, which is told with its remedy, and is no reason of the verdict.
+    let looks: Vec<&str> =
+        good["looks"].as_array().unwrap().iter().map(|look| look["text"].as_str().unwrap()).collect();
+    assert!(looks.iter().any(|text| text.contains("px long, σ of θ")), "{looks:?}");
+    assert!(looks.iter().any(|text| text.contains("bring the camera nearer")), "{looks:?}");
+
     let log = sandbox.read("bending/encoders.csv");
     let swapped: String = log.replace("q1_mm,q2_mm", "q2_mm,q1_mm");
     sandbox.write("bending/encoders.csv", &swapped);

@@ -306,8 +306,20 @@ impl Inspection {
                 Measurement { index, time_s, status, measured, quality, view: Some(view.name.clone()) }
             })
             .collect();
-        let ok = measurements.iter().filter(|measurement| measurement.measured.is_some()).count();
-        self.saw("frames", format!("{}: {ok} of {} looked at were measured", view.name, measurements.len()));
+        let mut sigmas: Vec<f64> = measurements.iter().filter_map(|one| Some(one.measured?.sigma_theta)).collect();
+        let (ok, length_px) = (sigmas.len(), eye.projection().straight_length_px());
+        let sigma = if ok > 0 {
+            format!(", σ of θ {:.2}° (median)", median(&mut sigmas).to_degrees())
+        } else {
+            String::new()
+        };
+        let all = measurements.len();
+        let seen =
+            format!("{}: {ok} of {all} looked at were measured, the snake {length_px:.0} px long{sigma}", view.name);
+        self.saw("frames", seen);
+        if let Some(small) = eye.small_picture() {
+            self.saw("frames", format!("{}: {small}", view.name));
+        }
         Ok(measurements)
     }
 

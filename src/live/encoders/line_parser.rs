@@ -1,7 +1,7 @@
 //! One line of encoder readings.
 //!
 //! A line is `time_s,q1_mm,q2_mm,q3_mm` (a number for each backbone), with or without a header that names these columns in another order
-//! (encoders.csv is read as it is), or JSON: `{"time_s": 1.5, "q_mm": [0.1, -0.2, 0.1]}`, or with `q1_mm` … `q3_mm`.
+//! (encoders.csv is read as it is), or JSON: `{"time_s": 1.5, "q_measured_mm": [0.1, -0.2, 0.1]}` (or `q_mm`), or with `q1_mm` … `q3_mm`.
 
 use super::line_buffer::MAX_LINE;
 use crate::robot::PerBackbone;
@@ -30,6 +30,7 @@ pub type Parsed = std::result::Result<Option<(f64, PerBackbone)>, String>;
 #[derive(Deserialize)]
 struct JsonReading {
     time_s: f64,
+    #[serde(alias = "q_measured_mm")]
     q_mm: Option<PerBackbone>,
     /// q1_mm, q2_mm, … among others.
     #[serde(flatten)]
@@ -141,6 +142,7 @@ mod tests {
             &["index,time_s,q1_mm,q2_mm,q3_mm", "7,1.5,0.1,-0.2,0.3"],
             &["q3_mm,q2_mm,q1_mm,time_s", "# a remark", "", "0.3,-0.2,0.1,1.5"],
             &[r#"{"time_s":1.5,"q_mm":[0.1,-0.2,0.3],"more":true}"#],
+            &[r#"{"time_s":1.5,"q_measured_mm":[0.1,-0.2,0.3]}"#],
             &[r#"{"time_s":1.5,"q1_mm":0.1,"q2_mm":-0.2,"q3_mm":0.3}"#],
         ] {
             assert_eq!(parsed(lines).last().unwrap(), &expected, "{lines:?}");

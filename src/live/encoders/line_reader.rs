@@ -4,6 +4,7 @@ use super::line_buffer::LineBuffer;
 use super::readings::{Readings, SILENCE};
 use crate::error::{ArgumentError, Error, Result};
 use crate::live::clock::{FrameClock, unix_time_s};
+use std::fmt;
 use std::fs::File;
 use std::io::{ErrorKind, Read, Seek};
 use std::net::TcpStream;
@@ -35,6 +36,17 @@ pub enum EncoderSource {
     Unix(PathBuf),
     /// A file that grows.
     File(PathBuf),
+}
+
+impl fmt::Display for EncoderSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Stdin => f.pad("standard input"),
+            Self::Tcp(address) => write!(f, "tcp://{address}"),
+            Self::Unix(path) => write!(f, "unix:{}", path.display()),
+            Self::File(path) => write!(f, "{}", path.display()),
+        }
+    }
 }
 
 impl FromStr for EncoderSource {
@@ -111,7 +123,7 @@ impl SharedReadings {
                 EncoderSource::Unix(path) => self.read_unix(path),
                 EncoderSource::File(path) => self.follow(path),
             };
-            self.lock().disconnected(trouble(ended.err()));
+            self.lock().disconnected(format!("{source}: {}", trouble(ended.err())));
             if *source == EncoderSource::Stdin {
                 return;
             }

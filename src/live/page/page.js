@@ -78,6 +78,27 @@ function showMeasured(s) {
   put("lambda-more", e ? `± ${e.sd_lambda_mm.toFixed(4)} mm` : "not known yet");
 }
 
+// As the report of `run` says it.
+function showVerdict(verdict) {
+  const words = {
+    good: ["good", "Good: nothing speaks against this result."],
+    look: ["warn", "Look at this before you use the result."],
+    do_not_use: ["bad", "Do not use this result."],
+  };
+  const [kind, says] = words[verdict.level];
+  by("verdict-box").className = "gap " + kind;
+  put("verdict", says);
+  by("reasons").hidden = !verdict.reasons.length;
+  const told = JSON.stringify(verdict.reasons);
+  if (by("reasons").dataset.told === told) return;
+  by("reasons").dataset.told = told;
+  by("reasons").replaceChildren(...verdict.reasons.map(({ text, remedy }) => {
+    const item = Object.assign(document.createElement("li"), { textContent: text.replaceAll("`", "") });
+    item.append(Object.assign(document.createElement("span"), { textContent: "What to do: " + remedy.replaceAll("`", "") }));
+    return item;
+  }));
+}
+
 function showGap(s) {
   const gap = s.gap;
   const figures = `mean square bending ${gap.bending.toFixed(1)}, common ${gap.common.toFixed(1)}; 1 is noise`;
@@ -128,6 +149,7 @@ function show(s) {
   showPace(s.pace);
   showEncoders(s.encoders);
   showMeasured(s);
+  showVerdict(s.verdict);
   showGap(s);
 }
 

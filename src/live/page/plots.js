@@ -70,23 +70,26 @@ const plots = (() => {
     return bands;
   }
 
+  // A backbone's colour is the one that it has in reports, and none of those for measured and expected; the eighth has the first again.
+  const of_backbone = (k) => `c${((k + 1) % 8) + 1}`;
+
   // Their indices, named in their colours beside the plot.
   function backbones() {
     const row = rows.find((r) => r.residual_mm);
     const indices = row ? row.residual_mm.map((_, k) => k) : [];
-    document.getElementById("backbones").innerHTML = indices.map((k) => `<b class="c${k + 1}">${k + 1}</b>`).join(", ");
+    document.getElementById("backbones").innerHTML = indices.map((k) => `<b class="${of_backbone(k)}">${k + 1}</b>`).join(", ");
     return indices;
   }
 
   const shown = {
     theta: () => [
       ...band((r) => r.theta_deg, (r) => r.sigma_theta_deg, "--c1"),
-      line((r) => r.theta_deg, "--c1"), line((r) => r.expected_theta_deg, "--c2", "dot"),
+      line((r) => r.theta_deg, "--c1"), line((r) => r.expected_theta_deg, "--model", "dot"),
     ],
     delta: () => [
       // Near straight the azimuth is anything: a band wider than the plot says nothing.
       ...band((r) => r.delta_deg, (r) => Math.min(r.sigma_delta_deg, 90), "--c1", true),
-      line((r) => r.delta_deg, "--c1", undefined, true), line((r) => r.expected_delta_deg, "--c2", "dot", true),
+      line((r) => r.delta_deg, "--c1", undefined, true), line((r) => r.expected_delta_deg, "--model", "dot", true),
     ],
     eta: () => [
       ...band((r) => r.estimate && r.estimate.eta, (r) => r.estimate.sd_eta, "--c1"),
@@ -100,7 +103,7 @@ const plots = (() => {
       ...band((r) => r.stem && r.stem.phi_deg, (r) => r.stem.sd_phi_deg, "--c1"),
       line((r) => r.stem && r.stem.phi_deg, "--c1"),
     ],
-    residual: () => backbones().map((k) => line((r) => r.residual_mm && 1000 * r.residual_mm[k], "--c" + (k + 1))),
+    residual: () => backbones().map((k) => line((r) => r.residual_mm && 1000 * r.residual_mm[k], "--" + of_backbone(k))),
     latency: () => [line((r) => r.latency_ms, "--c1")],
   };
 

@@ -37,6 +37,13 @@ impl<'a> Projection<'a> {
         Curve::new(self.robot, &profile.into())
     }
 
+    /// How long the straight snake is in the picture, px.
+    pub fn straight_length_px(&self) -> f64 {
+        let straight = self.curve(BendProfile::arc(Vector2::zeros()));
+        let on_axis = |s_mm| self.pixel(&straight, &BodyPoint { s_mm, local: Vector3::zeros() });
+        (on_axis(self.robot.length_mm) - on_axis(0.0)).norm()
+    }
+
     /// The pixel of a body point.
     pub fn pixel(&self, curve: &Curve, point: &BodyPoint) -> Point2<f64> {
         self.lens.project(&(self.camera_from_base * point.in_base(curve)))

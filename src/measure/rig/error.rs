@@ -102,10 +102,7 @@ pub enum RigError {
     #[error("the snake does not stand out from the grid target")]
     NoContrast,
     /// Too few places of the straight snake's outline show an edge.
-    #[error(
-        "only {edges} of {places} places on the straight snake's outline show an edge; is the snake unbent, in focus, unlike \
-         the grid target in colour and of the robot's dimensions?"
-    )]
+    #[error("{}", few_edges(*edges, *places))]
     TooFewEdges {
         /// Places with an edge.
         edges: usize,
@@ -223,6 +220,18 @@ pub enum CalibrationStep {
     Snake,
     /// All was found, but not where scale and standoff say.
     Scale,
+}
+
+fn few_edges(edges: usize, places: usize) -> String {
+    if places == 0 {
+        return "where the grid target and the standoff put the straight snake nothing of it would be in the picture; check standoff_mm and \
+                grid_pitch_mm"
+            .to_owned();
+    }
+    format!(
+        "only {edges} of {places} places on the straight snake's outline show an edge; is the snake unbent, in focus, unlike the grid target in \
+         colour and of the robot's dimensions?"
+    )
 }
 
 impl RigError {

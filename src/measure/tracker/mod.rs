@@ -103,8 +103,8 @@ fn tracked(
 ) -> TrackedPoses {
     let measure = |(pose, fit): (&TrackerPose, &Option<PoseFit>)| {
         let measurement = match fit {
-            None => FrameMeasurement::failed(Status::Other("tracker_lost".to_owned()), None),
-            Some(fit) if fit.is_jump => FrameMeasurement::failed(Status::Other("tracker_jump".to_owned()), None),
+            None => FrameMeasurement::failed(Status::TrackerLost, None),
+            Some(fit) if fit.is_jump => FrameMeasurement::failed(Status::TrackerJump, None),
             Some(fit) => measurement(fit, azimuth),
         };
         (pose.index, pose.time_s, measurement)

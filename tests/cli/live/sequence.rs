@@ -106,7 +106,7 @@ fn readings_from_a_file_are_matched_by_time_and_the_machine_interface_tells() {
     // As far as `table` goes.
     assert_eq!(live.get("/api/table?theta=120&delta=0")["theta_deg"].as_f64().map(f64::round), Some(120.0));
     assert_eq!(live.ask("GET", "/api/table?theta=120.1&delta=0", "", "").0, 400);
-    assert_a_picture_comes_with_the_boundary_behind_it(&live);
+    assert_a_picture_comes_with_the_head_behind_it(&live);
     let (status, metrics) = live.ask("GET", "/metrics", "", "");
     assert_eq!(status, 200);
     for line in metrics.lines().filter(|line| !line.starts_with('#')) {
@@ -117,17 +117,18 @@ fn readings_from_a_file_are_matched_by_time_and_the_machine_interface_tells() {
     assert!(live.finish().success());
 }
 
-/// A browser shows a picture once it has seen the boundary behind it: that comes with the picture, and not with the next one, for which
-/// the recording that is over never has the time.
-fn assert_a_picture_comes_with_the_boundary_behind_it(live: &Live) {
+/// Chromium shows a picture once it has seen the head of the part behind it: that comes with the picture, and not with the next one, which
+/// never comes once the recording is over.
+fn assert_a_picture_comes_with_the_head_behind_it(live: &Live) {
     let mut stream = TcpStream::connect(live.address).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
     write!(stream, "GET /video.mjpg HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
     let mut seen = Vec::new();
-    let boundaries = |seen: &[u8]| seen.windows(13).filter(|bytes| bytes.starts_with(b"--picture\r\n")).count();
-    while boundaries(&seen) < 2 {
+    let head = b"--picture\r\nContent-Type: image/jpeg\r\n\r\n";
+    let heads = |seen: &[u8]| seen.windows(head.len()).filter(|bytes| bytes == head).count();
+    while heads(&seen) < 2 {
         let mut piece = [0; 4096];
-        let read = stream.read(&mut piece).expect("the boundary behind the picture does not come");
+        let read = stream.read(&mut piece).expect("the head behind the picture does not come");
         assert!(read > 0, "the stream ended");
         seen.extend_from_slice(&piece[..read]);
     }
