@@ -16,18 +16,20 @@
 //! Source: G. H. Golub, V. Pereyra, "Separable nonlinear least squares: the variable projection method and its applications", Inverse
 //! Problems 19, 2003; the Jacobian in Kaufman's form.
 
+mod sweep;
+
 use crate::geometry::{Configuration, Pose};
 use crate::observation::TrackerPose;
 use crate::robot::{MAX_THETA, Robot};
 use crate::statistics::correlation::SerialScatter;
-use crate::statistics::least_squares::{self, Options, Problem};
+use crate::statistics::least_squares::{self, Options, Problem as _};
 use crate::statistics::order::median;
 use crate::statistics::robust::{HUBER_LIMIT, Loss};
 use nalgebra::{
-    DMatrix, DVector, Matrix2, Matrix3, Matrix6x2, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2,
-    Vector3,
+    DVector, Matrix2, Matrix3, Matrix6x2, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3,
 };
 use std::f64::consts::{PI, TAU};
+use sweep::Sweep;
 
 /// Numbers of a registration: two tilts, three of the origin, three of the sensor's place, three of its turn, and the shortening.
 pub const RIG: usize = 12;
@@ -440,61 +442,6 @@ impl Registration {
     /// Standard deviation of the shortening, per rad.
     pub fn sigma_of_shortening(&self) -> f64 {
         self.covariance[(11, 11)].sqrt()
-    }
-}
-
-/// The registration as a least-squares problem, its numbers counted from `around`; the first pose is the straight one.
-struct Sweep<'a> {
-    poses: &'a [&'a TrackerPose],
-    around: &'a Registration,
-}
-
-impl Problem for Sweep<'_> {
-    type Evaluation = (Registration, Vec<Fitted>);
-
-    fn evaluate(&self, parameters: &DVector<f64>, near: Option<&Self::Evaluation>) -> Option<Self::Evaluation> {
-        let moved = self.around.moved(parameters);
-        let fit = |(k, pose): (usize, &&TrackerPose)| {
-            let role = if k == 0 { Role::Straight } else { Role::InSweep };
-            moved.fit(pose, role, near.and_then(|(_, fits)| fits.get(k)).map(|fit| fit.bend))
-        };
-        let fits: Option<Vec<Fitted>> = self.poses.iter().enumerate().map(fit).collect();
-        Some((moved, fits?))
-    }
-
-    fn residuals(&self, (registration, fits): &Self::Evaluation) -> DVector<f64> {
-        let of_poses = fits.iter().flat_map(|fit| fit.residual.iter().copied());
-        let turned = (registration.turn * self.around.turn.inverse()).scaled_axis();
-        let sigmas_mm = registration.sensor_sigmas_mm();
-        let of_priors = registration.sensor_mm.iter().zip(sigmas_mm).map(|(mm, sigma_mm)| -mm / sigma_mm);
-        let shortening = -registration.shortening / registration.shortening_sigma();
-        let of_base = registration.stated_base_mm.map_or(Vector3::zeros(), |stated| {
-            (stated.coords - registration.tracker_from_base.translation.vector) / STATED_BASE_MM
-        });
-        let of_priors = of_priors
-            .chain((turned / -TURN_RAD).iter().copied().collect::<Vec<_>>())
-            .chain([shortening])
-            .chain(of_base.iter().copied());
-        DVector::from_iterator(ROWS * fits.len() + PRIORS, of_poses.chain(of_priors))
-    }
-
-    fn jacobian(&self, _: &DVector<f64>, (registration, fits): &Self::Evaluation) -> DMatrix<f64> {
-        let mut jacobian = DMatrix::zeros(ROWS * fits.len() + PRIORS, RIG);
-        for (k, fit) in fits.iter().enumerate() {
-            // Residuals are measured less predicted.
-            jacobian.fixed_view_mut::<ROWS, RIG>(ROWS * k, 0).copy_from(&-fit.projected());
-        }
-        let priors = ROWS * fits.len();
-        for (axis, sigma_mm) in registration.sensor_sigmas_mm().into_iter().enumerate() {
-            jacobian[(priors + axis, 5 + axis)] = -1.0 / sigma_mm;
-            jacobian[(priors + 3 + axis, 8 + axis)] = -1.0 / TURN_RAD;
-        }
-        jacobian[(priors + 6, 11)] = -1.0 / registration.shortening_sigma();
-        if registration.stated_base_mm.is_some() {
-            let axes = registration.tracker_from_base.rotation.to_rotation_matrix();
-            jacobian.fixed_view_mut::<3, 3>(priors + 7, 2).copy_from(&(axes.matrix() / -STATED_BASE_MM));
-        }
-        jacobian
     }
 }
 
