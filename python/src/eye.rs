@@ -144,6 +144,11 @@ impl PyMeasurement {
         if let Some((name, sigma)) = sigmas.into_iter().find(|(_, sigma)| sigma.is_nan() || *sigma <= 0.0) {
             return Err(wrong(format!("{name} is {sigma}, expected more than 0")));
         }
+        for (name, angle) in [("theta_deg", theta_deg), ("delta_deg", delta_deg)] {
+            if !angle.is_finite() {
+                return Err(wrong(format!("{name} is {angle}, expected a number; leave out what was not measured")));
+            }
+        }
         let configuration = Configuration::from_degrees(theta_deg, delta_deg);
         let (sigma_theta, sigma_delta) = (sigma_theta_deg.to_radians(), sigma_delta_deg.to_radians());
         let measured = Measured::independent(configuration, sigma_theta, sigma_delta, 0.0);

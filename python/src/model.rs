@@ -3,7 +3,7 @@
 use crate::arrays::{matrix, radians_of, readings_of, shaped};
 use crate::error::{raised, wrong};
 use crate::threads::by_rows;
-use numpy::ndarray::Zip;
+use numpy::ndarray::ArrayD;
 use numpy::{PyArray2, PyArrayDyn};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -53,14 +53,14 @@ impl PyModel {
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let theta = radians_of("theta", theta, theta_deg)?;
         let delta = radians_of("delta", delta, delta_deg)?;
-        let (shape, poses) = broadcast(&theta, &delta)?;
+        let (shape, theta, delta) = broadcast(&theta, &delta)?;
         let width = self.0.robot.backbone_count();
-        let mut commands = vec![0.0; poses.len() * width];
+        let mut commands = vec![0.0; theta.len() * width];
         let mechanics = Mechanics::new(&self.0);
-        by_rows(py, poses.len(), |rows| {
+        by_rows(py, theta.len(), |rows| {
             let out = commands[rows.start * width..rows.end * width].par_chunks_exact_mut(width);
-            out.zip(&poses[rows]).for_each(|(command, pose)| {
-                command.copy_from_slice(&mechanics.command(pose.bend_vector(), None));
+            out.zip(&theta[rows.clone()]).zip(&delta[rows]).for_each(|((command, &theta), &delta)| {
+                command.copy_from_slice(&mechanics.command(Configuration { theta, delta }.bend_vector(), None));
             });
         })?;
         shaped(py, &[&shape[..], &[width]].concat(), commands)
@@ -156,16 +156,13 @@ impl PyModel {
     }
 }
 
-/// The common shape of two arrays of angles (rad), and the poses by rows.
-fn broadcast(
-    theta: &numpy::ndarray::ArrayD<f64>,
-    delta: &numpy::ndarray::ArrayD<f64>,
-) -> PyResult<(Vec<usize>, Vec<Configuration>)> {
+/// The common shape of two arrays of angles, and the numbers of each by rows.
+fn broadcast(theta: &ArrayD<f64>, delta: &ArrayD<f64>) -> PyResult<(Vec<usize>, Vec<f64>, Vec<f64>)> {
     let no_common = || {
         wrong(format!("theta of shape {:?} and delta of shape {:?} do not go together", theta.shape(), delta.shape()))
     };
     let axes = theta.ndim().max(delta.ndim());
-    let length = |array: &numpy::ndarray::ArrayD<f64>, axis: usize| {
+    let length = |array: &ArrayD<f64>, axis: usize| {
         (axis + array.ndim()).checked_sub(axes).map_or(1, |axis| array.shape()[axis])
     };
     let shape: Vec<usize> = (0..axes)
@@ -174,8 +171,11 @@ fn broadcast(
             (one, _) => one,
         })
         .collect();
-    let theta = theta.broadcast(&shape[..]).ok_or_else(no_common)?;
-    let delta = delta.broadcast(&shape[..]).ok_or_else(no_common)?;
-    let poses = Zip::from(&theta).and(&delta).map_collect(|&theta, &delta| Configuration { theta, delta });
-    Ok((shape, poses.into_iter().collect()))
+    let numbers = |array: &ArrayD<f64>| {
+        let numbers = array.broadcast(&shape[..])?;
+        // An array's own iterator takes longer than a command.
+        Some(numbers.as_slice().map_or_else(|| numbers.iter().copied().collect(), <[f64]>::to_vec))
+    };
+    let (of_theta, of_delta) = numbers(theta).zip(numbers(delta)).ok_or_else(no_common)?;
+    Ok((shape, of_theta, of_delta))
 }

@@ -1,6 +1,6 @@
 //! `simulate`: what encoders and an eye would say of a snake whose model is known.
 
-use crate::error::raised;
+use crate::error::{raised, wrong};
 use crate::model::PyModel;
 use crate::tables::Table;
 use numpy::IntoPyArray;
@@ -11,6 +11,11 @@ use snakeloop::observation::{Measured, Waypoint};
 use snakeloop::robot::{Effect, Model};
 use snakeloop::simulate::{BendingExperiment, Plant, Sample, SimulatedEye};
 use std::collections::BTreeMap;
+
+/// The largest standard deviation of an encoder reading, mm.
+///
+/// Convention: the estimator's own limit.
+const MOST_SD_MM: f64 = 10.0;
 
 /// Simulates an experiment: (measurements, encoders, truth), dicts of arrays with the columns of the files of these names.
 ///
@@ -26,6 +31,9 @@ pub fn simulate<'py>(
     seed: u64,
     sd_encoder_mm: f64,
 ) -> PyResult<(Bound<'py, PyDict>, Bound<'py, PyDict>, Bound<'py, PyDict>)> {
+    if !(0.0..=MOST_SD_MM).contains(&sd_encoder_mm) {
+        return Err(wrong(format!("sd_encoder_mm is {sd_encoder_mm}, expected 0 to {MOST_SD_MM} mm")));
+    }
     let mut model = model.map_or_else(Model::default, |model| model.0.clone());
     for (name, parameters) in effects.into_iter().flatten() {
         let parameters: Vec<(String, f64)> = parameters.into_iter().collect();

@@ -83,5 +83,7 @@ def test_the_truth_is_what_was_asked_for_and_seeds_repeat():
     expected = snakeloop.Model.default().command(theta_deg=poses["theta_deg"], delta_deg=poses["delta_deg"])
     np.testing.assert_allclose(np.stack([quiet[f"q{i}_mm"] for i in (1, 2, 3)], axis=1), expected, atol=1e-12)
     assert measurements["status"] == ["ok"] * 3
+    with pytest.raises(snakeloop.SnakeloopError, match="sd_encoder_mm is -1"):
+        snakeloop.simulate(sd_encoder_mm=-1.0)
     with pytest.raises(snakeloop.SnakeloopError, match="not known"):
         snakeloop.simulate(effects={"poltergeist": {}})

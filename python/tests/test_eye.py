@@ -33,6 +33,15 @@ def test_the_estimator_gives_what_the_program_gives(measured):
     assert (step.verdict, step.reason) == ("rejected", "bend_outlier")
 
 
+def test_a_pose_from_elsewhere_has_numbers():
+    known = {"theta_deg": 30.0, "delta_deg": 10.0, "sigma_theta_deg": 0.1, "sigma_delta_deg": 0.2}
+    measurement = snakeloop.Measurement(**known)
+    assert {name: pytest.approx(getattr(measurement, name)) for name in known} == known and measurement.status == "ok"
+    for name, value in [("theta_deg", np.nan), ("delta_deg", np.inf), ("sigma_theta_deg", 0.0)]:
+        with pytest.raises(snakeloop.SnakeloopError, match=name):
+            snakeloop.Measurement(**known | {name: value})
+
+
 def test_depth_and_layout_of_the_array_do_not_matter(eye, frames):
     frame = frames[3]
     expected = eye.measure(frame)

@@ -21,6 +21,11 @@ impl<'a> Cdr<'a> {
     pub fn new(message: &'a [u8]) -> CdrResult<Self> {
         match message {
             [0, order @ (0 | 1), _, _, bytes @ ..] => Ok(Self { bytes, at: 0, little: *order == 1 }),
+            [0x28, 0xb5, 0x2f, 0xfd, ..] => {
+                Err("each message is packed by itself (compression_mode: message), which is not read; convert the \
+                recording without it (ros2 bag convert)"
+                    .to_owned())
+            }
             [a, b, ..] => Err(format!("encapsulation {a:02x} {b:02x}, expected plain CDR (00 00 or 00 01)")),
             _ => Err("the message is empty".to_owned()),
         }

@@ -66,7 +66,10 @@ impl Topic {
     /// # Errors
     /// A file that cannot be opened.
     pub fn messages(&self) -> Result<Messages> {
-        let file = File::open(&self.bag).map_err(Error::io(&self.bag, "read"))?;
+        let mut file = File::open(&self.bag).map_err(Error::io(&self.bag, "read"))?;
+        if let Some(why) = other_recording(&mut file).map_err(Error::io(&self.bag, "read"))? {
+            return Err(Error::content(&self.bag, why));
+        }
         let length = file.metadata().map_or(0, |about| about.len());
         let longest = usize::try_from(length).unwrap_or(usize::MAX).clamp(PACKED_RECORD_BYTES, RECORD_BYTES);
         let options = LinearReaderOptions::default()
@@ -138,6 +141,25 @@ impl Topic {
         self.first::<M>()?;
         self.messages()?.map(|message| message?.decoded()).collect()
     }
+}
+
+/// What to do about a file that ROS 2 records as well but is no MCAP file; `None` for others. Leaves the file at its beginning.
+///
+/// Source: the first bytes of SQLite's format (<https://sqlite.org/fileformat.html>) and of a zstd frame (RFC 8878).
+fn other_recording(file: &mut File) -> std::io::Result<Option<&'static str>> {
+    if file.metadata()?.is_dir() {
+        return Ok(Some("a folder, expected a recording; name the .mcap file in it"));
+    }
+    let mut first = Vec::new();
+    file.by_ref().take(16).read_to_end(&mut first)?;
+    file.rewind()?;
+    Ok(match &first[..] {
+        [b'S', b'Q', b'L', b'i', b't', b'e', ..] => {
+            Some("a recording in SQLite, expected MCAP; convert it (ros2 bag convert, with storage_id: mcap)")
+        }
+        [0x28, 0xb5, 0x2f, 0xfd, ..] => Some("a file packed by zstd, expected MCAP; unpack it (zstd -d)"),
+        _ => None,
+    })
 }
 
 /// One message of a topic, not decoded yet.

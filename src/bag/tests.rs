@@ -113,3 +113,21 @@ fn a_few_bytes_that_claim_to_be_a_gigabyte_take_no_memory() {
     let refused = topic(&path, "/joint_states").all::<JointState>().unwrap_err().to_string();
     assert!(refused.contains("no readable recording (MCAP)"), "{refused}");
 }
+
+#[test]
+fn what_ros_records_otherwise_is_told_with_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let said = |path: PathBuf| {
+        let topic = Topic { bag: path, topic: "/tip".to_owned() };
+        topic.messages().err().expect("an error").to_string()
+    };
+    let file = |bytes: &[u8]| {
+        let path = folder.path().join("run");
+        std::fs::write(&path, bytes).unwrap();
+        path
+    };
+    assert!(said(folder.path().to_owned()).contains("name the .mcap file in it"));
+    assert!(said(file(b"SQLite format 3\0\x10\0")).contains("storage_id: mcap"));
+    assert!(said(file(&[0x28, 0xb5, 0x2f, 0xfd, 0x24])).contains("unpack it (zstd -d)"));
+    assert!(Cdr::new(&[0x28, 0xb5, 0x2f, 0xfd, 0x24]).err().unwrap().contains("ros2 bag convert"));
+}

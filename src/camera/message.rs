@@ -90,7 +90,9 @@ impl<'a> RawImage<'a> {
     fn frame(&self) -> CdrResult<Frame> {
         let (channels, samples) = match self.encoding.as_str() {
             "mono8" | "8UC1" => (1, Samples::Bits8(self.pixels(1, [0])?)),
-            "mono16" | "16UC1" => (1, Samples::Bits16(self.pixels_of_16_bits()?)),
+            "mono16" | "16UC1" => (1, Samples::Bits16(self.pixels_of_16_bits([0])?)),
+            "rgb16" => (3, Samples::Bits16(self.pixels_of_16_bits([0, 1, 2])?)),
+            "bgr16" => (3, Samples::Bits16(self.pixels_of_16_bits([2, 1, 0])?)),
             "rgb8" => (3, Samples::Bits8(self.pixels(3, [0, 1, 2])?)),
             "bgr8" | "8UC3" => (3, Samples::Bits8(self.pixels(3, [2, 1, 0])?)),
             "rgba8" => (3, Samples::Bits8(self.pixels(4, [0, 1, 2])?)),
@@ -102,7 +104,7 @@ impl<'a> RawImage<'a> {
             "bayer_bggr8" => (3, Samples::Bits8(self.demosaiced(1, 1)?)),
             other => {
                 return Err(format!(
-                    "pictures in {other}, expected mono8, mono16, rgb8, bgr8, rgba8, bgra8 or bayer_*8"
+                    "pictures in {other}, expected mono8, mono16, rgb8, bgr8, rgba8, bgra8, rgb16, bgr16 or bayer_*8"
                 ));
             }
         };
@@ -128,12 +130,14 @@ impl<'a> RawImage<'a> {
         Ok(pixels.flat_map(|pixel| order.map(|channel| pixel[channel])).collect())
     }
 
-    fn pixels_of_16_bits(&self) -> CdrResult<Vec<u16>> {
-        let number = |pair: &[u8]| match self.is_big_endian {
-            true => u16::from_be_bytes([pair[0], pair[1]]),
-            false => u16::from_le_bytes([pair[0], pair[1]]),
+    /// All numbers of 16 bits of each pixel, in this order.
+    fn pixels_of_16_bits<const N: usize>(&self, order: [usize; N]) -> CdrResult<Vec<u16>> {
+        let number = |pixel: &[u8], channel: usize| {
+            let pair = [pixel[2 * channel], pixel[2 * channel + 1]];
+            if self.is_big_endian { u16::from_be_bytes(pair) } else { u16::from_le_bytes(pair) }
         };
-        Ok(self.rows(2)?.flat_map(|row| row.chunks_exact(2)).map(number).collect())
+        let pixels = self.rows(2 * N)?.flat_map(|row| row.chunks_exact(2 * N));
+        Ok(pixels.flat_map(|pixel| order.map(|channel| number(pixel, channel))).collect())
     }
 
     /// Red, green and blue from a mosaic whose red pixels have these parities of column and row: each colour is the mean of its
@@ -220,6 +224,9 @@ mod tests {
         };
         let deep = image("mono16", 4, &[1, 0, 2, 0, 3, 0, 255, 255]).frame().unwrap();
         assert_eq!(deep.samples, Samples::Bits16(vec![256, 512, 768, 65535]));
+        let bytes = [0, 3, 0, 2, 0, 1, 0, 6, 0, 5, 0, 4].repeat(2);
+        let deep = image("bgr16", 12, &bytes).frame().unwrap();
+        assert_eq!(deep.samples, Samples::Bits16([1, 2, 3, 4, 5, 6].repeat(2)));
         for (encoding, step, data) in
             [("rgb8", 4, &[0; 8][..]), ("mono8", 2, &[0; 3]), ("mono8", usize::MAX, &[0; 3]), ("yuv422", 4, &[0; 8])]
         {

@@ -73,12 +73,16 @@ pub fn open_tracker(
     robot: &Robot,
     encoders: &[EncoderReading],
 ) -> Result<(OpenTracker, Vec<String>)> {
-    let Tracker { name, poses: source, straight, delta_offset_deg } = tracker;
+    let Tracker { name, poses: source, straight, delta_offset_deg, base_mm } = tracker;
     let poses = match source {
         Source::Files(path) => rows(console, read_tracker_poses(path)?),
         Source::Topic(topic) => tracker_poses_of(topic)?,
     };
-    let options = TrackerOptions { straight: *straight, delta_offset: delta_offset_deg.map(f64::to_radians) };
+    let options = TrackerOptions {
+        straight: *straight,
+        delta_offset: delta_offset_deg.map(f64::to_radians),
+        base_mm: base_mm.map(Into::into),
+    };
     let tracked = measure_poses(&poses, encoders, robot, &options);
     let TrackedPoses { measurements, remarks } =
         tracked.map_err(|why| Error::content(source.path(), why.to_string()))?;

@@ -65,6 +65,8 @@ pub struct Tracker {
     pub straight: u64,
     /// Azimuth in {b} of the tracker's x axis, degrees; the encoders tell where absent.
     pub delta_offset_deg: Option<f64>,
+    /// Where the middle of the base disk's top face is in the tracker's frame, mm; the poses tell where absent.
+    pub base_mm: Option<[f64; 3]>,
 }
 
 /// Where a view's rig comes from.
@@ -105,6 +107,7 @@ struct TrackerTable {
     poses: Source<PathBuf>,
     straight: u64,
     delta_offset_deg: Option<f64>,
+    base_mm: Option<[f64; 3]>,
 }
 
 #[derive(Deserialize)]
@@ -281,10 +284,13 @@ impl View {
 
 impl Tracker {
     fn from_table(table: TrackerTable, folder: &Path) -> std::result::Result<Self, String> {
-        let TrackerTable { name, poses, straight, delta_offset_deg } = table;
+        let TrackerTable { name, poses, straight, delta_offset_deg, base_mm } = table;
         check_name(&name)?;
         delta_offset_deg.map_or(Ok(()), |azimuth| check_azimuth(&name, azimuth))?;
-        Ok(Self { name, poses: poses.within(folder), straight, delta_offset_deg })
+        if let Some(base_mm) = base_mm.filter(|base_mm| base_mm.iter().any(|mm| !mm.is_finite())) {
+            return Err(format!("{name:?}: base_mm = {base_mm:?}, expected three numbers in mm"));
+        }
+        Ok(Self { name, poses: poses.within(folder), straight, delta_offset_deg, base_mm })
     }
 }
 
@@ -397,7 +403,13 @@ standoff_mm = 25
         let alone = parse(&format!("encoders = \"e.csv\"\n{tracker}")).unwrap();
         let poses = PathBuf::from("lab/tip.csv");
         assert!(alone.files().contains(&poses));
-        let expected = Tracker { name: "em".into(), poses: Source::Files(poses), straight: 3, delta_offset_deg: None };
+        let expected = Tracker {
+            name: "em".into(),
+            poses: Source::Files(poses),
+            straight: 3,
+            delta_offset_deg: None,
+            base_mm: None,
+        };
         assert_eq!((alone.views.len(), alone.trackers), (0, vec![expected]));
         assert_eq!(parse(&format!("{GOOD}{tracker}")).unwrap().trackers.len(), 1);
         let same_name = parse(&format!("{GOOD}{}", tracker.replace("em", "side"))).unwrap_err().to_string();

@@ -2,24 +2,39 @@
 
 from collections.abc import Iterable, Mapping
 from os import PathLike
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+__all__ = [
+    "Discovery",
+    "Estimator",
+    "Eye",
+    "Lens",
+    "Measurement",
+    "Model",
+    "Rig",
+    "SnakeloopError",
+    "Step",
+    "__version__",
+    "discover",
+    "simulate",
+]
+
 __version__: str
 
-Path: TypeAlias = str | PathLike[str]
-Numbers: TypeAlias = NDArray[np.float64]
-Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+_Path: TypeAlias = str | PathLike[str]
+_Numbers: TypeAlias = NDArray[np.float64]
+_Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
-class DataFrame(Protocol):
+class _DataFrame(Protocol):
     """A data frame, such as pandas': columns by name."""
 
     def __getitem__(self, name: str, /) -> Any: ...
     def __contains__(self, name: object, /) -> bool: ...
 
-Table: TypeAlias = Path | Mapping[str, ArrayLike] | DataFrame
+_Table: TypeAlias = _Path | Mapping[str, ArrayLike] | _DataFrame
 
 class SnakeloopError(Exception):
     """What went wrong, where, and what to do about it."""
@@ -29,16 +44,17 @@ class SnakeloopError(Exception):
     line: int | None
     """Its line, counted from 1, where there is one."""
 
+@final
 class Model:
     """A robot, its friction, and what was learned of its actuation lines."""
 
     @staticmethod
-    def read(path: Path) -> Model:
+    def read(path: _Path) -> Model:
         """Reads a model.toml."""
     @staticmethod
     def default() -> Model:
         """The paper's robot (Table I) with naive compensation: η = 1, λ = 0."""
-    def write(self, path: Path) -> None:
+    def write(self, path: _Path) -> None:
         """Writes a model.toml, whole or not at all."""
     def command(
         self,
@@ -47,13 +63,13 @@ class Model:
         *,
         theta_deg: ArrayLike | None = None,
         delta_deg: ArrayLike | None = None,
-    ) -> Numbers:
+    ) -> _Numbers:
         """The q̃ to command so that the snake takes these poses, mm (Eq. 23).
 
         Angles in radians (theta, delta) or degrees (theta_deg, delta_deg), numbers or arrays, which are broadcast against each
         other to a shape S. Returns an array of shape S + (backbones,). NaN where an angle is NaN.
         """
-    def forward(self, q_mm: ArrayLike) -> tuple[Numbers, Numbers]:
+    def forward(self, q_mm: ArrayLike) -> tuple[_Numbers, _Numbers]:
         """The poses that commands lead to: (theta_deg, delta_deg), arrays of the shape of q_mm less its last axis.
 
         q_mm has a column for each backbone, mm. NaN where the model has no answer: a q̃ that is not finite, or that bends the
@@ -66,7 +82,7 @@ class Model:
     def lambda_mm(self) -> float:
         """λ, mm; 0 where it was not estimated."""
     @property
-    def covariance(self) -> Numbers:
+    def covariance(self) -> _Numbers:
         """Covariance of (η, λ in mm), 2 × 2; zeros where they were not estimated."""
     @property
     def backbones(self) -> int:
@@ -75,11 +91,12 @@ class Model:
     def effects(self) -> list[dict[str, Any]]:
         """The model's effects: for each its name, form, and parameters with value, sd and unit."""
 
+@final
 class Lens:
     """A camera's intrinsics and distortion."""
 
     @staticmethod
-    def read(path: Path) -> Lens:
+    def read(path: _Path) -> Lens:
         """Reads a camera file: OpenCV's FileStorage (YAML or XML) or ROS camera_info YAML."""
     @property
     def width(self) -> int:
@@ -88,12 +105,13 @@ class Lens:
     def height(self) -> int:
         """Height of its pictures, px."""
 
+@final
 class Rig:
     """Where camera, grid target and base are."""
 
     @staticmethod
     def calibrate(
-        image: Image,
+        image: _Image,
         lens: Lens,
         *,
         grid_pitch_mm: float,
@@ -108,17 +126,17 @@ class Rig:
         delta_offset_deg: azimuth, in the base's frame, of the direction that points to the image's right.
         """
     @staticmethod
-    def read(path: Path) -> Rig:
+    def read(path: _Path) -> Rig:
         """Reads a rig.toml."""
-    def write(self, path: Path) -> None:
+    def write(self, path: _Path) -> None:
         """Writes a rig.toml, whole or not at all."""
 
+@final
 class Measurement:
     """What one frame says."""
 
-    def __init__(
-        self, *, theta_deg: float, delta_deg: float, sigma_theta_deg: float, sigma_delta_deg: float
-    ) -> None:
+    def __new__(cls, *, theta_deg: float, delta_deg: float, sigma_theta_deg: float, sigma_delta_deg: float
+    ) -> Measurement:
         """A measurement that comes from elsewhere, such as a tracker: angles and their standard deviations, degrees."""
     @property
     def status(self) -> str:
@@ -136,20 +154,21 @@ class Measurement:
     def sigma_delta_deg(self) -> float:
         """Standard deviation of δ, degrees; large near straight."""
     @property
-    def covariance(self) -> Numbers:
+    def covariance(self) -> _Numbers:
         """Covariance of (θ, δ), 2 × 2, square degrees."""
 
+@final
 class Eye:
     """Measures the snake in the frames of one calibrated view."""
 
-    def __init__(self, lens: Lens, rig: Rig, robot: Model | None = None) -> None:
+    def __new__(cls, lens: Lens, rig: Rig, robot: Model | None = None) -> Eye:
         """An eye for one view. robot: the Model whose robot it sees; the paper's without."""
-    def measure(self, image: Image) -> Measurement:
+    def measure(self, image: _Image) -> Measurement:
         """Measures one frame: uint8 or uint16, (height, width) grey or (height, width, 3) RGB.
 
         A frame that cannot be measured gives a Measurement whose status says why. Other threads of Python run meanwhile.
         """
-    def refined(self, images: Iterable[Image]) -> Eye:
+    def refined(self, images: Iterable[_Image]) -> Eye:
         """An eye whose rig is made better with frames of the sequence that is to be measured: some twenty, bent to all sides.
 
         ``snakeloop run`` does the same.
@@ -158,6 +177,7 @@ class Eye:
     def rig(self) -> Rig:
         """The rig that it measures by."""
 
+@final
 class Step:
     """What one measurement did to the estimate."""
 
@@ -168,13 +188,14 @@ class Step:
     def reason(self) -> str | None:
         """Why it was not used, in snake_case; None where it was."""
     @property
-    def residual_mm(self) -> Numbers | None:
+    def residual_mm(self) -> _Numbers | None:
         """Measured ε less what the estimate before predicted, for each backbone, mm; None before the first estimate."""
 
+@final
 class Estimator:
     """The recursive estimator of η and λ (Eq. 19)."""
 
-    def __init__(self, model: Model | None = None, *, sd_encoder_mm: float | None = None) -> None:
+    def __new__(cls, model: Model | None = None, *, sd_encoder_mm: float | None = None) -> Estimator:
         """Starts with nothing known of η and λ.
 
         model: whose robot, friction and effects are used; the paper's without. sd_encoder_mm: standard deviation of an encoder
@@ -189,12 +210,13 @@ class Estimator:
     def lambda_mm(self) -> float | None:
         """λ, mm; None while the measurements do not tell."""
     @property
-    def covariance(self) -> Numbers | None:
+    def covariance(self) -> _Numbers | None:
         """Covariance of (η, λ in mm), 2 × 2; None while the measurements do not tell."""
     @property
     def model(self) -> Model:
         """The model with the estimate as it stands."""
 
+@final
 class Discovery:
     """What `discover` found: verdict, effects, gap, and the model with the effects added."""
 
@@ -218,7 +240,7 @@ class Discovery:
     def _repr_html_(self) -> str: ...
 
 def discover(
-    measurements: Table, encoders: Table, model: Model | None = None, *, sd_encoder_mm: float | None = None
+    measurements: _Table, encoders: _Table, model: Model | None = None, *, sd_encoder_mm: float | None = None
 ) -> Discovery:
     """Compares what a model predicts with what was measured, and names what is missing.
 
@@ -234,7 +256,7 @@ def simulate(
     model: Model | None = None,
     *,
     effects: Mapping[str, Mapping[str, float]] | None = None,
-    trajectory: Mapping[str, ArrayLike] | DataFrame | None = None,
+    trajectory: Mapping[str, ArrayLike] | _DataFrame | None = None,
     seed: int = 1,
     sd_encoder_mm: float = 0.0015,
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:

@@ -20,6 +20,17 @@ pub enum TrackerError {
         /// The index that was named.
         index: u64,
     },
+    /// A stated base that is not where a base can be.
+    #[error(
+        "base_mm is {found_mm:.1} mm from the straight tip, and the snake is {length_mm} mm long; check that it is in mm and in the frame \
+         of the poses"
+    )]
+    BaseElsewhere {
+        /// Its distance from the straight tip.
+        found_mm: f64,
+        /// The snake's length.
+        length_mm: f64,
+    },
     /// Positions that look as if in metres.
     #[error(
         "the tip is at most {spread_mm:.4} mm from where it is straight, and the snake is {length_mm} mm long: the positions look as if \
@@ -70,8 +81,8 @@ pub enum TrackerError {
     /// Poses that no snake like this one takes.
     #[error(
         "positions scatter by {scatter_mm:.1} mm about the arcs of a snake of {length_mm} mm, orientations by {scatter_deg:.0}°; check the \
-         robot's length, that all poses are in one frame that stays with the base, and the order of quaternions (qw,qx,qy,qz), which \
-         turn the sensor's axes into that frame"
+         robot's length, that all poses are in one frame that stays with the base, that the sensor is in the middle of the tip (else give \
+         base_mm), and the order of quaternions (qw,qx,qy,qz), which turn the sensor's axes into that frame"
     )]
     NoArcs {
         /// Scatter of the positions.
@@ -84,7 +95,8 @@ pub enum TrackerError {
     /// Bends that go round the other way than the encoders say.
     #[error(
         "the tip goes round the other way than the encoders say: an axis of the tracker is flipped (its frame is left-handed), or two \
-         columns of the log are swapped; change the sign of one axis, or say so in [wiring]"
+         columns of the log are swapped; change the sign of one axis, or say so in [wiring]. A sensor that is not in the middle of the tip \
+         can look like that: give base_mm"
     )]
     Mirrored,
     /// An azimuth that nothing tells.

@@ -3,12 +3,13 @@
 //! 1. [`registration`]: where the snake's base is in the tracker's frame, and where the sensor is on the tip, by least squares over the
 //!    straight pose and the sweep itself.
 //! 2. [`azimuth`]: which way x_b points, which no tip pose tells: from the encoders, or stated.
-//! 3. Here: every pose is fitted by itself, the registration's uncertainty is added, and poses that do not lie on the surface that a tip
-//!    can reach are told apart.
+//! 3. Here: every pose is fitted by itself, what the registration leaves open is added and kept apart, since all poses share it
+//!    ([`shared`]), and poses that do not lie on the surface that a tip can reach are told apart.
 
 mod azimuth;
 mod error;
 mod registration;
+mod shared;
 
 pub use error::TrackerError;
 
@@ -17,9 +18,10 @@ use crate::observation::{EncoderReading, Quality, Status, TrackerPose};
 use crate::robot::Robot;
 use crate::statistics::order::quantile;
 use azimuth::Azimuth;
-use nalgebra::{Matrix2, Matrix2x6, Rotation2, Vector2};
+use nalgebra::{Matrix2, Point3, Rotation2, SMatrix, Vector2};
 use rayon::prelude::*;
-use registration::{Registration, is_improbable};
+use registration::{RIG, Registration, Role, is_improbable};
+use shared::SharedErrors;
 
 /// The fewest poses of a tip that are registered.
 ///
@@ -29,10 +31,18 @@ const LEAST_POSES: usize = 16;
 ///
 /// Derived: a bend of θ moves the tip by about L θ/2; 2 % is 2.3°.
 const LEAST_SHARE: f64 = 0.02;
-/// No tip is farther from where it is when straight than this many lengths of the snake.
+/// No tip is farther from where it is when straight than this many lengths of the snake, or distances of the sensor from a stated base.
 ///
 /// Derived: the tip of an arc bent by 120° is 1.1 L away; twice that leaves room for a sensor on a tool.
 const MOST_LENGTHS: f64 = 2.2;
+/// How far a straight tip may be from a base that is stated, in lengths of the snake.
+///
+/// Convention: a sensor a little below the tip, or on a tool three times as long as the snake.
+const STATED_LENGTHS: std::ops::RangeInclusive<f64> = 0.8..=4.0;
+/// From which share of θ on what all bends have in common is told with a remedy.
+///
+/// Convention: η errs by as much; 2 % of it is what the paper's twelve samples leave.
+const MUCH_IN_COMMON: f64 = 0.02;
 /// The share of the poses whose distance tells the unit; the rest may be jumps.
 ///
 /// Convention: one pose in ten may be wrong.
@@ -46,6 +56,11 @@ const MOST_TILT_SIGMA_DEG: f64 = 5.0;
 /// Convention: several times what such trackers are good to, and what snakes that are no circles leave.
 const MOST_SCATTER: (f64, f64) = (0.05, 10.0);
 
+/// An axis is named as flipped where turning it round leaves less than this share of the scatter.
+///
+/// Convention: what is right scatters by noise, what is wrong by a good part of the snake's length.
+const FLIPPED_SHARE: f64 = 0.2;
+
 /// How a tracker's poses are to be read.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackerOptions {
@@ -53,6 +68,8 @@ pub struct TrackerOptions {
     pub straight: u64,
     /// Azimuth in {b} of the tracker's x axis, rad; where it is not stated the encoders tell.
     pub delta_offset: Option<f64>,
+    /// Where the base is stated to be in the tracker's frame, mm.
+    pub base_mm: Option<Point3<f64>>,
 }
 
 /// What a tracker's poses say.
@@ -81,9 +98,10 @@ pub fn measure_poses(
     }
     let straight = seen.iter().find(|pose| pose.index == options.straight);
     let straight = straight.ok_or(TrackerError::NoStraight { index: options.straight })?;
-    check_unit(&seen, straight, robot.length_mm)?;
+    let reach_mm = reach_mm(straight, robot, options.base_mm)?;
+    check_unit(&seen, straight, reach_mm)?;
     let mut mirrored = None;
-    for registration in registered(&seen, straight, robot)? {
+    for registration in registered(&seen, straight, robot, options.base_mm)? {
         let found: Vec<Option<PoseFit>> = poses.par_iter().map(|pose| fitted(&registration, pose)).collect();
         match Azimuth::new(&registration, poses, &found, readings, robot, options.delta_offset) {
             Ok(azimuth) => return Ok(tracked(poses, &registration, &found, &azimuth)),
@@ -101,41 +119,61 @@ fn tracked(
     found: &[Option<PoseFit>],
     azimuth: &Azimuth,
 ) -> TrackedPoses {
+    let good: Vec<&PoseFit> = found.iter().flatten().filter(|fit| !fit.is_jump).collect();
+    let shared = SharedErrors::of(&good, azimuth);
     let measure = |(pose, fit): (&TrackerPose, &Option<PoseFit>)| {
         let measurement = match fit {
             None => FrameMeasurement::failed(Status::TrackerLost, None),
             Some(fit) if fit.is_jump => FrameMeasurement::failed(Status::TrackerJump, None),
-            Some(fit) => measurement(fit, azimuth),
+            Some(fit) => measurement(fit, azimuth, &shared),
         };
         (pose.index, pose.time_s, measurement)
     };
-    let remarks = remarks(registration, azimuth, found);
+    let mut remarks = remarks(registration, azimuth, found);
+    remarks.extend(in_common(registration, &good, shared.share_of_theta(&good)));
     TrackedPoses { measurements: poses.iter().zip(found).map(measure).collect(), remarks }
 }
 
 /// The bend of one pose, in the registration's own azimuth, rad, and what is to be said of it.
 struct PoseFit {
     bend: Vector2<f64>,
+    /// Of its own noise.
     covariance: Matrix2<f64>,
+    /// What independent unit errors of the registration do to the bend.
+    by_registration: SMatrix<f64, 2, RIG>,
     /// Whether the pose lies off what a tip can reach by more than noise.
     is_jump: bool,
 }
 
 fn fitted(registration: &Registration, pose: &TrackerPose) -> Option<PoseFit> {
-    let fit = registration.fit(pose, false, None)?;
-    let covariance = registration.bend_covariance(&fit)?;
+    let fit = registration.fit(pose, Role::Alone, None)?;
+    let (covariance, by_registration) = registration.errors(&fit)?;
     let is_jump = is_improbable(fit.chi_square(), registration.degrees_of_freedom(pose));
-    Some(PoseFit { bend: fit.bend, covariance, is_jump })
+    Some(PoseFit { bend: fit.bend, covariance, by_registration, is_jump })
 }
 
-/// A bend turned into {b}; the azimuth's uncertainty turns all bends together.
-fn measurement(fit: &PoseFit, azimuth: &Azimuth) -> FrameMeasurement {
+/// A bend turned into {b}.
+fn measurement(fit: &PoseFit, azimuth: &Azimuth, shared: &SharedErrors) -> FrameMeasurement {
     let turn = Rotation2::new(azimuth.angle);
-    let vector = turn * fit.bend;
-    let across = Vector2::new(-vector.y, vector.x) * azimuth.sigma;
-    let covariance = turn * fit.covariance * turn.inverse() + across * across.transpose();
-    // A pose has no edges. What all poses share of the registration's error is counted as their own.
-    FrameMeasurement::of(Bend { vector, covariance, by_rig: Matrix2x6::zeros() }, Quality::default())
+    let errors = shared.errors(fit);
+    let covariance = turn * (fit.covariance + errors * errors.transpose()) * turn.inverse();
+    let by_rig = turn * shared.foremost(fit);
+    // A pose has no edges.
+    FrameMeasurement::of(Bend { vector: turn * fit.bend, covariance, by_rig }, Quality::default())
+}
+
+/// How far the sensor is from the base when the snake is straight, mm.
+///
+/// # Errors
+/// A stated base that is not at the other end of the snake.
+fn reach_mm(straight: &TrackerPose, robot: &Robot, base_mm: Option<Point3<f64>>) -> Result<f64, TrackerError> {
+    let Some((base_mm, tip_mm)) = base_mm.zip(straight.position_mm) else { return Ok(robot.length_mm) };
+    let (found_mm, length_mm) = ((tip_mm - base_mm).norm(), robot.length_mm);
+    if STATED_LENGTHS.contains(&(found_mm / length_mm)) {
+        Ok(found_mm)
+    } else {
+        Err(TrackerError::BaseElsewhere { found_mm, length_mm })
+    }
 }
 
 /// # Errors
@@ -157,8 +195,13 @@ fn check_unit(seen: &[&TrackerPose], straight: &TrackerPose, length_mm: f64) -> 
 ///
 /// # Errors
 /// Poses that do not determine the base, or are none of such a snake.
-fn registered(seen: &[&TrackerPose], straight: &TrackerPose, robot: &Robot) -> Result<Vec<Registration>, TrackerError> {
-    let found = Registration::all(seen, straight, robot);
+fn registered(
+    seen: &[&TrackerPose],
+    straight: &TrackerPose,
+    robot: &Robot,
+    base_mm: Option<Point3<f64>>,
+) -> Result<Vec<Registration>, TrackerError> {
+    let found = Registration::all(seen, straight, robot, base_mm);
     let Some(best) = found.first() else { return Err(TrackerError::Undetermined { sigma_deg: f64::INFINITY }) };
     if !are_arcs(best, robot) {
         return Err(why_no_arcs(seen, straight, robot, best));
@@ -183,8 +226,9 @@ fn why_no_arcs(seen: &[&TrackerPose], straight: &TrackerPose, robot: &Robot, fou
             pose
         };
         let flipped: Vec<TrackerPose> = seen.iter().map(|pose| flip(pose)).collect();
-        let others = Registration::all(&flipped.iter().collect::<Vec<_>>(), &flip(straight), robot);
-        if others.first().is_some_and(|other| are_arcs(other, robot)) {
+        let others = Registration::all(&flipped.iter().collect::<Vec<_>>(), &flip(straight), robot, None);
+        let is_better = |other: &Registration| other.sigma_mm < FLIPPED_SHARE * found.sigma_mm;
+        if others.first().is_some_and(|other| are_arcs(other, robot) && is_better(other)) {
             return TrackerError::Flipped { axis: name };
         }
     }
@@ -216,6 +260,32 @@ fn remarks(registration: &Registration, azimuth: &Azimuth, found: &[Option<PoseF
         }
     }
     remarks
+}
+
+/// What the poses leave open of all bends together, and what would settle it.
+fn in_common(registration: &Registration, good: &[&PoseFit], share: f64) -> Vec<String> {
+    let most = good.iter().map(|fit| fit.bend.norm()).fold(0.0, f64::max);
+    let (lost, sigma) = (registration.shortening, registration.sigma_of_shortening());
+    let mut said = Vec::new();
+    if lost.abs() > 3.0 * sigma {
+        said.push(format!(
+            "the snake loses {:.1} ± {:.1} % of its length at {:.0}°",
+            100.0 * lost * most,
+            100.0 * sigma * most,
+            most.to_degrees()
+        ));
+    }
+    if share > MUCH_IN_COMMON {
+        let remedy = match (registration.has_orientations, registration.base_is_stated()) {
+            (false, false) => {
+                "; give orientations (qw,qx,qy,qz), or base_mm, where a pointer of the tracker touches the middle of the base"
+            }
+            (false, true) => "; give orientations (qw,qx,qy,qz)",
+            (true, _) => "; bend the snake further and to several sides",
+        };
+        said.push(format!("all θ may be off by the same {:.1} % (1σ), and η with them{remedy}", 100.0 * share));
+    }
+    said
 }
 
 #[cfg(test)]

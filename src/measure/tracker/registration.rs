@@ -4,27 +4,37 @@
 //! its turn M, a pose of the tracker is
 //!
 //! ```text
-//! p = o + R (x(b) + T(b) m),        S = R T(b) M.
+//! p = o + R (k x(b) + T(b) m),        S = R T(b) M,        k = 1 − s |b|.
 //! ```
 //!
 //! Each pose has a bend b of its own. Least squares over all of them: the bends are eliminated (variable projection), so that what is
-//! searched is the registration alone: two tilts of R, o, m and the turn of M. The turn of R about its own z is left as it is: tip
-//! poses do not tell it (see [`azimuth`](super::azimuth)). The noise of positions and of orientations is learned from the residuals.
+//! searched is the registration alone: two tilts of R, o, m, the turn of M, and s, by which the snake shortens as it bends. The turn of R
+//! about its own z is left as it is: tip poses do not tell it (see [`azimuth`](super::azimuth)). The noise of positions and of orientations
+//! is learned from the residuals, and so is how alike the errors of poses are that follow each other: a snake that is no arc errs
+//! alike over a whole sweep, and many such poses must not outweigh what is known beforehand.
 //!
 //! Source: G. H. Golub, V. Pereyra, "Separable nonlinear least squares: the variable projection method and its applications", Inverse
 //! Problems 19, 2003; the Jacobian in Kaufman's form.
 
+mod sweep;
+
 use crate::geometry::{Configuration, Pose};
 use crate::observation::TrackerPose;
 use crate::robot::{MAX_THETA, Robot};
-use crate::statistics::least_squares::{self, Options, Problem};
+use crate::statistics::correlation::SerialScatter;
+use crate::statistics::least_squares::{self, Options, Problem as _};
 use crate::statistics::order::median;
 use crate::statistics::robust::{HUBER_LIMIT, Loss};
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{
+    DVector, Matrix2, Matrix3, Matrix6x2, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3,
+};
 use std::f64::consts::{PI, TAU};
+use sweep::Sweep;
 
-/// Numbers of a registration: two tilts, three of the origin, three of the sensor's place, three of its turn.
-const RIG: usize = 11;
+/// Numbers of a registration: two tilts, three of the origin, three of the sensor's place, three of its turn, and the shortening.
+pub const RIG: usize = 12;
+/// Rows of what is known beforehand: the sensor's place and turn, the shortening, and the base where it is stated.
+const PRIORS: usize = 10;
 /// Residuals of a pose: its position, its orientation, and the bend of the straight one.
 const ROWS: usize = 8;
 /// How well a snake that is called straight is, rad.
@@ -40,6 +50,10 @@ const SENSOR_MM: (f64, f64) = (5.0, 5.0);
 ///
 /// Convention: such a sensor is put into the middle of the tip.
 const SENSOR_WITHOUT_ORIENTATION_MM: (f64, f64) = (0.5, 2.0);
+/// How well a base that is stated is known, mm (1σ).
+///
+/// Convention: the tip of a pointer on the middle of a disk.
+const STATED_BASE_MM: f64 = 0.5;
 /// Registrations are told apart by the encoders where one is less likely than the best by no more than this, −2 ln of the odds.
 ///
 /// Derived: 2 ln 1000.
@@ -91,13 +105,30 @@ pub struct Registration {
     sensor_mm: Vector3<f64>,
     /// M.
     turn: UnitQuaternion<f64>,
+    /// s: the share of its length that the snake loses, per rad.
+    pub shortening: f64,
     /// Standard deviation of a coordinate of a position, mm, in units of the pose's own where the file has them.
     pub sigma_mm: f64,
     /// Standard deviation of a component of an orientation, rad.
     pub sigma_rad: f64,
+    /// How many poses that follow each other err alike and so count as one: of positions, and of orientations.
+    design_effects: (f64, f64),
     /// Whether orientations are used.
     pub has_orientations: bool,
+    /// Where o is stated to be, mm.
+    stated_base_mm: Option<Point3<f64>>,
     covariance: SMatrix<f64, RIG, RIG>,
+}
+
+/// What a pose is fitted for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Role {
+    /// Its own bend.
+    Alone,
+    /// The registration, with others that err alike.
+    InSweep,
+    /// The registration, as the pose in which the snake is unbent.
+    Straight,
 }
 
 /// A pose with its best bend.
@@ -130,12 +161,20 @@ impl Fitted {
 
 impl Registration {
     /// From poses, one of them straight: the most likely registration, then those that are hardly less likely; empty where there is no fit.
-    pub fn all(seen: &[&TrackerPose], straight: &TrackerPose, robot: &Robot) -> Vec<Self> {
+    pub fn all(
+        seen: &[&TrackerPose],
+        straight: &TrackerPose,
+        robot: &Robot,
+        stated_base_mm: Option<Point3<f64>>,
+    ) -> Vec<Self> {
         let every = seen.len().div_ceil(MOST_POSES);
         let mut poses: Vec<&TrackerPose> = seen.iter().step_by(every).copied().collect();
         poses.retain(|pose| pose.index != straight.index);
         poses.insert(0, straight);
-        let starts = Self::starts(&poses, straight, robot).unwrap_or_default();
+        let starts = match stated_base_mm {
+            Some(base_mm) => Self::stated(straight, robot, base_mm).into_iter().collect(),
+            None => Self::starts(&poses, straight, robot).unwrap_or_default(),
+        };
         let mut fits: Vec<(f64, Self)> = starts.into_iter().filter_map(|start| start.refined(&poses)).collect();
         fits.sort_by(|(one, _), (other, _)| one.total_cmp(other));
         let most = fits.first().map_or(0.0, |(best, _)| best + ALTERNATIVE);
@@ -148,21 +187,7 @@ impl Registration {
         let compared: Vec<_> = poses.iter().step_by(poses.len().div_ceil(COMPARED.0)).collect();
         let mut directions: Vec<(f64, Self)> = sphere(COMPARED.1)
             .map(|axis| {
-                let rotation = UnitQuaternion::rotation_between(&Vector3::z(), &axis)
-                    .unwrap_or(UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
-                let start = Self {
-                    robot: robot.clone(),
-                    tracker_from_base: Pose::from_parts(
-                        Translation3::from(tip.coords - axis * robot.length_mm),
-                        rotation,
-                    ),
-                    sensor_mm: Vector3::zeros(),
-                    turn: straight.orientation.map_or(UnitQuaternion::identity(), |seen| rotation.inverse() * seen),
-                    sigma_mm: FIRST_SIGMAS.0,
-                    sigma_rad: FIRST_SIGMAS.1,
-                    has_orientations: straight.orientation.is_some(),
-                    covariance: SMatrix::zeros(),
-                };
+                let start = Self::start(straight, robot, tip - axis * robot.length_mm, &axis);
                 (compared.iter().map(|pose| start.cost_mm2(pose)).sum(), start)
             })
             .collect();
@@ -175,6 +200,34 @@ impl Registration {
             }
         }
         Some(starts)
+    }
+
+    /// With the base where it is stated, and its axis towards the straight tip.
+    fn stated(straight: &TrackerPose, robot: &Robot, base_mm: Point3<f64>) -> Option<Self> {
+        let snake_mm = straight.position_mm? - base_mm;
+        let mut start = Self::start(straight, robot, base_mm, &snake_mm.try_normalize(0.0)?);
+        start.stated_base_mm = Some(base_mm);
+        start.sensor_mm.z = snake_mm.norm() - robot.length_mm;
+        Some(start)
+    }
+
+    /// A base in this place with this axis, and a sensor in the middle of the tip.
+    fn start(straight: &TrackerPose, robot: &Robot, base_mm: Point3<f64>, axis: &Vector3<f64>) -> Self {
+        let rotation = UnitQuaternion::rotation_between(&Vector3::z(), axis)
+            .unwrap_or(UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
+        Self {
+            robot: robot.clone(),
+            tracker_from_base: Pose::from_parts(Translation3::from(base_mm), rotation),
+            sensor_mm: Vector3::zeros(),
+            turn: straight.orientation.map_or(UnitQuaternion::identity(), |seen| rotation.inverse() * seen),
+            shortening: 0.0,
+            sigma_mm: FIRST_SIGMAS.0,
+            sigma_rad: FIRST_SIGMAS.1,
+            design_effects: (1.0, 1.0),
+            has_orientations: straight.orientation.is_some(),
+            stated_base_mm: None,
+            covariance: SMatrix::zeros(),
+        }
     }
 
     /// The direction of the base's axis in the tracker's frame.
@@ -220,16 +273,16 @@ impl Registration {
         Some((self.unlikeliness(poses.len()), self))
     }
 
-    /// What the noise says, at so many poses, and the sensor's place. Of a pose's six numbers its bend takes two; with orientations each kind of
+    /// What the noise says, at so many poses, the sensor's place and the shortening. Of a pose's six numbers its bend takes two; with orientations each kind of
     /// number is left with about half of the rest.
     fn unlikeliness(&self, poses: usize) -> f64 {
         let place: f64 =
             self.sensor_mm.iter().zip(self.sensor_sigmas_mm()).map(|(mm, sigma)| (mm / sigma).powi(2)).sum();
-        let noise = match self.has_orientations {
-            true => 4.0 * (self.sigma_mm.ln() + self.sigma_rad.ln()),
-            false => 2.0 * self.sigma_mm.ln(),
-        };
-        place + poses as f64 * noise
+        let shortening = (self.shortening / self.shortening_sigma()).powi(2);
+        let (positions, orientations) =
+            (self.sigma_mm.ln() / self.design_effects.0, self.sigma_rad.ln() / self.design_effects.1);
+        let noise = if self.has_orientations { 4.0 * (positions + orientations) } else { 2.0 * positions };
+        place + shortening + poses as f64 * noise
     }
 
     /// The noise that the residuals show, robustly: the median over the poses of r²/dof, which is that of χ²/dof where σ is right. The
@@ -247,14 +300,44 @@ impl Registration {
             median(&mut ratios).sqrt()
         };
         let (position, orientation) = (scale(0), if self.has_orientations { scale(3) } else { 1.0 });
-        self.sigma_mm = (self.sigma_mm * position).max(LEAST_SIGMAS.0);
-        self.sigma_rad = (self.sigma_rad * orientation).max(LEAST_SIGMAS.1);
+        let (of_positions, of_orientations) = self.design_effects;
+        self.sigma_mm = (self.sigma_mm * of_positions.sqrt() * position).max(LEAST_SIGMAS.0);
+        self.sigma_rad = (self.sigma_rad * of_orientations.sqrt() * orientation).max(LEAST_SIGMAS.1);
+        let alike = |first: usize| {
+            let mut scatter = SerialScatter::<3>::new(0);
+            fits.iter().for_each(|fit| {
+                scatter.add(fit.residual.fixed_rows::<3>(first).into_owned().cap_magnitude(JUMP_SIGMAS))
+            });
+            scatter.design_effect()
+        };
+        self.design_effects = (alike(0), alike(3));
     }
 
     /// How far from the middle of the end disk the sensor may be along each of its axes, mm.
     fn sensor_sigmas_mm(&self) -> [f64; 3] {
         let (across_mm, along_mm) = if self.has_orientations { SENSOR_MM } else { SENSOR_WITHOUT_ORIENTATION_MM };
-        [across_mm, across_mm, along_mm]
+        // Beside a base that is stated the straight pose tells it, on a tool as well.
+        [across_mm, across_mm, if self.stated_base_mm.is_some() { self.robot.length_mm } else { along_mm }]
+    }
+
+    /// How much of its length such a snake may lose, per rad (1σ).
+    ///
+    /// Derived: tendons that only pull, on a backbone that gives way lengthwise, shorten it by their mean pull: r θ/2 where one of three
+    /// pulls, r θ where two do. Backbones that push as well leave its length.
+    fn shortening_sigma(&self) -> f64 {
+        self.robot.backbone_circle_radius_mm / self.robot.length_mm
+    }
+
+    /// The tip's frame, and its twist per rad of each component of the bend, of a snake that shortens.
+    fn tip(&self, bend: Vector2<f64>) -> (Pose, Matrix6x2<f64>) {
+        let mut tip = self.robot.frame_at(Configuration::from_bend_vector(bend), self.robot.length_mm);
+        let mut twist = self.robot.tip_jacobian_bend(bend);
+        let share = 1.0 - self.shortening * bend.norm();
+        let slope = bend.try_normalize(0.0).unwrap_or_default() * -self.shortening;
+        let velocity = twist.fixed_rows::<3>(0) * share + tip.translation.vector * slope.transpose();
+        twist.fixed_rows_mut::<3>(0).copy_from(&velocity);
+        tip.translation.vector *= share;
+        (tip, twist)
     }
 
     /// The registration after a small change of its numbers.
@@ -266,12 +349,13 @@ impl Registration {
             tracker_from_base: Pose::from_parts(Translation3::from(translation.vector + shift), rotation * tilt),
             sensor_mm: self.sensor_mm + Vector3::new(by[5], by[6], by[7]),
             turn: UnitQuaternion::from_scaled_axis(Vector3::new(by[8], by[9], by[10])) * self.turn,
+            shortening: self.shortening + by[11],
             ..self.clone()
         }
     }
 
     /// The best bend of a pose by the method of Gauss and Newton, from `start` or the arc's chord; `None` where the pose has no position.
-    pub fn fit(&self, pose: &TrackerPose, is_straight: bool, start: Option<Vector2<f64>>) -> Option<Fitted> {
+    pub fn fit(&self, pose: &TrackerPose, role: Role, start: Option<Vector2<f64>>) -> Option<Fitted> {
         /// Convention: an iteration cap.
         const STEPS: usize = 20;
         /// rad. Convention: a step within which the arcs' curvature is harmless.
@@ -279,11 +363,11 @@ impl Registration {
         /// rad. Convention: far below any noise.
         const CONVERGED: f64 = 1e-9;
         pose.position_mm?;
-        let mut fitted = self.linearised(pose, is_straight, start.unwrap_or_else(|| self.first_bend(pose)))?;
+        let mut fitted = self.linearised(pose, role, start.unwrap_or_else(|| self.first_bend(pose)))?;
         for _ in 0..STEPS {
             let step = fitted.solver()? * fitted.residual;
             let bend = fitted.bend + step.cap_magnitude(LONGEST_STEP);
-            fitted = self.linearised(pose, is_straight, bend.cap_magnitude(MAX_THETA))?;
+            fitted = self.linearised(pose, role, bend.cap_magnitude(MAX_THETA))?;
             if step.norm() < CONVERGED {
                 break;
             }
@@ -292,16 +376,17 @@ impl Registration {
     }
 
     /// Residuals of a pose at a bend, in the base's axes and in units of σ, with the derivatives of what is predicted.
-    fn linearised(&self, pose: &TrackerPose, is_straight: bool, bend: Vector2<f64>) -> Option<Fitted> {
-        let tip = self.robot.frame_at(Configuration::from_bend_vector(bend), self.robot.length_mm);
-        let twist = self.robot.tip_jacobian_bend(bend);
+    fn linearised(&self, pose: &TrackerPose, role: Role, bend: Vector2<f64>) -> Option<Fitted> {
+        let (tip, twist) = self.tip(bend);
         let (arm, turned) = (tip.rotation * self.sensor_mm, tip.rotation.to_rotation_matrix());
         let place = tip.translation.vector + arm;
         let seen = self.tracker_from_base.inverse_transform_point(&pose.position_mm?).coords;
         let mut fitted =
             Fitted { bend, residual: SVector::zeros(), by_bend: SMatrix::zeros(), by_rig: SMatrix::zeros() };
 
-        let sigma_mm = self.sigma_mm * pose.sigma_mm.unwrap_or(1.0);
+        let alike = if role == Role::InSweep { self.design_effects } else { (1.0, 1.0) };
+        let sigma_mm = self.sigma_mm * alike.0.sqrt() * pose.sigma_mm.unwrap_or(1.0);
+        let sigma_rad = self.sigma_rad * alike.1.sqrt();
         fitted.residual.fixed_rows_mut::<3>(0).copy_from(&((seen - place) / sigma_mm));
         for axis in 0..2 {
             let (velocity, turning) = (twist.fixed_view::<3, 1>(0, axis), twist.fixed_view::<3, 1>(3, axis));
@@ -314,28 +399,29 @@ impl Registration {
         }
         fitted.by_rig.fixed_view_mut::<3, 3>(0, 2).copy_from(&(Matrix3::identity() / sigma_mm));
         fitted.by_rig.fixed_view_mut::<3, 3>(0, 5).copy_from(&(turned.matrix() / sigma_mm));
+        let unshortened = self.robot.frame_at(Configuration::from_bend_vector(bend), self.robot.length_mm).translation;
+        fitted.by_rig.fixed_view_mut::<3, 1>(0, 11).copy_from(&(unshortened.vector * (-bend.norm() / sigma_mm)));
 
         if let Some(orientation) = pose.orientation.filter(|_| self.has_orientations) {
             let predicted = tip.rotation * self.turn;
             let left = self.tracker_from_base.rotation.inverse() * orientation * predicted.inverse();
-            fitted.residual.fixed_rows_mut::<3>(3).copy_from(&(left.scaled_axis() / self.sigma_rad));
-            fitted.by_bend.fixed_view_mut::<3, 2>(3, 0).copy_from(&(twist.fixed_view::<3, 2>(3, 0) / self.sigma_rad));
-            let tilts = SMatrix::<f64, 3, 2>::identity() / self.sigma_rad;
+            fitted.residual.fixed_rows_mut::<3>(3).copy_from(&(left.scaled_axis() / sigma_rad));
+            fitted.by_bend.fixed_view_mut::<3, 2>(3, 0).copy_from(&(twist.fixed_view::<3, 2>(3, 0) / sigma_rad));
+            let tilts = SMatrix::<f64, 3, 2>::identity() / sigma_rad;
             fitted.by_rig.fixed_view_mut::<3, 2>(3, 0).copy_from(&tilts);
-            fitted.by_rig.fixed_view_mut::<3, 3>(3, 8).copy_from(&(turned.matrix() / self.sigma_rad));
+            fitted.by_rig.fixed_view_mut::<3, 3>(3, 8).copy_from(&(turned.matrix() / sigma_rad));
         }
-        if is_straight {
+        if role == Role::Straight {
             fitted.residual.fixed_rows_mut::<2>(6).copy_from(&(-bend / STRAIGHT_RAD));
             fitted.by_bend.fixed_view_mut::<2, 2>(6, 0).copy_from(&(Matrix2::identity() / STRAIGHT_RAD));
         }
         Some(fitted)
     }
 
-    /// Covariance of a pose's bend, rad²: of its own noise, and of the registration, which all poses share.
-    pub fn bend_covariance(&self, fit: &Fitted) -> Option<Matrix2<f64>> {
+    /// Covariance of a pose's bend by its own noise, rad², and what independent unit errors of the registration do to it, rad.
+    pub fn errors(&self, fit: &Fitted) -> Option<(Matrix2<f64>, SMatrix<f64, 2, RIG>)> {
         let solver = fit.solver()?;
-        let by_rig = solver * fit.by_rig;
-        Some(solver * solver.transpose() + by_rig * self.covariance * by_rig.transpose())
+        Some((solver * solver.transpose(), solver * fit.by_rig * self.covariance.cholesky()?.l()))
     }
 
     /// Rows of a pose less what its bend takes.
@@ -347,47 +433,15 @@ impl Registration {
     pub fn tilt_sigma(&self) -> f64 {
         self.covariance[(0, 0)].max(self.covariance[(1, 1)]).sqrt()
     }
-}
 
-/// The registration as a least-squares problem, its numbers counted from `around`; the first pose is the straight one.
-struct Sweep<'a> {
-    poses: &'a [&'a TrackerPose],
-    around: &'a Registration,
-}
-
-impl Problem for Sweep<'_> {
-    type Evaluation = (Registration, Vec<Fitted>);
-
-    fn evaluate(&self, parameters: &DVector<f64>, near: Option<&Self::Evaluation>) -> Option<Self::Evaluation> {
-        let moved = self.around.moved(parameters);
-        let fit = |(k, pose): (usize, &&TrackerPose)| {
-            moved.fit(pose, k == 0, near.and_then(|(_, fits)| fits.get(k)).map(|fit| fit.bend))
-        };
-        let fits: Option<Vec<Fitted>> = self.poses.iter().enumerate().map(fit).collect();
-        Some((moved, fits?))
+    /// Whether the base was stated.
+    pub fn base_is_stated(&self) -> bool {
+        self.stated_base_mm.is_some()
     }
 
-    fn residuals(&self, (registration, fits): &Self::Evaluation) -> DVector<f64> {
-        let of_poses = fits.iter().flat_map(|fit| fit.residual.iter().copied());
-        let turned = (registration.turn * self.around.turn.inverse()).scaled_axis();
-        let sigmas_mm = registration.sensor_sigmas_mm();
-        let of_priors = registration.sensor_mm.iter().zip(sigmas_mm).map(|(mm, sigma_mm)| -mm / sigma_mm);
-        let of_turn: Vec<f64> = turned.iter().map(|rad| -rad / TURN_RAD).collect();
-        DVector::from_iterator(ROWS * fits.len() + 6, of_poses.chain(of_priors).chain(of_turn))
-    }
-
-    fn jacobian(&self, _: &DVector<f64>, (registration, fits): &Self::Evaluation) -> DMatrix<f64> {
-        let mut jacobian = DMatrix::zeros(ROWS * fits.len() + 6, RIG);
-        for (k, fit) in fits.iter().enumerate() {
-            // Residuals are measured less predicted.
-            jacobian.fixed_view_mut::<ROWS, RIG>(ROWS * k, 0).copy_from(&-fit.projected());
-        }
-        let priors = ROWS * fits.len();
-        for (axis, sigma_mm) in registration.sensor_sigmas_mm().into_iter().enumerate() {
-            jacobian[(priors + axis, 5 + axis)] = -1.0 / sigma_mm;
-            jacobian[(priors + 3 + axis, 8 + axis)] = -1.0 / TURN_RAD;
-        }
-        jacobian
+    /// Standard deviation of the shortening, per rad.
+    pub fn sigma_of_shortening(&self) -> f64 {
+        self.covariance[(11, 11)].sqrt()
     }
 }
 
