@@ -124,7 +124,7 @@ struct Section {
 impl Section {
     fn new(bend: Vector2<f64>) -> Self {
         let theta = bend.norm();
-        let [versine, _, _, turn] = arc_functions(theta);
+        let [versine, _, _, turn, _] = arc_functions(theta);
         let rotation = rotation_vector(bend).cross_matrix();
         // The left Jacobian of SO(3): from the rate of the rotation vector to the angular velocity in {b}.
         let angular = Matrix3::identity() + rotation * versine + rotation * rotation * turn;

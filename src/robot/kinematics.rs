@@ -153,7 +153,7 @@ impl Robot {
         let on_arc = s_mm.clamp(0.0, self.length_mm);
         let share = on_arc / self.length_mm;
         let bend = bend * share;
-        let [versine, versine_slope, sinc_slope, turn] = arc_functions(bend.norm());
+        let [versine, versine_slope, sinc_slope, turn, _] = arc_functions(bend.norm());
         let lateral = Matrix2::identity() * versine + bend * bend.transpose() * versine_slope;
         let rotation = rotation_vector(bend).cross_matrix();
         // The left Jacobian of SO(3): from the rate of the rotation vector to the angular velocity in {b}.
@@ -199,8 +199,8 @@ fn arc_point(bend: Vector2<f64>) -> Vector3<f64> {
     Vector3::new(side.x, side.y, sinc(theta))
 }
 
-/// With g = (1 − cos θ)/θ² and h = sin θ/θ: [g, g′/θ, h′/θ, (θ − sin θ)/θ³], by series where the closed forms cancel.
-pub(super) fn arc_functions(theta: f64) -> [f64; 4] {
+/// With g = (1 − cos θ)/θ², h = sin θ/θ and f = (θ − sin θ)/θ³: [g, g′/θ, h′/θ, f, f′/θ], by series where the closed forms cancel.
+pub(super) fn arc_functions(theta: f64) -> [f64; 5] {
     let half = sinc(theta / 2.0);
     let versine = 0.5 * half * half;
     let t2 = theta * theta;
@@ -211,10 +211,13 @@ pub(super) fn arc_functions(theta: f64) -> [f64; 4] {
             -1.0 / 12.0 + t2 * (1.0 / 180.0 - t2 * (1.0 / 6720.0 - t2 / 453_600.0)),
             -1.0 / 3.0 + t2 * (1.0 / 30.0 - t2 * (1.0 / 840.0 - t2 / 45_360.0)),
             1.0 / 6.0 - t2 * (1.0 / 120.0 - t2 * (1.0 / 5040.0 - t2 / 362_880.0)),
+            -1.0 / 60.0 + t2 * (1.0 / 1260.0 - t2 * (1.0 / 60_480.0 - t2 / 4_989_600.0)),
         ]
     } else {
         let (sin, cos) = theta.sin_cos();
-        [versine, (sin / theta - 2.0 * versine) / t2, (cos - sin / theta) / t2, (1.0 - sin / theta) / t2]
+        let turn = (1.0 - sin / theta) / t2;
+        let (versine_slope, sinc_slope) = ((sin / theta - 2.0 * versine) / t2, (cos - sin / theta) / t2);
+        [versine, versine_slope, sinc_slope, turn, (versine - 3.0 * turn) / t2]
     }
 }
 

@@ -21,6 +21,7 @@
 //!
 //! Effects may change the constants ([`Snake`]): backbones that are not evenly spaced on a circle, a load, a material that softens.
 
+use super::kinematics::arc_functions;
 use super::{PerBackbone, Robot};
 use nalgebra::{Matrix2, Rotation2, Vector2, Vector3, Vector6};
 
@@ -28,16 +29,6 @@ use nalgebra::{Matrix2, Rotation2, Vector2, Vector3, Vector6};
 ///
 /// Convention: numerical.
 const LOAD_STEP_RAD: f64 = 1e-4;
-
-/// Places along the snake, as shares of its length, and weights of the Gauss–Legendre rule by which a distributed load is summed.
-///
-/// Source: M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions, 25.4.30 with four points, moved to (0, 1).
-const STATIONS: [(f64, f64); 4] = [
-    (0.069_431_844_202_973_71, 0.173_927_422_568_726_93),
-    (0.330_009_478_207_571_87, 0.326_072_577_431_273_07),
-    (0.669_990_521_792_428_1, 0.326_072_577_431_273_07),
-    (0.930_568_155_797_026_3, 0.173_927_422_568_726_93),
-];
 
 /// The snake's constants, which effects may change.
 #[derive(Debug, Clone)]
@@ -221,10 +212,10 @@ impl<'a> Statics<'a> {
         let by_tip = |wrench: Vector6<f64>| self.robot.tip_jacobian_bend(bend).tr_mul(&wrench);
         let of_tip = self.snake.wrench.map_or_else(Vector2::zeros, by_tip);
         let Some(weight) = self.snake.weight_n else { return of_tip };
-        let wrench = Vector6::new(weight.x, weight.y, weight.z, 0.0, 0.0, 0.0);
-        STATIONS.iter().fold(of_tip, |sum, (share, part)| {
-            sum + self.robot.section_jacobian_bend(bend, share * self.robot.length_mm).tr_mul(&wrench) * *part
-        })
+        // The middle of an arc is at L (f b, g), and the load works on it.
+        let [_, versine_slope, _, turn, turn_slope] = arc_functions(bend.norm());
+        let along = weight.xy().dot(&bend) * turn_slope + weight.z * versine_slope;
+        of_tip + (weight.xy() * turn + bend * along) * self.robot.length_mm
     }
 
     /// Eq. 11: the forces τ (N, positive towards +q_i) of least norm that hold the snake at a bend vector.
