@@ -96,16 +96,22 @@ impl Noise {
     }
 
     /// The same noise, and as discrepancy what a fit leaves beyond it.
+    ///
+    /// Of ε, what bends nothing misses at least as much as what bends: where actuators are driven to positions, their redundancy takes up
+    /// in forces what friction of each backbone leaves there, and the readings never show it.
     pub fn with_discrepancy(&self, problem: &Problem, fit: &Fit) -> Self {
         let data = problem.data;
-        let known = self.unknown_start..data.len();
-        let bend = mean(known.map(|k| problem.bend_gap(&fit.residuals, k).norm_squared())) / 2.0;
+        let known = || self.unknown_start..data.len();
+        let parts = (data.backbones() - 2) as f64;
+        let bend = mean(known().map(|k| problem.bend_gap(&fit.residuals, k).norm_squared())) / 2.0;
         let internal = |part: usize| problem.internal_mm(&fit.residuals, part).skip(self.unknown_start);
         let internal = mean((0..data.backbones() - 2).flat_map(|part| internal(part).map(|r| r * r)));
-        let bend_noise = problem.bend_noise_rad2();
+        let eps = mean(known().map(|k| problem.eps_gap_mm(&fit.residuals, k).norm_squared()));
+        let of_bend = (eps - parts * internal) / 2.0;
+        let variance = |left: f64, noise: f64| (left - noise).max(0.0);
         Self {
-            discrepancy_rad: (bend - bend_noise).max(0.0).sqrt(),
-            discrepancy_mm: (internal - self.sd_encoder_mm.powi(2)).max(0.0).sqrt(),
+            discrepancy_rad: variance(bend, problem.bend_noise_rad2()).sqrt(),
+            discrepancy_mm: variance(internal.max(of_bend), self.sd_encoder_mm.powi(2)).sqrt(),
             ..*self
         }
     }
@@ -157,6 +163,22 @@ mod tests {
             assert!((noise.sd_encoder_mm / 0.0081).ln().abs() < 0.35, "{noise:?}");
             assert!((noise.eye_factor * factor).ln().abs() < 0.35, "{noise:?}");
         }
+    }
+
+    #[test]
+    fn of_epsilon_what_bends_nothing_misses_as_much_as_each_part_that_bends() {
+        let mut data = experiment(1);
+        // A camera that is turned by 6° moves the bend alone.
+        let mut turned_mm2 = Vec::new();
+        for measured in &mut data.measured {
+            let before = truth().command(measured.configuration);
+            measured.configuration.delta += 0.1;
+            turned_mm2.push((truth().command(measured.configuration) - before).norm_squared());
+        }
+        let problem = Problem::new(&data, &Noise::stated(&data), &truth());
+        let noise = problem.noise.with_discrepancy(&problem, &problem.evaluated(&truth(), None));
+        let expected_mm = (mean(turned_mm2) / 2.0).sqrt();
+        assert!((noise.discrepancy_mm / expected_mm - 1.0).abs() < 0.1, "{noise:?} {expected_mm}");
     }
 
     #[test]

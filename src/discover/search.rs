@@ -62,7 +62,8 @@ pub struct Named {
 
 impl Named {
     /// The probability that it is there: the share of bootstrap resamples of the sweeps in which the model with it is the best of all
-    /// compared, by Laplace's rule of succession.
+    /// compared, by Laplace's rule of succession. In a partial answer a play or friction stands for those of
+    /// [`indistinguishable_from`](Self::indistinguishable_from) as well, which describe the same loop.
     pub fn probability(&self) -> f64 {
         (self.evidence.inclusion * RESAMPLES as f64 + 1.0) / (RESAMPLES as f64 + 2.0)
     }

@@ -6,6 +6,7 @@ mod estimator;
 mod extremes;
 mod house;
 mod laws;
+mod machines;
 mod numbers;
 mod real;
 mod sealed;

@@ -19,7 +19,7 @@ fn rows(folder: &Path, backbones: usize) -> (Vec<Measurement>, Vec<EncoderReadin
 }
 
 /// The rms of the bend vector that a model misses, degrees.
-fn missed_deg(model: &Model, (measurements, readings): &(Vec<Measurement>, Vec<EncoderReading>)) -> f64 {
+pub fn missed_deg(model: &Model, (measurements, readings): &(Vec<Measurement>, Vec<EncoderReading>)) -> f64 {
     let mechanics = Mechanics::new(model);
     let times: Vec<f64> = readings.iter().map(|reading| reading.time_s).collect();
     let q: Vec<_> = readings.iter().map(|reading| reading.q_mm).collect();

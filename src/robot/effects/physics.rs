@@ -227,6 +227,15 @@ impl Physics {
         self.history.is_none() && !has_memory && !self.in_time
     }
 
+    /// Whether it is play or friction: what it does hangs on the path and not on how fast that is gone.
+    pub fn is_hysteresis(&self) -> bool {
+        let mut history = History::default();
+        if let (Some(needs), false) = (self.history, self.in_time) {
+            needs(&mut history, &self.example(*BACKBONES.start()));
+        }
+        (history.direction || history.has_hysteresis()) && !history.is_long()
+    }
+
     /// Says to a history what it must know of the path.
     pub(in crate::robot) fn note_history(&self, history: &mut History, values: &[f64]) {
         if let Some(needs) = self.history {

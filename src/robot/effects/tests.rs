@@ -424,3 +424,19 @@ fn friction_that_is_spread_turns_round_along_a_parabola_or_an_exponential() {
         }
     }
 }
+
+#[test]
+fn plays_and_frictions_are_told_from_what_hangs_on_speed_or_time() {
+    let mut names: Vec<&str> = LIBRARY.iter().filter(|physics| physics.is_hysteresis()).map(|p| p.name).collect();
+    names.dedup();
+    let expected = [
+        "motion_directed_backlash",
+        "play_at_bend",
+        "capstan_play",
+        "distributed_friction",
+        "bouc_wen",
+        "disc_friction",
+        "cone_friction_reversal",
+    ];
+    assert_eq!(names, expected);
+}
