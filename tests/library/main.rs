@@ -9,3 +9,4 @@ mod laws;
 mod numbers;
 mod real;
 mod sealed;
+mod section_coupling;
