@@ -99,7 +99,7 @@ impl ClosedLoop {
             let command = controller.command(desired);
             let reached = self.plant.forward(&command)?.configuration;
             let noise = command.map(|_| StandardNormal.sample(&mut random)) * self.sd_encoder_mm;
-            let reading = EncoderReading { index, time_s: index as f64, q_mm: command + noise };
+            let reading = EncoderReading::new(index, index as f64, command + noise);
             let seen = eye.measure(&frame(&self.scene, reached, self.seed.wrapping_add(1 + index))?);
             let measurement = Measurement {
                 index,

@@ -2,7 +2,7 @@
 //! synthetic, what was true. These are plain values; [`record`](crate::record) reads and writes them as files.
 
 use crate::geometry::Configuration;
-use crate::robot::{BendProfile, PerBackbone};
+use crate::robot::{BendProfile, Model, Neighbours, PerBackbone};
 use nalgebra::{Matrix2, Matrix2x6, Point3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 use std::convert::Infallible;
@@ -287,6 +287,23 @@ pub struct EncoderReading {
     pub time_s: f64,
     /// q̃, mm.
     pub q_mm: PerBackbone,
+    /// What the encoders of neighbouring sections read.
+    pub neighbours: Neighbours,
+}
+
+impl EncoderReading {
+    /// Of a robot of one section.
+    pub fn new(index: u64, time_s: f64, q_mm: PerBackbone) -> Self {
+        Self { index, time_s, q_mm, neighbours: Neighbours::default() }
+    }
+
+    /// The reading as it would be with the neighbours at rest: less what they add to it by a model.
+    pub fn beside_resting_neighbours(&self, model: &Model) -> Self {
+        match model.neighbours() {
+            0 => *self,
+            _ => Self { q_mm: self.q_mm - model.by_neighbours_mm(&self.neighbours), ..*self },
+        }
+    }
 }
 
 /// How the columns of an encoder log hold the backbones' readings: what `[wiring]` of an experiment.toml says.
@@ -346,7 +363,8 @@ impl Wiring {
     pub fn readings(&self, log: &[EncoderReading]) -> Vec<EncoderReading> {
         let reading = |row: &EncoderReading| {
             let index = row.index.checked_add_signed(self.index_shift.checked_neg()?)?;
-            Some(EncoderReading { index, time_s: row.time_s, q_mm: self.q_mm(&row.q_mm) })
+            let neighbours = Neighbours { q_mm: row.neighbours.q_mm.map(|q| q * self.scale) };
+            Some(EncoderReading { index, time_s: row.time_s, q_mm: self.q_mm(&row.q_mm), neighbours })
         };
         log.iter().filter_map(reading).collect()
     }
@@ -383,6 +401,15 @@ pub struct Waypoint {
     pub time_s: f64,
     /// θ and δ.
     pub configuration: Configuration,
+    /// What the encoders of neighbouring sections read meanwhile.
+    pub neighbours: Neighbours,
+}
+
+impl Waypoint {
+    /// Of a robot of one section.
+    pub fn new(time_s: f64, configuration: Configuration) -> Self {
+        Self { time_s, configuration, neighbours: Neighbours::default() }
+    }
 }
 
 #[cfg(test)]
@@ -391,7 +418,7 @@ mod tests {
 
     #[test]
     fn a_wiring_puts_columns_signs_unit_and_rows_right() {
-        let row = |index, q: [f64; 3]| EncoderReading { index, time_s: 0.5, q_mm: PerBackbone::from(q) };
+        let row = |index, q: [f64; 3]| EncoderReading::new(index, 0.5, PerBackbone::from(q));
         let wiring = Wiring { columns: vec![2, 3, 1], signs: vec![1, -1, 1], scale: 10.0, index_shift: 1 };
         assert!(wiring.fits(3) && !wiring.fits(4) && !wiring.is_straight() && Wiring::straight(4).is_straight());
         let log = [row(0, [1.0, 2.0, 3.0]), row(1, [4.0, 5.0, 6.0])];

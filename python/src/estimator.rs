@@ -40,7 +40,7 @@ impl PyEstimator {
         self.updates += 1;
         let PyMeasurement { status, measured } = measurement.clone();
         let measurement = Measurement { index, time_s: None, status, measured, quality: None, view: None };
-        Ok(PyStep(self.estimator.update(&measurement, Some(&EncoderReading { index, time_s: index as f64, q_mm }))))
+        Ok(PyStep(self.estimator.update(&measurement, Some(&EncoderReading::new(index, index as f64, q_mm)))))
     }
 
     /// η; None while the measurements do not tell.

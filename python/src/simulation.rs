@@ -76,10 +76,8 @@ fn waypoints_of(trajectory: &Bound<'_, PyAny>) -> PyResult<Vec<Waypoint>> {
     let table = Table::new("trajectory", trajectory)?;
     let (times_s, theta) = (table.numbers("time_s")?, table.numbers("theta_deg")?);
     let poses = theta.into_iter().zip(table.numbers("delta_deg")?);
-    let waypoint = |(time_s, (theta_deg, delta_deg))| Waypoint {
-        time_s,
-        configuration: Configuration::from_degrees(theta_deg, delta_deg),
-    };
+    let waypoint =
+        |(time_s, (theta_deg, delta_deg))| Waypoint::new(time_s, Configuration::from_degrees(theta_deg, delta_deg));
     Ok(times_s.into_iter().zip(poses).map(waypoint).collect())
 }
 

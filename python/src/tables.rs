@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 use snakeloop::geometry::Configuration;
 use snakeloop::observation::{EncoderReading, Measured, Measurement, Quality};
 use snakeloop::record::{Checked, Warning, read_encoders, read_measurements};
-use snakeloop::robot::PerBackbone;
+use snakeloop::robot::{BACKBONES, NEIGHBOURS, Neighbours, PerBackbone};
 use std::collections::HashSet;
 use std::ffi::CString;
 use std::path::PathBuf;
@@ -75,10 +75,17 @@ pub fn encoders_of(source: &Bound<'_, PyAny>, backbones: usize) -> PyResult<Vec<
     let times_s = table.numbers("time_s")?;
     let columns: Vec<Vec<f64>> =
         (1..=backbones).map(|i| table.numbers(&format!("q{i}_mm"))).collect::<PyResult<_>>()?;
+    let mut beside: [Vec<Vec<f64>>; NEIGHBOURS] = Default::default();
+    for (n, columns) in beside.iter_mut().enumerate() {
+        let name = |i: usize| format!("n{}_q{}_mm", n + 1, i + 1);
+        while columns.len() < *BACKBONES.end() && table.source.contains(name(columns.len()))? {
+            columns.push(table.numbers(&name(columns.len()))?);
+        }
+    }
+    let row = |columns: &[Vec<f64>], k: usize| PerBackbone::from_fn(columns.len(), |i| columns[i][k]);
     let reading = |k: usize| EncoderReading {
-        index: table.indices[k],
-        time_s: times_s[k],
-        q_mm: PerBackbone::from_fn(backbones, |i| columns[i][k]),
+        neighbours: Neighbours { q_mm: beside.each_ref().map(|columns| row(columns, k)) },
+        ..EncoderReading::new(table.indices[k], times_s[k], row(&columns, k))
     };
     Ok((0..table.indices.len()).map(reading).collect())
 }

@@ -2,7 +2,7 @@
 
 use super::console::Console;
 use super::flow::Flow;
-use super::inputs::{encoders_of, files_read, model_of, model_or_paper, rows};
+use super::inputs::{encoders_of, files_read, model_of, model_or_paper, readings, rows};
 use super::measuring::Count;
 use super::shard::Shard;
 use super::trackers::open_trackers;
@@ -17,8 +17,8 @@ use crate::estimate::gap::{Gap, gap};
 use crate::estimate::{Options, Verdict as GateVerdict, estimate};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, Experiment, OutputFolder, measurements_csv, read_effects, read_encoders, read_measurements, read_model,
-    trajectory_csv, write_atomically, write_model,
+    Checked, Experiment, OutputFolder, measurements_csv, read_effects, read_measurements, read_model, trajectory_csv,
+    write_atomically, write_model,
 };
 use crate::report::discovery::{Page, lines};
 use crate::report::verdict::verdict_page;
@@ -265,7 +265,7 @@ impl Args {
             }
             (None, Some(measurements), Some(encoders)) => {
                 let model = model_or_paper(console, self.model.as_deref())?;
-                let readings = rows(console, read_encoders(encoders, model.robot.backbone_count())?);
+                let readings = readings(console, encoders, &model)?;
                 Ok((model, rows(console, read_measurements(measurements)?), readings))
             }
             _ => Err(Failure::Usage("give an experiment, or --measurements and --encoders".to_owned())),

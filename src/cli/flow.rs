@@ -100,7 +100,8 @@ impl Flow<'_> {
             prepared.filter(|_| wanted).map(|prepared| (rank, index, prepared))
         });
         let work = |(rank, index, prepared): (usize, u64, Result<Vec<Prepared>>)| {
-            let bend = self.reading(index).and_then(|reading| self.model.forward_bend(&reading.q_mm).ok());
+            let reading = self.reading(index).map(|reading| reading.beside_resting_neighbours(self.model));
+            let bend = reading.and_then(|reading| self.model.forward_bend(&reading.q_mm).ok());
             let see = |prepared| self.see(prepared, bend, &clocks);
             let seen = prepared?.into_iter().map(see).collect::<Result<Vec<_>>>()?;
             let measurement = self.row(index, &seen);

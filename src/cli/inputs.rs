@@ -1,7 +1,6 @@
 //! Reading what several commands are told, with warnings shown.
 
 use super::console::Console;
-use crate::Result;
 use crate::cli::failure::Failure;
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measurement};
@@ -9,6 +8,7 @@ use crate::record::{
     Checked, EncoderLog, Experiment, read_encoders, read_joints, read_measurements, read_model, stale_mark,
 };
 use crate::robot::{Effect, Model};
+use crate::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -54,6 +54,33 @@ pub fn rows<T>(console: &Console, checked: Checked<T>) -> Vec<T> {
     checked.rows
 }
 
+/// The encoder readings in a file, of the model's robot.
+pub fn readings(console: &Console, path: &Path, model: &Model) -> Result<Vec<EncoderReading>> {
+    let readings = rows(console, read_encoders(path, model.robot.backbone_count())?);
+    require_neighbours(path, model, &readings)?;
+    Ok(readings)
+}
+
+/// That a log has the readings of the neighbouring sections that the model's effects follow.
+fn require_neighbours(path: &Path, model: &Model, log: &[EncoderReading]) -> Result<()> {
+    let needed = model.neighbours();
+    if log.iter().all(|reading| reading.neighbours.count() >= needed) {
+        return Ok(());
+    }
+    let message = format!(
+        "no readings of neighbouring section {needed}, which the model's section_coupling follows: give them in columns n{needed}_q1_mm, \
+         n{needed}_q2_mm, …, or take the effect out of the model"
+    );
+    Err(Error::content(path, message))
+}
+
+/// Says that what is answered for single poses holds while the neighbouring sections are at rest, where the model has a coupling with them.
+pub fn tell_of_neighbours(console: &Console, model: &Model) {
+    if model.neighbours() > 0 {
+        console.say("section_coupling: the neighbouring sections are taken to be at rest, with readings of 0");
+    }
+}
+
 /// Measurements and, where there is a file, encoder readings of the model's robot; measurements without sigmas are given those that they show.
 pub fn measurements_and_readings(
     console: &Console,
@@ -63,7 +90,7 @@ pub fn measurements_and_readings(
 ) -> Result<(Vec<Measurement>, Vec<EncoderReading>)> {
     let measurements = rows(console, read_measurements(measurements)?);
     let readings = match encoders {
-        Some(path) => rows(console, read_encoders(path, model.robot.backbone_count())?),
+        Some(path) => readings(console, path, model)?,
         None => Vec::new(),
     };
     let (measurements, remark) = with_sigmas(&measurements, &readings);
@@ -104,10 +131,12 @@ pub fn encoders_of(experiment: &Experiment, model: &Model) -> Result<Checked<Enc
     match &experiment.encoders {
         Some(EncoderLog::File(path)) => {
             let Checked { rows, warnings } = read_encoders(path, backbones)?;
+            require_neighbours(path, model, &rows)?;
             Ok(Checked { rows: wiring.readings(&rows), warnings })
         }
         Some(EncoderLog::Joints(joints)) => {
             let rows = read_joints(joints, &experiment.stamps_s()?, backbones)?;
+            require_neighbours(&experiment.path, model, &rows)?;
             Ok(Checked { rows: wiring.readings(&rows), warnings: Vec::new() })
         }
         None => Ok(Checked { rows: Vec::new(), warnings: Vec::new() }),

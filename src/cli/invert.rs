@@ -1,7 +1,7 @@
 //! `invert`: the compensation for one pose, either way round.
 
 use super::console::Console;
-use super::inputs::{model_or_paper, with_effects};
+use super::inputs::{model_or_paper, tell_of_neighbours, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::error::NoSolution;
@@ -60,6 +60,7 @@ enum Sd {
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let model = with_effects(model_or_paper(console, self.model.as_deref())?, &self.effect)?;
+        tell_of_neighbours(console, &model);
         let pose = match (&self.qc_mm, self.theta_deg, self.delta_deg) {
             (Some(qc_mm), _, _) => {
                 let backbones = model.robot.backbone_count();

@@ -244,6 +244,12 @@ impl Args {
         if let Some(path) = &self.model {
             model = read_model(path)?;
         }
+        if model.neighbours() > 0 {
+            return Err(Failure::Usage(
+                "the model has section_coupling, and `live` reads no neighbouring section's encoders: take the effect out of the model"
+                    .into(),
+            ));
+        }
         let (source, source_name) = self.source(experiment, view)?;
         let encoders = match &self.encoders {
             Some(from) => EncoderInput::Lines {

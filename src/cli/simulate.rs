@@ -2,7 +2,7 @@
 
 use super::console::Console;
 use super::estimate::Parameters;
-use super::inputs::{model_or_paper, rows, with_effects};
+use super::inputs::{model_or_paper, rows, tell_of_neighbours, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::closed_loop::ClosedLoop;
@@ -35,7 +35,8 @@ pub struct Args {
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
-    /// Poses and times to lead it along instead (index,time_s,theta_deg,delta_deg)
+    /// Poses and times to lead it along instead (index,time_s,theta_deg,delta_deg); n1_q1_mm and so on are what a neighbouring section's
+    /// encoders read meanwhile
     #[arg(long, value_name = "CSV", conflicts_with_all =
         ["sweeps", "sweep_theta", "sweep_poses", "round_theta", "round_poses", "jitter"])]
     trajectory: Option<PathBuf>,
@@ -114,6 +115,9 @@ impl Args {
             None => self.bending_experiment()?,
         };
         let mut model = with_effects(model_or_paper(console, self.model.as_deref())?, &self.effect)?;
+        if self.closed_loop || trajectory.iter().any(|waypoint| waypoint.neighbours.count() < model.neighbours()) {
+            tell_of_neighbours(console, &model);
+        }
         if self.closed_loop {
             model.estimate.get_or_insert(HIDDEN);
             return Ok(self.close_the_loop(console, model, &trajectory)?);

@@ -1,7 +1,7 @@
 //! `table`: the compensation table on any grid.
 
 use super::console::Console;
-use super::inputs::{model_or_paper, with_effects};
+use super::inputs::{model_or_paper, tell_of_neighbours, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::record::{OutputFolder, compensation_c_header, write_atomically, write_compensation_rows};
@@ -52,6 +52,7 @@ impl Args {
         const OUTPUTS: [&str; 3] = ["compensation.csv", "compensation.json", "compensation.h"];
         let _out = OutputFolder::claim(&self.output, &OUTPUTS, self.model.as_slice())?;
         let model = with_effects(model_or_paper(console, self.model.as_deref())?, &self.effect)?;
+        tell_of_neighbours(console, &model);
         let source = self.model.as_deref().map_or("built in".to_owned(), |path| path.display().to_string());
         let grid = Grid { theta: self.theta_deg, delta: self.delta_deg };
         let mut rows = compensation_table(&model, &grid)?;

@@ -3,7 +3,7 @@
 use super::*;
 use crate::observation::Status;
 use crate::robot::BACKBONES;
-use crate::robot::effects::{Changes, LIBRARY, Physics, Poses};
+use crate::robot::effects::{COUPLINGS, Changes, LIBRARY, Physics, Poses};
 use crate::verdict::Code;
 use clap::CommandFactory;
 
@@ -67,6 +67,9 @@ fn the_book_says_of_every_command_what_help_says() {
 /// What data show an effect, by what it needs to be seen.
 fn shown_by(physics: &Physics) -> &'static str {
     match physics.changes {
+        Changes::Neighbours(_) => {
+            "neighbouring sections that move otherwise than this one, their readings in encoders.csv (`n1_q1_mm` …)"
+        }
         Changes::Exposure(_) => "frames taken while the snake moves, with time stamps",
         _ if physics.history.is_some() && physics.in_time => "time stamps, and the same bends reached from both sides",
         _ if physics.history.is_some() => "the same bends reached from both sides: up and down again",
@@ -85,7 +88,7 @@ fn catalogue() -> String {
                     `simulate`, `table`, `invert` and `estimate`. This page is written by the library itself.\n"
         .to_owned();
     let mut last = "";
-    for physics in LIBRARY {
+    for physics in LIBRARY.into_iter().chain(COUPLINGS) {
         if physics.name != last {
             let reading = physics.reading;
             text += &format!("\n## {}\n\nThe data show {reading}.\n", physics.name);

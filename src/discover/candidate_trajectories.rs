@@ -194,9 +194,8 @@ fn poses(legs: &[Leg], interval_s: f64, step_deg: f64) -> Vec<Waypoint> {
     let at_pace = walk(legs, step_deg).len() as f64;
     let wanted = at_pace.clamp(*POSES.start(), *POSES.end());
     let places = walk(legs, step_deg * at_pace / wanted);
-    let at = |(k, &(theta, delta)): (usize, &(f64, f64))| Waypoint {
-        time_s: interval_s * k as f64,
-        configuration: Configuration::from_degrees(theta, delta),
+    let at = |(k, &(theta, delta)): (usize, &(f64, f64))| {
+        Waypoint::new(interval_s * k as f64, Configuration::from_degrees(theta, delta))
     };
     places.iter().enumerate().map(at).collect()
 }

@@ -5,7 +5,7 @@ use super::{clock, sweeps};
 use crate::error::{DataError, Result};
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measured, Measurement, Status};
-use crate::robot::{LIBRARY, MAX_THETA, PerBackbone, Physics};
+use crate::robot::{COUPLINGS, LIBRARY, MAX_THETA, Model, NEIGHBOURS, Neighbours, PerBackbone, Physics};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -61,6 +61,8 @@ pub struct Log {
     pub times_s: Vec<f64>,
     /// q̃ of each reading, mm.
     pub q_mm: Vec<PerBackbone>,
+    /// What neighbouring sections' encoders read with each; empty where no reading tells.
+    pub neighbours: Vec<Neighbours>,
     /// The reading of each sample.
     pub samples: Vec<usize>,
 }
@@ -73,7 +75,29 @@ impl Log {
         let (times_s, remark) = clock::checked(&log.iter().map(|reading| reading.time_s).collect::<Vec<_>>());
         let places: HashMap<u64, usize> = log.iter().enumerate().map(|(k, reading)| (reading.index, k)).collect();
         let samples = pairs.iter().filter_map(|(reading, _)| places.get(&reading.index).copied()).collect();
-        (Self { times_s, q_mm: log.iter().map(|reading| reading.q_mm).collect(), samples }, remark)
+        let any = log.iter().any(|reading| reading.neighbours.count() > 0);
+        let neighbours = log.iter().filter(|_| any).map(|reading| reading.neighbours).collect();
+        (Self { times_s, q_mm: log.iter().map(|reading| reading.q_mm).collect(), neighbours, samples }, remark)
+    }
+
+    /// q̃ of each reading, mm, less what neighbouring sections add by a model.
+    pub fn own_q_mm(&self, model: &Model) -> Cow<'_, [PerBackbone]> {
+        if self.neighbours.is_empty() || model.neighbours() == 0 {
+            return Cow::Borrowed(&self.q_mm);
+        }
+        let own = |(q_mm, neighbours): (&PerBackbone, &Neighbours)| *q_mm - model.by_neighbours_mm(neighbours);
+        Cow::Owned(self.q_mm.iter().zip(&self.neighbours).map(own).collect())
+    }
+
+    /// The couplings with neighbouring sections that can be looked for: with those that move.
+    fn couplings(&self) -> impl Iterator<Item = &'static Physics> {
+        let bends: Vec<_> = self.neighbours.iter().map(Neighbours::bends_mm).collect();
+        let moves: [bool; NEIGHBOURS] =
+            std::array::from_fn(|k| bends.iter().any(|bend| (bend[k] - bends[0][k]).norm() > LEAST_TRAVEL_MM));
+        let can_be = move |physics: &&Physics| {
+            physics.follows_neighbour.iter().zip(moves).all(|(follows, moves)| moves || !follows)
+        };
+        COUPLINGS.into_iter().filter(can_be)
     }
 }
 
@@ -100,6 +124,7 @@ impl Data {
             "all bends lie in one plane: effects that differ from one azimuth to another cannot be told apart".into()
         }));
         remarks.extend(about_motion(&pairs, &thetas));
+        let library = LIBRARY.into_iter().chain(log.couplings()).collect();
         Ok(Self {
             indices: pairs.iter().map(|(reading, _)| reading.index).collect(),
             times_s: log.samples.iter().map(|&at| log.times_s[at]).collect(),
@@ -108,7 +133,7 @@ impl Data {
             sweeps: sweeps::cut(&thetas),
             log,
             sd_encoder_mm,
-            library: LIBRARY.to_vec(),
+            library,
             one_plane,
             remarks,
         })
@@ -162,6 +187,7 @@ impl Data {
         let log = Log {
             times_s: places.iter().map(|&at| self.log.times_s[at]).collect(),
             q_mm: places.iter().map(|&at| self.log.q_mm[at]).collect(),
+            neighbours: places.iter().filter_map(|&at| self.log.neighbours.get(at).copied()).collect(),
             samples: kept.iter().map(|&k| places.partition_point(|&at| at < self.log.samples[k])).collect(),
         };
         let measured: Vec<Measured> = kept.iter().map(|&k| self.measured[k]).collect();
@@ -195,8 +221,10 @@ impl Data {
 
 /// The readings all of whose numbers are finite, by index.
 fn usable(readings: &[EncoderReading]) -> BTreeMap<u64, &EncoderReading> {
-    let is_finite =
-        |reading: &&EncoderReading| reading.time_s.is_finite() && reading.q_mm.iter().all(|q| q.is_finite());
+    let is_finite = |reading: &&EncoderReading| {
+        let mut all = reading.q_mm.iter().chain(reading.neighbours.q_mm.iter().flatten());
+        reading.time_s.is_finite() && all.all(|q| q.is_finite())
+    };
     readings.iter().filter(is_finite).map(|reading| (reading.index, reading)).collect()
 }
 
@@ -303,7 +331,7 @@ mod tests {
                 quality: None,
                 view: None,
             };
-            (measurement, EncoderReading { index, time_s, q_mm: Model::default().command(configuration) })
+            (measurement, EncoderReading::new(index, time_s, Model::default().command(configuration)))
         };
         poses.enumerate().map(row).unzip()
     }

@@ -304,7 +304,12 @@ mod tests {
             q_mm: q_mm.clone(),
             measured: measured.collect(),
             sweeps: (0..240).map(|k| k / 40).collect(),
-            log: Log { times_s: (0..240).map(f64::from).collect(), q_mm, samples: (0..240).collect() },
+            log: Log {
+                times_s: (0..240).map(f64::from).collect(),
+                q_mm,
+                neighbours: Vec::new(),
+                samples: (0..240).collect(),
+            },
             sd_encoder_mm: 0.0015,
             library: Vec::new(),
             one_plane: false,

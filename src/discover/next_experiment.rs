@@ -160,9 +160,8 @@ impl<'a> Table<'a> {
 
 /// Everything that the data leave open.
 fn questions(found: &Discovery, data: &Data, noise: &ExpectedNoise) -> Vec<Question> {
-    let own: Vec<Waypoint> = (0..data.len())
-        .map(|k| Waypoint { time_s: data.times_s[k], configuration: data.measured[k].configuration })
-        .collect();
+    let own: Vec<Waypoint> =
+        (0..data.len()).map(|k| Waypoint::new(data.times_s[k], data.measured[k].configuration)).collect();
     let mut questions = alternatives(found, data);
     questions.extend(uncertain_parameters(found));
     let undetected = undetected(found).into_par_iter();
@@ -326,7 +325,7 @@ impl ExpectedNoise {
                 quality: None,
                 view: None,
             };
-            (measurement, EncoderReading { index, time_s, q_mm })
+            (measurement, EncoderReading::new(index, time_s, q_mm))
         });
         let (measurements, readings): (Vec<_>, Vec<_>) = rows.unzip();
         Data::new(&measurements, &readings, self.sd_encoder_mm).ok()

@@ -93,9 +93,10 @@ impl<'a> Problem<'a> {
     /// The noise at the bends that a model implies.
     pub fn new(data: &'a Data, noise: &Noise, model: &Model) -> Self {
         let (mechanics, log) = (Mechanics::new(model).with_reading_noise(noise.sd_encoder_mm), &data.log);
+        let q_mm = log.own_q_mm(model);
         let start: Vec<_> =
-            mechanics.solve_path(&log.times_s, &log.q_mm, None).iter().map(|solution| solution.bend).collect();
-        let motions = mechanics.motions_from_readings(&log.times_s, &start, &log.q_mm);
+            mechanics.solve_path(&log.times_s, &q_mm, None).iter().map(|solution| solution.bend).collect();
+        let motions = mechanics.motions_from_readings(&log.times_s, &start, &q_mm);
         let samples = data.measured.iter().zip(&log.samples).enumerate().map(|(k, (measured, &at))| {
             let weight = if k < noise.unknown_start { NO_WEIGHT } else { 1.0 };
             let bend = start[at];
@@ -126,7 +127,7 @@ impl<'a> Problem<'a> {
         // What the eye saw at the first reading, if it saw anything.
         let first = (log.samples[0] == 0).then(|| self.data.measured[0].configuration.bend_vector());
         let guess = guess.unwrap_or(&self.start);
-        let (forward, motions) = mechanics.solve_path_near(&log.times_s, &log.q_mm, guess, first);
+        let (forward, motions) = mechanics.solve_path_near(&log.times_s, &log.own_q_mm(model), guess, first);
         let residuals = self.whitened(&mechanics, &forward);
         Prediction { forward, motions, residuals }
     }
@@ -141,7 +142,7 @@ impl<'a> Problem<'a> {
             .zip(motions)
             .map(|(solution, motion)| mechanics.line_jacobian(solution.bend, motion))
             .collect();
-        let log = (&self.data.log.times_s[..], &self.data.log.q_mm[..]);
+        let log = &self.data.log;
         let x = model.parameter_values();
         let n = self.data.backbones();
         let mut jacobian = DMatrix::zeros(self.data.residual_count(), parameters.len());
@@ -155,7 +156,8 @@ impl<'a> Problem<'a> {
             nudged[j] += h * spec.typical;
             let nudged = model.with_parameter_values(&nudged);
             let changed = self.mechanics(&nudged);
-            let moved = mechanics.perturbed_path(&changed, log, (forward, motions, &lines));
+            let q_mm = log.own_q_mm(&nudged);
+            let moved = mechanics.perturbed_path(&changed, (&log.times_s, &q_mm), (forward, motions, &lines));
             for (k, (after, before)) in self.whitened(&changed, &moved).iter().zip(residuals).enumerate() {
                 for c in 0..n {
                     jacobian[(n * k + c, column)] = (after[c] - before[c]) / h;

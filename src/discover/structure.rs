@@ -211,7 +211,7 @@ fn orthonormal(columns: DMatrix<f64>) -> DMatrix<f64> {
 /// The families, evaluated at every so many samples of a fit.
 fn families(data: &Data, fit: &Fit, stride: usize) -> Vec<Family> {
     let log = &data.log;
-    let motions = Mechanics::new(&fit.model).motions_from_readings(&log.times_s, &fit.path, &log.q_mm);
+    let motions = Mechanics::new(&fit.model).motions_from_readings(&log.times_s, &fit.path, &log.own_q_mm(&fit.model));
     let (bend, motion) = (|k: usize| fit.path[log.samples[k]], |k: usize| &motions[log.samples[k]]);
     let first_s = data.times_s[0];
     let duration_s = data.times_s[data.len() - 1] - first_s;

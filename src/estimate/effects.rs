@@ -37,13 +37,14 @@ pub fn pairs_without_effects<'a, E: 'a>(
 }
 
 /// Takes off what the model's effects did to the encoders and to the eye
-/// ([`Model::without_effects`]). Every reading drives what has a memory; what has no angles or no reading stays as it is.
+/// ([`Model::without_effects`]), and to the readings by what neighbouring sections did. Every reading drives what has a memory; what has no angles or no reading stays as it is.
 pub fn without_effects(
     model: &Model,
     measurements: &[Measurement],
     readings: &[EncoderReading],
 ) -> (Vec<Measurement>, Vec<EncoderReading>) {
-    let (mut measurements, mut readings) = (measurements.to_vec(), readings.to_vec());
+    let readings = readings.iter().map(|reading| reading.beside_resting_neighbours(model));
+    let (mut measurements, mut readings) = (measurements.to_vec(), readings.collect::<Vec<_>>());
     if model.effects.is_empty() {
         return (measurements, readings);
     }

@@ -125,7 +125,7 @@ mod tests {
         let mut encoders = Vec::new();
         for index in 0..frames {
             let psi = Configuration::from_degrees(20.0 + 60.0 * (index as f64 / frames as f64), 0.7 * index as f64);
-            encoders.push(EncoderReading { index, time_s: 0.0, q_mm: model.command(psi) });
+            encoders.push(EncoderReading::new(index, 0.0, model.command(psi)));
             let (theta, delta) = (psi.theta_deg() + sigma_deg * gauss(), psi.delta_deg() + sigma_deg * gauss());
             measurements.push(measurement(index, theta, delta, sigma_deg));
         }
@@ -142,7 +142,7 @@ mod tests {
         let psi = Configuration::from_degrees(40.0, 10.0);
         let mut q_mm = model.command(psi);
         q_mm[0] += 0.03;
-        let gap = gap(&model, &[measurement(5, 40.0, 10.0, 0.1)], &[EncoderReading { index: 5, time_s: 0.0, q_mm }]);
+        let gap = gap(&model, &[measurement(5, 40.0, 10.0, 0.1)], &[EncoderReading::new(5, 0.0, q_mm)]);
         assert_relative_eq!(gap.rms_eps_mm, 0.03 / 3f64.sqrt(), max_relative = 1e-9);
         assert!(gap.rms_theta_deg > 0.1);
     }

@@ -296,7 +296,7 @@ mod tests {
                 let mut bent = model.clone();
                 bent.robot.line = bent.robot.line.bent_through(phi.to_radians());
                 let noise = PerBackbone::from_fn(3, |_| StandardNormal.sample(&mut random)) * 0.0015;
-                let reading = EncoderReading { index, time_s, q_mm: bent.command(psi) + noise };
+                let reading = EncoderReading::new(index, time_s, bent.command(psi) + noise);
                 Sample { reading, truth: Truth { index, configuration: psi }, apparent: psi }
             })
             .collect();

@@ -139,7 +139,7 @@ mod tests {
                 view,
             };
             // Every third frame has no reading.
-            let reading = EncoderReading { index, time_s, q_mm: PerBackbone::from([0.1, -0.2, 0.3]) };
+            let reading = EncoderReading::new(index, time_s, PerBackbone::from([0.1, -0.2, 0.3]));
             let reading = Some(reading).filter(|_| index % 3 > 0);
             let update = estimator.update(&measurement, reading.as_ref());
             tables.add(&measurement, reading.as_ref(), &update).unwrap();

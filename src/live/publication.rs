@@ -219,7 +219,7 @@ mod tests {
                     let time_s = self.time_s + k as f64 * Self::STEP_S;
                     let turn = time_s / 8.0 * TAU;
                     let bend = Vector2::new(0.6 + 0.45 * turn.cos(), 0.5 * (1.1 * turn).sin());
-                    Waypoint { time_s, configuration: Configuration::from_bend_vector(bend) }
+                    Waypoint::new(time_s, Configuration::from_bend_vector(bend))
                 })
                 .collect();
             let samples = self.plant.run(&waypoints, self.seed);

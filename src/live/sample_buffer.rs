@@ -64,7 +64,7 @@ mod tests {
         for index in 0..20_000 {
             let measurement =
                 Measurement { index, time_s: None, status: Status::Ok, measured: None, quality: None, view: None };
-            let reading = EncoderReading { index, time_s: index as f64, q_mm: PerBackbone::repeat(3, 0.0) };
+            let reading = EncoderReading::new(index, index as f64, PerBackbone::repeat(3, 0.0));
             buffer.add(&measurement, &reading);
         }
         let (kept, _) = buffer.samples();

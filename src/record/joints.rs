@@ -55,7 +55,7 @@ pub fn read_joints(joints: &JointTopic, stamps_s: &[f64], backbones: usize) -> R
     let longest_s = if steps.is_empty() { 0.0 } else { LONGEST_GAP * median(&mut steps) };
     let reading = |(index, &time_s): (usize, &f64)| {
         let q_mm = interpolated(&log, time_s, longest_s)? * unit;
-        Some(EncoderReading { index: index as u64, time_s, q_mm })
+        Some(EncoderReading::new(index as u64, time_s, q_mm))
     };
     Ok(stamps_s.iter().enumerate().filter_map(reading).collect())
 }

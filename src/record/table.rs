@@ -51,6 +51,11 @@ impl Row<'_> {
         self.columns.get(column).and_then(|&at| self.fields.get(at)).unwrap_or("")
     }
 
+    /// Whether the file has such a column.
+    pub fn has(&self, column: &str) -> bool {
+        self.columns.contains_key(column)
+    }
+
     /// A finite number, or `None` where the field is empty.
     pub fn optional_number(&self, column: &str) -> RowResult<Option<f64>> {
         let text = self.text(column);

@@ -1,7 +1,9 @@
 //! A trajectory: `index,time_s,theta_deg,delta_deg`, the poses to lead the snake to, and when. Further columns are for whoever
-//! leads it: `qc1_mm,qc2_mm,qc3_mm`, one for each backbone, are the q̃ that a model would command.
+//! leads it: `qc1_mm,qc2_mm,qc3_mm`, one for each backbone, are the q̃ that a model would command. What neighbouring sections do
+//! meanwhile may stand in the columns that encoders.csv has for it (`n1_q1_mm` …).
 
 use super::columns::{azimuth, backbone_columns, backbone_decimals, csv_text, decimals};
+use super::encoders::{neighbours_fit, neighbours_of};
 use super::table::{self, Checked, Indexed};
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
@@ -29,13 +31,14 @@ impl Indexed for Row {
 /// A file that cannot be read, lacks a column or has no usable row; times that do not rise. A bad row, or a pose outside the
 /// workspace, is a warning.
 pub fn read_trajectory(path: &Path) -> Result<Checked<Waypoint>> {
-    let Checked { rows, warnings } = table::read(path, &COLUMNS, |row| {
+    let Checked { rows, warnings } = table::read_where(path, &COLUMNS, neighbours_fit, |row| {
         let (theta_deg, most_deg) = (row.number("theta_deg")?, MAX_THETA.to_degrees());
         if !(0.0..=most_deg).contains(&theta_deg) {
             return Err(format!("theta_deg is {theta_deg}, expected 0 to {most_deg:.0}"));
         }
         let configuration = Configuration::from_degrees(theta_deg, row.number("delta_deg")?);
-        Ok(Row { index: row.index("index")?, waypoint: Waypoint { time_s: row.number("time_s")?, configuration } })
+        let (time_s, neighbours) = (row.number("time_s")?, neighbours_of(row)?);
+        Ok(Row { index: row.index("index")?, waypoint: Waypoint { time_s, configuration, neighbours } })
     })?;
     if let Some(pair) = rows.windows(2).find(|pair| pair[1].waypoint.time_s <= pair[0].waypoint.time_s) {
         let message = format!(
@@ -74,9 +77,8 @@ mod tests {
 
     #[test]
     fn what_was_written_is_read() {
-        let waypoints: Vec<Waypoint> = (0..5)
-            .map(|k| Waypoint { time_s: 0.35 * f64::from(k), configuration: Configuration::from_degrees(10.0, 40.0) })
-            .collect();
+        let waypoints: Vec<Waypoint> =
+            (0..5).map(|k| Waypoint::new(0.35 * f64::from(k), Configuration::from_degrees(10.0, 40.0))).collect();
         let back = read(&trajectory_csv(&waypoints, &[PerBackbone::repeat(4, 0.0); 5])).unwrap();
         assert!(back.warnings.is_empty());
         for (a, b) in back.rows.iter().zip(&waypoints) {

@@ -185,7 +185,7 @@ mod tests {
                 view: None,
             };
             history.add(&measurement, &row);
-            readings.push(EncoderReading { index, time_s: index as f64, q_mm: model.command(configuration) });
+            readings.push(EncoderReading::new(index, index as f64, model.command(configuration)));
         }
         let sampled = Sampled::of(&model, &history, &readings);
         let [_, before, after] = &sampled.reached_over_desired().plot.series[..] else { panic!("three series") };

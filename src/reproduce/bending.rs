@@ -206,7 +206,7 @@ fn play() -> Result<Effect> {
 /// The model after ten measurements of the plant.
 fn learned(plant: &Model, start: &Model, seed: u64) -> Result<Model> {
     let waypoints: Vec<_> =
-        (0..).zip(ten_poses()).map(|(k, configuration)| Waypoint { time_s: f64::from(k), configuration }).collect();
+        (0..).zip(ten_poses()).map(|(k, configuration)| Waypoint::new(f64::from(k), configuration)).collect();
     let samples = Plant { model: plant.clone(), sd_encoder_mm: 0.0015 }.run(&waypoints, seed);
     let eye = SimulatedEye { sigma_theta_deg: REPEATABILITY_DEG, sigma_across_deg: REPEATABILITY_DEG };
     let measurements = eye.observe(&samples, seed.wrapping_add(1));

@@ -75,7 +75,7 @@ impl<'a> Mechanics<'a> {
                 Changes::Snake(change) => change(&mut snake, &effect.values),
                 Changes::Line(_) | Changes::Formula(_) => effects_on_line = true,
                 Changes::Encoders(_) => effects_on_encoders = true,
-                Changes::Eye(_) | Changes::Exposure(_) => {}
+                Changes::Eye(_) | Changes::Exposure(_) | Changes::Neighbours(_) => {}
             }
             effect.physics.note_history(&mut history, &effect.values);
         }

@@ -43,8 +43,10 @@ impl Plant {
         all.map(|(k, (observation, exposed))| {
             let index = k as u64;
             let noise = PerBackbone::from_fn(backbones, |_| StandardNormal.sample(&mut random)) * self.sd_encoder_mm;
+            let neighbours = trajectory[k].neighbours;
+            let q_mm = observation.q_mm + self.model.by_neighbours_mm(&neighbours) + noise;
             Sample {
-                reading: EncoderReading { index, time_s: observation.time_s, q_mm: observation.q_mm + noise },
+                reading: EncoderReading { index, time_s: observation.time_s, q_mm, neighbours },
                 truth: Truth { index, configuration: Configuration::from_bend_vector(exposed) },
                 apparent: observation.configuration,
             }

@@ -6,11 +6,13 @@ use super::trajectory::BendingExperiment;
 use crate::error::Result;
 use crate::observation::{EncoderReading, Measurement, Truth, Waypoint};
 use crate::robot::effects::{ParameterSpec, Role};
-use crate::robot::{Effect, Estimate, Model, Observation, Physics};
+use crate::robot::{Effect, Estimate, Model, Observation, PerBackbone, Physics, Robot};
 use crate::statistics::moments::rms;
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Vector2};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+use std::f64::consts::TAU;
 
 /// The largest size that is drawn, as a share of the one beyond which an effect's equation has more than one answer.
 ///
@@ -30,6 +32,18 @@ const TYPICAL_SIZES: std::ops::Range<f64> = 0.4..1.0;
 /// Convention: about the paper's 1.221 and 0.1765 mm.
 const DRAWN_ETA: std::ops::Range<f64> = 0.9..1.5;
 const DRAWN_LAMBDA_MM: std::ops::Range<f64> = 0.05..0.25;
+/// The bend of a neighbouring section in each plane, rad.
+///
+/// Convention: as much as the section itself bends.
+const NEIGHBOUR_BEND: std::ops::Range<f64> = 0.4..1.0;
+/// Its period, s.
+///
+/// Convention: another pace than that of the section's own sweeps, which take 24 s.
+const NEIGHBOUR_PERIOD_S: std::ops::Range<f64> = 15.0..50.0;
+/// What makes the neighbours' random numbers others than the trajectory's.
+///
+/// Convention: any number.
+const NEIGHBOURS_SEED: u64 = 0x6e65_6967;
 /// Standard deviation of an encoder reading, mm.
 ///
 /// Convention: the project's own; the default of every command that asks for it.
@@ -63,7 +77,10 @@ impl Sealed {
     /// As [`new`](Self::new).
     pub fn of_poses(hidden: &[&'static Physics], seed: u64, sweep: usize, round: usize) -> Result<Self> {
         let mut random = StdRng::seed_from_u64(seed);
-        let trajectory = ride(&mut random, seed, sweep, round)?;
+        let mut trajectory = ride(&mut random, seed, sweep, round)?;
+        if hidden.iter().any(|physics| physics.follows_neighbour.contains(&true)) {
+            move_neighbours(&mut trajectory, seed);
+        }
         let estimate = Estimate {
             eta: random.random_range(DRAWN_ETA),
             lambda_mm: random.random_range(DRAWN_LAMBDA_MM),
@@ -99,7 +116,10 @@ impl Sealed {
     /// # Errors
     /// As [`new`](Self::new).
     pub fn another(&self, seed: u64) -> Result<Self> {
-        let trajectory = ride(&mut StdRng::seed_from_u64(seed), seed, 34, 48)?;
+        let mut trajectory = ride(&mut StdRng::seed_from_u64(seed), seed, 34, 48)?;
+        if self.truth.neighbours() > 0 {
+            move_neighbours(&mut trajectory, seed);
+        }
         Ok(Self::observed(self.truth.clone(), &trajectory, seed))
     }
 
@@ -126,6 +146,32 @@ fn ride(random: &mut StdRng, seed: u64, sweep: usize, round: usize) -> Result<Ve
         seed,
     }
     .waypoints()
+}
+
+/// Lets two neighbouring sections, the second of four backbones, bend in their own ways while the snake is led along a trajectory.
+pub fn move_neighbours(trajectory: &mut [Waypoint], seed: u64) {
+    let mut random = StdRng::seed_from_u64(seed ^ NEIGHBOURS_SEED);
+    let sections = [3, 4].map(|backbones| Robot { backbones, ..Robot::default() });
+    // Each coordinate of each bend a slow wave of its own.
+    let waves: [[(f64, f64, f64); 2]; 2] = std::array::from_fn(|_| {
+        std::array::from_fn(|_| {
+            (
+                random.random_range(NEIGHBOUR_BEND),
+                random.random_range(NEIGHBOUR_PERIOD_S),
+                random.random_range(0.0..TAU),
+            )
+        })
+    });
+    let bend = |axes: &[(f64, f64, f64); 2], time_s: f64| {
+        let [x, y] = axes.map(|(size, period_s, phase)| size * (TAU * time_s / period_s + phase).sin());
+        Vector2::new(x, y)
+    };
+    for waypoint in trajectory {
+        waypoint.neighbours.q_mm = std::array::from_fn(|k| {
+            let noise = PerBackbone::from_fn(sections[k].backbone_count(), |_| random.sample(StandardNormal));
+            sections[k].displacement_by_bend() * bend(&waves[k], waypoint.time_s) + noise * SD_ENCODER_MM
+        });
+    }
 }
 
 /// rms over samples and backbones of what a plant's effects leave in ε, mm.

@@ -68,7 +68,7 @@ impl BendingExperiment {
             let mut jitter_deg = || -> f64 { self.jitter_deg * random.sample::<f64, _>(StandardNormal) };
             let theta = (theta_deg + jitter_deg()).to_radians().clamp(0.0, MAX_THETA);
             let delta = (delta_deg + jitter_deg()).to_radians();
-            Waypoint { time_s, configuration: Configuration::new(theta, delta) }
+            Waypoint::new(time_s, Configuration::new(theta, delta))
         });
         Ok(waypoints.collect())
     }

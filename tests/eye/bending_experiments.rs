@@ -44,10 +44,8 @@ fn outcome(seed: u64) -> Result<[(f64, f64); 2], String> {
     let (mut drawn, noise) = (StdRng::seed_from_u64(seed), Normal::new(0.0, ENCODER_MM).unwrap());
     let readings: Vec<EncoderReading> = (0..)
         .zip(&poses)
-        .map(|(index, psi)| EncoderReading {
-            index,
-            time_s: index as f64,
-            q_mm: plant.command(*psi).map(|q_mm| q_mm + noise.sample(&mut drawn)),
+        .map(|(index, psi)| {
+            EncoderReading::new(index, index as f64, plant.command(*psi).map(|q_mm| q_mm + noise.sample(&mut drawn)))
         })
         .collect();
     let (_, model) = estimate(&start, Options::default(), &measurements, &readings).map_err(|why| why.to_string())?;

@@ -353,7 +353,7 @@ fn what_cannot_be_used_is_skipped_with_its_reason() {
 fn a_snake_that_never_bends_tells_no_eta() {
     let straight: Vec<_> = (0..30).map(|k| measurement(k, Configuration::new(0.0, 0.0), 0.1)).collect();
     let q_mm = PerBackbone::repeat(3, 0.2);
-    let readings: Vec<_> = (0..30).map(|index| EncoderReading { index, time_s: 0.0, q_mm }).collect();
+    let readings: Vec<_> = (0..30).map(|index| EncoderReading::new(index, 0.0, q_mm)).collect();
     let (rows, model) = estimate(&Model::default(), Options::default(), &straight, &readings).unwrap();
     assert!(model.estimate.is_none() && rows.iter().all(|row| row.estimate.is_none()));
 }

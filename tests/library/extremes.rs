@@ -191,7 +191,7 @@ proptest! {
             let index = k as u64;
             let (status, measured) = (Status::Ok, Some(measured));
             let measurement = Measurement { index, time_s: None, status, measured, quality: None, view: None };
-            let step = estimator.update(&measurement, Some(&EncoderReading { index, time_s: 0.0, q_mm }));
+            let step = estimator.update(&measurement, Some(&EncoderReading::new(index, 0.0, q_mm)));
             if let Some(estimate) = step.estimate {
                 prop_assert!(estimate.eta.is_finite() && estimate.lambda_mm.is_finite(), "{estimate:?}");
                 prop_assert!(estimate.covariance.iter().all(|value| value.is_finite()), "{estimate:?}");

@@ -10,3 +10,4 @@ mod machines;
 mod numbers;
 mod real;
 mod sealed;
+mod section_coupling;

@@ -159,7 +159,7 @@ fn forgetting_does_not_wind_up_while_nothing_moves() {
         excite(&mut estimator);
         // The snake stands still for a long time; the camera goes on measuring, with its noise.
         let configuration = Configuration::from_degrees(theta_deg, 20.0);
-        let still: Vec<_> = (0..30_000).map(|k| Waypoint { time_s: f64::from(k), configuration }).collect();
+        let still: Vec<_> = (0..30_000).map(|k| Waypoint::new(f64::from(k), configuration)).collect();
         let still = plant().run(&still, 7);
         let (mut widest, mut farthest) = (0f64, 0f64);
         for (measurement, sample) in eye.observe(&still, 8).iter().zip(&still) {

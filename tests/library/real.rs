@@ -1,5 +1,5 @@
 //! `discover` on measurements of real robots, which are not part of the project: REAL_SETS is a folder of sets, each with robot.toml,
-//! train/ and val/ (measurements.csv, encoders.csv).
+//! train/ and val/ (measurements.csv, encoders.csv, which may have neighbouring sections' columns).
 //!
 //! ```sh
 //! REAL_SETS=… cargo test --release --no-default-features --features cli --test library real -- --ignored --nocapture
@@ -22,7 +22,7 @@ fn rows(folder: &Path, backbones: usize) -> (Vec<Measurement>, Vec<EncoderReadin
 pub fn missed_deg(model: &Model, (measurements, readings): &(Vec<Measurement>, Vec<EncoderReading>)) -> f64 {
     let mechanics = Mechanics::new(model);
     let times: Vec<f64> = readings.iter().map(|reading| reading.time_s).collect();
-    let q: Vec<_> = readings.iter().map(|reading| reading.q_mm).collect();
+    let q: Vec<_> = readings.iter().map(|reading| reading.beside_resting_neighbours(model).q_mm).collect();
     let path = mechanics.solve_path(&times, &q, None);
     let place: HashMap<u64, usize> = readings.iter().enumerate().map(|(k, reading)| (reading.index, k)).collect();
     let missed = measurements.iter().filter_map(|measurement| {

@@ -35,7 +35,10 @@ pub fn poses_of(
     let with_frame: Vec<&EncoderReading> = log.iter().filter(|row| indices.contains(&row.index)).collect();
     let count = with_frame.len();
     let some = with_frame.into_iter().enumerate().filter(|(k, _)| keeps(*k, EXPECTED, count)).map(|(_, row)| row);
-    let pose = |row: &EncoderReading| Some((*row, model.forward(&row.q_mm).ok()?.configuration));
+    let pose = |row: &EncoderReading| {
+        let alone = row.beside_resting_neighbours(model);
+        Some((*row, model.forward(&alone.q_mm).ok()?.configuration))
+    };
     some.filter_map(pose).filter(|(_, psi)| psi.theta <= MAX_THETA).collect()
 }
 
@@ -86,7 +89,8 @@ pub fn expected(
         let truth =
             Configuration::new((bend + measured.sigma_theta * theta).abs(), azimuth + measured.sigma_delta * along);
         let noise = PerBackbone::from_fn(row.q_mm.len(), |_| options.sd_encoder_mm * draw());
-        readings.push(EncoderReading { q_mm: model.command(truth) + noise, ..*row });
+        let q_mm = model.command(truth) + model.by_neighbours_mm(&row.neighbours) + noise;
+        readings.push(EncoderReading { q_mm, ..*row });
     }
     let plain = Model { estimate: None, ..model.clone() };
     let (_, learned) = estimate(&plain, options, &all, &readings)?;

@@ -166,10 +166,11 @@ impl<'a> Candidates<'a> {
         let samples: Vec<usize> = (problem.noise.unknown_start..data.len()).step_by(stride).collect();
         let path = seen(problem, fit);
         let mechanics = Mechanics::new(&fit.model);
-        let motions = mechanics.motions_from_readings(&data.log.times_s, &path, &data.log.q_mm);
+        let q_mm = data.log.own_q_mm(&fit.model);
+        let motions = mechanics.motions_from_readings(&data.log.times_s, &path, &q_mm);
         let gap = |k: usize| {
             let at = data.log.samples[k];
-            data.log.q_mm[at] - mechanics.command(path[at], Some(&motions[at]))
+            q_mm[at] - mechanics.command(path[at], Some(&motions[at]))
         };
         let residuals = (0..data.len()).map(|k| -problem.response(k, &gap(k))).collect();
         let states = States::new(problem, &mechanics, (&path, &motions));

@@ -28,6 +28,7 @@ const AROUND_S: f64 = 1.0;
 
 /// The reading that belongs to a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "it lives for one match, and nothing is allocated at the camera's pace")]
 pub enum Lookup {
     /// This one.
     Found(EncoderReading),
@@ -133,7 +134,7 @@ impl Readings {
         let after = self.stamped.partition_point(|&(s, _)| s < stamp_s);
         let earlier = after.checked_sub(1).map_or(self.stamped[after], |before| self.stamped[before]);
         match between(earlier, self.stamped[after], stamp_s) {
-            Some(q_mm) => Lookup::Found(EncoderReading { index, time_s, q_mm }),
+            Some(q_mm) => Lookup::Found(EncoderReading::new(index, time_s, q_mm)),
             None => Lookup::Never,
         }
     }

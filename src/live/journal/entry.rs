@@ -125,11 +125,10 @@ impl Line {
             }),
             view: self.view,
         };
-        let reading = self.q_mm.zip(self.encoder_time_s.or(self.time_s)).map(|(q_mm, time_s)| EncoderReading {
-            index,
-            time_s,
-            q_mm,
-        });
+        let reading = self
+            .q_mm
+            .zip(self.encoder_time_s.or(self.time_s))
+            .map(|(q_mm, time_s)| EncoderReading::new(index, time_s, q_mm));
         Some(Entry::Measured(measurement, reading))
     }
 }

@@ -197,7 +197,7 @@ mod tests {
             }),
             view: Some("side".into()),
         };
-        let reading = EncoderReading { index, time_s, q_mm: PerBackbone::from([0.1, -0.2, 0.3, 0.4]) };
+        let reading = EncoderReading::new(index, time_s, PerBackbone::from([0.1, -0.2, 0.3, 0.4]));
         Entry::Measured(measurement, with_reading.then_some(reading))
     }
 

@@ -43,11 +43,10 @@ fn lab(seed: u64, sigma_mm: f64, sigma_rad: Option<f64>) -> Lab {
         TrackerPose { index: k as u64, time_s: k as f64, position_mm, orientation: turned, sigma_mm: None }
     };
     let poses = truth.iter().enumerate().map(|(k, psi)| see(k, psi)).collect();
-    let reading = |(k, psi): (usize, &Configuration)| EncoderReading {
-        index: k as u64,
-        time_s: k as f64,
+    let reading = |(k, psi): (usize, &Configuration)| {
         // A line that takes up a third more, and a common part.
-        q_mm: (robot.joint_displacements(*psi) * 1.33).add_scalar(0.17),
+        let q_mm = (robot.joint_displacements(*psi) * 1.33).add_scalar(0.17);
+        EncoderReading::new(k as u64, k as f64, q_mm)
     };
     let readings = truth.iter().enumerate().map(reading).collect();
     Lab { base, poses, readings, truth }

@@ -3,7 +3,7 @@
 //! Each effect is one [`Physics`], which says all that the program knows of it: a name, an equation, a reading in words, parameters
 //! with units and ranges, where a search for them starts, the one function by which it acts, what it must know of the path, what it
 //! is confounded with. A [`Model`](super::Model) holds a list of [`Effect`]s, and everything that predicts obeys them through
-//! [`mechanics`](super::mechanics). They act in five places:
+//! [`mechanics`](super::mechanics). They act in six places:
 //!
 //! | where | what it is given | what it changes |
 //! | --- | --- | --- |
@@ -13,6 +13,7 @@
 //! | [`Changes::Snake`] | the snake's constants | geometry, stiffness or load, and so q and τ |
 //! | [`Changes::Eye`] | the bend | the bend that is measured |
 //! | [`Changes::Exposure`] | nothing | the time at which a frame was exposed |
+//! | [`Changes::Neighbours`] | what neighbouring sections' encoders read | the readings, before anything else |
 //!
 //! Some physics can be written down in more than one way, and no convention says which is meant: whether a play is crossed at
 //! once or by travel, whether a screw's error follows what its encoder reads or what its nut travels. They are [forms](Physics::form)
@@ -28,6 +29,7 @@ mod friction;
 mod hysteresis;
 mod physics;
 mod rig;
+mod section;
 mod snake;
 #[cfg(test)]
 mod tests;
@@ -95,9 +97,13 @@ pub static LIBRARY: [&Physics; 48] = [
     &snake::BACKBONE_SHORTENING,
 ];
 
+/// Couplings with neighbouring sections, which `discover` searches for where the log has their readings.
+pub static COUPLINGS: [&Physics; 3] =
+    [&section::SECTION_COUPLING, &section::SECTION_COUPLING_SECOND, &section::SECTION_COUPLING_BOTH];
+
 /// Every physics of this name, the first form first; those that `discover` does not search for come last.
 pub fn forms(name: &str) -> impl Iterator<Item = &'static Physics> {
-    LIBRARY.into_iter().chain([&snake::TIP_WRENCH]).filter(move |physics| physics.name == name)
+    LIBRARY.into_iter().chain(COUPLINGS).chain([&snake::TIP_WRENCH]).filter(move |physics| physics.name == name)
 }
 
 /// The first form of the physics of this name.
@@ -139,7 +145,7 @@ impl Effect {
                 && specs.iter().all(|spec| parameters.iter().any(|(name, _)| name == spec.name))
         };
         let Some(first) = physics(name) else {
-            let mut known: Vec<_> = LIBRARY.iter().map(|physics| physics.name.to_owned()).collect();
+            let mut known: Vec<_> = LIBRARY.iter().chain(&COUPLINGS).map(|physics| physics.name.to_owned()).collect();
             known.dedup();
             return Err(ArgumentError::Unknown { what: "effect".into(), name: name.into(), known }.into());
         };

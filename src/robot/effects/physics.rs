@@ -5,7 +5,7 @@ use super::variables::Variable;
 use crate::robot::history::{History, Hysteresis, Motion};
 use crate::robot::line::Line;
 use crate::robot::statics::Snake;
-use crate::robot::{BACKBONES, PerBackbone};
+use crate::robot::{BACKBONES, NEIGHBOURS, PerBackbone};
 use nalgebra::Vector2;
 
 /// A parameter of an effect.
@@ -109,6 +109,8 @@ pub enum Changes {
     Eye(fn(Vector2<f64>, &[f64]) -> Vector2<f64>),
     /// The time at which a frame was exposed: so many seconds before the encoders' reading.
     Exposure(fn(&[f64]) -> f64),
+    /// The bend, times the circle's radius (mm), by which neighbouring sections lead the lines, from the neighbours' own.
+    Neighbours(fn(&[Vector2<f64>; NEIGHBOURS], &[f64]) -> Vector2<f64>),
 }
 
 /// Where a search for an effect's parameters starts.
@@ -173,6 +175,8 @@ pub struct Physics {
     pub history: Option<fn(&mut History, &[f64])>,
     /// Whether it depends on the time, beside the path.
     pub in_time: bool,
+    /// Which neighbouring sections' readings it follows.
+    pub follows_neighbour: [bool; NEIGHBOURS],
     /// The largest first parameter for which its equation has one answer, given the others; none where any has.
     pub largest_size: Option<fn(&[f64]) -> f64>,
     /// What it must gain in Schwarz's criterion beyond the price of its parameters before it is believed.
@@ -194,6 +198,7 @@ pub(super) const LINEAR: Physics = Physics {
     changes: Changes::Line(|at, _| at.q_mm * 0.0),
     history: None,
     in_time: false,
+    follows_neighbour: [false; NEIGHBOURS],
     largest_size: None,
     prior_penalty: 0.0,
     yields_to: &[],

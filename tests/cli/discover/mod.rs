@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod naming;
+mod neighbours;
 mod next;
 mod own_effects;
 mod real;

@@ -55,11 +55,8 @@ pub fn experiment() -> &'static Path {
 pub fn write(folder: &Path, robot: &Model, bends: &[Configuration]) {
     let truths = bends.iter().zip(0..).map(|(&configuration, index)| Truth { index, configuration });
     let truths: Vec<Truth> = truths.collect();
-    let reading = |truth: &Truth| EncoderReading {
-        index: truth.index,
-        time_s: 0.1 * truth.index as f64,
-        q_mm: robot.command(truth.configuration),
-    };
+    let reading =
+        |truth: &Truth| EncoderReading::new(truth.index, 0.1 * truth.index as f64, robot.command(truth.configuration));
     let readings: Vec<EncoderReading> = truths.iter().map(reading).collect();
     write_atomically(&folder.join("encoders.csv"), encoders_csv(&readings, 3).as_bytes()).unwrap();
     // With fewer rays the renderer errs by more than the eye's sigmas, and `discover` rightly finds it unexplained.
