@@ -231,12 +231,10 @@ impl Log {
         let mut noise = |size: f64| size * random.sample::<f64, _>(StandardNormal);
         let bends: Vec<Vector2<f64>> =
             machine.bends(&commands).into_iter().map(|bend| bend + Vector2::new(noise(sigma), noise(sigma))).collect();
-        let readings = commands.iter().enumerate().map(|(k, command)| EncoderReading {
-            index: k as u64,
-            time_s: 0.5 * k as f64,
-            q_mm: PerBackbone::from_fn(3, |i| tendon(*command, i) + noise(0.004)),
-        });
-        let readings = readings.collect();
+        let mut read = |command: &Vector2<f64>| PerBackbone::from_fn(3, |i| tendon(*command, i) + noise(0.004));
+        let readings = commands.iter().enumerate();
+        let readings =
+            readings.map(|(k, command)| EncoderReading::new(k as u64, 0.5 * k as f64, read(command))).collect();
         let measurements = bends.iter().enumerate().map(|(k, bend)| {
             let configuration = Configuration::from_bend_vector(*bend);
             let sigma_delta = (sigma / bend.norm().max(0.02)).min(1.8);
