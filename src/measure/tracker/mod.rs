@@ -56,7 +56,7 @@ const MOST_TILT_SIGMA_DEG: f64 = 5.0;
 /// Convention: several times what such trackers are good to, and what snakes that are no circles leave.
 const MOST_SCATTER: (f64, f64) = (0.05, 10.0);
 
-/// An axis is named as flipped where turning it round leaves less than this share of the scatter.
+/// An axis is named as flipped where turning it round leaves less than this share of the scatter, of positions times orientations.
 ///
 /// Convention: what is right scatters by noise, what is wrong by a good part of the snake's length.
 const FLIPPED_SHARE: f64 = 0.2;
@@ -227,7 +227,9 @@ fn why_no_arcs(seen: &[&TrackerPose], straight: &TrackerPose, robot: &Robot, fou
         };
         let flipped: Vec<TrackerPose> = seen.iter().map(|pose| flip(pose)).collect();
         let others = Registration::all(&flipped.iter().collect::<Vec<_>>(), &flip(straight), robot, None);
-        let is_better = |other: &Registration| other.sigma_mm < FLIPPED_SHARE * found.sigma_mm;
+        // What positions gain, orientations must not lose: quaternions in another order leave positions of their own on a flipped axis.
+        let scatter = |of: &Registration| of.sigma_mm * of.sigma_rad;
+        let is_better = |other: &Registration| scatter(other) < FLIPPED_SHARE * scatter(found);
         if others.first().is_some_and(|other| are_arcs(other, robot) && is_better(other)) {
             return TrackerError::Flipped { axis: name };
         }
