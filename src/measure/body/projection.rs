@@ -13,8 +13,8 @@ use nalgebra::{Point2, Point3, Vector2, Vector3};
 const AXIS_STEP_MM: f64 = 0.5;
 /// Distance between outline points in the coarse stages, as a share of the snake's diameter in the picture.
 ///
-/// Derived: π/0.2 = 16 points around a disk's two rims and sides, more than the two numbers of the bend need many times over.
-const COARSE_SPACING: f64 = 0.2;
+/// Derived: π/0.1 = 31 points around a disk's two rims and sides, more than the two numbers of the bend need many times over.
+const COARSE_SPACING: f64 = 0.1;
 /// The least such distance, px.
 ///
 /// Convention: a limit on the work; the fine stage, which gives the answer, takes every second pixel.
