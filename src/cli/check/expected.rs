@@ -5,7 +5,7 @@ use crate::estimate::{Options, estimate};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measured, Measurement, Status};
 use crate::report::decimation::keeps;
-use crate::robot::{MAX_THETA, Model, PerBackbone};
+use crate::robot::{Estimate, MAX_THETA, Model, PerBackbone};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -40,6 +40,13 @@ pub fn poses_of(
         Some((*row, model.forward(&alone.q_mm).ok()?.configuration))
     };
     some.filter_map(pose).filter(|(_, psi)| psi.theta <= MAX_THETA).collect()
+}
+
+impl Expected {
+    /// What an estimate from so many measurements says.
+    pub fn of(estimate: &Estimate, measurements: usize) -> Self {
+        Self { sd_eta: estimate.sd_eta(), sd_lambda_mm: estimate.sd_lambda_mm(), measurements }
+    }
 }
 
 /// Bends and directions that the readings imply, in words.
@@ -94,9 +101,5 @@ pub fn expected(
     }
     let plain = Model { estimate: None, ..model.clone() };
     let (_, learned) = estimate(&plain, options, &all, &readings)?;
-    Ok(learned.estimate.map(|estimate| Expected {
-        sd_eta: estimate.sd_eta(),
-        sd_lambda_mm: estimate.sd_lambda_mm(),
-        measurements: all.len(),
-    }))
+    Ok(learned.estimate.map(|estimate| Expected::of(&estimate, all.len())))
 }
