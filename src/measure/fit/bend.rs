@@ -42,11 +42,6 @@ const REPROJECTED_RAD: f64 = 0.03;
 ///
 /// Convention: an iteration cap; the next round goes on from there.
 const LINEARISATIONS: usize = 4;
-/// The most reweightings of one linearisation.
-///
-/// Convention: iteration caps. In the coarse stages the next round finds other edges, so that the weights need not have converged.
-const COARSE_REWEIGHTINGS: usize = 3;
-const FINE_REWEIGHTINGS: usize = 10;
 /// Beside another fit one with more than so many times its cost, before the first step within the last search distance, is hopeless: it
 /// would go on for up to twenty rounds in vain.
 ///
@@ -277,8 +272,7 @@ impl<'a> Fitting<'a> {
         }
         let phase = if search_px > FINE_SEARCH_PX { RobustPhase::Monotone } else { self.phase };
         let before = self.state.profile;
-        let reweightings = if self.schedule.is_fine { FINE_REWEIGHTINGS } else { COARSE_REWEIGHTINGS };
-        let (state, roots) = gauss_newton(&edges, self.view, self.state, &self.prior, phase, reweightings)?;
+        let (state, roots) = gauss_newton(&edges, self.view, self.state, &self.prior, phase)?;
         if state.profile.tip.norm() > LARGEST_BEND_RAD {
             return None;
         }
@@ -365,12 +359,11 @@ fn gauss_newton(
     start: State,
     prior: &FramePrior,
     phase: RobustPhase,
-    reweightings: usize,
 ) -> Option<(State, Vec<f64>)> {
     let (mut state, mut roots) = (start, Vec::new());
     for _ in 0..LINEARISATIONS {
         let step;
-        (step, roots) = robust_step(edges, view, &state, prior, phase, reweightings)?;
+        (step, roots) = robust_step(edges, view, &state, prior, phase)?;
         let bends = |step: &SVector<f64, STATE>| step.fixed_rows::<PROFILE>(0).amax();
         let step = step * (LONGEST_STEP_RAD / bends(&step)).min(1.0);
         if step.iter().any(|v| !v.is_finite()) {
@@ -448,7 +441,7 @@ mod tests {
         let start = state(truth.profile.tip + Vector2::new(0.02, -0.02));
         let error = |phases: &[RobustPhase]| {
             let fitted = phases.iter().fold(start, |state, &phase| {
-                gauss_newton(&edges, &view, state, &FramePrior::FIXTURE, phase, FINE_REWEIGHTINGS).unwrap().0
+                gauss_newton(&edges, &view, state, &FramePrior::FIXTURE, phase).unwrap().0
             });
             (fitted.profile.tip - truth.profile.tip).norm()
         };

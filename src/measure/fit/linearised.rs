@@ -9,6 +9,10 @@ use crate::robot::{Curve, PROFILE};
 use crate::statistics::robust::Irls;
 use nalgebra::{DMatrix, DVector, SVector, Vector3};
 
+/// The most reweightings of one linearisation.
+///
+/// Convention: an iteration cap.
+const MOST_REWEIGHTINGS: usize = 10;
 /// A reweighting that moves the state by less (rad and px) is the last.
 ///
 /// Convention: a hundredth of what a fit must move by to go on.
@@ -82,7 +86,7 @@ fn linearised_edges(
     })
 }
 
-/// The Gauss–Newton step from a state under a robust loss, by at most so many reweighted least-squares fits, and the square roots of the edges'
+/// The Gauss–Newton step from a state under a robust loss, by iteratively reweighted least squares, and the square roots of the edges'
 /// weights. `None` where the edges do not determine the state.
 pub(crate) fn robust_step(
     edges: &Correspondences,
@@ -90,10 +94,13 @@ pub(crate) fn robust_step(
     state: &State,
     prior: &FramePrior,
     phase: RobustPhase,
-    reweightings: usize,
 ) -> Option<(SVector<f64, STATE>, Vec<f64>)> {
-    let irls =
-        Irls { loss: phase.loss(), least_scale: LEAST_SCALE, rounds: reweightings, tolerance: REWEIGHTING_TOLERANCE };
+    let irls = Irls {
+        loss: phase.loss(),
+        least_scale: LEAST_SCALE,
+        rounds: MOST_REWEIGHTINGS,
+        tolerance: REWEIGHTING_TOLERANCE,
+    };
     let mut offset = DVector::zeros(edges.len() + PRIORS);
     let mut design = DMatrix::zeros(edges.len() + PRIORS, STATE);
     for (row, edge) in linearised_edges(edges, view, state).enumerate() {

@@ -186,7 +186,7 @@ mod tests {
         let squares: Vec<[f64; 2]> = (0..200)
             .map(|_| {
                 let edges = Correspondences::displaced(&outline, &draw(&outline), SIGMA_PX);
-                let (step, roots) = robust_step(&edges, &view, &state, &prior, RobustPhase::Redescending, 10).unwrap();
+                let (step, roots) = robust_step(&edges, &view, &state, &prior, RobustPhase::Redescending).unwrap();
                 let fitted = state.moved(&step);
                 let linear = Linearised::new(&edges, &view, &fitted).weighted(&roots).with_prior(&prior, &fitted);
                 let (jacobian, residuals) = (&linear.by_state, &linear.residuals);
