@@ -70,10 +70,6 @@ impl Iterator for Video {
 pub struct Capture {
     capture: VideoCapture,
     picture: Mat,
-    /// Whether its frames carry the time at which they were taken.
-    ///
-    /// Source: RFC 3550, section 5.1: the timestamp of an RTP packet is the sampling instant of its first byte.
-    is_rtp: bool,
 }
 
 /// How long opening a stream, and waiting for its next frame, may take, ms.
@@ -120,8 +116,7 @@ impl Capture {
             let message = format!("it is not there, or does not answer{}", devices(target));
             return Err(Error::OpenCv { action: name, message });
         }
-        let is_rtp = matches!(target, CaptureTarget::Stream(address) if address.starts_with("rtsp://"));
-        let mut opened = Self { capture, picture: Mat::default(), is_rtp };
+        let mut opened = Self { capture, picture: Mat::default() };
         opened.set(settings);
         Ok(opened)
     }
@@ -148,15 +143,12 @@ impl Capture {
         ask(CAP_PROP_FOCUS, settings.focus);
     }
 
-    /// The next frame, waited for, and when it was taken by a clock of the stream's own, s, where the stream tells that; `None` where the
-    /// camera or stream is gone or silent.
-    pub fn read(&mut self) -> Option<(Option<f64>, Frame)> {
+    /// The next frame, waited for; `None` where the camera or stream is gone or silent.
+    pub fn read(&mut self) -> Option<Frame> {
         if !self.capture.read(&mut self.picture).ok()? {
             return None;
         }
-        let time_ms = if self.is_rtp { self.capture.get(CAP_PROP_POS_MSEC).ok() } else { None };
-        let time_s = time_ms.filter(|&ms| ms.is_finite() && ms > 0.0).map(|ms| ms / 1000.0);
-        Some((time_s, frame_from(&self.picture).ok()??))
+        frame_from(&self.picture).ok()?
     }
 
     /// The settings as the camera or stream reports them.

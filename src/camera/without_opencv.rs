@@ -46,7 +46,7 @@ impl Capture {
     }
 
     /// The next frame.
-    pub fn read(&mut self) -> Option<(Option<f64>, Frame)> {
+    pub fn read(&mut self) -> Option<Frame> {
         match *self {}
     }
 

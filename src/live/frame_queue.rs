@@ -130,18 +130,12 @@ impl FrameQueue {
         }
     }
 
-    /// Counts and numbers a frame of a camera or stream, taken for one of the time at which it arrived.
+    /// Counts and numbers a frame of a camera or stream.
     pub fn arrival(&mut self, at: Instant, time_s: f64) -> Arrival {
-        let late_s = self.lateness.arrived(at);
-        Arrival { late_s, ..self.arrival_of_known_time(at, time_s) }
-    }
-
-    /// Counts and numbers a frame of a stream that tells when it was taken: it may arrive when it likes.
-    pub fn arrival_of_known_time(&mut self, at: Instant, time_s: f64) -> Arrival {
         self.count(at);
         let index = self.next_index;
         self.next_index += 1;
-        Arrival { index, time_s, at, late_s: 0.0 }
+        Arrival { index, time_s, at, late_s: self.lateness.arrived(at) }
     }
 
     /// Adds a frame; where as many wait as may, it takes their place.

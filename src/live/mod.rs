@@ -45,7 +45,6 @@ mod source;
 mod standstill;
 mod status;
 mod straight_reference;
-mod stream_clock;
 pub mod tui;
 mod verdict_worker;
 

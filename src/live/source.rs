@@ -10,7 +10,6 @@ use super::clock::{FrameClock, unix_time_s};
 use super::frame_queue::{Arrival, Captured, FrameQueue};
 use super::motion_jpeg::MotionJpeg;
 use super::status::SourceStatus;
-use super::stream_clock::StreamClock;
 use crate::Result;
 use crate::camera::{Capture, CaptureSettings, CaptureTarget, FrameSource, decode_frame};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -217,15 +216,9 @@ impl SharedQueue {
 
     /// Reads frames that OpenCV decodes.
     fn read_pictures(&self, mut capture: Capture) {
-        let mut clock = StreamClock::default();
-        while let Some((stream_s, frame)) = capture.read() {
+        while let Some(frame) = capture.read() {
             let go_on = self.update(|queue| {
-                let now_s = unix_time_s();
-                let taken_s = stream_s.and_then(|stream_s| clock.taken_s(stream_s, now_s));
-                let arrival = match taken_s {
-                    Some(taken_s) => queue.arrival_of_known_time(Instant::now(), taken_s),
-                    None => queue.arrival(Instant::now(), now_s),
-                };
+                let arrival = queue.arrival(Instant::now(), unix_time_s());
                 queue.push(arrival.with(Some(frame)));
             });
             if !go_on {

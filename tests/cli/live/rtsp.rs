@@ -1,11 +1,11 @@
 //! A network camera that speaks RTSP: GStreamer's server, from Debian's packages, on the loopback.
 
 use super::fixture::{Live, experiment};
-use super::streams::{ROUND_S, encoder_lines};
+use super::streams::ROUND_S;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::time::{Instant, SystemTime};
+use std::time::SystemTime;
 
 /// rtsp.py with these arguments, by the system's Python, which has the packages.
 fn script(arguments: &[&str]) -> Command {
@@ -27,12 +27,11 @@ impl Drop for Camera {
 /// `cargo test --test cli rtsp -- --ignored`
 #[test]
 #[ignore = "needs OpenCV and GStreamer's RTSP server; tools/test runs it where they are"]
-fn an_rtsp_camera_is_learned_from() {
+fn an_rtsp_camera_is_measured() {
     if cfg!(not(feature = "opencv")) || !script(&["--check"]).status().is_ok_and(|status| status.success()) {
         println!("NOT CHECKED: an RTSP camera; it needs a build with OpenCV, and the packages that rtsp.py names");
         return;
     }
-    let began = Instant::now();
     let began_s = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_secs_f64();
     let frames = experiment().join("frames");
     let arguments = [frames.to_str().unwrap(), &began_s.to_string(), &ROUND_S.to_string()];
@@ -41,16 +40,11 @@ fn an_rtsp_camera_is_learned_from() {
     BufReader::new(camera.0.stdout.take().unwrap()).read_line(&mut port).unwrap();
     let stream = format!("rtsp://127.0.0.1:{}/snake", port.trim());
     let folder = tempfile::tempdir().unwrap();
-    let encoders = encoder_lines(began);
-    let lines = format!("tcp://{}", encoders.address);
-    let live = Live::start(&folder.path().join("out"), &["--source", &stream, "--encoders", &lines]);
-    let state = live.until("measurements", |state| state["measured"].as_u64() >= Some(100));
+    let live = Live::start(&folder.path().join("out"), &["--source", &stream]);
+    let state = live.until("measurements", |state| state["measured"].as_u64() >= Some(30));
     let share = state["measured"].as_f64().unwrap() / state["measurements"].as_f64().unwrap();
     assert!(share > 0.9, "{share} of the frames are measured: {state:#}");
     assert_eq!(state["latest"]["status"], "ok", "{state:#}");
-    // Each tells when it was taken, however busy the machine is.
-    assert_eq!(state["timing"]["late"], 0, "{state:#}");
-    assert!(state["estimate"]["samples"].as_u64() >= Some(20), "{state:#}");
     let rate = state["source"]["rate_fps"].as_f64().unwrap();
     assert!((8.0..25.0).contains(&rate), "{rate} frames/s");
     drop(camera);
