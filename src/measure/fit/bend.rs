@@ -46,7 +46,7 @@ const LINEARISATIONS: usize = 4;
 /// would go on for up to twenty rounds in vain.
 ///
 /// Fitted: to 905 mirrored fits of the photo-realistic frames and rigs; of the 27 that ended at another bend and within twice the best cost, from
-/// which on none counts, none had more than 2.4 times. Judged by `tests/eye/robustness`, in which no frame is measured otherwise.
+/// which on none counts, none had more than 2.4 times. Judged by `tests/eye/robustness`.
 const HOPELESS_COST_RATIO: f64 = 4.0;
 /// The longest step of the bend, rad.
 ///
