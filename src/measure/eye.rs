@@ -3,13 +3,11 @@
 //! A frame goes through these stages, see [`Eye::measure`]:
 //!
 //! 1. Coarse search: the bends of a lattice with the most contrast across their outlines are candidates.
-//! 2. First try: the candidate that is expected, or else the best, is fitted until it converges. Stages 3 and 4 follow only where that fit does
-//!    not agree with the outline everywhere, or does not become a measurement that no other bend comes near to.
-//! 3. Coarse fits: each candidate is fitted from wide search distances; the best one's mirrored solution as well.
-//! 4. Refinement: the best of them are fitted until they converge.
-//! 5. Selection among the local minima: the best is fitted in the fine stage, and so is every other that may explain the picture
+//! 2. Coarse fits: each candidate is fitted from wide search distances; the best one's mirrored solution as well.
+//! 3. Refinement: the best of them are fitted until they converge.
+//! 4. Selection among the local minima: the best is fitted in the fine stage, and so is every other that may explain the picture
 //!    as well.
-//! 6. Verdict: the status, and for [`Status::Ok`] the bend with its covariance, to which the rig's uncertainty is added.
+//! 5. Verdict: the status, and for [`Status::Ok`] the bend with its covariance, to which the rig's uncertainty is added.
 
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
@@ -193,8 +191,9 @@ impl Eye {
         self.measure_in_stages(frame, None).measurement
     }
 
-    /// Measures one frame of a snake whose bend vector is expected to be about this: the candidate nearest to it is tried first, and not the best.
-    /// Says the same as [`measure`](Self::measure), sooner where the best is not the right one.
+    /// Measures one frame of a snake whose bend vector is expected to be about this: of the candidates the nearest is tried alone, and the
+    /// others only where its fit does not agree with the outline everywhere, or another bend might do so too. Says the same as
+    /// [`measure`](Self::measure), sooner.
     pub fn measure_expected(&self, frame: &Frame, expected: Vector2<f64>) -> FrameMeasurement {
         self.measure_in_stages(frame, Some(expected)).measurement
     }
@@ -220,12 +219,11 @@ impl Eye {
         let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
         let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
         let candidates = self.candidates(&plane);
-        let first = expected.or(candidates.first().copied());
-        let first = first.and_then(|bend| self.minimum_near(bend, &candidates, &finder));
-        let concluded = first.clone().map(|minimum| self.conclude(vec![minimum], frame, &finder, &FINE));
+        let as_expected = expected.and_then(|expected| self.minimum_near(expected, &candidates, &finder));
+        let concluded = as_expected.clone().map(|minimum| self.conclude(vec![minimum], frame, &finder, &FINE));
         let Conclusion { fits, measurement, .. } = concluded
             .filter(Conclusion::is_certain)
-            .unwrap_or_else(|| self.conclude(self.minima(&candidates, first, &finder), frame, &finder, &FINE));
+            .unwrap_or_else(|| self.conclude(self.minima(&candidates, as_expected, &finder), frame, &finder, &FINE));
         MeasurementStages { candidates, fits, measurement }
     }
 

@@ -14,10 +14,6 @@ const CANDIDATES: usize = 6;
 ///
 /// Convention: two whatever the number of cores, so that the answer does not depend on it.
 const CANDIDATES_AT_A_TIME: usize = 2;
-/// How many candidates may be tried, each the nearest to where the one before it led, until one leads back to itself.
-///
-/// Convention: an iteration cap.
-const CANDIDATES_FOLLOWED: usize = 2;
 /// How many coarse fits are refined.
 ///
 /// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
@@ -51,25 +47,18 @@ impl Eye {
         self.search().candidates(plane, self.rig.appearance.two_sided, CANDIDATES)
     }
 
-    /// The local minimum to which the candidate nearest to an expected bend leads; where another candidate is nearer to the minimum, the one
-    /// to which that leads. `None` where it does not agree with the outline everywhere, or no candidate leads to what it is nearest to.
+    /// The local minimum to which the candidate nearest to an expected bend leads. `None` where it does not agree with the outline everywhere,
+    /// or another candidate is nearer to it.
     pub(super) fn minimum_near(
         &self,
         expected: Vector2<f64>,
         candidates: &[Vector2<f64>],
         finder: &EdgeFinder,
     ) -> Option<BendFit> {
-        let mut candidate = nearest(candidates, expected)?;
-        for _ in 0..CANDIDATES_FOLLOWED {
-            let coarse = self.fit(finder, self.start(candidate), &COARSE)?;
-            let minimum = self.fit(finder, coarse.start(), &REFINEMENT).filter(BendFit::agrees_everywhere)?;
-            let nearest = nearest(candidates, minimum.bend())?;
-            if nearest == candidate {
-                return Some(minimum);
-            }
-            candidate = nearest;
-        }
-        None
+        let candidate = nearest(candidates, expected)?;
+        let coarse = self.fit(finder, self.start(candidate), &COARSE)?;
+        let minimum = self.fit(finder, coarse.start(), &REFINEMENT)?;
+        (minimum.agrees_everywhere() && nearest(candidates, minimum.bend()) == Some(candidate)).then_some(minimum)
     }
 
     /// The local minima to which the candidates lead, of which one may be known already from [`minimum_near`](Self::minimum_near).

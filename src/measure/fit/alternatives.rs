@@ -31,8 +31,7 @@ const EDGE_ON_PX: f64 = 2.0;
 const EXPLAINING_COST: f64 = 0.01;
 /// And only if this share of the outline agrees with it.
 ///
-/// Fitted: by hand on renders, for speed, together with the cost. Of 1,556 right fits of photo-realistic frames 87 % have more. With 0.9, which
-/// 99 % have, a frame of `fixtures/bending` was 3° off: the first try was taken for certain. Judged by `tests/robustness`.
+/// Fitted: by hand on renders, for speed, together with the cost; judged by `tests/robustness`.
 const EXPLAINING_INLIERS: f64 = 0.95;
 
 /// How far the last disk of a snake that may have any shape is turned, rad, to look for other local minima.

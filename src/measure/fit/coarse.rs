@@ -29,10 +29,6 @@ const APART_SPACINGS: f64 = 2.2;
 ///
 /// Fitted: by hand on renders; judged by `tests/robustness`.
 const PAIR_DISTANCE_PX: f64 = 1.6;
-/// Distance between neighbouring pairs along the outline, px of the shrunk picture.
-///
-/// Convention: neighbours further apart than a pair is wide have no pixel in common, and all pairs are read for every frame.
-const PAIRS_APART_PX: f64 = 4.0;
 /// The least free background beside an outline point, px of the shrunk picture.
 ///
 /// Derived: the pair's outer pixel lies 1.6 px away, and half a pixel's diagonal further begins its neighbour.
@@ -40,7 +36,7 @@ const LEAST_GAP_PX: f64 = 2.5;
 /// A bend with fewer pairs in the picture is no candidate.
 ///
 /// Convention: a guard against scores from a few pixels at the picture's border.
-const FEWEST_PAIRS: usize = 10;
+const FEWEST_PAIRS: usize = 20;
 /// The values of the picture between which contrast counts: 0 is background and 1 is snake, and a quarter beyond on either side.
 ///
 /// Convention: bounds what a highlight may add.
@@ -165,7 +161,7 @@ fn lattice() -> Vec<Vector2<f64>> {
 
 /// The pairs of pixels on both sides of the outline of a bend.
 fn pairs(view: &Projection, bend: Vector2<f64>) -> Vec<Pair> {
-    let outline = Outline::spaced(view, Configuration::from_bend_vector(bend), PAIRS_APART_PX);
+    let outline = Outline::new(view, Configuration::from_bend_vector(bend));
     let points = outline.points.iter().filter(|p| p.body.s_mm > 0.0 && p.gap_px >= LEAST_GAP_PX);
     points
         .filter_map(|p| {
