@@ -26,6 +26,13 @@ pub struct Expected {
     pub measurements: usize,
 }
 
+impl Expected {
+    /// What an estimate from so many measurements says.
+    pub fn of(estimate: &Estimate, measurements: usize) -> Self {
+        Self { sd_eta: estimate.sd_eta(), sd_lambda_mm: estimate.sd_lambda_mm(), measurements }
+    }
+}
+
 /// Where the snake goes by the model, at the readings that have a frame.
 pub fn poses_of(
     model: &Model,
@@ -40,13 +47,6 @@ pub fn poses_of(
         Some((*row, model.forward(&alone.q_mm).ok()?.configuration))
     };
     some.filter_map(pose).filter(|(_, psi)| psi.theta <= MAX_THETA).collect()
-}
-
-impl Expected {
-    /// What an estimate from so many measurements says.
-    pub fn of(estimate: &Estimate, measurements: usize) -> Self {
-        Self { sd_eta: estimate.sd_eta(), sd_lambda_mm: estimate.sd_lambda_mm(), measurements }
-    }
 }
 
 /// Bends and directions that the readings imply, in words.
