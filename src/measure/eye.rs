@@ -3,11 +3,13 @@
 //! A frame goes through these stages, see [`Eye::measure`]:
 //!
 //! 1. Coarse search: the bends of a lattice with the most contrast across their outlines are candidates.
-//! 2. Coarse fits: each candidate is fitted from wide search distances; the best one's mirrored solution as well.
-//! 3. Refinement: the best of them are fitted until they converge.
-//! 4. Selection among the local minima: the best is fitted in the fine stage, and so is every other that may explain the picture
+//! 2. First try: the best candidate, or the one that is expected, goes through stages 3 to 6 with no other beside it but its mirrored solution.
+//!    The answer stands where it agrees with the outline everywhere and no other bend comes near to it.
+//! 3. Coarse fits: each candidate is fitted from wide search distances; the best one's mirrored solution as well.
+//! 4. Refinement: the best of them are fitted until they converge.
+//! 5. Selection among the local minima: the best is fitted in the fine stage, and so is every other that may explain the picture
 //!    as well.
-//! 5. Verdict: the status, and for [`Status::Ok`] the bend with its covariance, to which the rig's uncertainty is added.
+//! 6. Verdict: the status, and for [`Status::Ok`] the bend with its covariance, to which the rig's uncertainty is added.
 
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
@@ -125,9 +127,10 @@ struct Conclusion {
 }
 
 impl Conclusion {
-    /// Whether a snake was measured, and no other bend came near to explaining the picture as well.
+    /// Whether a snake was measured that agrees with the outline everywhere, and no other bend came near to explaining the picture as well.
     fn is_certain(&self) -> bool {
-        self.measurement.status == Status::Ok && !self.has_alternative
+        let agrees = self.fits.first().is_some_and(BendFit::agrees_everywhere);
+        self.measurement.status == Status::Ok && agrees && !self.has_alternative
     }
 }
 
@@ -191,9 +194,8 @@ impl Eye {
         self.measure_in_stages(frame, None).measurement
     }
 
-    /// Measures one frame of a snake whose bend vector is expected to be about this: of the candidates the nearest is tried alone, and the
-    /// others only where its fit does not agree with the outline everywhere, or another bend might do so too. Says the same as
-    /// [`measure`](Self::measure), sooner.
+    /// Measures one frame of a snake whose bend vector is expected to be about this: the candidate nearest to it is tried first, and not the
+    /// best. Says the same as [`measure`](Self::measure), sooner where the best is not the right one.
     pub fn measure_expected(&self, frame: &Frame, expected: Vector2<f64>) -> FrameMeasurement {
         self.measure_in_stages(frame, Some(expected)).measurement
     }
@@ -219,11 +221,12 @@ impl Eye {
         let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
         let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
         let candidates = self.candidates(&plane);
-        let as_expected = expected.and_then(|expected| self.minimum_near(expected, &candidates, &finder));
-        let concluded = as_expected.clone().map(|minimum| self.conclude(vec![minimum], frame, &finder, &FINE));
+        let first = expected.or(candidates.first().copied());
+        let first = first.and_then(|bend| self.minimum_near(bend, &candidates, &finder));
+        let concluded = first.clone().map(|minimum| self.conclude(vec![minimum], frame, &finder, &FINE));
         let Conclusion { fits, measurement, .. } = concluded
             .filter(Conclusion::is_certain)
-            .unwrap_or_else(|| self.conclude(self.minima(&candidates, as_expected, &finder), frame, &finder, &FINE));
+            .unwrap_or_else(|| self.conclude(self.minima(&candidates, first, &finder), frame, &finder, &FINE));
         MeasurementStages { candidates, fits, measurement }
     }
 
@@ -323,9 +326,11 @@ impl Eye {
         let bend = self.mirrored(best.bend());
         let is_close = (bend - best.bend()).norm() < EDGE_ON_RAD;
         let schedule = if is_close { REFINEMENT } else { COARSE_TO_REFINED };
-        let mirrored = self.fit(finder, self.start(bend), &schedule.beside(best));
-        let lowest = mirrored.iter().fold(best, |lowest, other| if other.cost < lowest.cost { other } else { lowest });
-        let finest = self.fit_fine(finder, lowest.start(), fine);
+        // Side by side: the mirrored solution is seldom the better one, from which the fine stage then starts anew.
+        let mirrored = || self.fit(finder, self.start(bend), &schedule.beside(best));
+        let (mirrored, finest) = rayon::join(mirrored, || self.fit_fine(finder, best.start(), fine));
+        let better = mirrored.as_ref().filter(|mirrored| mirrored.cost < best.cost);
+        let finest = better.map_or(finest, |mirrored| self.fit_fine(finder, mirrored.start(), fine));
         let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
         let Some(mut best) = finest else { return Selection::without_fine_fit(fits) };
         let diameter_px = self.projection().diameter_px();

@@ -14,6 +14,10 @@ const CANDIDATES: usize = 6;
 ///
 /// Convention: two whatever the number of cores, so that the answer does not depend on it.
 const CANDIDATES_AT_A_TIME: usize = 2;
+/// How many candidates are tried one after the other, each the nearest to where the one before led.
+///
+/// Convention: an iteration cap. In one frame of six the second is needed, and leads to what it is nearest to.
+const CANDIDATES_FOLLOWED: usize = 2;
 /// How many coarse fits are refined.
 ///
 /// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
@@ -47,18 +51,25 @@ impl Eye {
         self.search().candidates(plane, self.rig.appearance.two_sided, CANDIDATES)
     }
 
-    /// The local minimum to which the candidate nearest to an expected bend leads. `None` where it does not agree with the outline everywhere,
-    /// or another candidate is nearer to it.
+    /// The local minimum to which the candidate nearest to an expected bend leads; where another candidate is nearer to the minimum, the one
+    /// to which that leads. `None` where it is not promising, or no candidate leads to what it is nearest to.
     pub(super) fn minimum_near(
         &self,
         expected: Vector2<f64>,
         candidates: &[Vector2<f64>],
         finder: &EdgeFinder,
     ) -> Option<BendFit> {
-        let candidate = nearest(candidates, expected)?;
-        let coarse = self.fit(finder, self.start(candidate), &COARSE)?;
-        let minimum = self.fit(finder, coarse.start(), &REFINEMENT)?;
-        (minimum.agrees_everywhere() && nearest(candidates, minimum.bend()) == Some(candidate)).then_some(minimum)
+        let mut candidate = nearest(candidates, expected)?;
+        for _ in 0..CANDIDATES_FOLLOWED {
+            let coarse = self.fit(finder, self.start(candidate), &COARSE)?;
+            let minimum = self.fit(finder, coarse.start(), &REFINEMENT).filter(BendFit::is_promising)?;
+            let nearest = nearest(candidates, minimum.bend())?;
+            if nearest == candidate {
+                return Some(minimum);
+            }
+            candidate = nearest;
+        }
+        None
     }
 
     /// The local minima to which the candidates lead, of which one may be known already from [`minimum_near`](Self::minimum_near).

@@ -33,6 +33,11 @@ const EXPLAINING_COST: f64 = 0.01;
 ///
 /// Fitted: by hand on renders, for speed, together with the cost; judged by `tests/robustness`.
 const EXPLAINING_INLIERS: f64 = 0.95;
+/// A coarse fit with this share, of which every disk is visible, is worth a fit in the fine stage before others are tried.
+///
+/// Fitted: to the first candidates of 217 photo-realistic frames; of the right ones 3 have less, of the 12 wrong ones none has more and every
+/// disk visible. Whether the fine fit may then be believed without trying others is asked again.
+const PROMISING_INLIERS: f64 = 0.87;
 
 /// How far the last disk of a snake that may have any shape is turned, rad, to look for other local minima.
 ///
@@ -126,9 +131,15 @@ impl BendFit {
 
     /// Whether nearly all of the outline has its edge, and every disk is visible.
     pub fn agrees_everywhere(&self) -> bool {
-        if self.inlier_fraction() < EXPLAINING_INLIERS {
-            return false;
-        }
+        self.inlier_fraction() >= EXPLAINING_INLIERS && self.shows_every_disk()
+    }
+
+    /// Whether a coarse fit is likely to agree with the outline everywhere in the fine stage.
+    pub fn is_promising(&self) -> bool {
+        self.inlier_fraction() >= PROMISING_INLIERS && self.shows_every_disk()
+    }
+
+    fn shows_every_disk(&self) -> bool {
         let visibility = self.visibility();
         visibility.visible_disk_share() == 1.0 && visibility.is_end_visible()
     }

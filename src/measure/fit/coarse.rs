@@ -29,6 +29,11 @@ const APART_SPACINGS: f64 = 2.2;
 ///
 /// Fitted: by hand on renders; judged by `tests/robustness`.
 const PAIR_DISTANCE_PX: f64 = 1.6;
+/// Distance between neighbouring pairs along the outline, as a share of the snake's diameter, and never less than the outline's own.
+///
+/// Derived: π/0.14 = 22 pairs around a disk's two rims and sides. All pairs of all bends are read for every frame; a small snake has none to
+/// spare.
+const PAIRS_APART: f64 = 0.14;
 /// The least free background beside an outline point, px of the shrunk picture.
 ///
 /// Derived: the pair's outer pixel lies 1.6 px away, and half a pixel's diagonal further begins its neighbour.
@@ -161,7 +166,8 @@ fn lattice() -> Vec<Vector2<f64>> {
 
 /// The pairs of pixels on both sides of the outline of a bend.
 fn pairs(view: &Projection, bend: Vector2<f64>) -> Vec<Pair> {
-    let outline = Outline::new(view, Configuration::from_bend_vector(bend));
+    let spacing_px = (PAIRS_APART * view.diameter_px()).max(Outline::SPACING_PX);
+    let outline = Outline::spaced(view, Configuration::from_bend_vector(bend), spacing_px);
     let points = outline.points.iter().filter(|p| p.body.s_mm > 0.0 && p.gap_px >= LEAST_GAP_PX);
     points
         .filter_map(|p| {

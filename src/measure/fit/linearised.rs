@@ -15,8 +15,8 @@ use nalgebra::{DMatrix, DVector, SVector, Vector3};
 const MOST_REWEIGHTINGS: usize = 10;
 /// A reweighting that moves the state by less (rad and px) is the last.
 ///
-/// Convention: a hundredth of what a fit must move by to go on.
-const REWEIGHTING_TOLERANCE: f64 = 1e-5;
+/// Convention: a tenth of what a fit must move by to go on.
+const REWEIGHTING_TOLERANCE: f64 = 1e-4;
 
 /// Residuals of edges in units of σ, and their derivatives (rows: edges).
 #[derive(Debug, Clone)]
