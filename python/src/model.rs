@@ -2,6 +2,7 @@
 
 use crate::arrays::{matrix, radians_of, readings_of, shaped};
 use crate::error::{raised, wrong};
+use crate::tables::warn;
 use crate::threads::by_rows;
 use numpy::ndarray::ArrayD;
 use numpy::{PyArray2, PyArrayDyn};
@@ -51,6 +52,7 @@ impl PyModel {
         theta_deg: Option<Bound<'py, PyAny>>,
         delta_deg: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        tell_of_neighbours(py, &self.0)?;
         let theta = radians_of("theta", theta, theta_deg)?;
         let delta = radians_of("delta", delta, delta_deg)?;
         let (shape, theta, delta) = broadcast(&theta, &delta)?;
@@ -75,6 +77,7 @@ impl PyModel {
         py: Python<'py>,
         q_mm: &Bound<'py, PyAny>,
     ) -> PyResult<(Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<f64>>)> {
+        tell_of_neighbours(py, &self.0)?;
         let (shape, readings) = readings_of(q_mm, self.0.robot.backbone_count())?;
         let (mut theta_deg, mut delta_deg) = (vec![f64::NAN; readings.len()], vec![f64::NAN; readings.len()]);
         by_rows(py, readings.len(), |rows| {
@@ -154,6 +157,11 @@ impl PyModel {
     fn __str__(&self) -> PyResult<String> {
         model_toml(&self.0).map_err(raised)
     }
+}
+
+/// Warns that what is answered holds while the neighbouring sections are at rest, where the model has a coupling with them.
+pub fn tell_of_neighbours(py: Python<'_>, model: &Model) -> PyResult<()> {
+    model.resting_neighbours().map_or(Ok(()), |words| warn(py, words))
 }
 
 /// The common shape of two arrays of angles, and the numbers of each by rows.
