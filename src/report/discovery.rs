@@ -24,6 +24,7 @@ const GLOSSARY: &str = "ε is how much further the actuators move (q̃, what the
 
 const STYLE: &str = "
 .verdict { font-size: 1.15rem; color: var(--ink); max-width: 48rem; }
+@media (min-width: 60rem) { .summary { grid-template-columns: repeat(3, 1fr); } }
 .equation { font-family: ui-monospace, monospace; color: var(--ink); overflow-wrap: anywhere; }
 ";
 

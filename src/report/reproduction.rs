@@ -22,7 +22,7 @@ td.why { min-width: 18rem; color: var(--soft); }
   .wide tr { padding: .5rem 0; border-bottom: 1px solid var(--line); }
   .wide tr:first-child, .wide td:empty { display: none; }
   .wide td, .wide td.number { display: flex; gap: .5rem; padding: 0; border: 0; text-align: left; white-space: normal; min-width: 0; }
-  .wide td::before { content: attr(data-name); flex: 0 0 8rem; color: var(--soft); }
+  .wide td::before { content: attr(data-name); flex: 0 0 9.5rem; color: var(--soft); }
 }
 ";
 
@@ -72,13 +72,13 @@ fn section(title: &str, comparisons: &[Comparison], places: &[&str], figures: &[
                 @for row in comparisons.iter().filter(|row| places.contains(&row.place)) {
                     @let [place, quantity, paper, ours, difference, unit, why] = COLUMNS;
                     tr {
-                        td data-name=(place) { (row.place) }
-                        td.quantity data-name=(quantity) { (row.quantity) }
-                        td.number data-name=(paper) { (optional(row.paper)) }
-                        td.number data-name=(ours) { (number(row.ours)) }
-                        td.number data-name=(difference) { (optional(row.difference())) }
-                        td data-name=(unit) { @if row.unit != "1" { (row.unit) } }
-                        td.why data-name=(why) { (with_code(&row.explanation)) }
+                        td data-name=(place) { span { (row.place) } }
+                        td.quantity data-name=(quantity) { span { (row.quantity) } }
+                        td.number data-name=(paper) { span { (optional(row.paper)) } }
+                        td.number data-name=(ours) { span { (number(row.ours)) } }
+                        td.number data-name=(difference) { span { (optional(row.difference())) } }
+                        td data-name=(unit) { @if row.unit != "1" { span { (row.unit) } } }
+                        td.why data-name=(why) { span { (with_code(&row.explanation)) } }
                     }
                 }
             }
@@ -249,7 +249,7 @@ fn table_iii(all: &Reproduction) -> Markup {
             table {
                 tr { @for name in COLUMNS { th { (name) } } }
                 @for step in &all.recursion {
-                    tr { @for (name, cell) in COLUMNS.iter().zip(cells(step)) { td.number data-name=(name) { (cell) } } }
+                    tr { @for (name, cell) in COLUMNS.iter().zip(cells(step)) { td.number data-name=(name) { span { (cell) } } } }
                 }
             }
         }
