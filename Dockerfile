@@ -1,7 +1,8 @@
 # The program without OpenCV: measures pictures, learns, compensates, discovers.
 #
 #   docker build --tag snakeloop .
-#   docker run --rm --volume "$PWD/fixtures/bending:/experiment:ro" --volume "$PWD/out:/out" snakeloop run /experiment -o /out
+#   mkdir -p out    # else docker makes it, and root's
+#   docker run --rm --user "$(id -u):$(id -g)" --volume "$PWD/fixtures/bending:/experiment:ro" --volume "$PWD/out:/out" snakeloop run /experiment -o /out
 
 FROM rust:1-slim-bookworm AS build
 WORKDIR /snakeloop

@@ -6,15 +6,16 @@ use crate::tables::{encoders_of, measurements_of};
 use crate::threads::interruptible;
 use pyo3::prelude::*;
 use serde_json::Value;
-use snakeloop::Result;
-use snakeloop::discover::{Data, Localisation, discover as search, discover_in_frames, nothing_named};
+use snakeloop::discover::{Data, FewSamples, Localisation, discover as search, discover_in_frames, nothing_named};
+use snakeloop::error::DataError;
 use snakeloop::estimate::Options;
 use snakeloop::estimate::gap::gap;
 use snakeloop::observation::{EncoderReading, Measurement};
-use snakeloop::report::discovery::{Page, lines};
+use snakeloop::report::discovery::{Page, few_samples_lines, few_samples_page, lines};
 use snakeloop::report::verdict::verdict_page;
 use snakeloop::robot::Model;
 use snakeloop::verdict::{Subject, Verdict};
+use snakeloop::{Error, Result};
 
 /// What `discover` found: verdict, effects, gap, and the model with the effects added.
 #[pyclass(name = "Discovery", module = "snakeloop", frozen)]
@@ -46,7 +47,7 @@ pub fn discover(
         return Err(wrong(format!("sd_encoder_mm is {sd_encoder_mm}, expected more than 0, to 1 mm")));
     }
     let model = model.map_or_else(Model::default, |model| model.0.clone());
-    let readings = encoders_of(encoders, model.robot.backbone_count())?;
+    let readings = encoders_of(encoders, &model)?;
     let measurements = measurements_of(measurements)?;
     interruptible(py, move || discovered(model, &measurements, &readings, sd_encoder_mm))?.map_err(raised)
 }
@@ -58,13 +59,27 @@ fn discovered(
     readings: &[EncoderReading],
     sd_encoder_mm: f64,
 ) -> Result<PyDiscovery> {
-    let data = Data::new(measurements, readings, sd_encoder_mm)?;
+    let answer = match Data::new(measurements, readings, sd_encoder_mm) {
+        Ok(data) => Ok(data),
+        Err(error @ Error::Data(DataError::TooFewSamples { found, .. })) => {
+            Err(FewSamples::of(found, &model, measurements, readings, sd_encoder_mm)?.ok_or(error)?)
+        }
+        Err(error) => return Err(error),
+    };
     if let Some(mistake) = Subject::new(&model, sd_encoder_mm).wiring_mistake(measurements, readings) {
         let verdict = Verdict::of(vec![mistake]);
-        let json = nothing_named(&gap(&model, measurements, readings), &verdict, &data);
+        let remarks = answer.map_or_else(|few| few.remarks, |data| data.remarks);
+        let json = nothing_named(&gap(&model, measurements, readings), &verdict, &remarks);
         let text = format!("unexplained: no physics is named of these data\n{}", verdict.lines().join("\n"));
         return Ok(PyDiscovery { json, text, page: verdict_page("snakeloop: discover", &verdict), model });
     }
+    let data = match answer {
+        Ok(data) => data,
+        Err(few) => {
+            let (json, text, page) = (few.json(), few_samples_lines(&few), few_samples_page(&few));
+            return Ok(PyDiscovery { json, text, page, model: few.model });
+        }
+    };
     let from_frames = measurements.iter().any(|measurement| measurement.quality.is_some());
     let found = if from_frames { discover_in_frames(model, &data, &|_| ()) } else { search(&model, &data) };
     let localised = Localisation::new(&found, &data);

@@ -3,7 +3,7 @@
 use crate::arrays::{matrix, readings_of};
 use crate::error::{raised, wrong};
 use crate::eye::PyMeasurement;
-use crate::model::PyModel;
+use crate::model::{PyModel, tell_of_neighbours};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use snakeloop::estimate::{Estimator, Options, Step};
@@ -20,13 +20,14 @@ pub struct PyEstimator {
 #[pymethods]
 impl PyEstimator {
     /// Starts with nothing known of η and λ. model: whose robot, friction and effects are used; the paper's without.
-    /// sd_encoder_mm: standard deviation of an encoder reading, mm.
+    /// sd_encoder_mm: standard deviation of an encoder reading, mm. Warns where effects follow neighbouring sections, which are at rest here.
     #[new]
     #[pyo3(signature = (model=None, *, sd_encoder_mm=None))]
-    fn new(model: Option<&PyModel>, sd_encoder_mm: Option<f64>) -> PyResult<Self> {
+    fn new(py: Python<'_>, model: Option<&PyModel>, sd_encoder_mm: Option<f64>) -> PyResult<Self> {
         let mut options = Options::default();
         options.sd_encoder_mm = sd_encoder_mm.unwrap_or(options.sd_encoder_mm);
         let model = model.map_or_else(Model::default, |model| model.0.clone());
+        tell_of_neighbours(py, &model)?;
         Ok(Self { estimator: Estimator::new(&model, options).map_err(raised)?, updates: 0 })
     }
 

@@ -2,6 +2,7 @@
 
 use crate::arrays::{matrix, radians_of, readings_of, shaped};
 use crate::error::{raised, wrong};
+use crate::tables::warn;
 use crate::threads::by_rows;
 use numpy::ndarray::ArrayD;
 use numpy::{PyArray2, PyArrayDyn};
@@ -51,9 +52,10 @@ impl PyModel {
         theta_deg: Option<Bound<'py, PyAny>>,
         delta_deg: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        tell_of_neighbours(py, &self.0)?;
         let theta = radians_of("theta", theta, theta_deg)?;
         let delta = radians_of("delta", delta, delta_deg)?;
-        let (shape, theta, delta) = broadcast(&theta, &delta)?;
+        let (shape, theta, delta) = broadcast(theta, delta)?;
         let width = self.0.robot.backbone_count();
         let mut commands = vec![0.0; theta.len() * width];
         let mechanics = Mechanics::new(&self.0);
@@ -75,6 +77,7 @@ impl PyModel {
         py: Python<'py>,
         q_mm: &Bound<'py, PyAny>,
     ) -> PyResult<(Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<f64>>)> {
+        tell_of_neighbours(py, &self.0)?;
         let (shape, readings) = readings_of(q_mm, self.0.robot.backbone_count())?;
         let (mut theta_deg, mut delta_deg) = (vec![f64::NAN; readings.len()], vec![f64::NAN; readings.len()]);
         by_rows(py, readings.len(), |rows| {
@@ -156,26 +159,32 @@ impl PyModel {
     }
 }
 
+/// Warns that what is answered holds while the neighbouring sections are at rest, where the model has a coupling with them.
+pub fn tell_of_neighbours(py: Python<'_>, model: &Model) -> PyResult<()> {
+    model.resting_neighbours().map_or(Ok(()), |words| warn(py, words))
+}
+
 /// The common shape of two arrays of angles, and the numbers of each by rows.
-fn broadcast(theta: &ArrayD<f64>, delta: &ArrayD<f64>) -> PyResult<(Vec<usize>, Vec<f64>, Vec<f64>)> {
-    let no_common = || {
-        wrong(format!("theta of shape {:?} and delta of shape {:?} do not go together", theta.shape(), delta.shape()))
-    };
+fn broadcast(theta: ArrayD<f64>, delta: ArrayD<f64>) -> PyResult<(Vec<usize>, Vec<f64>, Vec<f64>)> {
+    let no_common =
+        format!("theta of shape {:?} and delta of shape {:?} do not go together", theta.shape(), delta.shape());
     let axes = theta.ndim().max(delta.ndim());
     let length = |array: &ArrayD<f64>, axis: usize| {
         (axis + array.ndim()).checked_sub(axes).map_or(1, |axis| array.shape()[axis])
     };
     let shape: Vec<usize> = (0..axes)
-        .map(|axis| match (length(theta, axis), length(delta, axis)) {
+        .map(|axis| match (length(&theta, axis), length(&delta, axis)) {
             (1, other) => other,
             (one, _) => one,
         })
         .collect();
-    let numbers = |array: &ArrayD<f64>| {
-        let numbers = array.broadcast(&shape[..])?;
-        // An array's own iterator takes longer than a command.
-        Some(numbers.as_slice().map_or_else(|| numbers.iter().copied().collect(), <[f64]>::to_vec))
+    let numbers = |array: ArrayD<f64>| {
+        if array.shape() == shape && array.is_standard_layout() {
+            // Memory that is touched for the first time takes longer than a command.
+            return Some(array.into_raw_vec_and_offset().0);
+        }
+        Some(array.broadcast(&shape[..])?.iter().copied().collect())
     };
-    let (of_theta, of_delta) = numbers(theta).zip(numbers(delta)).ok_or_else(no_common)?;
+    let (of_theta, of_delta) = numbers(theta).zip(numbers(delta)).ok_or_else(|| wrong(no_common))?;
     Ok((shape, of_theta, of_delta))
 }

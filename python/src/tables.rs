@@ -7,8 +7,8 @@ use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use snakeloop::geometry::Configuration;
 use snakeloop::observation::{EncoderReading, Measured, Measurement, Quality};
-use snakeloop::record::{Checked, Warning, read_encoders, read_measurements};
-use snakeloop::robot::{BACKBONES, NEIGHBOURS, Neighbours, PerBackbone};
+use snakeloop::record::{Checked, read_encoders, read_measurements};
+use snakeloop::robot::{BACKBONES, Model, NEIGHBOURS, Neighbours, PerBackbone};
 use std::collections::HashSet;
 use std::ffi::CString;
 use std::path::PathBuf;
@@ -63,11 +63,17 @@ pub fn measurements_of(source: &Bound<'_, PyAny>) -> PyResult<Vec<Measurement>> 
         .collect())
 }
 
-/// Encoder readings of a robot of so many backbones; see encoders.csv for the columns.
+/// Encoder readings of a model's robot; see encoders.csv for the columns.
 ///
 /// # Errors
-/// As [`measurements_of`].
-pub fn encoders_of(source: &Bound<'_, PyAny>, backbones: usize) -> PyResult<Vec<EncoderReading>> {
+/// As [`measurements_of`]; readings of neighbouring sections are missing that the model's effects follow.
+pub fn encoders_of(source: &Bound<'_, PyAny>, model: &Model) -> PyResult<Vec<EncoderReading>> {
+    let readings = readings_of(source, model.robot.backbone_count())?;
+    let lacking = model.lacking_neighbours(readings.iter().map(|reading| &reading.neighbours));
+    lacking.map_or(Ok(readings), |message| Err(wrong(format!("encoders: {message}"))))
+}
+
+fn readings_of(source: &Bound<'_, PyAny>, backbones: usize) -> PyResult<Vec<EncoderReading>> {
     if let Ok(path) = source.extract::<PathBuf>() {
         return rows(source.py(), read_encoders(&path, backbones).map_err(raised)?);
     }
@@ -167,12 +173,16 @@ impl<'a, 'py> Table<'a, 'py> {
 /// The rows of a file, its warnings given as Python's.
 fn rows<T>(py: Python<'_>, Checked { rows, warnings }: Checked<T>) -> PyResult<Vec<T>> {
     for warning in warnings {
-        warn(py, &warning)?;
+        warn(py, &warning.to_string())?;
     }
     Ok(rows)
 }
 
-fn warn(py: Python<'_>, warning: &Warning) -> PyResult<()> {
-    let text = CString::new(warning.to_string().replace('\0', " "))?;
+/// Warns a caller.
+///
+/// # Errors
+/// The warning, where warnings are errors.
+pub fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
+    let text = CString::new(text.replace('\0', " "))?;
     PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)
 }

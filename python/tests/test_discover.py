@@ -87,3 +87,34 @@ def test_the_truth_is_what_was_asked_for_and_seeds_repeat():
         snakeloop.simulate(sd_encoder_mm=-1.0)
     with pytest.raises(snakeloop.SnakeloopError, match="not known"):
         snakeloop.simulate(effects={"poltergeist": {}})
+
+
+def test_samples_too_few_for_a_search_are_answered_all_the_same():
+    # Every other of 36 poses of a robot with nothing hidden, whose η is 1.
+    measurements, encoders, _ = [{name: column[::2] for name, column in table.items()} for table in snakeloop.simulate()]
+    found = snakeloop.discover(measurements, encoders)
+    assert (found.verdict, found.effects) == ("none", []) and "no effect was looked for" in found.remarks[0]
+    assert abs(found.model.eta - 1.0) < 0.02 and "not looked for" in found._repr_html_()
+
+
+def test_a_coupling_asks_for_the_neighbours_readings_and_says_where_it_takes_them_at_rest(data, tmp_path):
+    measurements, encoders, _ = data
+    text = str(snakeloop.Model.default()) + (
+        '\n[[effect]]\nname = "section_coupling"\n'
+        'parameters.n1_along = { value = 0.3, sd = 0.01, unit = "1" }\nparameters.n1_across = { value = 0.0, sd = 0.01, unit = "1" }\n'
+    )
+    (tmp_path / "coupled.toml").write_text(text)
+    model = snakeloop.Model.read(tmp_path / "coupled.toml")
+    log = write(tmp_path / "encoders.csv", encoders)
+    for without in [encoders, pandas.DataFrame(encoders), log]:
+        with pytest.raises(snakeloop.SnakeloopError, match="neighbouring section 1.*n1_q1_mm"):
+            snakeloop.discover(measurements, without, model)
+    beside = encoders | {f"n1_q{i}_mm": np.zeros(len(encoders["index"])) for i in (1, 2, 3)}
+    assert snakeloop.discover(measurements, beside, model).verdict == "named"
+    for answer in [
+        lambda: model.command(theta_deg=30, delta_deg=0),
+        lambda: model.forward([0.1, 0.1, 0.1]),
+        lambda: snakeloop.Estimator(model),
+    ]:
+        with pytest.warns(UserWarning, match="neighbouring sections are taken to be at rest"):
+            answer()

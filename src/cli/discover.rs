@@ -9,8 +9,8 @@ use super::trackers::open_trackers;
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::discover::{
-    Data, Discovery, Localisation, NextExperiment, ProposedLaw, Verdict as Found, discover_in_frames, discover_telling,
-    next_experiment, nothing_named, propose_law,
+    Data, Discovery, FewSamples, Localisation, NextExperiment, ProposedLaw, Verdict as Found, discover_in_frames,
+    discover_telling, next_experiment, nothing_named, propose_law,
 };
 use crate::error::DataError;
 use crate::estimate::gap::{Gap, gap};
@@ -20,11 +20,12 @@ use crate::record::{
     Checked, Experiment, OutputFolder, measurements_csv, read_effects, read_measurements, read_model, trajectory_csv,
     write_atomically, write_model,
 };
-use crate::report::discovery::{Page, lines};
+use crate::report::discovery::{Page, few_samples_lines, few_samples_page, lines};
 use crate::report::verdict::verdict_page;
-use crate::robot::{Estimate, Model};
+use crate::robot::Model;
 use crate::verdict::{Reason, Subject, Verdict};
 use crate::{Error, Result};
+use serde_json::Value;
 use std::path::PathBuf;
 
 /// Find the effect that the model lacks, name it and add it: writes discrepancy.json, model.toml and report.html
@@ -70,30 +71,58 @@ pub struct Args {
 /// The trajectory that --next writes.
 const NEXT: &str = "next.csv";
 
+/// What is searched.
+struct Inputs {
+    model: Model,
+    measurements: Vec<Measurement>,
+    readings: Vec<EncoderReading>,
+}
+
+/// What came of the search.
+struct Answer<'a> {
+    found: Discovery,
+    /// The law, where it was asked for.
+    correction: Option<ProposedLaw>,
+    /// Where the gap is, where there is one.
+    localised: Option<Localisation>,
+    /// Measurements that contradict what is left.
+    outliers: Vec<&'a Measurement>,
+    /// The next experiment, where it was asked for and something is open.
+    next: Option<NextExperiment>,
+}
+
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         if !(self.encoder_sd > 0.0 && self.encoder_sd <= 1.0) {
             return Err(Failure::Usage(format!("--encoder-sd {}: expected more than 0, to 1 mm", self.encoder_sd)));
         }
         let _out = self.claim()?;
-        let (model, measurements, readings) = self.inputs(console)?;
-        let mut data = Data::new(&measurements, &readings, self.encoder_sd).inspect_err(|error| {
-            if matches!(error, Error::Data(DataError::TooFewSamples { .. })) {
-                console.warn(self.without_a_search(&model, &measurements, &readings));
+        let inputs = self.inputs(console)?;
+        match Data::new(&inputs.measurements, &inputs.readings, self.encoder_sd) {
+            Ok(data) => match self.wiring_mistake(&inputs) {
+                Some(mistake) => Ok(self.name_nothing(console, &inputs, mistake, &data.remarks)?),
+                None => self.search(console, &inputs, data),
+            },
+            Err(error @ Error::Data(DataError::TooFewSamples { found, .. })) => {
+                self.without_a_search(console, &inputs, found, error)
             }
-        })?;
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn wiring_mistake(&self, Inputs { model, measurements, readings }: &Inputs) -> Option<Reason> {
+        Subject::new(model, self.encoder_sd).wiring_mistake(measurements, readings)
+    }
+
+    fn search(&self, console: &Console, inputs: &Inputs, mut data: Data) -> Result<(), Failure> {
         if let Some(path) = &self.effects {
             data.library.extend(read_effects(path)?);
         }
-        let subject = Subject::new(&model, self.encoder_sd);
-        if let Some(mistake) = subject.wiring_mistake(&measurements, &readings) {
-            return Ok(self.name_nothing(console, &model, mistake, &data, &gap(&model, &measurements, &readings))?);
-        }
-        let from_frames = measurements.iter().any(|measurement| measurement.quality.is_some());
+        let from_frames = inputs.measurements.iter().any(|measurement| measurement.quality.is_some());
         let (found, correction) = console.in_stages(|tell| {
             let found = match from_frames {
-                true => discover_in_frames(model, &data, tell),
-                false => discover_telling(&model, &data, tell),
+                true => discover_in_frames(inputs.model.clone(), &data, tell),
+                false => discover_telling(&inputs.model, &data, tell),
             };
             let correction = self.correction.then(|| {
                 tell("looking for a law");
@@ -101,99 +130,98 @@ impl Args {
             });
             (found, correction)
         });
-        let localised = Localisation::new(&found, &data);
-        let outliers = self.outliers(&found, &measurements, &readings)?;
+        let answer = Answer {
+            correction,
+            localised: Localisation::new(&found, &data),
+            outliers: self.outliers(&found, inputs)?,
+            next: if self.next { self.propose(&found, &data)? } else { None },
+            found,
+        };
+        let json = self.write_answer(&answer, &data)?;
+        console.warn(&answer.found.remarks);
+        console.result(&json, || self.in_words(&answer, inputs));
+        Ok(())
+    }
 
+    /// Writes the files of a search, and gives discrepancy.json.
+    fn write_answer(&self, answer: &Answer, data: &Data) -> Result<Value> {
+        let Answer { found, correction, localised, outliers, next } = answer;
         let mut json = found.json();
         json["outliers"] = outliers.iter().map(|measurement| measurement.index).collect::<Vec<_>>().into();
         json["where"] = localised.as_ref().map(Localisation::json).into();
-        if let Some(correction) = &correction {
+        if let Some(correction) = correction {
             json["correction"] = correction.json();
         }
-        let next = if self.next { self.propose(&found, &data)? } else { None };
         if self.next {
             json["next"] = next.as_ref().map(|next| next.json(NEXT)).into();
         }
-        self.write("discrepancy.json", &format!("{json:#}\n"))?;
         let corrected = correction.as_ref().and_then(|correction| correction.model.as_ref());
-        write_model(&self.output.join("model.toml"), corrected.unwrap_or(&found.model))?;
-        let page = Page {
-            found: &found,
-            data: &data,
-            gap: localised.as_ref(),
-            correction: correction.as_ref(),
-            next: next.as_ref(),
+        let page = Page { found, data, gap: localised.as_ref(), correction: correction.as_ref(), next: next.as_ref() };
+        self.write_all(&json, corrected.unwrap_or(&found.model), &page.html())?;
+        Ok(json)
+    }
+
+    fn in_words(&self, answer: &Answer, inputs: &Inputs) -> String {
+        let Answer { found, correction, localised, outliers, next } = answer;
+        lines(found)
+            + &without(outliers, found, inputs)
+            + &localised.as_ref().map(|gap| format!("\nthe gap is {}", gap.words())).unwrap_or_default()
+            + &correction.as_ref().map(|ProposedLaw { words, .. }| format!("\n{words}")).unwrap_or_default()
+            + &self.next_in_words(next.as_ref())
+    }
+
+    /// The answer to samples too few for a search; the error where they are too few for any.
+    fn without_a_search(
+        &self,
+        console: &Console,
+        inputs: &Inputs,
+        samples: usize,
+        too_few: Error,
+    ) -> Result<(), Failure> {
+        let Inputs { model, measurements, readings } = inputs;
+        let Some(found) = FewSamples::of(samples, model, measurements, readings, self.encoder_sd)? else {
+            return Err(too_few.into());
         };
-        self.write("report.html", &page.html())?;
+        if let Some(mistake) = self.wiring_mistake(inputs) {
+            return Ok(self.name_nothing(console, inputs, mistake, &found.remarks)?);
+        }
+        let json = found.json();
+        self.write_all(&json, &found.model, &few_samples_page(&found))?;
         console.warn(&found.remarks);
-        console.result(&json, || {
-            lines(&found)
-                + &without(&outliers, &found, &measurements, &readings)
-                + &localised.map(|gap| format!("\nthe gap is {}", gap.words())).unwrap_or_default()
-                + &correction.map(|ProposedLaw { words, .. }| format!("\n{words}")).unwrap_or_default()
-                + &self.next_in_words(next.as_ref())
-        });
+        console.result(&json, || few_samples_lines(&found));
         Ok(())
     }
 
     /// Where what is left is called noise: measurements that contradict it, as the estimator's gate tells them. They decide nothing, and the
     /// gap's figures have them.
-    fn outliers<'a>(
-        &self,
-        found: &Discovery,
-        measurements: &'a [Measurement],
-        readings: &[EncoderReading],
-    ) -> Result<Vec<&'a Measurement>> {
+    fn outliers<'a>(&self, found: &Discovery, inputs: &'a Inputs) -> Result<Vec<&'a Measurement>> {
         if matches!(found.verdict, Found::Unexplained | Found::Partly) {
             return Ok(Vec::new());
         }
         let options = Options { sd_encoder_mm: self.encoder_sd, ..Options::default() };
-        let (rows, _) = estimate(&found.model, options, measurements, readings)?;
-        let rejected = measurements.iter().zip(rows).filter(|(_, row)| row.verdict == GateVerdict::Rejected);
+        let (rows, _) = estimate(&found.model, options, &inputs.measurements, &inputs.readings)?;
+        let rejected = inputs.measurements.iter().zip(rows).filter(|(_, row)| row.verdict == GateVerdict::Rejected);
         Ok(rejected.map(|(measurement, _)| measurement).collect())
     }
 
-    /// What too few samples for a search tell all the same: how large the gap is, and what η and λ alone leave of it. Nothing where no
-    /// sample is left.
-    fn without_a_search(
-        &self,
-        model: &Model,
-        measurements: &[Measurement],
-        readings: &[EncoderReading],
-    ) -> Option<String> {
-        let before = gap(model, measurements, readings);
-        if before.samples == 0 {
-            return None;
-        }
-        let given =
-            format!("no effect was looked for; the model as given leaves {:.4} mm of ε (rms)", before.rms_eps_mm);
-        let options = Options { sd_encoder_mm: self.encoder_sd, ..Options::default() };
-        let fitted = estimate(model, options, measurements, readings).ok().map(|(_, model)| model);
-        let Some((fitted, Estimate { eta, lambda_mm, .. })) =
-            fitted.and_then(|model| Some((model.clone(), model.estimate?)))
-        else {
-            return Some(given + ", and η and λ cannot be fitted");
-        };
-        let after = gap(&fitted, measurements, readings);
-        Some(format!(
-            "{given}; with η = {eta:.4} and λ = {lambda_mm:.4} mm fitted to the same samples {:.4} mm are left, where the \
-             measurements' noise alone leaves {:.4} mm",
-            after.rms_eps_mm, after.noise_floor_mm
-        ))
-    }
-
     /// No physics is named of a log that is wired otherwise than it is read.
-    fn name_nothing(&self, console: &Console, model: &Model, mistake: Reason, data: &Data, gap: &Gap) -> Result<()> {
+    fn name_nothing(&self, console: &Console, inputs: &Inputs, mistake: Reason, remarks: &[String]) -> Result<()> {
+        let Inputs { model, measurements, readings } = inputs;
         let verdict = Verdict::of(vec![mistake]);
-        let json = nothing_named(gap, &verdict, data);
-        self.write("discrepancy.json", &format!("{json:#}\n"))?;
-        write_model(&self.output.join("model.toml"), model)?;
-        self.write("report.html", &verdict_page("snakeloop: discover", &verdict))?;
-        console.warn(&data.remarks);
+        let json = nothing_named(&gap(model, measurements, readings), &verdict, remarks);
+        self.write_all(&json, model, &verdict_page("snakeloop: discover", &verdict))?;
+        console.warn(remarks);
         console.result(&json, || {
             format!("unexplained: no physics is named of these data\n{}", verdict.lines().join("\n"))
         });
         Ok(())
+    }
+
+    /// The three files that every answer has.
+    fn write_all(&self, json: &Value, model: &Model, page: &str) -> Result<()> {
+        self.write("discrepancy.json", &format!("{json:#}\n"))?;
+        write_model(&self.output.join("model.toml"), model)?;
+        self.write("report.html", page)
     }
 
     /// Takes the folder to write to.
@@ -225,7 +253,7 @@ impl Args {
         }
     }
 
-    fn inputs(&self, console: &Console) -> Result<(Model, Vec<Measurement>, Vec<EncoderReading>), Failure> {
+    fn inputs(&self, console: &Console) -> Result<Inputs, Failure> {
         match (&self.experiment, &self.measurements, &self.encoders) {
             (Some(folder), _, _) => {
                 let experiment = Experiment::read(folder)?;
@@ -261,12 +289,13 @@ impl Args {
                 )?;
                 self.write("measurements.csv", &measurements_csv(&measurements))?;
                 Count::of(&self.output.join("measurements.csv"))?.require_some_measured(&experiment)?;
-                Ok((model, measurements, readings))
+                Ok(Inputs { model, measurements, readings })
             }
             (None, Some(measurements), Some(encoders)) => {
                 let model = model_or_paper(console, self.model.as_deref())?;
                 let readings = readings(console, encoders, &model)?;
-                Ok((model, rows(console, read_measurements(measurements)?), readings))
+                let measurements = rows(console, read_measurements(measurements)?);
+                Ok(Inputs { model, measurements, readings })
             }
             _ => Err(Failure::Usage("give an experiment, or --measurements and --encoders".to_owned())),
         }
@@ -278,12 +307,7 @@ impl Args {
 }
 
 /// What the gap is without some outliers, in words; nothing where there are none.
-fn without(
-    outliers: &[&Measurement],
-    found: &Discovery,
-    measurements: &[Measurement],
-    readings: &[EncoderReading],
-) -> String {
+fn without(outliers: &[&Measurement], found: &Discovery, Inputs { measurements, readings, .. }: &Inputs) -> String {
     let Some(first) = outliers.first() else { return String::new() };
     let rest: Vec<Measurement> = measurements.iter().filter(|m| outliers.iter().all(|o| *o != *m)).cloned().collect();
     let Gap { rms_eps_mm, rms_theta_deg, rms_delta_deg, .. } = gap(&found.model, &rest, readings);

@@ -63,21 +63,14 @@ pub fn readings(console: &Console, path: &Path, model: &Model) -> Result<Vec<Enc
 
 /// That a log has the readings of the neighbouring sections that the model's effects follow.
 fn require_neighbours(path: &Path, model: &Model, log: &[EncoderReading]) -> Result<()> {
-    let needed = model.neighbours();
-    if log.iter().all(|reading| reading.neighbours.count() >= needed) {
-        return Ok(());
-    }
-    let message = format!(
-        "no readings of neighbouring section {needed}, which the model's section_coupling follows: give them in columns n{needed}_q1_mm, \
-         n{needed}_q2_mm, …, or take the effect out of the model"
-    );
-    Err(Error::content(path, message))
+    let lacking = model.lacking_neighbours(log.iter().map(|reading| &reading.neighbours));
+    lacking.map_or(Ok(()), |message| Err(Error::content(path, message)))
 }
 
 /// Says that what is answered for single poses holds while the neighbouring sections are at rest, where the model has a coupling with them.
 pub fn tell_of_neighbours(console: &Console, model: &Model) {
-    if model.neighbours() > 0 {
-        console.say("section_coupling: the neighbouring sections are taken to be at rest, with readings of 0");
+    if let Some(words) = model.resting_neighbours() {
+        console.say(words);
     }
 }
 

@@ -193,6 +193,12 @@ straight = "{straight}"     # the unbent snake before the same grid target, came
 grid_pitch_mm = {pitch:?}           # distance between the grid target's thin lines: measure it on the print
 standoff_mm = {standoff:?}            # from the snake's axis back to the grid target, to half a millimetre
 # delta_offset_deg = 0.0      # azimuth in the base frame that points to this view's image right
+
+# [[tracker]]                 # poses of a sensor on the tip, in place of pictures or beside them
+# name = "em"
+# poses = "tip.csv"           # index,time_s,x_mm,y_mm,z_mm[,qw,qx,qy,qz]
+# straight = 0                # index of a pose in which the snake is unbent
+# base_mm = [0.0, 0.0, 0.0]   # the middle of the base disk's top face in the tracker's frame, where a pointer tells it
 "#
         )
     }
@@ -268,7 +274,16 @@ mod tests {
         fs::write(folder.path().join("robot.toml"), answers.robot_toml()).unwrap();
         fs::write(folder.path().join("experiment.toml"), answers.experiment_toml(&found)).unwrap();
         let experiment = Experiment::read(folder.path()).unwrap();
-        assert_eq!(experiment.views.len(), 1);
+        assert_eq!((experiment.views.len(), experiment.trackers.len()), (1, 0));
+        // What stands there as a comment can be taken out of it as it is.
+        let key = |line: &str| {
+            line.strip_prefix("# ").filter(|rest| rest.starts_with('[') || rest.contains(" = ")).map(str::to_owned)
+        };
+        let with_all: Vec<_> =
+            answers.experiment_toml(&found).lines().map(|line| key(line).unwrap_or(line.to_owned())).collect();
+        fs::write(folder.path().join("experiment.toml"), with_all.join("\n")).unwrap();
+        let experiment = Experiment::read(folder.path()).unwrap();
+        assert_eq!(experiment.trackers[0].base_mm, Some([0.0; 3]));
         let robot = read_model(&folder.path().join("robot.toml")).unwrap().robot;
         assert_eq!((robot.length_mm, robot.backbone_count(), robot.body.disk_diameter_mm), (35.0, 4, 5.6));
         assert_eq!(found.frames, "frames/*.png");

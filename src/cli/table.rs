@@ -27,7 +27,7 @@ pub struct Args {
     /// The grid's bends θ, degrees
     #[arg(long, value_name = "START:STOP:STEP", default_value_t = Grid::default().theta)]
     theta_deg: GridAxis,
-    /// The grid's azimuths δ, degrees
+    /// The grid's azimuths δ, degrees; a direction that comes again, such as 180 after -180, is left out
     #[arg(long, value_name = "START:STOP:STEP", allow_hyphen_values = true, default_value_t = Grid::default().delta)]
     delta_deg: GridAxis,
     /// What the actuation unit can exert on a backbone, N: its largest pull (negative) and push. The backbones then share the load

@@ -305,9 +305,10 @@ pub fn discover_in_frames(mut model: Model, data: &Data, tell: Tell) -> Discover
         let texts = effect.parameters().iter().zip(effect.values.iter().zip(&sds));
         let texts: Vec<String> =
             texts.map(|(spec, (value, sd))| format!("{} = {value:.3} ± {sd:.3}°", spec.name)).collect();
-        found
-            .remarks
-            .push(format!("the rig's own error, the same in all frames, was fitted as well: {}", texts.join(", ")));
+        found.remarks.push(format!(
+            "the rig's own error, the same in all frames, was fitted as well: {}",
+            texts.join(", ").replace('-', "−")
+        ));
     }
     found
 }

@@ -1,9 +1,9 @@
 //! What discrepancy.json says.
 
-use super::data::Data;
 use super::discovery::Discovery;
+use super::held_out::Gap;
 use super::search::Named;
-use crate::estimate::gap::Gap;
+use crate::estimate;
 use crate::verdict::Verdict;
 use serde_json::{Map, Value, json};
 
@@ -28,15 +28,7 @@ impl Discovery {
             "verdict": self.verdict.word(),
             "effects": effects,
             "considered": considered,
-            "gap": {
-                "before_mm": self.before.eps_mm,
-                "after_mm": self.after.eps_mm,
-                "noise_floor_mm": self.noise_floor_mm,
-                "before_theta_deg": self.before.theta_deg,
-                "after_theta_deg": self.after.theta_deg,
-                "before_delta_deg": self.before.delta_deg,
-                "after_delta_deg": self.after.delta_deg,
-            },
+            "gap": gap_json(&self.before, &self.after, self.noise_floor_mm),
             "eta": x.x,
             "lambda_mm": x.y,
             "samples": self.samples,
@@ -82,19 +74,29 @@ impl Discovery {
     }
 }
 
+/// The entry `gap`.
+pub(super) fn gap_json(before: &Gap, after: &Gap, noise_floor_mm: f64) -> Value {
+    json!({
+        "before_mm": before.eps_mm,
+        "after_mm": after.eps_mm,
+        "noise_floor_mm": noise_floor_mm,
+        "before_theta_deg": before.theta_deg,
+        "after_theta_deg": after.theta_deg,
+        "before_delta_deg": before.delta_deg,
+        "after_delta_deg": after.delta_deg,
+    })
+}
+
 /// discrepancy.json of data of which no physics is named, because the verdict on them says that something else is wrong, such as the
-/// wiring of the log; with the gap that the model leaves.
-pub fn nothing_named(gap: &Gap, verdict: &Verdict, data: &Data) -> Value {
+/// wiring of the log; with the gap that the model leaves, and the remarks on the data.
+pub fn nothing_named(left: &estimate::gap::Gap, verdict: &Verdict, remarks: &[String]) -> Value {
+    let gap = Gap::from(*left);
     json!({
         "verdict": "unexplained",
         "effects": [],
-        "gap": {
-            "before_mm": gap.rms_eps_mm, "after_mm": gap.rms_eps_mm, "noise_floor_mm": gap.noise_floor_mm,
-            "before_theta_deg": gap.rms_theta_deg, "after_theta_deg": gap.rms_theta_deg,
-            "before_delta_deg": gap.rms_delta_deg, "after_delta_deg": gap.rms_delta_deg,
-        },
+        "gap": gap_json(&gap, &gap, left.noise_floor_mm),
         "reasons": verdict.reasons,
-        "samples": data.len(),
-        "remarks": data.remarks,
+        "samples": left.samples,
+        "remarks": remarks,
     })
 }

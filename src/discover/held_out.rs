@@ -3,12 +3,12 @@
 use super::fit::Fit;
 use super::residuals::Problem;
 use super::sweeps::FOLDS;
-use crate::estimate::gap::LEAST_THETA_FOR_DELTA;
+use crate::estimate::gap::{self, LEAST_THETA_FOR_DELTA};
 use crate::robot::PerBackbone;
 use crate::statistics::moments::rms;
 use rayon::prelude::*;
 
-/// The gap on sweeps that the fit did not see.
+/// The gap: of a search on sweeps that the fit did not see.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gap {
     /// rms of ε over all backbones, mm.
@@ -17,6 +17,12 @@ pub struct Gap {
     pub theta_deg: f64,
     /// rms of δ over bends of 15° or more, degrees.
     pub delta_deg: f64,
+}
+
+impl From<gap::Gap> for Gap {
+    fn from(gap: gap::Gap) -> Self {
+        Self { eps_mm: gap.rms_eps_mm, theta_deg: gap.rms_theta_deg, delta_deg: gap.rms_delta_deg }
+    }
 }
 
 /// The fits that leave out one fold each.

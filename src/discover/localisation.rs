@@ -85,8 +85,6 @@ pub struct Localisation {
     pub step: Option<(f64, [f64; 2])>,
     /// The means of the part while its q̃ falls and rises, mm, where they differ by more than the rest.
     pub direction: Option<[f64; 2]>,
-    /// The gap of the part at every sample, mm; of the backbone with the largest share, where there are several.
-    pub gap_mm: Vec<f64>,
 }
 
 impl Localisation {
@@ -126,7 +124,6 @@ impl Localisation {
                 Part::Backbone(i) => direction(data.q_mm.iter().map(|q| q[i - 1]), &gap_mm),
                 _ => None,
             },
-            gap_mm,
         })
     }
 
@@ -150,7 +147,7 @@ impl Localisation {
         if places.len() == 1 {
             places.push("spread over all bends, directions and times".to_owned());
         }
-        places.join(", ")
+        places.join(", ").replace('-', "−")
     }
 
     fn part_in_words(&self) -> String {

@@ -19,6 +19,8 @@
 //!     effect found does over the motion.
 //! 11. [`law`](propose_law): a formula proposed in place of an explanation.
 //! 12. `candidate_trajectories`, [`next_experiment`]: the trajectory that would decide what these data leave open.
+//!
+//! Samples that are too few for all this have an answer of their own, [`few_samples`](FewSamples).
 
 mod candidate_trajectories;
 mod clock;
@@ -28,6 +30,7 @@ mod data;
 mod discovery;
 mod discrepancy;
 mod effect_trace;
+mod few_samples;
 mod fit;
 #[cfg(test)]
 mod fixture;
@@ -54,6 +57,7 @@ pub use data::{Data, LEAST_SAMPLES, Log};
 pub use discovery::{Discovery, Tell, discover, discover_in_frames, discover_telling};
 pub use discrepancy::nothing_named;
 pub use effect_trace::{EffectTrace, effect_traces};
+pub use few_samples::FewSamples;
 pub use held_out::Gap;
 pub use law::{PROPOSED_LAW, ProposedLaw, propose_law};
 pub use localisation::{Localisation, Part};

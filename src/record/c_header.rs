@@ -15,16 +15,14 @@ const TEMPLATE: &str = include_str!("compensation.h.in");
 /// [`ArgumentError::Grid`] for a grid with fewer than four angles either way, or whose δ does not go once round in even steps.
 pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str) -> Result<String> {
     let theta: Vec<f64> = grid.theta.values_deg().collect();
-    let delta: Vec<f64> = grid.delta.values_deg().collect();
-    let columns = delta.len();
+    let delta: Vec<f64> = grid.azimuths_deg().collect();
+    let deltas = delta.len();
     let (&[theta_0, theta_1, _, .., theta_last], &[delta_0, delta_1, _, _, ..]) = (&theta[..], &delta[..]) else {
-        return Err(ArgumentError::from(GridError::TooFewAngles { theta: theta.len(), delta: columns }).into());
+        return Err(ArgumentError::from(GridError::TooFewAngles { theta: theta.len(), delta: deltas }).into());
     };
     let step = delta_1 - delta_0;
-    // A grid that names its seam twice, −180° and 180°, gives up the second.
-    let deltas = if (step * (columns as f64 - 1.0) - 360.0).abs() < 1e-6 { columns - 1 } else { columns };
     if (step * deltas as f64 - 360.0).abs() > 1e-6 {
-        return Err(ArgumentError::from(GridError::NotRound { grid: grid.delta.to_string(), angles: columns }).into());
+        return Err(ArgumentError::from(GridError::NotRound { grid: grid.delta.to_string(), angles: deltas }).into());
     }
     let backbones = rows.first().map_or(0, |row| row.command_mm.len());
     let names: Vec<String> = (1..=backbones).map(|i| format!("q_command[{}]", i - 1)).collect();
@@ -43,22 +41,22 @@ pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str) -> Re
         ("@Q@", names.join(", ")),
         ("@BACKBONES@", backbones.to_string()),
         ("@ZEROS@", vec!["0"; backbones].join(", ")),
-        ("@VALUES@", values(rows, columns, deltas)),
+        ("@VALUES@", values(rows, deltas)),
     ];
     Ok(filled_in.iter().fold(TEMPLATE.to_owned(), |text, (name, value)| text.replace(name, value)))
 }
 
-/// The table's numbers, a row of braces for each θ; of each `columns` rows the first `deltas`.
-fn values(rows: &[TableRow], columns: usize, deltas: usize) -> String {
+/// The table's numbers, a row of braces for each θ, which has `deltas` poses.
+fn values(rows: &[TableRow], deltas: usize) -> String {
     let cell = |pose: &TableRow| {
         let numbers: Vec<_> = pose.command_mm.iter().map(|q| format!("{q:.6}")).collect();
         format!("{{{}}}", numbers.join(", "))
     };
     let of_theta = |row: &[TableRow]| {
-        let cells: Vec<String> = row[..deltas].iter().map(cell).collect();
+        let cells: Vec<String> = row.iter().map(cell).collect();
         format!("    {{{}}},\n", cells.join(",\n     "))
     };
-    rows.chunks(columns).map(of_theta).collect()
+    rows.chunks(deltas).map(of_theta).collect()
 }
 
 #[cfg(test)]

@@ -25,14 +25,16 @@ const NEGATIVE: &str = "#0F8C8C";
 /// Convention: a display choice.
 const POSITIVE: &str = "#BE3264";
 
-/// The map as an SVG element; the largest 2 % of the values share the strongest colour. `None` without a finite value.
-pub fn bend_map(values: &[(Configuration, f64)], unit: &str) -> Option<Markup> {
+/// The value from which on all have the strongest colour: the largest 2 % share it.
+pub fn strongest(values: impl Iterator<Item = f64>) -> f64 {
+    let mut sizes: Vec<f64> = values.filter(|value| value.is_finite()).map(f64::abs).collect();
+    if sizes.is_empty() { 0.0 } else { quantile(&mut sizes, TOLD_APART) }
+}
+
+/// The map as an SVG element; what is as large as `strongest` has the strongest colour. `None` without a finite value.
+pub fn bend_map(values: &[(Configuration, f64)], unit: &str, strongest: f64) -> Option<Markup> {
     let finite = || values.iter().filter(|(psi, value)| value.is_finite() && psi.theta.is_finite());
-    let mut sizes: Vec<f64> = finite().map(|(_, value)| value.abs()).collect();
-    if sizes.is_empty() {
-        return None;
-    }
-    let strongest = quantile(&mut sizes, TOLD_APART);
+    finite().next()?;
     let largest_deg = finite().map(|(psi, _)| psi.theta_deg()).fold(0.0, f64::max);
     let circles = (largest_deg / CIRCLE_DEG).ceil().max(1.0);
     let px_per_deg = (MIDDLE_PX - MARGIN_PX) / (CIRCLE_DEG * circles);
@@ -99,7 +101,7 @@ fn legend(strongest: f64, unit: &str, signs: [bool; 2]) -> Markup {
         @let both = [(0.22, NEGATIVE, "−"), (0.52, POSITIVE, "+")];
         @for ((share, colour, sign), _) in both.into_iter().zip(signs).filter(|(_, is_there)| *is_there) {
             circle cx=(px(share * SIZE_PX)) cy=(px(y - 4.0)) r="5.5" fill=(colour) fill-opacity="0.85" {}
-            (text(share * SIZE_PX + 10.0, y, "start", &format!("{}{}", if signs == [true; 2] { sign } else { "largest: " }, with_unit(strongest, 3, unit))))
+            (text(share * SIZE_PX + 10.0, y, "start", &format!("{}{}", if signs == [true; 2] { sign } else { "up to " }, with_unit(strongest, 3, unit))))
         }
     }
 }
@@ -127,10 +129,12 @@ mod tests {
     #[test]
     fn every_value_has_its_dot_and_odd_ones_do_no_harm() {
         let psi = Configuration::from_degrees(40.0, 90.0);
-        let svg = bend_map(&[(psi, 0.1), (psi, -0.1), (psi, f64::NAN)], "<mm>").unwrap().into_string();
+        let svg = bend_map(&[(psi, 0.1), (psi, -0.1), (psi, f64::NAN)], "<mm>", 0.1).unwrap().into_string();
         assert_eq!(svg.matches("fill-opacity").count(), 2 + 2, "dots and legend");
         assert!(svg.contains("θ 60°") && svg.contains("0.100 &lt;mm&gt;") && !svg.contains("NaN"));
-        assert!(bend_map(&[], "mm").is_none());
-        assert!(bend_map(&[(Configuration::new(0.0, 0.0), 0.0)], "mm").is_some());
+        assert!(bend_map(&[], "mm", 1.0).is_none());
+        assert!(bend_map(&[(Configuration::new(0.0, 0.0), 0.0)], "mm", 0.0).is_some());
+        assert_eq!(strongest([-2.0, f64::NAN, -2.0].into_iter()), 2.0);
+        assert_eq!(strongest(std::iter::empty()), 0.0);
     }
 }

@@ -1,10 +1,11 @@
 //! report.html of `discover`: the gap, where it is, what explains it, before and after.
 
-use super::bend_map::bend_map;
+use super::bend_map::{bend_map, strongest};
 use super::page::{definitions, document, figure, list, table};
 use super::plot::{Plot, Point, Series, Style};
 use crate::discover::{
-    Data, Discovery, EffectTrace, Localisation, Named, NextExperiment, Part, ProposedLaw, Verdict, effect_traces,
+    Data, Discovery, EffectTrace, FewSamples, Gap, Localisation, Named, NextExperiment, ProposedLaw, Verdict,
+    effect_traces,
 };
 use maud::{Markup, html};
 
@@ -23,8 +24,8 @@ const GLOSSARY: &str = "ε is how much further the actuators move (q̃, what the
 
 const STYLE: &str = "
 .verdict { font-size: 1.15rem; color: var(--ink); max-width: 48rem; }
+@media (min-width: 60rem) { .summary { grid-template-columns: repeat(3, 1fr); } }
 .equation { font-family: ui-monospace, monospace; color: var(--ink); overflow-wrap: anywhere; }
-.map { max-width: 30rem; }
 ";
 
 /// What the page is made of.
@@ -47,10 +48,11 @@ impl Page<'_> {
     pub fn html(&self) -> String {
         let found = self.found;
         let traces = effect_traces(found, self.data);
+        let after = found.verdict.has_effects().then_some(&found.after);
         let content = html! {
             h1 { "What the model lacks: " (heading(found)) }
             p.verdict { (sentence(found)) }
-            (definitions("summary", &summary(found)))
+            (definitions("summary", &summary(found.verdict, found.samples, &found.before, after, found.noise_floor_mm)))
             p { (GLOSSARY) }
             @if let Some(gap) = self.gap { (self.localisation(gap)) }
             (considered(found))
@@ -70,26 +72,28 @@ impl Page<'_> {
         document("snakeloop: discover", STYLE, &content)
     }
 
+    /// Where the gap is, in words and as a map for each backbone, all on one scale.
     fn localisation(&self, gap: &Localisation) -> Markup {
-        let part = match gap.part {
-            Part::Backbone(i) => format!("The gap of ε of backbone {i}"),
-            Part::Common => "The part of the gap of ε that the backbones share".to_owned(),
-            Part::Several => "The gap of ε of the backbone that has most of it".to_owned(),
+        let before = || self.found.residuals_mm.iter().map(|[before, _]| before);
+        let strongest = strongest(before().flat_map(|gap| gap.iter().copied()));
+        let map = |i: usize| {
+            let bends = self.data.measured.iter().map(|measured| measured.configuration);
+            let values: Vec<_> = bends.zip(before().map(|gap| gap[i])).step_by(self.every()).collect();
+            bend_map(&values, "mm", strongest)
         };
-        let values = self.data.measured.iter().zip(&gap.gap_mm).map(|(m, gap)| (m.configuration, *gap));
-        let values: Vec<_> = values.step_by(self.every()).collect();
         html! {
             h2 { "Where the gap is" }
             p { "It is " (gap.words()) "." }
-            @if let Some(map) = bend_map(&values, "mm") {
-                figure.map {
-                    h3 { (part) ", over the bends" }
-                    (map)
-                    figcaption {
-                        "Each dot is a bend, seen from the tip: its distance from the middle is θ, its direction δ. The larger the \
-                         dot, the larger the gap that the model as given leaves."
+            .plots {
+                @for i in 0..self.data.backbones() {
+                    @if let Some(map) = map(i) {
+                        figure { h3 { (format!("The gap of ε of backbone {} over the bends", i + 1)) } (map) }
                     }
                 }
+            }
+            p {
+                "Each dot is a bend, seen from the tip: its distance from the middle is θ, its direction δ. The larger the dot, the larger \
+                 the gap that the model as given leaves."
             }
         }
     }
@@ -131,8 +135,8 @@ impl Page<'_> {
     fn before_and_after(&self) -> Markup {
         let found = self.found;
         let (heading, titles): (_, &[&str]) = match found.verdict {
-            Verdict::Named | Verdict::Partly => ("Before and after", &["before", "after"]),
-            _ => ("The gap of ε", &["as it is"]),
+            Verdict::Named | Verdict::Partly => ("Before and after", &["Before", "After"]),
+            _ => ("The gap of ε", &["As it is"]),
         };
         html! {
             h2 { (heading) }
@@ -211,20 +215,35 @@ fn heading(found: &Discovery) -> String {
     }
 }
 
+/// The page of an answer without a search.
+pub fn few_samples_page(found: &FewSamples) -> String {
+    let content = html! {
+        h1 { "What the model lacks: not looked for" }
+        p.verdict { (found.sentence()) }
+        (definitions("summary", &summary(found.verdict, found.samples, &found.before, Some(&found.after), found.noise_floor_mm)))
+        p { (GLOSSARY) }
+        (list("Remarks", "What was passed over, or could not be decided.", &found.remarks))
+    };
+    document("snakeloop: discover", STYLE, &content)
+}
+
 /// The verdict and the gaps, in lines.
 pub fn lines(found: &Discovery) -> String {
+    let gaps = gap_lines(&found.before, &found.after, found.noise_floor_mm);
+    format!("{}: {}\n{gaps}", found.verdict.word(), sentence(found))
+}
+
+/// The same of an answer without a search.
+pub fn few_samples_lines(found: &FewSamples) -> String {
+    let gaps = gap_lines(&found.before, &found.after, found.noise_floor_mm);
+    format!("{}: {}\n{gaps}", found.verdict.word(), found.sentence())
+}
+
+fn gap_lines(before: &Gap, after: &Gap, noise_floor_mm: f64) -> String {
     format!(
-        "{}: {}\ngap of ε   {:.4} mm before, {:.4} mm after (noise alone: {:.4} mm)\n\
+        "gap of ε   {:.4} mm before, {:.4} mm after (noise alone: {noise_floor_mm:.4} mm)\n\
          gap of θ   {:.3}° before, {:.3}° after\ngap of δ   {:.3}° before, {:.3}° after",
-        found.verdict.word(),
-        sentence(found),
-        found.before.eps_mm,
-        found.after.eps_mm,
-        found.noise_floor_mm,
-        found.before.theta_deg,
-        found.after.theta_deg,
-        found.before.delta_deg,
-        found.after.delta_deg
+        before.eps_mm, after.eps_mm, before.theta_deg, after.theta_deg, before.delta_deg, after.delta_deg
     )
 }
 
@@ -294,28 +313,38 @@ fn parameters(found: &Discovery, name: &str) -> Vec<(String, String)> {
     let sds = found.model.effect_sds(k);
     let values = effects[k].parameters().iter().zip(effects[k].values.iter().zip(sds));
     let written = values.map(|(spec, (value, sd))| {
-        let unit = if spec.unit == "1" { "" } else { spec.unit };
+        let unit = match spec.unit {
+            "1" => String::new(),
+            "deg" => "°".to_owned(),
+            unit => format!(" {unit}"),
+        };
         let digits = if sd > 0.0 { (1.0 - sd.log10().floor()).clamp(0.0, 7.0) as usize } else { 4 };
         let number = format!("{value:.digits$} ± {sd:.digits$}").replace('-', "−");
-        (spec.name.to_owned(), format!("{number} {unit}").trim_end().to_owned())
+        (spec.name.to_owned(), format!("{number}{unit}"))
     });
     written.collect()
 }
 
-fn summary(found: &Discovery) -> Vec<(String, String)> {
+/// The figures at the head of the page; without a gap after, where that is none but the gap before.
+fn summary(
+    verdict: Verdict,
+    samples: usize,
+    before: &Gap,
+    after: Option<&Gap>,
+    noise_floor_mm: f64,
+) -> Vec<(String, String)> {
     let pair = |name: &str, value: String| (name.to_owned(), value);
-    let (before, after) = (&found.before, &found.after);
-    let sides = |before: f64, after: f64, unit: &str, digits: usize| match found.verdict {
-        Verdict::Named | Verdict::Partly => format!("{before:.digits$}{unit} before, {after:.digits$}{unit} after"),
-        _ => format!("{before:.digits$}{unit}"),
+    let sides = |of: fn(&Gap) -> f64, unit: &str, digits: usize| match after {
+        Some(after) => format!("{:.digits$}{unit} before, {:.digits$}{unit} after", of(before), of(after)),
+        None => format!("{:.digits$}{unit}", of(before)),
     };
     vec![
-        pair("Verdict", found.verdict.word().to_owned()),
-        pair("Samples", found.samples.to_string()),
-        pair("Gap of ε (rms)", sides(before.eps_mm, after.eps_mm, " mm", 4)),
-        pair("Noise alone", format!("{:.4} mm", found.noise_floor_mm)),
-        pair("Gap of θ (rms)", sides(before.theta_deg, after.theta_deg, "°", 3)),
-        pair("Gap of δ (rms, θ ≥ 15°)", sides(before.delta_deg, after.delta_deg, "°", 3)),
+        pair("Verdict", verdict.word().to_owned()),
+        pair("Samples", samples.to_string()),
+        pair("Gap of ε (rms)", sides(|gap| gap.eps_mm, " mm", 4)),
+        pair("Noise alone", format!("{noise_floor_mm:.4} mm")),
+        pair("Gap of θ (rms)", sides(|gap| gap.theta_deg, "°", 3)),
+        pair("Gap of δ (rms, θ ≥ 15°)", sides(|gap| gap.delta_deg, "°", 3)),
     ]
 }
 

@@ -2,8 +2,12 @@
 
 use super::page::{definitions, document, figure};
 use super::plot::{Plot, Point, Series, Style};
-use crate::reproduce::{BendingError, Comparison, Compensation, Reproduction, SimulatedRobot};
+use super::verdict::with_code;
+use crate::reproduce::{BendingError, Comparison, Compensation, RecursionStep, Reproduction, SimulatedRobot};
 use maud::{Markup, html};
+
+/// The columns of the comparisons.
+const COLUMNS: [&str; 7] = ["place", "quantity", "paper", "ours", "difference", "unit", "why"];
 
 const STYLE: &str = "
 td { vertical-align: top; }
@@ -12,6 +16,14 @@ td:first-child { white-space: nowrap; }
 td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 td.quantity { min-width: 11rem; }
 td.why { min-width: 18rem; color: var(--soft); }
+/* Too narrow for seven columns: a row becomes a list of its cells with their names. */
+@media (max-width: 56rem) {
+  .wide table, .wide tbody, .wide tr, .wide td { display: block; }
+  .wide tr { padding: .5rem 0; border-bottom: 1px solid var(--line); }
+  .wide tr:first-child, .wide td:empty { display: none; }
+  .wide td, .wide td.number { display: flex; gap: .5rem; padding: 0; border: 0; text-align: left; white-space: normal; min-width: 0; }
+  .wide td::before { content: attr(data-name); flex: 0 0 9.5rem; color: var(--soft); }
+}
 ";
 
 const LEAD: &str = "Every number and picture of the paper that can be computed, beside what this program gives. Where the two \
@@ -56,23 +68,22 @@ fn section(title: &str, comparisons: &[Comparison], places: &[&str], figures: &[
         h2 { (title) }
         .wide {
             table {
-                tr {
-                    @for name in ["place", "quantity", "paper", "ours", "difference", "unit", "why"] { th { (name) } }
-                }
+                tr { @for name in COLUMNS { th { (name) } } }
                 @for row in comparisons.iter().filter(|row| places.contains(&row.place)) {
+                    @let [place, quantity, paper, ours, difference, unit, why] = COLUMNS;
                     tr {
-                        td { (row.place) }
-                        td.quantity { (row.quantity) }
-                        td.number { (optional(row.paper)) }
-                        td.number { (number(row.ours)) }
-                        td.number { (optional(row.difference())) }
-                        td { @if row.unit != "1" { (row.unit) } }
-                        td.why { (row.explanation) }
+                        td data-name=(place) { span { (row.place) } }
+                        td.quantity data-name=(quantity) { span { (row.quantity) } }
+                        td.number data-name=(paper) { span { (optional(row.paper)) } }
+                        td.number data-name=(ours) { span { (number(row.ours)) } }
+                        td.number data-name=(difference) { span { (optional(row.difference())) } }
+                        td data-name=(unit) { @if row.unit != "1" { span { (row.unit) } } }
+                        td.why data-name=(why) { span { (with_code(&row.explanation)) } }
                     }
                 }
             }
         }
-        .plots {
+        .plots.pairs[figures.len().is_multiple_of(2)] {
             @for (title, caption, plot) in figures { (figure(title, plot, caption)) }
         }
     }
@@ -170,7 +181,7 @@ fn bending(rows: &[BendingError], x_label: &str, x: fn(&BendingError) -> f64, an
     };
     let mut figures = Vec::new();
     for (robot, name) in
-        [(SimulatedRobot::Equation18, "Eq. 18's robot"), (SimulatedRobot::WithPlay, "the robot with play")]
+        [(SimulatedRobot::Equation18, "Eq. 18's robot"), (SimulatedRobot::WithPlay, "The robot with play")]
     {
         // By symmetry Eq. 18's robot bends where it is told to, if not as far.
         if angle == Angle::Delta && robot == SimulatedRobot::Equation18 {
@@ -187,20 +198,19 @@ fn bending(rows: &[BendingError], x_label: &str, x: fn(&BendingError) -> f64, an
 }
 
 fn recursion(all: &Reproduction) -> Vec<Figure> {
-    let figure = |paper: &dyn Fn(&crate::reproduce::RecursionStep) -> f64,
-                  ours: &dyn Fn(&crate::reproduce::RecursionStep) -> Option<(f64, f64)>,
-                  y_label: &str| {
-        let printed = all.recursion.iter().map(|s| Point { x: s.measurement as f64, y: paper(s), sd: 0.0 });
-        let simulated = all.recursion.iter().filter_map(|s| {
-            let (y, sd) = ours(s)?;
-            Some(Point { x: s.measurement as f64, y, sd })
-        });
-        let series = vec![
-            Series { name: "simulated, Eq. 19".into(), style: Style::Band, points: simulated.collect() },
-            Series { name: "printed".into(), style: Style::Dots, points: printed.collect() },
-        ];
-        plot("measurement", y_label, series)
-    };
+    let figure =
+        |paper: &dyn Fn(&RecursionStep) -> f64, ours: &dyn Fn(&RecursionStep) -> Option<(f64, f64)>, y_label: &str| {
+            let printed = all.recursion.iter().map(|s| Point { x: s.measurement as f64, y: paper(s), sd: 0.0 });
+            let simulated = all.recursion.iter().filter_map(|s| {
+                let (y, sd) = ours(s)?;
+                Some(Point { x: s.measurement as f64, y, sd })
+            });
+            let series = vec![
+                Series { name: "simulated, Eq. 19".into(), style: Style::Band, points: simulated.collect() },
+                Series { name: "printed".into(), style: Style::Dots, points: printed.collect() },
+            ];
+            plot("measurement", y_label, series)
+        };
     let note = "Dots: Table III. Line and band: a simulated robot with the paper's final η and λ, ±1σ of Eq. 21.";
     vec![
         ("η̂".into(), note, figure(&|s| s.paper_eta, &|s| Some((s.eta?, s.sd_eta?)), "η")),
@@ -220,26 +230,26 @@ fn table_iii(all: &Reproduction) -> Markup {
         "± Eq. 21",
         "rms of 400 repeats",
     ];
+    let cells = |step: &RecursionStep| {
+        let number = |value: Option<f64>| value.map_or("–".to_owned(), |value| format!("{value:.4}"));
+        [
+            step.measurement.to_string(),
+            number(Some(step.paper_eta)),
+            number(step.eta),
+            number(step.sd_eta),
+            number(step.scatter_eta),
+            number(Some(step.paper_lambda_mm)),
+            number(step.lambda_mm),
+            number(step.sd_lambda_mm),
+            number(step.scatter_lambda_mm),
+        ]
+    };
     html! {
         .wide {
             table {
                 tr { @for name in COLUMNS { th { (name) } } }
                 @for step in &all.recursion {
-                    tr {
-                        td { (step.measurement) }
-                        @for value in [
-                            Some(step.paper_eta),
-                            step.eta,
-                            step.sd_eta,
-                            step.scatter_eta,
-                            Some(step.paper_lambda_mm),
-                            step.lambda_mm,
-                            step.sd_lambda_mm,
-                            step.scatter_lambda_mm,
-                        ] {
-                            td.number { (value.map_or("–".to_owned(), |value| format!("{value:.4}"))) }
-                        }
-                    }
+                    tr { @for (name, cell) in COLUMNS.iter().zip(cells(step)) { td.number data-name=(name) { span { (cell) } } } }
                 }
             }
         }
@@ -275,7 +285,7 @@ mod tests {
         let all = reproduce(1).unwrap();
         let page = page(&all);
         for row in &all.comparisons {
-            assert!(page.contains(&html! { (row.explanation) }.into_string()), "{row:?}");
+            assert!(page.contains(&with_code(&row.explanation).into_string()), "{row:?}");
         }
         assert!(page.matches("<svg").count() >= 14);
         assert!(!page.contains("http") && !page.contains("NaN"));

@@ -1,6 +1,6 @@
 //! report.html of `run`: one page that explains a run to a person.
 
-use super::bend_map::bend_map;
+use super::bend_map::{bend_map, strongest};
 use super::overlay::angles;
 use super::page::{definitions, document, figure, list, table};
 use super::run_course::{angles_over_time, course};
@@ -116,7 +116,7 @@ impl Report<'_> {
         let titled = |Titled { title, caption, plot }: &Titled| figure(title, plot, caption);
         let map = |title: &str, values: &[(Configuration, f64)], unit: &str, caption: &str| {
             html! {
-                @if let Some(map) = bend_map(values, unit) {
+                @if let Some(map) = bend_map(values, unit, strongest(values.iter().map(|(_, value)| *value))) {
                     figure { h3 { (title) } (map) figcaption { (caption) } }
                 }
             }

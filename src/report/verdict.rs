@@ -31,7 +31,7 @@ pub(super) fn verdict_box(verdict: &Verdict) -> Markup {
 }
 
 /// Text in which what stands between backticks is code.
-fn with_code(text: &str) -> Markup {
+pub(super) fn with_code(text: &str) -> Markup {
     html! {
         @for (place, part) in text.split('`').enumerate() {
             @if place % 2 == 1 { code { (part) } } @else { (part) }

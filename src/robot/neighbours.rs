@@ -47,6 +47,24 @@ impl Model {
         (0..NEIGHBOURS).rev().find(follows).map_or(0, |last| last + 1)
     }
 
+    /// What is to be said of a log, by what stands beside each of its readings, where it lacks those of a neighbour that the effects follow.
+    pub fn lacking_neighbours<'a>(&self, mut log: impl Iterator<Item = &'a Neighbours>) -> Option<String> {
+        let needed = self.neighbours();
+        let lacks = log.any(|neighbours| neighbours.count() < needed);
+        lacks.then(|| {
+            format!(
+                "no readings of neighbouring section {needed}, which the model's section_coupling follows: give them in columns \
+                 n{needed}_q1_mm, n{needed}_q2_mm, …, or take the effect out of the model"
+            )
+        })
+    }
+
+    /// What is to be said with an answer for a section alone, where effects follow neighbours.
+    pub fn resting_neighbours(&self) -> Option<&'static str> {
+        let words = "section_coupling: the neighbouring sections are taken to be at rest, with readings of 0";
+        (self.neighbours() > 0).then_some(words)
+    }
+
     /// What the neighbours add to the readings of this section, mm. Less that, the readings are those of a section alone, whose neighbours
     /// are at rest: of such everything else in this library speaks.
     pub fn by_neighbours_mm(&self, neighbours: &Neighbours) -> PerBackbone {

@@ -80,8 +80,20 @@ impl fmt::Display for GridAxis {
 pub struct Grid {
     /// The values of θ.
     pub theta: GridAxis,
-    /// The values of δ.
+    /// The values of δ; one that is once round from the first, and what comes after it, are the same directions again.
     pub delta: GridAxis,
+}
+
+impl Grid {
+    /// The azimuths of the grid, degrees, each direction once: of −180:180:10 the last, 180°, is left out.
+    pub fn azimuths_deg(&self) -> impl Iterator<Item = f64> + Clone {
+        let start_deg = self.delta.start_deg;
+        let comes_again = move |delta_deg: f64| {
+            let turns = (delta_deg - start_deg) / 360.0;
+            turns > 0.5 && (turns - turns.round()).abs() < 1e-9
+        };
+        self.delta.values_deg().take_while(move |&delta_deg| !comes_again(delta_deg))
+    }
 }
 
 impl Default for Grid {
@@ -133,7 +145,7 @@ impl TableRow {
     }
 }
 
-/// The compensation table over a grid, δ running fastest.
+/// The compensation table over a grid, δ running fastest; each direction once.
 ///
 /// # Errors
 /// [`ArgumentError::Grid`] for a grid with a θ outside 0 to 120°, a δ outside ±360°, or more poses than anyone needs.
@@ -152,7 +164,7 @@ pub fn compensation_table(model: &Model, grid: &Grid) -> Result<Vec<TableRow>> {
         return Err(ArgumentError::from(GridError::TooManyPoses { theta, delta, poses, most: MOST_POSES }).into());
     }
     let row = |(theta_deg, delta_deg)| TableRow::new(model, Configuration::from_degrees(theta_deg, delta_deg));
-    Ok(theta.values_deg().flat_map(|theta| delta.values_deg().map(move |delta| (theta, delta))).map(row).collect())
+    Ok(theta.values_deg().flat_map(|theta| grid.azimuths_deg().map(move |delta| (theta, delta))).map(row).collect())
 }
 
 #[cfg(test)]
@@ -175,6 +187,22 @@ mod tests {
         assert_eq!(values("-180:180:360"), [-180.0, 180.0]);
         assert_eq!(values("45"), [45.0]);
         assert!(values("0:90:0.01").len() == 9001 && *values("0:90:0.01").last().unwrap() == 90.0);
+    }
+
+    #[test]
+    fn a_direction_that_is_named_twice_has_one_row() {
+        for (delta, directions) in [("-180:180:10", 36), ("0:360:15", 24), ("-360:360:90", 4), ("-170:180:10", 36)] {
+            let rows = compensation_table(&Model::default(), &grid("0:90:2", delta)).unwrap();
+            assert_eq!(rows.len(), 46 * directions, "{delta}");
+            let key = |row: &TableRow| {
+                [row.configuration.theta_deg(), row.configuration.delta_deg()].map(|a| a.round() as i64)
+            };
+            let distinct: std::collections::HashSet<_> = rows.iter().map(key).collect();
+            assert_eq!(distinct.len(), rows.len(), "{delta}");
+        }
+        // Twice round by a step that does not fall on the start again.
+        assert_eq!(grid("0", "-360:360:100").azimuths_deg().count(), 8);
+        assert_eq!(grid("0", "0:360:7.2").azimuths_deg().count(), 50);
     }
 
     #[test]

@@ -272,13 +272,14 @@ fn out_of_range(model: &Model) -> Option<Reason> {
     if is_impossible || eta + reach_eta < *PLAUSIBLE_ETA.start() || eta - reach_eta > *PLAUSIBLE_ETA.end() {
         let level = if is_impossible { Level::DoNotUse } else { Level::Look };
         let sd = estimate.sd_eta();
-        let text = format!("η = {eta:.3} ± {sd:.3}, and such robots have one third to three");
+        let text = format!("η = {eta:.3} ± {sd:.3}, and such robots have one third to three").replace('-', "−");
         return Some(Reason::new(Code::ParameterOutOfRange, level, text, remedy));
     }
     if lambda + reach_lambda < 0.0 || lambda - reach_lambda > MOST_LAMBDA_MM {
         let sd = estimate.sd_lambda_mm();
         let text =
-            format!("λ = {lambda:.3} ± {sd:.3} mm, and a play is neither negative nor larger than {MOST_LAMBDA_MM} mm");
+            format!("λ = {lambda:.3} ± {sd:.3} mm, and a play is neither negative nor larger than {MOST_LAMBDA_MM} mm")
+                .replace('-', "−");
         return Some(Reason::new(Code::ParameterOutOfRange, Level::Look, text, remedy));
     }
     None
@@ -384,11 +385,12 @@ fn unseen_direction(samples: &[Sample]) -> Option<String> {
     }
     let direction = least.eigenvectors.column(place);
     let delta_deg = direction.y.atan2(direction.x).to_degrees().rem_euclid(180.0);
-    Some(format!(
+    let text = format!(
         "the snake hardly bent towards δ = {delta_deg:.0}° or {:.0}°: what is seen there says less than a single measurement at {:.0}°",
         delta_deg - 180.0,
         largest.to_degrees()
-    ))
+    );
+    Some(text.replace('-', "−"))
 }
 
 /// η so uncertain that it may lie anywhere where robots have it.

@@ -145,12 +145,10 @@ fn azimuth(subject: &Subject, view: &Option<String>, turn: f64, mirrored: bool, 
             _ if turn.abs() <= largest_misalignment() => return None,
             _ => "the camera looks from elsewhere",
         };
+        let turn_deg = format!("{:.1}°", turn.to_degrees()).replace('-', "−");
         let place =
             known.map_or("add to delta_offset_deg of the view", |_| "write under its [[view]]: delta_offset_deg =");
-        (
-            format!("the azimuth of {named} is turned by {:.1}°: {cause}", turn.to_degrees()),
-            format!("{place} {right:.1}"),
-        )
+        (format!("the azimuth of {named} is turned by {turn_deg}: {cause}"), format!("{place} {right:.1}"))
     };
     let suggestion = Suggestion {
         wiring: subject.wiring.clone(),

@@ -85,7 +85,9 @@ fn failure_of(command: &str, page: &str, master: &Sandbox) -> Option<String> {
     fs::create_dir_all(sandbox.join("target")).unwrap();
     std::os::unix::fs::symlink(program, sandbox.join("target/release")).unwrap();
     fs::create_dir_all(sandbox.join(".local/share/bash-completion/completions")).unwrap();
-    if command.contains("-o out") && ["snakeloop run", "snakeloop measure"].iter().any(|name| command.contains(name)) {
+    if command.contains("-o out")
+        && ["snakeloop run", "snakeloop measure", "snakeloop merge"].iter().any(|name| command.contains(name))
+    {
         // It makes what the others of its page take.
         fs::remove_dir_all(sandbox.join("out")).unwrap();
     }

@@ -16,31 +16,26 @@
 //! Source: G. H. Golub, V. Pereyra, "Separable nonlinear least squares: the variable projection method and its applications", Inverse
 //! Problems 19, 2003; the Jacobian in Kaufman's form.
 
+mod pose;
+mod starts;
 mod sweep;
 
-use crate::geometry::{Configuration, Pose};
+pub use pose::{Fitted, Role};
+
+use crate::geometry::Pose;
 use crate::observation::TrackerPose;
-use crate::robot::{MAX_THETA, Robot};
+use crate::robot::Robot;
 use crate::statistics::correlation::SerialScatter;
 use crate::statistics::least_squares::{self, Options, Problem as _};
 use crate::statistics::order::median;
 use crate::statistics::robust::{HUBER_LIMIT, Loss};
-use nalgebra::{
-    DVector, Matrix2, Matrix3, Matrix6x2, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3,
-};
-use std::f64::consts::{PI, TAU};
+use nalgebra::{DVector, Point3, SMatrix, Translation3, UnitQuaternion, Vector3};
 use sweep::Sweep;
 
 /// Numbers of a registration: two tilts, three of the origin, three of the sensor's place, three of its turn, and the shortening.
 pub const RIG: usize = 12;
 /// Rows of what is known beforehand: the sensor's place and turn, the shortening, and the base where it is stated.
 const PRIORS: usize = 10;
-/// Residuals of a pose: its position, its orientation, and the bend of the straight one.
-const ROWS: usize = 8;
-/// How well a snake that is called straight is, rad.
-///
-/// Convention: half a degree, which an eye sees beside a ruler.
-const STRAIGHT_RAD: f64 = 0.5 * PI / 180.0;
 /// How far from the middle of the end disk a sensor may be, across the snake and along it, mm (1σ), where orientations tell it.
 ///
 /// Convention: about the snake's width; a sweep tells far better.
@@ -62,10 +57,6 @@ const ALTERNATIVE: f64 = 13.8;
 ///
 /// Convention: more than any turn.
 const TURN_RAD: f64 = 10.0;
-/// The noise that the first fit begins with, mm and rad.
-///
-/// Convention: what common trackers are good to; learned from then on.
-const FIRST_SIGMAS: (f64, f64) = (0.5, 0.02);
 /// The least noise that is believed, mm and rad.
 ///
 /// Convention: the resolution of such files.
@@ -78,18 +69,6 @@ const ROUNDS: usize = 5;
 ///
 /// Convention: a limit on the time; a thousand leave an axis far better than one pose.
 const MOST_POSES: usize = 1000;
-/// Poses by which directions of the axis are compared, and how many directions.
-///
-/// Convention: directions 13° apart; a fit from the best of them converges.
-const COMPARED: (usize, usize) = (100, 300);
-/// From how many directions a fit is started, and how far they are apart at least, as a cosine.
-///
-/// Convention: 40°. The surface that a tip reaches is nearly a sphere, on which a base on the other side is a side minimum.
-const STARTS: (usize, f64) = (4, 0.766);
-/// What a compared pose costs at most, mm².
-///
-/// Convention: (3 mm)², so that jumps do not decide.
-const MOST_COST_MM2: f64 = 9.0;
 /// A pose whose residual is beyond this many standard deviations of a normal deviate is a jump.
 ///
 /// Derived: noise alone makes three of ten million poses one.
@@ -120,45 +99,6 @@ pub struct Registration {
     covariance: SMatrix<f64, RIG, RIG>,
 }
 
-/// What a pose is fitted for.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Role {
-    /// Its own bend.
-    Alone,
-    /// The registration, with others that err alike.
-    InSweep,
-    /// The registration, as the pose in which the snake is unbent.
-    Straight,
-}
-
-/// A pose with its best bend.
-#[derive(Debug, Clone, Copy)]
-pub struct Fitted {
-    /// rad.
-    pub bend: Vector2<f64>,
-    /// Measured less predicted, in units of σ.
-    residual: SVector<f64, ROWS>,
-    by_bend: SMatrix<f64, ROWS, 2>,
-    by_rig: SMatrix<f64, ROWS, RIG>,
-}
-
-impl Fitted {
-    /// The squared residual in units of σ².
-    pub fn chi_square(&self) -> f64 {
-        self.residual.norm_squared()
-    }
-
-    /// (JᵗJ)⁻¹ Jᵗ by the bend.
-    fn solver(&self) -> Option<SMatrix<f64, 2, ROWS>> {
-        Some((self.by_bend.tr_mul(&self.by_bend)).try_inverse()? * self.by_bend.transpose())
-    }
-
-    /// The derivative by the registration with the bend at its best for each: (1 − J J⁺) J_rig.
-    fn projected(&self) -> SMatrix<f64, ROWS, RIG> {
-        self.solver().map_or(self.by_rig, |solver| self.by_rig - self.by_bend * (solver * self.by_rig))
-    }
-}
-
 impl Registration {
     /// From poses, one of them straight: the most likely registration, then those that are hardly less likely; empty where there is no fit.
     pub fn all(
@@ -179,77 +119,6 @@ impl Registration {
         fits.sort_by(|(one, _), (other, _)| one.total_cmp(other));
         let most = fits.first().map_or(0.0, |(best, _)| best + ALTERNATIVE);
         fits.into_iter().take_while(|(unlikely, _)| *unlikely <= most).map(|(_, registration)| registration).collect()
-    }
-
-    /// The directions of the axis whose arcs the positions fit best, each with the base straight below the straight tip.
-    fn starts(poses: &[&TrackerPose], straight: &TrackerPose, robot: &Robot) -> Option<Vec<Self>> {
-        let tip = straight.position_mm?;
-        let compared: Vec<_> = poses.iter().step_by(poses.len().div_ceil(COMPARED.0)).collect();
-        let mut directions: Vec<(f64, Self)> = sphere(COMPARED.1)
-            .map(|axis| {
-                let start = Self::start(straight, robot, tip - axis * robot.length_mm, &axis);
-                (compared.iter().map(|pose| start.cost_mm2(pose)).sum(), start)
-            })
-            .collect();
-        directions.sort_by(|(one, _), (other, _)| one.total_cmp(other));
-        let mut starts: Vec<Self> = Vec::new();
-        for (_, start) in directions {
-            let is_new = starts.iter().all(|other| other.axis().dot(&start.axis()) < STARTS.1);
-            if is_new && starts.len() < STARTS.0 {
-                starts.push(start);
-            }
-        }
-        Some(starts)
-    }
-
-    /// With the base where it is stated, and its axis towards the straight tip.
-    fn stated(straight: &TrackerPose, robot: &Robot, base_mm: Point3<f64>) -> Option<Self> {
-        let snake_mm = straight.position_mm? - base_mm;
-        let mut start = Self::start(straight, robot, base_mm, &snake_mm.try_normalize(0.0)?);
-        start.stated_base_mm = Some(base_mm);
-        start.sensor_mm.z = snake_mm.norm() - robot.length_mm;
-        Some(start)
-    }
-
-    /// A base in this place with this axis, and a sensor in the middle of the tip.
-    fn start(straight: &TrackerPose, robot: &Robot, base_mm: Point3<f64>, axis: &Vector3<f64>) -> Self {
-        let rotation = UnitQuaternion::rotation_between(&Vector3::z(), axis)
-            .unwrap_or(UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
-        Self {
-            robot: robot.clone(),
-            tracker_from_base: Pose::from_parts(Translation3::from(base_mm), rotation),
-            sensor_mm: Vector3::zeros(),
-            turn: straight.orientation.map_or(UnitQuaternion::identity(), |seen| rotation.inverse() * seen),
-            shortening: 0.0,
-            sigma_mm: FIRST_SIGMAS.0,
-            sigma_rad: FIRST_SIGMAS.1,
-            design_effects: (1.0, 1.0),
-            has_orientations: straight.orientation.is_some(),
-            stated_base_mm: None,
-            covariance: SMatrix::zeros(),
-        }
-    }
-
-    /// The direction of the base's axis in the tracker's frame.
-    fn axis(&self) -> Vector3<f64> {
-        self.tracker_from_base.rotation * Vector3::z()
-    }
-
-    /// How far a position lies from the arc that leads nearest to it, squared; no more than an outlier's.
-    fn cost_mm2(&self, pose: &TrackerPose) -> f64 {
-        let Some(position) = pose.position_mm else { return 0.0 };
-        let bend = self.first_bend(pose);
-        let tip = self.robot.frame_at(Configuration::from_bend_vector(bend), self.robot.length_mm);
-        let off = self.tracker_from_base.inverse_transform_point(&position).coords - tip.translation.vector;
-        off.norm_squared().min(MOST_COST_MM2)
-    }
-
-    /// The bend of the arc from the base, along its axis, through the position: its chord leans by θ/2.
-    fn first_bend(&self, pose: &TrackerPose) -> Vector2<f64> {
-        let Some(position) = pose.position_mm else { return Vector2::zeros() };
-        let point = self.tracker_from_base.inverse_transform_point(&position).coords;
-        let theta = (2.0 * point.xy().norm().atan2(point.z)).min(MAX_THETA);
-        point.xy().try_normalize(0.0).unwrap_or_default() * theta
     }
 
     /// Registration and noise, learned in turn; with −2 ln of the posterior probability, up to a constant.
@@ -328,18 +197,6 @@ impl Registration {
         self.robot.backbone_circle_radius_mm / self.robot.length_mm
     }
 
-    /// The tip's frame, and its twist per rad of each component of the bend, of a snake that shortens.
-    fn tip(&self, bend: Vector2<f64>) -> (Pose, Matrix6x2<f64>) {
-        let mut tip = self.robot.frame_at(Configuration::from_bend_vector(bend), self.robot.length_mm);
-        let mut twist = self.robot.tip_jacobian_bend(bend);
-        let share = 1.0 - self.shortening * bend.norm();
-        let slope = bend.try_normalize(0.0).unwrap_or_default() * -self.shortening;
-        let velocity = twist.fixed_rows::<3>(0) * share + tip.translation.vector * slope.transpose();
-        twist.fixed_rows_mut::<3>(0).copy_from(&velocity);
-        tip.translation.vector *= share;
-        (tip, twist)
-    }
-
     /// The registration after a small change of its numbers.
     fn moved(&self, by: &DVector<f64>) -> Self {
         let Pose { rotation, translation } = self.tracker_from_base;
@@ -352,81 +209,6 @@ impl Registration {
             shortening: self.shortening + by[11],
             ..self.clone()
         }
-    }
-
-    /// The best bend of a pose by the method of Gauss and Newton, from `start` or the arc's chord; `None` where the pose has no position.
-    pub fn fit(&self, pose: &TrackerPose, role: Role, start: Option<Vector2<f64>>) -> Option<Fitted> {
-        /// Convention: an iteration cap.
-        const STEPS: usize = 20;
-        /// rad. Convention: a step within which the arcs' curvature is harmless.
-        const LONGEST_STEP: f64 = 0.3;
-        /// rad. Convention: far below any noise.
-        const CONVERGED: f64 = 1e-9;
-        pose.position_mm?;
-        let mut fitted = self.linearised(pose, role, start.unwrap_or_else(|| self.first_bend(pose)))?;
-        for _ in 0..STEPS {
-            let step = fitted.solver()? * fitted.residual;
-            let bend = fitted.bend + step.cap_magnitude(LONGEST_STEP);
-            fitted = self.linearised(pose, role, bend.cap_magnitude(MAX_THETA))?;
-            if step.norm() < CONVERGED {
-                break;
-            }
-        }
-        Some(fitted)
-    }
-
-    /// Residuals of a pose at a bend, in the base's axes and in units of σ, with the derivatives of what is predicted.
-    fn linearised(&self, pose: &TrackerPose, role: Role, bend: Vector2<f64>) -> Option<Fitted> {
-        let (tip, twist) = self.tip(bend);
-        let (arm, turned) = (tip.rotation * self.sensor_mm, tip.rotation.to_rotation_matrix());
-        let place = tip.translation.vector + arm;
-        let seen = self.tracker_from_base.inverse_transform_point(&pose.position_mm?).coords;
-        let mut fitted =
-            Fitted { bend, residual: SVector::zeros(), by_bend: SMatrix::zeros(), by_rig: SMatrix::zeros() };
-
-        let alike = if role == Role::InSweep { self.design_effects } else { (1.0, 1.0) };
-        let sigma_mm = self.sigma_mm * alike.0.sqrt() * pose.sigma_mm.unwrap_or(1.0);
-        let sigma_rad = self.sigma_rad * alike.1.sqrt();
-        fitted.residual.fixed_rows_mut::<3>(0).copy_from(&((seen - place) / sigma_mm));
-        for axis in 0..2 {
-            let (velocity, turning) = (twist.fixed_view::<3, 1>(0, axis), twist.fixed_view::<3, 1>(3, axis));
-            let by_bend = velocity + turning.cross(&arm);
-            fitted.by_bend.fixed_view_mut::<3, 1>(0, axis).copy_from(&(by_bend / sigma_mm));
-            fitted
-                .by_rig
-                .fixed_view_mut::<3, 1>(0, axis)
-                .copy_from(&(Vector3::ith(axis, 1.0).cross(&place) / sigma_mm));
-        }
-        fitted.by_rig.fixed_view_mut::<3, 3>(0, 2).copy_from(&(Matrix3::identity() / sigma_mm));
-        fitted.by_rig.fixed_view_mut::<3, 3>(0, 5).copy_from(&(turned.matrix() / sigma_mm));
-        let unshortened = self.robot.frame_at(Configuration::from_bend_vector(bend), self.robot.length_mm).translation;
-        fitted.by_rig.fixed_view_mut::<3, 1>(0, 11).copy_from(&(unshortened.vector * (-bend.norm() / sigma_mm)));
-
-        if let Some(orientation) = pose.orientation.filter(|_| self.has_orientations) {
-            let predicted = tip.rotation * self.turn;
-            let left = self.tracker_from_base.rotation.inverse() * orientation * predicted.inverse();
-            fitted.residual.fixed_rows_mut::<3>(3).copy_from(&(left.scaled_axis() / sigma_rad));
-            fitted.by_bend.fixed_view_mut::<3, 2>(3, 0).copy_from(&(twist.fixed_view::<3, 2>(3, 0) / sigma_rad));
-            let tilts = SMatrix::<f64, 3, 2>::identity() / sigma_rad;
-            fitted.by_rig.fixed_view_mut::<3, 2>(3, 0).copy_from(&tilts);
-            fitted.by_rig.fixed_view_mut::<3, 3>(3, 8).copy_from(&(turned.matrix() / sigma_rad));
-        }
-        if role == Role::Straight {
-            fitted.residual.fixed_rows_mut::<2>(6).copy_from(&(-bend / STRAIGHT_RAD));
-            fitted.by_bend.fixed_view_mut::<2, 2>(6, 0).copy_from(&(Matrix2::identity() / STRAIGHT_RAD));
-        }
-        Some(fitted)
-    }
-
-    /// Covariance of a pose's bend by its own noise, rad², and what independent unit errors of the registration do to it, rad.
-    pub fn errors(&self, fit: &Fitted) -> Option<(Matrix2<f64>, SMatrix<f64, 2, RIG>)> {
-        let solver = fit.solver()?;
-        Some((solver * solver.transpose(), solver * fit.by_rig * self.covariance.cholesky()?.l()))
-    }
-
-    /// Rows of a pose less what its bend takes.
-    pub fn degrees_of_freedom(&self, pose: &TrackerPose) -> f64 {
-        if self.has_orientations && pose.orientation.is_some() { 4.0 } else { 1.0 }
     }
 
     /// Standard deviation of the direction of the base's axis, rad: the larger of its two tilts'.
@@ -443,19 +225,6 @@ impl Registration {
     pub fn sigma_of_shortening(&self) -> f64 {
         self.covariance[(11, 11)].sqrt()
     }
-}
-
-/// Directions spread evenly over the sphere.
-///
-/// Source: the Fibonacci lattice; Á. González, Mathematical Geosciences 42, 2010.
-fn sphere(count: usize) -> impl Iterator<Item = Vector3<f64>> {
-    let golden = (1.0 + 5f64.sqrt()) / 2.0;
-    (0..count).map(move |k| {
-        let z = 1.0 - (2.0 * k as f64 + 1.0) / count as f64;
-        let (sin, cos) = (TAU * k as f64 / golden).sin_cos();
-        let side = (1.0 - z * z).sqrt();
-        Vector3::new(side * cos, side * sin, z)
-    })
 }
 
 /// The median of χ² over its degrees of freedom.

@@ -45,19 +45,33 @@ fn with_experiment(more: &str, check: impl FnOnce(&Sandbox)) {
 }
 
 #[test]
-fn too_few_samples_or_no_motion_are_refused() {
+fn samples_too_few_for_a_search_are_answered_with_what_they_say() {
     with_experiment("--sweep-poses 4 --round-poses 4", |sandbox| {
-        let message = refusal(sandbox);
-        assert!(message.contains("20 usable samples, and 24"), "{message}");
+        let (found, said) = answer(sandbox);
+        assert!(said.contains("no effect was looked for, which takes 24 samples"), "{said}");
+        assert_eq!((&found["verdict"], &found["samples"]), (&json("\"none\""), &json("20")), "{found:#}");
         // The plant is the starting model itself, so that η is 1, and what is left is the noise of 20 samples.
-        let after = |words: &str| -> f64 {
-            let tail = message.split(words).nth(1).unwrap();
-            tail.split(' ').next().unwrap().parse().unwrap()
-        };
-        assert!((0.99..1.01).contains(&after("with η = ")), "{message}");
-        let (left, noise) = (after("fitted to the same samples "), after("alone leaves "));
-        assert!((0.6..1.5).contains(&(left / noise)), "{message}");
+        let number = |value: &Value| value.as_f64().unwrap();
+        assert!((0.99..1.01).contains(&number(&found["eta"])), "{found:#}");
+        let gap = &found["gap"];
+        assert!((0.6..1.5).contains(&(number(&gap["after_mm"]) / number(&gap["noise_floor_mm"]))), "{found:#}");
+        assert!(sandbox.read("out/model.toml").contains("[estimate]"));
+        // Five samples say nothing.
+        rewrite(sandbox, "measurements.csv", |k, row| {
+            if k >= 5 {
+                row[6] = "no_snake".into();
+            }
+        });
+        assert!(refusal(sandbox).contains("5 usable samples, and 24"));
     });
+    with_experiment("--sweep-poses 4 --round-poses 4 --effect motion_directed_backlash:half_gap_mm=0.03", |sandbox| {
+        let (found, _) = answer(sandbox);
+        assert_eq!((&found["verdict"], &found["effects"]), (&json("\"unexplained\""), &json("[]")), "{found:#}");
+    });
+}
+
+#[test]
+fn no_motion_and_no_sample_are_refused() {
     with_experiment(SWEEPS, |sandbox| {
         rewrite(sandbox, "encoders.csv", |_, row| {
             row.splice(2.., ["0.1", "0.2", "0.3"].map(str::to_owned)).for_each(drop)

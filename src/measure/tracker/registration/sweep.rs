@@ -1,6 +1,7 @@
 //! A registration's residuals and their derivatives: those of the poses, each at its best bend, and of what is known beforehand.
 
-use super::{Fitted, PRIORS, RIG, ROWS, Registration, Role, STATED_BASE_MM, TURN_RAD};
+use super::pose::ROWS;
+use super::{Fitted, PRIORS, RIG, Registration, Role, STATED_BASE_MM, TURN_RAD};
 use crate::observation::TrackerPose;
 use crate::statistics::least_squares::Problem;
 use nalgebra::{DMatrix, DVector, Vector3};
