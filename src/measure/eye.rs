@@ -4,7 +4,7 @@
 //!
 //! 1. Coarse search: the bends of a lattice with the most contrast across their outlines are candidates.
 //! 2. First try: the best candidate, or the one that is expected, goes through stages 3 to 6 with no other beside it but its mirrored solution.
-//!    The answer stands where it agrees with the outline everywhere and no other bend comes near to it.
+//!    The answer stands where it agrees with nearly all of the outline and no other bend comes near to it.
 //! 3. Coarse fits: each candidate is fitted from wide search distances; the best one's mirrored solution as well.
 //! 4. Refinement: the best of them are fitted until they converge.
 //! 5. Selection among the local minima: the best is fitted in the fine stage, and so is every other that may explain the picture
@@ -127,10 +127,10 @@ struct Conclusion {
 }
 
 impl Conclusion {
-    /// Whether a snake was measured that agrees with the outline everywhere, and no other bend came near to explaining the picture as well.
+    /// Whether a snake was measured that needs no comparison with other candidates, and its mirrored solution came not near to it.
     fn is_certain(&self) -> bool {
-        let agrees = self.fits.first().is_some_and(BendFit::agrees_everywhere);
-        self.measurement.status == Status::Ok && agrees && !self.has_alternative
+        let is_unrivalled = self.fits.first().is_some_and(BendFit::is_unrivalled);
+        self.measurement.status == Status::Ok && is_unrivalled && !self.has_alternative
     }
 }
 
