@@ -329,7 +329,8 @@ impl Eye {
         // Side by side: the mirrored solution is seldom the better one, from which the fine stage then starts anew.
         let mirrored = || self.fit(finder, self.start(bend), &schedule.beside(best));
         let (mirrored, finest) = rayon::join(mirrored, || self.fit_fine(finder, best.start(), fine));
-        let better = mirrored.as_ref().filter(|mirrored| mirrored.cost < best.cost);
+        let is_another = |mirrored: &&BendFit| (mirrored.bend() - best.bend()).norm() > SAME_MINIMUM_RAD;
+        let better = mirrored.as_ref().filter(is_another).filter(|mirrored| mirrored.cost < best.cost);
         let finest = better.map_or(finest, |mirrored| self.fit_fine(finder, mirrored.start(), fine));
         let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
         let Some(mut best) = finest else { return Selection::without_fine_fit(fits) };
