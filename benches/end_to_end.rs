@@ -58,8 +58,9 @@ fn thread_cpu_s() -> f64 {
     time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
 }
 
-/// How often the steps of a frame are timed, each time one after the other, so that whatever else the machine does meets all of them alike.
-const REPETITIONS: usize = 41;
+/// How often the steps of a frame are timed, each time one after the other, so that whatever else the machine does meets all of them alike, and of
+/// the next of the seventeen bundled frames.
+const REPETITIONS: usize = 51;
 
 /// The median of some times and the quartiles beside it, ms.
 #[derive(Clone, Copy)]
@@ -80,54 +81,58 @@ impl Timed {
 /// The figures of one run of the benchmark by their names.
 type Figures = BTreeMap<String, f64>;
 
-/// A step's name, whether its CPU time is told, and the step.
-type Step<'a> = (&'static str, bool, Box<dyn FnMut() + Send + 'a>);
+/// A step's name, whether its CPU time is told, and the step, for the frame of a number.
+type Step<'a> = (&'static str, bool, Box<dyn FnMut(usize) + Send + 'a>);
 
 /// The steps of a frame beside what reading and decoding it costs. What one thread computes is told in CPU time, what all of them do
 /// together in time on the clock.
-fn frame_steps(eye: &Eye, path: &Path, figures: &mut Figures) {
-    let bytes = std::fs::read(path).unwrap();
-    let frame: Frame = read_frame(path).unwrap();
-    // 1.5° away: what the frame before it or an encoder reading would make expect.
-    let last = eye.measure(&frame).bend.unwrap().vector * 0.97;
-    let Samples::Bits8(samples) = &frame.samples else { unreachable!("the bundled frames have 8 bits") };
-    let mut copy = vec![0_u8; samples.len()];
+fn frame_steps(eye: &Eye, paths: &[PathBuf], figures: &mut Figures) {
+    let bytes: Vec<Vec<u8>> = paths.iter().map(|path| std::fs::read(path).unwrap()).collect();
+    let frames: Vec<Frame> = paths.iter().map(|path| read_frame(path).unwrap()).collect();
+    // As far away as what the frame before it or an encoder reading would make expect.
+    let last: Vec<_> = frames.iter().map(|frame| eye.measure(frame).bend.unwrap().vector * 0.97).collect();
+    let samples = |k: usize| match &frames[k].samples {
+        Samples::Bits8(samples) => samples,
+        Samples::Bits16(_) => unreachable!("the bundled frames have 8 bits"),
+    };
+    let mut copy = samples(0).clone();
     let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
 
     let mut steps: Vec<Step> = vec![
         (
             "byte_sum_ms",
             true,
-            Box::new(|| {
-                black_box(black_box(samples).iter().map(|&v| u32::from(v)).sum::<u32>());
+            Box::new(|k| {
+                black_box(black_box(samples(k)).iter().map(|&v| u32::from(v)).sum::<u32>());
             }),
         ),
-        ("memcpy_ms", true, Box::new(|| black_box(&mut copy).copy_from_slice(black_box(samples)))),
+        ("memcpy_ms", true, Box::new(|k| black_box(&mut copy).copy_from_slice(black_box(samples(k))))),
         (
             "decode_jpeg_ms",
             true,
-            Box::new(|| {
-                black_box(image::load_from_memory(black_box(&bytes)).unwrap());
+            Box::new(|k| {
+                black_box(image::load_from_memory(black_box(&bytes[k])).unwrap());
             }),
         ),
-        ("measure_cpu_ms", true, Box::new(|| drop(black_box(eye.measure(&frame))))),
-        ("expected_cpu_ms", true, Box::new(|| drop(black_box(eye.measure_expected(&frame, last))))),
-        ("track_cpu_ms", true, Box::new(|| drop(black_box(eye.track(&frame, last))))),
-        ("measure_wall_ms", false, Box::new(|| drop(black_box(eye.measure(&frame))))),
-        ("track_wall_ms", false, Box::new(|| drop(black_box(eye.track(&frame, last))))),
+        ("measure_cpu_ms", true, Box::new(|k| drop(black_box(eye.measure(&frames[k]))))),
+        ("expected_cpu_ms", true, Box::new(|k| drop(black_box(eye.measure_expected(&frames[k], last[k]))))),
+        ("track_cpu_ms", true, Box::new(|k| drop(black_box(eye.track(&frames[k], last[k]))))),
+        ("measure_wall_ms", false, Box::new(|k| drop(black_box(eye.measure(&frames[k]))))),
+        ("track_wall_ms", false, Box::new(|k| drop(black_box(eye.track(&frames[k], last[k]))))),
     ];
     let mut times = vec![Vec::new(); steps.len()];
-    for _ in 0..REPETITIONS {
+    for repetition in 0..REPETITIONS {
+        let k = repetition % frames.len();
         for ((_, by_cpu, step), times) in steps.iter_mut().zip(&mut times) {
             times.push(if *by_cpu {
                 alone.install(|| {
                     let before = thread_cpu_s();
-                    step();
+                    step(k);
                     thread_cpu_s() - before
                 })
             } else {
                 let started = Instant::now();
-                step();
+                step(k);
                 started.elapsed().as_secs_f64()
             });
         }
@@ -150,12 +155,14 @@ fn frame_steps(eye: &Eye, path: &Path, figures: &mut Figures) {
     }
 }
 
-fn steps(frame: &Path, figures: &mut Figures) {
+fn steps(frames: &[PathBuf], figures: &mut Figures) {
     let lens = Lens::read(&bundled("camera.yaml")).unwrap();
     let robot = Model::default().robot;
     let options = RigOptions { grid_pitch_mm: 1.0, standoff_mm: 25.0, delta_offset: 0.0 };
     let rig = calibrate_rig(&read_frame(&bundled("straight.jpg")).unwrap(), &lens, &robot, &options).unwrap();
-    frame_steps(&Eye::new(lens, rig, robot), frame, figures);
+    // As in `run`.
+    let sample = frames.par_iter().map(|path| read_frame(path).unwrap());
+    frame_steps(&Eye::new(lens, rig, robot).refined(sample), frames, figures);
 
     let covariance = Matrix2::from_diagonal_element(1e-6);
     let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance, samples: 17 };
@@ -163,10 +170,10 @@ fn steps(frame: &Path, figures: &mut Figures) {
     let psi = Configuration::from_degrees(60.0, 35.0);
     let q_tilde_mm = model.command(psi);
     show("the forward problem", least(|| model.forward(black_box(&q_tilde_mm)).unwrap()), "(asked: at most 20 µs)");
-    let grid = Grid { theta: "0:90:0.5".parse().unwrap(), delta: "-180:180:1".parse().unwrap() };
+    let grid = Grid { theta: "0:90:0.5".parse().unwrap(), delta: "-180:179:1".parse().unwrap() };
     let table = compensation_table(&model, &grid).unwrap().len();
-    assert_eq!(table, 181 * 361);
-    show("a table of 181 × 361 poses", least(|| compensation_table(&model, &grid)), "(asked: at most 30 ms)");
+    assert_eq!(table, 181 * 360);
+    show("a table of 181 × 360 poses", least(|| compensation_table(&model, &grid)), "(asked: at most 30 ms)");
 }
 
 /// How long an update of η and λ takes, s, over the rows of a run; what the first votes cost is shared out among them.
@@ -268,7 +275,7 @@ fn main() {
 
     let mut figures = Figures::new();
     println!("\n== steps of a frame of 1280×720 in turn, ms: CPU time of one thread, and time on the clock with all");
-    steps(&jpeg[2], &mut figures);
+    steps(&jpeg, &mut figures);
     println!("\n== `run` beside decoding alone, {} cores (asked: at least 0.8)", rayon::current_num_threads());
     for (kind, pictures) in [("JPEG", &jpeg), ("PNG", &png)] {
         let folder = lab.path().join(kind);
