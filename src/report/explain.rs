@@ -103,7 +103,7 @@ pub fn stages(
         let caption = format!(
             "The best fit's outline and the edges found near it, {ENLARGED} times as large. Green: an edge that agrees; red: \
              one that does not and hardly counts, with a line from where it was expected; blue: no edge where one should \
-             be. {}",
+             be. Points on the holder and beside another part of the snake, which the fit leaves out, are drawn as well. {}",
             counted(&explanation.points)
         );
         stages.push(Stage { file: "5-edges.png", caption, picture: edges(frame, &explanation.points) });
