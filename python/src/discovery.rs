@@ -6,8 +6,8 @@ use crate::tables::{encoders_of, measurements_of};
 use crate::threads::interruptible;
 use pyo3::prelude::*;
 use serde_json::Value;
+use snakeloop::Result;
 use snakeloop::discover::{Data, FewSamples, Localisation, discover as search, discover_in_frames, nothing_named};
-use snakeloop::error::DataError;
 use snakeloop::estimate::Options;
 use snakeloop::estimate::gap::gap;
 use snakeloop::observation::{EncoderReading, Measurement};
@@ -15,7 +15,6 @@ use snakeloop::report::discovery::{Page, few_samples_lines, few_samples_page, li
 use snakeloop::report::verdict::verdict_page;
 use snakeloop::robot::Model;
 use snakeloop::verdict::{Subject, Verdict};
-use snakeloop::{Error, Result};
 
 /// What `discover` found: verdict, effects, gap, and the model with the effects added.
 #[pyclass(name = "Discovery", module = "snakeloop", frozen)]
@@ -61,10 +60,7 @@ fn discovered(
 ) -> Result<PyDiscovery> {
     let answer = match Data::new(measurements, readings, sd_encoder_mm) {
         Ok(data) => Ok(data),
-        Err(error @ Error::Data(DataError::TooFewSamples { found, .. })) => {
-            Err(FewSamples::of(found, &model, measurements, readings, sd_encoder_mm)?.ok_or(error)?)
-        }
-        Err(error) => return Err(error),
+        Err(error) => Err(FewSamples::instead_of(error, &model, measurements, readings, sd_encoder_mm)?),
     };
     if let Some(mistake) = Subject::new(&model, sd_encoder_mm).wiring_mistake(measurements, readings) {
         let verdict = Verdict::of(vec![mistake]);

@@ -12,7 +12,6 @@ use crate::discover::{
     Data, Discovery, FewSamples, Localisation, NextExperiment, ProposedLaw, Verdict as Found, discover_in_frames,
     discover_telling, next_experiment, nothing_named, propose_law,
 };
-use crate::error::DataError;
 use crate::estimate::gap::{Gap, gap};
 use crate::estimate::{Options, Verdict as GateVerdict, estimate};
 use crate::observation::{EncoderReading, Measurement};
@@ -103,10 +102,7 @@ impl Args {
                 Some(mistake) => Ok(self.name_nothing(console, &inputs, mistake, &data.remarks)?),
                 None => self.search(console, &inputs, data),
             },
-            Err(error @ Error::Data(DataError::TooFewSamples { found, .. })) => {
-                self.without_a_search(console, &inputs, found, error)
-            }
-            Err(error) => Err(error.into()),
+            Err(error) => self.without_a_search(console, &inputs, error),
         }
     }
 
@@ -170,18 +166,10 @@ impl Args {
             + &self.next_in_words(next.as_ref())
     }
 
-    /// The answer to samples too few for a search; the error where they are too few for any.
-    fn without_a_search(
-        &self,
-        console: &Console,
-        inputs: &Inputs,
-        samples: usize,
-        too_few: Error,
-    ) -> Result<(), Failure> {
+    /// The answer to samples too few for a search; the error where that is another, or they are too few for any answer.
+    fn without_a_search(&self, console: &Console, inputs: &Inputs, error: Error) -> Result<(), Failure> {
         let Inputs { model, measurements, readings } = inputs;
-        let Some(found) = FewSamples::of(samples, model, measurements, readings, self.encoder_sd)? else {
-            return Err(too_few.into());
-        };
+        let found = FewSamples::instead_of(error, model, measurements, readings, self.encoder_sd)?;
         if let Some(mistake) = self.wiring_mistake(inputs) {
             return Ok(self.name_nothing(console, inputs, mistake, &found.remarks)?);
         }

@@ -4,21 +4,17 @@ use super::data::LEAST_SAMPLES;
 use super::discrepancy::gap_json;
 use super::held_out::Gap;
 use super::verdict::Verdict;
-use crate::Result;
+use crate::error::{DataError, Error, Result};
 use crate::estimate::{self, Options, estimate, with_sigmas};
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
+use crate::verdict::MEAN_SQUARE_OF_NOISE;
 use serde_json::{Value, json};
 
 /// Fewer samples than this say nothing of a gap either.
 ///
 /// Derived: as many poses as the verdict's sign test needs before it can speak at its level, 2⁻¹⁰ < 0.001.
 const LEAST_JUDGED: usize = 10;
-
-/// Mean square of what is left, in units of the noise's, that is still called noise.
-///
-/// Convention: that of the verdict's rule on gaps; ten samples of noise exceed it once in some thousand times (χ² with 18 degrees of freedom).
-const MEAN_SQUARE: f64 = 2.5;
 
 /// The answer that needs no search.
 #[derive(Debug, Clone)]
@@ -40,11 +36,24 @@ pub struct FewSamples {
 }
 
 impl FewSamples {
-    /// The answer for so many usable samples; nothing where they are too few even for that, or η and λ cannot be fitted to them.
+    /// The answer in place of the error of [`Data::new`](super::Data::new) on these samples.
     ///
     /// # Errors
+    /// That error, if it is not [`DataError::TooFewSamples`], if they are too few even for this answer, or η and λ cannot be fitted to them;
     /// [`ArgumentError::OutOfRange`](crate::error::ArgumentError::OutOfRange) for a standard deviation that no encoder has.
-    pub fn of(
+    pub fn instead_of(
+        error: Error,
+        model: &Model,
+        measurements: &[Measurement],
+        readings: &[EncoderReading],
+        sd_encoder_mm: f64,
+    ) -> Result<Self> {
+        let Error::Data(DataError::TooFewSamples { found, .. }) = error else { return Err(error) };
+        Self::of(found, model, measurements, readings, sd_encoder_mm)?.ok_or(error)
+    }
+
+    /// The answer for so many usable samples; nothing where they are too few even for that, or η and λ cannot be fitted to them.
+    fn of(
         samples: usize,
         model: &Model,
         measurements: &[Measurement],
@@ -63,7 +72,8 @@ impl FewSamples {
         let before = estimate::gap::gap(model, &measurements, readings);
         let after = estimate::gap::gap(&fitted, &measurements, readings);
         let noise_mm = after.noise_floor_mm.hypot(sd_encoder_mm);
-        let is_noise = after.rms_eps_mm.powi(2) <= MEAN_SQUARE * noise_mm.powi(2);
+        // Ten samples of noise exceed it once in some thousand times: χ² with 18 degrees of freedom.
+        let is_noise = after.rms_eps_mm.powi(2) <= MEAN_SQUARE_OF_NOISE * noise_mm.powi(2);
         let remark = format!(
             "no effect was looked for, which takes {LEAST_SAMPLES} samples at least: measure more poses; the gap after is that of the \
              samples to which η and λ were fitted"

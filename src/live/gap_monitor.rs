@@ -20,16 +20,13 @@
 use super::cusum::{Cusum, event_log_ratio, variance_log_ratio};
 use super::status::{GapState, GapStatus};
 use crate::estimate::{Consistency, NEW_POSE, Verdict, Whitened};
-use crate::verdict::REJECTED_IN_ORDER;
+use crate::verdict::{MEAN_SQUARE_OF_NOISE, REJECTED_IN_ORDER};
 use nalgebra::Vector2;
 use std::collections::VecDeque;
 
 /// Mean number of poses between two false alarms of each test. Convention: a false alarm costs one needless search of
 /// `discover`; at ten new poses a second each test gives one in 28 hours.
 const POSES_BETWEEN_FALSE_ALARMS: f64 = 1e6;
-/// The mean square of the innovations that is to be found, where 1 is noise. Convention: the smallest gap worth a search, 1.2 times the
-/// noise in rms (√(2.5 − 1)). Sigmas that are too small by a fifth (mean square 1.5) raise no alarm.
-pub(super) const MEAN_SQUARE: f64 = 2.5;
 /// Share of rejected measurements that is to be found. Convention.
 const REJECTED_TOO_MANY: f64 = 0.3;
 /// Measurements used before the verdict is told. Convention: twice what `discover` needs to decide anything.
@@ -102,8 +99,8 @@ impl GapMonitor {
         self.rejections.add(event_log_ratio(rejected, REJECTED_IN_ORDER, REJECTED_TOO_MANY));
         // What is rejected is an outlier, and says nothing of the others' scatter.
         if let Some(innovation) = innovation.filter(|_| !rejected) {
-            self.bending.add(variance_log_ratio(innovation.bending.norm_squared(), 2.0, MEAN_SQUARE));
-            self.common.add(variance_log_ratio(innovation.common.powi(2), 1.0, MEAN_SQUARE));
+            self.bending.add(variance_log_ratio(innovation.bending.norm_squared(), 2.0, MEAN_SQUARE_OF_NOISE));
+            self.common.add(variance_log_ratio(innovation.common.powi(2), 1.0, MEAN_SQUARE_OF_NOISE));
         }
     }
 
@@ -167,7 +164,7 @@ mod tests {
         assert_eq!(scenario.see(MIN_USED - 1, NEW_POSE, 1.0), GapState::Unknown);
         assert_eq!(scenario.see(20_000, NEW_POSE, 1.0), GapState::Noise);
         assert_eq!(scenario.see(2000, NEW_POSE, 1.3), GapState::Noise, "sigmas slightly too small are no gap");
-        assert_eq!(scenario.see(100, NEW_POSE, MEAN_SQUARE), GapState::Above);
+        assert_eq!(scenario.see(100, NEW_POSE, MEAN_SQUARE_OF_NOISE), GapState::Above);
         assert_eq!(scenario.see(400, NEW_POSE, 1.0), GapState::Noise);
     }
 

@@ -5,13 +5,12 @@
 //! took, with the naive one and with the one that was published last; and nothing is published while the gap is above noise or the
 //! encoders are stuck. What was published stays then, and is marked stale.
 
-use super::gap_monitor::MEAN_SQUARE;
 use super::status::{GapState, PublicationState, PublicationStatus};
 use crate::estimate::{NEW_POSE, bend_covariance};
 use crate::observation::Measured;
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::moments::{mean, standard_deviation};
-use crate::verdict::Code;
+use crate::verdict::{Code, MEAN_SQUARE_OF_NOISE};
 use std::collections::VecDeque;
 
 /// Poses on which models are compared, each a new one ([`NEW_POSE`]) after the one before. Convention: as many as the gap monitor asks
@@ -122,7 +121,7 @@ impl PublicationGate {
             // Two models nearly alike differ alike at every pose, which is no chance, and no harm while noise hides it: the scatter of a mean of
             // χ² of so many numbers.
             let hidden = noise * (2.0 / (left.len() * model.robot.backbone_count()) as f64).sqrt();
-            if now > MEAN_SQUARE * noise && now - then > hidden && is_worse(&left, &before) {
+            if now > MEAN_SQUARE_OF_NOISE * noise && now - then > hidden && is_worse(&left, &before) {
                 return withheld(Code::Stale, format!("{seen}, the one published before {}", rms(&before)));
             }
         }
@@ -169,7 +168,7 @@ fn is_worse(squares: &[f64], than: &[f64]) -> bool {
     // What is no number is worse than anything.
     mean_square.is_nan()
         || mean_square - other > WORSE_SDS * standard_error
-        || is_few && mean_square > MEAN_SQUARE * other
+        || is_few && mean_square > MEAN_SQUARE_OF_NOISE * other
 }
 
 #[cfg(test)]

@@ -19,4 +19,4 @@ mod words;
 
 pub use evidence::{Evidence, Subject, ViewOffset};
 pub use reason::{Code, Level, Reason, Suggestion, Verdict};
-pub use rules::{LEVEL_OF_TESTS, MOST_LAMBDA_MM, REJECTED_IN_ORDER};
+pub use rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, MOST_LAMBDA_MM, REJECTED_IN_ORDER};

@@ -28,8 +28,9 @@ pub(in crate::verdict) const NORMAL_QUANTILE: f64 = 3.090_232;
 pub const REJECTED_IN_ORDER: f64 = 0.1;
 /// Mean square of whitened residuals that is still called noise, where 1 is noise.
 ///
-/// Convention: that of `live`'s gap monitor; sigmas that are too small by 1.6, and effects that size, raise no alarm.
-const MEAN_SQUARE: f64 = 2.5;
+/// Convention: the smallest gap worth a search, 1.2 times the noise in rms (√(2.5 − 1)); sigmas that are too small by 1.6, and effects that
+/// size, raise no alarm.
+pub const MEAN_SQUARE_OF_NOISE: f64 = 2.5;
 /// Medians of χ² with 2 and 1 degrees of freedom.
 ///
 /// Derived: 2 ln 2, and Φ⁻¹(¾)².
@@ -91,7 +92,7 @@ pub(super) fn wiring_mistake(subject: &Subject, evidence: &Evidence, log: &[Enco
         Some(Mistake::Clock { .. }) => true,
         Some(Mistake::Log(wiring)) => {
             let only_rows = Wiring { index_shift: 0, ..wiring.clone() }.is_straight();
-            only_rows && check.misfit_corrected > MEAN_SQUARE.sqrt()
+            only_rows && check.misfit_corrected > MEAN_SQUARE_OF_NOISE.sqrt()
         }
         _ => false,
     };
@@ -139,7 +140,7 @@ impl Residuals {
     /// Sign test of the median: more than half of the squares beyond the median of what counts as noise.
     fn above_noise(&self) -> Option<Reason> {
         let part = |squares: &[f64], nominal: f64, name: &str| {
-            let beyond = squares.iter().filter(|&&square| square > MEAN_SQUARE * nominal).count();
+            let beyond = squares.iter().filter(|&&square| square > MEAN_SQUARE_OF_NOISE * nominal).count();
             if !more_often(beyond, squares.len(), 0.5) {
                 return None;
             }

@@ -40,7 +40,8 @@ const PAIRS_APART: f64 = 0.14;
 const LEAST_GAP_PX: f64 = 2.5;
 /// A bend with fewer pairs in the picture is no candidate.
 ///
-/// Convention: a guard against scores from a few pixels at the picture's border.
+/// Convention: a guard against scores from a few pixels at the picture's border; pairs lie 2 px or more apart, so that at least 40 px of outline
+/// are judged.
 const FEWEST_PAIRS: usize = 20;
 /// The values of the picture between which contrast counts: 0 is background and 1 is snake, and a quarter beyond on either side.
 ///
