@@ -11,6 +11,8 @@ use nalgebra::{
 
 /// How many numbers a placement has.
 pub const PLACEMENT: usize = 5;
+/// Which of them is the tilt.
+pub const TILT: usize = 4;
 /// The distance along the snake at which its direction is carried onto its plane, px.
 ///
 /// Convention: about a snake's length.
@@ -56,7 +58,7 @@ impl Placement {
 
     /// How far the snake is from parallel to the target, rad.
     pub fn tilt(&self) -> f64 {
-        self.0[4]
+        self.0[TILT]
     }
 
     /// The base's axes in the grid frame when nothing is turned: x right, y away, z up (the grid's −y).
