@@ -370,3 +370,29 @@ pub fn appearance_of(frame: &Frame, view: &Projection, outline: &Outline, is_wel
             .then(|| (is_snake, if is_at_border(&pixel) { BORDER_WEIGHT } else { 1.0 }))
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_a_tilt_that_edges_show_the_snakes_own_part_is_what_gaussians_say() {
+        // The snake's own tilt t, light's l and the edges' noise n, independent of each other; edges show t + l + n.
+        let (own, light, noise) = (TILT_SIGMA.powi(2), SEEMING_TILT_SIGMA.powi(2), (0.05 * PI / 180.0).powi(2));
+        let (shown, at) = (0.2 * PI / 180.0, 3.0);
+        // What the fit of t + l makes of it, whose prior has both variances; the place of the base goes with the tilt.
+        let seeming = (own + light) / (own + light + noise);
+        let mut placement = DVector::zeros(PLACEMENT);
+        (placement[0], placement[TILT]) = (at, seeming * shown);
+        let mut covariance = DMatrix::zeros(PLACEMENT + BIASES, PLACEMENT + BIASES);
+        (covariance[(0, 0)], covariance[(TILT, TILT)]) = (1.0, seeming * noise);
+        (covariance[(0, TILT)], covariance[(TILT, 0)]) = (1e-4, 1e-4);
+        let (placement, covariance) = of_its_own_tilt(&Placement(placement), covariance);
+        // The regression of t on t + l + n, and what it leaves.
+        let gain = own / (own + light + noise);
+        assert!((placement.tilt() / (gain * shown) - 1.0).abs() < 1e-12);
+        assert!((covariance[(TILT, TILT)] / (own - gain * own) - 1.0).abs() < 1e-12);
+        assert_eq!((placement.0[0], covariance[(0, 0)]), (at, 1.0));
+        assert!((covariance[(0, TILT)] / (1e-4 * own / (own + light)) - 1.0).abs() < 1e-12);
+    }
+}
