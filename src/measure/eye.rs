@@ -21,7 +21,7 @@ use crate::measure::fit::{
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::measurement::{Bend, FrameMeasurement};
-use crate::measure::rig::{Rig, RigDriftMonitor};
+use crate::measure::rig::{DriftCheck, Rig, RigDriftMonitor};
 use crate::observation::{Quality, Shape, Status};
 use crate::robot::{BendProfile, Robot};
 use nalgebra::{Matrix6, Vector2};
@@ -117,12 +117,26 @@ pub(super) struct MeasurementStages {
     pub measurement: FrameMeasurement,
 }
 
+/// What a minimum leads to.
+#[derive(Clone)]
+struct Attempt {
+    /// Where it starts.
+    minimum: BendFit,
+    /// The fit of its mirrored solution, where that is not hopeless beside it.
+    mirrored: Option<BendFit>,
+    /// Its fit in the fine stage.
+    finest: Option<BendFit>,
+}
+
 /// The verdict on a frame, and the fits that it is drawn from.
 struct Conclusion {
     /// The local minima, best first.
     fits: Vec<BendFit>,
     /// Whether another of them was no worse in the fine stage than the best one so far.
     has_alternative: bool,
+    /// What the best minimum led to.
+    attempt: Option<Attempt>,
+    drift: DriftCheck,
     measurement: FrameMeasurement,
 }
 
@@ -142,14 +156,16 @@ struct Selection {
     has_fine_fit: bool,
     /// Whether another of them was no worse in the fine stage than the best one so far.
     has_alternative: bool,
+    /// What the best minimum led to.
+    attempt: Option<Attempt>,
     /// Why the first is not to be relied on, if another one explains the picture as well: another bend, or the same snake of another shape.
     doubt: Option<Status>,
 }
 
 impl Selection {
     /// None of these minima has a fit in the fine stage.
-    fn without_fine_fit(fits: Vec<BendFit>) -> Self {
-        Self { fits, has_fine_fit: false, has_alternative: false, doubt: None }
+    fn without_fine_fit(fits: Vec<BendFit>, attempt: Option<Attempt>) -> Self {
+        Self { fits, has_fine_fit: false, has_alternative: false, attempt, doubt: None }
     }
 }
 
@@ -223,10 +239,11 @@ impl Eye {
         let candidates = self.candidates(&plane);
         let first = expected.or(candidates.first().copied());
         let first = first.and_then(|bend| self.minimum_near(bend, &candidates, &finder));
-        let concluded = first.clone().map(|minimum| self.conclude(vec![minimum], frame, &finder, &FINE));
-        let Conclusion { fits, measurement, .. } = concluded
-            .filter(Conclusion::is_certain)
-            .unwrap_or_else(|| self.conclude(self.minima(&candidates, first, &finder), frame, &finder, &FINE));
+        let alone = first.clone().map(|minimum| self.conclude(vec![minimum], None, frame, &finder, &FINE));
+        let Conclusion { fits, measurement, .. } = match alone {
+            Some(alone) if alone.is_certain() => alone,
+            alone => self.conclude(self.minima(&candidates, first, &finder), alone, frame, &finder, &FINE),
+        };
         MeasurementStages { candidates, fits, measurement }
     }
 
@@ -249,7 +266,7 @@ impl Eye {
         if !region.contains(&view.image_region(near.profile, Outline::REACH_PX)) {
             return None;
         }
-        let Conclusion { measurement, .. } = self.conclude(vec![near], frame, &finder, &TRACKED_FINE);
+        let Conclusion { measurement, .. } = self.conclude(vec![near], None, frame, &finder, &TRACKED_FINE);
         (measurement.status == Status::Ok).then_some(measurement)
     }
 
@@ -300,11 +317,20 @@ impl Eye {
     }
 
     /// Selects among the minima and gives the verdict on the best, beside the check of whether camera, base and target are where the
-    /// rig says.
-    fn conclude(&self, minima: Vec<BendFit>, frame: &Frame, finder: &EdgeFinder, fine: &FitSchedule) -> Conclusion {
-        let select = || self.select(minima, finder, fine);
-        let (selection, drift) = rayon::join(select, || self.drift_monitor.check(frame, finder));
-        let Selection { fits, has_fine_fit, has_alternative, doubt } = selection;
+    /// rig says. What an `earlier` conclusion on fewer minima of this frame found out is not found out again.
+    fn conclude(
+        &self,
+        minima: Vec<BendFit>,
+        earlier: Option<Conclusion>,
+        frame: &Frame,
+        finder: &EdgeFinder,
+        fine: &FitSchedule,
+    ) -> Conclusion {
+        let (known, drift) = earlier.map(|earlier| (earlier.attempt, earlier.drift)).unzip();
+        let select = || self.select(minima, known.flatten(), finder, fine);
+        let check = || drift.unwrap_or_else(|| self.drift_monitor.check(frame, finder));
+        let (selection, drift) = rayon::join(select, check);
+        let Selection { fits, has_fine_fit, has_alternative, attempt, doubt } = selection;
         let mut measurement = match fits.first().filter(|_| has_fine_fit) {
             Some(best) => self.verdict(best, doubt, finder),
             None => FrameMeasurement::failed(Status::NoSnake, None),
@@ -316,24 +342,38 @@ impl Eye {
         if let Some(status) = drift.status() {
             measurement = FrameMeasurement::failed(status, measurement.quality);
         }
-        Conclusion { fits, has_alternative, measurement }
+        Conclusion { fits, has_alternative, attempt, drift, measurement }
+    }
+
+    /// Fits a minimum in the fine stage, and beside it its mirrored solution.
+    fn attempt(&self, minimum: &BendFit, finder: &EdgeFinder, fine: &FitSchedule) -> Attempt {
+        let bend = self.mirrored(minimum.bend());
+        let is_close = (bend - minimum.bend()).norm() < EDGE_ON_RAD;
+        let schedule = if is_close { REFINEMENT } else { COARSE_TO_REFINED };
+        let mirrored = || self.fit(finder, self.start(bend), &schedule.beside(minimum));
+        let (mirrored, finest) = rayon::join(mirrored, || self.fit_fine(finder, minimum.start(), fine));
+        Attempt { minimum: minimum.clone(), mirrored, finest }
     }
 
     /// Fits the best of some local minima in the fine stage, and finds out whether another one explains the picture as well.
-    fn select(&self, minima: Vec<BendFit>, finder: &EdgeFinder, fine: &FitSchedule) -> Selection {
+    fn select(
+        &self,
+        minima: Vec<BendFit>,
+        known: Option<Attempt>,
+        finder: &EdgeFinder,
+        fine: &FitSchedule,
+    ) -> Selection {
         let fits = distinct(minima, SAME_MINIMUM_RAD);
-        let Some(best) = fits.first() else { return Selection::without_fine_fit(fits) };
-        let bend = self.mirrored(best.bend());
-        let is_close = (bend - best.bend()).norm() < EDGE_ON_RAD;
-        let schedule = if is_close { REFINEMENT } else { COARSE_TO_REFINED };
-        // Side by side: the mirrored solution is seldom the better one, from which the fine stage then starts anew.
-        let mirrored = || self.fit(finder, self.start(bend), &schedule.beside(best));
-        let (mirrored, finest) = rayon::join(mirrored, || self.fit_fine(finder, best.start(), fine));
+        let Some(best) = fits.first() else { return Selection::without_fine_fit(fits, known) };
+        let known = known.filter(|known| known.minimum.is_same_fit(best));
+        let attempt = known.unwrap_or_else(|| self.attempt(best, finder, fine));
+        let Attempt { mirrored, finest, .. } = attempt.clone();
+        // The mirrored solution is seldom the better one, from which the fine stage then starts anew.
         let is_another = |mirrored: &&BendFit| (mirrored.bend() - best.bend()).norm() > SAME_MINIMUM_RAD;
         let better = mirrored.as_ref().filter(is_another).filter(|mirrored| mirrored.cost < best.cost);
         let finest = better.map_or(finest, |mirrored| self.fit_fine(finder, mirrored.start(), fine));
         let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
-        let Some(mut best) = finest else { return Selection::without_fine_fit(fits) };
+        let Some(mut best) = finest else { return Selection::without_fine_fit(fits, Some(attempt)) };
         let diameter_px = self.projection().diameter_px();
         let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, diameter_px);
         let alternatives = fits[1..].iter().filter(|other| other.cost <= ALTERNATIVE_COST_RATIO * fits[0].cost);
@@ -357,7 +397,7 @@ impl Eye {
             }
         }
         fits[0] = best;
-        Selection { fits, has_fine_fit: true, has_alternative, doubt }
+        Selection { fits, has_fine_fit: true, has_alternative, attempt: Some(attempt), doubt }
     }
 
     /// The measurement of a fit that can be believed, or why it cannot.

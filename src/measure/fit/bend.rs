@@ -105,6 +105,11 @@ impl BendFit {
         PartVisibility::of(self.edges.searched())
     }
 
+    /// Whether another fit of the same picture ended in the same state after starting at the same bend: it is this one.
+    pub fn is_same_fit(&self, other: &Self) -> bool {
+        self.origin == other.origin && self.profile == other.profile && self.bias == other.bias
+    }
+
     /// Where another fit may go on from here.
     pub fn start(&self) -> Start {
         let state = State { profile: self.profile, bias: self.bias };

@@ -30,7 +30,7 @@ mod refine;
 mod scale;
 
 pub(super) use calibrate::find_rig;
-pub(super) use drift::RigDriftMonitor;
+pub(super) use drift::{DriftCheck, RigDriftMonitor};
 pub use error::{CalibrationStep, RigError, SnakePart};
 pub(super) use follow::{Followed, RigFollower};
 pub use parameters::{Rig, RigOptions};
