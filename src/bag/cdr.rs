@@ -129,3 +129,82 @@ impl<'a> Cdr<'a> {
         (0..self.u32()?).map(|_| self.text()).collect()
     }
 }
+
+/// The bytes that say the byte order: plain CDR, little-endian, no options.
+///
+/// Source: DDS-XTypes 1.3, table 60 (`CDR_LE`).
+const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
+
+/// Writes the values of a message one after another, as [`Cdr`] reads them.
+pub struct CdrWriter {
+    /// The message so far, behind its encapsulation.
+    bytes: Vec<u8>,
+}
+
+impl CdrWriter {
+    /// A message that has no values yet.
+    pub fn begin() -> Self {
+        Self { bytes: ENCAPSULATION.to_vec() }
+    }
+
+    /// The message with its encapsulation.
+    pub fn into_bytes(self) -> Vec<u8> {
+        self.bytes
+    }
+
+    fn aligned<const N: usize>(&mut self, number: [u8; N]) {
+        let at = (self.bytes.len() - ENCAPSULATION.len()).next_multiple_of(N);
+        self.bytes.resize(ENCAPSULATION.len() + at, 0);
+        self.bytes.extend(number);
+    }
+
+    /// A number of 32 bits.
+    pub fn u32(&mut self, value: u32) {
+        self.aligned(value.to_le_bytes());
+    }
+
+    /// A number of 32 bits with a sign.
+    pub fn i32(&mut self, value: i32) {
+        self.aligned(value.to_le_bytes());
+    }
+
+    /// A number of 64 bits.
+    pub fn u64(&mut self, value: u64) {
+        self.aligned(value.to_le_bytes());
+    }
+
+    /// A number of 64 bits with a fraction.
+    pub fn f64(&mut self, value: f64) {
+        self.aligned(value.to_le_bytes());
+    }
+
+    /// How many values a sequence has, of which CDR counts 32 bits: a picture or a line of text has fewer.
+    fn length(&mut self, length: usize) {
+        self.u32(length as u32);
+    }
+
+    /// A sequence of numbers.
+    pub fn f64_sequence(&mut self, values: &[f64]) {
+        self.length(values.len());
+        values.iter().for_each(|&value| self.f64(value));
+    }
+
+    /// A sequence of bytes.
+    pub fn bytes(&mut self, bytes: &[u8]) {
+        self.length(bytes.len());
+        self.bytes.extend(bytes);
+    }
+
+    /// A text; its length counts the zero at its end.
+    pub fn text(&mut self, text: &str) {
+        self.length(text.len() + 1);
+        self.bytes.extend(text.as_bytes());
+        self.bytes.push(0);
+    }
+
+    /// A sequence of texts.
+    pub fn texts(&mut self, texts: &[String]) {
+        self.length(texts.len());
+        texts.iter().for_each(|text| self.text(text));
+    }
+}

@@ -1,8 +1,9 @@
-//! The messages that an experiment is made of: joint states, a camera's lens, poses. Pictures are `camera`'s.
+//! The messages that an experiment is made of: joint states, compressed pictures, a camera's lens, poses. Raw pictures are `camera`'s.
+//! Those that recordings are written of have their [`Definition`] and their encoding beside.
 //!
 //! Source: the definitions of ROS 2's packages `sensor_msgs` and `geometry_msgs`.
 
-use super::cdr::{Cdr, CdrResult};
+use super::cdr::{Cdr, CdrResult, CdrWriter};
 use nalgebra::{Quaternion, Vector3};
 
 /// A kind of message that begins with a header.
@@ -39,6 +40,48 @@ fn header(cdr: &mut Cdr) -> CdrResult<f64> {
     Ok(f64::from(seconds) + 1e-9 * f64::from(nanoseconds))
 }
 
+/// What readers must know of a kind of message to decode it. All kinds begin with a header.
+#[derive(Debug, Clone, Copy)]
+pub struct Definition<'a> {
+    /// The type, such as `sensor_msgs/JointState`.
+    pub kind: &'a str,
+    /// Its fields behind the header, a line each.
+    pub fields: &'a str,
+}
+
+/// The types that a header is made of, as ROS 2 writes them below the type that uses them.
+const HEADER_DEFINITIONS: &str = "\
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+";
+
+impl Definition<'_> {
+    /// The type's full name in ROS 2, such as `sensor_msgs/msg/JointState`.
+    pub fn name(&self) -> String {
+        self.kind.replacen('/', "/msg/", 1)
+    }
+
+    /// The definition with those of the types in it, as a recording carries it (`ros2msg`).
+    pub fn text(&self) -> String {
+        format!("std_msgs/Header header\n{}{HEADER_DEFINITIONS}", self.fields)
+    }
+}
+
+/// A message as far as its header: the time, ns, below 2^31 s, and the frame of reference.
+pub fn begun(time_ns: u64, frame_id: &str) -> CdrWriter {
+    let mut cdr = CdrWriter::begin();
+    cdr.i32((time_ns / 1_000_000_000) as i32);
+    cdr.u32((time_ns % 1_000_000_000) as u32);
+    cdr.text(frame_id);
+    cdr
+}
+
 /// The time of a message's header, s.
 pub fn stamp_s(bytes: &[u8]) -> Option<f64> {
     header(&mut Cdr::new(bytes).ok()?).ok()
@@ -55,11 +98,60 @@ pub struct JointState {
     pub positions: Vec<f64>,
 }
 
+impl JointState {
+    /// How it is recorded.
+    pub const DEFINITION: Definition<'static> = Definition {
+        kind: "sensor_msgs/JointState",
+        fields: "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
+    };
+
+    /// The message of joints at these positions, rad or m, and a time, ns. Velocities and efforts are not told.
+    pub fn encoded(time_ns: u64, names: &[String], positions: &[f64]) -> Vec<u8> {
+        let mut cdr = begun(time_ns, "");
+        cdr.texts(names);
+        for values in [positions, &[], &[]] {
+            cdr.f64_sequence(values);
+        }
+        cdr.into_bytes()
+    }
+}
+
 impl Stamped for JointState {
-    const KINDS: &'static [&'static str] = &["sensor_msgs/JointState"];
+    const KINDS: &'static [&'static str] = &[Self::DEFINITION.kind];
 
     fn body(stamp_s: f64, _: &str, cdr: &mut Cdr) -> CdrResult<Self> {
         Ok(Self { stamp_s, names: cdr.texts()?, positions: cdr.f64_sequence()? })
+    }
+}
+
+/// `sensor_msgs/CompressedImage` behind its header.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CompressedImage<'a> {
+    /// Such as `jpeg` or `png`.
+    pub format: String,
+    /// A picture file.
+    pub data: &'a [u8],
+}
+
+impl<'a> CompressedImage<'a> {
+    /// How it is recorded.
+    pub const DEFINITION: Definition<'static> =
+        Definition { kind: "sensor_msgs/CompressedImage", fields: "string format\nuint8[] data\n" };
+
+    /// What follows the header.
+    ///
+    /// # Errors
+    /// A message that is cut short.
+    pub fn read(cdr: &mut Cdr<'a>) -> CdrResult<Self> {
+        Ok(Self { format: cdr.text()?, data: cdr.bytes()? })
+    }
+
+    /// The message of a camera's picture taken at a time, ns.
+    pub fn encoded(&self, time_ns: u64, camera: &str) -> Vec<u8> {
+        let mut cdr = begun(time_ns, camera);
+        cdr.text(&self.format);
+        cdr.bytes(self.data);
+        cdr.into_bytes()
     }
 }
 

@@ -8,7 +8,7 @@
 mod cdr;
 pub mod messages;
 
-pub use cdr::{Cdr, CdrResult};
+pub use cdr::{Cdr, CdrResult, CdrWriter};
 pub use messages::Stamped;
 
 use crate::error::{Error, Result};

@@ -1,4 +1,4 @@
-use super::messages::{CameraInfo, JointState, StampedPose};
+use super::messages::{CameraInfo, CompressedImage, JointState, StampedPose};
 use super::*;
 use std::fs;
 use std::io::Cursor;
@@ -27,6 +27,20 @@ fn messages_of_another_program_are_read_with_their_times() {
         assert_eq!(pose.position_m.as_slice(), [0.1, -0.2, 0.3]);
         assert_eq!((pose.orientation.w, pose.orientation.j), (0.8, 0.6));
     }
+}
+
+#[test]
+fn messages_are_written_byte_by_byte_as_another_program_writes_them() {
+    let message = topic(Path::new(GOLDEN), "/camera/image_raw/compressed").messages().unwrap().next().unwrap().unwrap();
+    let mut cdr = Cdr::new(&message.cdr).unwrap();
+    assert_eq!((cdr.i32(), cdr.u32(), cdr.text()), (Ok(1_700_000_000), Ok(100_000_000), Ok("world".to_owned())));
+    let picture = CompressedImage::read(&mut cdr).unwrap();
+    assert_eq!(picture.encoded(1_700_000_000_100_000_000, "world"), message.cdr);
+
+    let message = topic(Path::new(GOLDEN), "/joint_states").messages().unwrap().nth(1).unwrap().unwrap();
+    let state: JointState = message.decoded().unwrap();
+    let cdr = JointState::encoded(1_700_000_000_200_000_000, &state.names, &state.positions);
+    assert_eq!(Message { cdr, ..message }.decoded::<JointState>().unwrap(), state);
 }
 
 /// The golden file's messages in chunks of another compression.

@@ -4,7 +4,7 @@
 
 use super::frame::{Frame, Samples, decode_frame};
 use super::lens::Lens;
-use crate::bag::messages::CameraInfo;
+use crate::bag::messages::{CameraInfo, CompressedImage};
 use crate::bag::{Cdr, CdrResult, Stamped, Topic};
 use crate::error::Result;
 use nalgebra::{Point2, Vector2};
@@ -53,14 +53,13 @@ pub struct Picture {
 }
 
 impl Stamped for Picture {
-    const KINDS: &'static [&'static str] = &["sensor_msgs/CompressedImage", "sensor_msgs/Image"];
+    const KINDS: &'static [&'static str] = &[CompressedImage::DEFINITION.kind, "sensor_msgs/Image"];
 
     fn body(stamp_s: f64, kind: &str, cdr: &mut Cdr) -> CdrResult<Self> {
         if kind == "sensor_msgs/Image" {
             return Ok(Self { stamp_s, frame: RawImage::read(cdr)?.frame()? });
         }
-        cdr.text()?;
-        Ok(Self { stamp_s, frame: decode_frame(cdr.bytes()?)? })
+        Ok(Self { stamp_s, frame: decode_frame(CompressedImage::read(cdr)?.data)? })
     }
 }
 

@@ -7,9 +7,10 @@ use crate::record::{Experiment, Recorded, write_recording};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Write a run as an MCAP recording, to be looked at in Foxglove and the like beside the robot's own
+/// Write a run as a ROS 2 recording (MCAP), for Foxglove, RViz, PlotJuggler and the like, or to be read again
 ///
-/// Every row of measurements.csv, estimate.csv, encoders.csv, stem.csv and force.csv in DIR becomes a JSON message with the row's time.
+/// Every row of measurements.csv, estimate.csv, encoders.csv, stem.csv and force.csv in DIR becomes a message with the row's time, every
+/// frame a compressed image.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop run fixtures/bending -o out && \
                   snakeloop export out --experiment fixtures/bending -o run.mcap")]

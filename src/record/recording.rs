@@ -1,12 +1,13 @@
-//! A run as one recording (MCAP), to be looked at beside the robot's own in Foxglove and the like.
+//! A run as one ROS 2 recording (MCAP), to be looked at beside the robot's own, or to be read again.
 //!
 //! | topic | one message |
 //! | --- | --- |
-//! | `/measurement`, `/estimate`, `/encoders`, `/stem`, `/force` | a row of measurements.csv, estimate.csv, encoders.csv, stem.csv, force.csv: the columns as fields, in their order; a field that is empty is left out |
-//! | `/camera/NAME` | a frame of that view as it is on the disk (`foxglove.CompressedImage`) |
+//! | `/measurement`, `/estimate`, `/stem`, `/force` | a row of measurements.csv, estimate.csv, stem.csv, force.csv as `snakeloop_msgs/msg/Measurement` and so on: the columns as fields behind a header, in their order; an empty number is NaN |
+//! | `/encoders` | a row of encoders.csv as `sensor_msgs/msg/JointState`, a joint a backbone, in m |
+//! | `/camera/NAME/compressed` | a frame of that view as it is on the disk, as `sensor_msgs/msg/CompressedImage` |
 //!
-//! Messages are JSON, their schemas JSON Schema, their times the rows' own `time_s`. All tables are gone through at once, row by row, so
-//! that messages come in order of time and memory does not grow with the rows.
+//! The definitions of all types stand in the file, so that a reader needs no package of them. Times and stamps are the rows' own `time_s`.
+//! All tables are gone through at once, row by row, so that messages come in order of time and memory does not grow with the rows.
 
 mod camera;
 mod recorder;
@@ -41,8 +42,8 @@ pub struct Recorded {
 /// those frames that are still there.
 ///
 /// # Errors
-/// A folder without measurements.csv, a table without a time column or with a line too long, rows that all lack their time; a file
-/// that cannot be written.
+/// A folder without measurements.csv, a table without a column of times or indices or with a line too long, rows that all lack their
+/// time; a file that cannot be written.
 pub fn write_recording(path: &Path, folder: &Path, experiment: Option<&Experiment>) -> Result<Recorded> {
     let mut recorder = Recorder::create(path)?;
     let mut recorded = Recorded::default();
@@ -60,12 +61,12 @@ pub fn write_recording(path: &Path, folder: &Path, experiment: Option<&Experimen
     while let Some(first) = (0..tables.len()).filter(|&i| tables[i].next.is_some()).min_by_key(|&i| tables[i].time_ns())
     {
         let Some(row) = tables[first].take()? else { break };
-        if let (0, Some(index)) = (first, row.index) {
+        if first == 0 {
             for camera in &mut cameras {
-                camera.write(index, row.time_ns, &mut recorder)?;
+                camera.write(row.index, row.time_ns, &mut recorder)?;
             }
         }
-        recorder.write(tables[first].channel, row.time_ns, &row.json)?;
+        recorder.write(tables[first].channel, row.time_ns, &row.cdr)?;
     }
     for (topic, channel) in tables.iter().map(Table::topic).chain(cameras.iter().map(Camera::topic)) {
         recorded.messages.insert(topic, recorder.messages(channel));

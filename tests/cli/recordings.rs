@@ -73,6 +73,34 @@ fn a_run_takes_frames_lens_and_joints_from_a_recording() {
     assert!(message.contains("ride.mcap") && message.contains("/camera/image_raw/compressed"), "{message}");
 }
 
+/// The measurements of a run whose frames and encoders are those of an experiment that was exported are the experiment's own.
+#[test]
+fn a_run_on_what_was_exported_measures_the_same() {
+    let sandbox = Sandbox::new();
+    let bending = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/bending");
+    sandbox.succeed(&format!("run {} -o folder", bending.display()));
+    sandbox.succeed(&format!("export folder --experiment {} -o again/run.mcap", bending.display()));
+    for name in ["camera.yaml", "straight.jpg"] {
+        fs::copy(bending.join(name), sandbox.join("again").join(name)).unwrap();
+    }
+    let frames = "frames = { bag = \"run.mcap\", topic = \"/camera/side/compressed\" }";
+    let encoders = "encoders = { bag = \"run.mcap\", topic = \"/encoders\", joints = [\"q1\", \"q2\", \"q3\"], mm_per_unit = 1000.0 }";
+    let settings = fs::read_to_string(bending.join("experiment.toml")).unwrap();
+    let settings =
+        settings.replace("frames = \"frames/*.jpg\"", frames).replace("encoders = \"encoders.csv\"", encoders);
+    sandbox.write("again/experiment.toml", &settings);
+    sandbox.succeed("run again -o bag");
+
+    // A frame's index is its number in the folder, and its position in the recording.
+    let without_index = |path: &str| -> Vec<String> {
+        sandbox.read(path).lines().map(|line| line.split_once(',').unwrap().1.to_owned()).collect()
+    };
+    for name in ["measurements.csv", "estimate.csv"] {
+        let (folder, bag) = (without_index(&format!("folder/{name}")), without_index(&format!("bag/{name}")));
+        assert!(folder.len() > 10 && folder == bag, "{name}: {folder:#?} {bag:#?}");
+    }
+}
+
 const TRACKER: &str = "[[tracker]]\nname = \"em\"\nposes = \"tip.csv\"\nstraight = 0\n";
 
 const TOPIC: &str = "[[tracker]]\nname = \"em\"\nposes = { bag = \"ride.mcap\", topic = \"/tip\" }\nstraight = 0\n";

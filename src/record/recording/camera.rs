@@ -1,20 +1,15 @@
 //! The frames of a view, each a message beside its measurement.
 
 use super::recorder::Recorder;
+use crate::bag::messages::CompressedImage;
 use crate::camera::FrameSource;
 use crate::error::{Error, Result};
 use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::record::View;
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
 use image::ImageFormat;
-use serde::Serialize;
 use std::iter::Peekable;
 use std::path::{Path, PathBuf};
 use std::vec::IntoIter;
-
-/// The part of Foxglove's schema that a frame needs.
-const PICTURE_SCHEMA: &str = r#"{"title":"foxglove.CompressedImage","type":"object","properties":{"timestamp":{"type":"object","title":"time","properties":{"sec":{"type":"integer"},"nsec":{"type":"integer"}}},"frame_id":{"type":"string"},"format":{"type":"string"},"data":{"type":"string","contentEncoding":"base64"}}}"#;
 
 /// A view's frames, gone through in order of their index.
 pub struct Camera<'a> {
@@ -22,20 +17,6 @@ pub struct Camera<'a> {
     channel: u16,
     files: Peekable<IntoIter<(u64, PathBuf)>>,
     pub missed: usize,
-}
-
-#[derive(Serialize)]
-struct Picture<'a> {
-    timestamp: Timestamp,
-    frame_id: &'a str,
-    format: &'a str,
-    data: String,
-}
-
-#[derive(Serialize)]
-struct Timestamp {
-    sec: u64,
-    nsec: u64,
 }
 
 impl<'a> Camera<'a> {
@@ -51,13 +32,15 @@ impl<'a> Camera<'a> {
         };
         let files = files.into_iter().peekable();
         let mut camera = Self { view: &view.name, channel: 0, files, missed: 0 };
-        camera.channel = recorder.channel(&camera.topic().0, "foxglove.CompressedImage", PICTURE_SCHEMA)?;
+        camera.channel = recorder.channel(&camera.topic().0, CompressedImage::DEFINITION)?;
         Ok(Ok(camera))
     }
 
-    /// The topic and its channel.
+    /// The topic and its channel. Viewers take the last part for the way in which pictures are packed. A name in ROS has no `-` and begins
+    /// with no digit.
     pub fn topic(&self) -> (String, u16) {
-        (format!("/camera/{}", self.view), self.channel)
+        let prefix = if self.view.starts_with(|first: char| first.is_ascii_digit()) { "view_" } else { "" };
+        (format!("/camera/{prefix}{}/compressed", self.view.replace('-', "_")), self.channel)
     }
 
     /// Writes the frame of this index, where there is one that is still to come.
@@ -73,9 +56,7 @@ impl<'a> Camera<'a> {
                 return Ok(());
             }
         };
-        let timestamp = Timestamp { sec: time_ns / 1_000_000_000, nsec: time_ns % 1_000_000_000 };
-        let picture = Picture { timestamp, frame_id: self.view, format, data: STANDARD.encode(bytes) };
-        let json = serde_json::to_vec(&picture).map_err(|e| Error::content(&path, e.to_string()))?;
-        recorder.write(self.channel, time_ns, &json)
+        let picture = CompressedImage { format: format.to_owned(), data: &bytes };
+        recorder.write(self.channel, time_ns, &picture.encoded(time_ns, self.view))
     }
 }

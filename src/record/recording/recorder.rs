@@ -1,6 +1,7 @@
-//! MCAP files (<https://mcap.dev/spec>): channels of JSON messages, each with its time. Chunks are not compressed, since pictures are
-//! already.
+//! MCAP files (<https://mcap.dev/spec>) as ROS 2 records them (<https://mcap.dev/spec/registry>): channels of CDR messages, each with its
+//! time, and the definitions by which they are decoded. Chunks are not compressed, since pictures are already.
 
+use crate::bag::messages::Definition;
 use crate::error::{Error, Result};
 use crate::record::write::PendingFile;
 use mcap::records::MessageHeader;
@@ -31,20 +32,22 @@ impl Recorder {
         let options = WriteOptions::new()
             .compression(None)
             .chunk_size(Some(CHUNK_BYTES))
-            .library("snakeloop")
+            .profile("ros2")
+            .library(concat!("snakeloop ", env!("CARGO_PKG_VERSION")))
             .disable_seeking(true);
         let writer = Writer::with_options(NoSeek::new(PendingFile::create(path)?), options);
         let writer = writer.map_err(|error| unwritten(path, error))?;
         Ok(Self { path: path.to_owned(), writer, messages: BTreeMap::new() })
     }
 
-    /// Adds a channel of JSON messages with their JSON schema, and gives its number.
+    /// Adds a channel of messages of one kind, and gives its number. It names no quality of service: how that is spelt depends on the
+    /// release of ROS 2, and what is played without it is published by the default, reliably.
     ///
     /// # Errors
     /// A disk that is full or gone.
-    pub fn channel(&mut self, topic: &str, schema_name: &str, schema: &str) -> Result<u16> {
-        let schema = self.writer.add_schema(schema_name, "jsonschema", schema.as_bytes());
-        let channel = schema.and_then(|schema| self.writer.add_channel(schema, topic, "json", &BTreeMap::new()));
+    pub fn channel(&mut self, topic: &str, kind: Definition) -> Result<u16> {
+        let schema = self.writer.add_schema(&kind.name(), "ros2msg", kind.text().as_bytes());
+        let channel = schema.and_then(|schema| self.writer.add_channel(schema, topic, "cdr", &BTreeMap::new()));
         let channel = channel.map_err(|error| unwritten(&self.path, error))?;
         self.messages.insert(channel, 0);
         Ok(channel)
@@ -54,12 +57,12 @@ impl Recorder {
     ///
     /// # Errors
     /// A disk that is full or gone.
-    pub fn write(&mut self, channel: u16, time_ns: u64, json: &[u8]) -> Result<()> {
+    pub fn write(&mut self, channel: u16, time_ns: u64, cdr: &[u8]) -> Result<()> {
         let sequence = self.messages.entry(channel).or_default();
         let header =
             MessageHeader { channel_id: channel, sequence: *sequence, log_time: time_ns, publish_time: time_ns };
         *sequence += 1;
-        self.writer.write_to_known_channel(&header, json).map_err(|error| unwritten(&self.path, error))
+        self.writer.write_to_known_channel(&header, cdr).map_err(|error| unwritten(&self.path, error))
     }
 
     /// How many messages a channel has.
