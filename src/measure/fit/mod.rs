@@ -26,9 +26,7 @@ pub(super) use coarse::CoarseSearch;
 pub(super) use correspondences::Correspondences;
 pub use edges::{Edge, EdgeFinder};
 pub(super) use linearised::Linearised;
-pub(super) use noise_model::{
-    DESIGN_EFFECT, FRAME_BIAS_SIGMA, GLARE, GLARE_SIGMA, POSE_VARIANCE, SEQUENCE_BIAS_SIGMA, UNKNOWN_BIAS,
-};
+pub(super) use noise_model::{DESIGN_EFFECT, FRAME_BIAS_SIGMA, GLARE, GLARE_SIGMA, POSE_VARIANCE, UNKNOWN_BIAS};
 pub use shape_prior::UNKNOWN_SHAPE_RAD;
 pub(super) use shape_prior::learned_mode_sigmas;
 pub use state::EdgeBias;

@@ -21,15 +21,10 @@ use super::state::{BIASES, EdgeBias};
 use crate::measure::body::Piece;
 use nalgebra::Vector2;
 
-/// The standard deviation by which each bias of the edges differs between the straight picture and the frames of a sequence, px, ...
+/// The standard deviation by which each bias of the edges differs between the straight picture and a frame, px.
 ///
 /// Fitted: by hand on renders; judged as part of the whole by `tests/uncertainty`.
-pub(super) const SEQUENCE_BIAS_SIGMA_PX: f64 = 0.05;
-/// ... and between these frames.
-///
-/// Fitted: to the errors of the seventeen photo-real rigs of even number, which fall with it from 0.049° along the bend and 0.082° across it, at
-/// 0.05 px, to 0.048° and 0.077°. Judged by the thirteen of odd number: from 0.061° and 0.055° to 0.059° and 0.051°.
-const FRAME_BIAS_SIGMA_PX: f64 = 0.025;
+const FRAME_BIAS_SIGMA_PX: f64 = 0.05;
 /// What is known beforehand of [`EdgeBias::glare`]: its mean, ...
 ///
 /// Fitted: by eye to the displacement of 1,400 edges at faces of 0 to 8 px on photo-real rigs of dark snakes (201, 205, 235, 240), where the
@@ -39,7 +34,7 @@ pub(crate) const GLARE: f64 = 0.35;
 ///
 /// Fitted: together with its mean; brass and steel have from −0.3 to 0.5.
 pub(crate) const GLARE_SIGMA: f64 = 0.2;
-/// ... and by how much it differs between the straight picture and frames, whose faces lie otherwise in the light (σ).
+/// ... and by how much it differs between the straight picture and a frame, whose faces lie otherwise in the light (σ).
 ///
 /// Convention: half of what is not known before any picture.
 const FRAME_GLARE_SIGMA: f64 = 0.1;
@@ -47,19 +42,11 @@ const FRAME_GLARE_SIGMA: f64 = 0.1;
 ///
 /// Fitted: by eye, together with the above.
 pub(super) const UNEVEN_GLARE: f64 = 0.2;
-/// By how much each number of the edges' bias differs between the straight picture and a sequence (σ), ...
+/// By how much each number of the edges' bias differs between the straight picture and a frame (σ).
 ///
 /// Derived: from the above.
-pub(crate) const SEQUENCE_BIAS_SIGMA: [f64; BIASES] = bias_sigma(SEQUENCE_BIAS_SIGMA_PX);
-/// ... and between its frames.
-///
-/// Derived: from the above.
-pub(crate) const FRAME_BIAS_SIGMA: [f64; BIASES] = bias_sigma(FRAME_BIAS_SIGMA_PX);
-
-const fn bias_sigma(px: f64) -> [f64; BIASES] {
-    [px, px, px, FRAME_GLARE_SIGMA, FRAME_GLARE_SIGMA]
-}
-
+pub(crate) const FRAME_BIAS_SIGMA: [f64; BIASES] =
+    [FRAME_BIAS_SIGMA_PX, FRAME_BIAS_SIGMA_PX, FRAME_BIAS_SIGMA_PX, FRAME_GLARE_SIGMA, FRAME_GLARE_SIGMA];
 /// The share of the jackknife's variance over clusters that is a frame's own error; the rest is alike in all frames of a sequence, so that
 /// the fit of the rig to them has it.
 ///

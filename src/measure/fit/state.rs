@@ -1,7 +1,7 @@
 //! What one picture is fitted with: the bend along the snake and the biases of its edges, and what is known of them beforehand.
 
 use super::glancing::SeenFace;
-use super::noise_model::{DESIGN_EFFECT, SEQUENCE_BIAS_SIGMA_PX, blur_growth};
+use super::noise_model::{DESIGN_EFFECT, blur_growth};
 use super::shape_prior::{LARGEST_SHAPE, UNKNOWN_SHAPE_RAD};
 use crate::measure::body::Piece;
 use crate::robot::{BendProfile, MODES, PROFILE};
@@ -139,12 +139,11 @@ impl FramePrior {
         Self { mode_sigma_rad: UNKNOWN_SHAPE_RAD.map(|sigma| LARGEST_SHAPE * sigma), ..self }
     }
 
-    /// The prior for a picture of this blur. One that is no longer sharp is not like the others of its sequence: what light does there it does
-    /// [so many times](blur_growth) as much.
+    /// The prior for a picture of this blur.
     pub fn at_blur(self, blur_px: f64) -> Self {
-        let more_px = SEQUENCE_BIAS_SIGMA_PX * (blur_growth(blur_px) - 1.0);
+        let growth = blur_growth(blur_px);
         let [side, tube, rim, near, far] = self.bias_sigma;
-        Self { bias_sigma: [side.hypot(more_px), tube.hypot(more_px), rim.hypot(more_px), near, far], ..self }
+        Self { bias_sigma: [side * growth, tube * growth, rim * growth, near, far], ..self }
     }
 }
 
