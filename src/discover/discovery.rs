@@ -8,8 +8,9 @@ use super::hypotheses::{FirstStep, first_steps};
 use super::noise::Noise;
 use super::null_distribution::largest_gain_of_noise;
 use super::partial::Partial;
+use super::posterior::{Candidate, covariance_between, posterior};
 use super::residuals::Problem;
-use super::search::{Named, explained, named, search};
+use super::search::{Named, explained, named, search, with_one_more};
 use super::structure::Structure;
 use super::tangent_spaces::{TangentSpace, tangent_spaces};
 use super::verdict::Verdict;
@@ -45,6 +46,9 @@ pub struct Discovery {
     pub noise: Noise,
     /// The model: with the effects where they are named, else as given with η and λ at their best.
     pub model: Model,
+    /// The structures that the data leave open, the most probable first; of a verdict `named` or `none`, since a discrepancy makes
+    /// differences of the information criterion larger than they are.
+    pub structures: Vec<Candidate>,
     /// The gap before, on held-out sweeps.
     pub before: Gap,
     /// The gap after, on held-out sweeps.
@@ -110,10 +114,21 @@ pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
         }
     }
     let Judged { verdict, structure_before, held_out_before, answer } = judged;
-    let (verdict, answer, held_out_before) = match verdict {
-        Verdict::Named => (verdict, Answer { named: searched.named(), ..answer }, held_out_before),
-        Verdict::None => (verdict, answer, held_out_before),
-        _ => partly_answered(&searched, (&model, data), tell),
+    let (verdict, answer, held_out_before, structures) = match verdict {
+        Verdict::Named => {
+            let (named, rivals) = searched.named();
+            let structures = searched.structures(&searched.after, &rivals);
+            let answer = answer.between(&structures, &searched.after, &searched.problem);
+            (verdict, Answer { named, ..answer }, held_out_before, structures)
+        }
+        Verdict::None => {
+            let structures = searched.structures(&searched.before, &[]);
+            (verdict, answer.between(&structures, &searched.before, &searched.problem), held_out_before, structures)
+        }
+        _ => {
+            let (verdict, answer, held_out_before) = partly_answered(&searched, (&model, data), tell);
+            (verdict, answer, held_out_before, Vec::new())
+        }
     };
     let Searched { problem, least_bic_gain, .. } = &searched;
 
@@ -129,6 +144,7 @@ pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
         least_bic_gain: *least_bic_gain,
         noise: answer.noise,
         model: fitted,
+        structures,
         before: held_out_before.gap,
         after: answer.held_out.gap,
         noise_floor_mm: problem.noise_floor_mm(),
@@ -194,9 +210,16 @@ impl<'a> Searched<'a> {
         self.after.model.effects.len() > self.before.model.effects.len()
     }
 
-    /// The effects found, with the evidence for each.
-    fn named(&self) -> Vec<Named> {
+    /// The effects found, with the evidence for each, and the fits that they were compared with.
+    fn named(&self) -> (Vec<Named>, Vec<Fit>) {
         named(&self.problem, &self.before, &self.first, &self.after)
+    }
+
+    /// What the data leave open of a chosen fit, its rivals and what has one effect more.
+    fn structures(&self, chosen: &Fit, rivals: &[Fit]) -> Vec<Candidate> {
+        let more = with_one_more(&self.problem, chosen, &self.first, self.least_bic_gain);
+        let fits: Vec<&Fit> = [chosen].into_iter().chain(rivals).chain(&more).collect();
+        posterior(&fits, self.before.model.effects.len(), self.least_bic_gain)
     }
 
     /// What is stated, where it is clearly finer than the noise that was learned and effects account for the difference: jumps at
@@ -258,6 +281,13 @@ impl Answer {
             structure: Structure::new(problem.data, fit),
         }
     }
+
+    /// Its parameters as uncertain as the choice of a fit among structures makes them besides.
+    fn between(mut self, structures: &[Candidate], chosen: &Fit, problem: &Problem) -> Self {
+        let between = covariance_between(structures, &chosen.model, problem.data);
+        self.model.set_covariance(&(self.model.covariance() + between));
+        self
+    }
 }
 
 /// The answer where the library does not account for the gap: what helps all the same, or nothing; and the held-out residuals before.
@@ -282,7 +312,7 @@ fn partly_answered(
     let held_out = HeldOutResiduals::new(&partial.problem, &partial.after);
     let helps = !partial.named.is_empty() && held_out.gap.eps_mm < before.gap.eps_mm;
     let (verdict, named) =
-        if helps { (Verdict::Partly, partial.named.clone()) } else { (Verdict::Unexplained, searched.named()) };
+        if helps { (Verdict::Partly, partial.named.clone()) } else { (Verdict::Unexplained, searched.named().0) };
     let fit = if helps { &partial.after } else { &partial.before };
     let answer = Answer {
         model: partial.model(fit),

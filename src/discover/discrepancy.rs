@@ -2,6 +2,7 @@
 
 use super::discovery::Discovery;
 use super::held_out::Gap;
+use super::posterior::Candidate;
 use super::search::Named;
 use crate::estimate;
 use crate::verdict::Verdict;
@@ -24,10 +25,12 @@ impl Discovery {
         let structure = &self.structure_after;
         let follows: Vec<_> =
             structure.follows.iter().map(|(what, z)| json!({"what": what, "standard_errors": z})).collect();
+        let structures: Vec<_> = self.structures.iter().map(structure_json).collect();
         json!({
             "verdict": self.verdict.word(),
             "effects": effects,
             "considered": considered,
+            "structures": structures,
             "gap": gap_json(&self.before, &self.after, self.noise_floor_mm),
             "eta": x.x,
             "lambda_mm": x.y,
@@ -72,6 +75,11 @@ impl Discovery {
             "indistinguishable_from": named.indistinguishable_from,
         })
     }
+}
+
+/// A structure that the data leave open.
+fn structure_json(candidate: &Candidate) -> Value {
+    json!({"effects": candidate.effects, "probability": candidate.probability})
 }
 
 /// The entry `gap`.

@@ -11,7 +11,8 @@
 //! 6. `null_distribution`: what the best hypothesis gains on noise alone. `confounding`: which effects η and λ could imitate.
 //! 7. `sweep_equations`, `comparison`: the evidence for an effect (information criterion, share of the gap, held-out sweeps,
 //!    bootstrap of the sweeps), and the criteria that it must fulfil.
-//! 8. `search`: stepwise selection over a beam of models, with exchange and backward elimination.
+//! 8. `search`: stepwise selection over a beam of models, with exchange and backward elimination. [`posterior`](Candidate): how probable
+//!    what was found and each of its rivals is, and what the choice between them adds to the covariance.
 //! 9. `held_out`, `structure`, [`verdict`](Verdict): the gap on sweeps that the fit did not see, what the residuals still follow,
 //!    and the answer. `partial`: where more than noise is left, the effects that help all the same; `start`: whether the log begins
 //!    in a state that nobody knows. `discovery` runs the stages so far; `discrepancy` writes the answer down.
@@ -43,6 +44,7 @@ mod noise;
 mod null_distribution;
 mod partial;
 mod periodogram;
+mod posterior;
 mod residuals;
 mod search;
 mod start;
@@ -63,6 +65,7 @@ pub use law::{PROPOSED_LAW, ProposedLaw, propose_law};
 pub use localisation::{Localisation, Part};
 pub use next_experiment::{NextExperiment, next_experiment};
 pub use noise::Noise;
+pub use posterior::Candidate;
 pub use search::Named;
 pub use structure::{NoiseQuantiles, Structure};
 pub use verdict::Verdict;

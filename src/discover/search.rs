@@ -77,10 +77,19 @@ pub fn search(problem: &Problem, before: &Fit, first: &[FirstStep], least_bic_ga
     search.prefer(search.eliminate(exchanged))
 }
 
-/// The evidence for each effect that a search from there found, in the order of the model's.
-pub fn named(problem: &Problem, before: &Fit, first: &[FirstStep], after: &Fit) -> Vec<Named> {
+/// The evidence for each effect that a search from there found, in the order of the model's; and the fits of what was compared with it:
+/// the model without each effect, and with another in its place.
+pub fn named(problem: &Problem, before: &Fit, first: &[FirstStep], after: &Fit) -> (Vec<Named>, Vec<Fit>) {
     let search = Search::new(problem, before, first, 0.0);
-    (search.given..after.model.effects.len()).map(|k| search.describe(after, k)).collect()
+    let described = (search.given..after.model.effects.len()).map(|k| search.describe(after, k));
+    let (named, rivals): (Vec<Named>, Vec<Vec<Fit>>) = described.unzip();
+    (named, rivals.into_iter().flatten().collect())
+}
+
+/// The fits of a model with one effect more that promise not to be [ruled out](NOT_RULED_OUT), where each effect is charged
+/// `least_bic_gain` besides; `first` as for the [search].
+pub fn with_one_more(problem: &Problem, fit: &Fit, first: &[FirstStep], least_bic_gain: f64) -> Vec<Fit> {
+    fitted_best(problem, fit, first, (FITTED, least_bic_gain - NOT_RULED_OUT))
 }
 
 /// The model with whatever effects lower the cost, none of them judged against noise.
@@ -200,8 +209,8 @@ impl<'a> Search<'a> {
         fitted_best(self.problem, fit, self.first, (fitted, least))
     }
 
-    /// The evidence for effect k of the answer, and what could stand in its place.
-    fn describe(&self, after: &Fit, k: usize) -> Named {
+    /// The evidence for effect k of the answer; and the fits without it, and with what could stand in its place.
+    fn describe(&self, after: &Fit, k: usize) -> (Named, Vec<Fit>) {
         let physics = after.model.effects[k].physics;
         let without = self.without(after, k);
         let mut alternatives: Vec<Fit> = Vec::new();
@@ -213,17 +222,19 @@ impl<'a> Search<'a> {
         }
         let comparison = Comparison::new(self.problem.data, after, &without, &alternatives, self.excess);
         let worse_by = |fit: &Fit| fit.bic() - after.bic();
-        let [with, without] = [after, &without].map(|fit| SweepEquations::new(self.problem.data, fit).held_out_cost());
-        let excess = without - self.problem.data.residual_count() as f64;
+        let [cost, cost_without] =
+            [after, &without].map(|fit| SweepEquations::new(self.problem.data, fit).held_out_cost());
+        let excess = cost_without - self.problem.data.residual_count() as f64;
         let open = alternatives.iter().zip(&comparison.alternative_shares);
         let open = open.filter(|(fit, share)| worse_by(fit) < NOT_RULED_OUT || **share > OFTEN_BEST);
-        Named {
+        let named = Named {
             physics,
             evidence: comparison.evidence,
-            removes: if excess > 0.0 { ((without - with) / excess).clamp(0.0, 1.0) } else { 0.0 },
+            removes: if excess > 0.0 { ((cost_without - cost) / excess).clamp(0.0, 1.0) } else { 0.0 },
             indistinguishable_from: open.map(|(fit, _)| added(fit).name).collect(),
             alternatives: alternatives.iter().map(|fit| (added(fit).name, worse_by(fit))).collect(),
-        }
+        };
+        (named, alternatives.into_iter().chain([without]).collect())
     }
 }
 

@@ -4,8 +4,8 @@ use super::bend_map::{bend_map, strongest};
 use super::page::{definitions, document, figure, list, table};
 use super::plot::{Plot, Point, Series, Style};
 use crate::discover::{
-    Data, Discovery, EffectTrace, FewSamples, Gap, Localisation, Named, NextExperiment, ProposedLaw, Verdict,
-    effect_traces,
+    Candidate, Data, Discovery, EffectTrace, FewSamples, Gap, Localisation, Named, NextExperiment, ProposedLaw,
+    Verdict, effect_traces,
 };
 use maud::{Markup, html};
 
@@ -56,6 +56,7 @@ impl Page<'_> {
             p { (GLOSSARY) }
             @if let Some(gap) = self.gap { (self.localisation(gap)) }
             (considered(found))
+            (structures(found))
             @for (k, named) in found.named.iter().enumerate() {
                 (effect(found, named))
                 @if let Some(trace) = traces.get(k) { (self.loops(trace)) }
@@ -359,6 +360,24 @@ fn considered(found: &Discovery) -> Markup {
         @if found.verdict == Verdict::Unexplained {
             h2 { "What was considered" }
             p { (words) }
+        }
+    }
+}
+
+/// The combinations of effects that the data leave open, where there is more than one.
+fn structures(found: &Discovery) -> Markup {
+    let row = |candidate: &Candidate| {
+        let effects = if candidate.effects.is_empty() { "none".to_owned() } else { candidate.effects.join(", ") };
+        [effects, format!("{:.0} %", 100.0 * candidate.probability)]
+    };
+    let rows: Vec<[String; 2]> = found.structures.iter().map(row).collect();
+    html! {
+        @if rows.len() > 1 {
+            (table("Combinations that the data leave open", ["effects", "probability"], &rows))
+            p {
+                "Probabilities by the information criterion, among these alone. An answer asks for more, so that it may have fewer effects \
+                 than the most probable combination; the standard deviations hold what the choice between them does."
+            }
         }
     }
 }

@@ -29,7 +29,7 @@ impl Model {
     }
 
     /// J = ∂q̃/∂p of a single pose by each parameter, mm per its unit; by differences where there are effects.
-    fn command_by_parameters(&self, bend: Vector2<f64>) -> Vec<PerBackbone> {
+    pub(crate) fn command_by_parameters(&self, bend: Vector2<f64>) -> Vec<PerBackbone> {
         if self.effects.is_empty() {
             let h = self.epsilon_by_parameters(bend);
             return vec![h.column(0), h.column(1)];

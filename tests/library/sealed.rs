@@ -7,8 +7,9 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
-use snakeloop::discover::{Data, Discovery, Named, Verdict, discover};
+use snakeloop::discover::{Candidate, Data, Discovery, Named, Verdict, discover};
 use snakeloop::estimate::gap::gap;
+use snakeloop::geometry::Configuration;
 use snakeloop::robot::{LIBRARY, Model, PerBackbone, Physics};
 use snakeloop::simulate::Sealed;
 use std::collections::BTreeMap;
@@ -86,46 +87,100 @@ fn long(seeds: u64) {
     }
 }
 
-/// Of effects that are given a probability, as many are there: pairs of hidden effects of half the usual number of samples, all that is
-/// named or, of what is unexplained, considered. Prints the shares by classes of the probability; of 70 to 90 %, 70 to 90 % must be there,
-/// within two standard errors.
+/// What came of one experiment of the survey of probabilities and sigmas.
+struct Judged {
+    /// Of each effect that is named: its probability, and whether it is there.
+    effects: Vec<(f64, bool)>,
+    /// Of each combination that is left open: its probability, and whether it is what is hidden.
+    combinations: Vec<(f64, bool)>,
+    /// Of what was answered.
+    chosen: f64,
+    /// Mean square of the commands' errors over their sigmas, and the share within 1.96 of them.
+    commands: (f64, f64),
+}
+
+impl Judged {
+    /// Nothing, one or two effects hidden, by the seed; half of the usual number of samples.
+    fn new(seed: usize, first: u64) -> Self {
+        let library = library();
+        let pair = [library[seed * 7 % library.len()], library[(seed * 11 + 5) % library.len()]];
+        let hidden = if pair[0] == pair[1] { &pair[..1] } else { &pair[..seed % 3] };
+        let sealed = Sealed::of_poses(hidden, first + seed as u64, 17, 24).expect("a sealed experiment");
+        let data = Data::new(&sealed.measurements, &sealed.readings, 0.0015).expect("enough samples");
+        let found = discover(&Model::default(), &data);
+        let is_hidden =
+            |names: &[&str]| names.len() == hidden.len() && hidden.iter().all(|physics| names.contains(&physics.name));
+        let is_there = |name: &str| hidden.iter().any(|physics| physics.name == name);
+        let answered: Vec<&str> = found.named.iter().map(|named| named.physics.name).collect();
+        let is_answered = |candidate: &&Candidate| {
+            candidate.effects.len() == answered.len() && answered.iter().all(|name| candidate.effects.contains(name))
+        };
+        let of_effect = |named: &Named| (named.probability(), is_there(named.physics.name));
+        let of_structure = |candidate: &Candidate| (candidate.probability, is_hidden(&candidate.effects));
+        Self {
+            effects: if found.verdict.has_effects() { found.named.iter().map(of_effect).collect() } else { Vec::new() },
+            combinations: found.structures.iter().map(of_structure).collect(),
+            chosen: found.structures.iter().find(is_answered).map_or(0.0, |candidate| candidate.probability),
+            commands: command_errors(&found.model, &sealed.truth),
+        }
+    }
+}
+
+/// Mean square of the errors of commands over their sigmas, at bends all round, and the share within 1.96 of them.
+fn command_errors(model: &Model, truth: &Model) -> (f64, f64) {
+    let bends = [10.0, 30.0, 50.0, 65.0]
+        .into_iter()
+        .flat_map(|theta_deg| (0..6).map(move |k| Configuration::from_degrees(theta_deg, 60.0 * f64::from(k) - 170.0)));
+    let errors: Vec<f64> = bends
+        .flat_map(|psi| {
+            let errors = (model.command(psi) - truth.command(psi)).component_div(&model.command_sds(psi));
+            errors.iter().copied().collect::<Vec<_>>()
+        })
+        .collect();
+    let share = |of: fn(&f64) -> f64| errors.iter().map(of).sum::<f64>() / errors.len() as f64;
+    (share(|z| z * z), share(|z| f64::from(u8::from(z.abs() <= 1.96))))
+}
+
+/// Of effects and of combinations that are given a probability, as many are there, and commands err as their sigmas say: nothing, one or
+/// two effects hidden by turns. Of 70 to 90 %, 70 to 90 % must be there, within two standard errors. SEALED_FIRST is the first seed.
 ///
 /// ```sh
 /// SEALED_SEEDS=60 cargo test --release --no-default-features --features cli --test library calibrated -- --ignored --nocapture
 /// ```
 #[test]
 #[ignore = "a survey of several minutes"]
-fn probabilities_are_calibrated() {
-    let seeds: usize = std::env::var("SEALED_SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(20);
-    let library = library();
-    let of_seed = |seed: usize| {
-        let pair = [library[seed * 7 % library.len()], library[(seed * 11 + 5) % library.len()]];
-        let hidden = if pair[0] == pair[1] { &pair[..1] } else { &pair[..] };
-        let sealed = Sealed::of_poses(hidden, 3000 + seed as u64, 17, 24).expect("a sealed experiment");
-        let data = Data::new(&sealed.measurements, &sealed.readings, 0.0015).expect("enough samples");
-        let found = discover(&Model::default(), &data);
-        let is_there = |name: &str| hidden.iter().any(|physics| physics.name == name);
-        let of = |named: &Named| (found.verdict.has_effects(), named.probability(), is_there(named.physics.name));
-        found.named.iter().map(of).collect::<Vec<_>>()
-    };
-    let all: Vec<(bool, f64, bool)> = (0..seeds).into_par_iter().flat_map_iter(of_seed).collect();
-    let classes = [(0.0, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, 0.97), (0.97, 1.0)];
-    for (is_answer, what) in [(true, "named"), (false, "considered")] {
-        for (least, most) in classes {
-            let own: Vec<bool> =
-                all.iter().filter(|(a, p, _)| *a == is_answer && (least..most).contains(p)).map(|o| o.2).collect();
-            println!(
-                "{what} {least:.2} to {most:.2}: {} of {} are there",
-                own.iter().filter(|x| **x).count(),
-                own.len()
-            );
-        }
+fn probabilities_and_sigmas_are_calibrated() {
+    let number = |name: &str, usual: u64| std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(usual);
+    let (seeds, first) = (number("SEALED_SEEDS", 20) as usize, number("SEALED_FIRST", 3000));
+    let all: Vec<Judged> = (0..seeds).into_par_iter().map(|seed| Judged::new(seed, first)).collect();
+    for (is_open, what) in [(false, "one structure (99 % or more)"), (true, "several")] {
+        let own: Vec<(f64, f64)> = all
+            .iter()
+            .filter(|judged| !judged.combinations.is_empty() && (judged.chosen < 0.99) == is_open)
+            .map(|judged| judged.commands)
+            .collect();
+        let mean = |of: fn(&(f64, f64)) -> f64| own.iter().map(of).sum::<f64>() / own.len() as f64;
+        println!("{what}: {} answers, mean square {:.2}, within 95 %: {:.3}", own.len(), mean(|c| c.0), mean(|c| c.1));
     }
-    let likely: Vec<bool> =
-        all.iter().filter(|(is_answer, p, _)| *is_answer && (0.7..0.9).contains(p)).map(|o| o.2).collect();
-    let (there, count) = (likely.iter().filter(|x| **x).count() as f64, likely.len() as f64);
+    let effects: Vec<(f64, bool)> = all.iter().flat_map(|judged| judged.effects.clone()).collect();
+    let combinations: Vec<(f64, bool)> = all.iter().flat_map(|judged| judged.combinations.clone()).collect();
+    require_calibrated("effects", &effects);
+    require_calibrated("combinations", &combinations);
+}
+
+/// Prints how many are there by classes of the probability.
+fn require_calibrated(what: &str, all: &[(f64, bool)]) {
+    let of = |least: f64, most: f64| {
+        let own = all.iter().filter(|(p, _)| (least..most).contains(p));
+        (own.clone().filter(|(_, is_there)| *is_there).count() as f64, own.count() as f64)
+    };
+    for (least, most) in [(0.0, 0.1), (0.1, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, 0.97), (0.97, 1.01)] {
+        let (there, count) = of(least, most);
+        println!("{what} {least:.2} to {most:.2}: {there} of {count} are there");
+    }
+    let (there, count) = of(0.7, 0.9);
     let slack = 2.0 * (0.8 * 0.2 * count).sqrt();
-    assert!(there >= 0.7 * count - slack && there <= 0.9 * count + slack, "{there} of {count}");
+    assert!(there >= 0.7 * count - slack && there <= 0.9 * count + slack, "{what}: {there} of {count}");
 }
 
 /// One seed of every effect: it is named, and what was found is the model that another trajectory obeys: there nothing is left to find, and
