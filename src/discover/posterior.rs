@@ -143,7 +143,7 @@ mod tests {
         let between = covariance_between(&[chosen.clone(), with(1.25, 0.3)], &chosen.model, &data);
         assert!((between[(0, 0)] / (0.3 * 0.05f64.powi(2)) - 1.0).abs() < 1e-6, "{between}");
         assert!(between[(0, 1)].abs() < 1e-9 && between[(1, 1)].abs() < 1e-9, "{between}");
-        assert_eq!(covariance_between(&[chosen.clone()], &chosen.model, &data).amax(), 0.0);
+        assert_eq!(covariance_between(std::slice::from_ref(&chosen), &chosen.model, &data).amax(), 0.0);
     }
 
     #[test]
