@@ -374,6 +374,9 @@ impl Eye {
         let finest = better.map_or(finest, |mirrored| self.fit_fine(finder, mirrored.start(), fine));
         let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
         let Some(mut best) = finest else { return Selection::without_fine_fit(fits, Some(attempt)) };
+        if let Some(other) = self.beyond_edge_on(&best, finder, fine) {
+            best = best.or_edge_on(other);
+        }
         let diameter_px = self.projection().diameter_px();
         let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, diameter_px);
         let alternatives = fits[1..].iter().filter(|other| other.cost <= ALTERNATIVE_COST_RATIO * fits[0].cost);
@@ -398,6 +401,14 @@ impl Eye {
         }
         fits[0] = best;
         Selection { fits, has_fine_fit: true, has_alternative, attempt: Some(attempt), doubt }
+    }
+
+    /// The fit of the other local minimum of a snake whose last disk is seen edge-on, if there is one.
+    fn beyond_edge_on(&self, best: &BendFit, finder: &EdgeFinder, fine: &FitSchedule) -> Option<BendFit> {
+        let start = best.beyond_edge_on(&self.projection())?;
+        let other = self.fit(finder, start, &REFINEMENT.beside(best))?;
+        let is_another = (other.bend() - best.bend()).norm() > SAME_MINIMUM_RAD;
+        is_another.then(|| self.fit_fine(finder, other.start(), fine)).flatten()
     }
 
     /// The measurement of a fit that can be believed, or why it cannot.

@@ -6,8 +6,9 @@
 use super::bend::{BendFit, Start};
 use super::state::State;
 use crate::geometry::Pose;
+use crate::measure::body::Projection;
 use crate::robot::{BendProfile, MODES};
-use nalgebra::{SVector, Vector2};
+use nalgebra::{SVector, Vector2, Vector3};
 
 /// Another fit explains the picture as well only if its cost is below this many times the best one's.
 ///
@@ -50,6 +51,10 @@ const UNRIVALLED_INLIERS: f64 = 0.965;
 /// away led to the same ones.
 const TIP_TURN_RAD: f64 = 0.05;
 
+/// The step of the difference by which a bend's change of the tip's tilt is found, rad.
+///
+/// Convention: far below what a tilt changes over, far above rounding.
+const TILT_STEP_RAD: f64 = 1e-4;
 /// Of two fits that explain a picture as well, the one nearer to an arc is taken if its shape is this many times as likely.
 ///
 /// Convention: odds of 20 to 1, the usual 5 % of a wrong decision.
@@ -104,6 +109,17 @@ impl BendFit {
         let mirrored = BendProfile { tip: mirrored(self.bend(), camera_from_base), ..self.profile };
         [mirrored, turned(TIP_TURN_RAD), turned(-TIP_TURN_RAD)]
             .map(|profile| Start { state: State { profile, bias: self.bias }, ..self.start() })
+    }
+
+    /// Where the fit of a snake whose last disk is seen edge-on may go on to the other side: there is a second local minimum, in which that disk is
+    /// tilted the other way by as much. `None` where the two would be too far apart to be taken for each other.
+    pub fn beyond_edge_on(&self, view: &Projection) -> Option<Start> {
+        let depth = depth_direction(&view.camera_from_base);
+        let moved = |by_rad: f64| BendProfile { tip: self.bend() + depth * by_rad, ..self.profile };
+        let tilt = |by_rad: f64| tip_tilt(view, moved(by_rad));
+        let turn_rad = -2.0 * tilt(0.0) / ((tilt(TILT_STEP_RAD) - tilt(-TILT_STEP_RAD)) / (2.0 * TILT_STEP_RAD));
+        let state = State { profile: moved(turn_rad), bias: self.bias };
+        (turn_rad.abs() < EDGE_ON_RAD).then(|| Start { state, ..self.start() })
     }
 
     /// −ln of the density of the modes, but for a constant.
@@ -167,6 +183,12 @@ pub(crate) fn distinct(mut fits: Vec<BendFit>, apart_rad: f64) -> Vec<BendFit> {
 pub(crate) fn mirrored(bend: Vector2<f64>, camera_from_base: &Pose) -> Vector2<f64> {
     let depth = depth_direction(camera_from_base);
     bend - 2.0 * depth * depth.dot(&bend)
+}
+
+/// By how much the snake's tip points away from the camera, rad: zero where its last disk is seen edge-on.
+fn tip_tilt(view: &Projection, profile: BendProfile) -> f64 {
+    let tip = view.camera_from_base * view.curve(profile).frame_at(view.robot.length_mm);
+    (tip.rotation * Vector3::z()).dot(&tip.translation.vector.normalize()).asin()
 }
 
 /// The direction of a bend vector along which a straight snake bends towards a camera at this pose or away from it.
