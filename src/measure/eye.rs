@@ -405,10 +405,10 @@ impl Eye {
 
     /// The fit of the other local minimum of a snake whose last disk is seen edge-on, if there is one.
     fn beyond_edge_on(&self, best: &BendFit, finder: &EdgeFinder, fine: &FitSchedule) -> Option<BendFit> {
-        let start = best.beyond_edge_on(&self.projection())?;
-        let other = self.fit(finder, start, &REFINEMENT.beside(best))?;
-        let is_another = (other.bend() - best.bend()).norm() > SAME_MINIMUM_RAD;
-        is_another.then(|| self.fit_fine(finder, other.start(), fine)).flatten()
+        let view = self.projection();
+        let other = self.fit(finder, best.beyond_edge_on(&view)?, &REFINEMENT.beside(best))?;
+        // One that came back over the edge is on its way to the same minimum.
+        other.is_tilted_unlike(best, &view).then(|| self.fit_fine(finder, other.start(), fine)).flatten()
     }
 
     /// The measurement of a fit that can be believed, or why it cannot.

@@ -122,6 +122,11 @@ impl BendFit {
         (turn_rad.abs() < EDGE_ON_RAD).then(|| Start { state, ..self.start() })
     }
 
+    /// Whether the last disk is tilted to the other side of edge-on than in another fit.
+    pub fn is_tilted_unlike(&self, other: &Self, view: &Projection) -> bool {
+        tip_tilt(view, self.profile) * tip_tilt(view, other.profile) < 0.0
+    }
+
     /// −ln of the density of the modes, but for a constant.
     fn shape_surprise(&self) -> f64 {
         let of_mode = |k: usize| {
