@@ -6,7 +6,7 @@
 use super::blur::{fine_filter, predict_blur};
 use super::correspondences::Correspondences;
 use super::edges::EdgeFinder;
-use super::linearised::{Linearised, robust_step};
+use super::linearised::{COARSE_REWEIGHTING_TOLERANCE, Linearised, REWEIGHTING_TOLERANCE, robust_step};
 use super::noise_model::SHARP_PX;
 use super::state::{EdgeBias, FramePrior, STATE, State};
 use super::uncertainty::{FitCovariance, RobustPhase, inliers};
@@ -277,7 +277,8 @@ impl<'a> Fitting<'a> {
         }
         let phase = if search_px > FINE_SEARCH_PX { RobustPhase::Monotone } else { self.phase };
         let before = self.state.profile;
-        let (state, roots) = gauss_newton(&edges, self.view, self.state, &self.prior, phase)?;
+        let tolerance = if self.schedule.is_fine { REWEIGHTING_TOLERANCE } else { COARSE_REWEIGHTING_TOLERANCE };
+        let (state, roots) = gauss_newton(&edges, self.view, self.state, &self.prior, phase, tolerance)?;
         if state.profile.tip.norm() > LARGEST_BEND_RAD {
             return None;
         }
@@ -364,11 +365,12 @@ fn gauss_newton(
     start: State,
     prior: &FramePrior,
     phase: RobustPhase,
+    tolerance: f64,
 ) -> Option<(State, Vec<f64>)> {
     let (mut state, mut roots) = (start, Vec::new());
     for _ in 0..LINEARISATIONS {
         let step;
-        (step, roots) = robust_step(edges, view, &state, prior, phase)?;
+        (step, roots) = robust_step(edges, view, &state, prior, phase, tolerance)?;
         let bends = |step: &SVector<f64, STATE>| step.fixed_rows::<PROFILE>(0).amax();
         let step = step * (LONGEST_STEP_RAD / bends(&step)).min(1.0);
         if step.iter().any(|v| !v.is_finite()) {
@@ -446,7 +448,7 @@ mod tests {
         let start = state(truth.profile.tip + Vector2::new(0.02, -0.02));
         let error = |phases: &[RobustPhase]| {
             let fitted = phases.iter().fold(start, |state, &phase| {
-                gauss_newton(&edges, &view, state, &FramePrior::FIXTURE, phase).unwrap().0
+                gauss_newton(&edges, &view, state, &FramePrior::FIXTURE, phase, REWEIGHTING_TOLERANCE).unwrap().0
             });
             (fitted.profile.tip - truth.profile.tip).norm()
         };

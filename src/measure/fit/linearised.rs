@@ -13,10 +13,14 @@ use nalgebra::{DMatrix, DVector, SVector, Vector3};
 ///
 /// Convention: an iteration cap.
 const MOST_REWEIGHTINGS: usize = 10;
-/// A reweighting that moves the state by less (rad and px) is the last.
+/// A reweighting that moves the state by less (rad and px) is the last: in the fine stage, ...
 ///
 /// Convention: a tenth of what a fit must move by to go on.
-const REWEIGHTING_TOLERANCE: f64 = 1e-4;
+pub(super) const REWEIGHTING_TOLERANCE: f64 = 1e-4;
+/// ... and in the coarse stages, after which the fine one goes on.
+///
+/// Convention: what a fit must move by to go on.
+pub(super) const COARSE_REWEIGHTING_TOLERANCE: f64 = 1e-3;
 
 /// Residuals of edges in units of σ, and their derivatives (rows: edges).
 #[derive(Debug, Clone)]
@@ -94,13 +98,9 @@ pub(crate) fn robust_step(
     state: &State,
     prior: &FramePrior,
     phase: RobustPhase,
+    tolerance: f64,
 ) -> Option<(SVector<f64, STATE>, Vec<f64>)> {
-    let irls = Irls {
-        loss: phase.loss(),
-        least_scale: LEAST_SCALE,
-        rounds: MOST_REWEIGHTINGS,
-        tolerance: REWEIGHTING_TOLERANCE,
-    };
+    let irls = Irls { loss: phase.loss(), least_scale: LEAST_SCALE, rounds: MOST_REWEIGHTINGS, tolerance };
     let mut offset = DVector::zeros(edges.len() + PRIORS);
     let mut design = DMatrix::zeros(edges.len() + PRIORS, STATE);
     for (row, edge) in linearised_edges(edges, view, state).enumerate() {

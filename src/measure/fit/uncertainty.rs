@@ -118,7 +118,7 @@ fn at_least(covariance: &DMatrix<f64>, least: &DMatrix<f64>) -> Option<DMatrix<f
 
 #[cfg(test)]
 mod tests {
-    use super::super::linearised::{Linearised, robust_step};
+    use super::super::linearised::{Linearised, REWEIGHTING_TOLERANCE, robust_step};
     use super::super::state::{EdgeBias, FramePrior, State};
     use super::*;
     use crate::measure::body::{Outline, Piece};
@@ -186,7 +186,9 @@ mod tests {
         let squares: Vec<[f64; 2]> = (0..200)
             .map(|_| {
                 let edges = Correspondences::displaced(&outline, &draw(&outline), SIGMA_PX);
-                let (step, roots) = robust_step(&edges, &view, &state, &prior, RobustPhase::Redescending).unwrap();
+                let (step, roots) =
+                    robust_step(&edges, &view, &state, &prior, RobustPhase::Redescending, REWEIGHTING_TOLERANCE)
+                        .unwrap();
                 let fitted = state.moved(&step);
                 let linear = Linearised::new(&edges, &view, &fitted).weighted(&roots).with_prior(&prior, &fitted);
                 let (jacobian, residuals) = (&linear.by_state, &linear.residuals);
