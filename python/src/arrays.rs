@@ -10,15 +10,16 @@ use snakeloop::robot::PerBackbone;
 /// A picture: height × width, grey, or height × width × 3, RGB; 8 or 16 bits.
 ///
 /// The numbers are copied once, by rows where they lie so: while a frame is measured the interpreter's lock is released, and
-/// another thread may write into the array.
+/// another thread may write into the array. Those of 8 bits are written into the memory of a frame before, `spare`: to get as much from the
+/// system anew takes longer than the copy.
 ///
 /// # Errors
 /// Anything else.
-pub fn frame_of(image: &Bound<'_, PyAny>) -> PyResult<Frame> {
+pub fn frame_of(image: &Bound<'_, PyAny>, spare: Vec<u8>) -> PyResult<Frame> {
     let (shape, samples) = if let Ok(image) = image.extract::<PyReadonlyArrayDyn<u8>>() {
-        (image.as_array().shape().to_vec(), Samples::Bits8(copied(&image)))
+        (image.as_array().shape().to_vec(), Samples::Bits8(copied(&image, spare)))
     } else if let Ok(image) = image.extract::<PyReadonlyArrayDyn<u16>>() {
-        (image.as_array().shape().to_vec(), Samples::Bits16(copied(&image)))
+        (image.as_array().shape().to_vec(), Samples::Bits16(copied(&image, Vec::new())))
     } else {
         let found = match image.getattr("dtype") {
             Ok(dtype) => format!("an array of {dtype}"),
@@ -41,10 +42,15 @@ pub fn frame_of(image: &Bound<'_, PyAny>) -> PyResult<Frame> {
     Ok(Frame { width: side(width)?, height: side(height)?, channels, samples })
 }
 
-/// The numbers by rows.
-fn copied<T: Element + Copy>(array: &PyReadonlyArrayDyn<T>) -> Vec<T> {
+/// The numbers by rows, in place of those that are `into`.
+fn copied<T: Element + Copy>(array: &PyReadonlyArrayDyn<T>, mut into: Vec<T>) -> Vec<T> {
     let array = array.as_array();
-    array.as_slice().map_or_else(|| array.iter().copied().collect(), <[T]>::to_vec)
+    into.clear();
+    match array.as_slice() {
+        Some(numbers) => into.extend_from_slice(numbers),
+        None => into.extend(array.iter().copied()),
+    }
+    into
 }
 
 /// Angles, rad, from what was given in radians or in degrees.

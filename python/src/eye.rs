@@ -7,12 +7,13 @@ use crate::threads::interruptible;
 use nalgebra::Matrix2;
 use numpy::PyArray2;
 use pyo3::prelude::*;
-use snakeloop::camera::{Frame, Lens};
+use snakeloop::camera::{Frame, Lens, Samples};
 use snakeloop::geometry::Configuration;
 use snakeloop::measure::{Eye, FrameMeasurement, Rig, RigOptions, calibrate_rig};
 use snakeloop::observation::{Measured, Status};
 use snakeloop::robot::Robot;
 use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
 
 /// A camera's intrinsics and distortion.
 #[pyclass(name = "Lens", module = "snakeloop", frozen, eq)]
@@ -68,7 +69,7 @@ impl PyRig {
         robot: Option<&PyModel>,
         delta_offset_deg: f64,
     ) -> PyResult<Self> {
-        let (frame, lens, robot) = (frame_of(image)?, lens.0.clone(), robot_of(robot));
+        let (frame, lens, robot) = (frame_of(image, Vec::new())?, lens.0.clone(), robot_of(robot));
         let options = RigOptions { grid_pitch_mm, standoff_mm, delta_offset: delta_offset_deg.to_radians() };
         let rig = interruptible(py, move || calibrate_rig(&frame, &lens, &robot, &options))?;
         rig.map(Self).map_err(|why| wrong(format!("rig calibration: {why}")))
@@ -88,8 +89,17 @@ impl PyRig {
 
 /// Measures the snake in the frames of one calibrated view.
 #[pyclass(name = "Eye", module = "snakeloop", frozen)]
-#[derive(Clone)]
-pub struct PyEye(Eye);
+pub struct PyEye {
+    eye: Eye,
+    /// The memory of the last frame, for the next one.
+    spare: Mutex<Vec<u8>>,
+}
+
+impl PyEye {
+    fn of(eye: Eye) -> Self {
+        Self { eye, spare: Mutex::default() }
+    }
+}
 
 #[pymethods]
 impl PyEye {
@@ -98,15 +108,19 @@ impl PyEye {
     #[pyo3(signature = (lens, rig, robot=None))]
     fn new(py: Python<'_>, lens: &PyLens, rig: &PyRig, robot: Option<&PyModel>) -> Self {
         let robot = robot_of(robot);
-        py.detach(|| Self(Eye::new(lens.0.clone(), rig.0.clone(), robot)))
+        py.detach(|| Self::of(Eye::new(lens.0.clone(), rig.0.clone(), robot)))
     }
 
     /// Measures one frame: uint8 or uint16, (height, width) grey or (height, width, 3) RGB.
     ///
     /// A frame that cannot be measured gives a Measurement whose status says why. Other threads of Python run meanwhile.
     fn measure(&self, py: Python<'_>, image: &Bound<'_, PyAny>) -> PyResult<PyMeasurement> {
-        let frame = frame_of(image)?;
-        let FrameMeasurement { status, measured, .. } = py.detach(|| self.0.measure(&frame));
+        let spare = || self.spare.lock().unwrap_or_else(PoisonError::into_inner);
+        let frame = frame_of(image, std::mem::take(&mut *spare()))?;
+        let FrameMeasurement { status, measured, .. } = py.detach(|| self.eye.measure(&frame));
+        if let Samples::Bits8(samples) = frame.samples {
+            *spare() = samples;
+        }
         py.check_signals()?;
         Ok(PyMeasurement { status, measured })
     }
@@ -114,15 +128,15 @@ impl PyEye {
     /// An eye whose rig is made better with frames of the sequence that is to be measured: some twenty, bent to all sides.
     /// `snakeloop run` does the same.
     fn refined(&self, py: Python<'_>, images: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let frames = images.try_iter()?.map(|image| frame_of(&image?)).collect::<PyResult<Vec<Frame>>>()?;
-        let eye = self.0.clone();
-        interruptible(py, move || Self(eye.refined(rayon::prelude::IntoParallelIterator::into_par_iter(frames))))
+        let frames = images.try_iter()?.map(|image| frame_of(&image?, Vec::new())).collect::<PyResult<Vec<Frame>>>()?;
+        let eye = self.eye.clone();
+        interruptible(py, move || Self::of(eye.refined(rayon::prelude::IntoParallelIterator::into_par_iter(frames))))
     }
 
     /// The rig that it measures by.
     #[getter]
     fn rig(&self) -> PyRig {
-        PyRig(self.0.rig().clone())
+        PyRig(self.eye.rig().clone())
     }
 }
 
