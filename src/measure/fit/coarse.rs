@@ -7,6 +7,7 @@ use crate::measure::image::plane::Plane;
 use crate::robot::Robot;
 use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// By how much the picture is shrunk.
 ///
@@ -70,9 +71,15 @@ const STEPS: u32 = 9;
 const INDEX_BITS: u32 = 24;
 
 /// Pairs of pixels just inside and just outside the outlines of all bends of a lattice, for one view.
+///
+/// The pairs of all bends lie one after the other: memory delivers what is read in its order several times as fast.
 #[derive(Debug)]
 pub(crate) struct CoarseSearch {
     bends: Vec<LatticeBend>,
+    /// One pair in [`SIFTING_STRIDE`] of each outline.
+    sifting: Vec<Pair>,
+    /// All others.
+    others: Vec<Pair>,
     /// The width of the shrunk picture, px.
     width: i32,
 }
@@ -80,15 +87,9 @@ pub(crate) struct CoarseSearch {
 #[derive(Debug)]
 struct LatticeBend {
     bend: Vector2<f64>,
-    /// Those that are looked at first, all along the outline, and then the others.
-    pairs: Vec<Pair>,
-}
-
-impl LatticeBend {
-    /// The pairs that are looked at first.
-    fn sifting(&self) -> &[Pair] {
-        &self.pairs[..self.pairs.len().div_ceil(SIFTING_STRIDE)]
-    }
+    /// Which of the search's pairs are its.
+    sifting: Range<usize>,
+    others: Range<usize>,
 }
 
 /// An inner and an outer pixel of the shrunk picture: the index of the inner one in its rows one after the other, and above that the number of
@@ -126,8 +127,17 @@ impl CoarseSearch {
     pub fn new(lens: &Lens, camera_from_base: Pose, robot: &Robot) -> Self {
         let small = shrunk_lens(lens);
         let view = Projection { lens: &small, camera_from_base, robot };
-        let bends = lattice().into_par_iter().map(|bend| LatticeBend { bend, pairs: pairs(&view, bend) });
-        Self { bends: bends.filter(|b| b.pairs.len() >= FEWEST_PAIRS).collect(), width: small.width as i32 }
+        let pairs: Vec<_> = lattice().into_par_iter().map(|bend| (bend, pairs(&view, bend))).collect();
+        let mut search = Self { bends: vec![], sifting: vec![], others: vec![], width: small.width as i32 };
+        for (bend, pairs) in pairs.into_iter().filter(|(_, pairs)| pairs.len() >= FEWEST_PAIRS) {
+            let (sifting, others) = (search.sifting.len(), search.others.len());
+            for (k, pair) in pairs.into_iter().enumerate() {
+                if k % SIFTING_STRIDE == 0 { search.sifting.push(pair) } else { search.others.push(pair) }
+            }
+            let (sifting, others) = (sifting..search.sifting.len(), others..search.others.len());
+            search.bends.push(LatticeBend { bend, sifting, others });
+        }
+        search
     }
 
     /// The bends with the most contrast across their outlines, best first, at most `most`. `two_sided` pictures, whose background is
@@ -143,19 +153,25 @@ impl CoarseSearch {
             let (inside, outside) = pair.indices(&steps);
             value(inside) - value(outside)
         };
-        let mean_contrast = |pairs: &[Pair]| {
+        let total = |pairs: &[Pair]| -> i32 {
             let contrasts = pairs.iter().map(contrast);
-            let total: i32 = if two_sided { contrasts.map(i32::abs).sum() } else { contrasts.sum() };
-            f64::from(total) / pairs.len() as f64
+            if two_sided { contrasts.map(i32::abs).sum() } else { contrasts.sum() }
         };
-        let mut sifted: Vec<(f64, &LatticeBend)> = self.bends.iter().map(|b| (mean_contrast(b.sifting()), b)).collect();
+        let mut sifted: Vec<(f64, i32, &LatticeBend)> = Vec::with_capacity(self.bends.len());
+        for bend in &self.bends {
+            let total = total(&self.sifting[bend.sifting.clone()]);
+            sifted.push((f64::from(total) / bend.sifting.len() as f64, total, bend));
+        }
         let left = sifted.len() / SIFTED_OUT;
         if left > 0 {
             sifted.select_nth_unstable_by(left, |a, b| b.0.total_cmp(&a.0));
             sifted.truncate(left);
         }
-        let mut scored: Vec<(f64, Vector2<f64>)> =
-            sifted.into_iter().map(|(_, b)| (mean_contrast(&b.pairs), b.bend)).collect();
+        let mean = |(_, sifting, bend): (f64, i32, &LatticeBend)| {
+            let total = sifting + total(&self.others[bend.others.clone()]);
+            (f64::from(total) / (bend.sifting.len() + bend.others.len()) as f64, bend.bend)
+        };
+        let mut scored: Vec<(f64, Vector2<f64>)> = sifted.into_iter().map(mean).collect();
         scored.sort_by(|a, b| b.0.total_cmp(&a.0));
         let apart_rad = APART_SPACINGS * SPACING_DEG.to_radians();
         let mut chosen: Vec<Vector2<f64>> = Vec::new();
@@ -188,14 +204,13 @@ fn pairs(view: &Projection, bend: Vector2<f64>) -> Vec<Pair> {
     let spacing_px = (PAIRS_APART * view.diameter_px()).max(Outline::SPACING_PX);
     let outline = Outline::spaced(view, Configuration::from_bend_vector(bend), spacing_px);
     let points = outline.points.iter().filter(|p| p.body.s_mm > 0.0 && p.gap_px >= LEAST_GAP_PX);
-    let pairs: Vec<Pair> = points
+    points
         .filter_map(|p| {
             let step = p.normal.into_inner() * PAIR_DISTANCE_PX;
             let (inner, outer) = (nearest_pixel(view.lens, p.pixel - step), nearest_pixel(view.lens, p.pixel + step));
             Pair::new(inner, outer, view.lens.width as i32)
         })
-        .collect();
-    (0..SIFTING_STRIDE).flat_map(|first| pairs.iter().copied().skip(first).step_by(SIFTING_STRIDE)).collect()
+        .collect()
 }
 
 /// Column and row of the pixel of a picture that is nearest to a point.
