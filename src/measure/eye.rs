@@ -351,7 +351,8 @@ impl Eye {
         let is_close = (bend - minimum.bend()).norm() < EDGE_ON_RAD;
         let schedule = if is_close { REFINEMENT } else { COARSE_TO_REFINED };
         let mirrored = || self.fit(finder, self.start(bend), &schedule.beside(minimum));
-        let (mirrored, finest) = rayon::join(mirrored, || self.fit_fine(finder, minimum.start(), fine));
+        // The longer of both is begun at once; the other waits for a free core.
+        let (finest, mirrored) = rayon::join(|| self.fit_fine(finder, minimum.start(), fine), mirrored);
         Attempt { minimum: minimum.clone(), mirrored, finest }
     }
 
