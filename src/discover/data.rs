@@ -19,6 +19,18 @@ pub const LEAST_SAMPLES: usize = 24;
 /// Derived: 0.02 mm is less than 1° of bend (r · 1° = 0.026 mm).
 const LEAST_TRAVEL_MM: f64 = 0.02;
 
+/// Readings that follow each other are told apart where a backbone moved by this between them, mm.
+///
+/// Derived: five standard deviations of the difference of two readings of 0.0015 mm. A picture of the same pose again repeats the errors of the
+/// one before.
+const LEAST_STEP_MM: f64 = 0.01;
+
+/// The travel whose readings tell what memory the snake has of its path, mm.
+///
+/// Derived: about four times 2.4 mm, which a backbone travels as θ goes from 0 to 90°: there and back twice, so that the last reversals of
+/// each are among them.
+const REMEMBERED_MM: f64 = 10.0;
+
 /// Where no bend is larger than this, degrees, a remark says that loads can hardly be seen.
 ///
 /// Convention: decides about a remark only.
@@ -144,7 +156,7 @@ impl Data {
         self.times_s.len()
     }
 
-    /// Whether there are none; never, after [`new`](Self::new).
+    /// Whether there are none; never, after [`new`](Self::new), but perhaps [since](Self::since).
     pub fn is_empty(&self) -> bool {
         self.times_s.is_empty()
     }
@@ -201,6 +213,51 @@ impl Data {
             log,
             ..self.clone()
         })
+    }
+
+    /// The samples that came after an index, with the readings that led to them: the first of all, from which drifts count, and those of
+    /// the last 10 mm of travel. Readings at which nothing moved since the one before are passed over; it may be that no sample is left.
+    pub fn since(&self, index: u64, measurements: &[Measurement], readings: &[EncoderReading]) -> Self {
+        let Log { mut times_s, mut q_mm, mut neighbours, .. } = self.log.clone();
+        let mut kept = Vec::new();
+        let readings = usable(readings);
+        for reading in readings.values().filter(|reading| reading.index > index) {
+            let moved_mm = q_mm.last().map_or(f64::INFINITY, |last| (reading.q_mm - *last).amax());
+            if moved_mm < LEAST_STEP_MM || times_s.last().is_some_and(|last| reading.time_s <= *last) {
+                continue;
+            }
+            kept.push((reading.index, times_s.len()));
+            times_s.push(reading.time_s);
+            q_mm.push(reading.q_mm);
+            neighbours.extend((!self.log.neighbours.is_empty()).then_some(reading.neighbours));
+        }
+        let places: HashMap<u64, usize> = kept.into_iter().collect();
+        let pairs = paired(measurements, &readings);
+        let pairs: Vec<(usize, &Pair)> =
+            pairs.iter().filter_map(|pair| Some((*places.get(&pair.0.index)?, pair))).collect();
+        let first_new = pairs.first().map_or(times_s.len(), |pair| pair.0);
+        let mut travel_mm = 0.0;
+        let is_remembered = |at: &usize| {
+            travel_mm += q_mm.get(at + 1).map_or(0.0, |next| (*next - q_mm[*at]).amax());
+            travel_mm < REMEMBERED_MM
+        };
+        let remembered = (1..first_new).rev().take_while(is_remembered).count();
+        let forgotten = 1..first_new - remembered;
+        times_s.drain(forgotten.clone());
+        q_mm.drain(forgotten.clone());
+        if !neighbours.is_empty() {
+            neighbours.drain(forgotten.clone());
+        }
+        let samples = pairs.iter().map(|(at, _)| at - forgotten.len()).collect();
+        Self {
+            indices: pairs.iter().map(|(_, (reading, _))| reading.index).collect(),
+            times_s: pairs.iter().map(|(_, (reading, _))| reading.time_s).collect(),
+            q_mm: pairs.iter().map(|(_, (reading, _))| reading.q_mm).collect(),
+            measured: pairs.iter().map(|(_, (_, measured))| *measured).collect(),
+            sweeps: vec![0; pairs.len()],
+            log: Log { times_s, q_mm, neighbours, samples },
+            ..self.clone()
+        }
     }
 
     /// The block of each sweep, of as many blocks of about equal length as there are folds: sweeps that follow each other, so that a

@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector, Vector2};
 ///
 /// Derived: with its limit at 3σ Huber's loss gives away 0.04 % of the efficiency on normal errors (Huber and Ronchetti, Robust
 /// Statistics, 2nd ed., 4.5).
-const LOSS: Loss = Loss::Huber(3.0);
+pub const LOSS: Loss = Loss::Huber(3.0);
 
 /// The most Gauss–Newton steps, and the most dampings that are tried in each.
 ///

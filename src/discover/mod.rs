@@ -20,9 +20,11 @@
 //!     effect found does over the motion.
 //! 11. [`law`](propose_law): a formula proposed in place of an explanation.
 //! 12. `candidate_trajectories`, [`next_experiment`]: the trajectory that would decide what these data leave open.
+//! 13. [`bank`](Bank): how probabilities and numbers go on as samples come.
 //!
 //! Samples that are too few for all this have an answer of their own, [`few_samples`](FewSamples).
 
+mod bank;
 mod candidate_trajectories;
 mod clock;
 mod comparison;
@@ -54,6 +56,7 @@ mod sweeps;
 mod tangent_spaces;
 mod verdict;
 
+pub use bank::{Bank, Followed, Moved, Number};
 pub use comparison::Evidence;
 pub use data::{Data, LEAST_SAMPLES, Log};
 pub use discovery::{Discovery, Tell, discover, discover_in_frames, discover_telling};

@@ -3,7 +3,7 @@
 //! ```text
 //! source   ─ newest frame ─┐
 //!                          ├→ pipeline → journal → online_estimator → shared_state → server, tui
-//! encoders ─ by time ──────┘      └→ annotated_video                      └→ autosave, discovery_worker
+//! encoders ─ by time ──────┘      └→ annotated_video                      └→ autosave, discovery_worker → bank_worker
 //! ```
 //!
 //! What must not hold up another has a thread of its own. The threads share [`SharedState`], which is locked for moments only, and hand
@@ -14,6 +14,7 @@
 mod access_control;
 mod annotated_video;
 mod autosave;
+mod bank_worker;
 mod clock;
 mod clock_offset;
 mod commands;

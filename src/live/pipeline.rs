@@ -2,6 +2,7 @@
 
 use super::annotated_video::AnnotatedVideo;
 use super::autosave::save;
+use super::bank_worker::BankWorker;
 use super::commands::{Answer, Command, Request};
 use super::discovery_worker::DiscoveryWorker;
 use super::encoders::{Encoders, Lookup};
@@ -70,6 +71,8 @@ pub struct Pipeline {
     pub video: Arc<AnnotatedVideo>,
     /// What searches for missing physics.
     pub discovery: DiscoveryWorker,
+    /// What follows the structures that it left open.
+    pub bank: BankWorker,
     /// What judges the model.
     pub verdict: VerdictWorker,
     /// What users ask for.
@@ -233,7 +236,12 @@ impl Pipeline {
             let (_, measurements, readings) = self.estimator.samples();
             self.verdict.start(measurements, readings);
         }
-        if update.gap.state == GapState::Above && self.discovery.is_free() {
+        if let Some(reading) = reading.filter(|_| !update.is_stuck) {
+            self.bank.add(&measurement, &reading);
+        }
+        // The gap is that of the model as given; while what was found accounts for it there is nothing to search.
+        let is_explained = self.bank.accounts_for_samples();
+        if update.gap.state == GapState::Above && !is_explained && self.discovery.is_free() {
             self.discovery.start(self.estimator.samples());
         }
         Ok(())
@@ -338,6 +346,7 @@ impl Pipeline {
     fn reset(&mut self) -> Result<&'static str> {
         self.journal.append(&Entry::Reset)?;
         let done = self.estimator.reset()?;
+        self.bank.forget();
         let mut shared = self.shared.lock();
         shared.model = self.estimator.model();
         shared.state.estimate = EstimateStatus::of(&shared.model);

@@ -2,6 +2,7 @@
 
 use super::annotated_video::AnnotatedVideo;
 use super::autosave::{Autosave, AutosaveThread};
+use super::bank_worker::BankWorker;
 use super::clock::FrameClock;
 use super::commands::Commands;
 use super::discovery_worker::DiscoveryWorker;
@@ -69,7 +70,8 @@ impl Live {
         let stop = Arc::new(AtomicBool::new(false));
         let View { name, lens, robot, rig_options, eye } = view;
         eye.small_picture().into_iter().for_each(|small| shared.lock().notice(format!("view {name}: {small}")));
-        let discovery = DiscoveryWorker::new(Arc::clone(&shared), output.clone(), options.sd_encoder_mm);
+        let bank = BankWorker::new(Arc::clone(&shared));
+        let discovery = DiscoveryWorker::new(Arc::clone(&shared), output.clone(), options.sd_encoder_mm, bank.bank());
         let verdict = VerdictWorker::new(Arc::clone(&shared), options.sd_encoder_mm);
         let eye = Arc::new(RenewableEye::new(eye, lens, robot, rig_options, output.clone()));
         let pipeline = Pipeline {
@@ -83,6 +85,7 @@ impl Live {
             shared: Arc::clone(&shared),
             video: Arc::clone(&video),
             discovery,
+            bank,
             verdict,
             requests,
             stop: Arc::clone(&stop),

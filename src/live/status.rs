@@ -4,6 +4,7 @@
 //! this file alone.
 
 use crate::camera::CaptureSettings;
+use crate::discover::Followed;
 use crate::estimate::{StemAngle, Verdict};
 use crate::observation::Measurement;
 use crate::robot::{Model, PerBackbone};
@@ -361,7 +362,7 @@ pub struct PublicationStatus {
 }
 
 /// What `discover` found on the measurements so far.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct DiscoveryStatus {
     /// Whether it is at work now.
     pub running: bool,
@@ -371,4 +372,8 @@ pub struct DiscoveryStatus {
     pub sentence: String,
     /// The content of discrepancy.json.
     pub details: Option<serde_json::Value>,
+    /// The structures that it left open, as the samples since then leave them; the most probable first.
+    pub structures: Vec<Followed>,
+    /// How probable they are, in a sentence with the latest frame that says so.
+    pub followed: Option<String>,
 }

@@ -187,14 +187,17 @@ fn estimates(state: &State) -> Vec<Line<'static>> {
         Span::styled(word, Style::new().fg(colour).bold()),
         Span::from(format!(" (bending {:.1}, common {:.1}; 1 is noise)", gap.bending, gap.common)),
     ]));
-    lines.extend(state.discovery.as_ref().map(|discovery| Line::from(discovery.sentence.clone())));
+    if let Some(discovery) = &state.discovery {
+        lines.extend(discovery.followed.clone().map(Line::from));
+        lines.push(Line::from(discovery.sentence.clone()));
+    }
     lines
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::live::status::{EncoderStatus, EstimateStatus, StemStatus};
+    use crate::live::status::{DiscoveryStatus, EncoderStatus, EstimateStatus, StemStatus};
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
 
@@ -211,6 +214,8 @@ mod tests {
             Some(EstimateStatus { eta: 1.2211, sd_eta: 0.001, lambda_mm: 0.1767, sd_lambda_mm: 0.0005, samples: 36 });
         state.gap.state = GapState::Above;
         state.stem = Some(StemStatus { phi_deg: 131.26, sd_phi_deg: 2.4 });
+        let followed = Some("play_at_bend 97 %, as of frame 812".into());
+        state.discovery = Some(DiscoveryStatus { followed, ..DiscoveryStatus::default() });
         let text = screen(&state, 100, 24);
         for expected in [
             "camera 0",
@@ -219,6 +224,7 @@ mod tests {
             "λ 0.1767",
             "Φ 131.3 ± 2.4°",
             "above noise",
+            "play_at_bend 97 %, as of frame 812",
             "θ, up to 30°",
             "p pause",
         ] {

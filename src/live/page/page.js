@@ -114,6 +114,7 @@ function showGap(s) {
   const d = s.discovery;
   const file = d && d.verdict === "named" ? " discovered.toml has the model with it." : "";
   put("discovery", d ? d.sentence + file + (d.running ? " (looking again …)" : "") : "");
+  put("structures", d && d.followed ? "By what was measured since: " + d.followed + "." : "");
   put("notice-count", String(s.notices.length));
   const list = by("notices");
   if (list.childElementCount !== s.notices.length || (list.lastChild && list.lastChild.textContent !== s.notices.at(-1))) {
