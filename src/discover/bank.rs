@@ -10,7 +10,7 @@
 //! Kulhavý and Zarrop 1993, On a general concept of forgetting, Int. J. Control 58:905 (forgetting towards what was known before).
 
 use super::data::Data;
-use super::fit::LOSS;
+use super::fit::{LOSS, scales};
 use super::noise::Noise;
 use super::posterior::Candidate;
 use super::residuals::{Problem, Residual};
@@ -336,11 +336,6 @@ impl Member {
         let parameters = named.filter(|(_, of_rig)| !of_rig).map(|(named, _)| named).collect();
         Followed { effects: self.effects.clone(), probability: self.ln_probability.exp(), parameters }
     }
-}
-
-/// The scales of a model's parameters.
-fn scales(model: &Model) -> DVector<f64> {
-    DVector::from_iterator(model.parameter_count(), model.parameter_specs().iter().map(|spec| spec.typical))
 }
 
 #[cfg(test)]

@@ -88,7 +88,7 @@ impl Problem<'_> {
 
     fn fit_weighted(&self, start: &Model, guess: Option<&[Vector2<f64>]>, weights: Option<DVector<f64>>) -> Fit {
         let specs = start.parameter_specs();
-        let typical = DVector::from_iterator(specs.len(), specs.iter().map(|spec| spec.typical));
+        let typical = scales(start);
         let bound = |of: fn(&(f64, f64)) -> f64| {
             DVector::from_iterator(specs.len(), specs.iter().map(|spec| of(&spec.range) / spec.typical))
         };
@@ -208,6 +208,11 @@ impl least_squares::Problem for Objective<'_> {
     fn weights(&self) -> Option<&DVector<f64>> {
         self.weights.as_ref()
     }
+}
+
+/// The scales of a model's parameters.
+pub fn scales(model: &Model) -> DVector<f64> {
+    DVector::from_iterator(model.parameter_count(), model.parameter_specs().iter().map(|spec| spec.typical))
 }
 
 #[cfg(test)]

@@ -143,6 +143,11 @@ impl FitSchedule {
         Self { hopeless_cost: HOPELESS_COST_RATIO * other.cost, ..self }
     }
 
+    /// A reweighting that moves the state by less is the last of a linearisation.
+    fn reweighting_tolerance(&self) -> f64 {
+        if self.is_fine { REWEIGHTING_TOLERANCE } else { COARSE_REWEIGHTING_TOLERANCE }
+    }
+
     fn search_px(&self, round: usize) -> Option<f64> {
         self.searches_px.get(round).or(self.searches_px.last()).copied()
     }
@@ -277,7 +282,7 @@ impl<'a> Fitting<'a> {
         }
         let phase = if search_px > FINE_SEARCH_PX { RobustPhase::Monotone } else { self.phase };
         let before = self.state.profile;
-        let tolerance = if self.schedule.is_fine { REWEIGHTING_TOLERANCE } else { COARSE_REWEIGHTING_TOLERANCE };
+        let tolerance = self.schedule.reweighting_tolerance();
         let (state, roots) = gauss_newton(&edges, self.view, self.state, &self.prior, phase, tolerance)?;
         if state.profile.tip.norm() > LARGEST_BEND_RAD {
             return None;

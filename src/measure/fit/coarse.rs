@@ -32,7 +32,8 @@ const APART_SPACINGS: f64 = 2.2;
 const PAIR_DISTANCE_PX: f64 = 1.6;
 /// Distance between neighbouring pairs along the outline, as a share of the snake's diameter, and never less than the outline's own.
 ///
-/// Derived: π/0.14 = 22 pairs around a disk's two rims and sides. A quarter of all pairs is read for every frame; a small snake has none to spare.
+/// Derived: π/0.14 = 22 pairs around a disk's two rims and sides. Seven of sixteen pairs are read for every frame; a small snake has
+/// none to spare.
 const PAIRS_APART: f64 = 0.14;
 /// The least free background beside an outline point, px of the shrunk picture.
 ///
