@@ -93,9 +93,16 @@ impl OnlineEstimator {
         })
     }
 
-    /// The model with its effects and what is estimated so far.
+    /// What is believed of the robot: all that was learned, but for what came since the readings stood still, if the bend has moved since.
+    fn believed(&self) -> &Subject {
+        let before = self.before_standstill.as_ref().filter(|_| self.standstill.is_suspect());
+        before.map_or(&self.subject, |before| &before.subject)
+    }
+
+    /// The model with its effects and what is estimated so far. While readings stand still and the bend has moved, it is the model of
+    /// before: a few such measurements are enough for an estimator to start afresh on them, and fewer than tell that the encoders are stuck.
     pub fn model(&self) -> Model {
-        match &self.subject {
+        match self.believed() {
             Subject::Parameters(estimator) => self.start.with_estimate(estimator.model().estimate),
             Subject::Stem(stem) => Model { robot: stem.model().robot, ..self.start.clone() },
         }
@@ -103,7 +110,7 @@ impl OnlineEstimator {
 
     /// The stem's angle as it stands, where it is followed.
     pub fn stem(&self) -> Option<StemAngle> {
-        match &self.subject {
+        match self.believed() {
             Subject::Parameters(_) => None,
             Subject::Stem(stem) => Some(stem.angle()),
         }

@@ -281,6 +281,31 @@ mod tests {
     }
 
     #[test]
+    fn encoders_that_freeze_early_do_not_replace_what_little_is_known() {
+        for (seed, seconds) in (0..10).flat_map(|seed| [0.5, 1.0, 2.0, 4.0].map(|seconds| (10 * seed, seconds))) {
+            let mut bench = Bench { seed, ..Bench::new(vec![]) };
+            let plant = Bench::new(vec![]);
+            let (mut before, mut worst) = (f64::NAN, 0f64);
+            bench.go(seconds, false, |model, decided, gate| {
+                if decided.is_ok() {
+                    before = plant.error_mm(model);
+                    gate.publish(model.clone());
+                }
+            });
+            bench.go(5.0, true, |model, decided, gate| {
+                if decided.is_ok() {
+                    worst = worst.max(plant.error_mm(model));
+                    gate.publish(model.clone());
+                }
+            });
+            assert!(
+                before < 0.01 && worst < 0.01,
+                "{seconds} s, seed {seed}: {before} mm, {worst} mm once they were frozen"
+            );
+        }
+    }
+
+    #[test]
     fn nothing_is_published_while_the_gap_is_above_noise() {
         let mut bench = Bench::new(vec![Effect::parse("load_directed_backlash:play_mm=0.15").unwrap()]);
         let mut last = Ok(());

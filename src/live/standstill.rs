@@ -4,7 +4,6 @@ use super::publication::Sample;
 use crate::estimate::NEW_POSE;
 use crate::estimate::bend_covariance;
 use crate::observation::Measured;
-use crate::robot::PerBackbone;
 
 /// Readings stand still that change by no more than so many standard deviations of a difference of two.
 ///
@@ -23,8 +22,10 @@ const LEAST_MOVED: usize = 3;
 #[derive(Debug, Clone)]
 pub struct Standstill {
     still_mm: f64,
-    /// Where the readings stand, mm, and since when, s.
-    since: Option<(PerBackbone, f64)>,
+    /// The sample since which the readings stand still.
+    since: Option<Sample>,
+    /// Whether the bend has moved since, be it only because pictures come after their encoders.
+    is_suspect: bool,
     /// The bend once they had settled.
     settled: Option<Measured>,
     moved: usize,
@@ -34,22 +35,30 @@ impl Standstill {
     /// Before the first reading, of this standard deviation, mm.
     pub fn new(sd_encoder_mm: f64) -> Self {
         let still_mm = STILL_SDS * 2f64.sqrt() * sd_encoder_mm;
-        Self { still_mm, since: None, settled: None, moved: 0 }
+        Self { still_mm, since: None, is_suspect: false, settled: None, moved: 0 }
     }
 
     /// Takes the next sample, and says whether the readings have moved.
     pub fn add(&mut self, sample: &Sample) -> bool {
-        let Some((q_mm, since_s)) = self.since.filter(|(q_mm, _)| (sample.q_mm - *q_mm).amax() <= self.still_mm) else {
-            *self = Self { since: Some((sample.q_mm, sample.time_s)), settled: None, moved: 0, ..*self };
+        let is_still = |since: &Sample| (sample.q_mm - since.q_mm).amax() <= self.still_mm;
+        let Some(since) = self.since.filter(is_still) else {
+            *self = Self { since: Some(*sample), is_suspect: false, settled: None, moved: 0, ..*self };
             return true;
         };
         // A clock that was set back begins anew.
-        self.since = Some((q_mm, since_s.min(sample.time_s)));
+        let since_s = since.time_s.min(sample.time_s);
+        self.since = Some(Sample { time_s: since_s, ..since });
+        self.is_suspect |= has_moved(&since.measured, &sample.measured);
         if sample.time_s - since_s >= SETTLE_S {
             let settled = self.settled.get_or_insert(sample.measured);
             self.moved += usize::from(has_moved(settled, &sample.measured));
         }
         false
+    }
+
+    /// Whether the snake may have moved while the readings stood still: too early to tell, and too late to trust what is learned.
+    pub fn is_suspect(&self) -> bool {
+        self.is_suspect
     }
 
     /// Whether the snake moved while the readings stood still.
