@@ -5,6 +5,7 @@ use super::shared_state::SharedState;
 use crate::discover::{Bank, Followed};
 use crate::observation::{EncoderReading, Measurement};
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Samples that are handed to the bank at once.
@@ -32,8 +33,8 @@ pub struct BankWorker {
     shared: Arc<SharedState>,
     bank: SharedBank,
     waiting: VecDeque<(Measurement, EncoderReading)>,
-    /// Held by the thread that feeds the bank: one at a time, since samples go there in order.
-    at_work: Arc<()>,
+    /// Whether a thread feeds the bank: one at a time, since samples go there in order.
+    at_work: Arc<AtomicBool>,
     /// Whether its most probable structure accounts for the samples, when it was last asked.
     accounts: bool,
 }
@@ -62,15 +63,16 @@ impl BankWorker {
         self.waiting.push_back((measurement.clone(), *reading));
         let Ok(bank) = self.bank.try_lock() else { return };
         self.accounts = bank.as_ref().is_some_and(Bank::accounts_for_samples);
-        if bank.is_none() || self.waiting.len() < AT_ONCE || Arc::strong_count(&self.at_work) > 1 {
+        if bank.is_none() || self.waiting.len() < AT_ONCE || self.at_work.load(Ordering::Relaxed) {
             return;
         }
         drop(bank);
         let samples: Vec<_> = self.waiting.drain(..).collect();
-        let (shared, bank, held) = (Arc::clone(&self.shared), self.bank(), Arc::clone(&self.at_work));
+        self.at_work.store(true, Ordering::Relaxed);
+        let (shared, bank, at_work) = (Arc::clone(&self.shared), self.bank(), Arc::clone(&self.at_work));
         std::thread::spawn(move || {
             on_one_thread(|| follow(&shared, &bank, &samples));
-            drop(held);
+            at_work.store(false, Ordering::Relaxed);
         });
     }
 
@@ -162,7 +164,7 @@ mod tests {
         for k in 100..100 + 2 * AT_ONCE {
             worker.add(&measurements[k], &readings[k]);
             if (k + 1) % AT_ONCE == 0 {
-                after = wait_until(&|state| is_as_of(state, k) && Arc::strong_count(&worker.at_work) == 1);
+                after = wait_until(&|state| is_as_of(state, k) && !worker.at_work.load(Ordering::Relaxed));
             }
         }
         assert!(is_as_of(&shared.state(), 119), "{after:?}");
