@@ -10,14 +10,17 @@
 //! Kulhavý and Zarrop 1993, On a general concept of forgetting, Int. J. Control 58:905 (forgetting towards what was known before).
 
 use super::data::Data;
+use super::discovery::Discovery;
 use super::fit::{LOSS, scales};
 use super::noise::Noise;
 use super::posterior::Candidate;
 use super::residuals::{Problem, Residual};
 use super::structure::mean_square_quantile;
+use super::verdict::Verdict;
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
 use crate::robot::effects::{ParameterSpec, RIG_ERROR};
+use crate::statistics::moments::mean;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -50,6 +53,9 @@ pub struct Bank {
     index: u64,
     /// Mean square of the leading member's whitened innovations, over the memory.
     mean_square: f64,
+    /// How many samples say as much as one would that hangs together with no other: 1 where noise is all that is left, more where a discrepancy
+    /// is, which is alike from one sample to the next.
+    design_effect: f64,
 }
 
 /// One structure with the filter of its numbers.
@@ -132,8 +138,23 @@ impl fmt::Display for Moved {
 }
 
 impl Bank {
-    /// Begins with what a discovery left open of these samples, and the noise that it learned. `None` where it left nothing to follow.
-    pub fn new(structures: &[Candidate], noise: &Noise, data: &Data) -> Option<Self> {
+    /// Begins with what a discovery left open of its samples. Of a partial answer that is its model, beside the discrepancy that it leaves.
+    /// `None` where nothing is left to follow, as of `unexplained`.
+    pub fn new(found: &Discovery, data: &Data) -> Option<Self> {
+        if found.verdict != Verdict::Partly {
+            return Self::of(&found.structures, &found.noise, data);
+        }
+        let effects = found.named.iter().map(|named| named.physics.name).collect();
+        let mut bank =
+            Self::of(&[Candidate { effects, probability: 1.0, model: found.model.clone() }], &found.noise, data)?;
+        let (time_s, design_effect) =
+            (data.times_s.last().copied()?, bank.leading().design_effect(&found.model.covariance()));
+        bank.members.iter_mut().for_each(|member| member.told = member.known(time_s, design_effect));
+        Some(Self { design_effect, ..bank })
+    }
+
+    /// Of these structures and this noise, with which samples do not hang together.
+    fn of(structures: &[Candidate], noise: &Noise, data: &Data) -> Option<Self> {
         let leading = structures.first()?;
         let problem = Problem::new(data, noise, &leading.model);
         let time_s = data.times_s.last().copied()?;
@@ -147,7 +168,7 @@ impl Bank {
             members.push(Member::new(&problem, &ruled_out, time_s));
         }
         let (noise, index) = (Noise { unknown_start: 0, ..*noise }, data.indices.last().copied()?);
-        Some(Self { members, noise, recent: data.clone(), index, mean_square: 1.0 })
+        Some(Self { members, noise, recent: data.clone(), index, mean_square: 1.0, design_effect: 1.0 })
     }
 
     /// Takes the samples that came since, and says which numbers of the most probable structure have moved.
@@ -167,8 +188,8 @@ impl Bank {
             self.weigh(&scores);
         }
         self.recent = recent;
-        let leading = self.leading_place();
-        self.members[leading].moved(time_s)
+        let (leading, design_effect) = (self.leading_place(), self.design_effect);
+        self.members[leading].moved(time_s, design_effect)
     }
 
     /// Index of the latest reading that it knows.
@@ -179,13 +200,14 @@ impl Bank {
     /// Whether the most probable structure has effects, and leaves nothing but noise of the samples of its memory.
     pub fn accounts_for_samples(&self) -> bool {
         // A mean with weights that fall exponentially is as good as one of twice the memory.
-        let freedom = 2.0 * MEMORY * self.leading().model.robot.backbone_count() as f64;
+        let freedom = 2.0 * MEMORY * self.leading().model.robot.backbone_count() as f64 / self.design_effect;
         !self.leading().effects.is_empty() && self.mean_square < mean_square_quantile(freedom)
     }
 
     /// The structures as they stand, the most probable first.
     pub fn structures(&self) -> Vec<Followed> {
-        let mut structures: Vec<Followed> = self.members.iter().map(Member::followed).collect();
+        let mut structures: Vec<Followed> =
+            self.members.iter().map(|member| member.followed(self.design_effect)).collect();
         structures.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         structures
     }
@@ -204,7 +226,7 @@ impl Bank {
     fn weigh(&mut self, scores: &[Score]) {
         let kept = 1.0 - 1.0 / MEMORY;
         let after = |(member, score): (&Member, &Score)| {
-            kept * member.ln_probability + (1.0 - kept) * member.ln_given + score.ln_density
+            kept * member.ln_probability + (1.0 - kept) * member.ln_given + score.ln_density / self.design_effect
         };
         let after: Vec<f64> = self.members.iter().zip(scores).map(after).collect();
         let best = after.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -235,7 +257,7 @@ impl Member {
             ln_given: ln_probability,
             told: Vec::new(),
         };
-        member.told = member.known(time_s);
+        member.told = member.known(time_s, 1.0);
         member
     }
 
@@ -293,10 +315,17 @@ impl Member {
         Score { ln_density: -0.5 * cost - ln_volume, mean_square: white.norm_squared() / white.len() as f64 }
     }
 
+    /// How many times as large the variances of another covariance of its numbers are as those of its own, in the mean; at least once.
+    fn design_effect(&self, covariance: &DMatrix<f64>) -> f64 {
+        let own = self.covariance.diagonal().component_mul(&scales(&self.model).map(|scale| scale * scale));
+        let ratios = covariance.diagonal().component_div(&own);
+        mean(ratios.iter().copied().filter(|ratio| ratio.is_finite())).max(1.0)
+    }
+
     /// What is known of each number.
-    fn known(&self, time_s: f64) -> Vec<Known> {
-        let sds =
-            self.covariance.diagonal().map(|variance| variance.max(0.0).sqrt()).component_mul(&scales(&self.model));
+    fn known(&self, time_s: f64, design_effect: f64) -> Vec<Known> {
+        let sds = self.covariance.diagonal().map(|variance| (variance.max(0.0) * design_effect).sqrt());
+        let sds = sds.component_mul(&scales(&self.model));
         let values = self.model.parameter_values();
         values.into_iter().zip(sds.iter()).map(|(value, &sd)| Known { value, sd, time_s }).collect()
     }
@@ -312,10 +341,10 @@ impl Member {
     }
 
     /// Its numbers that have moved since it was said where they are, which is hereby said.
-    fn moved(&mut self, time_s: f64) -> Vec<Moved> {
+    fn moved(&mut self, time_s: f64, design_effect: f64) -> Vec<Moved> {
         let (names, specs, of_rig) = (self.model.parameter_names(), self.model.parameter_specs(), self.of_rig());
         let mut moved = Vec::new();
-        for (j, now) in self.known(time_s).into_iter().enumerate() {
+        for (j, now) in self.known(time_s, design_effect).into_iter().enumerate() {
             let before = self.told[j];
             if of_rig[j] || (now.value - before.value).abs() <= MOVED_SIGMAS * now.sd.hypot(before.sd) {
                 continue;
@@ -328,9 +357,9 @@ impl Member {
         moved
     }
 
-    fn followed(&self) -> Followed {
+    fn followed(&self, design_effect: f64) -> Followed {
         let (names, specs) = (self.model.parameter_names(), self.model.parameter_specs());
-        let numbers = self.known(0.0).into_iter().zip(&specs);
+        let numbers = self.known(0.0, design_effect).into_iter().zip(&specs);
         let numbers = numbers.map(|(known, spec)| Number { value: known.value, sd: known.sd, unit: spec.unit });
         let named = names.into_iter().zip(numbers).zip(self.of_rig());
         let parameters = named.filter(|(_, of_rig)| !of_rig).map(|(named, _)| named).collect();
@@ -341,6 +370,7 @@ impl Member {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::discover::discover;
     use crate::discover::fixture::{SD_ENCODER_MM, truth};
     use crate::observation::Waypoint;
     use crate::robot::Effect;
@@ -389,7 +419,7 @@ mod tests {
             Candidate { effects: names, probability: 1.0 / structures.len() as f64, model }
         };
         let candidates: Vec<Candidate> = structures.iter().map(candidate).collect();
-        Bank::new(&candidates, &noise, &data).unwrap()
+        Bank::of(&candidates, &noise, &data).unwrap()
     }
 
     /// What a bank says as it takes the samples after the discovery, so many at a time.
@@ -492,6 +522,28 @@ mod tests {
             assert!((1..=3).contains(&told.len()), "{told:?}");
             // What grows steadily is followed at a distance of a memory of it, 0.005 mm.
             assert!((0.0..0.006).contains(&(truth - is.value)), "{is:?}");
+        }
+    }
+
+    /// A play, and a pull of one actuator on the next that no library has.
+    #[test]
+    fn a_partial_answer_is_followed_beside_what_it_leaves() {
+        let batch = 300;
+        for seed in 0..3 {
+            let mut log = log(|_| vec!["play_at_bend:half_gap_mm=0.15".to_owned()], batch + 300, seed);
+            log.1.iter_mut().for_each(|reading| reading.q_mm[0] += 0.02 * reading.q_mm[1].abs().powi(3));
+            let data = Data::new(&log.0[..batch], &log.1[..batch], SD_ENCODER_MM).unwrap();
+            let found = discover(&truth(), &data);
+            assert_eq!(found.verdict, Verdict::Partly);
+            let mut bank = Bank::new(&found, &data).unwrap();
+            // As uncertain as the discovery says, which knows that what is left hangs together.
+            let lambda_mm = bank.structures()[0].parameters["lambda_mm"];
+            let sd_mm = found.model.estimate.unwrap().sd_lambda_mm();
+            assert!(bank.design_effect > 2.0 && (0.5..2.0).contains(&(lambda_mm.sd / sd_mm)), "{lambda_mm:?} {sd_mm}");
+            let later = log.0[batch..].chunks(20).zip(log.1[batch..].chunks(20));
+            let told: Vec<Moved> = later.flat_map(|(measured, readings)| bank.add(measured, readings)).collect();
+            assert!(told.is_empty(), "{told:?}");
+            assert!(bank.accounts_for_samples() && bank.structures()[0].probability > 0.99, "{:?}", bank.structures());
         }
     }
 

@@ -64,7 +64,7 @@ impl DiscoveryWorker {
                 let data = Data::new(&measurements, &readings, sd_encoder_mm)?;
                 let found = discover_in_frames(model, &data, &|_| ());
                 write(&output, &found)?;
-                let bank = Bank::new(&found.structures, &found.noise, &data);
+                let bank = Bank::new(&found, &data);
                 Ok((found, bank))
             });
             let mut bank = bank.lock().unwrap_or_else(PoisonError::into_inner);
