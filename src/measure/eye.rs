@@ -58,6 +58,10 @@ const ALTERNATIVE_COST_RATIO: f64 = 2.0;
 ///
 /// Convention: five times what they have converged to.
 pub(super) const SAME_MINIMUM_RAD: f64 = 5e-3;
+/// How often the better of a bend and its mirrored solution is tried in its place.
+///
+/// Convention: an iteration cap; once is nearly always enough, and twice was seen.
+const MIRRORED_AGAIN: usize = 3;
 /// How far the snake's outline may move between two frames of a tracked sequence, px.
 ///
 /// Convention: a snake that moves further is searched everywhere, which takes longer but costs no accuracy.
@@ -126,6 +130,15 @@ struct Attempt {
     mirrored: Option<BendFit>,
     /// Its fit in the fine stage.
     finest: Option<BendFit>,
+}
+
+impl Attempt {
+    /// The mirrored solution, where it is another minimum and the better one.
+    fn better_mirrored(&self) -> Option<&BendFit> {
+        let Self { minimum, mirrored, .. } = self;
+        let is_another = |other: &BendFit| (other.bend() - minimum.bend()).norm() > SAME_MINIMUM_RAD;
+        mirrored.as_ref().filter(|other| is_another(other) && other.cost < minimum.cost)
+    }
 }
 
 /// The verdict on a frame, and the fits that it is drawn from.
@@ -290,7 +303,7 @@ impl Eye {
     }
 
     pub(super) fn mirrored(&self, bend: Vector2<f64>) -> Vector2<f64> {
-        mirrored(bend, &self.rig.camera_from_base)
+        mirrored(bend, &self.projection())
     }
 
     pub(super) fn fit(&self, finder: &EdgeFinder, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
@@ -368,48 +381,47 @@ impl Eye {
         let Some(best) = fits.first() else { return Selection::without_fine_fit(fits, known) };
         let known = known.filter(|known| known.minimum.is_same_fit(best));
         let attempt = known.unwrap_or_else(|| self.attempt(best, finder, fine));
-        let Attempt { mirrored, finest, .. } = attempt.clone();
-        // The mirrored solution is seldom the better one, from which the fine stage then starts anew.
-        let is_another = |mirrored: &&BendFit| (mirrored.bend() - best.bend()).norm() > SAME_MINIMUM_RAD;
-        let better = mirrored.as_ref().filter(is_another).filter(|mirrored| mirrored.cost < best.cost);
-        let finest = better.map_or(finest, |mirrored| self.fit_fine(finder, mirrored.start(), fine));
-        let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
-        let Some(mut best) = finest else { return Selection::without_fine_fit(fits, Some(attempt)) };
-        if let Some(other) = self.beyond_edge_on(&best, finder, fine) {
-            best = best.or_edge_on(other);
+        let (mut last, mut mirrored) = (attempt.clone(), Vec::new());
+        // The mirrored solution is seldom the better one. It is then tried itself, with a mirrored solution of its own, which need not be where
+        // the fit before it ended.
+        for _ in 0..MIRRORED_AGAIN {
+            let Some(better) = last.better_mirrored().cloned() else { break };
+            mirrored.extend(last.mirrored.take());
+            last = self.attempt(&better, finder, fine);
         }
+        mirrored.extend(last.mirrored);
+        let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
+        let Some(mut best) = last.finest else { return Selection::without_fine_fit(fits, Some(attempt)) };
         let diameter_px = self.projection().diameter_px();
         let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, diameter_px);
         let alternatives = fits[1..].iter().filter(|other| other.cost <= ALTERNATIVE_COST_RATIO * fits[0].cost);
         let (mut has_alternative, mut doubt) = (false, None);
-        let of_other_bends = alternatives.filter_map(|other| self.fit_fine(finder, other.start(), fine));
-        // From a shape that the sequence told a fit starts in the right minimum.
-        let has_any_shape = best.contradicts_shape && !self.rig.is_shape_known();
-        let shapes = has_any_shape.then(|| best.shapes_beside(&self.rig.camera_from_base));
-        let of_other_shapes = shapes.into_iter().flatten().filter_map(|start| self.fit_any_shape(finder, start, fine));
         // An alternative may end at the same bend in the fine stage, or prove to be worse.
-        let of_other_bends = of_other_bends.map(|other| (other, Status::Ambiguous));
-        for (other, status) in of_other_bends.chain(of_other_shapes.map(|other| (other, Status::UnknownShape))) {
+        let mut weigh = |best: BendFit, other: BendFit, status: Status| {
             let compared = compare(&other, &best);
             has_alternative |= compared != Alternative::Worse;
             match compared {
-                Alternative::EdgeOn => best = best.or_edge_on(other),
-                Alternative::AsGood if compare(&best, &other) == Alternative::Worse => best = other,
-                Alternative::AsGood if other.has_likelier_shape_than(&best) => best = other,
+                Alternative::EdgeOn => return best.or_edge_on(other),
+                Alternative::AsGood if compare(&best, &other) == Alternative::Worse => return other,
+                Alternative::AsGood if other.has_likelier_shape_than(&best) => return other,
                 Alternative::AsGood if !best.has_likelier_shape_than(&other) => _ = doubt.get_or_insert(status),
                 Alternative::AsGood | Alternative::Worse => {}
+            }
+            best
+        };
+        for other in alternatives.filter_map(|other| self.fit_fine(finder, other.start(), fine)) {
+            best = weigh(best, other, Status::Ambiguous);
+        }
+        // From a shape that the sequence told a fit starts in the right minimum.
+        if best.contradicts_shape && !self.rig.is_shape_known() {
+            for start in best.shapes_beside(&self.projection()) {
+                if let Some(other) = self.fit_any_shape(finder, start, fine) {
+                    best = weigh(best, other, Status::UnknownShape);
+                }
             }
         }
         fits[0] = best;
         Selection { fits, has_fine_fit: true, has_alternative, attempt: Some(attempt), doubt }
-    }
-
-    /// The fit of the other local minimum of a snake whose last disk is seen edge-on, if there is one.
-    fn beyond_edge_on(&self, best: &BendFit, finder: &EdgeFinder, fine: &FitSchedule) -> Option<BendFit> {
-        let view = self.projection();
-        let other = self.fit(finder, best.beyond_edge_on(&view)?, &REFINEMENT.beside(best))?;
-        // One that came back over the edge is on its way to the same minimum.
-        other.is_tilted_unlike(best, &view).then(|| self.fit_fine(finder, other.start(), fine)).flatten()
     }
 
     /// The measurement of a fit that can be believed, or why it cannot.

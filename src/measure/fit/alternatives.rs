@@ -3,7 +3,7 @@
 //! The picture of one camera hardly tells towards it from away from it, so that a fit has local minima: the mirrored solution, and
 //! bends whose disks fall on their neighbours' places. Two fits are compared by their cost and by the scatter of their edges.
 
-use super::bend::{BendFit, Start};
+use super::bend::{BendFit, ProfileCovariance, Start};
 use super::state::State;
 use crate::geometry::Pose;
 use crate::measure::body::Projection;
@@ -55,6 +55,18 @@ const TIP_TURN_RAD: f64 = 0.05;
 ///
 /// Convention: far below what a tilt changes over, far above rounding.
 const TILT_STEP_RAD: f64 = 1e-4;
+/// Steps of Newton's method to a mirrored bend.
+///
+/// Convention: an iteration cap; two leave less than any fit needs to be near to its end.
+const MIRRORING_STEPS: usize = 3;
+/// The least change of the last disk's tilt with the tip's bend.
+///
+/// Derived: the cosine of 75°; beyond that angle to the picture's plane the disk is seen from the front, and no bend near by looks alike.
+const LEAST_TILT_SLOPE: f64 = 0.26;
+/// How far a mirrored bend may be from where it would be for a camera far away, rad.
+///
+/// Derived: twice the 15° at which a camera may see the tip beside the base: the snake is then as long as half the picture's distance.
+const FURTHEST_FROM_AFAR_RAD: f64 = 0.5;
 /// Of two fits that explain a picture as well, the one nearer to an arc is taken if its shape is this many times as likely.
 ///
 /// Convention: odds of 20 to 1, the usual 5 % of a wrong decision.
@@ -101,30 +113,15 @@ impl BendFit {
     /// The picture hardly tells how far the last disk is turned about an axis across the line of sight: towards the camera and away from it
     /// look alike, and so do some turns by few degrees. The rest of the profile moves with the tip as the covariance says, which leaves all
     /// but the last disk where it is.
-    pub fn shapes_beside(&self, camera_from_base: &Pose) -> [Start; 3] {
-        let depth = depth_direction(camera_from_base);
+    pub fn shapes_beside(&self, view: &Projection) -> [Start; 4] {
+        let depth = depth_direction(&view.camera_from_base);
         let by_depth = self.covariance.fixed_columns::<2>(0) * depth;
         let moved_rad = depth.dot(&by_depth.fixed_rows::<2>(0));
         let turned = |by_rad: f64| self.profile.stepped((by_depth * (by_rad / moved_rad)).as_slice());
-        let mirrored = BendProfile { tip: mirrored(self.bend(), camera_from_base), ..self.profile };
-        [mirrored, turned(TIP_TURN_RAD), turned(-TIP_TURN_RAD)]
+        let mirrored_rad = mirroring_turn(view, self.profile);
+        let mirrored = turned_in_depth(self.profile, view, mirrored_rad);
+        [mirrored, turned(mirrored_rad), turned(TIP_TURN_RAD), turned(-TIP_TURN_RAD)]
             .map(|profile| Start { state: State { profile, bias: self.bias }, ..self.start() })
-    }
-
-    /// Where the fit of a snake whose last disk is seen edge-on may go on to the other side: there is a second local minimum, in which that disk is
-    /// tilted the other way by as much. `None` where the two would be too far apart to be taken for each other.
-    pub fn beyond_edge_on(&self, view: &Projection) -> Option<Start> {
-        let depth = depth_direction(&view.camera_from_base);
-        let moved = |by_rad: f64| BendProfile { tip: self.bend() + depth * by_rad, ..self.profile };
-        let tilt = |by_rad: f64| tip_tilt(view, moved(by_rad));
-        let turn_rad = -2.0 * tilt(0.0) / ((tilt(TILT_STEP_RAD) - tilt(-TILT_STEP_RAD)) / (2.0 * TILT_STEP_RAD));
-        let state = State { profile: moved(turn_rad), bias: self.bias };
-        (turn_rad.abs() < EDGE_ON_RAD).then(|| Start { state, ..self.start() })
-    }
-
-    /// Whether the last disk is tilted to the other side of edge-on than in another fit.
-    pub fn is_tilted_unlike(&self, other: &Self, view: &Projection) -> bool {
-        tip_tilt(view, self.profile) * tip_tilt(view, other.profile) < 0.0
     }
 
     /// −ln of the density of the modes, but for a constant.
@@ -137,17 +134,27 @@ impl BendFit {
     }
 
     /// The better of two fits of a snake seen edge-on. If the other one is as good, the one whose shape is much likelier is the better one,
-    /// and the covariance contains the doubt between them: the variance of two equally likely values.
+    /// and the covariance contains the doubt between them: the variance of two equally likely values. Of several such fits those furthest apart
+    /// count, however often and in whatever order each is met.
     pub fn or_edge_on(self, other: Self) -> Self {
         let apart = SVector::from(self.profile.to_array()) - SVector::from(other.profile.to_array());
-        let (mut better, worse) = if other.cost < self.cost { (other, self) } else { (self, other) };
+        let (mut better, mut worse) = if other.cost < self.cost { (other, self) } else { (self, other) };
         if worse.cost < COST_RATIO * better.cost {
             if worse.has_likelier_shape_than(&better) {
-                better = worse;
+                (better, worse) = (worse, better);
             }
-            better.covariance += apart * apart.transpose() / 4.0;
+            better.doubt_as_much_as(worse.doubt);
+            better.doubt_as_much_as(apart * apart.transpose() / 4.0);
         }
         better
+    }
+
+    /// Makes the covariance contain at least this doubt.
+    fn doubt_as_much_as(&mut self, doubt: ProfileCovariance) {
+        if doubt.trace() > self.doubt.trace() {
+            self.covariance += doubt - self.doubt;
+            self.doubt = doubt;
+        }
     }
 
     /// Whether the fit explains all of the outline, with every disk visible, so that no other bend needs to be tried.
@@ -183,11 +190,34 @@ pub(crate) fn distinct(mut fits: Vec<BendFit>, apart_rad: f64) -> Vec<BendFit> {
     kept
 }
 
-/// The bend whose outline is nearly the same for a camera at this pose: mirrored in the plane through the snake's axis that is
-/// perpendicular to the line of sight.
-pub(crate) fn mirrored(bend: Vector2<f64>, camera_from_base: &Pose) -> Vector2<f64> {
-    let depth = depth_direction(camera_from_base);
-    bend - 2.0 * depth * depth.dot(&bend)
+/// The bend whose outline is nearly the same: its last disk is tilted towards the camera by as much as that of this bend is tilted away.
+pub(crate) fn mirrored(bend: Vector2<f64>, view: &Projection) -> Vector2<f64> {
+    bend + depth_direction(&view.camera_from_base) * mirroring_turn(view, BendProfile::arc(bend))
+}
+
+/// By how much the tip's bend must change along the line of sight, rad, for the last disk to be tilted the other way by as much.
+///
+/// From afar that is to mirror the bend in the plane through the snake's axis that is perpendicular to the line of sight. A camera sees the tip along
+/// a line of its own, some degrees from that to the base, which counts where the bend is small. By Newton's method; where the tip points nearly
+/// along the line of sight, so that its tilt hardly changes, the mirrored bend has to do.
+fn mirroring_turn(view: &Projection, profile: BendProfile) -> f64 {
+    let tilt = |by_rad: f64| tip_tilt(view, turned_in_depth(profile, view, by_rad));
+    let from_afar_rad = -2.0 * depth_direction(&view.camera_from_base).dot(&profile.tip);
+    let mut turn_rad = from_afar_rad;
+    for _ in 0..MIRRORING_STEPS {
+        let slope = (tilt(turn_rad + TILT_STEP_RAD) - tilt(turn_rad - TILT_STEP_RAD)) / (2.0 * TILT_STEP_RAD);
+        turn_rad -= (tilt(turn_rad) + tilt(0.0)) / slope;
+        if !(slope > LEAST_TILT_SLOPE && (turn_rad - from_afar_rad).abs() < FURTHEST_FROM_AFAR_RAD) {
+            return from_afar_rad;
+        }
+    }
+    turn_rad
+}
+
+/// The profile with another bend of the tip along the line of sight.
+fn turned_in_depth(profile: BendProfile, view: &Projection, by_rad: f64) -> BendProfile {
+    let depth = depth_direction(&view.camera_from_base);
+    BendProfile { tip: profile.tip + depth * by_rad, modes: profile.modes }
 }
 
 /// By how much the snake's tip points away from the camera, rad: zero where its last disk is seen edge-on.
@@ -200,4 +230,40 @@ fn tip_tilt(view: &Projection, profile: BendProfile) -> f64 {
 fn depth_direction(camera_from_base: &Pose) -> Vector2<f64> {
     let sight = camera_from_base.inverse() * camera_from_base.translation.vector;
     sight.xy().normalize()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measure::fixture::Scene;
+
+    /// Bends to all sides, up to 55°.
+    fn bends() -> impl Iterator<Item = Vector2<f64>> {
+        let at = |k: u32| 0.3 * f64::from(k) - 1.2;
+        (0..81).map(move |k| Vector2::new(at(k / 9), at(k % 9))).filter(|bend| bend.norm() < 1.0)
+    }
+
+    #[test]
+    fn a_mirrored_bend_tilts_the_last_disk_the_other_way() {
+        for turn in [Vector3::zeros(), Vector3::new(0.05, -0.1, 0.0), Vector3::new(-0.1, 0.1, 0.1)] {
+            let scene = Scene::new(turn);
+            let view = scene.view();
+            for bend in bends() {
+                let mirrored_bend = mirrored(bend, &view);
+                let [tilt, mirrored_tilt] = [bend, mirrored_bend].map(|bend| tip_tilt(&view, BendProfile::arc(bend)));
+                assert!((tilt + mirrored_tilt).abs() < 1e-4, "{bend}: {tilt} and {mirrored_tilt} rad");
+                assert!((mirrored(mirrored_bend, &view) - bend).norm() < 1e-3, "{bend}");
+            }
+        }
+    }
+
+    #[test]
+    fn from_afar_a_bend_is_mirrored_in_the_plane_across_the_line_of_sight() {
+        let mut scene = Scene::new(Vector3::zeros());
+        scene.camera_from_base = Pose::from_parts(Vector3::new(0.0, 0.0, 1e7).into(), scene.camera_from_base.rotation);
+        for bend in bends() {
+            let plain = Vector2::new(bend.x, -bend.y);
+            assert!((mirrored(bend, &scene.view()) - plain).norm() < 1e-5, "{bend}");
+        }
+    }
 }

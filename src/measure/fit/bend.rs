@@ -69,6 +69,8 @@ pub(crate) struct BendFit {
     /// Covariance of the profile's numbers from this picture alone, rad²; zero of a fit of the coarse stages, which nothing is drawn from
     /// but where to go on.
     pub covariance: ProfileCovariance,
+    /// What of the covariance is doubt between this fit and others of the same snake seen edge-on, rad².
+    pub doubt: ProfileCovariance,
     /// Change of the profile's numbers with the camera's pose (see [`perturbed`](crate::geometry::perturbed)); zero of a coarse fit as well.
     pub by_pose: SMatrix<f64, PROFILE, 6>,
     /// The number of edges that agree with the model.
@@ -321,6 +323,7 @@ impl<'a> Fitting<'a> {
             profile: self.state.profile,
             bias: self.state.bias,
             covariance,
+            doubt: ProfileCovariance::zeros(),
             by_pose,
             inliers,
             rms_px,
@@ -507,7 +510,7 @@ mod tests {
         // Bent towards the side and away from the camera; how far away a nearly straight one leans is not visible at low resolution.
         for bend in [Vector2::new(0.6, 0.35), Vector2::new(-0.2, 1.1)] {
             let candidates = search.candidates(&picture(&scene, bend), false, 3);
-            let mirrored = mirrored(bend, &scene.camera_from_base);
+            let mirrored = mirrored(bend, &scene.view());
             let nearest = candidates.iter().map(|c| (c - bend).norm().min((c - mirrored).norm()));
             let nearest = nearest.fold(f64::INFINITY, f64::min);
             // The lattice leaves 2.3°, and the next point of it may have a little more contrast.
