@@ -11,12 +11,13 @@
 //!    as well.
 //! 6. Verdict: the status, and for [`Status::Ok`] the bend with its covariance, to which the rig's uncertainty is added.
 
+use super::selection::{Attempt, Selection};
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    Alternative, BendFit, CoarseSearch, EDGE_ON_RAD, EdgeFinder, FitSchedule, POSE_VARIANCE, PartVisibility,
-    ProfileCovariance, Start, State, distinct, fit_bend, mirrored,
+    BendFit, CoarseSearch, EdgeFinder, FitSchedule, POSE_VARIANCE, PartVisibility, ProfileCovariance, Start, State,
+    fit_bend, mirrored,
 };
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
@@ -43,25 +44,16 @@ pub(super) const REFINEMENT: FitSchedule = FitSchedule {
     hopeless_cost: f64::INFINITY,
 };
 /// Both in one, from a start that is close: the last frame's bend, or a mirrored solution.
-const COARSE_TO_REFINED: FitSchedule = FitSchedule { searches_px: &[14.0, 6.0, 3.0], ..REFINEMENT };
+pub(super) const COARSE_TO_REFINED: FitSchedule = FitSchedule { searches_px: &[14.0, 6.0, 3.0], ..REFINEMENT };
 /// The fine stage.
 const FINE: FitSchedule = FitSchedule { searches_px: &[3.0], rounds: 9, is_fine: true, ..REFINEMENT };
 /// The fine stage of a tracked sequence, which must keep up with the camera: another round would change the bend by a hundredth of a
 /// degree.
 const TRACKED_FINE: FitSchedule = FitSchedule { rounds: 1, ..FINE };
-/// An alternative is fitted in the fine stage if its cost is at most this many times the best one's.
-///
-/// Derived: the 1.5 times from which on it is worse, and a third more: the stages so far search fewer points, and two ways to the same bend
-/// were seen to end with costs of 0.0125 and 0.0164.
-const ALTERNATIVE_COST_RATIO: f64 = 2.0;
 /// Refined fits that end within this distance of each other, rad, are one local minimum.
 ///
 /// Convention: five times what they have converged to.
 pub(super) const SAME_MINIMUM_RAD: f64 = 5e-3;
-/// How often the better of a bend and its mirrored solution is tried in its place.
-///
-/// Convention: an iteration cap; once is nearly always enough, and twice was seen.
-const MIRRORED_AGAIN: usize = 3;
 /// How far the snake's outline may move between two frames of a tracked sequence, px.
 ///
 /// Convention: a snake that moves further is searched everywhere, which takes longer but costs no accuracy.
@@ -121,26 +113,6 @@ pub(super) struct MeasurementStages {
     pub measurement: FrameMeasurement,
 }
 
-/// What a minimum leads to.
-#[derive(Clone)]
-struct Attempt {
-    /// Where it starts.
-    minimum: BendFit,
-    /// The fit of its mirrored solution, where that is not hopeless beside it.
-    mirrored: Option<BendFit>,
-    /// Its fit in the fine stage.
-    finest: Option<BendFit>,
-}
-
-impl Attempt {
-    /// The mirrored solution, where it is another minimum and the better one.
-    fn better_mirrored(&self) -> Option<&BendFit> {
-        let Self { minimum, mirrored, .. } = self;
-        let is_another = |other: &BendFit| (other.bend() - minimum.bend()).norm() > SAME_MINIMUM_RAD;
-        mirrored.as_ref().filter(|other| is_another(other) && other.cost < minimum.cost)
-    }
-}
-
 /// The verdict on a frame, and the fits that it is drawn from.
 struct Conclusion {
     /// The local minima, best first.
@@ -158,27 +130,6 @@ impl Conclusion {
     fn is_certain(&self) -> bool {
         let is_unrivalled = self.fits.first().is_some_and(BendFit::is_unrivalled);
         self.measurement.status == Status::Ok && is_unrivalled && !self.has_alternative
-    }
-}
-
-/// The outcome of the selection among local minima.
-struct Selection {
-    /// The local minima, best first.
-    fits: Vec<BendFit>,
-    /// Whether there is a first and its fit in the fine stage succeeded.
-    has_fine_fit: bool,
-    /// Whether another of them was no worse in the fine stage than the best one so far.
-    has_alternative: bool,
-    /// What the best minimum led to.
-    attempt: Option<Attempt>,
-    /// Why the first is not to be relied on, if another one explains the picture as well: another bend, or the same snake of another shape.
-    doubt: Option<Status>,
-}
-
-impl Selection {
-    /// None of these minima has a fit in the fine stage.
-    fn without_fine_fit(fits: Vec<BendFit>, attempt: Option<Attempt>) -> Self {
-        Self { fits, has_fine_fit: false, has_alternative: false, attempt, doubt: None }
     }
 }
 
@@ -310,25 +261,6 @@ impl Eye {
         fit_bend(&self.projection(), finder, start, self.rig.prior(), schedule)
     }
 
-    /// The fit in the fine stage; with any shape where the picture contradicts what is known of the snake's.
-    fn fit_fine(&self, finder: &EdgeFinder, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
-        let fit = self.fit(finder, start, schedule)?;
-        if !fit.contradicts_shape {
-            return Some(fit);
-        }
-        self.fit_any_shape(finder, fit.start(), schedule).or(Some(fit))
-    }
-
-    /// The fit in the fine stage of a snake that may have any shape.
-    fn fit_any_shape(&self, finder: &EdgeFinder, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
-        let (view, any_shape) = (self.projection(), self.rig.prior().of_any_shape());
-        // Edges may lie further from the wrong shape than the fine stage searches.
-        let refined = fit_bend(&view, finder, start, any_shape, &COARSE_TO_REFINED)?;
-        let mut fit = fit_bend(&view, finder, refined.start(), any_shape, schedule)?;
-        fit.contradicts_shape = true;
-        Some(fit)
-    }
-
     /// Selects among the minima and gives the verdict on the best, beside the check of whether camera, base and target are where the
     /// rig says. What an `earlier` conclusion on fewer minima of this frame found out is not found out again.
     fn conclude(
@@ -356,72 +288,6 @@ impl Eye {
             measurement = FrameMeasurement::failed(status, measurement.quality);
         }
         Conclusion { fits, has_alternative, attempt, drift, measurement }
-    }
-
-    /// Fits a minimum in the fine stage, and beside it its mirrored solution.
-    fn attempt(&self, minimum: &BendFit, finder: &EdgeFinder, fine: &FitSchedule) -> Attempt {
-        let bend = self.mirrored(minimum.bend());
-        let is_close = (bend - minimum.bend()).norm() < EDGE_ON_RAD;
-        let schedule = if is_close { REFINEMENT } else { COARSE_TO_REFINED };
-        let mirrored = || self.fit(finder, self.start(bend), &schedule.beside(minimum));
-        // The longer of both is begun at once; the other waits for a free core.
-        let (finest, mirrored) = rayon::join(|| self.fit_fine(finder, minimum.start(), fine), mirrored);
-        Attempt { minimum: minimum.clone(), mirrored, finest }
-    }
-
-    /// Fits the best of some local minima in the fine stage, and finds out whether another one explains the picture as well.
-    fn select(
-        &self,
-        minima: Vec<BendFit>,
-        known: Option<Attempt>,
-        finder: &EdgeFinder,
-        fine: &FitSchedule,
-    ) -> Selection {
-        let fits = distinct(minima, SAME_MINIMUM_RAD);
-        let Some(best) = fits.first() else { return Selection::without_fine_fit(fits, known) };
-        let known = known.filter(|known| known.minimum.is_same_fit(best));
-        let attempt = known.unwrap_or_else(|| self.attempt(best, finder, fine));
-        let (mut last, mut mirrored) = (attempt.clone(), Vec::new());
-        // The mirrored solution is seldom the better one. It is then tried itself, with a mirrored solution of its own, which need not be where
-        // the fit before it ended.
-        for _ in 0..MIRRORED_AGAIN {
-            let Some(better) = last.better_mirrored().cloned() else { break };
-            mirrored.extend(last.mirrored.take());
-            last = self.attempt(&better, finder, fine);
-        }
-        mirrored.extend(last.mirrored);
-        let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
-        let Some(mut best) = last.finest else { return Selection::without_fine_fit(fits, Some(attempt)) };
-        let diameter_px = self.projection().diameter_px();
-        let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, diameter_px);
-        let alternatives = fits[1..].iter().filter(|other| other.cost <= ALTERNATIVE_COST_RATIO * fits[0].cost);
-        let (mut has_alternative, mut doubt) = (false, None);
-        // An alternative may end at the same bend in the fine stage, or prove to be worse.
-        let mut weigh = |best: BendFit, other: BendFit, status: Status| {
-            let compared = compare(&other, &best);
-            has_alternative |= compared != Alternative::Worse;
-            match compared {
-                Alternative::EdgeOn => return best.or_edge_on(other),
-                Alternative::AsGood if compare(&best, &other) == Alternative::Worse => return other,
-                Alternative::AsGood if other.has_likelier_shape_than(&best) => return other,
-                Alternative::AsGood if !best.has_likelier_shape_than(&other) => _ = doubt.get_or_insert(status),
-                Alternative::AsGood | Alternative::Worse => {}
-            }
-            best
-        };
-        for other in alternatives.filter_map(|other| self.fit_fine(finder, other.start(), fine)) {
-            best = weigh(best, other, Status::Ambiguous);
-        }
-        // From a shape that the sequence told a fit starts in the right minimum.
-        if best.contradicts_shape && !self.rig.is_shape_known() {
-            for start in best.shapes_beside(&self.projection()) {
-                if let Some(other) = self.fit_any_shape(finder, start, fine) {
-                    best = weigh(best, other, Status::UnknownShape);
-                }
-            }
-        }
-        fits[0] = best;
-        Selection { fits, has_fine_fit: true, has_alternative, attempt: Some(attempt), doubt }
     }
 
     /// The measurement of a fit that can be believed, or why it cannot.

@@ -24,6 +24,7 @@ mod image;
 mod measurement;
 mod minima;
 mod rig;
+mod selection;
 mod sequence;
 mod several;
 mod straight;
