@@ -117,7 +117,7 @@ pub(super) struct MeasurementStages {
 struct Conclusion {
     /// The local minima, best first.
     fits: Vec<BendFit>,
-    /// Whether another of them was no worse in the fine stage than the best one so far.
+    /// Whether another bend explained the picture in the fine stage as well as the best one so far.
     has_alternative: bool,
     /// What the best minimum led to.
     attempt: Option<Attempt>,

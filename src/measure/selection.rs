@@ -40,7 +40,7 @@ pub(super) struct Selection {
     pub fits: Vec<BendFit>,
     /// Whether there is a first and its fit in the fine stage succeeded.
     pub has_fine_fit: bool,
-    /// Whether another of them was no worse in the fine stage than the best one so far.
+    /// Whether another bend explained the picture in the fine stage as well as the best one so far.
     pub has_alternative: bool,
     /// What the best minimum led to.
     pub attempt: Option<Attempt>,
@@ -116,7 +116,7 @@ impl Eye {
         // An alternative may end at the same bend in the fine stage, or prove to be worse.
         let mut weigh = |best: BendFit, other: BendFit, status: Status| {
             let compared = compare(&other, &best);
-            has_alternative |= compared != Alternative::Worse;
+            has_alternative |= compared == Alternative::AsGood;
             match compared {
                 Alternative::EdgeOn => return best.or_edge_on(other),
                 Alternative::AsGood if compare(&best, &other) == Alternative::Worse => return other,
