@@ -103,8 +103,8 @@ impl Eye {
         // the fit before it ended.
         for _ in 0..MIRRORED_AGAIN {
             let Some(better) = last.better_mirrored().cloned() else { break };
-            mirrored.extend(last.mirrored.take());
             last = self.attempt(&better, finder, fine);
+            mirrored.push(better);
         }
         mirrored.extend(last.mirrored);
         let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);

@@ -202,11 +202,12 @@ pub(crate) fn mirrored(bend: Vector2<f64>, view: &Projection) -> Vector2<f64> {
 /// along the line of sight, so that its tilt hardly changes, the mirrored bend has to do.
 fn mirroring_turn(view: &Projection, profile: BendProfile) -> f64 {
     let tilt = |by_rad: f64| tip_tilt(view, turned_in_depth(profile, view, by_rad));
+    let tilt_now = tilt(0.0);
     let from_afar_rad = -2.0 * depth_direction(&view.camera_from_base).dot(&profile.tip);
     let mut turn_rad = from_afar_rad;
     for _ in 0..MIRRORING_STEPS {
         let slope = (tilt(turn_rad + TILT_STEP_RAD) - tilt(turn_rad - TILT_STEP_RAD)) / (2.0 * TILT_STEP_RAD);
-        turn_rad -= (tilt(turn_rad) + tilt(0.0)) / slope;
+        turn_rad -= (tilt(turn_rad) + tilt_now) / slope;
         if !(slope > LEAST_TILT_SLOPE && (turn_rad - from_afar_rad).abs() < FURTHEST_FROM_AFAR_RAD) {
             return from_afar_rad;
         }
