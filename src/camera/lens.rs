@@ -34,11 +34,12 @@ impl Lens {
         if point.z <= 0.0 || point.iter().any(|v| v.is_nan()) {
             return (Point2::new(f64::NAN, f64::NAN), Matrix2x3::repeat(f64::NAN));
         }
-        let (x, y) = (point.x / point.z, point.y / point.z);
+        let per_z = 1.0 / point.z;
+        let (x, y) = (point.x * per_z, point.y * per_z);
         let (distorted, slopes) = self.distort_with_jacobian(Point2::new(x, y));
         let seen = distorted.coords.component_mul(&self.focal_px) + self.centre_px.coords;
         let row = |axis: usize| {
-            let per_mm = self.focal_px[axis] / point.z;
+            let per_mm = self.focal_px[axis] * per_z;
             let (by_x, by_y) = (per_mm * slopes[(axis, 0)], per_mm * slopes[(axis, 1)]);
             RowVector3::new(by_x, by_y, -(by_x * x + by_y * y))
         };
@@ -76,14 +77,15 @@ impl Lens {
         let (x, y) = (ideal.x, ideal.y);
         let r2 = x * x + y * y;
         let (numerator, denominator) = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
-        let radial = numerator / denominator;
+        let per_denominator = 1.0 / denominator;
+        let radial = numerator * per_denominator;
         let distorted = Point2::new(
             x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) + s1 * r2 + s2 * r2 * r2,
             y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y + s3 * r2 + s4 * r2 * r2,
         );
         // By r², as are the thin prism's slopes.
         let radial_slope =
-            (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3) - radial * (k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6))) / denominator;
+            (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3) - radial * (k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6))) * per_denominator;
         let (prism_x, prism_y) = (s1 + 2.0 * s2 * r2, s3 + 2.0 * s4 * r2);
         let cross = 2.0 * radial_slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y;
         let slopes = Matrix2::new(

@@ -41,7 +41,7 @@ pub(super) const REFINEMENT: FitSchedule = FitSchedule {
     rounds: 20,
     is_fine: false,
     converged_rad: CONVERGED_RAD,
-    hopeless_cost: f64::INFINITY,
+    rival_cost: f64::INFINITY,
 };
 /// Both in one, from a start that is close: the last frame's bend, or a mirrored solution.
 pub(super) const COARSE_TO_REFINED: FitSchedule = FitSchedule { searches_px: &[14.0, 6.0, 3.0], ..REFINEMENT };

@@ -26,6 +26,8 @@ const REFINED: usize = 2;
 ///
 /// Fitted: the search distances, by hand on renders; judged by `tests/robustness`.
 const COARSE: FitSchedule = FitSchedule { searches_px: &[14.0, 8.0], rounds: 2, ..REFINEMENT };
+/// Both in one, of a candidate that is tried alone.
+const COARSE_THEN_REFINED: FitSchedule = FitSchedule { searches_px: &[14.0, 8.0, 6.0, 3.0], ..REFINEMENT };
 /// Coarse fits are refined if their cost is at most this many times the best one's.
 ///
 /// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
@@ -61,8 +63,8 @@ impl Eye {
     ) -> Option<BendFit> {
         let mut candidate = nearest(candidates, expected)?;
         for _ in 0..CANDIDATES_FOLLOWED {
-            let coarse = self.fit(finder, self.start(candidate), &COARSE)?;
-            let minimum = self.fit(finder, coarse.start(), &REFINEMENT).filter(BendFit::is_promising)?;
+            let minimum = self.fit(finder, self.start(candidate), &COARSE_THEN_REFINED);
+            let minimum = minimum.filter(BendFit::is_promising)?;
             let nearest = nearest(candidates, minimum.bend())?;
             if nearest == candidate {
                 return Some(minimum);
@@ -83,8 +85,8 @@ impl Eye {
         self.reached_from_nearest(minima, candidates, known, finder)
     }
 
-    /// Local minima, of which the best, if another candidate than the nearest led to it, is reached once more from that: what a fit ends at
-    /// depends a little on where it starts, and the answer must not depend on which candidates were tried.
+    /// Local minima, of which the best is reached once more from the candidate nearest to it: what a fit ends at depends a little on where it
+    /// starts, and the answer must not depend on which candidates were tried.
     fn reached_from_nearest(
         &self,
         mut minima: Vec<BendFit>,
@@ -94,9 +96,6 @@ impl Eye {
     ) -> Vec<BendFit> {
         let Some(best) = minima.iter().min_by(|a, b| a.cost.total_cmp(&b.cost)) else { return minima };
         let from = nearest(candidates, best.bend());
-        if from == Some(best.origin) {
-            return minima;
-        }
         let known = known.filter(|known| Some(known.origin) == from);
         if let Some(again) = known.or_else(|| self.minimum_near(best.bend(), candidates, finder)) {
             minima.retain(|minimum| (minimum.bend() - again.bend()).norm() > SAME_MINIMUM_RAD);

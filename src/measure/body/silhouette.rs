@@ -66,7 +66,8 @@ impl Silhouette {
     /// Whether a pixel lies on the border and this unit normal points out of the silhouette there.
     pub fn has_border_at(&self, pixel: &Point2<f64>, normal: &Vector2<f64>) -> bool {
         let step = normal * BORDER_STEP_PX;
-        self.covers(&(pixel - step)) && !self.covers(&(pixel + step))
+        // Most of what is no border is hidden, with snake on both sides.
+        !self.covers(&(pixel + step)) && self.covers(&(pixel - step))
     }
 
     /// How far, px, one can go from a border pixel in a direction before the silhouette ends (`inside`) or begins; at most

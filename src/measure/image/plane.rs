@@ -118,10 +118,14 @@ impl Plane {
     }
 
     /// The same at a place counted from its own first pixel.
+    #[inline]
     fn sample_own(&self, at: &Point2<f64>) -> f32 {
-        if self.surrounds(at) {
-            return self.sample_inside(at);
-        }
+        if self.surrounds(at) { self.sample_inside(at) } else { self.sample_at_border(at) }
+    }
+
+    /// The same where not all four pixels around are there.
+    #[cold]
+    fn sample_at_border(&self, at: &Point2<f64>) -> f32 {
         let (x, y) = (at.x.floor(), at.y.floor());
         let (fx, fy) = ((at.x - x) as f32, (at.y - y) as f32);
         let (x, y) = (x as i64, y as i64);

@@ -47,7 +47,7 @@ const SHAPE: FitSchedule = FitSchedule {
     rounds: 2,
     is_fine: true,
     converged_rad: 2e-5,
-    hopeless_cost: f64::INFINITY,
+    rival_cost: f64::INFINITY,
 };
 /// ... and follows in a round.
 ///
