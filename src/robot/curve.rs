@@ -89,7 +89,9 @@ static PIECE_WEIGHTS: LazyLock<[[f64; 1 + MODES]; 2 * PIECES + 1]> =
 
 /// ∂ϑ(u)/∂(b, a_1, a_2, …): u and the φ_k.
 fn weights(u: f64) -> [f64; 1 + MODES] {
-    [u, 4.0 * u * (1.0 - u), (2.0 * PI * u).sin(), (3.0 * PI * u).sin()]
+    // sin 2πu and sin 3πu by one evaluation.
+    let (sin, cos) = (PI * u).sin_cos();
+    [u, 4.0 * u * (1.0 - u), 2.0 * sin * cos, sin * (3.0 - 4.0 * sin * sin)]
 }
 
 /// The centreline of a snake with a given [`BendProfile`].

@@ -31,24 +31,23 @@ pub(super) struct Section<'a> {
     camera_from_section: Matrix3<f64>,
     /// The section's origin in the camera frame, mm.
     origin_mm: Vector3<f64>,
+    /// The camera's centre of projection in the section's frame, mm.
+    pub camera_centre: Point3<f64>,
 }
 
 impl<'a> Section<'a> {
     pub fn new(view: &Projection<'a>, curve: &Curve, s_mm: f64) -> Self {
         let pose = view.camera_from_base * curve.frame_at(s_mm);
         let camera_from_section = pose.rotation.to_rotation_matrix().into_inner();
-        Self { lens: view.lens, s_mm, camera_from_section, origin_mm: pose.translation.vector }
-    }
-
-    /// The camera's centre of projection in the section's frame, mm.
-    pub fn camera_centre(&self) -> Point3<f64> {
-        Point3::from(-self.camera_from_section.tr_mul(&self.origin_mm))
+        let origin_mm = pose.translation.vector;
+        let camera_centre = Point3::from(-camera_from_section.tr_mul(&origin_mm));
+        Self { lens: view.lens, s_mm, camera_from_section, origin_mm, camera_centre }
     }
 
     /// How large a millimetre across the line of sight is seen at a point of the section's frame (mm), px, and the sine of the angle at
     /// which the plane through it across the tangent is seen: positive from the side of the tip.
     pub fn scale_and_slant(&self, local: Vector3<f64>) -> (f64, f64) {
-        let sight = self.camera_centre().coords - local;
+        let sight = self.camera_centre.coords - local;
         let distance_mm = sight.norm();
         (self.lens.focal_px.x / distance_mm, sight.z / distance_mm)
     }

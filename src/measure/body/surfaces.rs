@@ -22,10 +22,14 @@ const FEWEST_TUBE_SECTIONS: f64 = 8.0;
 ///
 /// Convention: affects the time only.
 const TUBE_POLYGON_PX: f64 = 40.0;
-/// Sections that neighbouring polygons of a tube have in common, so that no gap is left between them.
+/// The most length of a polygon's straight sides, px.
 ///
-/// Derived: one section shared would close the gap exactly; the second covers the rounding of the rasteriser.
-const TUBE_POLYGON_OVERLAP: usize = 2;
+/// Derived: a snake that bends by 90° over 300 px is 0.02 px off the middle of such a chord.
+const TUBE_CHORD_PX: f64 = 6.0;
+/// Chords that neighbouring polygons of a tube have in common, so that no gap is left between them.
+///
+/// Derived: one section shared would close the gap exactly; a chord covers the rounding of the rasteriser.
+const TUBE_POLYGON_OVERLAP: usize = 1;
 
 /// What the projection of all surfaces gives.
 #[derive(Default)]
@@ -76,7 +80,7 @@ impl Surfaces {
         let mut sides = vec![[Vec::with_capacity(steps), Vec::with_capacity(steps)]; axes.len()];
         for step in 0..steps {
             let section = Section::new(view, curve, robot.length_mm * (step as f64 + 0.5) / steps as f64);
-            let camera = section.camera_centre().coords.xy();
+            let camera = section.camera_centre.coords.xy();
             let disks_below = middles_mm.partition_point(|middle| *middle <= section.s_mm) as u8;
             for (number, &(offset, radius)) in axes.iter().enumerate() {
                 for (side, radial) in tangent_directions(camera - offset, radius) {
@@ -88,13 +92,16 @@ impl Surfaces {
                 }
             }
         }
-        let length = (TUBE_POLYGON_PX / spacing_px).ceil() as usize;
+        let stride = (TUBE_CHORD_PX / spacing_px).max(1.0) as usize;
+        let length = (TUBE_POLYGON_PX / spacing_px / stride as f64).ceil() as usize * stride;
         for [left, right] in sides {
-            for start in (0..steps).step_by(length) {
-                let part = start..(start + length + TUBE_POLYGON_OVERLAP).min(left.len()).min(right.len());
-                if let (Some(left), Some(right)) = (left.get(part.clone()), right.get(part)) {
-                    self.polygons.push(left.iter().chain(right.iter().rev()).copied().collect());
-                }
+            // From too near no sides are seen.
+            let Some(last) = left.len().min(right.len()).checked_sub(1) else { continue };
+            for start in (0..last).step_by(length) {
+                let end = (start + length + TUBE_POLYGON_OVERLAP * stride).min(last);
+                let corners = || (start..end).step_by(stride).chain([end]);
+                let there = corners().map(|k| left[k]);
+                self.polygons.push(there.chain(corners().rev().map(|k| right[k])).collect());
             }
         }
     }
@@ -120,7 +127,7 @@ impl Cylinder<'_> {
     /// camera, where the wall is visible, that is the rim of the face that is not; behind, it is the rim of the face that is. The
     /// limbs of the wall join them.
     fn outline(&self, points: &mut Vec<SurfacePoint>) -> Vec<Point2<f64>> {
-        let camera = self.section.camera_centre();
+        let camera = self.section.camera_centre;
         let (near_is_seen, far_is_seen) = (camera.z < self.near_mm, camera.z > self.far_mm);
         let Some((towards, half)) = tangent_angles(camera.coords.xy(), self.radius_mm) else {
             return self.rim(far_is_seen, 0.0, [0.0, TAU], points);

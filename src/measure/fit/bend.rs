@@ -23,7 +23,7 @@ pub(crate) const FINE_SEARCH_PX: f64 = 4.0;
 /// The largest bend that a fit may reach, rad.
 ///
 /// Convention: 126°, beyond the 110° at which the coarse search ends; a fit that goes further has lost the snake.
-const LARGEST_BEND_RAD: f64 = 2.2;
+pub(super) const LARGEST_BEND_RAD: f64 = 2.2;
 /// The least length of outline that must have edges, px.
 ///
 /// Convention: a guard for the solver. Whether a fit may be believed is decided by its share of inliers.
@@ -354,7 +354,7 @@ impl<'a> Fitting<'a> {
     fn uncertainty(&self, rms_px: f64) -> Option<(ProfileCovariance, SMatrix<f64, PROFILE, 6>, bool)> {
         let Self { view, state, prior, .. } = self;
         let Round { edges, roots, .. } = self.last.as_ref()?;
-        let linear = Linearised::new(edges, view, state).weighted(roots).with_prior(prior, state);
+        let linear = Linearised::new(edges, view, state, roots, Some(prior));
         let covariance = FitCovariance::new(edges, &linear.by_state, &linear.residuals, view, roots, rms_px)?;
         let gain = &covariance.independent * linear.by_state.tr_mul(&linear.by_pose);
         let total = covariance.total(&std::array::from_fn::<_, PROFILE, _>(|k| k))?;

@@ -1,12 +1,14 @@
 //! The coarse search: the bends of a lattice whose outlines have the most contrast in the picture at low resolution.
 
+use super::bend::LARGEST_BEND_RAD;
 use crate::camera::Lens;
 use crate::geometry::{Configuration, Pose};
 use crate::measure::body::{Outline, Projection};
-use crate::measure::image::plane::Plane;
-use crate::robot::Robot;
-use nalgebra::{Point2, Vector2};
+use crate::measure::image::plane::{Plane, Region};
+use crate::robot::{BendProfile, Robot};
+use nalgebra::{Point2, Rotation2, Vector2};
 use rayon::prelude::*;
+use std::f64::consts::TAU;
 use std::ops::Range;
 
 /// By how much the picture is shrunk.
@@ -61,6 +63,16 @@ const CONTRAST_RANGE: (f32, f32) = (-0.25, 1.25);
 /// Convention: finer than the noise of any picture.
 const VALUE_STEPS: f32 = 1000.0;
 
+/// How far around every bend the picture is examined, px.
+///
+/// Derived: a fit may take a snake that is no arc to be 15 px further; edges are searched up to 14 px from the outline and examined 5 px further, and
+/// the filters reach up to 9 px.
+const REACHED_PX: f64 = 43.0;
+/// The bends whose places make the region that any may reach: so many sizes, each towards so many azimuths.
+///
+/// Convention: the tip is then within 3.5 mm of one of them, and the region is made of whole rows, which its outermost places bound.
+const REACHED_RADII: usize = 8;
+const REACHED_AZIMUTHS: usize = 36;
 /// The least and the number of places, in columns and in rows, from a pair's inner pixel to its outer one.
 ///
 /// Derived: they lie twice [`PAIR_DISTANCE_PX`] apart, and each is rounded to the nearest pixel.
@@ -81,8 +93,10 @@ pub(crate) struct CoarseSearch {
     sifting: Vec<Pair>,
     /// All others.
     others: Vec<Pair>,
-    /// The width of the shrunk picture, px.
-    width: i32,
+    /// Width and height of the shrunk picture, px.
+    size: (i32, i32),
+    /// The part of the picture in which any bend may be seen.
+    region: Region,
 }
 
 #[derive(Debug)]
@@ -129,7 +143,9 @@ impl CoarseSearch {
         let small = shrunk_lens(lens);
         let view = Projection { lens: &small, camera_from_base, robot };
         let pairs: Vec<_> = lattice().into_par_iter().map(|bend| (bend, pairs(&view, bend))).collect();
-        let mut search = Self { bends: vec![], sifting: vec![], others: vec![], width: small.width as i32 };
+        let region = reached(&Projection { lens, camera_from_base, robot });
+        let size = (small.width as i32, small.height as i32);
+        let mut search = Self { bends: vec![], sifting: vec![], others: vec![], size, region };
         for (bend, pairs) in pairs.into_iter().filter(|(_, pairs)| pairs.len() >= FEWEST_PAIRS) {
             let (sifting, others) = (search.sifting.len(), search.others.len());
             for (k, pair) in pairs.into_iter().enumerate() {
@@ -141,15 +157,26 @@ impl CoarseSearch {
         search
     }
 
-    /// The bends with the most contrast across their outlines, best first, at most `most`. `two_sided` pictures, whose background is
+    /// The part of the picture in which any bend may be seen, and what is searched and examined around it.
+    pub fn region(&self) -> &Region {
+        &self.region
+    }
+
+    /// The bends with the most contrast across their outlines in the picture's [`region`](Self::region), best first, at most `most`. `two_sided` pictures, whose background is
     /// darker than the snake in places and brighter in others, count contrast of either sign.
     pub fn candidates(&self, plane: &Plane, two_sided: bool, most: usize) -> Vec<Vector2<f64>> {
         let (least, largest) = CONTRAST_RANGE;
-        let small: Vec<i16> =
-            plane.shrunk::<SHRINK>().data.iter().map(|v| (VALUE_STEPS * v.clamp(least, largest)) as i16).collect();
+        let shrunk = plane.shrunk::<SHRINK>();
+        let (width, height) = (self.size.0 as usize, self.size.1 as usize);
+        let mut small = vec![0_i16; width * height];
+        let (left, top) = (shrunk.first.x as usize, shrunk.first.y as usize);
+        for (row, values) in (top..).zip(shrunk.data.chunks_exact(shrunk.width.max(1))) {
+            let steps = values.iter().map(|v| (VALUE_STEPS * v.clamp(least, largest)) as i32 as i16);
+            small.iter_mut().skip(row * width + left).zip(steps).for_each(|(small, steps)| *small = steps);
+        }
         // The pixels are those of the lens; in a plane of another size some are missing.
         let value = |pixel: usize| small.get(pixel).copied().map_or(0, i32::from);
-        let steps = Pair::steps(self.width);
+        let steps = Pair::steps(self.size.0);
         let contrast = |pair: &Pair| {
             let (inside, outside) = pair.indices(&steps);
             value(inside) - value(outside)
@@ -198,6 +225,17 @@ fn lattice() -> Vec<Vector2<f64>> {
         .map(|(i, j)| spacing * Vector2::new(i + j / 2.0, j * 0.75_f64.sqrt()))
         .filter(|bend| bend.norm() <= LARGEST_BEND_DEG.to_radians())
         .collect()
+}
+
+/// What of the picture a snake may reach.
+fn reached(view: &Projection) -> Region {
+    let bend = |k: usize| {
+        let (radius, azimuth) = ((k / REACHED_AZIMUTHS) as f64 / REACHED_RADII as f64, (k % REACHED_AZIMUTHS) as f64);
+        Rotation2::new(TAU * azimuth / REACHED_AZIMUTHS as f64) * Vector2::new(LARGEST_BEND_RAD * radius, 0.0)
+    };
+    let regions = (0..=REACHED_RADII * REACHED_AZIMUTHS).into_par_iter();
+    let nothing = || Region::along([], 0.0, (view.lens.width, view.lens.height));
+    regions.map(|k| view.image_region(BendProfile::arc(bend(k)), REACHED_PX)).reduce(nothing, |a, b| a.joined(&b))
 }
 
 /// The pairs of pixels on both sides of the outline of a bend.

@@ -83,7 +83,7 @@ impl Correspondences {
                 lateral: point.lateral,
                 seen: point.pixel + point.normal.into_inner() * (edge.offset_px - predicted.offset_px),
                 normal: point.normal.into_inner(),
-                sigma_px: edge.sigma_px.hypot(edge_floor_px(point.piece)),
+                sigma_px: (edge.sigma_px.powi(2) + edge_floor_px(point.piece).powi(2)).sqrt(),
                 face: None,
             });
             points.push(point);
@@ -93,8 +93,9 @@ impl Correspondences {
         let spread_px = finder.spread_px(found.blur_px);
         for (correspondence, point) in found.all.iter_mut().zip(points) {
             correspondence.face = SeenFace::behind(point, spread_px);
-            let uneven_px = correspondence.face.map_or(0.0, |face| face.pull_px() * UNEVEN_GLARE);
-            correspondence.sigma_px = correspondence.sigma_px.hypot(uneven_px);
+            if let Some(face) = correspondence.face {
+                correspondence.sigma_px = correspondence.sigma_px.hypot(face.pull_px() * UNEVEN_GLARE);
+            }
         }
         found
     }

@@ -6,7 +6,7 @@
 //! Source: J. Canny, "A Computational Approach to Edge Detection", IEEE PAMI 8, 1986, for the filter.
 
 use crate::measure::body::OutlinePoint;
-use crate::measure::image::plane::{Plane, Region};
+use crate::measure::image::plane::{LANES, Plane, Region};
 
 /// An edge found near a predicted border point.
 #[derive(Debug, Clone, Copy)]
@@ -90,10 +90,6 @@ const FURTHEST_PX: f64 = 14.0;
 ///
 /// Derived: from the furthest search and the neighbourhood of an edge at its end.
 const MOST_SLOPES: usize = ((FURTHEST_PX + NEIGHBOURHOOD_PX) / STEP_PX) as usize + 1;
-/// So many slopes are computed at a time.
-///
-/// Convention: two registers of four numbers, which every x86-64 and ARM64 processor has.
-const AT_A_TIME: usize = 8;
 
 /// σ of the filter for edges of this blur, px: as wide as the blur, within what is useful.
 pub(super) fn filter_px(blur_px: f64) -> f64 {
@@ -180,25 +176,27 @@ impl<'a> EdgeFinder<'a> {
         let inward = search_px.min(point.depth_px);
         let steps = |px: f64| (((px + self.neighbourhood_px) / STEP_PX).ceil() as usize).min(MOST_SLOPES);
         let (inside, outside) = (steps(inward), steps(outward));
-        let mut slopes = [0.0; 2 * MOST_SLOPES + 1];
-        let slopes = &mut slopes[..inside + outside + 1];
+        let count = inside + outside + 1;
+        let mut slopes = [[0.0; LANES]; (2 * MOST_SLOPES + 1).div_ceil(LANES)];
+        let slopes = &mut slopes[..count.div_ceil(LANES)];
         self.slopes(point, inside, slopes);
+        let slopes = &mut slopes.as_flattened_mut()[..count];
 
         let position = |k: usize| (k as f64 - inside as f64) * STEP_PX;
-        let steepness = |k: usize| if self.two_sided { slopes[k].abs() } else { slopes[k] };
-        // Where the picture rises there is no edge of the snake.
-        let is_peak = |&k: &usize| {
-            let here = steepness(k);
-            here > 0.0 && here >= steepness(k - 1) && here > steepness(k + 1)
-        };
-        // The prediction's own error is Gaussian, its σ the search distance.
-        let likelihood = |k: usize| f64::from(steepness(k)) * (-0.5 * (position(k) / search_px).powi(2)).exp();
         let whole_steps = |px: f64| (px / STEP_PX) as usize;
-        let searched = inside - whole_steps(inward)..inside + whole_steps(outward) + 1;
-        let (best, _) = searched
-            .filter(is_peak)
-            .map(|k| (k, likelihood(k)))
-            .fold(None, |best: Option<(usize, f64)>, peak| best.filter(|best| best.1 > peak.1).or(Some(peak)))?;
+        let (first, last) = (inside - whole_steps(inward), inside + whole_steps(outward));
+        let mut best: Option<(usize, f64)> = None;
+        for (k, around) in (first..).zip(slopes[first - 1..last + 2].windows(3)) {
+            let steepness = |slope: f32| if self.two_sided { slope.abs() } else { slope };
+            let (before, here, after) = (steepness(around[0]), steepness(around[1]), steepness(around[2]));
+            // Where the picture rises there is no edge of the snake.
+            if here > 0.0 && here >= before && here > after {
+                // The prediction's own error is Gaussian, its σ the search distance.
+                let likelihood = f64::from(here) * (-0.5 * (position(k) / search_px).powi(2)).exp();
+                best = best.filter(|(_, most)| *most > likelihood).or(Some((k, likelihood)));
+            }
+        }
+        let (best, _) = best?;
         if slopes[best] < 0.0 {
             slopes.iter_mut().for_each(|slope| *slope = -*slope);
         }
@@ -219,8 +217,8 @@ impl<'a> EdgeFinder<'a> {
         let noise_px = self.slope_noise / self.filter_px / curvature;
         // Where a clean edge is flat, a highlight along the rim or a printed line beside the border rises and displaces the edge.
         let near = (self.neighbourhood_px / STEP_PX) as usize;
-        let around = slopes[peak.saturating_sub(near)..=(peak + near).min(slopes.len() - 1)].iter();
-        let rise = f64::from(around.fold(0.0_f32, |most, slope| most.max(-slope))) - 2.0 * self.slope_noise;
+        let around = &slopes[peak.saturating_sub(near)..=(peak + near).min(slopes.len() - 1)];
+        let rise = f64::from(-least(around).min(0.0)) - 2.0 * self.slope_noise;
         let pull_px = NEIGHBOUR_PULL_PX * (rise.max(0.0) / slope).min(1.0);
         Some(Edge {
             offset_px: vertex.clamp(-STEP_PX, STEP_PX),
@@ -231,26 +229,36 @@ impl<'a> EdgeFinder<'a> {
 
     /// The picture's filtered slopes along a border point's normal, a fall outwards counted positive; the first is `inside` steps on
     /// the snake.
-    fn slopes(&self, point: &OutlinePoint, inside: usize, slopes: &mut [f32]) {
+    fn slopes(&self, point: &OutlinePoint, inside: usize, slopes: &mut [[f32; LANES]]) {
         let reach = self.reach;
-        // Whole groups of slopes are computed, of which the last may need samples that are left at 0.
-        let mut samples = [0.0; 2 * (MOST_SLOPES + MOST_REACH) + 1 + AT_A_TIME];
+        let mut samples = [[0.0; LANES]; (2 * (MOST_SLOPES + MOST_REACH) + 1).div_ceil(LANES) + 1];
+        let samples = &mut samples[..slopes.len() + (2 * reach).div_ceil(LANES)];
         let step = point.normal.into_inner() * STEP_PX;
-        let profile = &mut samples[..slopes.len() + 2 * reach];
-        self.plane.profile(&(point.pixel - step * (inside + reach) as f64), step, profile);
-        for (group, slopes) in slopes.chunks_mut(AT_A_TIME).enumerate() {
-            let around = &samples[group * AT_A_TIME..][..AT_A_TIME + 2 * reach];
-            let mut sums = [0.0; AT_A_TIME];
-            for (k, weight) in self.kernel[..reach].iter().enumerate() {
-                let inner = &around[reach - 1 - k..][..AT_A_TIME];
-                let outer = &around[reach + 1 + k..][..AT_A_TIME];
+        self.plane.profile(&(point.pixel - step * (inside + reach) as f64), step, samples);
+        for (group, slopes) in slopes.iter_mut().enumerate() {
+            let around = &samples.as_flattened()[group * LANES..][..LANES + 2 * reach];
+            let inner = around[..reach + LANES - 1].windows(LANES).rev();
+            let outer = around[reach + 1..].windows(LANES);
+            let mut sums = [0.0; LANES];
+            for ((weight, inner), outer) in self.kernel[..reach].iter().zip(inner).zip(outer) {
                 for (sum, (inner, outer)) in sums.iter_mut().zip(inner.iter().zip(outer)) {
                     *sum += weight * (inner - outer);
                 }
             }
-            slopes.copy_from_slice(&sums[..slopes.len()]);
+            *slopes = sums;
         }
     }
+}
+
+/// The least of some values, which are no NaN, in lanes side by side.
+fn least(values: &[f32]) -> f32 {
+    let (groups, rest) = values.as_chunks::<LANES>();
+    let lesser = |a: f32, b: f32| if b < a { b } else { a };
+    let mut lanes = [f32::INFINITY; LANES];
+    for group in groups {
+        lanes.iter_mut().zip(group).for_each(|(least, value)| *least = lesser(*least, *value));
+    }
+    lanes.iter().chain(rest).copied().fold(f32::INFINITY, lesser)
 }
 
 #[cfg(test)]

@@ -3,11 +3,10 @@
 use super::correspondences::Correspondences;
 use super::state::{FramePrior, PRIORS, STATE, State};
 use super::uncertainty::{LEAST_SCALE, RobustPhase};
-use crate::geometry::Pose;
 use crate::measure::body::Projection;
-use crate::robot::{Curve, PROFILE};
+use crate::robot::PROFILE;
 use crate::statistics::robust::Irls;
-use nalgebra::{DMatrix, DVector, SVector, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Point3, SVector, Vector3, Vector6};
 
 /// The most reweightings of one linearisation.
 ///
@@ -22,7 +21,7 @@ pub(super) const REWEIGHTING_TOLERANCE: f64 = 1e-4;
 /// Convention: what a fit must move by to go on.
 pub(super) const COARSE_REWEIGHTING_TOLERANCE: f64 = 1e-3;
 
-/// Residuals of edges in units of σ, and their derivatives (rows: edges).
+/// Residuals of edges in units of σ, times the roots of their weights, and their derivatives (rows: edges, then priors).
 #[derive(Debug, Clone)]
 pub(crate) struct Linearised {
     pub residuals: DVector<f64>,
@@ -32,31 +31,12 @@ pub(crate) struct Linearised {
     pub by_pose: DMatrix<f64>,
 }
 
-/// A section in the camera's frame, and how it moves with each number of the bend profile: translation (mm/rad) and rotation
-/// (rad/rad).
-struct MovingSection {
-    camera_from_section: Pose,
-    by_profile: [(Vector3<f64>, Vector3<f64>); PROFILE],
-}
-
-impl MovingSection {
-    fn new(view: &Projection, curve: &Curve, s_mm: f64) -> Self {
-        let twist = curve.section_jacobian(s_mm);
-        let camera_from_base = view.camera_from_base.rotation.to_rotation_matrix();
-        let in_camera = |row: usize, number: usize| camera_from_base * twist.fixed_view::<3, 1>(row, number);
-        Self {
-            camera_from_section: view.camera_from_base * curve.frame_at(s_mm),
-            by_profile: std::array::from_fn(|number| (in_camera(0, number), in_camera(3, number))),
-        }
-    }
-}
-
 /// One edge's residual, in units of σ, and its derivatives.
 struct LinearisedEdge {
     residual: f64,
     by_state: [f64; STATE],
     /// The border point in the camera's frame, mm, and the residual's derivative by it.
-    point: Vector3<f64>,
+    point: Point3<f64>,
     by_point: Vector3<f64>,
 }
 
@@ -67,25 +47,29 @@ fn linearised_edges(
     state: &State,
 ) -> impl ExactSizeIterator<Item = LinearisedEdge> {
     let curve = view.curve(state.profile);
-    let sections: Vec<MovingSection> =
-        edges.sections_mm.iter().map(|&s_mm| MovingSection::new(view, &curve, s_mm)).collect();
+    // Each section's pose in {b} and, a row for each number of the profile, its twist there.
+    let moving = |&s_mm: &f64| (curve.frame_at(s_mm).to_homogeneous(), curve.section_jacobian(s_mm).transpose());
+    let sections: Vec<_> = edges.sections_mm.iter().map(moving).collect();
+    let camera_from_base = view.camera_from_base.to_homogeneous();
+    let turned: Matrix3<f64> = camera_from_base.fixed_view::<3, 3>(0, 0).into_owned();
     edges.all.iter().zip(&edges.section_of).map(move |(edge, &section)| {
-        let MovingSection { camera_from_section, by_profile } = &sections[section];
-        let arm = camera_from_section.rotation * edge.body.local;
-        let point = camera_from_section.translation.vector + arm;
-        let (expected, jacobian) = view.lens.project_with_jacobian(&point.into());
+        let (base_from_section, twist) = &sections[section];
+        let arm = base_from_section.fixed_view::<3, 3>(0, 0) * edge.body.local;
+        let in_base = arm + base_from_section.fixed_view::<3, 1>(0, 3);
+        let point = Point3::from(turned * in_base + camera_from_base.fixed_view::<3, 1>(0, 3));
+        let (expected, jacobian) = view.lens.project_with_jacobian(&point);
         // ∂(distance along the normal, in units of σ)/∂(point in the camera's frame, mm).
-        let by_point = jacobian.transpose() * edge.normal / edge.sigma_px;
+        let by_point = jacobian.tr_mul(&edge.normal) / edge.sigma_px;
         let distance_px = edge.normal.dot(&(edge.seen - expected));
         let (bias_px, by_bias) = state.bias.at(edge.piece, edge.face);
-        let by_turn = arm.cross(&by_point);
-        let mut by_state = [0.0; STATE];
-        for (by, (translation, rotation)) in by_state.iter_mut().zip(by_profile) {
-            *by = -by_point.dot(translation) - by_turn.dot(rotation);
-        }
-        for (by, by_bias) in by_state[PROFILE..].iter_mut().zip(by_bias) {
-            *by = -by_bias / edge.sigma_px;
-        }
+        let by_place = turned.tr_mul(&by_point);
+        let by_turn = arm.cross(&by_place);
+        let by_twist = Vector6::new(by_place.x, by_place.y, by_place.z, by_turn.x, by_turn.y, by_turn.z);
+        let by_profile = twist * by_twist;
+        let by_state = std::array::from_fn(|k| match k.checked_sub(PROFILE) {
+            None => -by_profile[k],
+            Some(bias) => -by_bias[bias] / edge.sigma_px,
+        });
         LinearisedEdge { residual: (distance_px - bias_px) / edge.sigma_px, by_state, point, by_point }
     })
 }
@@ -103,9 +87,10 @@ pub(crate) fn robust_step(
     let irls = Irls { loss: phase.loss(), least_scale: LEAST_SCALE, rounds: MOST_REWEIGHTINGS, tolerance };
     let mut offset = DVector::zeros(edges.len() + PRIORS);
     let mut design = DMatrix::zeros(edges.len() + PRIORS, STATE);
+    let mut columns = columns::<STATE>(&mut design);
     for (row, edge) in linearised_edges(edges, view, state).enumerate() {
         offset[row] = edge.residual;
-        (0..STATE).for_each(|k| design[(row, k)] = edge.by_state[k]);
+        columns.iter_mut().zip(edge.by_state).for_each(|(column, by)| column[row] = by);
     }
     write_prior(prior, state, edges.len(), &mut design, &mut offset);
     let fit = irls.fit(&design, &offset, edges.len())?;
@@ -121,43 +106,43 @@ fn write_prior(prior: &FramePrior, state: &State, first: usize, design: &mut DMa
     }
 }
 
+/// The columns of a matrix that has so many.
+fn columns<const COLUMNS: usize>(matrix: &mut DMatrix<f64>) -> [&mut [f64]; COLUMNS] {
+    let rows = matrix.nrows().max(1);
+    let mut columns = matrix.as_mut_slice().chunks_exact_mut(rows);
+    std::array::from_fn(|_| columns.next().unwrap_or_default())
+}
+
 impl Linearised {
-    /// Linearises the residuals of `edges` at a state, in closed form.
-    pub fn new(edges: &Correspondences, view: &Projection, state: &State) -> Self {
+    /// Linearises the residuals of `edges` at a state, in closed form, and multiplies each by the root of its weight. After them comes a row
+    /// for each number that has a prior, if there is one.
+    pub fn new(
+        edges: &Correspondences,
+        view: &Projection,
+        state: &State,
+        roots: &[f64],
+        prior: Option<&FramePrior>,
+    ) -> Self {
+        let rows = edges.len() + prior.map_or(0, |_| PRIORS);
         let mut linear = Self {
-            residuals: DVector::zeros(edges.len()),
-            by_state: DMatrix::zeros(edges.len(), STATE),
-            by_pose: DMatrix::zeros(edges.len(), 6),
+            residuals: DVector::zeros(rows),
+            by_state: DMatrix::zeros(rows, STATE),
+            by_pose: DMatrix::zeros(rows, 6),
         };
-        for (row, edge) in linearised_edges(edges, view, state).enumerate() {
-            linear.residuals[row] = edge.residual;
-            (0..STATE).for_each(|k| linear.by_state[(row, k)] = edge.by_state[k]);
-            let by_rotation = (edge.point - view.camera_from_base.translation.vector).cross(&edge.by_point);
+        let (mut by_state, mut by_pose) = (columns::<STATE>(&mut linear.by_state), columns::<6>(&mut linear.by_pose));
+        for (row, (edge, root)) in linearised_edges(edges, view, state).zip(roots).enumerate() {
+            linear.residuals[row] = edge.residual * root;
+            by_state.iter_mut().zip(edge.by_state).for_each(|(column, by)| column[row] = by * root);
+            let by_rotation = (edge.point.coords - view.camera_from_base.translation.vector).cross(&edge.by_point);
             for axis in 0..3 {
-                linear.by_pose[(row, axis)] = -by_rotation[axis];
-                linear.by_pose[(row, axis + 3)] = -edge.by_point[axis];
+                by_pose[axis][row] = -by_rotation[axis] * root;
+                by_pose[axis + 3][row] = -edge.by_point[axis] * root;
             }
         }
-        linear
-    }
-
-    /// With a row more for each number that has a prior.
-    pub fn with_prior(self, prior: &FramePrior, state: &State) -> Self {
-        let edges = self.residuals.len();
-        let mut residuals = self.residuals.insert_rows(edges, PRIORS, 0.0);
-        let mut by_state = self.by_state.insert_rows(edges, PRIORS, 0.0);
-        write_prior(prior, state, edges, &mut by_state, &mut residuals);
-        Self { residuals, by_state, by_pose: self.by_pose.insert_rows(edges, PRIORS, 0.0) }
-    }
-
-    /// With every row times the square root of its weight; rows beyond `roots` keep the weight 1.
-    pub fn weighted(mut self, roots: &[f64]) -> Self {
-        for (row, root) in roots.iter().enumerate() {
-            self.residuals[row] *= root;
-            self.by_state.row_mut(row).scale_mut(*root);
-            self.by_pose.row_mut(row).scale_mut(*root);
+        if let Some(prior) = prior {
+            write_prior(prior, state, edges.len(), &mut linear.by_state, &mut linear.residuals);
         }
-        self
+        linear
     }
 }
 
@@ -183,7 +168,7 @@ mod tests {
         let outline = Outline::spaced(&view, state.profile, 8.0);
         let displacements: Vec<f64> = (0..outline.points.len()).map(|k| 0.1 * (k as f64).sin()).collect();
         let edges = Correspondences::displaced(&outline, &displacements, 0.3);
-        let linear = Linearised::new(&edges, &view, &state);
+        let linear = Linearised::new(&edges, &view, &state, &vec![1.0; edges.len()], None);
         assert!(edges.len() > 100, "{}", edges.len());
 
         const STEP: f64 = 1e-6;

@@ -190,7 +190,7 @@ mod tests {
                     robust_step(&edges, &view, &state, &prior, RobustPhase::Redescending, REWEIGHTING_TOLERANCE)
                         .unwrap();
                 let fitted = state.moved(&step);
-                let linear = Linearised::new(&edges, &view, &fitted).weighted(&roots).with_prior(&prior, &fitted);
+                let linear = Linearised::new(&edges, &view, &fitted, &roots, Some(&prior));
                 let (jacobian, residuals) = (&linear.by_state, &linear.residuals);
                 let covariance = FitCovariance::new(&edges, jacobian, residuals, &view, &roots, SIGMA_PX).unwrap();
                 let error = fitted.profile.tip - state.profile.tip;

@@ -14,10 +14,10 @@ const FIXED_POINT: f64 = 1.0 / (1 << FIXED_POINT_BITS) as f64;
 ///
 /// Derived: `f32` has a mantissa of 24 bits.
 const FIXED_POINT_BITS: u32 = 24;
-/// So many values of a profile are interpolated at a time.
+/// So many values of a profile are computed at a time.
 ///
 /// Convention: two registers of four numbers, which every x86-64 and ARM64 processor has.
-const AT_A_TIME: usize = 8;
+pub const LANES: usize = 8;
 /// How far a Gaussian kernel reaches to either side, in units of its σ.
 ///
 /// Convention: 0.3 % of its weight lies beyond; the kernel is normalised without it.
@@ -75,6 +75,14 @@ impl Region {
             }
         }
         Self { rows }
+    }
+
+    /// What belongs to it or to another region of the same picture.
+    pub fn joined(mut self, other: &Self) -> Self {
+        for (row, other) in self.rows.iter_mut().zip(&other.rows).filter(|(_, other)| !other.is_empty()) {
+            *row = if row.is_empty() { other.clone() } else { row.start.min(other.start)..row.end.max(other.end) };
+        }
+        self
     }
 
     /// Whether all of another region of the same picture is in it.
@@ -135,11 +143,11 @@ impl Plane {
     }
 
     /// Values along a line of the picture, the first at `start` and each `step` further than the one before.
-    pub fn profile(&self, start: &Point2<f64>, step: Vector2<f64>, into: &mut [f32]) {
+    pub fn profile(&self, start: &Point2<f64>, step: Vector2<f64>, into: &mut [[f32; LANES]]) {
         let start = start - self.first;
         let at = |k: usize| start + step * k as f64;
-        if !self.surrounds(&start) || !self.surrounds(&at(into.len().saturating_sub(1))) {
-            into.iter_mut().enumerate().for_each(|(k, value)| *value = self.sample_own(&at(k)));
+        if !self.surrounds(&start) || !self.surrounds(&at((LANES * into.len()).saturating_sub(1))) {
+            into.as_flattened_mut().iter_mut().enumerate().for_each(|(k, value)| *value = self.sample_own(&at(k)));
             return;
         }
         let fixed = |v: f64| (v / FIXED_POINT) as i64;
@@ -147,18 +155,19 @@ impl Plane {
         let (dx, dy) = (fixed(step.x), fixed(step.y));
         // The fraction has fewer bits than an `i32`, which is turned into a float four at a time.
         let fraction = |v: i64| (v & ((1 << FIXED_POINT_BITS) - 1)) as i32 as f32 * FIXED_POINT as f32;
-        for values in into.chunks_mut(AT_A_TIME) {
-            let (mut fractions, mut pixels) = ([[0.0; AT_A_TIME]; 2], [[0.0; AT_A_TIME]; 4]);
-            for k in 0..values.len() {
+        for values in into {
+            let (mut fractions, mut pixels) = ([[0.0; LANES]; 2], [[0.0; LANES]; 4]);
+            for k in 0..LANES {
                 let (column, row) = ((x >> FIXED_POINT_BITS) as usize, (y >> FIXED_POINT_BITS) as usize);
                 (fractions[0][k], fractions[1][k]) = (fraction(x), fraction(y));
                 let around = self.around(column, row);
                 (0..4).for_each(|corner| pixels[corner][k] = around[corner]);
                 (x, y) = (x + dx, y + dy);
             }
-            let between: [f32; AT_A_TIME] =
-                std::array::from_fn(|k| bilinear(pixels.map(|corner| corner[k]), fractions[0][k], fractions[1][k]));
-            values.copy_from_slice(&between[..values.len()]);
+            for (k, value) in values.iter_mut().enumerate() {
+                let around = [pixels[0][k], pixels[1][k], pixels[2][k], pixels[3][k]];
+                *value = bilinear(around, fractions[0][k], fractions[1][k]);
+            }
         }
     }
 
@@ -177,9 +186,9 @@ impl Plane {
     /// Its own pixel (x, y), and those right of it, below it, and both.
     #[inline]
     fn around(&self, x: usize, y: usize) -> [f32; 4] {
-        let first = y * self.width + x;
-        let (above, below) = (&self.data[first..first + 2], &self.data[first + self.width..first + self.width + 2]);
-        [above[0], above[1], below[0], below[1]]
+        let (first, width) = (y * self.width + x, self.width);
+        let pixels = &self.data[first..first + width + 2];
+        [pixels[0], pixels[1], pixels[width], pixels[width + 1]]
     }
 
     /// The rectangle around a region of this whole picture.
@@ -190,22 +199,26 @@ impl Plane {
         Self { width: x.len(), height: y.len(), first: Vector2::new(x.start as f64, y.start as f64), data }
     }
 
-    /// The picture made `FACTOR` times smaller, each pixel the mean of a block.
+    /// The picture made `FACTOR` times smaller, each pixel the mean of a block of the whole picture. Blocks of which this part has not all are
+    /// left out.
     ///
-    /// The centre of block (x, y) is at pixel `FACTOR * x + (FACTOR - 1) / 2` of this picture.
+    /// The centre of block (x, y) is at pixel `FACTOR * x + (FACTOR - 1) / 2` of the whole picture.
     pub fn shrunk<const FACTOR: usize>(&self) -> Self {
-        let (width, height) = (self.width / FACTOR, self.height / FACTOR);
+        let first = self.first.map(|v| (v as usize).div_ceil(FACTOR));
+        let skipped = (first * FACTOR).zip_map(&self.first, |block, own| block - own as usize);
+        let (width, height) =
+            (self.width.saturating_sub(skipped.x) / FACTOR, self.height.saturating_sub(skipped.y) / FACTOR);
         let scale = 1.0 / (FACTOR * FACTOR) as f32;
         let mut data = vec![0.0; width * height];
         for (y, row) in data.chunks_exact_mut(width.max(1)).enumerate() {
             for line in 0..FACTOR {
-                let source = &self.data[(y * FACTOR + line) * self.width..][..width * FACTOR];
+                let source = &self.data[(skipped.y + y * FACTOR + line) * self.width + skipped.x..][..width * FACTOR];
                 for (value, block) in row.iter_mut().zip(source.as_chunks::<FACTOR>().0) {
                     *value += block.iter().sum::<f32>() * scale;
                 }
             }
         }
-        Self::new(width, height, data)
+        Self { width, height, first: first.map(|v| v as f64), data }
     }
 
     /// The picture, whose margins are 0, blurred by a Gaussian of this σ, px.
@@ -215,21 +228,33 @@ impl Plane {
         let sum = kernel[0] + 2.0 * kernel[1..].iter().sum::<f32>();
         kernel.iter_mut().for_each(|weight| *weight /= sum);
         let (width, height) = (self.width, self.height);
+        let row = |y: usize| &self.data[y * width..][..width];
+        let filled: Vec<Range<usize>> = (0..height).map(|y| filled(row(y))).collect();
         let mut data = vec![0.0; width * height];
         let mut line = vec![0.0; width];
         let add = |to: &mut [f32], from: &[f32], weight: f32| {
             to.iter_mut().zip(from).for_each(|(to, from)| *to += weight * from);
         };
-        for (y, row) in data.chunks_exact_mut(width.max(1)).enumerate() {
-            line.fill(0.0);
-            for other in y.saturating_sub(reach)..(y + reach + 1).min(height) {
-                add(&mut line, &self.data[other * width..][..width], kernel[other.abs_diff(y)]);
+        for (y, blurred) in data.chunks_exact_mut(width.max(1)).enumerate() {
+            let rows = y.saturating_sub(reach)..(y + reach + 1).min(height);
+            let joined = |a: Range<usize>, b: &Range<usize>| a.start.min(b.start)..a.end.max(b.end);
+            let columns = filled[rows.clone()].iter().filter(|columns| !columns.is_empty()).fold(width..0, joined);
+            if columns.is_empty() {
+                continue;
             }
-            add(row, &line, kernel[0]);
-            for (k, &weight) in kernel.iter().enumerate().take(width).skip(1) {
-                add(&mut row[k..], &line, weight);
-                add(row, &line[k..], weight);
+            for other in rows {
+                let columns = filled[other].clone();
+                add(&mut line[columns.clone()], &row(other)[columns], kernel[other.abs_diff(y)]);
             }
+            add(&mut blurred[columns.clone()], &line[columns.clone()], kernel[0]);
+            let line_within = &line[columns.clone()];
+            for (k, &weight) in kernel.iter().enumerate().skip(1) {
+                let to_the_left = columns.start.saturating_sub(k);
+                let cut = k - (columns.start - to_the_left);
+                add(&mut blurred[to_the_left..], &line_within[cut.min(line_within.len())..], weight);
+                add(blurred.get_mut(columns.start + k..).unwrap_or_default(), line_within, weight);
+            }
+            line[columns].fill(0.0);
         }
         Self { data, ..*self }
     }
@@ -258,6 +283,14 @@ impl Plane {
         }
         SD_BY_MAD * f64::from(median(&mut responses)) / NOISE_MASK_NORM
     }
+}
+
+/// The columns of a row from the first that is not 0 to the last, give or take [`LANES`].
+fn filled(row: &[f32]) -> Range<usize> {
+    let is_filled = |values: &[f32]| values.iter().fold(0, |bits, value| bits | value.to_bits()) != 0;
+    let Some(first) = row.chunks(LANES).position(is_filled) else { return 0..0 };
+    let last = row.chunks(LANES).rposition(is_filled).unwrap_or(first);
+    first * LANES..((last + 1) * LANES).min(row.len())
 }
 
 /// Bilinear interpolation between four pixels, see [`Plane::around`], at the fractions fx and fy of a pixel right of and below the first.
@@ -289,9 +322,9 @@ mod tests {
         ) {
             let plane = ramp(40, 40);
             let (start, step) = (Point2::new(x + 10.0, y + 10.0), Vector2::new(dx, dy));
-            let mut profile = [0.0; 9];
+            let mut profile = [[0.0; LANES]; 2];
             plane.profile(&start, step, &mut profile);
-            for (k, value) in profile.into_iter().enumerate() {
+            for (k, &value) in profile.as_flattened().iter().enumerate() {
                 let at = start + step * k as f64;
                 let expected = 0.3 * at.x - 0.2 * at.y;
                 prop_assert!((f64::from(value) - expected).abs() < 2e-5);

@@ -162,10 +162,10 @@ fn shared_evidence(
     let finder = fine_filter(&finder, view, fit.blur_px);
     predict_blur(&mut outline, fit.blur_px, &finder);
     let edges = Correspondences::find(&outline, &finder, SEARCH_PX, |_| true);
-    let linear = Linearised::new(&edges, view, state);
-    let roots = RobustPhase::Redescending.roots(linear.residuals.as_slice());
-    let (_, scatter_px) = inliers(&edges.in_px(linear.residuals.as_slice()), &roots);
-    let Linearised { residuals, by_state, by_pose } = linear.weighted(&roots);
+    let residuals = edges.residuals(view, state.profile, state.bias);
+    let roots = RobustPhase::Redescending.roots(&residuals);
+    let (_, scatter_px) = inliers(&edges.in_px(&residuals), &roots);
+    let Linearised { residuals, by_state, by_pose } = Linearised::new(&edges, view, state, &roots, None);
     let (bend, bias) = (by_state.columns(0, PROFILE).into_owned(), by_state.columns(PROFILE, BIASES));
     let shared =
         DMatrix::from_fn(by_pose.nrows(), SHARED, |r, c| if c < 6 { by_pose[(r, c)] } else { bias[(r, c - 6)] });
