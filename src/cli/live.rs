@@ -329,6 +329,8 @@ impl Args {
         };
         let rig_options = RigOptions { grid_pitch_mm, standoff_mm, delta_offset: view.delta_offset_deg.to_radians() };
         let eye = Eye::new(lens.clone(), rig, robot.clone());
+        // Frames that come meanwhile would be dropped.
+        eye.prepare();
         Ok(View { name: view.name.clone(), lens, robot: robot.clone(), rig_options, eye })
     }
 }

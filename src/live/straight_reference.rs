@@ -36,6 +36,8 @@ impl RenewableEye {
             calibrate_rig(frame, &self.lens, &self.robot, &self.rig_options).map_err(|error| error.to_string())?;
         rig.write(&self.output.join("rig.toml")).map_err(|error| error.to_string())?;
         let eye = Eye::new(self.lens.clone(), rig, self.robot.clone());
+        // Frames that come meanwhile are measured with the eye before.
+        eye.prepare();
         *self.eye.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(eye);
         Ok(())
     }

@@ -48,6 +48,11 @@ impl Eye {
         self.search.get_or_init(|| made)
     }
 
+    /// Makes the coarse search now, and not when the first frame asks for it.
+    pub fn prepare(&self) {
+        self.search();
+    }
+
     /// Bends that the coarse search finds in a whole picture, best first.
     pub(super) fn candidates(&self, plane: &Plane) -> Vec<Vector2<f64>> {
         self.search().candidates(plane, self.rig.appearance.two_sided, CANDIDATES)

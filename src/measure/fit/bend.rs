@@ -155,7 +155,6 @@ impl FitSchedule {
     fn reweighting_tolerance(&self) -> f64 {
         if self.is_fine { REWEIGHTING_TOLERANCE } else { COARSE_REWEIGHTING_TOLERANCE }
     }
-
 }
 
 /// Where a fit starts.
@@ -426,13 +425,8 @@ mod tests {
         converged_rad: 1e-4,
         rival_cost: f64::INFINITY,
     };
-    const FINE: FitSchedule = FitSchedule {
-        searches_px: &[3.0],
-        rounds: 9,
-        is_fine: true,
-        converged_rad: 1e-5,
-        rival_cost: f64::INFINITY,
-    };
+    const FINE: FitSchedule =
+        FitSchedule { searches_px: &[3.0], rounds: 9, is_fine: true, converged_rad: 1e-5, rival_cost: f64::INFINITY };
 
     fn state(bend: Vector2<f64>) -> State {
         State { profile: BendProfile::arc(bend), bias: EdgeBias::default() }

@@ -4,7 +4,6 @@ use super::edges::{Edge, EdgeFinder};
 use super::glancing::SeenFace;
 use super::noise_model::{Conditions, MODES, UNEVEN_GLARE, edge_floor_px, systematic_modes};
 use super::state::EdgeBias;
-use crate::geometry::Pose;
 use crate::measure::body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use crate::robot::BendProfile;
 use crate::statistics::order::median;
@@ -135,11 +134,17 @@ impl Correspondences {
     /// The signed distance of each edge outwards from where the model expects it, which is the border plus the bias, in units of σ.
     pub fn residuals(&self, view: &Projection, profile: impl Into<BendProfile>, bias: EdgeBias) -> Vec<f64> {
         let curve = view.curve(profile);
-        let frames: Vec<Pose> = self.sections_mm.iter().map(|&s| view.camera_from_base * curve.frame_at(s)).collect();
+        // Matrices turn many points in less time than quaternions.
+        let frame = |&s_mm: &f64| {
+            let pose = view.camera_from_base * curve.frame_at(s_mm);
+            (pose.rotation.to_rotation_matrix(), pose.translation.vector)
+        };
+        let frames: Vec<_> = self.sections_mm.iter().map(frame).collect();
         let points = self.all.iter().zip(&self.section_of);
         points
             .map(|(m, &section)| {
-                let expected = view.lens.project(&(frames[section] * Point3::from(m.body.local)));
+                let (turned, origin) = &frames[section];
+                let expected = view.lens.project(&Point3::from(turned * m.body.local + origin));
                 (m.normal.dot(&(m.seen - expected)) - bias.at(m.piece, m.face).0) / m.sigma_px
             })
             .collect()

@@ -42,13 +42,8 @@ const SEARCH_PX: f64 = 3.0;
 /// ... and how a frame's bend is fitted with a shape of its own, ...
 ///
 /// Convention: as the fine stage of a measurement, which it comes from.
-const SHAPE: FitSchedule = FitSchedule {
-    searches_px: &[SEARCH_PX],
-    rounds: 2,
-    is_fine: true,
-    converged_rad: 2e-5,
-    rival_cost: f64::INFINITY,
-};
+const SHAPE: FitSchedule =
+    FitSchedule { searches_px: &[SEARCH_PX], rounds: 2, is_fine: true, converged_rad: 2e-5, rival_cost: f64::INFINITY };
 /// ... and follows in a round.
 ///
 /// Derived: what of the bend is not followed yet is eliminated, so that one round is enough for a Gauss–Newton step of all.
