@@ -134,7 +134,8 @@ impl Conclusion {
 }
 
 impl Eye {
-    /// An eye for one view. The first frame that is looked for everywhere takes longer than others: the coarse search is prepared then.
+    /// An eye for one view. The first frame that is looked for everywhere takes longer than others: the coarse search is made then, if it was
+    /// not [prepared](Self::prepare).
     pub fn new(lens: Lens, rig: Rig, robot: Robot) -> Self {
         let search = Arc::default();
         let (search_pose, calibrated_covariance) = (rig.camera_from_base, rig.pose_covariance);

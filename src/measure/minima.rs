@@ -27,6 +27,8 @@ const REFINED: usize = 2;
 /// Fitted: the search distances, by hand on renders; judged by `tests/robustness`.
 const COARSE: FitSchedule = FitSchedule { searches_px: &[14.0, 8.0], rounds: 2, ..REFINEMENT };
 /// Both in one, of a candidate that is tried alone.
+///
+/// Derived: from both.
 const COARSE_THEN_REFINED: FitSchedule = FitSchedule { searches_px: &[14.0, 8.0, 6.0, 3.0], ..REFINEMENT };
 /// Coarse fits are refined if their cost is at most this many times the best one's.
 ///

@@ -23,13 +23,6 @@ const FURTHEST_OUTSIDE_PX: f64 = 2048.0;
 /// Derived: [`REACH_PX`], and two pixels for the interpolation at its end.
 const MARGIN_PX: f64 = REACH_PX + 2.0;
 
-/// Fractions of a cell along a line are whole numbers of this part of it, which is twice as fast as floating-point numbers.
-///
-/// Convention: a dozen steps are exact to a thousandth of a cell.
-const FIXED_POINT: f64 = (1_i64 << FIXED_POINT_BITS) as f64;
-/// The bits of such a fraction.
-const FIXED_POINT_BITS: u32 = 16;
-
 /// The body's silhouette over the part of the picture that it covers: the share of every cell that is snake.
 #[derive(Debug, Clone)]
 pub(super) struct Silhouette {
@@ -80,22 +73,13 @@ impl Silhouette {
     /// How far, px, one can go from a border pixel in a direction before the silhouette ends (`inside`) or begins; at most
     /// [`REACH_PX`].
     pub fn run_length(&self, from: &Point2<f64>, direction: Vector2<f64>, inside: bool) -> f64 {
-        let mut distance = BORDER_STEP_PX + self.cell_px;
-        // Away from the border the nearest cell is exact enough. Cells count from the raster's corner.
-        let cell = (from.coords + direction * distance - self.first) / self.cell_px + Vector2::repeat(0.5);
-        let fixed = |v: f64| (v * FIXED_POINT) as i64;
-        let (mut x, mut y) = (fixed(cell.x), fixed(cell.y));
-        let (dx, dy) = (fixed(direction.x), fixed(direction.y));
-        let Plane { width, data, .. } = &self.coverage;
-        let is_inside = |x: i64, y: i64| {
-            let cell = (y >> FIXED_POINT_BITS) as usize * width + (x >> FIXED_POINT_BITS) as usize;
-            data.get(cell).is_some_and(|share| *share > 0.5)
-        };
-        while distance < REACH_PX && is_inside(x, y) == inside {
-            distance += self.cell_px;
-            (x, y) = (x + dx, y + dy);
-        }
-        distance.min(REACH_PX)
+        let first_px = BORDER_STEP_PX + self.cell_px;
+        // Away from the border the nearest cell is exact enough.
+        let first = Point2::from((from.coords + direction * first_px - self.first) / self.cell_px);
+        let most = ((REACH_PX - first_px) / self.cell_px).ceil() as usize;
+        let cells = self.coverage.nearest_along(first, direction).take(most);
+        let passed = cells.take_while(|share| (*share > 0.5) == inside).count();
+        (first_px + passed as f64 * self.cell_px).min(REACH_PX)
     }
 
     /// The silhouette blurred by a Gaussian of this σ, px; for a raster whose cells are pixels.

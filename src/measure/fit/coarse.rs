@@ -70,9 +70,13 @@ const VALUE_STEPS: f32 = 1000.0;
 const REACHED_PX: f64 = 43.0;
 /// The bends whose places make the region that any may reach: so many sizes, each towards so many azimuths.
 ///
-/// Convention: the tip is then within 3.5 mm of one of them, and the region is made of whole rows, which its outermost places bound.
-const REACHED_RADII: usize = 8;
-const REACHED_AZIMUTHS: usize = 36;
+/// Convention: the tip is then within 2 mm of one of them, and the region is made of whole rows, which its outermost places bound.
+const REACHED_RADII: usize = 16;
+/// See [`REACHED_RADII`].
+///
+/// Convention: the same.
+const REACHED_AZIMUTHS: usize = 48;
+
 /// The least and the number of places, in columns and in rows, from a pair's inner pixel to its outer one.
 ///
 /// Derived: they lie twice [`PAIR_DISTANCE_PX`] apart, and each is rounded to the nearest pixel.
@@ -273,6 +277,8 @@ fn shrunk_lens(lens: &Lens) -> Lens {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::measure::fixture::Scene;
+    use nalgebra::Vector3;
 
     #[test]
     fn no_bend_is_further_from_the_lattice_than_a_hexagonal_one_leaves() {
@@ -287,6 +293,21 @@ mod tests {
             let nearest = lattice.iter().map(|other| (bend - other).norm()).fold(f64::INFINITY, f64::min);
             assert!(nearest <= furthest + 1e-9, "{bend}: {nearest}");
         }
+    }
+
+    #[test]
+    fn every_bend_is_seen_within_the_region() {
+        let scene = Scene::new(Vector3::new(0.05, -0.1, 0.0));
+        let view = scene.view();
+        let region = CoarseSearch::new(&scene.lens, scene.camera_from_base, &scene.robot).region().clone();
+        for k in 0..200 {
+            // Fermat's spiral fills the disk evenly.
+            let (radius, angle) = (LARGEST_BEND_RAD * (f64::from(k) / 199.0).sqrt(), 2.399_963 * f64::from(k));
+            let bend = radius * Vector2::new(angle.cos(), angle.sin());
+            // As far as edges are searched and examined.
+            assert!(region.contains(&view.image_region(BendProfile::arc(bend), 20.0)), "{bend}");
+        }
+        assert!(!region.contains(&Region::whole(scene.lens.width, scene.lens.height)));
     }
 
     #[test]

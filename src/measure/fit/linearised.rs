@@ -129,7 +129,7 @@ impl Linearised {
             by_state: DMatrix::zeros(rows, STATE),
             by_pose: DMatrix::zeros(rows, 6),
         };
-        let (mut by_state, mut by_pose) = (columns::<STATE>(&mut linear.by_state), columns::<6>(&mut linear.by_pose));
+        let (mut by_state, by_pose) = (columns::<STATE>(&mut linear.by_state), columns::<6>(&mut linear.by_pose));
         for (row, (edge, root)) in linearised_edges(edges, view, state).zip(roots).enumerate() {
             linear.residuals[row] = edge.residual * root;
             by_state.iter_mut().zip(edge.by_state).for_each(|(column, by)| column[row] = by * root);

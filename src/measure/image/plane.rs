@@ -5,7 +5,7 @@ pub use crate::statistics::order::median;
 use nalgebra::{Point2, Vector2};
 use std::ops::Range;
 
-/// Fractions of a pixel along a profile are whole numbers of this part of it, which is twice as fast as floating-point numbers and as
+/// Fractions of a pixel along a line are whole numbers of this part of it, which is twice as fast as floating-point numbers and as
 /// exact as their `f32` products.
 ///
 /// Derived: from its bits, below.
@@ -69,19 +69,14 @@ impl Region {
             if columns.is_empty() {
                 continue;
             }
-            for row in &mut rows[range(point.y, height)] {
-                let joined = row.start.min(columns.start)..row.end.max(columns.end);
-                *row = if row.start == row.end { columns.clone() } else { joined };
-            }
+            rows[range(point.y, height)].iter_mut().for_each(|row| *row = joined(row, &columns));
         }
         Self { rows }
     }
 
     /// What belongs to it or to another region of the same picture.
     pub fn joined(mut self, other: &Self) -> Self {
-        for (row, other) in self.rows.iter_mut().zip(&other.rows).filter(|(_, other)| !other.is_empty()) {
-            *row = if row.is_empty() { other.clone() } else { row.start.min(other.start)..row.end.max(other.end) };
-        }
+        self.rows.iter_mut().zip(&other.rows).for_each(|(row, other)| *row = joined(row, other));
         self
     }
 
@@ -150,7 +145,6 @@ impl Plane {
             into.as_flattened_mut().iter_mut().enumerate().for_each(|(k, value)| *value = self.sample_own(&at(k)));
             return;
         }
-        let fixed = |v: f64| (v / FIXED_POINT) as i64;
         let (mut x, mut y) = (fixed(start.x), fixed(start.y));
         let (dx, dy) = (fixed(step.x), fixed(step.y));
         // The fraction has fewer bits than an `i32`, which is turned into a float four at a time.
@@ -169,6 +163,19 @@ impl Plane {
                 *value = bilinear(around, fractions[0][k], fractions[1][k]);
             }
         }
+    }
+
+    /// The values of the pixels nearest to places along a line, counted from its own first pixel, the first at `start` and each `step` further than
+    /// the one before; 0 outside.
+    pub fn nearest_along(&self, start: Point2<f64>, step: Vector2<f64>) -> impl Iterator<Item = f32> {
+        let (mut x, mut y) = (fixed(start.x + 0.5), fixed(start.y + 0.5));
+        let (dx, dy) = (fixed(step.x), fixed(step.y));
+        std::iter::repeat_with(move || {
+            let (column, row) = ((x >> FIXED_POINT_BITS) as usize, (y >> FIXED_POINT_BITS) as usize);
+            (x, y) = (x + dx, y + dy);
+            let is_inside = column < self.width && row < self.height;
+            if is_inside { self.data[row * self.width + column] } else { 0.0 }
+        })
     }
 
     /// Whether there are pixels on all sides of a place.
@@ -237,8 +244,7 @@ impl Plane {
         };
         for (y, blurred) in data.chunks_exact_mut(width.max(1)).enumerate() {
             let rows = y.saturating_sub(reach)..(y + reach + 1).min(height);
-            let joined = |a: Range<usize>, b: &Range<usize>| a.start.min(b.start)..a.end.max(b.end);
-            let columns = filled[rows.clone()].iter().filter(|columns| !columns.is_empty()).fold(width..0, joined);
+            let columns = filled[rows.clone()].iter().fold(0..0, |all, columns| joined(&all, columns));
             if columns.is_empty() {
                 continue;
             }
@@ -283,6 +289,20 @@ impl Plane {
         }
         SD_BY_MAD * f64::from(median(&mut responses)) / NOISE_MASK_NORM
     }
+}
+
+/// The columns of two ranges, and those between.
+fn joined(a: &Range<usize>, b: &Range<usize>) -> Range<usize> {
+    match (a.is_empty(), b.is_empty()) {
+        (true, _) => b.clone(),
+        (_, true) => a.clone(),
+        _ => a.start.min(b.start)..a.end.max(b.end),
+    }
+}
+
+/// A number of pixels in units of [`FIXED_POINT`].
+fn fixed(v: f64) -> i64 {
+    (v / FIXED_POINT) as i64
 }
 
 /// The columns of a row from the first that is not 0 to the last, give or take [`LANES`].
@@ -339,6 +359,29 @@ mod tests {
         assert_eq!((small.width, small.height), (10, 6));
         // Block (3, 2) has its centre at pixel (13.5, 9.5).
         assert!((small.get(3, 2) - (0.3 * 13.5 - 0.2 * 9.5)).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_part_of_a_picture_has_the_blocks_of_the_whole_one() {
+        let whole = ramp(40, 24);
+        let part = whole.cropped(&Region::along([Point2::new(20.0, 12.0)], 9.5, (40, 24)));
+        assert_eq!((part.first, part.width, part.height), (Vector2::new(10.0, 2.0), 20, 20));
+        let (small, of_part) = (whole.shrunk::<4>(), part.shrunk::<4>());
+        assert_eq!((of_part.first, of_part.width, of_part.height), (Vector2::new(3.0, 1.0), 4, 4));
+        for (x, y) in [(0, 0), (3, 1), (2, 3)] {
+            assert_eq!(of_part.get(x, y), small.get(x + 3, y + 1));
+        }
+    }
+
+    #[test]
+    fn along_a_line_the_nearest_pixels_are_found_and_nothing_outside() {
+        let plane = Plane::new(3, 2, vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+        let along = |x: f64, y: f64, dx: f64, dy: f64| -> Vec<f32> {
+            plane.nearest_along(Point2::new(x, y), Vector2::new(dx, dy)).take(4).collect()
+        };
+        assert_eq!(along(-1.4, 0.2, 1.0, 0.0), [0.0, 1.0, 2.0, 3.0]);
+        assert_eq!(along(2.4, 1.4, -0.8, -0.5), [6.0, 6.0, 2.0, 1.0]);
+        assert_eq!(along(1.0, 1.0, 0.0, 1.0), [5.0, 0.0, 0.0, 0.0]);
     }
 
     #[test]
