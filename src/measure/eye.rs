@@ -119,8 +119,8 @@ struct Conclusion {
     fits: Vec<BendFit>,
     /// Whether another bend explained the picture in the fine stage as well as the best one so far.
     has_alternative: bool,
-    /// What the best minimum led to.
-    attempt: Option<Attempt>,
+    /// What was tried.
+    attempts: Vec<Attempt>,
     drift: DriftCheck,
     measurement: FrameMeasurement,
 }
@@ -273,11 +273,11 @@ impl Eye {
         finder: &EdgeFinder,
         fine: &FitSchedule,
     ) -> Conclusion {
-        let (known, drift) = earlier.map(|earlier| (earlier.attempt, earlier.drift)).unzip();
-        let select = || self.select(minima, known.flatten(), finder, fine);
+        let (known, drift) = earlier.map(|earlier| (earlier.attempts, earlier.drift)).unzip();
+        let select = || self.select(minima, known.unwrap_or_default(), finder, fine);
         let check = || drift.unwrap_or_else(|| self.drift_monitor.check(frame, finder));
         let (selection, drift) = rayon::join(select, check);
-        let Selection { fits, has_fine_fit, has_alternative, attempt, doubt } = selection;
+        let Selection { fits, has_fine_fit, has_alternative, attempts, doubt } = selection;
         let mut measurement = match fits.first().filter(|_| has_fine_fit) {
             Some(best) => self.verdict(best, doubt, finder),
             None => FrameMeasurement::failed(Status::NoSnake, None),
@@ -289,7 +289,7 @@ impl Eye {
         if let Some(status) = drift.status() {
             measurement = FrameMeasurement::failed(status, measurement.quality);
         }
-        Conclusion { fits, has_alternative, attempt, drift, measurement }
+        Conclusion { fits, has_alternative, attempts, drift, measurement }
     }
 
     /// The measurement of a fit that can be believed, or why it cannot.

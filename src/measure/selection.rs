@@ -3,6 +3,7 @@
 use super::eye::{COARSE_TO_REFINED, Eye, REFINEMENT, SAME_MINIMUM_RAD};
 use super::fit::{Alternative, BendFit, EDGE_ON_RAD, EdgeFinder, FitSchedule, Start, distinct, fit_bend};
 use crate::observation::Status;
+use rayon::prelude::*;
 
 /// An alternative is fitted in the fine stage if its cost is at most this many times the best one's.
 ///
@@ -42,16 +43,16 @@ pub(super) struct Selection {
     pub has_fine_fit: bool,
     /// Whether another bend explained the picture in the fine stage as well as the best one so far.
     pub has_alternative: bool,
-    /// What the best minimum led to.
-    pub attempt: Option<Attempt>,
+    /// What was tried.
+    pub attempts: Vec<Attempt>,
     /// Why the first is not to be relied on, if another one explains the picture as well: another bend, or the same snake of another shape.
     pub doubt: Option<Status>,
 }
 
 impl Selection {
     /// None of these minima has a fit in the fine stage.
-    fn without_fine_fit(fits: Vec<BendFit>, attempt: Option<Attempt>) -> Self {
-        Self { fits, has_fine_fit: false, has_alternative: false, attempt, doubt: None }
+    fn without_fine_fit(fits: Vec<BendFit>, attempts: Vec<Attempt>) -> Self {
+        Self { fits, has_fine_fit: false, has_alternative: false, attempts, doubt: None }
     }
 }
 
@@ -75,40 +76,51 @@ impl Eye {
         Some(fit)
     }
 
-    /// Fits a minimum in the fine stage, and beside it its mirrored solution.
-    fn attempt(&self, minimum: &BendFit, finder: &EdgeFinder, fine: &FitSchedule) -> Attempt {
+    /// Fits a minimum in the fine stage, and beside it its mirrored solution, unless that was done before; says which of the attempts it is.
+    fn attempt(
+        &self,
+        minimum: &BendFit,
+        attempts: &mut Vec<Attempt>,
+        finder: &EdgeFinder,
+        fine: &FitSchedule,
+    ) -> usize {
+        if let Some(known) = attempts.iter().position(|attempt| attempt.minimum.is_same_fit(minimum)) {
+            return known;
+        }
         let bend = self.mirrored(minimum.bend());
         let is_close = (bend - minimum.bend()).norm() < EDGE_ON_RAD;
         let schedule = if is_close { REFINEMENT } else { COARSE_TO_REFINED };
         let mirrored = || self.fit(finder, self.start(bend), &schedule.beside(minimum));
         // The longer of both is begun at once; the other waits for a free core.
         let (finest, mirrored) = rayon::join(|| self.fit_fine(finder, minimum.start(), fine), mirrored);
-        Attempt { minimum: minimum.clone(), mirrored, finest }
+        attempts.push(Attempt { minimum: minimum.clone(), mirrored, finest });
+        attempts.len() - 1
     }
 
     /// Fits the best of some local minima in the fine stage, and finds out whether another one explains the picture as well.
     pub(super) fn select(
         &self,
         minima: Vec<BendFit>,
-        known: Option<Attempt>,
+        mut attempts: Vec<Attempt>,
         finder: &EdgeFinder,
         fine: &FitSchedule,
     ) -> Selection {
         let fits = distinct(minima, SAME_MINIMUM_RAD);
-        let Some(best) = fits.first() else { return Selection::without_fine_fit(fits, known) };
-        let known = known.filter(|known| known.minimum.is_same_fit(best));
-        let attempt = known.unwrap_or_else(|| self.attempt(best, finder, fine));
-        let (mut last, mut mirrored) = (attempt.clone(), Vec::new());
+        let Some(best) = fits.first() else { return Selection::without_fine_fit(fits, attempts) };
+        let mut last = self.attempt(best, &mut attempts, finder, fine);
+        let mut mirrored = Vec::new();
         // The mirrored solution is seldom the better one. It is then tried itself, with a mirrored solution of its own, which need not be where
         // the fit before it ended.
         for _ in 0..MIRRORED_AGAIN {
-            let Some(better) = last.better_mirrored().cloned() else { break };
-            last = self.attempt(&better, finder, fine);
+            let Some(better) = attempts[last].better_mirrored().cloned() else { break };
+            last = self.attempt(&better, &mut attempts, finder, fine);
             mirrored.push(better);
         }
-        mirrored.extend(last.mirrored);
+        mirrored.extend(attempts[last].mirrored.clone());
         let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
-        let Some(mut best) = last.finest else { return Selection::without_fine_fit(fits, Some(attempt)) };
+        let Some(mut best) = attempts[last].finest.clone() else {
+            return Selection::without_fine_fit(fits, attempts);
+        };
         let diameter_px = self.projection().diameter_px();
         let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, diameter_px);
         let alternatives = fits[1..].iter().filter(|other| other.cost <= ALTERNATIVE_COST_RATIO * fits[0].cost);
@@ -126,18 +138,25 @@ impl Eye {
             }
             best
         };
-        for other in alternatives.filter_map(|other| self.fit_fine(finder, other.start(), fine)) {
+        // Fitted side by side, since a frame with several may take three times as long as others, and weighed in order.
+        let alternatives: Vec<&BendFit> = alternatives.collect();
+        let fit_fine = |other: &BendFit| match attempts.iter().find(|attempt| attempt.minimum.is_same_fit(other)) {
+            Some(known) => known.finest.clone(),
+            None => self.fit_fine(finder, other.start(), fine),
+        };
+        let others: Vec<_> = alternatives.into_par_iter().filter_map(fit_fine).collect();
+        for other in others {
             best = weigh(best, other, Status::Ambiguous);
         }
         // From a shape that the sequence told a fit starts in the right minimum.
         if best.contradicts_shape && !self.rig.is_shape_known() {
-            for start in best.shapes_beside(&self.projection()) {
-                if let Some(other) = self.fit_any_shape(finder, start, fine) {
-                    best = weigh(best, other, Status::UnknownShape);
-                }
+            let starts = best.shapes_beside(&self.projection()).into_par_iter();
+            let others: Vec<_> = starts.filter_map(|start| self.fit_any_shape(finder, start, fine)).collect();
+            for other in others {
+                best = weigh(best, other, Status::UnknownShape);
             }
         }
         fits[0] = best;
-        Selection { fits, has_fine_fit: true, has_alternative, attempt: Some(attempt), doubt }
+        Selection { fits, has_fine_fit: true, has_alternative, attempts, doubt }
     }
 }
