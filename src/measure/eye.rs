@@ -199,9 +199,8 @@ impl Eye {
             let measurement = FrameMeasurement::failed(status, None);
             return MeasurementStages { candidates: Vec::new(), fits: Vec::new(), measurement };
         }
-        let region = self.search().region();
-        let plane = self.plane(frame, region);
-        let finder = EdgeFinder::within(&plane, self.rig.appearance.two_sided, region);
+        let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
+        let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
         let candidates = self.candidates(&plane);
         let first = expected.or(candidates.first().copied());
         let first = first.and_then(|bend| self.minimum_near(bend, &candidates, &finder));

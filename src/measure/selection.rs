@@ -16,7 +16,6 @@ const ALTERNATIVE_COST_RATIO: f64 = 2.0;
 const MIRRORED_AGAIN: usize = 3;
 
 /// What a minimum leads to.
-#[derive(Clone)]
 pub(super) struct Attempt {
     /// Where it starts.
     pub minimum: BendFit,

@@ -61,7 +61,6 @@ fn the_tips_angles_are_measured_whatever_the_shape() {
     ];
     let scene = laboratory();
     let straight = eye(&scene);
-    let mut ambiguous = Vec::new();
     for (name, modes_deg) in shapes {
         let frames: Vec<_> = (30..)
             .zip(POSES)
@@ -74,11 +73,7 @@ fn the_tips_angles_are_measured_whatever_the_shape() {
         let (mut theta, mut delta, mut chi2) = (0.0, 0.0, 0.0);
         for (frame, (theta_deg, delta_deg)) in frames.iter().zip(POSES) {
             let seen = eye.measure(frame);
-            let Some(measured) = seen.measured else {
-                assert_eq!(seen.status, Status::Ambiguous, "{name}, θ {theta_deg}°");
-                ambiguous.push(format!("{name}, θ {theta_deg}°"));
-                continue;
-            };
+            let Some(measured) = seen.measured else { panic!("{name}, θ {theta_deg}°: {:?}", seen.status) };
             let off_theta = measured.configuration.theta_deg() - theta_deg;
             let off_delta = (measured.configuration.delta_deg() - delta_deg + 180.0).rem_euclid(360.0) - 180.0;
             theta += off_theta.powi(2) / POSES.len() as f64;
@@ -90,7 +85,4 @@ fn the_tips_angles_are_measured_whatever_the_shape() {
         println!("{name}: θ {theta:.3}°, δ {delta:.3}° rms, χ² {chi2:.2}");
         assert!(theta < 0.13 && delta < 0.3 && chi2 < 2.0, "{name}: θ {theta:.3}°, δ {delta:.3}° rms, χ² {chi2:.2}");
     }
-    // Of the snake of 20° whose curvature varies by 25 % the mirrored solution's edges scatter 1.30 times as much, which is the limit: what
-    // else hardly changes anything may decide.
-    assert!(ambiguous.len() <= 1, "{ambiguous:?}");
 }

@@ -23,7 +23,7 @@ pub(crate) const FINE_SEARCH_PX: f64 = 4.0;
 /// The largest bend that a fit may reach, rad.
 ///
 /// Convention: 126°, beyond the 110° at which the coarse search ends; a fit that goes further has lost the snake.
-pub(super) const LARGEST_BEND_RAD: f64 = 2.2;
+const LARGEST_BEND_RAD: f64 = 2.2;
 /// The least length of outline that must have edges, px.
 ///
 /// Convention: a guard for the solver. Whether a fit may be believed is decided by its share of inliers.

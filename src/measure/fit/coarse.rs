@@ -1,14 +1,12 @@
 //! The coarse search: the bends of a lattice whose outlines have the most contrast in the picture at low resolution.
 
-use super::bend::LARGEST_BEND_RAD;
 use crate::camera::Lens;
 use crate::geometry::{Configuration, Pose};
 use crate::measure::body::{Outline, Projection};
-use crate::measure::image::plane::{Plane, Region};
-use crate::robot::{BendProfile, Robot};
-use nalgebra::{Point2, Rotation2, Vector2};
+use crate::measure::image::plane::Plane;
+use crate::robot::Robot;
+use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
-use std::f64::consts::TAU;
 use std::ops::Range;
 
 /// By how much the picture is shrunk.
@@ -63,20 +61,6 @@ const CONTRAST_RANGE: (f32, f32) = (-0.25, 1.25);
 /// Convention: finer than the noise of any picture.
 const VALUE_STEPS: f32 = 1000.0;
 
-/// How far around every bend the picture is examined, px.
-///
-/// Derived: a fit may take a snake that is no arc to be 15 px further; edges are searched up to 14 px from the outline and examined 5 px further, and
-/// the filters reach up to 9 px.
-const REACHED_PX: f64 = 43.0;
-/// The bends whose places make the region that any may reach: so many sizes, each towards so many azimuths.
-///
-/// Convention: the tip is then within 2 mm of one of them, and the region is made of whole rows, which its outermost places bound.
-const REACHED_RADII: usize = 16;
-/// See [`REACHED_RADII`].
-///
-/// Convention: the same.
-const REACHED_AZIMUTHS: usize = 48;
-
 /// The least and the number of places, in columns and in rows, from a pair's inner pixel to its outer one.
 ///
 /// Derived: they lie twice [`PAIR_DISTANCE_PX`] apart, and each is rounded to the nearest pixel.
@@ -97,10 +81,8 @@ pub(crate) struct CoarseSearch {
     sifting: Vec<Pair>,
     /// All others.
     others: Vec<Pair>,
-    /// Width and height of the shrunk picture, px.
-    size: (i32, i32),
-    /// The part of the picture in which any bend may be seen.
-    region: Region,
+    /// The width of the shrunk picture, px.
+    width: i32,
 }
 
 #[derive(Debug)]
@@ -147,9 +129,7 @@ impl CoarseSearch {
         let small = shrunk_lens(lens);
         let view = Projection { lens: &small, camera_from_base, robot };
         let pairs: Vec<_> = lattice().into_par_iter().map(|bend| (bend, pairs(&view, bend))).collect();
-        let region = reached(&Projection { lens, camera_from_base, robot });
-        let size = (small.width as i32, small.height as i32);
-        let mut search = Self { bends: vec![], sifting: vec![], others: vec![], size, region };
+        let mut search = Self { bends: vec![], sifting: vec![], others: vec![], width: small.width as i32 };
         for (bend, pairs) in pairs.into_iter().filter(|(_, pairs)| pairs.len() >= FEWEST_PAIRS) {
             let (sifting, others) = (search.sifting.len(), search.others.len());
             for (k, pair) in pairs.into_iter().enumerate() {
@@ -161,26 +141,15 @@ impl CoarseSearch {
         search
     }
 
-    /// The part of the picture in which any bend may be seen, and what is searched and examined around it.
-    pub fn region(&self) -> &Region {
-        &self.region
-    }
-
-    /// The bends with the most contrast across their outlines in the picture's [`region`](Self::region), best first, at most `most`. `two_sided` pictures, whose background is
+    /// The bends with the most contrast across their outlines, best first, at most `most`. `two_sided` pictures, whose background is
     /// darker than the snake in places and brighter in others, count contrast of either sign.
     pub fn candidates(&self, plane: &Plane, two_sided: bool, most: usize) -> Vec<Vector2<f64>> {
         let (least, largest) = CONTRAST_RANGE;
-        let shrunk = plane.shrunk::<SHRINK>();
-        let (width, height) = (self.size.0 as usize, self.size.1 as usize);
-        let mut small = vec![0_i16; width * height];
-        let (left, top) = (shrunk.first.x as usize, shrunk.first.y as usize);
-        for (row, values) in (top..).zip(shrunk.data.chunks_exact(shrunk.width.max(1))) {
-            let steps = values.iter().map(|v| (VALUE_STEPS * v.clamp(least, largest)) as i32 as i16);
-            small.iter_mut().skip(row * width + left).zip(steps).for_each(|(small, steps)| *small = steps);
-        }
+        let small: Vec<i16> =
+            plane.shrunk::<SHRINK>().data.iter().map(|v| (VALUE_STEPS * v.clamp(least, largest)) as i16).collect();
         // The pixels are those of the lens; in a plane of another size some are missing.
         let value = |pixel: usize| small.get(pixel).copied().map_or(0, i32::from);
-        let steps = Pair::steps(self.size.0);
+        let steps = Pair::steps(self.width);
         let contrast = |pair: &Pair| {
             let (inside, outside) = pair.indices(&steps);
             value(inside) - value(outside)
@@ -231,17 +200,6 @@ fn lattice() -> Vec<Vector2<f64>> {
         .collect()
 }
 
-/// What of the picture a snake may reach.
-fn reached(view: &Projection) -> Region {
-    let bend = |k: usize| {
-        let (radius, azimuth) = ((k / REACHED_AZIMUTHS) as f64 / REACHED_RADII as f64, (k % REACHED_AZIMUTHS) as f64);
-        Rotation2::new(TAU * azimuth / REACHED_AZIMUTHS as f64) * Vector2::new(LARGEST_BEND_RAD * radius, 0.0)
-    };
-    let regions = (0..=REACHED_RADII * REACHED_AZIMUTHS).into_par_iter();
-    let nothing = || Region::along([], 0.0, (view.lens.width, view.lens.height));
-    regions.map(|k| view.image_region(BendProfile::arc(bend(k)), REACHED_PX)).reduce(nothing, |a, b| a.joined(&b))
-}
-
 /// The pairs of pixels on both sides of the outline of a bend.
 fn pairs(view: &Projection, bend: Vector2<f64>) -> Vec<Pair> {
     let spacing_px = (PAIRS_APART * view.diameter_px()).max(Outline::SPACING_PX);
@@ -277,8 +235,6 @@ fn shrunk_lens(lens: &Lens) -> Lens {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measure::fixture::Scene;
-    use nalgebra::Vector3;
 
     #[test]
     fn no_bend_is_further_from_the_lattice_than_a_hexagonal_one_leaves() {
@@ -293,21 +249,6 @@ mod tests {
             let nearest = lattice.iter().map(|other| (bend - other).norm()).fold(f64::INFINITY, f64::min);
             assert!(nearest <= furthest + 1e-9, "{bend}: {nearest}");
         }
-    }
-
-    #[test]
-    fn every_bend_is_seen_within_the_region() {
-        let scene = Scene::new(Vector3::new(0.05, -0.1, 0.0));
-        let view = scene.view();
-        let region = CoarseSearch::new(&scene.lens, scene.camera_from_base, &scene.robot).region().clone();
-        for k in 0..200 {
-            // Fermat's spiral fills the disk evenly.
-            let (radius, angle) = (LARGEST_BEND_RAD * (f64::from(k) / 199.0).sqrt(), 2.399_963 * f64::from(k));
-            let bend = radius * Vector2::new(angle.cos(), angle.sin());
-            // As far as edges are searched and examined.
-            assert!(region.contains(&view.image_region(BendProfile::arc(bend), 20.0)), "{bend}");
-        }
-        assert!(!region.contains(&Region::whole(scene.lens.width, scene.lens.height)));
     }
 
     #[test]

@@ -74,12 +74,6 @@ impl Region {
         Self { rows }
     }
 
-    /// What belongs to it or to another region of the same picture.
-    pub fn joined(mut self, other: &Self) -> Self {
-        self.rows.iter_mut().zip(&other.rows).for_each(|(row, other)| *row = joined(row, other));
-        self
-    }
-
     /// Whether all of another region of the same picture is in it.
     pub fn contains(&self, other: &Self) -> bool {
         let holds = |a: &Range<usize>, b: &Range<usize>| b.is_empty() || (a.start <= b.start && b.end <= a.end);
@@ -93,10 +87,7 @@ impl Region {
 
     /// The least and most column and row, each up to but not including the most.
     pub fn bounds(&self) -> (Range<usize>, Range<usize>) {
-        self.rows().fold((0..0, 0..0), |(x, y), (row, columns)| {
-            let joined = x.start.min(columns.start)..x.end.max(columns.end);
-            if y.is_empty() { (columns, row..row + 1) } else { (joined, y.start..row + 1) }
-        })
+        self.rows().fold((0..0, 0..0), |(x, y), (row, columns)| (joined(&x, &columns), joined(&y, &(row..row + 1))))
     }
 }
 
@@ -206,26 +197,22 @@ impl Plane {
         Self { width: x.len(), height: y.len(), first: Vector2::new(x.start as f64, y.start as f64), data }
     }
 
-    /// The picture made `FACTOR` times smaller, each pixel the mean of a block of the whole picture. Blocks of which this part has not all are
-    /// left out.
+    /// The picture made `FACTOR` times smaller, each pixel the mean of a block.
     ///
-    /// The centre of block (x, y) is at pixel `FACTOR * x + (FACTOR - 1) / 2` of the whole picture.
+    /// The centre of block (x, y) is at pixel `FACTOR * x + (FACTOR - 1) / 2` of this picture.
     pub fn shrunk<const FACTOR: usize>(&self) -> Self {
-        let first = self.first.map(|v| (v as usize).div_ceil(FACTOR));
-        let skipped = (first * FACTOR).zip_map(&self.first, |block, own| block - own as usize);
-        let (width, height) =
-            (self.width.saturating_sub(skipped.x) / FACTOR, self.height.saturating_sub(skipped.y) / FACTOR);
+        let (width, height) = (self.width / FACTOR, self.height / FACTOR);
         let scale = 1.0 / (FACTOR * FACTOR) as f32;
         let mut data = vec![0.0; width * height];
         for (y, row) in data.chunks_exact_mut(width.max(1)).enumerate() {
             for line in 0..FACTOR {
-                let source = &self.data[(skipped.y + y * FACTOR + line) * self.width + skipped.x..][..width * FACTOR];
+                let source = &self.data[(y * FACTOR + line) * self.width..][..width * FACTOR];
                 for (value, block) in row.iter_mut().zip(source.as_chunks::<FACTOR>().0) {
                     *value += block.iter().sum::<f32>() * scale;
                 }
             }
         }
-        Self { width, height, first: first.map(|v| v as f64), data }
+        Self::new(width, height, data)
     }
 
     /// The picture, whose margins are 0, blurred by a Gaussian of this σ, px.
@@ -359,18 +346,6 @@ mod tests {
         assert_eq!((small.width, small.height), (10, 6));
         // Block (3, 2) has its centre at pixel (13.5, 9.5).
         assert!((small.get(3, 2) - (0.3 * 13.5 - 0.2 * 9.5)).abs() < 1e-5);
-    }
-
-    #[test]
-    fn a_part_of_a_picture_has_the_blocks_of_the_whole_one() {
-        let whole = ramp(40, 24);
-        let part = whole.cropped(&Region::along([Point2::new(20.0, 12.0)], 9.5, (40, 24)));
-        assert_eq!((part.first, part.width, part.height), (Vector2::new(10.0, 2.0), 20, 20));
-        let (small, of_part) = (whole.shrunk::<4>(), part.shrunk::<4>());
-        assert_eq!((of_part.first, of_part.width, of_part.height), (Vector2::new(3.0, 1.0), 4, 4));
-        for (x, y) in [(0, 0), (3, 1), (2, 3)] {
-            assert_eq!(of_part.get(x, y), small.get(x + 3, y + 1));
-        }
     }
 
     #[test]
