@@ -11,13 +11,13 @@
 //!    as well.
 //! 6. Verdict: the status, and for [`Status::Ok`] the bend with its covariance, to which the rig's uncertainty is added.
 
+use super::fitter::Fitter;
 use super::selection::{Attempt, Selection};
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    BendFit, CoarseSearch, EdgeFinder, FitSchedule, POSE_VARIANCE, PartVisibility, ProfileCovariance, Start, State,
-    fit_bend, mirrored,
+    BendFit, CoarseSearch, EdgeFinder, FitSchedule, POSE_VARIANCE, PartVisibility, ProfileCovariance,
 };
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
@@ -28,32 +28,10 @@ use crate::robot::{BendProfile, Robot};
 use nalgebra::{Matrix6, Vector2};
 use std::sync::{Arc, OnceLock};
 
-/// A fit has converged when a round moves the bend by less than this, rad: the tip then moves by less than half a pixel, and the same
-/// edges would be found again.
+/// How many candidates the coarse search hands on.
 ///
-/// Derived: L/2 · 1e-3 = 0.013 mm for L = 26 mm, half a pixel at 38 px/mm.
-pub(super) const CONVERGED_RAD: f64 = 1e-3;
-/// The refinement of a coarse fit.
-///
-/// Fitted: the search distances, by hand on renders, here and below; judged by `tests/robustness`.
-pub(super) const REFINEMENT: FitSchedule = FitSchedule {
-    searches_px: &[6.0, 3.0],
-    rounds: 20,
-    is_fine: false,
-    converged_rad: CONVERGED_RAD,
-    rival_cost: f64::INFINITY,
-};
-/// Both in one, from a start that is close: the last frame's bend, or a mirrored solution.
-pub(super) const COARSE_TO_REFINED: FitSchedule = FitSchedule { searches_px: &[14.0, 6.0, 3.0], ..REFINEMENT };
-/// The fine stage.
-const FINE: FitSchedule = FitSchedule { searches_px: &[3.0], rounds: 9, is_fine: true, ..REFINEMENT };
-/// The fine stage of a tracked sequence, which must keep up with the camera: another round would change the bend by a hundredth of a
-/// degree.
-const TRACKED_FINE: FitSchedule = FitSchedule { rounds: 1, ..FINE };
-/// Refined fits that end within this distance of each other, rad, are one local minimum.
-///
-/// Convention: five times what they have converged to.
-pub(super) const SAME_MINIMUM_RAD: f64 = 5e-3;
+/// Fitted: by hand on renders; judged by `tests/robustness`.
+const CANDIDATES: usize = 6;
 /// How far the snake's outline may move between two frames of a tracked sequence, px.
 ///
 /// Convention: a snake that moves further is searched everywhere, which takes longer but costs no accuracy.
@@ -144,6 +122,21 @@ impl Eye {
         Self { lens, rig, robot, search, search_pose, drift_monitor, calibrated_covariance }
     }
 
+    /// The coarse search; made now if no frame asked for it before.
+    pub(super) fn search(&self) -> &CoarseSearch {
+        if let Some(made) = self.search.get() {
+            return made;
+        }
+        // Made outside of the lock: a thread of a pool that waits here for others may be given the next frame, which asks as well.
+        let made = CoarseSearch::new(&self.lens, self.search_pose, &self.robot);
+        self.search.get_or_init(|| made)
+    }
+
+    /// Makes the coarse search now, and not when the first frame asks for it.
+    pub fn prepare(&self) {
+        self.search();
+    }
+
     /// The lens that this eye sees through.
     pub fn lens(&self) -> &Lens {
         &self.lens
@@ -200,14 +193,15 @@ impl Eye {
             return MeasurementStages { candidates: Vec::new(), fits: Vec::new(), measurement };
         }
         let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
-        let finder = EdgeFinder::new(&plane, self.rig.appearance.two_sided);
-        let candidates = self.candidates(&plane);
+        let two_sided = self.rig.appearance.two_sided;
+        let fitter = self.fitter(EdgeFinder::new(&plane, two_sided));
+        let candidates = self.search().candidates(&plane, two_sided, CANDIDATES);
         let first = expected.or(candidates.first().copied());
-        let first = first.and_then(|bend| self.minimum_near(bend, &candidates, &finder));
-        let alone = first.clone().map(|minimum| self.conclude(vec![minimum], None, frame, &finder, &FINE));
+        let first = first.and_then(|bend| fitter.minimum_near(bend, &candidates));
+        let alone = first.clone().map(|minimum| self.conclude(vec![minimum], None, frame, &fitter, &FitSchedule::FINE));
         let Conclusion { fits, measurement, .. } = match alone {
             Some(alone) if alone.is_certain() => alone,
-            alone => self.conclude(self.minima(&candidates, first, &finder), alone, frame, &finder, &FINE),
+            alone => self.conclude(fitter.minima(&candidates, first), alone, frame, &fitter, &FitSchedule::FINE),
         };
         MeasurementStages { candidates, fits, measurement }
     }
@@ -225,13 +219,14 @@ impl Eye {
         let view = self.projection();
         let region = view.image_region(BendProfile::arc(last), TRACKED_MOTION_PX);
         let plane = self.plane(frame, &region);
-        let finder = EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region);
-        let near = self.fit(&finder, self.start(last), &COARSE_TO_REFINED).filter(is_enough)?;
+        let fitter = self.fitter(EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region));
+        let near = fitter.fit(fitter.start(last), &FitSchedule::FROM_NEAR).filter(is_enough)?;
         // A snake that reaches out of the region was not seen whole.
         if !region.contains(&view.image_region(near.profile, Outline::REACH_PX)) {
             return None;
         }
-        let Conclusion { measurement, .. } = self.conclude(vec![near], None, frame, &finder, &TRACKED_FINE);
+        let Conclusion { measurement, .. } =
+            self.conclude(vec![near], None, frame, &fitter, &FitSchedule::TRACKED_FINE);
         (measurement.status == Status::Ok).then_some(measurement)
     }
 
@@ -249,17 +244,9 @@ impl Eye {
         is_saturated(frame).then_some(Status::Saturated)
     }
 
-    pub(super) fn start(&self, bend: Vector2<f64>) -> Start {
-        let state = State { profile: BendProfile::arc(bend), bias: self.rig.edge_bias };
-        Start { state, blur_px: None, origin: bend }
-    }
-
-    pub(super) fn mirrored(&self, bend: Vector2<f64>) -> Vector2<f64> {
-        mirrored(bend, &self.projection())
-    }
-
-    pub(super) fn fit(&self, finder: &EdgeFinder, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
-        fit_bend(&self.projection(), finder, start, self.rig.prior(), schedule)
+    /// Fits to a picture whose edges the finder finds.
+    fn fitter<'a>(&'a self, finder: EdgeFinder<'a>) -> Fitter<'a> {
+        Fitter { view: self.projection(), rig: &self.rig, finder }
     }
 
     /// Selects among the minima and gives the verdict on the best, beside the check of whether camera, base and target are where the
@@ -269,16 +256,16 @@ impl Eye {
         minima: Vec<BendFit>,
         earlier: Option<Conclusion>,
         frame: &Frame,
-        finder: &EdgeFinder,
+        fitter: &Fitter,
         fine: &FitSchedule,
     ) -> Conclusion {
         let (known, drift) = earlier.map(|earlier| (earlier.attempts, earlier.drift)).unzip();
-        let select = || self.select(minima, known.unwrap_or_default(), finder, fine);
-        let check = || drift.unwrap_or_else(|| self.drift_monitor.check(frame, finder));
+        let select = || fitter.select(minima, known.unwrap_or_default(), fine);
+        let check = || drift.unwrap_or_else(|| self.drift_monitor.check(frame, &fitter.finder));
         let (selection, drift) = rayon::join(select, check);
-        let Selection { fits, has_fine_fit, has_alternative, attempts, doubt } = selection;
+        let Selection { fits, has_fine_fit, has_alternative, attempts, refusal } = selection;
         let mut measurement = match fits.first().filter(|_| has_fine_fit) {
-            Some(best) => self.verdict(best, doubt, finder),
+            Some(best) => self.verdict(best, refusal, &fitter.finder),
             None => FrameMeasurement::failed(Status::NoSnake, None),
         };
         if let Some(quality) = &mut measurement.quality {
@@ -292,7 +279,7 @@ impl Eye {
     }
 
     /// The measurement of a fit that can be believed, or why it cannot.
-    fn verdict(&self, fit: &BendFit, doubt: Option<Status>, finder: &EdgeFinder) -> FrameMeasurement {
+    fn verdict(&self, fit: &BendFit, refusal: Option<Status>, finder: &EdgeFinder) -> FrameMeasurement {
         let quality = Quality {
             edges: fit.inliers,
             inlier_fraction: fit.inlier_fraction(),
@@ -310,7 +297,7 @@ impl Eye {
         if visibility.visible_disk_share() < LEAST_VISIBLE_DISKS || !is_end_visible() {
             return FrameMeasurement::failed(Status::Occluded, Some(quality));
         }
-        if let Some(status) = doubt {
+        if let Some(status) = refusal {
             return FrameMeasurement::failed(status, Some(quality));
         }
         // With any shape a fit has local minima of its own. From a shape that the sequence told it starts in the right one; else one

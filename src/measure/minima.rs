@@ -1,15 +1,10 @@
 //! The local minima of a frame's fit, from the candidates of the coarse search.
 
-use super::eye::{Eye, REFINEMENT, SAME_MINIMUM_RAD};
-use super::fit::{BendFit, CoarseSearch, EdgeFinder, FitSchedule, distinct};
-use super::image::plane::Plane;
+use super::fit::{BendFit, FitSchedule, distinct};
+use super::fitter::{Fitter, SAME_MINIMUM_RAD};
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-/// How many candidates the coarse search hands on.
-///
-/// Fitted: by hand on renders; judged by `tests/robustness`.
-const CANDIDATES: usize = 6;
 /// How many candidates are fitted at a time.
 ///
 /// Convention: two whatever the number of cores, so that the answer does not depend on it.
@@ -22,14 +17,6 @@ const CANDIDATES_FOLLOWED: usize = 2;
 ///
 /// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
 const REFINED: usize = 2;
-/// The fit of a candidate, from the lattice of the coarse search.
-///
-/// Fitted: the search distances, by hand on renders; judged by `tests/robustness`.
-const COARSE: FitSchedule = FitSchedule { searches_px: &[14.0, 8.0], rounds: 2, ..REFINEMENT };
-/// Both in one, of a candidate that is tried alone.
-///
-/// Derived: from both.
-const COARSE_THEN_REFINED: FitSchedule = FitSchedule { searches_px: &[14.0, 8.0, 6.0, 3.0], ..REFINEMENT };
 /// Coarse fits are refined if their cost is at most this many times the best one's.
 ///
 /// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
@@ -39,38 +26,13 @@ const REFINED_COST_RATIO: f64 = 3.0;
 /// Convention: half a spacing of the coarse search's lattice.
 const SAME_COARSE_RAD: f64 = 0.035;
 
-impl Eye {
-    /// The coarse search; made now if no frame asked for it before.
-    pub(super) fn search(&self) -> &CoarseSearch {
-        if let Some(made) = self.search.get() {
-            return made;
-        }
-        // Made outside of the lock: a thread of a pool that waits here for others may be given the next frame, which asks as well.
-        let made = CoarseSearch::new(&self.lens, self.search_pose, &self.robot);
-        self.search.get_or_init(|| made)
-    }
-
-    /// Makes the coarse search now, and not when the first frame asks for it.
-    pub fn prepare(&self) {
-        self.search();
-    }
-
-    /// Bends that the coarse search finds in a whole picture, best first.
-    pub(super) fn candidates(&self, plane: &Plane) -> Vec<Vector2<f64>> {
-        self.search().candidates(plane, self.rig.appearance.two_sided, CANDIDATES)
-    }
-
+impl Fitter<'_> {
     /// The local minimum to which the candidate nearest to an expected bend leads; where another candidate is nearer to the minimum, the one
     /// to which that leads. `None` where it is not promising, or no candidate leads to what it is nearest to.
-    pub(super) fn minimum_near(
-        &self,
-        expected: Vector2<f64>,
-        candidates: &[Vector2<f64>],
-        finder: &EdgeFinder,
-    ) -> Option<BendFit> {
+    pub fn minimum_near(&self, expected: Vector2<f64>, candidates: &[Vector2<f64>]) -> Option<BendFit> {
         let mut candidate = nearest(candidates, expected)?;
         for _ in 0..CANDIDATES_FOLLOWED {
-            let minimum = self.fit(finder, self.start(candidate), &COARSE_THEN_REFINED);
+            let minimum = self.fit(self.start(candidate), &FitSchedule::FROM_CANDIDATE);
             let minimum = minimum.filter(BendFit::is_promising)?;
             let nearest = nearest(candidates, minimum.bend())?;
             if nearest == candidate {
@@ -82,14 +44,9 @@ impl Eye {
     }
 
     /// The local minima to which the candidates lead, of which one may be known already from [`minimum_near`](Self::minimum_near).
-    pub(super) fn minima(
-        &self,
-        candidates: &[Vector2<f64>],
-        known: Option<BendFit>,
-        finder: &EdgeFinder,
-    ) -> Vec<BendFit> {
-        let minima = self.refine(self.coarse_fits(candidates, finder), finder);
-        self.reached_from_nearest(minima, candidates, known, finder)
+    pub fn minima(&self, candidates: &[Vector2<f64>], known: Option<BendFit>) -> Vec<BendFit> {
+        let minima = self.refine(self.coarse_fits(candidates));
+        self.reached_from_nearest(minima, candidates, known)
     }
 
     /// Local minima, of which the best is reached once more from the candidate nearest to it: what a fit ends at depends a little on where it
@@ -99,12 +56,11 @@ impl Eye {
         mut minima: Vec<BendFit>,
         candidates: &[Vector2<f64>],
         known: Option<BendFit>,
-        finder: &EdgeFinder,
     ) -> Vec<BendFit> {
         let Some(best) = minima.iter().min_by(|a, b| a.cost.total_cmp(&b.cost)) else { return minima };
         let from = nearest(candidates, best.bend());
         let known = known.filter(|known| Some(known.origin) == from);
-        if let Some(again) = known.or_else(|| self.minimum_near(best.bend(), candidates, finder)) {
+        if let Some(again) = known.or_else(|| self.minimum_near(best.bend(), candidates)) {
             minima.retain(|minimum| (minimum.bend() - again.bend()).norm() > SAME_MINIMUM_RAD);
             minima.push(again);
         }
@@ -113,8 +69,8 @@ impl Eye {
 
     /// Fits the candidates, best first, until one explains all of the outline, and the mirrored solution of the best: the coarse
     /// search may have taken one for the other, and the fit of the wrong one then ends between both.
-    fn coarse_fits(&self, candidates: &[Vector2<f64>], finder: &EdgeFinder) -> Vec<BendFit> {
-        let fit = |bend: Vector2<f64>| self.fit(finder, self.start(bend), &COARSE);
+    fn coarse_fits(&self, candidates: &[Vector2<f64>]) -> Vec<BendFit> {
+        let fit = |bend: Vector2<f64>| self.fit(self.start(bend), &FitSchedule::COARSE);
         let mut fits: Vec<BendFit> = Vec::new();
         for few in candidates.chunks(CANDIDATES_AT_A_TIME) {
             fits.par_extend(few.par_iter().filter_map(|&bend| fit(bend)));
@@ -129,15 +85,14 @@ impl Eye {
     }
 
     /// Fits the best of the coarse fits until they converge, or prove hopeless beside those before them.
-    fn refine(&self, coarse: Vec<BendFit>, finder: &EdgeFinder) -> Vec<BendFit> {
+    fn refine(&self, coarse: Vec<BendFit>) -> Vec<BendFit> {
         let mut coarse = distinct(coarse, SAME_COARSE_RAD);
         coarse.truncate(REFINED);
         let least_cost = coarse.first().map_or(0.0, |best| best.cost);
         let mut refined: Vec<BendFit> = Vec::new();
         for fit in coarse.iter().filter(|fit| fit.cost <= REFINED_COST_RATIO * least_cost) {
-            let best = refined.iter().min_by(|a, b| a.cost.total_cmp(&b.cost));
-            let schedule = best.map_or(REFINEMENT, |best| REFINEMENT.beside(best));
-            refined.extend(self.fit(finder, fit.start(), &schedule));
+            let rival_cost = refined.iter().map(|other| other.cost).fold(f64::INFINITY, f64::min);
+            refined.extend(self.fit(fit.start(), &FitSchedule::REFINEMENT.beside(rival_cost)));
         }
         refined
     }

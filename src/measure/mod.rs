@@ -18,6 +18,7 @@ mod body;
 mod explain;
 mod eye;
 mod fit;
+mod fitter;
 #[cfg(test)]
 mod fixture;
 mod image;

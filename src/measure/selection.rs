@@ -1,7 +1,7 @@
 //! The selection among the local minima of a frame's fit: which of them the picture shows, and whether another explains it as well.
 
-use super::eye::{COARSE_TO_REFINED, Eye, REFINEMENT, SAME_MINIMUM_RAD};
-use super::fit::{Alternative, BendFit, EDGE_ON_RAD, EdgeFinder, FitSchedule, Start, distinct, fit_bend};
+use super::fit::{Alternative, BendFit, EDGE_ON_RAD, FitSchedule, distinct};
+use super::fitter::{Fitter, SAME_MINIMUM_RAD};
 use crate::observation::Status;
 use rayon::prelude::*;
 
@@ -45,117 +45,120 @@ pub(super) struct Selection {
     /// What was tried.
     pub attempts: Vec<Attempt>,
     /// Why the first is not to be relied on, if another one explains the picture as well: another bend, or the same snake of another shape.
-    pub doubt: Option<Status>,
+    pub refusal: Option<Status>,
 }
 
 impl Selection {
     /// None of these minima has a fit in the fine stage.
     fn without_fine_fit(fits: Vec<BendFit>, attempts: Vec<Attempt>) -> Self {
-        Self { fits, has_fine_fit: false, has_alternative: false, attempts, doubt: None }
+        Self { fits, has_fine_fit: false, has_alternative: false, attempts, refusal: None }
     }
 }
 
-impl Eye {
-    /// The fit in the fine stage; with any shape where the picture contradicts what is known of the snake's.
-    fn fit_fine(&self, finder: &EdgeFinder, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
-        let fit = self.fit(finder, start, schedule)?;
-        if !fit.contradicts_shape {
-            return Some(fit);
+/// The best of the fits in the fine stage that were weighed so far, and what the others mean beside it.
+struct Weighing {
+    best: BendFit,
+    /// The snake's diameter in the picture, px.
+    diameter_px: f64,
+    /// See [`Selection`].
+    has_alternative: bool,
+    refusal: Option<Status>,
+}
+
+impl Weighing {
+    /// Weighs another fit, which may have ended at the same bend in the fine stage, or prove to be worse. Where both explain the picture alike
+    /// and neither is likelier, the picture is refused with this status.
+    fn weigh(&mut self, other: BendFit, status: Status) {
+        let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, self.diameter_px);
+        let best = &self.best;
+        let compared = compare(&other, best);
+        self.has_alternative |= compared == Alternative::AsGood;
+        match compared {
+            Alternative::EdgeOn => self.best = best.clone().or_edge_on(other),
+            Alternative::AsGood if compare(best, &other) == Alternative::Worse => self.best = other,
+            Alternative::AsGood if other.has_likelier_shape_than(best) => self.best = other,
+            Alternative::AsGood if !best.has_likelier_shape_than(&other) => _ = self.refusal.get_or_insert(status),
+            Alternative::AsGood | Alternative::Worse => {}
         }
-        self.fit_any_shape(finder, fit.start(), schedule).or(Some(fit))
+    }
+}
+
+impl Fitter<'_> {
+    /// Fits the best of some local minima in the fine stage, and finds out whether another one explains the picture as well. What was
+    /// attempted before is not fitted again.
+    pub fn select(&self, minima: Vec<BendFit>, mut attempts: Vec<Attempt>, fine: &FitSchedule) -> Selection {
+        let fits = distinct(minima, SAME_MINIMUM_RAD);
+        let Some(first) = fits.first() else { return Selection::without_fine_fit(fits, attempts) };
+        let (finest, mirrored) = self.attempt_with_mirrored(first, &mut attempts, fine);
+        let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
+        let Some(best) = finest else { return Selection::without_fine_fit(fits, attempts) };
+        let diameter_px = self.view.diameter_px();
+        let mut weighing = Weighing { best, diameter_px, has_alternative: false, refusal: None };
+        for other in self.alternatives(&fits, &attempts, fine) {
+            weighing.weigh(other, Status::Ambiguous);
+        }
+        // From a shape that the sequence told a fit starts in the right minimum.
+        if weighing.best.contradicts_shape && !self.rig.is_shape_known() {
+            for other in self.other_shapes(&weighing.best, fine) {
+                weighing.weigh(other, Status::UnknownShape);
+            }
+        }
+        let Weighing { best, has_alternative, refusal, .. } = weighing;
+        fits[0] = best;
+        Selection { fits, has_fine_fit: true, has_alternative, attempts, refusal }
     }
 
-    /// The fit in the fine stage of a snake that may have any shape.
-    fn fit_any_shape(&self, finder: &EdgeFinder, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
-        let (view, any_shape) = (self.projection(), self.rig.prior().of_any_shape());
-        // Edges may lie further from the wrong shape than the fine stage searches.
-        let refined = fit_bend(&view, finder, start, any_shape, &COARSE_TO_REFINED)?;
-        let mut fit = fit_bend(&view, finder, refined.start(), any_shape, schedule)?;
-        fit.contradicts_shape = true;
-        Some(fit)
-    }
-
-    /// Fits a minimum in the fine stage, and beside it its mirrored solution, unless that was done before; says which of the attempts it is.
-    fn attempt(
+    /// The fit in the fine stage of a minimum, or of its mirrored solution where that is the better one, and the mirrored solutions that
+    /// were met.
+    fn attempt_with_mirrored(
         &self,
         minimum: &BendFit,
         attempts: &mut Vec<Attempt>,
-        finder: &EdgeFinder,
         fine: &FitSchedule,
-    ) -> usize {
-        if let Some(known) = attempts.iter().position(|attempt| attempt.minimum.is_same_fit(minimum)) {
-            return known;
-        }
-        let bend = self.mirrored(minimum.bend());
-        let is_close = (bend - minimum.bend()).norm() < EDGE_ON_RAD;
-        let schedule = if is_close { REFINEMENT } else { COARSE_TO_REFINED };
-        let mirrored = || self.fit(finder, self.start(bend), &schedule.beside(minimum));
-        // The longer of both is begun at once; the other waits for a free core.
-        let (finest, mirrored) = rayon::join(|| self.fit_fine(finder, minimum.start(), fine), mirrored);
-        attempts.push(Attempt { minimum: minimum.clone(), mirrored, finest });
-        attempts.len() - 1
-    }
-
-    /// Fits the best of some local minima in the fine stage, and finds out whether another one explains the picture as well.
-    pub(super) fn select(
-        &self,
-        minima: Vec<BendFit>,
-        mut attempts: Vec<Attempt>,
-        finder: &EdgeFinder,
-        fine: &FitSchedule,
-    ) -> Selection {
-        let fits = distinct(minima, SAME_MINIMUM_RAD);
-        let Some(best) = fits.first() else { return Selection::without_fine_fit(fits, attempts) };
-        let mut last = self.attempt(best, &mut attempts, finder, fine);
+    ) -> (Option<BendFit>, Vec<BendFit>) {
+        let mut last = self.attempt(minimum, attempts, fine);
         let mut mirrored = Vec::new();
         // The mirrored solution is seldom the better one. It is then tried itself, with a mirrored solution of its own, which need not be where
         // the fit before it ended.
         for _ in 0..MIRRORED_AGAIN {
             let Some(better) = attempts[last].better_mirrored().cloned() else { break };
-            last = self.attempt(&better, &mut attempts, finder, fine);
+            last = self.attempt(&better, attempts, fine);
             mirrored.push(better);
         }
         mirrored.extend(attempts[last].mirrored.clone());
-        let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
-        let Some(mut best) = attempts[last].finest.clone() else {
-            return Selection::without_fine_fit(fits, attempts);
-        };
-        let diameter_px = self.projection().diameter_px();
-        let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, diameter_px);
-        let alternatives = fits[1..].iter().filter(|other| other.cost <= ALTERNATIVE_COST_RATIO * fits[0].cost);
-        let (mut has_alternative, mut doubt) = (false, None);
-        // An alternative may end at the same bend in the fine stage, or prove to be worse.
-        let mut weigh = |best: BendFit, other: BendFit, status: Status| {
-            let compared = compare(&other, &best);
-            has_alternative |= compared == Alternative::AsGood;
-            match compared {
-                Alternative::EdgeOn => return best.or_edge_on(other),
-                Alternative::AsGood if compare(&best, &other) == Alternative::Worse => return other,
-                Alternative::AsGood if other.has_likelier_shape_than(&best) => return other,
-                Alternative::AsGood if !best.has_likelier_shape_than(&other) => _ = doubt.get_or_insert(status),
-                Alternative::AsGood | Alternative::Worse => {}
-            }
-            best
-        };
-        // Fitted side by side, since a frame with several may take three times as long as others, and weighed in order.
-        let alternatives: Vec<&BendFit> = alternatives.collect();
+        (attempts[last].finest.clone(), mirrored)
+    }
+
+    /// Fits a minimum in the fine stage, and beside it its mirrored solution, unless that was done before; says which of the attempts it is.
+    fn attempt(&self, minimum: &BendFit, attempts: &mut Vec<Attempt>, fine: &FitSchedule) -> usize {
+        if let Some(known) = attempts.iter().position(|attempt| attempt.minimum.is_same_fit(minimum)) {
+            return known;
+        }
+        let bend = self.mirrored(minimum.bend());
+        let is_close = (bend - minimum.bend()).norm() < EDGE_ON_RAD;
+        let schedule = if is_close { FitSchedule::REFINEMENT } else { FitSchedule::FROM_NEAR };
+        let mirrored = || self.fit(self.start(bend), &schedule.beside(minimum.cost));
+        // The longer of both is begun at once; the other waits for a free core.
+        let (finest, mirrored) = rayon::join(|| self.fit_fine(minimum.start(), fine), mirrored);
+        attempts.push(Attempt { minimum: minimum.clone(), mirrored, finest });
+        attempts.len() - 1
+    }
+
+    /// The fits in the fine stage of the minima after the first that may explain the picture as well. Side by side, since a frame with several
+    /// may take three times as long as others.
+    fn alternatives(&self, fits: &[BendFit], attempts: &[Attempt], fine: &FitSchedule) -> Vec<BendFit> {
+        let [first, others @ ..] = fits else { return Vec::new() };
         let fit_fine = |other: &BendFit| match attempts.iter().find(|attempt| attempt.minimum.is_same_fit(other)) {
             Some(known) => known.finest.clone(),
-            None => self.fit_fine(finder, other.start(), fine),
+            None => self.fit_fine(other.start(), fine),
         };
-        let others: Vec<_> = alternatives.into_par_iter().filter_map(fit_fine).collect();
-        for other in others {
-            best = weigh(best, other, Status::Ambiguous);
-        }
-        // From a shape that the sequence told a fit starts in the right minimum.
-        if best.contradicts_shape && !self.rig.is_shape_known() {
-            let starts = best.shapes_beside(&self.projection()).into_par_iter();
-            let others: Vec<_> = starts.filter_map(|start| self.fit_any_shape(finder, start, fine)).collect();
-            for other in others {
-                best = weigh(best, other, Status::UnknownShape);
-            }
-        }
-        fits[0] = best;
-        Selection { fits, has_fine_fit: true, has_alternative, attempts, doubt }
+        let may_be = others.par_iter().filter(|other| other.cost <= ALTERNATIVE_COST_RATIO * first.cost);
+        may_be.filter_map(fit_fine).collect()
+    }
+
+    /// The fits in the fine stage of snakes of other shapes that look like this one.
+    fn other_shapes(&self, fit: &BendFit, fine: &FitSchedule) -> Vec<BendFit> {
+        let starts = fit.shapes_beside(&self.view).into_par_iter();
+        starts.filter_map(|start| self.fit_any_shape(start, fine)).collect()
     }
 }

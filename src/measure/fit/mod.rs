@@ -1,9 +1,10 @@
 //! From the picture's edges to the bend.
 //!
-//! Bottom up: `edges` (sub-pixel edges near a border point), `noise_model` (how far they may be off), `glancing` (faces of disks, which mirror the target at a glancing angle), `state` (what is fitted), `shape_prior` (how far the snake departs from an arc),
+//! Bottom up: `edges` (sub-pixel edges near a border point), `noise_model` (how far they may be off), `glancing` (faces of disks, which
+//! mirror the target at a glancing angle), `state` (what is fitted), `shape_prior` (how far the snake departs from an arc),
 //! `correspondences` (the model's outline matched with the picture's edges), `blur` (what a blurred picture makes of the model),
 //! `uncertainty` (robust weights, covariance), `linearised` (residuals and their derivatives), `visibility` (which parts are seen),
-//! `bend` (the fit), `coarse` (candidates for it) and `alternatives` (selection among its minima).
+//! `bend` (the fit) and `schedule` (its rounds), `coarse` (candidates for it) and `alternatives` (selection among its minima).
 
 mod alternatives;
 mod bend;
@@ -14,19 +15,21 @@ mod edges;
 mod glancing;
 mod linearised;
 mod noise_model;
+mod schedule;
 mod shape_prior;
 mod state;
 mod uncertainty;
 mod visibility;
 
 pub(super) use alternatives::{Alternative, EDGE_ON_RAD, distinct, mirrored};
-pub(super) use bend::{BendFit, FINE_SEARCH_PX, FitSchedule, ProfileCovariance, Start, fit_bend};
+pub(super) use bend::{BendFit, FINE_SEARCH_PX, ProfileCovariance, Start, fit_bend};
 pub(super) use blur::{fine_filter, predict_blur};
 pub(super) use coarse::CoarseSearch;
 pub(super) use correspondences::Correspondences;
 pub use edges::{Edge, EdgeFinder};
 pub(super) use linearised::Linearised;
 pub(super) use noise_model::{DESIGN_EFFECT, FRAME_BIAS_SIGMA, GLARE, GLARE_SIGMA, POSE_VARIANCE, UNKNOWN_BIAS};
+pub(super) use schedule::FitSchedule;
 pub use shape_prior::UNKNOWN_SHAPE_RAD;
 pub(super) use shape_prior::learned_mode_sigmas;
 pub use state::EdgeBias;

@@ -1,0 +1,57 @@
+//! The fits of one picture.
+
+use super::body::Projection;
+use super::fit::{BendFit, EdgeFinder, FitSchedule, Start, State, fit_bend, mirrored};
+use super::rig::Rig;
+use crate::robot::BendProfile;
+use nalgebra::Vector2;
+
+/// Refined fits that end within this distance of each other, rad, are one local minimum.
+///
+/// Convention: five times what they have converged to.
+pub(super) const SAME_MINIMUM_RAD: f64 = 5e-3;
+
+/// Fits the snake's bend to one picture, as a rig sees it.
+pub(super) struct Fitter<'a> {
+    pub view: Projection<'a>,
+    pub rig: &'a Rig,
+    /// Finds the picture's edges.
+    pub finder: EdgeFinder<'a>,
+}
+
+impl Fitter<'_> {
+    /// Where a fit starts that knows nothing but a bend.
+    pub fn start(&self, bend: Vector2<f64>) -> Start {
+        let state = State { profile: BendProfile::arc(bend), bias: self.rig.edge_bias };
+        Start { state, blur_px: None, origin: bend }
+    }
+
+    /// The bend that looks alike with depth the other way round.
+    pub fn mirrored(&self, bend: Vector2<f64>) -> Vector2<f64> {
+        mirrored(bend, &self.view)
+    }
+
+    /// The fit of a snake whose shape is about as the rig says.
+    pub fn fit(&self, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
+        fit_bend(&self.view, &self.finder, start, self.rig.prior(), schedule)
+    }
+
+    /// The fit in the fine stage; with any shape where the picture contradicts what is known of the snake's.
+    pub fn fit_fine(&self, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
+        let fit = self.fit(start, schedule)?;
+        if !fit.contradicts_shape {
+            return Some(fit);
+        }
+        self.fit_any_shape(fit.start(), schedule).or(Some(fit))
+    }
+
+    /// The fit in the fine stage of a snake that may have any shape.
+    pub fn fit_any_shape(&self, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
+        let any_shape = self.rig.prior().of_any_shape();
+        // Edges may lie further from the wrong shape than the fine stage searches.
+        let refined = fit_bend(&self.view, &self.finder, start, any_shape, &FitSchedule::FROM_NEAR)?;
+        let mut fit = fit_bend(&self.view, &self.finder, refined.start(), any_shape, schedule)?;
+        fit.contradicts_shape = true;
+        Some(fit)
+    }
+}
