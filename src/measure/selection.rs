@@ -81,6 +81,16 @@ impl Weighing {
             Alternative::AsGood | Alternative::Worse => {}
         }
     }
+
+    /// Weighs what the best becomes if the snake may have any shape.
+    fn weigh_any_shape(&mut self, any_shape: Option<BendFit>) {
+        let Some(any_shape) = any_shape else { return };
+        match self.best.clone().whatever_shape(&any_shape, self.diameter_px) {
+            Some(best) => self.best = best,
+            None if Alternative::of(&any_shape, &self.best, self.diameter_px) == Alternative::Worse => {}
+            None => _ = self.refusal.get_or_insert(Status::UnknownShape),
+        }
+    }
 }
 
 impl Fitter<'_> {
@@ -102,6 +112,9 @@ impl Fitter<'_> {
             for other in self.other_shapes(&weighing.best, fine) {
                 weighing.weigh(other, Status::UnknownShape);
             }
+        }
+        if !weighing.best.contradicts_shape && !self.rig.is_shape_known() && !weighing.best.is_unrivalled() {
+            weighing.weigh_any_shape(self.fit_any_shape(weighing.best.start(), fine));
         }
         let Weighing { best, has_alternative, refusal, .. } = weighing;
         fits[0] = best;

@@ -137,16 +137,32 @@ impl BendFit {
     /// and the covariance contains the doubt between them: the variance of two equally likely values. Of several such fits those furthest apart
     /// count, however often and in whatever order each is met.
     pub fn or_edge_on(self, other: Self) -> Self {
-        let apart = SVector::from(self.profile.to_array()) - SVector::from(other.profile.to_array());
+        let doubt = self.doubt_beside(&other);
         let (mut better, mut worse) = if other.cost < self.cost { (other, self) } else { (self, other) };
         if worse.cost < COST_RATIO * better.cost {
             if worse.has_likelier_shape_than(&better) {
                 (better, worse) = (worse, better);
             }
             better.doubt_as_much_as(worse.doubt);
-            better.doubt_as_much_as(apart * apart.transpose() / 4.0);
+            better.doubt_as_much_as(doubt);
         }
         better
+    }
+
+    /// This fit, whose covariance contains the doubt between it and what it becomes if the snake may have any shape. `None` where that is another
+    /// bend, of a snake that is `diameter_px` wide in the picture, or explains the picture better.
+    ///
+    /// Where part of the outline is hidden, what is left of it may not contradict a shape that the snake does not have.
+    pub fn whatever_shape(mut self, any_shape: &Self, diameter_px: f64) -> Option<Self> {
+        let is_near = Alternative::of(any_shape, &self, diameter_px) == Alternative::EdgeOn;
+        self.doubt_as_much_as(self.doubt_beside(any_shape));
+        (is_near && self.cost < COST_RATIO * any_shape.cost).then_some(self)
+    }
+
+    /// The variance of two equally likely values, this fit and another.
+    fn doubt_beside(&self, other: &Self) -> ProfileCovariance {
+        let apart = SVector::from(self.profile.to_array()) - SVector::from(other.profile.to_array());
+        apart * apart.transpose() / 4.0
     }
 
     /// Makes the covariance contain at least this doubt.

@@ -118,14 +118,26 @@ fn a_snake_that_stands_out_little_is_found_where_the_border_cuts_its_holder() {
 #[test]
 fn one_of_several_shapes_that_look_alike_is_no_angle() {
     use Disturbance::{None, Stains, Wires};
-    for (seed, k, disturbance) in
-        [(6101, 6, None), (6101, 16, None), (6115, 15, None), (9434, 11, Stains), (9461, 8, Wires), (9549, 11, Stains)]
-    {
-        let scene = rigs::varied(&mut Random::new(seed));
-        let eye = eye(&scene, seed).unwrap();
-        let outcome = outcome(&scene, &eye, [seed, k], disturbance);
-        assert!(!outcome.is_false, "{}", outcome.told);
-    }
+    let frames =
+        [(6101, 6, None), (6101, 16, None), (6115, 15, None), (9434, 11, Stains), (9461, 8, Wires), (9549, 11, Stains)];
+    frames.into_iter().for_each(assert_not_false);
+}
+
+/// A quarter to a third of the outline does not show in these pictures, and what shows of it does not contradict an arc, which three of the
+/// four snakes are not: they were measured as arcs, 1.2° to 4.6° off, by 6 to 14 σ.
+#[test]
+fn what_shape_a_hidden_part_has_is_not_taken_for_granted() {
+    use Disturbance::{Combined, TooDark, TwoSnakes};
+    let frames = [(10208, 18, Combined), (10221, 4, TwoSnakes), (10235, 18, Combined), (10359, 14, TooDark)];
+    frames.into_iter().for_each(assert_not_false);
+}
+
+/// A frame of a rig's seed is not measured falsely.
+fn assert_not_false((seed, k, disturbance): (u64, u64, Disturbance)) {
+    let scene = rigs::varied(&mut Random::new(seed));
+    let eye = eye(&scene, seed).unwrap();
+    let outcome = outcome(&scene, &eye, [seed, k], disturbance);
+    assert!(!outcome.is_false, "{}", outcome.told);
 }
 
 /// What a survey counts.
