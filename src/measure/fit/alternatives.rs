@@ -4,11 +4,14 @@
 //! bends whose disks fall on their neighbours' places. Two fits are compared by their cost and by the scatter of their edges.
 
 use super::bend::{BendFit, ProfileCovariance, Start};
+use super::noise_model::DESIGN_EFFECT;
+use super::schedule::LAST_SEARCH_PX;
 use super::state::State;
 use crate::geometry::Pose;
 use crate::measure::body::Projection;
 use crate::robot::{BendProfile, MODES};
 use nalgebra::{SVector, Vector2, Vector3};
+use std::f64::consts::{E, TAU};
 
 /// Another fit explains the picture as well only if its cost is below this many times the best one's.
 ///
@@ -98,14 +101,27 @@ impl Alternative {
 }
 
 impl BendFit {
-    /// Whether this fit's shape is so much more likely than another's that it decides between them. A shape that contradicts what is known
-    /// of the snake's decides nothing.
+    /// Whether this fit's shape is so much more likely than another's that it decides between them, even where the edges speak for the other.
+    /// A shape that contradicts what is known of the snake's decides nothing.
     ///
     /// A snake that is bent towards the camera and one bent away from it explain a picture alike if one of them may have any shape.
     /// How far this snake departs from an arc is known to its prior's width only, so that every size of a mode counts alike (a density of
     /// 1/σ for its width): the density of a pair of components with mean square error s² is then in proportion to 1/(|a|² + s²).
     pub fn has_likelier_shape_than(&self, other: &Self) -> bool {
-        !self.contradicts_shape && other.shape_surprise() - self.shape_surprise() > SHAPE_ODDS.ln()
+        let against = (other.log_likelihood() - self.log_likelihood()).max(0.0);
+        !self.contradicts_shape && other.shape_surprise() - self.shape_surprise() - against > SHAPE_ODDS.ln()
+    }
+
+    /// ln of the likelihood of what was found at the searched points, but for what all fits of a picture have in common: where edge and model
+    /// agree a normal error, and elsewhere an edge anywhere within the search distance. [`DESIGN_EFFECT`] neighbours count as one.
+    fn log_likelihood(&self) -> f64 {
+        let agreeing = self.inlier_fraction();
+        // −ln of the density of a normal error of this σ, on the average, and of one that is uniform.
+        let normal = (self.rms_px.max(f64::MIN_POSITIVE) * (TAU * E).sqrt()).ln();
+        let uniform = (2.0 * LAST_SEARCH_PX).ln();
+        let entropy = |share: f64| if share > 0.0 { -share * share.ln() } else { 0.0 };
+        let surprise = agreeing * normal + (1.0 - agreeing) * uniform + entropy(agreeing) + entropy(1.0 - agreeing);
+        -surprise * self.searched_points() as f64 / DESIGN_EFFECT
     }
 
     /// Where other local minima of a snake that may have any shape are looked for.

@@ -13,7 +13,7 @@ use super::state::{EdgeBias, FramePrior, STATE, State};
 use super::uncertainty::{FitCovariance, RobustPhase, inliers};
 use super::visibility::PartVisibility;
 use crate::measure::body::{Outline, Piece, Projection};
-use crate::robot::{BendProfile, PROFILE};
+use crate::robot::{BendProfile, MAX_THETA, PROFILE};
 use nalgebra::{SMatrix, SVector, Vector2};
 use std::collections::BTreeSet;
 
@@ -21,9 +21,9 @@ use std::collections::BTreeSet;
 ///
 /// Fitted: by hand on renders; judged by `tests/robustness`.
 pub(crate) const FINE_SEARCH_PX: f64 = 4.0;
-/// The largest bend that a fit may reach, rad.
+/// The largest bend that a fit may pass through, rad. It must end within what the model answers for, [`MAX_THETA`].
 ///
-/// Convention: 126°, beyond the 110° at which the coarse search ends; a fit that goes further has lost the snake.
+/// Convention: 126°, a little more than 120°; a fit that goes further has lost the snake.
 const LARGEST_BEND_RAD: f64 = 2.2;
 /// The least length of outline that must have edges, px.
 ///
@@ -103,9 +103,14 @@ impl BendFit {
         self.profile.tip
     }
 
+    /// The number of outline points at which an edge was searched.
+    pub fn searched_points(&self) -> usize {
+        self.edges.searched().len()
+    }
+
     /// The share of the searched points whose edges agree with the model.
     pub fn inlier_fraction(&self) -> f64 {
-        self.inliers as f64 / self.edges.searched().len().max(1) as f64
+        self.inliers as f64 / self.searched_points().max(1) as f64
     }
 
     /// How much of each part's outline has its edge.
@@ -297,7 +302,7 @@ impl<'a> Fitting<'a> {
         let distances_px = edges.in_px(&edges.residuals(self.view, self.state.profile, self.state.bias));
         let (inliers, rms_px) = inliers(&distances_px, roots);
         // A fit to fewer clusters has no covariance, and is none.
-        if edges.clusters().collect::<BTreeSet<_>>().len() <= STATE {
+        if edges.clusters().collect::<BTreeSet<_>>().len() <= STATE || self.state.profile.tip.norm() > MAX_THETA {
             return None;
         }
         let uncertainty = if self.schedule.is_fine { self.uncertainty(rms_px)? } else { Default::default() };

@@ -7,6 +7,10 @@ use super::linearised::{COARSE_REWEIGHTING_TOLERANCE, REWEIGHTING_TOLERANCE};
 ///
 /// Derived: L/2 · 1e-3 = 0.013 mm for L = 26 mm, half a pixel at 38 px/mm.
 pub(crate) const CONVERGED_RAD: f64 = 1e-3;
+/// The last search distance of all fits, px.
+///
+/// Fitted: by hand on renders, as the others; judged by `tests/robustness`.
+pub(super) const LAST_SEARCH_PX: f64 = 3.0;
 
 /// How a picture is fitted: the rounds, and what is done in each.
 #[derive(Debug, Clone, Copy)]
@@ -33,7 +37,7 @@ impl FitSchedule {
     pub const COARSE: Self = Self { searches_px: &[14.0, 8.0], rounds: 2, ..Self::REFINEMENT };
     /// The refinement of a coarse fit.
     pub const REFINEMENT: Self = Self {
-        searches_px: &[6.0, 3.0],
+        searches_px: &[6.0, LAST_SEARCH_PX],
         rounds: 20,
         is_fine: false,
         converged_rad: CONVERGED_RAD,
@@ -42,11 +46,11 @@ impl FitSchedule {
     /// Both in one, of a candidate that is tried alone.
     ///
     /// Derived: from both.
-    pub const FROM_CANDIDATE: Self = Self { searches_px: &[14.0, 8.0, 6.0, 3.0], ..Self::REFINEMENT };
+    pub const FROM_CANDIDATE: Self = Self { searches_px: &[14.0, 8.0, 6.0, LAST_SEARCH_PX], ..Self::REFINEMENT };
     /// The same from a start that is closer than the lattice: the last frame's bend, or a mirrored solution.
-    pub const FROM_NEAR: Self = Self { searches_px: &[14.0, 6.0, 3.0], ..Self::REFINEMENT };
+    pub const FROM_NEAR: Self = Self { searches_px: &[14.0, 6.0, LAST_SEARCH_PX], ..Self::REFINEMENT };
     /// The fine stage.
-    pub const FINE: Self = Self { searches_px: &[3.0], rounds: 9, is_fine: true, ..Self::REFINEMENT };
+    pub const FINE: Self = Self { searches_px: &[LAST_SEARCH_PX], rounds: 9, is_fine: true, ..Self::REFINEMENT };
     /// The fine stage of a tracked sequence, which must keep up with the camera: another round would change the bend by a hundredth of a
     /// degree.
     pub const TRACKED_FINE: Self = Self { rounds: 1, ..Self::FINE };
