@@ -16,7 +16,6 @@ use super::tangent_spaces::{TangentSpace, tangent_spaces};
 use super::verdict::Verdict;
 use crate::robot::effects::RIG_ERROR;
 use crate::robot::{Effect, Estimate, Model, PerBackbone, Physics};
-use std::borrow::Cow;
 
 /// A parameter whose standard deviation is beyond this many typical sizes is remarked.
 ///
@@ -83,36 +82,10 @@ pub fn discover(model: &Model, data: &Data) -> Discovery {
 }
 
 /// [`discover`], telling each stage.
-///
-/// Of many samples a part is searched, and what was found is fitted to all. All are searched where they show more than that accounts for,
-/// unless the part does so as well.
 pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
     let model = with_estimate(model);
     let few = data.thinned(SEARCHED_FIRST);
-    tell("learning the noise");
-    let stated = Problem::new(data, &Noise::stated(data), &model);
-    let rough = stated.fit(&model, None, None);
-    // From all samples: between thinned ones effects change as quickly as noise.
-    let learned = Noise::learned(&stated, &rough);
-    let until_learned = || Searched::until_the_noise_is_learned(data, learned, &rough, tell);
-    let mut searched = match &few {
-        Cow::Borrowed(_) => until_learned(),
-        Cow::Owned(few) => {
-            tell("comparing effects on a part of the samples");
-            let rough = Problem::new(few, &learned, &rough.model).fit(&rough.model, None, None);
-            Searched::new(few, &learned, &rough)
-        }
-    };
-    let mut judged = Judged::new(&searched.problem, &searched.before, &searched.after);
-    if few.len() < data.len() && judged.verdict != Verdict::Unexplained {
-        tell("fitting what was found to all samples");
-        judged = searched.judged_on(data);
-        if judged.verdict == Verdict::Unexplained {
-            tell("comparing effects on all samples");
-            searched = until_learned();
-            judged = Judged::new(&searched.problem, &searched.before, &searched.after);
-        }
-    }
+    let (searched, judged) = searched_and_judged(&model, data, &few, tell);
     let Judged { verdict, structure_before, held_out_before, answer } = judged;
     let (verdict, answer, held_out_before, structures) = match verdict {
         Verdict::Named => {
@@ -154,6 +127,38 @@ pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
         samples: data.len(),
         remarks,
     }
+}
+
+/// The search for effects, and what it says before a partial answer is thought of.
+///
+/// Of many samples a part, `few`, is searched, and what was found is fitted to all. All are searched where they show more than that accounts
+/// for, unless the part does so as well.
+fn searched_and_judged<'a>(model: &Model, data: &'a Data, few: &'a Data, tell: Tell) -> (Searched<'a>, Judged) {
+    tell("learning the noise");
+    let stated = Problem::new(data, &Noise::stated(data), model);
+    let rough = stated.fit(model, None, None);
+    // From all samples: between thinned ones effects change as quickly as noise.
+    let learned = Noise::learned(&stated, &rough);
+    let until_learned = || Searched::until_the_noise_is_learned(data, learned, &rough, tell);
+    let is_part = few.len() < data.len();
+    let mut searched = if is_part {
+        tell("comparing effects on a part of the samples");
+        let rough = Problem::new(few, &learned, &rough.model).fit(&rough.model, None, None);
+        Searched::new(few, &learned, &rough)
+    } else {
+        until_learned()
+    };
+    let mut judged = Judged::new(&searched.problem, &searched.before, &searched.after);
+    if is_part && judged.verdict != Verdict::Unexplained {
+        tell("fitting what was found to all samples");
+        judged = searched.judged_on(data);
+        if judged.verdict == Verdict::Unexplained {
+            tell("comparing effects on all samples");
+            searched = until_learned();
+            judged = Judged::new(&searched.problem, &searched.before, &searched.after);
+        }
+    }
+    (searched, judged)
 }
 
 /// What a search says before a partial answer is thought of.
