@@ -29,6 +29,11 @@ use std::f64::consts::PI;
 /// Fitted: by hand on the project's renders (tests/eye/robustness), from the holder's end being found to some 10 px down to the fine search;
 /// not judged elsewhere.
 const SEARCHES_PX: [f64; 11] = [14.0, 12.0, 10.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 3.0, 3.0];
+/// How far a round is iterated before the fine search, whose rounds end where rounding does.
+///
+/// Convention: a straight snake takes four iterations to the end of what rounding leaves; another object takes up to hundreds, and a
+/// round that goes on from there finds other edges anyway.
+const COARSE_ITERATIONS: usize = 10;
 /// The appearance is learned anew every so many rounds.
 ///
 /// Convention: a limit of time.
@@ -188,7 +193,11 @@ impl<'a> BaseFit<'a> {
         let phase = if is_coarse { RobustPhase::Monotone } else { RobustPhase::Redescending };
         let roots = phase.roots(&edges.residuals(&view, STRAIGHT, self.bias));
         let bias_sigma_px = if is_coarse { NO_BIAS_PX } else { BIAS_SIGMA_PX };
-        let solution = self.solve(&edges, &roots, bias_sigma_px)?;
+        let mut options = Options::default();
+        if is_coarse {
+            options.most_iterations = COARSE_ITERATIONS;
+        }
+        let solution = self.solve(&edges, &roots, bias_sigma_px, &options)?;
         self.placement = Placement(solution.parameters.rows(0, PLACEMENT).into_owned());
         self.bias = EdgeBias::default().moved(&solution.parameters.as_slice()[PLACEMENT..]);
         self.last = Some(Round { edges, roots, solution });
@@ -216,7 +225,13 @@ impl<'a> BaseFit<'a> {
     /// The placement and the biases that agree best with weighted edges and with what is known beforehand, which counts against as many
     /// edges as err alike ([`DESIGN_EFFECT`]): what displaces all rims together looks like a lean. The standoff alone gives way, so that a scale
     /// that was stated wrongly shows in it.
-    fn solve(&self, edges: &Correspondences, roots: &[f64], bias_sigma_px: f64) -> Result<Solution, RigError> {
+    fn solve(
+        &self,
+        edges: &Correspondences,
+        roots: &[f64],
+        bias_sigma_px: f64,
+        options: &Options,
+    ) -> Result<Solution, RigError> {
         let residuals = |x: &DVector<f64>| {
             let placement = Placement(x.rows(0, PLACEMENT).into_owned());
             let bias = EdgeBias::default().moved(&x.as_slice()[PLACEMENT..]);
@@ -234,7 +249,7 @@ impl<'a> BaseFit<'a> {
         let start = self.placement.0.iter().copied().chain(self.bias.to_array());
         let start = DVector::from_iterator(STEPS.len(), start);
         let steps = DVector::from_column_slice(&STEPS);
-        minimise(residuals, start, &steps, &Options::default()).map_err(|_| RigError::Undetermined)
+        minimise(residuals, start, &steps, options).map_err(|_| RigError::Undetermined)
     }
 
     /// The rig of the last round, if the picture confirms it.

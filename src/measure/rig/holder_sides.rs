@@ -3,7 +3,7 @@
 use super::background::Colours;
 use super::error::RigError;
 use super::locate::Holder;
-use crate::measure::image::plane::Plane;
+use crate::measure::image::plane::{LANES, Plane};
 use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -170,8 +170,8 @@ impl Strip<'_> {
     }
 
     /// Length of the two means whose difference is a step, px.
-    fn step_px(&self) -> i32 {
-        (STEP_WIDTHS * self.width_px).round().max(LEAST_STEP_PX) as i32
+    fn step_px(&self) -> usize {
+        (STEP_WIDTHS * self.width_px).round().max(LEAST_STEP_PX) as usize
     }
 
     /// How steep the weaker of both sides is where they are steepest, and the place of the left one, px across from the root.
@@ -197,37 +197,43 @@ impl Strip<'_> {
     /// How steep the colours are at every px across, as a mean over short lengths of the holder.
     fn steps(&self, axis: Vector2<f64>, across_px: Range<i32>, along: Range<f64>) -> Vec<f64> {
         let lengths = ((along.end - along.start) / MEAN_LENGTH_PX).round().max(1.0) as usize;
+        let reach = self.step_px();
+        let wider = across_px.start - reach as i32..across_px.end + reach as i32;
         let mut mean = vec![0.0; across_px.len()];
         for k in 0..lengths {
             let start = along.start + k as f64 * MEAN_LENGTH_PX;
-            let wider = across_px.start - self.step_px()..across_px.end + self.step_px();
-            let profile = self.profile(axis, wider, start..start + MEAN_LENGTH_PX);
+            let sums = self.sums(axis, wider.clone(), start..start + MEAN_LENGTH_PX);
             for (t, value) in mean.iter_mut().enumerate() {
-                *value += self.step(&profile, t + self.step_px() as usize) / lengths as f64;
+                // The mean colours on both sides of a place, which belongs to neither.
+                let step = |sums: &Vec<f64>| {
+                    let (before, after) = (sums[t + reach] - sums[t], sums[t + 2 * reach + 1] - sums[t + reach + 1]);
+                    (after - before) / reach as f64
+                };
+                *value += sums.iter().map(|sums| step(sums).powi(2)).sum::<f64>().sqrt() / lengths as f64;
             }
         }
         mean
     }
 
-    /// Mean colour over a part of the holder's length, for every px across; channel by channel.
-    fn profile(&self, axis: Vector2<f64>, across_px: Range<i32>, along: Range<f64>) -> Vec<Vec<f64>> {
+    /// The mean colours over a part of the holder's length, of every channel, summed up to each px across: one more than those.
+    fn sums(&self, axis: Vector2<f64>, across_px: Range<i32>, along: Range<f64>) -> Vec<Vec<f64>> {
         let across = Vector2::new(-axis.y, axis.x);
-        let rows = (along.end - along.start).max(1.0).ceil() as i32;
-        let mean = |plane: &Plane, t: i32| {
-            let places = (0..rows).map(|row| self.root + axis * (along.start + f64::from(row)) + across * f64::from(t));
-            places.map(|p| f64::from(plane.sample(&p))).sum::<f64>() / f64::from(rows)
+        let rows = (along.end - along.start).max(1.0).ceil();
+        let mut line = vec![[0.0; LANES]; across_px.len().div_ceil(LANES)];
+        let of_channel = |plane: &Plane| {
+            let mut mean = vec![0.0; across_px.len()];
+            for row in 0..rows as usize {
+                let start = self.root + axis * (along.start + row as f64) + across * f64::from(across_px.start);
+                plane.profile(&start, across, &mut line);
+                mean.iter_mut().zip(line.as_flattened()).for_each(|(mean, value)| *mean += f64::from(*value) / rows);
+            }
+            let sums = mean.into_iter().scan(0.0, |sum, mean| {
+                *sum += mean;
+                Some(*sum)
+            });
+            std::iter::once(0.0).chain(sums).collect()
         };
-        across_px.map(|t| self.channels.iter().map(|plane| mean(plane, t)).collect()).collect()
-    }
-
-    /// Distance between the mean colours on both sides of a place in a profile.
-    fn step(&self, profile: &[Vec<f64>], at: usize) -> f64 {
-        let reach = self.step_px() as usize;
-        if at < reach || at + reach >= profile.len() {
-            return 0.0;
-        }
-        let mean = |from: usize, c: usize| profile[from..from + reach].iter().map(|p| p[c]).sum::<f64>() / reach as f64;
-        (0..self.channels.len()).map(|c| (mean(at + 1, c) - mean(at - reach, c)).powi(2)).sum::<f64>().sqrt()
+        self.channels.iter().map(of_channel).collect()
     }
 }
 
