@@ -227,9 +227,10 @@ fn calibrate_on(
         return Err(RigError::NoHolder { width_px });
     }
     let starts = aligned_starts(picture, &rough, grid);
+    let fits: Vec<_> = starts.par_iter().map(|start| fit_at(picture, start, grid)).collect();
     let mut refused = None;
-    for start in starts {
-        match fit_at(picture, &start, grid) {
+    for fit in fits {
+        match fit {
             Ok(rig) => return Ok(rig),
             Err(error) => refused = refused.or(Some(error)),
         }
