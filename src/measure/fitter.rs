@@ -11,12 +11,6 @@ use nalgebra::Vector2;
 /// Convention: five times what they have converged to.
 pub(super) const SAME_MINIMUM_RAD: f64 = 5e-3;
 
-/// The variance of a fit with any shape, in units of what its edges and priors give: the shape is chosen by the picture that it is then fitted
-/// to.
-///
-/// Fitted: to 629 frames of `tests/eye/robustness` (seeds 10200 to 10563) whose shape is 9σ from an arc: χ² of θ and δ was 1.56 and 1.55.
-const ANY_SHAPE_VARIANCE: f64 = 1.6;
-
 /// Fits the snake's bend to one picture, as a rig sees it.
 pub(super) struct Fitter<'a> {
     pub view: Projection<'a>,
@@ -58,7 +52,6 @@ impl Fitter<'_> {
         let refined = fit_bend(&self.view, &self.finder, start, any_shape, &FitSchedule::FROM_NEAR)?;
         let mut fit = fit_bend(&self.view, &self.finder, refined.start(), any_shape, schedule)?;
         fit.contradicts_shape = true;
-        fit.covariance *= ANY_SHAPE_VARIANCE;
         Some(fit)
     }
 }
