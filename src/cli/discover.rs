@@ -214,7 +214,8 @@ impl Args {
 
     /// Takes the folder to write to.
     fn claim(&self) -> Result<OutputFolder> {
-        const OUTPUTS: [&str; 5] = ["measurements.csv", "discrepancy.json", NEXT, "model.toml", "report.html"];
+        const OUTPUTS: [&str; 6] =
+            ["measurements.csv", "discrepancy.json", NEXT, "model.toml", "report.html", "rig.jpg"];
         let named = [self.measurements.as_ref(), self.encoders.as_ref(), self.model.as_ref(), self.effects.as_ref()];
         let (inputs, outputs) = match &self.experiment {
             Some(experiment) => (files_read(&Experiment::read(experiment)?, &named), &OUTPUTS[..]),
@@ -255,7 +256,7 @@ impl Args {
                 };
                 let Checked { rows: readings, warnings } = encoders_of(&experiment, &model)?;
                 console.warn(&warnings);
-                let views = open_views(console, &experiment, &model.robot)?;
+                let views = open_views(console, &experiment, &model.robot, &self.output)?;
                 let trackers = open_trackers(console, &experiment, &model.robot, &readings)?;
                 let flow = Flow {
                     views: &views,

@@ -319,7 +319,8 @@ impl Args {
     fn open(&self, view: &record::View, robot: &Robot) -> Result<View> {
         let lens = view.lens()?;
         let retaken = self.output.join("rig.toml");
-        let rig = if self.resume && retaken.exists() { Rig::read(&retaken)? } else { rig_of(view, &lens, robot)? };
+        let rig =
+            if self.resume && retaken.exists() { Rig::read(&retaken)? } else { rig_of(view, &lens, robot, None)? };
         let (grid_pitch_mm, standoff_mm) = match view.rig {
             RigSource::Straight { grid_pitch_mm, standoff_mm, .. } => (grid_pitch_mm, standoff_mm),
             // The grid's z points away from the camera, and the base stands before it.

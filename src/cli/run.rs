@@ -51,7 +51,7 @@ pub struct Args {
 }
 
 /// What a run writes into its folder.
-pub const OUTPUTS: [&str; 8] = [
+pub const OUTPUTS: [&str; 9] = [
     "measurements.journal",
     "measurements.csv",
     "estimate.csv",
@@ -60,6 +60,7 @@ pub const OUTPUTS: [&str; 8] = [
     "compensation.json",
     "overlays",
     "report.html",
+    "rig.jpg",
 ];
 
 /// The result, as it is printed.
@@ -97,7 +98,7 @@ impl Args {
         let mut out = OutputFolder::claim(&self.output, &OUTPUTS, &files_read(&experiment, &[]))?;
         out.made_by(&maker("run", &experiment), &OUTPUTS)?;
         let inputs = Inputs::read(console, &experiment)?;
-        let views = open_views(console, &experiment, &inputs.start.robot)?;
+        let views = open_views(console, &experiment, &inputs.start.robot, &self.output)?;
 
         let trackers = open_trackers(console, &experiment, &inputs.start.robot, &inputs.encoders)?;
         let (encoders, start) = (&inputs.encoders[..], &inputs.start);

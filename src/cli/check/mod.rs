@@ -11,7 +11,7 @@ use super::console::Console;
 use super::inputs::{encoders_of, model_of};
 use super::trackers::{OpenTracker, open_tracker};
 use super::verdict::{VerdictArgs, subject, verdict_text};
-use super::views::rig_of;
+use super::views::{rig_of, rig_picture_name};
 use crate::camera::{FrameSource, picture_size};
 use crate::cli::failure::Failure;
 use crate::estimate::{Options, estimate, or_one_gain};
@@ -36,12 +36,15 @@ const MEASURED: usize = 36;
 
 /// Look whether an experiment is fit for a run: files, sizes, indices, clocks, wiring, coverage, and the σ of η and λ to expect
 ///
-/// Takes seconds, writes nothing, and says what to do about each thing that is not as it should be. Exit code 1 where a run could not begin.
+/// Takes seconds, writes nothing but what `-o` asks for, and says what to do about each thing that is not as it should be. Exit code 1 where a run could not begin.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop check fixtures/bending")]
 pub struct Args {
     /// The experiment: a folder with an experiment.toml, or that file
     experiment: PathBuf,
+    /// A folder for rig.jpg: the straight picture with what was seen on it, the sheet, its lines and the snake
+    #[arg(short, long, value_name = "FOLDER")]
+    output: Option<PathBuf>,
     #[command(flatten)]
     verdict: VerdictArgs,
 }
@@ -66,7 +69,7 @@ struct Summary {
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let experiment = Experiment::read(&self.experiment)?;
-        let mut inspection = Inspection::default();
+        let mut inspection = Inspection { folder: self.output.clone(), ..Inspection::default() };
         inspection.files(&experiment);
         let summary =
             if inspection.reasons.is_empty() { inspection.with_data(console, &experiment)? } else { inspection.end() };
@@ -86,6 +89,8 @@ impl Args {
 /// What was found so far.
 #[derive(Default)]
 struct Inspection {
+    /// Where rig.jpg is written, if anywhere.
+    folder: Option<PathBuf>,
     looks: Vec<Look>,
     reasons: Vec<Reason>,
     expected: Option<Expected>,
@@ -282,10 +287,11 @@ impl Inspection {
         log: &[EncoderReading],
     ) -> Result<Vec<Measurement>> {
         let Ok(lens) = view.lens() else { return Ok(Vec::new()) };
-        let rig = match rig_of(view, &lens, &model.robot) {
+        let drawn = self.folder.as_ref().map(|folder| folder.join(rig_picture_name(view, experiment)));
+        let rig = match rig_of(view, &lens, &model.robot, drawn.as_deref()) {
             Ok(rig) => rig,
             Err(error) => {
-                let remedy = "see \"Take the straight frame\" and \"Troubleshooting\" in the book";
+                let remedy = "`check -o FOLDER` draws what was seen into FOLDER/rig.jpg; see \"Take the straight picture\" in the book";
                 self.fault(Code::Files, Level::DoNotUse, error.to_string(), remedy);
                 return Ok(Vec::new());
             }
