@@ -125,14 +125,14 @@ impl PublicationGate {
         let Some((verdict, _)) = &self.verdict else {
             return red(Code::WorkspaceNotCovered, "no verdict was passed yet".into());
         };
+        if self.is_stuck {
+            return red(Code::EncoderStuck, "the encoders stand still while the snake moves".into());
+        }
         if let Some(worst) = verdict.reasons.first().filter(|worst| worst.level == Level::DoNotUse) {
             return red(worst.code, worst.text.clone());
         }
         if let Some(why) = model.estimate.and_then(|estimate| estimate.implausible()) {
             return red(Code::ParameterOutOfRange, why);
-        }
-        if self.is_stuck {
-            return red(Code::EncoderStuck, "the encoders stand still while the snake moves".into());
         }
         if self.gap == GapState::Above {
             let text = "the model leaves more of the measurements than their noise";
