@@ -268,12 +268,12 @@ impl Estimated {
         format!("{}measurements  {}\n", lines.unwrap_or_default(), self.counts())
     }
 
-    /// "34 used, 1 rejected, 1 skipped (bend_outlier 1, no_snake 1; rejected: frame 17)".
+    /// "34 used, 1 rejected, 1 skipped (bend_outlier 1, no_snake 1, frames rejected: 17)".
     pub fn counts(&self) -> String {
         let mut reasons: Vec<_> = self.reasons.iter().map(|(reason, count)| format!("{reason} {count}")).collect();
         let named: Vec<_> = self.rejected_frames.iter().map(u64::to_string).collect();
         let more = if self.rejected > named.len() { " and others" } else { "" };
-        reasons.extend((!named.is_empty()).then(|| format!("rejected: frames {}{more}", named.join(", "))));
+        reasons.extend((!named.is_empty()).then(|| format!("frames rejected: {}{more}", named.join(", "))));
         let why = if reasons.is_empty() { String::new() } else { format!(" ({})", reasons.join(", ")) };
         format!("{} used, {} rejected, {} skipped{why}", self.used, self.rejected, self.skipped)
     }

@@ -25,8 +25,9 @@ const LEAST_SAMPLES: usize = 4;
 const MOVED_SDS: f64 = 4.5;
 /// A picture is the one before again if its bend differs by less than so many standard deviations.
 ///
-/// Derived: two errors of their own are so near once in 800 steps (1 − exp(−0.05²/2)), and [`LEAST_FROZEN`] steps in a row by no chance.
-const SAME_SDS: f64 = 0.05;
+/// Derived: two errors of their own are so near once in 80,000 steps (1 − exp(−0.005²/2)); where the rig's share of σ is ten times the frames' own,
+/// as a snake's that rests in its play, once in 800, and [`LEAST_FROZEN`] steps in a row by no chance. The same picture gives the same bend to 1e-6°.
+const SAME_SDS: f64 = 0.005;
 /// So many steps in which the bend moved and no reading changed at all. Convention: one could be a single wrong measurement.
 const LEAST_FROZEN: usize = 2;
 
