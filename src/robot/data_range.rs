@@ -11,6 +11,8 @@ use nalgebra::Vector2;
 use std::f64::consts::{PI, TAU};
 
 /// Sectors of the azimuth.
+///
+/// Convention: 30° each, half of the distance at which neighbouring backbones of six take over from each other.
 const SECTORS: usize = 12;
 /// Standard deviation of κ, by which the elastic part of ε may change with the square of the bend, 1/rad².
 ///
