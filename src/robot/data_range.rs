@@ -18,7 +18,7 @@ const SECTORS: usize = 12;
 ///
 /// Fitted: to the tables of robots that soften by 0.1/rad² or stiffen by 0.3/rad² (`simulate --effect superelastic_softening`,
 /// `cubic_stiffness`), learned on bends to 25° and 35° and judged at 45° to 75°: see
-/// `robots_that_soften_or_stiffen_stay_within_what_the_sigma_allows`. Softer by 0.1/rad² is what superelastic NiTi does near its plateau.
+/// `robots_that_soften_or_stiffen_stay_within_what_the_sigma_allows`.
 pub const SD_OF_STIFFENING: f64 = 0.2;
 
 /// A pose counts as within the range up to so much beyond its largest bend, rad.
