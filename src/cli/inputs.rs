@@ -5,9 +5,10 @@ use crate::cli::failure::Failure;
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, EncoderLog, Experiment, read_encoders, read_joints, read_measurements, read_model, stale_mark,
+    Checked, EncoderLog, Experiment, do_not_use_mark, read_encoders, read_joints, read_measurements, read_model,
+    stale_mark,
 };
-use crate::robot::{Effect, Model};
+use crate::robot::{Effect, ForceLimits, Model};
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -27,6 +28,40 @@ pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
             console.say("no --model: the paper's naive model is used (Table I, η = 1, λ = 0)");
             Ok(Model::default())
         }
+    }
+}
+
+/// What a command that predicts does with a model that must not be used.
+#[derive(Debug, Clone, Copy, clap::Args)]
+pub struct WorthArgs {
+    /// Take a model that must not be used all the same (its verdict is "do not use", or no robot has its η or λ); all that is written is
+    /// marked
+    #[arg(long)]
+    even_if_bad: bool,
+}
+
+impl WorthArgs {
+    /// [`model_or_paper`], and why it must not be used, if that is so and it was asked for all the same.
+    pub fn model(self, console: &Console, path: Option<&Path>) -> Result<(Model, Option<String>), Failure> {
+        let model = model_or_paper(console, path)?;
+        let Some(path) = path else { return Ok((model, None)) };
+        let implausible = model.estimate.and_then(|estimate| estimate.implausible());
+        let Some(why) = do_not_use_mark(path).or(implausible) else { return Ok((model, None)) };
+        let named = format!("{}: this model must not be used: {why}", path.display());
+        if !self.even_if_bad {
+            return Err(Failure::BadModel(named));
+        }
+        console.warn([named]);
+        Ok((model, Some(why)))
+    }
+}
+
+/// The limits that --force-limits gives: pull and push, N.
+pub fn force_limits(numbers: Option<&[f64]>) -> Result<Option<ForceLimits>, Failure> {
+    match numbers {
+        None => Ok(None),
+        Some(&[least_n, most_n]) => Ok(Some(ForceLimits::new(least_n, most_n)?)),
+        Some(numbers) => Err(Failure::Usage(format!("--force-limits: {} numbers, expected 2", numbers.len()))),
     }
 }
 

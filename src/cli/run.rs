@@ -17,12 +17,12 @@ use crate::estimate::{estimate_each, or_one_gain};
 use crate::input::read_text;
 use crate::observation::EncoderReading;
 use crate::record::{
-    Checked, Experiment, MeasurementRows, OutputFolder, PendingFile, Warning, estimate_line, estimates_header,
-    mark_stale, write_atomically, write_judged_compensation, write_judged_model,
+    Checked, Experiment, MeasurementRows, OutputFolder, PendingFile, Warning, Worth, estimate_line, estimates_header,
+    mark_stale, write_atomically, write_compensation, write_judged_model,
 };
 use crate::report::run_history::RunHistory;
 use crate::report::run_page::Report;
-use crate::robot::{Grid, Model};
+use crate::robot::Model;
 use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
@@ -273,7 +273,7 @@ fn written_table(output: &Path, model: &Model, verdict: &Verdict) -> Result<Opti
         return Ok(None);
     }
     write_judged_model(&output.join("model.toml"), model, verdict)?;
-    let table = write_judged_compensation(output, model, "model.toml", &Grid::default(), verdict)?;
+    let table = write_compensation(output, model, "model.toml", Worth::of(verdict))?;
     Ok(Some(Table { poses: table.len(), largest_correction_mm: largest_correction_mm(&table) }))
 }
 

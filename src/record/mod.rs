@@ -28,9 +28,7 @@ pub mod write;
 
 pub use c_header::compensation_c_header;
 pub use columns::csv_of;
-pub use compensation::{
-    compensation_csv, compensation_json, write_compensation, write_compensation_rows, write_judged_compensation,
-};
+pub use compensation::{Worth, compensation_csv, compensation_json, write_compensation, write_compensation_rows};
 pub use effect_table::read_effects;
 pub use encoders::{encoders_csv, read_encoders};
 pub use estimates::{estimate_line, estimates_csv, estimates_header};
@@ -45,7 +43,7 @@ pub use model::{model_json, model_toml, read_model, write_judged_model, write_mo
 pub use output::OutputFolder;
 pub use recording::{Recorded, write_recording};
 pub use source::{EncoderLog, JointTopic, Source};
-pub use stale::{mark_stale, stale_mark, unmark_stale};
+pub use stale::{do_not_use_mark, mark_stale, stale_mark, unmark_stale, verdict_mark};
 pub use stem::stems_csv;
 pub use table::{Checked, Warning};
 pub use tracker::{read_tracker_poses, tracker_poses_of};

@@ -11,6 +11,7 @@
 
 mod encoders;
 mod evidence;
+mod health;
 mod reason;
 mod rules;
 mod scale;
