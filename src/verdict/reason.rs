@@ -34,12 +34,20 @@ impl fmt::Display for Level {
 pub enum Code {
     /// A file or a row is missing, or cannot be read (`check`).
     Files,
+    /// There is not one frame, or not one reading.
+    NothingToJudge,
+    /// A recording breaks off, or has messages that cannot be read.
+    RecordingDamaged,
+    /// Two sources say different things of one index or one moment.
+    ContradictoryReadings,
     /// An encoder's readings stand still, or one's stand in two columns.
     EncoderStuck,
     /// Another order, sign, unit or numbering of the readings explains the bends far better.
     Wiring,
     /// Time stamps run backwards, or the encoders' clock is not the frames'.
     Clock,
+    /// Times are in another unit than seconds.
+    TimeUnit,
     /// The camera or the base moved since the straight picture.
     RigDrift,
     /// The gap has the form that a wrong camera file gives it.
@@ -62,11 +70,15 @@ pub enum Code {
 
 impl Code {
     /// Every kind of reason.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 17] = [
         Self::Files,
+        Self::NothingToJudge,
+        Self::RecordingDamaged,
+        Self::ContradictoryReadings,
         Self::EncoderStuck,
         Self::Wiring,
         Self::Clock,
+        Self::TimeUnit,
         Self::RigDrift,
         Self::CameraLens,
         Self::ManyNotMeasured,
