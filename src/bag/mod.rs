@@ -63,6 +63,12 @@ impl Topic {
         Error::content(self.bag.path(), format!("topic {}: {message}", self.topic))
     }
 
+    /// An error in words, without the file's name where it begins with that.
+    pub fn in_words(&self, error: &Error) -> String {
+        let (text, name) = (error.to_string(), format!("{}: ", self.bag.path().display()));
+        text.strip_prefix(&name).unwrap_or(&text).to_owned()
+    }
+
     /// The topic's messages in the order of the files.
     ///
     /// # Errors
@@ -135,8 +141,8 @@ impl Topic {
         for message in self.messages()? {
             match message.map(|message| message.decoded()) {
                 Ok(Ok(message)) => found.push(message),
-                Ok(Err(error)) => bad = (bad.0 + 1, if bad.0 == 0 { error.to_string() } else { bad.1 }),
-                Err(error) => faults.push(format!("{error}; what follows is not read")),
+                Ok(Err(error)) => bad = (bad.0 + 1, if bad.0 == 0 { self.in_words(&error) } else { bad.1 }),
+                Err(error) => faults.push(format!("{}; what follows is not read", self.in_words(&error))),
             }
         }
         match bad {

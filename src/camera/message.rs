@@ -2,7 +2,7 @@
 //!
 //! Source: the definitions of ROS 2's package `sensor_msgs`; its `image_encodings.hpp` for the names of encodings.
 
-use super::file::WrongPart;
+use super::file::{FISHEYES, WrongPart};
 use super::frame::{Frame, Samples, decode_frame};
 use super::lens::Lens;
 use crate::bag::messages::{CameraInfo, CompressedImage};
@@ -17,13 +17,17 @@ impl Lens {
     pub fn of_topic(topic: &Topic) -> Result<Self> {
         let info: CameraInfo = topic.first()?;
         let model = info.distortion_model.as_str();
-        if !["", "plumb_bob", "rational_polynomial"].contains(&model) {
-            return Err(topic.error(format!("distortion_model {model:?}, expected plumb_bob or rational_polynomial")));
+        let is_fisheye = FISHEYES.contains(&model);
+        if !is_fisheye && !["", "plumb_bob", "rational_polynomial"].contains(&model) {
+            let expected = "expected plumb_bob, rational_polynomial or equidistant";
+            return Err(topic.error(format!("distortion_model {model:?}, {expected}")));
         }
         let lens =
-            Self::of_parts(info.width, info.height, info.matrix, &info.distortion).map_err(|part| match part {
-                WrongPart::Matrix(why) => topic.error(format!("k: {why}; calibrate the camera")),
-                WrongPart::Distortion(why) => topic.error(format!("d: {why}")),
+            Self::of_parts((info.width, info.height), info.matrix, &info.distortion, is_fisheye).map_err(|part| {
+                match part {
+                    WrongPart::Matrix(why) => topic.error(format!("k: {why}; calibrate the camera")),
+                    WrongPart::Distortion(why) => topic.error(format!("d: {why}")),
+                }
             })?;
         let window = Window { binning: info.binning, offset: info.offset, size: info.window };
         lens.windowed(&window).map_err(|why| topic.error(why))

@@ -252,6 +252,7 @@ pub fn calibrate(board: &Board, views: &[&[Point2<f64>]], size: (u32, u32)) -> R
             focal_px: Vector2::new(k(0, 0)?, k(1, 1)?),
             centre_px: Point2::new(k(0, 2)?, k(1, 2)?),
             distortion: [0.0; 12],
+            fisheye: None,
         };
         for (to, from) in lens.distortion.iter_mut().zip(distortion.data_typed::<f64>()?) {
             *to = *from;

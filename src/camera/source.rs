@@ -65,6 +65,8 @@ enum Content {
     Decoded(Frame),
     /// A recording's message, not decoded yet.
     Message(Box<Message>),
+    /// What a recording has from here on cannot be read, for this reason.
+    Broken(String),
 }
 
 impl SourceFrame {
@@ -73,7 +75,7 @@ impl SourceFrame {
         match &self.content {
             Content::File => picture_size(&self.path),
             Content::Decoded(frame) => Some((frame.width, frame.height)),
-            Content::Page(_) | Content::Message(_) => None,
+            Content::Page(_) | Content::Message(_) | Content::Broken(_) => None,
         }
     }
 
@@ -84,6 +86,7 @@ impl SourceFrame {
             Content::Page(page) => stack::read_page(&self.path, page),
             Content::Decoded(frame) => Ok(frame),
             Content::Message(message) => Ok(message.decoded::<Picture>()?.frame),
+            Content::Broken(why) => Err(Error::content(&self.path, format!("{why}; the frames from here on are lost"))),
         }
     }
 }
@@ -207,12 +210,19 @@ impl FrameSource {
                 path: path.clone(),
                 content: Content::Decoded(frame),
             })),
-            Self::Topic(topic) => {
-                Box::new((0..).zip(topic.messages()?.map_while(Result::ok)).map(|(index, message)| {
-                    let (time_s, path) = (message.stamp_s(), topic.bag.path().to_owned());
-                    SourceFrame { index, time_s, path, content: Content::Message(Box::new(message)) }
-                }))
-            }
+            Self::Topic(topic) => Box::new((0..).zip(topic.messages()?).map(|(index, message)| {
+                let path = topic.bag.path().to_owned();
+                match message {
+                    Ok(message) => {
+                        let time_s = message.stamp_s();
+                        SourceFrame { index, time_s, path, content: Content::Message(Box::new(message)) }
+                    }
+                    // What follows damage is lost; the frame that stands for it says so.
+                    Err(why) => {
+                        SourceFrame { index, time_s: None, path, content: Content::Broken(topic.in_words(&why)) }
+                    }
+                }
+            })),
         })
     }
 }

@@ -76,14 +76,15 @@ pub fn tracker_poses_of(topic: &Topic) -> Result<Checked<TrackerPose>> {
     let (mut rows, mut warnings) = (Vec::new(), Vec::new());
     let damage = |message: String| {
         let path = topic.bag.path().to_owned();
-        Warning { path, line: None, message: format!("topic {}: {message}", topic.topic), fault: Fault::Damage }
+        Warning { path, line: None, message: message, fault: Fault::Damage }
     };
     for (index, message) in (0..).zip(topic.messages()?) {
         let pose = match message {
-            Ok(message) => {
-                message.decoded::<StampedPose>().map_err(|why| why.to_string()).and_then(|pose| pose_of(index, &pose))
-            }
-            Err(why) => Err(why.to_string()),
+            Ok(message) => message
+                .decoded::<StampedPose>()
+                .map_err(|why| topic.in_words(&why))
+                .and_then(|pose| pose_of(index, &pose)),
+            Err(why) => Err(topic.in_words(&why)),
         };
         match pose {
             Ok(pose) => rows.push(pose),

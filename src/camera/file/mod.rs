@@ -14,6 +14,7 @@ use crate::content;
 use crate::error::{Error, Result};
 use crate::input::{SETTINGS_BYTES, read_bytes, read_text};
 use nalgebra::{Point2, Vector2};
+pub(super) use names::FISHEYES;
 use names::{Camera, Found};
 use serde::Deserialize;
 use std::path::Path;
@@ -31,6 +32,9 @@ pub struct CameraNumbers {
     pub dist: Vec<f64>,
     /// Width and height of the pictures, px.
     pub size: [u32; 2],
+    /// Whether the coefficients are those of OpenCV's fisheye.
+    #[serde(default)]
+    pub fisheye: bool,
 }
 
 /// The kinds of camera files that can be written.
@@ -79,17 +83,14 @@ impl Lens {
         };
         let (width, height) = (size(width)?, size(height)?);
         let Found { key: of_matrix, value: matrix } = camera.matrix()?;
-        camera.check_model()?;
+        let is_fisheye = camera.is_fisheye()?;
         let Found { key: of_distortion, value: coefficients } = camera.distortion()?;
-        let lens = Self::of_parts(width, height, matrix, &coefficients);
+        let lens = Self::of_parts((width, height), matrix, &coefficients, is_fisheye);
         let lens = lens.map_err(|wrong| match wrong {
             WrongPart::Matrix(why) => names::Wrong::at(&of_matrix, why),
             WrongPart::Distortion(why) => names::Wrong::at(&of_distortion, why),
         })?;
-        match camera.window()? {
-            Some(window) => lens.windowed(&window).map_err(|why| names::Wrong::at("roi", why)),
-            None => Ok(lens),
-        }
+        lens.windowed(&camera.window()?).map_err(|why| names::Wrong::at("roi", why))
     }
 
     /// A lens from the numbers that experiment.toml holds.
@@ -104,21 +105,21 @@ impl Lens {
         if width == 0 || height == 0 {
             return Err(wrong(format!("size = [{width}, {height}], expected width and height in pixels")));
         }
-        Self::of_parts(width, height, matrix, &numbers.dist).map_err(|part| match part {
+        Self::of_parts((width, height), matrix, &numbers.dist, numbers.fisheye).map_err(|part| match part {
             WrongPart::Matrix(why) => wrong(format!("K: {why}")),
             WrongPart::Distortion(why) => wrong(format!("dist: {why}")),
         })
     }
 
-    /// A lens from its size, px, its matrix by rows, and its coefficients in OpenCV's order.
+    /// A lens from its size, px, its matrix by rows, and its coefficients in OpenCV's order, the fisheye's where it is one.
     ///
     /// # Errors
-    /// Which part is none of this model, and why.
+    /// Which part is none of these models, and why.
     pub(super) fn of_parts(
-        width: u32,
-        height: u32,
+        (width, height): (u32, u32),
         matrix: [f64; 9],
         coefficients: &[f64],
+        is_fisheye: bool,
     ) -> std::result::Result<Self, WrongPart> {
         let [fx, skew, cx, z0, fy, cy, z1, z2, one] = matrix;
         let is_plain = [skew, z0, z1, z2, one] == [0.0, 0.0, 0.0, 0.0, 1.0];
@@ -129,23 +130,15 @@ impl Lens {
         if !coefficients.iter().all(|value| value.is_finite()) {
             return Err(WrongPart::Distortion(format!("{coefficients:?}, expected finite numbers")));
         }
-        if ![0, 4, 5, 8, 12, 14].contains(&coefficients.len()) {
-            return Err(WrongPart::Distortion(format!(
-                "{} numbers, expected 0, 4, 5, 8, 12 or 14",
-                coefficients.len()
-            )));
+        let (focal_px, centre_px) = (Vector2::new(fx, fy), Point2::new(cx, cy));
+        let lens = Self { width, height, focal_px, centre_px, distortion: [0.0; 12], fisheye: None };
+        if is_fisheye {
+            let four = <[f64; 4]>::try_from(coefficients);
+            let wrong =
+                || WrongPart::Distortion(format!("{} numbers, expected the 4 of a fisheye", coefficients.len()));
+            return Ok(Self { fisheye: Some(four.map_err(|_| wrong())?), ..lens });
         }
-        let mut distortion = [0.0; 12];
-        let tilt = coefficients.get(12..).unwrap_or_default();
-        if tilt.iter().any(|&angle| angle != 0.0) {
-            let message = format!(
-                "a tilted sensor (the last two of 14 coefficients are {tilt:?}), which is not read; calibrate without CALIB_TILTED_MODEL"
-            );
-            return Err(WrongPart::Distortion(message));
-        }
-        let count = coefficients.len().min(12);
-        distortion[..count].copy_from_slice(&coefficients[..count]);
-        Ok(Self { width, height, focal_px: Vector2::new(fx, fy), centre_px: Point2::new(cx, cy), distortion })
+        Ok(Self { distortion: standard(coefficients).map_err(WrongPart::Distortion)?, ..lens })
     }
 
     /// The camera file's text, with as few distortion coefficients (5, 8 or 12) as hold all that are not zero. Numbers
@@ -153,7 +146,7 @@ impl Lens {
     pub fn to_file(&self, format: CameraFormat) -> String {
         let used = self.distortion.iter().rposition(|&k| k != 0.0).map_or(0, |last| last + 1);
         let count = [5, 8, 12].into_iter().find(|&n| n >= used).unwrap_or(12);
-        let coefficients = &self.distortion[..count];
+        let coefficients = self.fisheye.as_ref().map_or(&self.distortion[..count], |fisheye| &fisheye[..]);
         match format {
             CameraFormat::OpenCvYaml => yaml::opencv(self, coefficients),
             CameraFormat::OpenCvXml => xml::opencv(self, coefficients),
@@ -166,6 +159,23 @@ impl Lens {
         let Self { focal_px: f, centre_px: c, .. } = self;
         [f.x, 0.0, c.x, 0.0, f.y, c.y, 0.0, 0.0, 1.0]
     }
+}
+
+/// The twelve coefficients that these stand for.
+fn standard(coefficients: &[f64]) -> std::result::Result<[f64; 12], String> {
+    if ![0, 4, 5, 8, 12, 14].contains(&coefficients.len()) {
+        return Err(format!("{} numbers, expected 0, 4, 5, 8, 12 or 14", coefficients.len()));
+    }
+    let tilt = coefficients.get(12..).unwrap_or_default();
+    if tilt.iter().any(|&angle| angle != 0.0) {
+        return Err(format!(
+            "a tilted sensor (the last two of 14 coefficients are {tilt:?}), which is not read; calibrate without CALIB_TILTED_MODEL"
+        ));
+    }
+    let mut distortion = [0.0; 12];
+    let count = coefficients.len().min(12);
+    distortion[..count].copy_from_slice(&coefficients[..count]);
+    Ok(distortion)
 }
 
 /// Numbers with as many digits as tell them apart, between separators.
@@ -258,7 +268,7 @@ rectification_matrix:
             ("data: [ 4861.2826321440971, 0.,", "data: [ 4861.2826321440971, 0.5,", "expected [fx, 0, cx"),
             ("data: [ 4861.2826321440971, 0.,", "data: [ x, 0.,", "no finite number"),
             ("   cols: 5", "   cols: 4", "distortion_coefficients: 5 numbers for 1 rows × 4 columns"),
-            ("image_width:", "distortion_model: equidistant\nimage_width:", "equidistant, expected "),
+            ("image_width:", "distortion_model: fov\nimage_width:", "fov, expected plumb_bob"),
             ("data: [ -0.1", "data: [ -0.1, [", "no camera file that can be read"),
         ];
         for (from, to, expected) in edits {
@@ -383,10 +393,12 @@ rectification_matrix:
             distortion[..used].copy_from_slice(&coefficients[..used]);
             let lens = Lens {
                 width: size.0, height: size.1, focal_px: Vector2::new(focal.0, focal.1),
-                centre_px: Point2::new(centre.0, centre.1), distortion,
+                centre_px: Point2::new(centre.0, centre.1), distortion, fisheye: None,
             };
+            let fisheye = Lens { fisheye: coefficients.first_chunk().copied(), distortion: [0.0; 12], ..lens.clone() };
             for format in [CameraFormat::OpenCvYaml, CameraFormat::OpenCvXml, CameraFormat::Ros] {
                 prop_assert_eq!(&parse(&lens.to_file(format)).unwrap(), &lens);
+                prop_assert_eq!(&parse(&fisheye.to_file(format)).unwrap(), &fisheye);
             }
         }
 

@@ -34,6 +34,9 @@ const DISTORTIONS: [&str; 9] = [
 const COEFFICIENTS: [&str; 14] =
     ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "taux", "tauy"];
 
+/// What programs call the fisheye of OpenCV, which is the equidistant model of ROS and Kalibr.
+pub const FISHEYES: [&str; 3] = ["equidistant", "fisheye", "kannala_brandt"];
+
 /// A value with the key that it stands under.
 pub struct Found<T> {
     /// The key as the file has it.
@@ -205,12 +208,12 @@ impl<'a> Camera<'a> {
         })
     }
 
-    /// That the model is the one that the coefficients are taken for.
+    /// Whether the model is the fisheye; else it is the standard one.
     ///
     /// # Errors
     /// Another model, by name.
-    pub fn check_model(&self) -> Result<(), Wrong> {
-        const KNOWN: [&str; 8] = [
+    pub fn is_fisheye(&self) -> Result<bool, Wrong> {
+        const STANDARD: [&str; 8] = [
             "",
             "plumb_bob",
             "rational_polynomial",
@@ -225,26 +228,24 @@ impl<'a> Camera<'a> {
             let Node::Text(model) = value else {
                 return Err(Wrong::at(&key, "not a name, expected plumb_bob or rational_polynomial"));
             };
-            if !KNOWN.contains(&model.to_lowercase().as_str()) {
-                let message = format!(
-                    "{model}, expected plumb_bob, rational_polynomial or radtan: fisheye and others are not read"
-                );
+            let model = model.to_lowercase();
+            if FISHEYES.contains(&model.as_str()) {
+                return Ok(true);
+            }
+            if !STANDARD.contains(&model.as_str()) {
+                let message = format!("{model}, expected plumb_bob, rational_polynomial, radtan or equidistant");
                 return Err(Wrong::at(&key, message));
             }
         }
-        match self.get(&["fisheyemodel", "fisheye"]) {
-            Some(Found { key, value }) if *value != Node::Number(0.0) && *value != Node::Text("false".into()) => {
-                Err(Wrong::at(&key, "a fisheye, which is not read; calibrate with the standard model"))
-            }
-            _ => Ok(()),
-        }
+        let flag = self.get(&["fisheyemodel", "fisheye"]).map(|found| found.value);
+        Ok(flag.is_some_and(|value| *value != Node::Number(0.0) && *value != Node::Text("false".into())))
     }
 
     /// The part of the sensor that the pictures show, where the file tells it, as ROS's messages do.
     ///
     /// # Errors
     /// Something that is no number.
-    pub fn window(&self) -> Result<Option<Window>, Wrong> {
+    pub fn window(&self) -> Result<Window, Wrong> {
         let number = |map: &Node, key: &str| map.get(key).and_then(Node::number).unwrap_or(0.0);
         let own = |key: &'static str| self.get(&[key]).and_then(|found| found.value.number()).unwrap_or(0.0);
         let roi = self.get(&["roi", "regionofinterest"]).map(|found| found.value);
@@ -256,7 +257,7 @@ impl<'a> Camera<'a> {
             return Err(Wrong::at("roi", format!("binning and window {numbers:?}, expected whole numbers of pixels")));
         }
         let [binning_x, binning_y, x, y, width, height] = numbers.map(|value| value as u32);
-        Ok(Some(Window { binning: [binning_x, binning_y], offset: [x, y], size: [width, height] }))
+        Ok(Window { binning: [binning_x, binning_y], offset: [x, y], size: [width, height] })
     }
 }
 

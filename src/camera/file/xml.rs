@@ -59,6 +59,9 @@ pub fn opencv(lens: &Lens, coefficients: &[f64]) -> String {
         "<?xml version=\"1.0\"?>\n<opencv_storage>\n<image_width>{}</image_width>\n<image_height>{}</image_height>\n",
         lens.width, lens.height
     );
+    if lens.fisheye.is_some() {
+        text += "<fisheye_model>1</fisheye_model>\n";
+    }
     for (key, rows, values) in
         [("camera_matrix", 3, lens.matrix().as_slice()), ("distortion_coefficients", 1, coefficients)]
     {

@@ -59,6 +59,9 @@ fn node(yaml: &MarkedYaml) -> Node {
 /// As OpenCV's FileStorage writes it.
 pub fn opencv(lens: &Lens, coefficients: &[f64]) -> String {
     let mut text = format!("%YAML:1.0\n---\nimage_width: {}\nimage_height: {}\n", lens.width, lens.height);
+    if lens.fisheye.is_some() {
+        text += "fisheye_model: 1\n";
+    }
     for (key, rows, values) in
         [("camera_matrix", 3, lens.matrix().as_slice()), ("distortion_coefficients", 1, coefficients)]
     {
@@ -73,7 +76,11 @@ pub fn opencv(lens: &Lens, coefficients: &[f64]) -> String {
 /// As ROS's camera_calibration writes it, for a picture that is not rectified: the identity as rectification, and the
 /// camera matrix as projection. More than five coefficients are ROS's `rational_polynomial`.
 pub fn ros(lens: &Lens, coefficients: &[f64]) -> String {
-    let model = if coefficients.len() <= 5 { "plumb_bob" } else { "rational_polynomial" };
+    let model = match (lens.fisheye, coefficients.len()) {
+        (Some(_), _) => "equidistant",
+        (None, 0..=5) => "plumb_bob",
+        (None, _) => "rational_polynomial",
+    };
     let [fx, _, cx, _, fy, cy, ..] = lens.matrix();
     let rectification = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     let projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0];

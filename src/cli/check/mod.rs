@@ -140,7 +140,14 @@ impl Inspection {
     fn with_data(mut self, console: &Console, experiment: &Experiment) -> Result<Summary> {
         let model = model_of(experiment)?;
         self.sizes(experiment);
-        let Checked { rows: log, warnings } = encoders_of(experiment, &model)?;
+        let Checked { rows: log, warnings } = match encoders_of(experiment, &model) {
+            Ok(checked) => checked,
+            Err(error) => {
+                let remedy = "see \"Bring your own log\" and \"Use a tracker, or ROS 2 recordings\" in the book";
+                self.fault(Code::Files, Level::DoNotUse, error.to_string(), remedy);
+                return Ok(self.end());
+            }
+        };
         self.reasons.extend(reasons_of_files(experiment, &warnings)?);
         for warning in warnings.iter().filter(|warning| warning.fault == Fault::Row).take(3) {
             self.fault(

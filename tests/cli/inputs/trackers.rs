@@ -61,7 +61,7 @@ fn a_lost_sensor_costs_its_poses_and_does_not_turn_the_registration_over() {
                     };
                     sandbox.write("lab/tip.csv", &table.lines().enumerate().map(row).collect::<String>());
                 },
-                Told(&["4 of 49 poses have no position, or repeat the last one while the encoders move"]),
+                Good("4 of 49 poses have no position, or repeat the last one while the encoders move"),
             ),
             case("the straight pose lost", lost(&[0], |_| "0,0,0".to_owned()), Told(&["straight = 0"])),
         ],
