@@ -63,7 +63,17 @@ pub fn name_of(head: &[u8]) -> Option<&'static str> {
     if head.starts_with(&[0, 5, 0x16, 7]) || head.starts_with(&[0, 5, 0x16, 0]) {
         return Some("a file that macOS keeps beside another (AppleDouble)");
     }
-    KINDS.iter().find(|kind| head.get(kind.at..).is_some_and(|rest| rest.starts_with(kind.bytes))).map(|kind| kind.name)
+    let is =
+        |kind: &&Kind| head.get(kind.at..).is_some_and(|rest| rest.starts_with(kind.bytes)) && !is_text(head, kind);
+    KINDS.iter().find(is).map(|kind| kind.name)
+}
+
+/// Whether a file that begins as one of a kind does is text all the same: two letters are the beginning of many a table's header.
+fn is_text(head: &[u8], kind: &Kind) -> bool {
+    kind.bytes.len() == 2
+        && kind.bytes.is_ascii()
+        && !head.contains(&0)
+        && !head.get(2).is_some_and(u8::is_ascii_whitespace)
 }
 
 /// Whether a file with these first bytes is a video: MP4 and its kin, AVI, Matroska, ASF, Flash, Ogg, or a stream of MPEG or H.264.
@@ -75,9 +85,13 @@ pub fn is_video(head: &[u8]) -> bool {
     // A program or elementary stream of MPEG, or H.264 and H.265 whose first units are their parameters.
     let unit = |at: usize| matches!(head.get(at), Some(0xba | 0xb3 | 0x67 | 0x27 | 0x47 | 0x09 | 0x40));
     let is_stream = (has(0, &[0, 0, 1]) && unit(3)) || (has(0, &[0, 0, 0, 1]) && unit(4));
-    let is_transport = |first: usize, step: usize| (0..3).all(|k| head.get(first + k * step) == Some(&0x47));
-    (has(4, b"ftyp") && !is_still)
-        || (has(4, b"moov") || has(4, b"mdat") || has(4, b"wide"))
+    let is_binary = || head.iter().any(|byte| *byte == 0 || *byte >= 0x80);
+    let is_transport =
+        |first: usize, step: usize| (0..3).all(|k| head.get(first + k * step) == Some(&0x47)) && is_binary();
+    // A box of MP4 has its length before its name, which is below 16 MB.
+    let has_box = |name: &[u8]| has(0, &[0]) && has(4, name);
+    (has_box(b"ftyp") && !is_still)
+        || (has_box(b"moov") || has_box(b"mdat") || has_box(b"wide"))
         || (has(0, b"RIFF") && has(8, b"AVI "))
         || has(0, b"\x1a\x45\xdf\xa3")
         || has(0, b"\x30\x26\xb2\x75")
@@ -95,7 +109,7 @@ mod tests {
     #[test]
     fn files_are_told_by_their_first_bytes() {
         let packets = |first: usize, step: usize| {
-            let mut bytes = vec![1; first + 3 * step];
+            let mut bytes = vec![0; first + 3 * step];
             (0..3).for_each(|k| bytes[first + k * step] = 0x47);
             bytes
         };
@@ -118,6 +132,10 @@ mod tests {
             (b"\0\0\0\x18ftypheic", Some("a HEIC picture, as iPhones take")),
             (b"\0\x05\x16\x07\0\x02", Some("a file that macOS keeps beside another (AppleDouble)")),
             (b"index,time_s", None),
+            (b"BM1,BM2\n0,1\n", None),
+            (b"P5,P6\n0,1\n", None),
+            (b"BM\x36\x10\0\0\0\0\0\0", Some("a BMP picture")),
+            (b"P5\n640 480\n255\n", Some("a PGM picture")),
             (b"", None),
         ] {
             assert_eq!(name_of(head), name);

@@ -1,8 +1,16 @@
 //! Dates and times of day as programs write them into tables and names, as seconds.
 
-/// Seconds of a day, an hour and a minute.
+/// Seconds of a day.
+///
+/// Derived: 24 hours.
 const DAY_S: f64 = 86_400.0;
+/// Seconds of an hour.
+///
+/// Derived: 60 minutes.
 const HOUR_S: f64 = 3_600.0;
+/// Seconds of a minute.
+///
+/// Derived: 60 seconds.
 const MINUTE_S: f64 = 60.0;
 
 /// The seconds that a text with a time of day tells: `HH:MM:SS` with a fraction, by itself from midnight on; behind a date `YYYY-MM-DD` (or with

@@ -248,7 +248,9 @@ pub(super) fn decoded(mut decoder: impl ImageDecoder) -> std::result::Result<Fra
 ///
 /// Source: ITU-T T.81, section B.1.1.
 fn jpeg_end(bytes: &[u8]) -> Option<usize> {
+    /// Source: T.81, table B.1: end of image.
     const END: u8 = 0xd9;
+    /// Source: T.81, table B.1: start of scan.
     const SCAN: u8 = 0xda;
     let mut at = 2;
     loop {

@@ -79,6 +79,7 @@ pub fn pages(file: &mut (impl Read + Seek)) -> io::Result<Vec<u64>> {
 
 /// Where the next directory is, 0 after the last, and whether this one is of a reduced copy.
 fn directory(form: Form, file: &mut (impl Read + Seek), at: u64) -> io::Result<(u64, bool)> {
+    /// Source: TIFF 6.0, section 8: the tag of what kind of picture a directory has; its lowest bit is that of a reduced copy.
     const NEW_SUBFILE_TYPE: u64 = 254;
     let (count_bytes, entry_bytes) = if form.is_big { (8, 20) } else { (2, 12) };
     file.seek(SeekFrom::Start(at))?;

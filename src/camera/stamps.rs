@@ -57,6 +57,7 @@ fn unix_time(name: &str) -> Option<Stamp> {
 
 /// A date and a time of day at the end of a name, with anything but digits between their parts, and a fraction of a second behind.
 fn date_and_time(name: &str) -> Option<Stamp> {
+    /// Derived: of year, month, day, hours, minutes and seconds.
     const DIGITS: usize = 14;
     let start = name.find("20").or_else(|| name.find("19"))?;
     let mut digits = String::new();

@@ -230,6 +230,10 @@ impl Experiment {
             }
             trackers.push(tracker);
         }
+        if file.log.is_some() && !matches!(file.encoders, Some(EncoderLog::File(_))) {
+            let message = "[log] says how a table is read, and `encoders` is none; remove it";
+            return Err(Error::content(path, message));
+        }
         if views.is_empty() && trackers.is_empty() {
             return Err(Error::content(path, "no [[view]] and no [[tracker]]; an experiment needs one at least"));
         }

@@ -61,7 +61,7 @@ impl Matched {
         let (from, to) = range(&mut stamps_s.iter().map(|(_, time_s)| *time_s));
         let mut warnings = Vec::new();
         let count = series.iter().map(Vec::len).max().unwrap_or(0);
-        if first > to || last < from || (first == last && count > 1) {
+        if !stamps_s.is_empty() && (first > to || last < from || (first == last && count > 1)) {
             let unset = |least: f64, most: f64| if least == most { " (its driver does not set them)" } else { "" };
             warnings.push(warning(
                 format!(

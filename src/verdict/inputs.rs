@@ -18,6 +18,8 @@ use std::ops::RangeInclusive;
 /// second; slower runs are doubted until `time_unit` is written down.
 const SPEEDS_DEG_PER_S: RangeInclusive<f64> = 0.05..=1e4;
 /// Units that times are kept in besides seconds, s, with their names and how `[log]` calls them.
+///
+/// Derived: thousandths of each other.
 const UNITS: [(f64, &str, &str); 3] =
     [(1e-3, "milliseconds", "ms"), (1e-6, "microseconds", "us"), (1e-9, "nanoseconds", "ns")];
 /// By how much the log's clock may run faster or slower than the frames', as a factor.

@@ -151,6 +151,8 @@ pub fn recording(bytes: &[u8]) -> Outcomes {
             for pose in poses.iter().flat_map(|poses| &poses.rows) {
                 assert!(pose.position_mm.is_none_or(|position| position.iter().all(|mm| mm.is_finite())));
             }
+            let faults = poses.iter().flat_map(|poses| &poses.warnings).map(|fault| Err(fault.message.clone()));
+            outcomes.extend(faults.map(|fault| ("poses", fault)).collect::<Vec<_>>());
             outcomes.push(outcome("poses", poses));
         }
         outcomes.extend(PICTURES.map(|name| outcome("pictures", pictures(topic(name)))));

@@ -64,6 +64,12 @@ fn rows_of_frames(sandbox: &Sandbox) -> String {
     table.lines().filter(is_frames).map(|line| format!("{line}\n")).collect()
 }
 
+/// The times of the frames by the log, s.
+fn times(sandbox: &Sandbox) -> Vec<f64> {
+    let time = |line: &str| line.split(',').nth(1).unwrap().parse().unwrap();
+    rows_of_frames(sandbox).lines().skip(1).map(time).collect()
+}
+
 /// The index of each row as the rank of its frame.
 fn by_rank(sandbox: &Sandbox) {
     let table = rows_of_frames(sandbox);
@@ -81,9 +87,6 @@ fn frames_are_found_and_read_whatever_they_are_called() {
         picture.pixels_mut().for_each(|pixel| pixel.0[0] >>= 6);
         DynamicImage::ImageLuma16(picture)
     };
-    let named_by_stamps = renamed("frames/*.jpg", |k, _| {
-        format!("frame_{}.{}.jpg", 1_738_133_057 + k / 4, 45_788_000 + 250_000_000 * (k % 4))
-    });
     hold(
         bending,
         vec![
@@ -114,8 +117,18 @@ fn frames_are_found_and_read_whatever_they_are_called() {
             ),
             case(
                 "names that are times",
-                move |sandbox: &Sandbox| {
-                    named_by_stamps(sandbox);
+                |sandbox: &Sandbox| {
+                    let times = times(sandbox);
+                    // Seconds and nanoseconds, both without zeros before them.
+                    let name = move |k: usize, _: &str| {
+                        let nanoseconds = (1e9 * times[k]).round() as u64 - 205_000_000;
+                        format!(
+                            "frame_{}.{}.jpg",
+                            1_738_133_057 + nanoseconds / 1_000_000_000,
+                            nanoseconds % 1_000_000_000
+                        )
+                    };
+                    renamed("frames/*.jpg", name)(sandbox);
                     by_rank(sandbox);
                 },
                 Good("5 of 5 frames and poses have a reading"),
@@ -123,9 +136,7 @@ fn frames_are_found_and_read_whatever_they_are_called() {
             case(
                 "names that are times, and a log by time",
                 |sandbox: &Sandbox| {
-                    let table = rows_of_frames(sandbox);
-                    let times: Vec<f64> =
-                        table.lines().skip(1).map(|line| line.split(',').nth(1).unwrap().parse().unwrap()).collect();
+                    let (table, times) = (rows_of_frames(sandbox), times(sandbox));
                     renamed("frames/*.jpg", move |k, _| format!("f_{:.6}.jpg", 1_738_133_057.0 + times[k]))(sandbox);
                     let later = |line: &str| {
                         let fields: Vec<&str> = line.splitn(3, ',').collect();
