@@ -14,10 +14,9 @@ use opencv::imgproc::corner_sub_pix;
 use opencv::videoio::{
     CAP_ANY, CAP_FFMPEG, CAP_PROP_AUTO_EXPOSURE, CAP_PROP_AUTOFOCUS, CAP_PROP_BUFFERSIZE, CAP_PROP_EXPOSURE,
     CAP_PROP_FOCUS, CAP_PROP_FOURCC, CAP_PROP_FPS, CAP_PROP_FRAME_COUNT, CAP_PROP_FRAME_HEIGHT, CAP_PROP_FRAME_WIDTH,
-    CAP_PROP_OPEN_TIMEOUT_MSEC, CAP_PROP_POS_MSEC, CAP_PROP_READ_TIMEOUT_MSEC, VideoCapture, VideoCaptureTrait,
-    VideoCaptureTraitConst,
+    CAP_PROP_OPEN_TIMEOUT_MSEC, CAP_PROP_ORIENTATION_AUTO, CAP_PROP_ORIENTATION_META, CAP_PROP_POS_MSEC,
+    CAP_PROP_READ_TIMEOUT_MSEC, VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst,
 };
-use opencv::videoio::{CAP_PROP_ORIENTATION_AUTO, CAP_PROP_ORIENTATION_META};
 use std::path::Path;
 
 /// A video file being decoded, frame by frame.

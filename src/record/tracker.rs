@@ -76,7 +76,7 @@ pub fn tracker_poses_of(topic: &Topic) -> Result<Checked<TrackerPose>> {
     let (mut rows, mut warnings) = (Vec::new(), Vec::new());
     let damage = |message: String| {
         let path = topic.bag.path().to_owned();
-        Warning { path, line: None, message: message, fault: Fault::Damage }
+        Warning { path, line: None, message, fault: Fault::Damage }
     };
     for (index, message) in (0..).zip(topic.messages()?) {
         let pose = match message {
