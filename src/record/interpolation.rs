@@ -161,7 +161,7 @@ impl Backbone {
         let (earlier_s, earlier) = *self.series.get(after.checked_sub(1)?)?;
         let share = (time_s - earlier_s) / (later_s - earlier_s);
         let agree = (later - earlier).abs() <= self.tolerance;
-        (agree || self.is_bridged(later_s - earlier_s)).then(|| earlier * (1.0 - share) + later * share)
+        (agree || self.is_bridged(later_s - earlier_s)).then_some(earlier * (1.0 - share) + later * share)
     }
 
     /// Whether the line over a gap of this length is as good as the readings.

@@ -36,7 +36,7 @@ impl Experiment {
         if let Some(topic) = self.trackers.iter().find_map(|tracker| tracker.poses.topic()) {
             return of_topic(topic);
         }
-        for tracker in &self.trackers {
+        if let Some(tracker) = self.trackers.first() {
             let poses = super::read_tracker_poses(tracker.poses.path())?.rows;
             return Ok(poses.iter().map(|pose| (pose.index, pose.time_s)).collect());
         }
