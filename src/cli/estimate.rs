@@ -3,7 +3,7 @@
 use super::console::Console;
 use super::estimator::EstimatorArgs;
 use super::inputs::{WorthArgs, force_limits, measurements_and_readings, with_effects};
-use super::verdict::{VerdictArgs, verdict_text};
+use super::verdict::{VerdictArgs, doubt_of_times, verdict_text};
 use crate::cli::failure::Failure;
 use crate::estimate::{EstimateRow, Verdict as RowVerdict, estimate, estimate_stem, or_one_gain};
 use crate::observation::{EncoderReading, Measurement};
@@ -127,7 +127,8 @@ impl Args {
         let used_and_rejected = Some((estimated.used, estimated.rejected));
         let subject =
             Subject { used_and_rejected, replaced, ..Subject::new(&model, self.estimator.options(1.0).sd_encoder_mm) };
-        let Ok(verdict) = subject.verdict(rows(), &encoders);
+        let (Ok(verdict), Ok(doubt)) = (subject.verdict(rows(), &encoders), doubt_of_times(rows(), &encoders, None));
+        let verdict = doubt.into_iter().fold(verdict, Verdict::and);
         let verdict = do_not_use.as_deref().map(bad_start).into_iter().fold(verdict, Verdict::and);
         if model.estimate.is_some() {
             write_judged_model(&self.output.join("model.toml"), &model, &verdict)?;

@@ -5,8 +5,8 @@ use crate::cli::failure::Failure;
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, EncoderLog, Experiment, do_not_use_mark, read_encoders, read_joints, read_measurements, read_model,
-    stale_mark,
+    Checked, EncoderLog, Experiment, Matched, do_not_use_mark, read_encoders, read_joints, read_log, read_measurements,
+    read_model, stale_mark,
 };
 use crate::robot::{Effect, ForceLimits, Model};
 use crate::{Error, Result};
@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// File name extensions, in lower case, of the pictures that are read.
-const PICTURE_EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
+const PICTURE_EXTENSIONS: [&str; 6] = ["bmp", "jpg", "jpeg", "png", "tif", "tiff"];
 
 /// The model in a file; without one the paper's naive one, with Table I, which is told.
 pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
@@ -158,14 +158,17 @@ pub fn encoders_of(experiment: &Experiment, model: &Model) -> Result<Checked<Enc
     let wiring = experiment.wiring(backbones)?;
     match &experiment.encoders {
         Some(EncoderLog::File(path)) => {
-            let Checked { rows, warnings } = read_encoders(path, backbones)?;
+            let Checked { rows, warnings } = match &experiment.log {
+                Some(keys) => read_log(path, backbones, keys, || experiment.stamps_s())?,
+                None => read_encoders(path, backbones)?,
+            };
             require_neighbours(path, model, &rows)?;
             Ok(Checked { rows: wiring.readings(&rows), warnings })
         }
         Some(EncoderLog::Joints(joints)) => {
-            let rows = read_joints(joints, &experiment.stamps_s()?, backbones)?;
-            require_neighbours(&experiment.path, model, &rows)?;
-            Ok(Checked { rows: wiring.readings(&rows), warnings: Vec::new() })
+            let Matched { readings, warnings } = read_joints(joints, &experiment.stamps_s()?, backbones)?;
+            require_neighbours(&experiment.path, model, &readings)?;
+            Ok(Checked { rows: wiring.readings(&readings), warnings })
         }
         None => Ok(Checked { rows: Vec::new(), warnings: Vec::new() }),
     }
@@ -175,6 +178,9 @@ pub fn encoders_of(experiment: &Experiment, model: &Model) -> Result<Checked<Enc
 pub fn commonest_picture(folder: &Path) -> Option<(String, usize)> {
     let mut extensions = BTreeMap::<String, usize>::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        if entry.file_name().to_string_lossy().starts_with('.') {
+            continue;
+        }
         let extension = entry.path().extension().unwrap_or_default().to_string_lossy().into_owned();
         if PICTURE_EXTENSIONS.contains(&extension.to_lowercase().as_str()) {
             *extensions.entry(extension).or_default() += 1;

@@ -9,7 +9,7 @@ use super::origin::Settings;
 use super::overlays::{self, Overlays, closeup, draw, pictures};
 use super::table::largest_correction_mm;
 use super::trackers::open_trackers;
-use super::verdict::{VerdictArgs, subject, verdict_text};
+use super::verdict::{VerdictArgs, doubt_of_times, reasons_of_files, subject, verdict_text};
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::estimate::gap::{Gap, gap_of};
@@ -167,7 +167,9 @@ pub fn finish(
     let wiring = experiment.wiring(start.robot.backbone_count())?;
     let judged = subject(&model, experiment, wiring, settings.estimator.options(1.0).sd_encoder_mm);
     let verdict = Subject { used_and_rejected, replaced, ..judged }.verdict(rows()?, encoders)?;
-    let verdict = beside_former(output, verdict)?;
+    let doubts =
+        reasons_of_files(experiment, warnings)?.into_iter().chain(doubt_of_times(rows()?, encoders, Some(experiment))?);
+    let verdict = beside_former(output, doubts.fold(verdict, Verdict::and))?;
     let table = written_table(output, &model, &verdict)?;
     // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
     if table.is_some() || !output.join("model.toml").exists() {

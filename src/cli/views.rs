@@ -4,7 +4,7 @@ use super::checksum::Checksum;
 use super::console::Console;
 use super::overlays::jpeg;
 use crate::bag::Topic;
-use crate::camera::{Frame, FrameSource, Lens, SourceFrame, read_frame};
+use crate::camera::{Frame, FrameSource, Lens, PictureFile, SourceFrame, read_frame};
 use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::measure::{Explanation, Eye, Rig, RigOptions, sketched_rig};
 use crate::record::{Experiment, RigSource, View, write_atomically};
@@ -157,7 +157,7 @@ fn checksum_of(source: &FrameSource) -> Result<String> {
     let mut checksum = Checksum::default();
     match source {
         FrameSource::Pictures(files) => {
-            for (index, path) in files {
+            for PictureFile { index, path, .. } in files {
                 checksum.add(&index.to_le_bytes());
                 checksum.add(path.file_name().unwrap_or_default().as_encoded_bytes());
             }
@@ -168,10 +168,16 @@ fn checksum_of(source: &FrameSource) -> Result<String> {
                 checksum.add(&content.unwrap_or_default());
             }
         }
-        FrameSource::Video(path) | FrameSource::Topic(Topic { bag: path, .. }) => {
-            let length = fs::metadata(path).map_err(Error::io(path, "read"))?.len();
-            checksum.add(&length.to_le_bytes());
+        FrameSource::Video(path) | FrameSource::Stack(path, _) => add_length(&mut checksum, path)?,
+        FrameSource::Topic(Topic { bag, .. }) => {
+            bag.files()?.iter().try_for_each(|path| add_length(&mut checksum, path))?
         }
     }
     Ok(checksum.to_string())
+}
+
+fn add_length(checksum: &mut Checksum, path: &Path) -> Result<()> {
+    let length = fs::metadata(path).map_err(Error::io(path, "read"))?.len();
+    checksum.add(&length.to_le_bytes());
+    Ok(())
 }

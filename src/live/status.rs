@@ -208,6 +208,8 @@ pub struct SourceStatus {
     pub rate_fps: f64,
     /// The settings that a camera or stream reports.
     pub settings: Option<CaptureSettings>,
+    /// What of them is not as it was asked for, or moves the lens, in sentences.
+    pub remarks: Vec<String>,
 }
 
 /// Whose clock the encoders' time stamps are in.

@@ -34,6 +34,12 @@ impl fmt::Display for Level {
 pub enum Code {
     /// A file or a row is missing, or cannot be read (`check`).
     Files,
+    /// There is not one frame, or not one reading.
+    NothingToJudge,
+    /// A recording breaks off, or has messages that cannot be read.
+    RecordingDamaged,
+    /// Two sources say different things of one index or one moment.
+    ContradictoryReadings,
     /// An encoder's readings stand still, or one's stand in two columns.
     EncoderStuck,
     /// Another order, sign, unit or numbering of the readings explains the bends far better.
@@ -44,6 +50,8 @@ pub enum Code {
     EncoderScale,
     /// Time stamps run backwards, or the encoders' clock is not the frames'.
     Clock,
+    /// Times are in another unit than seconds.
+    TimeUnit,
     /// The camera or the base moved since the straight picture.
     RigDrift,
     /// The gap has the form that a wrong camera file gives it.
@@ -66,13 +74,17 @@ pub enum Code {
 
 impl Code {
     /// Every kind of reason.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 19] = [
         Self::Files,
+        Self::NothingToJudge,
+        Self::RecordingDamaged,
+        Self::ContradictoryReadings,
         Self::EncoderStuck,
         Self::Wiring,
         Self::CameraStuck,
         Self::EncoderScale,
         Self::Clock,
+        Self::TimeUnit,
         Self::RigDrift,
         Self::CameraLens,
         Self::ManyNotMeasured,

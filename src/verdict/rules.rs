@@ -3,12 +3,13 @@
 use super::encoders::{camera_stuck, stuck};
 use super::evidence::{Evidence, Sample, Subject};
 use super::health::Health;
+use super::inputs::nothing_to_judge;
 use super::reason::{Code, Level, Reason, Verdict};
 use super::scale::{PLAUSIBLE_ETA, angles_are_radians};
 use super::wiring::{self, Mistake, WiringCheck};
 use super::words;
 use crate::estimate::{NEW_POSE, Replaced};
-use crate::observation::{EncoderReading, Wiring};
+use crate::observation::{EncoderReading, Status, Wiring};
 use crate::robot::Model;
 use crate::statistics::binomial;
 use nalgebra::{Matrix2, Vector2};
@@ -54,6 +55,7 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
     let reasons = [
         stuck,
         check.as_ref().and_then(|check| words::wiring(subject, check)),
+        nothing_to_judge(evidence, log),
         unmatched(evidence, log),
         backwards(log),
         not_measured(evidence),
@@ -198,8 +200,12 @@ fn not_measured(evidence: &Evidence) -> Option<Reason> {
                       every frame";
         return Some(Reason::new(Code::RigDrift, level, text, remedy));
     }
-    let remedy = "`snakeloop measure EXPERIMENT --explain INDEX -o OUT` shows why a frame failed, stage by stage; light, focus and \
-                  what stands before the snake are the usual causes";
+    let commonest = statuses.iter().filter(|(word, _)| *word != "ok").max_by_key(|(_, count)| **count);
+    let remedy = commonest.map_or_else(String::new, |(word, _)| {
+        let status: Status = word.parse().unwrap_or_else(|never| match never {});
+        let (meaning, remedy) = status.explained();
+        format!("{word}: {meaning}; {remedy}. `snakeloop measure EXPERIMENT --explain INDEX -o OUT` shows why a frame failed, stage by stage")
+    });
     Some(Reason::new(Code::ManyNotMeasured, level, text, remedy))
 }
 

@@ -150,7 +150,7 @@ impl Tries<'_> {
         let same = known.iter().find(|other| (other.width_px / width_px - 1.0).abs() < SAME_WIDTH);
         let found = match same {
             Some(other) => other.found.clone(),
-            None => search_everywhere(frame, &self.template, width_px, self.region),
+            None => search_everywhere(frame, &self.template, width_px, self.region, |_| true),
         };
         let is_found = !found.is_empty();
         is_found

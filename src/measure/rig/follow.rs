@@ -146,16 +146,15 @@ impl RigFollower<'_> {
         let distance_mm = grid.distance_mm(&lens.ray(&region.middle())) + base_mm.z;
         let width_px = lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm;
         let template = BodyTemplate::of_holder(robot);
-        let found = search_everywhere(frame, &template, width_px, &region);
-        let starts = search_nearby(frame, &template, width_px, &region, &found);
         let (_, axis) = self.view(rig).holder_end();
-        let turned = starts.into_iter().filter(|start| start.axis.angle(&axis) < MOST_TURN);
+        let found = search_everywhere(frame, &template, width_px, &region, |seen| seen.angle(&axis) < MOST_TURN);
+        let starts = search_nearby(frame, &template, width_px, &region, &found);
         // Where the base would be on the lattice as it was found now: the base's height over the target is known.
         let grid_from_camera = grid.sheet.camera_from_grid.inverse();
         let eye = grid_from_camera * Point3::origin();
         // The holder's end is found to half a pitch or so: the lines next to the nearest ones are tried as well.
         let near = [(0, 0), (0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)];
-        let rigs = turned.flat_map(|start| {
+        let rigs = starts.into_iter().flat_map(|start| {
             let ray = grid_from_camera * lens.ray(&start.base);
             let at = eye + ray * ((base_mm.z - eye.z) / ray.z);
             let lines = ((at.coords - base_mm).xy() / rig.grid_pitch_mm).map(f64::round);

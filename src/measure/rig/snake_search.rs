@@ -184,6 +184,7 @@ impl BodyTemplate {
             // Square to the body's middle, so that its disks are seen edge-on.
             centre_px: [base.x, f64::from(height) / 2.0].into(),
             distortion: Default::default(),
+            fisheye: None,
         };
         let distance_mm = DRAWN_FROM_WIDTHS * width_mm;
         let drop_mm = (base.y - f64::from(height) / 2.0) / DRAWN_WIDTH_PX * width_mm;
@@ -355,17 +356,23 @@ fn gain(sums: Sums, of: usize) -> (f64, f64) {
     (-0.5 * n * (1.0 - r2).ln(), r2)
 }
 
-/// Where a straight snake, so many px wide, may be before the part of a picture that shows the sheet, roughly; the likeliest first.
+/// Where a straight snake, so many px wide, may be before the part of a picture that shows the sheet, roughly, in directions that are asked
+/// for; the likeliest first.
 pub fn search_everywhere(
     frame: &Frame,
     template: &BodyTemplate,
     width_px: f64,
     region: &SheetRegion,
+    is_asked: impl Fn(&Vector2<f64>) -> bool + Sync,
 ) -> Vec<SnakeStart> {
     let unlike = Unlike::of(frame, width_px / COARSE_CELLS, region);
     let cells = template.cells(COARSE_CELLS);
-    let direction = |k: usize| in_direction(&unlike, &cells, TAU * k as f64 / DIRECTIONS as f64);
-    let mut all: Vec<SnakeStart> = (0..DIRECTIONS).into_par_iter().flat_map_iter(direction).collect();
+    let axis = |k: usize| {
+        let direction = TAU * k as f64 / DIRECTIONS as f64;
+        Vector2::new(direction.sin(), -direction.cos())
+    };
+    let asked = (0..DIRECTIONS).into_par_iter().map(axis).filter(|axis| is_asked(axis));
+    let mut all: Vec<SnakeStart> = asked.flat_map_iter(|axis| in_direction(&unlike, &cells, axis)).collect();
     all.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     distinct(all, APART_WIDTHS * width_px)
 }
@@ -400,8 +407,7 @@ fn distinct(sorted: Vec<SnakeStart>, apart_px: f64) -> Vec<SnakeStart> {
 }
 
 /// The best places in one direction: every local maximum of the gain over the cells that stands out from its neighbours.
-fn in_direction(unlike: &Unlike, cells: &[Cell], direction: f64) -> Vec<SnakeStart> {
-    let axis = Vector2::new(direction.sin(), -direction.cos());
+fn in_direction(unlike: &Unlike, cells: &[Cell], axis: Vector2<f64>) -> Vec<SnakeStart> {
     let across = Vector2::new(-axis.y, axis.x);
     let offsets: Vec<(i64, i64, f32)> = cells
         .iter()
@@ -537,7 +543,7 @@ mod tests {
         let region = SheetRegion::around(whole.map(|(x, y)| Point2::new(x, y)));
         for (direction_deg, base) in [(0.0, Point2::new(330.0, 360.0)), (14.0, Point2::new(280.0, 350.0))] {
             let frame = picture(&robot, 40.0, base, direction_deg);
-            let found = search_everywhere(&frame, &template, 40.0, &region);
+            let found = search_everywhere(&frame, &template, 40.0, &region, |_| true);
             let start = search_nearby(&frame, &template, 40.0, &region, &found).remove(0);
             assert!((start.base - base).norm() < 6.0, "{start:?} for {base}");
             let (sin, cos) = f64::to_radians(direction_deg).sin_cos();

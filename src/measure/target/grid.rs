@@ -139,6 +139,10 @@ impl SheetSearch {
     /// Looks for a sheet whose ruling may have this pitch, mm; without hypotheses where there is none.
     pub fn new(frame: &Frame, lens: &Lens, pitch_mm: f64) -> Self {
         let mix = strongest_mix(frame);
+        if mix.data.is_empty() {
+            let (evened, hypotheses, seen) = (mix.clone(), Vec::new(), Vec::new());
+            return Self { mix, evened, pitch_mm, clearest: None, hypotheses, seen, reach_px: 0.0 };
+        }
         let evened = evened(&mix);
         let seeds = find_seeds(&evened);
         // Windows for lines need more waves around them than a picture of large squares has.
