@@ -147,7 +147,10 @@ fn frozen_encoders_leave_the_good_table_and_a_trickling_camera_lets_go() {
     let table = fs::read(output.join("compensation.csv")).unwrap();
     let told: serde_json::Value = serde_json::from_slice(&fs::read(output.join("publication.json")).unwrap()).unwrap();
     assert_eq!(told["state"], "stale");
-    assert!(fs::read_to_string(output.join("model.toml")).unwrap().starts_with("# stale: all readings stand still"));
+    let model = fs::read_to_string(output.join("model.toml")).unwrap();
+    // Who says it first, the watch over the readings or the verdict, is a matter of milliseconds.
+    let mark = model.lines().next().unwrap();
+    assert!(mark.starts_with("# stale: ") && mark.contains("stand still"), "{mark}");
     assert!(String::from_utf8_lossy(&table).lines().next().unwrap().ends_with(",stale"));
     // What stands in the folder is the last good one; nobody is told to command by it while encoders and picture contradict each other.
     let (status, refused) = live.ask("GET", "/api/table?theta=60&delta=0", "", "");
