@@ -131,21 +131,27 @@ pub fn measurements_and_readings(
     Ok((measurements, readings))
 }
 
+/// The model in a file, to start from.
+///
+/// # Errors
+/// A file that cannot be read, or a model that must not be used: what is learned from there on would be worth no more.
+pub fn model_that_may_be_used(path: &Path) -> Result<Model> {
+    let model = read_model(path)?;
+    match must_not_be_used(path, &model) {
+        None => Ok(model),
+        Some(why) => {
+            let remedy = "take `model` (or --model) out to learn from the start, or name one that can be used";
+            Err(Error::content(path, format!("this model must not be used: {why}; {remedy}")))
+        }
+    }
+}
+
 /// An experiment's model: its `model`, with the constants of its `robot` where that is given; the paper's without.
 ///
 /// # Errors
 /// A file that cannot be read, or a model that must not be used: what is learned from there on would be worth no more.
 pub fn model_of(experiment: &Experiment) -> Result<Model> {
-    let mut model = experiment.model.as_deref().map_or_else(|| Ok(Model::default()), read_model)?;
-    if let Some((path, why)) =
-        experiment.model.as_deref().and_then(|path| Some((path, must_not_be_used(path, &model)?)))
-    {
-        let message = format!(
-            "model = {:?}: this model must not be used: {why}; take `model` out to learn from the start, or name one that can be used",
-            path.display().to_string()
-        );
-        return Err(Error::content(&experiment.path, message));
-    }
+    let mut model = experiment.model.as_deref().map_or_else(|| Ok(Model::default()), model_that_may_be_used)?;
     if let Some(path) = &experiment.robot {
         let Model { robot, friction, .. } = read_model(path)?;
         model.robot = robot;
