@@ -115,7 +115,7 @@ pub struct RigRefused {
 impl RigRefused {
     /// What was seen, and where it is drawn.
     fn sight(&self) -> String {
-        let seen = if self.seen.is_empty() { String::new() } else { format!(". Seen were: {}", self.seen) };
+        let seen = if self.seen.is_empty() { String::new() } else { format!(" (seen: {})", self.seen) };
         match &self.shown {
             Some(path) => format!("{seen}; {} shows what was seen", path.display()),
             None => seen,
