@@ -49,6 +49,8 @@ pub mod measure;
 pub mod observation;
 pub mod record;
 #[cfg(feature = "report")]
+mod quantity;
+#[cfg(feature = "report")]
 pub mod report;
 pub mod reproduce;
 pub mod robot;

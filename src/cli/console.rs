@@ -35,6 +35,13 @@ impl Console {
         }
     }
 
+    /// Says below a result what to do next, where it is printed for people.
+    pub fn next(&self, step: impl Display) {
+        if self.may_ask() {
+            print(&format!("next: {step}\n"));
+        }
+    }
+
     /// Prints warnings, one a line, unless quiet.
     pub fn warn(&self, warnings: impl IntoIterator<Item = impl Display>) {
         if !self.quiet {

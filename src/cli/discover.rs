@@ -17,8 +17,8 @@ use crate::estimate::gap::{Gap, gap};
 use crate::estimate::{Options, Verdict as GateVerdict, estimate};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, Experiment, OutputFolder, measurements_csv, read_effects, read_measurements, read_model, trajectory_csv,
-    write_atomically, write_model,
+    Checked, Experiment, OutputFolder, Provenance, measurements_csv, read_effects, read_measurements, read_model, trajectory_csv,
+    write_atomically, write_learned_model,
 };
 use crate::report::discovery::{Page, few_samples_lines, few_samples_page, lines};
 use crate::report::verdict::verdict_page;
@@ -26,6 +26,7 @@ use crate::robot::Model;
 use crate::verdict::{Reason, Subject, Verdict};
 use crate::{Error, Result};
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::path::PathBuf;
 
@@ -156,6 +157,7 @@ impl Args {
         let json = self.write_answer(&answer, &data)?;
         console.warn(&answer.found.remarks);
         console.result(&json, || self.in_words(&answer, inputs));
+        console.next(self.next_step(answer.found.verdict));
         Ok(())
     }
 
@@ -172,8 +174,16 @@ impl Args {
             json["next"] = next.as_ref().map(|next| next.json(NEXT)).into();
         }
         let corrected = correction.as_ref().and_then(|correction| correction.model.as_ref());
-        let page = Page { found, data, gap: localised.as_ref(), correction: correction.as_ref(), next: next.as_ref() };
-        self.write_all(&json, corrected.unwrap_or(&found.model), &page.html())?;
+        let made_from = self.made_from()?;
+        let page = Page {
+            found,
+            data,
+            gap: localised.as_ref(),
+            correction: correction.as_ref(),
+            next: next.as_ref(),
+            made_from: &made_from,
+        };
+        self.write_all(&json, corrected.unwrap_or(&found.model), &page.html(), &made_from)?;
         Ok(json)
     }
 
@@ -194,7 +204,8 @@ impl Args {
             return Ok(self.name_nothing(console, inputs, mistake, &found.remarks)?);
         }
         let json = found.json();
-        self.write_all(&json, &found.model, &few_samples_page(&found))?;
+        let made_from = self.made_from()?;
+        self.write_all(&json, &found.model, &few_samples_page(&found, &made_from), &made_from)?;
         console.warn(&found.remarks);
         console.result(&json, || few_samples_lines(&found));
         Ok(())
@@ -217,7 +228,8 @@ impl Args {
         let Inputs { model, measurements, readings, .. } = inputs;
         let verdict = Verdict::of(vec![mistake]);
         let json = nothing_named(&gap(model, measurements, readings), &verdict, remarks);
-        self.write_all(&json, model, &verdict_page("snakeloop: discover", &verdict))?;
+        let made_from = self.made_from()?;
+        self.write_all(&json, model, &verdict_page("snakeloop: discover", &verdict, &made_from), &made_from)?;
         console.warn(remarks);
         console.result(&json, || {
             format!("unexplained: no physics is named of these data\n{}", verdict.lines().join("\n"))
@@ -226,20 +238,48 @@ impl Args {
     }
 
     /// The three files that every answer has.
-    fn write_all(&self, json: &Value, model: &Model, page: &str) -> Result<()> {
+    fn write_all(&self, json: &Value, model: &Model, page: &str, made_from: &Provenance) -> Result<()> {
         self.write("discrepancy.json", &format!("{json:#}\n"))?;
-        write_model(&self.output.join("model.toml"), model)?;
+        write_learned_model(&self.output.join("model.toml"), model, None, made_from)?;
         self.write("report.html", page)
+    }
+
+    /// The files that the call names.
+    fn named(&self) -> [Option<&PathBuf>; 4] {
+        [self.measurements.as_ref(), self.encoders.as_ref(), self.model.as_ref(), self.effects.as_ref()]
+    }
+
+    fn made_from(&self) -> Result<Provenance> {
+        let options = [("encoder_sd_mm", self.encoder_sd)];
+        let of_experiment = match &self.experiment {
+            Some(experiment) => {
+                let mut files = Experiment::read(experiment)?.files();
+                files.push(self.output.join("measurements.csv"));
+                files
+            }
+            None => Vec::new(),
+        };
+        let made_from = Provenance::new("discover").with_options(&BTreeMap::from(options))?.with_inputs(of_experiment)?;
+        made_from.with_inputs(self.named().into_iter().flatten())
+    }
+
+    /// What to do next.
+    fn next_step(&self, verdict: Found) -> String {
+        let model = self.output.join("model.toml");
+        match verdict {
+            Found::Named | Found::Partly => format!("snakeloop table --model {} -o table", model.display()),
+            Found::None => "command by the model as it is: nothing is missing".to_owned(),
+            Found::Unexplained => "add --correction for a law, or --next for the experiment that would tell more".to_owned(),
+        }
     }
 
     /// Takes the folder to write to.
     fn claim(&self) -> Result<OutputFolder> {
         const OUTPUTS: [&str; 6] =
             ["measurements.csv", "discrepancy.json", NEXT, "model.toml", "report.html", "rig.jpg"];
-        let named = [self.measurements.as_ref(), self.encoders.as_ref(), self.model.as_ref(), self.effects.as_ref()];
         let (inputs, outputs) = match &self.experiment {
-            Some(experiment) => (files_read(&Experiment::read(experiment)?, &named), &OUTPUTS[..]),
-            None => (named.into_iter().flatten().cloned().collect(), &OUTPUTS[1..]),
+            Some(experiment) => (files_read(&Experiment::read(experiment)?, &self.named()), &OUTPUTS[..]),
+            None => (self.named().into_iter().flatten().cloned().collect(), &OUTPUTS[1..]),
         };
         let mut out = OutputFolder::claim(&self.output, outputs, &inputs)?;
         out.made_by("discover", outputs)?;

@@ -94,6 +94,9 @@ impl Args {
         };
         let evaluation = Evaluation { verdict, gap, accuracy };
         console.result(&evaluation, || evaluation.text());
+        if evaluation.verdict.has(Code::GapAboveNoise) {
+            console.next("snakeloop discover with the same files says what the model lacks");
+        }
         self.verdict.check(&evaluation.verdict)
     }
 }

@@ -5,6 +5,7 @@ use super::inputs::measurements_and_readings;
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::estimate::{Options, tip_force};
+use crate::quantity::with_sd;
 use crate::record::{forces_csv, read_model, write_atomically};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -61,7 +62,7 @@ impl Args {
         };
         console.result(&found, || {
             let sd = force.covariance_n2.diagonal().map(|variance| variance.max(0.0).sqrt());
-            let part = |name: &str, k: usize| format!("{name}  {:+.3} ± {:.3} N\n", force.force_n[k], sd[k]);
+            let part = |name: &str, k: usize| format!("{name}  {} N\n", with_sd(force.force_n[k], sd[k]));
             let unseen = force.unseen.iter().map(|u| format!("unseen along ({:+.2}, {:+.2}, {:+.2})\n", u.x, u.y, u.z));
             part("Fx", 0)
                 + &part("Fy", 1)

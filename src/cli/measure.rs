@@ -68,7 +68,7 @@ impl Args {
             }
         };
         let summary = Summary::of(&self.output, throughput)?;
-        console.result(&summary, || summary.text());
+        summary.tell(console, &experiment);
         Ok(())
     }
 

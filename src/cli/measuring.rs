@@ -168,8 +168,16 @@ impl Summary {
         Ok(Self { frames, statuses, throughput, measurements })
     }
 
+    /// Prints the result, and what to do next.
+    pub fn tell(&self, console: &Console, experiment: &Experiment) {
+        console.result(self, || self.text());
+        let log = experiment.encoders.as_ref().map_or("encoders.csv".into(), |log| log.path().display().to_string());
+        let measurements = self.measurements.display();
+        console.next(format_args!("snakeloop estimate --measurements {measurements} --encoders {log} -o estimated"));
+    }
+
     /// Lines for people.
-    pub fn text(&self) -> String {
+    fn text(&self) -> String {
         let statuses: Vec<_> = self.statuses.iter().map(|(status, count)| format!("{count} {status}")).collect();
         let speed = self.throughput.map(|throughput| {
             format!(

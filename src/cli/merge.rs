@@ -55,13 +55,13 @@ impl Args {
         self.join_rows()?;
         let Some(settings) = origin.run else {
             let summary = Summary::of(&self.output, None)?;
-            console.result(&summary, || summary.text());
+            summary.tell(console, &experiment);
             return Ok(());
         };
         self.copy_overlays()?;
         let inputs = Inputs::read(console, &experiment)?;
         let summary = finish(&experiment, &inputs, settings, &self.output, None)?;
-        console.result(&summary, || summary.text());
+        summary.tell(console, &experiment);
         summary.require_table(&experiment)?;
         self.verdict.check(&summary.verdict)
     }

@@ -86,6 +86,7 @@ impl Args {
         }
         let summary = Summary { folder: self.folder.clone(), written, missing: found.missing(&self.folder) };
         console.result(&summary, || summary.text());
+        console.next(summary.next());
         Ok(())
     }
 
@@ -279,13 +280,15 @@ fn readme(found: &Found) -> String {
 
 impl Summary {
     fn text(&self) -> String {
-        let mut text: String = self.written.iter().map(|path| format!("{}\n", path.display())).collect();
+        self.written.iter().map(|path| format!("{}\n", path.display())).collect()
+    }
+
+    fn next(&self) -> String {
         let folder = self.folder.display();
-        text += &match &self.missing[..] {
-            [] => format!("next: snakeloop check {folder}"),
-            missing => format!("next: put {} there, then snakeloop check {folder}", missing.join(", ")),
-        };
-        text
+        match &self.missing[..] {
+            [] => format!("snakeloop check {folder}"),
+            missing => format!("put {} there, then snakeloop check {folder}", missing.join(", ")),
+        }
     }
 }
 

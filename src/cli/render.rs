@@ -60,6 +60,7 @@ impl Args {
         bar.finish_and_clear();
         let summary = Summary { frames: poses.len(), output: self.output.clone() };
         console.result(&summary, || format!("{} frames\n{}", summary.frames, summary.output.display()));
+        console.next(format_args!("snakeloop measure {} -o measured", summary.output.display()));
         Ok(())
     }
 }

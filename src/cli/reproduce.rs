@@ -48,6 +48,7 @@ impl Args {
             [header].into_iter().chain(lines).collect::<Vec<_>>().join("\n")
                 + &format!("\n{}", summary.output.display())
         });
+        console.next(format_args!("open {} in a browser", summary.output.display()));
         Ok(())
     }
 }

@@ -7,6 +7,7 @@ use crate::Result;
 use crate::cli::failure::Failure;
 use crate::closed_loop::ClosedLoop;
 use crate::observation::Waypoint;
+use crate::quantity::with_sd;
 use crate::record::{
     Worth, csv_of, encoders_csv, measurements_csv, read_trajectory, truth_csv, write_atomically, write_compensation,
     write_model,
@@ -147,6 +148,12 @@ impl Args {
         console.result(&summary, || {
             format!("{} poses in {:.1} s\n{}", summary.poses, summary.seconds, summary.output.display())
         });
+        if self.observe {
+            let out = self.output.display();
+            console.next(format_args!(
+                "snakeloop estimate --measurements {out}/measurements.csv --encoders {out}/encoders.csv -o estimated"
+            ));
+        }
         Ok(())
     }
 
@@ -221,9 +228,12 @@ impl Closed {
         text += &match learned {
             None => "η was not learned: too few frames were measured\n".to_owned(),
             Some(Parameters { eta, sd_eta, lambda_mm, sd_lambda_mm }) => format!(
-                "η {eta:.4} ± {sd_eta:.4} learned, {:.4} hidden\n\
-                 λ {lambda_mm:.2} ± {sd_lambda_mm:.2} mm, {:.4} mm hidden: it moves no bend, and a closed loop cannot see it\n",
-                hidden.eta, hidden.lambda_mm
+                "η {} learned, {:.4} hidden\n\
+                 λ {} mm, {:.4} mm hidden: it moves no bend, and a closed loop cannot see it\n",
+                with_sd(eta, sd_eta),
+                hidden.eta,
+                with_sd(lambda_mm, sd_lambda_mm),
+                hidden.lambda_mm
             ),
         };
         text + &output.display().to_string()

@@ -91,6 +91,7 @@ impl Args {
                 summary.output.display()
             )
         });
+        console.next(format_args!("command qc1_mm … of {}", self.output.join("compensation.csv").display()));
         Ok(())
     }
 }

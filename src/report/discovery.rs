@@ -1,12 +1,14 @@
 //! report.html of `discover`: the gap, where it is, what explains it, before and after.
 
 use super::bend_map::{bend_map, strongest};
-use super::page::{definitions, document, figure, list, table};
+use super::page::{definitions, document, figure, list, made_from, table};
 use super::plot::{Plot, Point, Series, Style};
 use crate::discover::{
     Candidate, Data, Discovery, EffectTrace, FewSamples, Gap, Localisation, Named, NextExperiment, ProposedLaw,
     Verdict, effect_traces,
 };
+use crate::quantity::with_sd;
+use crate::record::Provenance;
 use maud::{Markup, html};
 
 /// The most dots of one series.
@@ -41,6 +43,8 @@ pub struct Page<'a> {
     pub correction: Option<&'a ProposedLaw>,
     /// The next experiment, where it was asked for and something is open.
     pub next: Option<&'a NextExperiment>,
+    /// What the answer was made from.
+    pub made_from: &'a Provenance,
 }
 
 impl Page<'_> {
@@ -69,6 +73,7 @@ impl Page<'_> {
             }
             @if let Some(next) = self.next { (proposal(next)) }
             (list("Remarks", "What was passed over, or could not be decided.", &found.remarks))
+            (made_from(self.made_from))
         };
         document("snakeloop: discover", STYLE, &content)
     }
@@ -217,13 +222,14 @@ fn heading(found: &Discovery) -> String {
 }
 
 /// The page of an answer without a search.
-pub fn few_samples_page(found: &FewSamples) -> String {
+pub fn few_samples_page(found: &FewSamples, from: &Provenance) -> String {
     let content = html! {
         h1 { "What the model lacks: not looked for" }
         p.verdict { (found.sentence()) }
         (definitions("summary", &summary(found.verdict, found.samples, &found.before, Some(&found.after), found.noise_floor_mm)))
         p { (GLOSSARY) }
         (list("Remarks", "What was passed over, or could not be decided.", &found.remarks))
+        (made_from(from))
     };
     document("snakeloop: discover", STYLE, &content)
 }
@@ -319,9 +325,7 @@ fn parameters(found: &Discovery, name: &str) -> Vec<(String, String)> {
             "deg" => "°".to_owned(),
             unit => format!(" {unit}"),
         };
-        let digits = if sd > 0.0 { (1.0 - sd.log10().floor()).clamp(0.0, 7.0) as usize } else { 4 };
-        let number = format!("{value:.digits$} ± {sd:.digits$}").replace('-', "−");
-        (spec.name.to_owned(), format!("{number}{unit}"))
+        (spec.name.to_owned(), format!("{}{unit}", with_sd(*value, sd)))
     });
     written.collect()
 }

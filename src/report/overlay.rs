@@ -3,6 +3,7 @@
 use crate::camera::Frame;
 use crate::measure::{Outline, Projection};
 use crate::observation::{Measured, Measurement, Status};
+use crate::quantity::decimal;
 use crate::robot::BendProfile;
 use ab_glyph::{FontRef, PxScale};
 use image::{Rgb, RgbImage};
@@ -143,7 +144,7 @@ fn plus_minus(angle_deg: f64, sigma: f64) -> String {
     } else {
         0
     };
-    format!("{angle_deg:.places$} ± {sigma_deg:.places$}°").replace('-', "−")
+    format!("{} ± {sigma_deg:.places$}°", decimal(angle_deg, places))
 }
 
 pub(super) fn rgb(frame: &Frame) -> RgbImage {

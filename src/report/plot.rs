@@ -101,7 +101,7 @@ pub struct Plot {
     pub y_label: String,
     /// The series, each in its own colour.
     pub series: Vec<Series>,
-    /// Values that the y axis shows at least, so that plots beside each other compare.
+    /// Values that the y axis shows at least, so that plots beside each other compare. Where 0 is one of them, it has a line of its own.
     pub y_shown: Vec<f64>,
 }
 
@@ -199,6 +199,10 @@ impl Plot {
                 Axis { range: bottom..top, ticks: y_ticks },
             )?;
         self.draw_axes(&mut chart, steps, y_text)?;
+        if self.y_shown.contains(&0.0) {
+            let zero = [(left, 0.0), (right, 0.0)];
+            chart.draw_series(LineSeries::new(zero, INK_RGB.stroke_width(UNITS_PER_PX as u32)))?;
+        }
         let mut tips = String::new();
         for (place, series) in self.series.iter().enumerate() {
             let points: Vec<Point> =

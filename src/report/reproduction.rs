@@ -1,8 +1,9 @@
 //! report.html of `reproduce`: each of the paper's results beside this program's.
 
-use super::page::{definitions, document, figure};
+use super::page::{document, figure, made_from};
 use super::plot::{Plot, Point, Series, Style};
 use super::verdict::with_code;
+use crate::record::Provenance;
 use crate::reproduce::{BendingError, Comparison, Compensation, RecursionStep, Reproduction, SimulatedRobot};
 use maud::{Markup, html};
 
@@ -37,7 +38,6 @@ pub fn page(all: &Reproduction) -> String {
     let mut angles_by_delta = bending(&all.by_delta, "desired δ (°)", |row| row.delta_deg, Angle::Theta);
     angles_by_delta.extend(bending(&all.by_delta, "desired δ (°)", |row| row.delta_deg, Angle::Delta));
     let section = |title: &str, places: &[&str], figures: &[Figure]| section(title, &all.comparisons, places, figures);
-    let program = format!("snakeloop {} reproduce", env!("CARGO_PKG_VERSION"));
     let content = html! {
         h1 { "The paper, reproduced" }
         p { (LEAD) }
@@ -52,8 +52,7 @@ pub fn page(all: &Reproduction) -> String {
         (section("Table III: ten measurements", &["Table III"], &recursion(all)))
         (table_iii(all))
         (section("Jacobian and statics: Eq. 5, 9, 26", &["Eq. 5", "Eq. 9", "Eq. 26"], &jacobian(all)))
-        h2 { "Made from" }
-        (definitions("provenance", &[("program".into(), program)]))
+        (made_from(&Provenance::new("reproduce")))
     };
     document("snakeloop: the paper, reproduced", STYLE, &content)
 }

@@ -85,6 +85,9 @@ impl Args {
         let calibrated = Calibrated::from(calibration);
         console.warn(calibrated.warnings());
         console.result(&calibrated, || calibrated.text());
+        if let Some(path) = &self.output {
+            console.next(format_args!("name {} as `camera` of the view in experiment.toml, and leave the focus as it is", path.display()));
+        }
         Ok(())
     }
 

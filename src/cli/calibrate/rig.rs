@@ -82,6 +82,8 @@ impl Args {
                 summary.rig.display()
             )
         });
+        let rig = summary.rig.display();
+        console.next(format_args!("write rig = \"{rig}\" under [[view]] of experiment.toml, in place of `straight`"));
         Ok(())
     }
 }
