@@ -68,7 +68,7 @@ fn discovered(
         let verdict = Verdict::of(vec![mistake]);
         let remarks = answer.map_or_else(|few| few.remarks, |data| data.remarks);
         let json = nothing_named(&gap(&model, measurements, readings), &verdict, &remarks);
-        let text = format!("unexplained: no physics is named of these data\n{}", verdict.lines().join("\n"));
+        let text = format!("unexplained: no effect is named from these data\n{}", verdict.lines().join("\n"));
         return Ok(PyDiscovery { json, text, page: verdict_page("snakeloop: discover", &verdict, &Provenance::new("discover")), model });
     }
     let data = match answer {

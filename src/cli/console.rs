@@ -16,7 +16,7 @@ const TICK: Duration = Duration::from_millis(150);
 /// The two switches that every command has.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct Console {
-    /// Say nothing but errors and, with --json, the result
+    /// Print only errors and, with --json, the result
     #[arg(long, global = true)]
     quiet: bool,
     /// Print the result as JSON on standard output instead of text

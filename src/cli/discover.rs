@@ -41,7 +41,7 @@ pub struct Args {
     /// The experiment: a folder with an experiment.toml, or that file; its frames are measured first
     #[arg(required_unless_present = "measurements", conflicts_with_all = ["measurements", "encoders"])]
     experiment: Option<PathBuf>,
-    /// What the eye measured (measurements.csv)
+    /// The measurements (measurements.csv)
     #[arg(long, value_name = "CSV", requires = "encoders")]
     measurements: Option<PathBuf>,
     /// The encoder log (encoders.csv)
@@ -54,7 +54,7 @@ pub struct Args {
     /// the library
     #[arg(long, value_name = "TOML")]
     effects: Option<PathBuf>,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Standard deviation of an encoder reading, mm
@@ -64,7 +64,7 @@ pub struct Args {
     /// `simulate --trajectory` takes (index,time_s,theta_deg,delta_deg) with the q̃ to command (qc1_mm,qc2_mm,qc3_mm)
     #[arg(long)]
     next: bool,
-    /// Where the verdict is `unexplained` or `partly`, propose a law: a short formula of bend, load, direction, play, speed and time that
+    /// If the verdict is `unexplained` or `partly`, propose a law: a short formula of bend, load, direction, play, speed and time that
     /// takes more of the gap away on sweeps left out; it is added to model.toml as `proposed_law`
     #[arg(long)]
     correction: bool,
@@ -232,7 +232,7 @@ impl Args {
         self.write_all(&json, model, &verdict_page("snakeloop: discover", &verdict, &made_from), &made_from)?;
         console.warn(remarks);
         console.result(&json, || {
-            format!("unexplained: no physics is named of these data\n{}", verdict.lines().join("\n"))
+            format!("unexplained: no effect is named from these data\n{}", verdict.lines().join("\n"))
         });
         Ok(())
     }
@@ -297,7 +297,7 @@ impl Args {
     fn next_in_words(&self, next: Option<&NextExperiment>) -> String {
         match next {
             None if !self.next => String::new(),
-            None => "\nno trajectory of those tried would decide anything that is still open".to_owned(),
+            None => "\nnone of the trajectories tried would decide what is still open".to_owned(),
             Some(next) => format!("\n{}\n{}", next.sentence(), self.output.join(NEXT).display()),
         }
     }

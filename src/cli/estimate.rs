@@ -22,19 +22,19 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "Example:\n  snakeloop estimate --measurements out/measurements.csv \
                   --encoders fixtures/bending/encoders.csv -o out")]
 pub struct Args {
-    /// What the eye measured (measurements.csv)
+    /// The measurements (measurements.csv)
     #[arg(long, value_name = "CSV")]
     measurements: PathBuf,
     /// The encoder log (encoders.csv)
     #[arg(long, value_name = "CSV")]
     encoders: PathBuf,
-    /// The model whose robot and friction are taken (model.toml); without it the paper's, with Table I
+    /// The model that gives robot and friction (model.toml); by default the paper's, with Table I
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// An effect that acts besides those of the model, such as tip_load:fx_n=0.2,fy_n=0,fz_n=0; may be given again
+    /// An effect in addition to those of the model, such as tip_load:fx_n=0.2,fy_n=0,fz_n=0; may be repeated
     #[arg(long, value_name = "NAME:PARAMETER=VALUE,...", value_parser = Effect::parse)]
     effect: Vec<Effect>,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// The robot was commanded by a table with these force limits (`table --force-limits`): the force that the backbones share then moves what
@@ -219,7 +219,7 @@ impl Args {
 
 /// The reason that a start with a model that must not be used makes.
 fn bad_start(why: &str) -> Reason {
-    let text = format!("the model that this was started with must not be used: {why}");
+    let text = format!("the starting model must not be used: {why}");
     Reason::new(Code::Files, Level::DoNotUse, text, "start with a model that can be used (--model)")
 }
 

@@ -17,10 +17,10 @@ use std::path::PathBuf;
 #[command(after_help = "Example:\n  snakeloop invert --model out/model.toml --theta-deg 30 --delta-deg 45\n  \
                   snakeloop invert --model out/model.toml --qc-mm=-0.72,0.61,0.68")]
 pub struct Args {
-    /// The model (model.toml); without it the paper's, with Table I
+    /// The model (model.toml); by default the paper's, with Table I
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// An effect that acts besides those of the model, such as tip_load:fx_n=0.2,fy_n=0,fz_n=0; may be given again
+    /// An effect in addition to those of the model, such as tip_load:fx_n=0.2,fy_n=0,fz_n=0; may be repeated
     #[arg(long, value_name = "NAME:PARAMETER=VALUE,...", value_parser = Effect::parse)]
     effect: Vec<Effect>,
     /// The wanted bend from straight, degrees

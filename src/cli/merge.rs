@@ -21,7 +21,7 @@ use std::io::Write;
 use std::iter::Peekable;
 use std::path::{Path, PathBuf};
 
-/// Put the shards of a run together: writes into OUT the same files, byte by byte, as one run over all frames
+/// Join the shards of a run: writes into OUT the same files, byte by byte but for the date, as one run over all frames
 ///
 /// Every shard is a folder that `run --shard I/N` or `measure --shard I/N` wrote. Call it from the folder in which the shards were
 /// called: the experiment is found where it was then.
@@ -32,7 +32,7 @@ pub struct Args {
     /// The shards' folders, all of them, in any order
     #[arg(required = true, value_name = "SHARD_DIR")]
     shards: Vec<PathBuf>,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     #[command(flatten)]
@@ -145,7 +145,7 @@ impl Args {
 fn finished(folder: &Path) -> Result<(Origin, Done)> {
     let path = folder.join(SHARD);
     if folder.is_dir() && !path.exists() {
-        let message = format!("no {SHARD}: the shard is not done; call it again with --resume");
+        let message = format!("no {SHARD}: the shard is not done; call the shard again with --resume");
         return Err(Error::content(folder, message));
     }
     let origin = Origin::read(&path)?;

@@ -40,7 +40,7 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// The experiment: a folder with an experiment.toml, or that file
     experiment: PathBuf,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     #[command(flatten)]
@@ -288,8 +288,8 @@ fn former_to_keep(output: &Path, verdict: &Verdict) -> Option<Reason> {
     let table: serde_json::Value = serde_json::from_str(&table).ok()?;
     let was_usable = matches!(table["verdict"]["level"].as_str()?, "good" | "look");
     (was_usable && verdict.level == Level::DoNotUse && output.join("model.toml").exists()).then(|| {
-        let text = "model.toml and the tables are an earlier run's and stay, since this one's must not be used; they are stale";
-        Reason::new(Code::Stale, Level::Look, text, "put right what is named above, or write to another folder")
+        let text = "model.toml and the tables of an earlier run stay and are marked as stale, because those of this run must not be used";
+        Reason::new(Code::Stale, Level::Look, text, "correct what is named above, or write to another folder")
     })
 }
 
@@ -369,7 +369,7 @@ impl Summary {
                 format!("snakeloop discover {} -o found says what the model lacks", experiment.folder().display())
             }
             Level::Good | Level::Look => format!(
-                "command from {out}/compensation.csv; snakeloop invert --model {out}/model.toml --theta 30 --delta 45 tells one pose"
+                "command from {out}/compensation.csv; snakeloop invert --model {out}/model.toml --theta-deg 30 --delta-deg 45 answers one pose"
             ),
         }
     }

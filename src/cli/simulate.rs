@@ -30,10 +30,10 @@ pub struct Args {
     /// paper's, 1.221 and 0.1765 mm, which are hidden from the controller
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// An effect that the snake obeys besides, such as load_directed_backlash:play_mm=0.08; may be given again
+    /// An effect that the snake obeys besides, such as load_directed_backlash:play_mm=0.08; may be repeated
     #[arg(long, value_name = "NAME:PARAMETER=VALUE,...", value_parser = Effect::parse)]
     effect: Vec<Effect>,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Poses and times to lead it along instead (index,time_s,theta_deg,delta_deg); n1_q1_mm and so on are what a neighbouring section's
@@ -53,7 +53,7 @@ pub struct Args {
     /// θ of the round, degrees
     #[arg(long, value_name = "DEGREES", default_value_t = BendingExperiment::default().round_theta_deg)]
     round_theta: f64,
-    /// Poses of the round; 0 leaves it out
+    /// Poses of the round; 0 for no round
     #[arg(long, value_name = "COUNT", default_value_t = BendingExperiment::default().round_poses)]
     round_poses: usize,
     /// Standard deviation by which the poses miss their nominal angles, degrees
@@ -62,7 +62,7 @@ pub struct Args {
     /// Standard deviation of an encoder reading, mm
     #[arg(long, value_name = "MM", default_value_t = 0.0015)]
     encoder_sd: f64,
-    /// Also write what an eye with typical noise would measure, to OUT/measurements.csv
+    /// Also write what a camera with typical noise would measure, to OUT/measurements.csv
     #[arg(long)]
     observe: bool,
     /// Play controller and robot: command the poses through the table of what was learned so far, render and measure where the
@@ -70,7 +70,7 @@ pub struct Args {
     /// so that a closed loop cannot learn it: its σ in model.toml says so
     #[arg(long, conflicts_with = "observe")]
     closed_loop: bool,
-    /// With --closed-loop: camera, paper and light (scene.toml); without it a clean picture
+    /// With --closed-loop: camera, grid target and light (scene.toml); by default a clean picture
     #[arg(long, value_name = "SCENE", requires = "closed_loop")]
     scene: Option<PathBuf>,
     /// Seed of all noise: the same seed gives the same files

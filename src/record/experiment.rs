@@ -58,7 +58,7 @@ pub struct View {
     pub delta_offset_deg: f64,
 }
 
-/// A tracker's part of an experiment: poses of a sensor on the snake's tip, in place of pictures or beside them.
+/// A tracker's part of an experiment: poses of a sensor on the snake's tip, instead of pictures, or in addition to them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tracker {
     /// Its name, unique among views and trackers.

@@ -37,7 +37,7 @@ pub struct MeasurementJournal {
 }
 
 impl MeasurementJournal {
-    /// Begins a journal in a folder, which is created where it is missing; one that an earlier run left is replaced.
+    /// Begins a journal in a folder, which is created if it is missing; one that an earlier run left is replaced.
     ///
     /// # Errors
     /// A folder that cannot be written to.

@@ -42,7 +42,7 @@ struct Record {
 }
 
 impl OutputFolder {
-    /// Takes a folder, which is created where it is missing, to write files (or folders) of these names into it. `inputs` are the
+    /// Takes a folder, which is created if it is missing, to write files (or folders) of these names into it. `inputs` are the
     /// files that the call reads; a pattern of file names stands for all that lie where it does. Temporary files of calls that were killed
     /// are removed.
     ///
@@ -56,7 +56,7 @@ impl OutputFolder {
         Ok(claimed)
     }
 
-    /// Takes the lock on a folder, which is created where it is missing.
+    /// Takes the lock on a folder, which is created if it is missing.
     fn lock(folder: &Path) -> Result<Self> {
         std::fs::create_dir_all(folder).map_err(Error::io(folder, "create the folder"))?;
         let path = folder.join(RECORD);
