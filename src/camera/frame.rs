@@ -178,7 +178,7 @@ pub fn decode_frame(bytes: &[u8]) -> std::result::Result<Frame, String> {
         Ok(ImageFormat::Tiff) => match stack::pages(&mut Cursor::new(bytes)) {
             Ok(pages) if pages.len() > 1 => {
                 return Err(format!(
-                    "a stack of {} pages, expected one picture; name the stack alone as `frames`, whose pages are then the frames",
+                    "a stack of {} pages, expected one picture; if its pages are the frames, name it alone as `frames`",
                     pages.len()
                 ));
             }
@@ -236,7 +236,7 @@ pub(super) fn decoded(mut decoder: impl ImageDecoder) -> std::result::Result<Fra
     let colour: ColorType = decoder.color_type();
     let image = DynamicImage::from_decoder(decoder).map_err(unreadable)?;
     let other =
-        || format!("{colour:?} pixels, of which nothing says what is white; write 8 or 16 bits, grey or colour");
+        || format!("{colour:?} pixels, whose white is not defined; write 8 or 16 bits, grey or colour");
     Frame::from_image(image).ok_or_else(other)
 }
 

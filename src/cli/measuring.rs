@@ -177,7 +177,7 @@ impl Summary {
     }
 
     /// Lines for people.
-    fn text(&self) -> String {
+    pub fn text(&self) -> String {
         let statuses: Vec<_> = self.statuses.iter().map(|(status, count)| format!("{count} {status}")).collect();
         let speed = self.throughput.map(|throughput| {
             format!(

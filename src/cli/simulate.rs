@@ -230,9 +230,9 @@ impl Closed {
             Some(Parameters { eta, sd_eta, lambda_mm, sd_lambda_mm }) => format!(
                 "η {} learned, {:.4} hidden\n\
                  λ {} mm, {:.4} mm hidden: it moves no bend, and a closed loop cannot see it\n",
-                with_sd(eta, sd_eta),
+                with_sd(*eta, *sd_eta),
                 hidden.eta,
-                with_sd(lambda_mm, sd_lambda_mm),
+                with_sd(*lambda_mm, *sd_lambda_mm),
                 hidden.lambda_mm
             ),
         };

@@ -231,7 +231,7 @@ impl Experiment {
             trackers.push(tracker);
         }
         if file.log.is_some() && !matches!(file.encoders, Some(EncoderLog::File(_))) {
-            let message = "[log] says how a table is read, and `encoders` is none; remove it";
+            let message = "[log] says how a table is read, but `encoders` names no table; remove it";
             return Err(Error::content(path, message));
         }
         if views.is_empty() && trackers.is_empty() {

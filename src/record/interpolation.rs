@@ -66,7 +66,7 @@ impl Matched {
             warnings.push(warning(
                 format!(
                     "the stamps of {what} go from {first:.3} to {last:.3} s{}, those of frames and poses from {from:.3} to {to:.3} s{}: \
-                     they are of two clocks, and no frame has a reading",
+                     they come from two clocks, so that no frame has a reading",
                     unset(first, last),
                     unset(from, to)
                 ),
@@ -127,8 +127,8 @@ impl Contradictions {
         let (time_s, one, other) = self.first?;
         let Self { count, all, .. } = self;
         Some(format!(
-            "{what} says two things of {count} of {all} moments (at {time_s:.3} s {one} and {other}), as when two programs send it; neither \
-             is used"
+            "{what} has two different values for {count} of {all} moments (at {time_s:.3} s {one} and {other}), as if two programs \
+             sent it; neither is used"
         ))
     }
 }

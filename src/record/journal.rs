@@ -164,7 +164,7 @@ impl<R: Read> Lines<'_, R> {
 }
 
 fn not_ours(path: &Path, why: &str) -> Error {
-    Error::content(path, format!("its head cannot be read ({why}); remove it, or begin anew without --resume"))
+    Error::content(path, format!("its head cannot be read ({why}); remove it, or start again without --resume"))
 }
 
 /// An error that names the first thing in which what the rows were made from differs from what they would be made from now.
@@ -174,8 +174,8 @@ fn compare(path: &Path, former: &toml::Table, now: &toml::Table) -> Result<()> {
         Some(difference) => Err(Error::content(
             path,
             format!(
-                "the run that left this journal was another: {difference}. Call it as then to go on, or without --resume to \
-                 begin anew"
+                "this journal was left by another run: {difference}. To continue it, \
+                 call the command as then; to start again, leave out --resume"
             ),
         )),
     }

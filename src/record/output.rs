@@ -72,7 +72,7 @@ impl OutputFolder {
         }
         Err(Error::content(
             folder,
-            "another call of snakeloop is at work in this folder; wait for it, or choose another",
+            "another call of snakeloop is working in this folder; wait for it, or choose another folder",
         ))
     }
 
@@ -187,7 +187,7 @@ mod tests {
             });
             assert_eq!(claims.iter().filter(|claim| claim.is_ok()).count(), 1);
             let refused = claims.into_iter().find_map(Result::err).unwrap().to_string();
-            assert!(refused.contains("another call of snakeloop is at work"), "{refused}");
+            assert!(refused.contains("another call of snakeloop is working"), "{refused}");
         }
         // What a call that was killed left goes with the next one, and not while one is at work.
         let left = out.join(".snakeloop-abc.tmp");

@@ -72,7 +72,7 @@ impl Page<'_> {
                 p { (capitalised(&correction.words)) }
             }
             @if let Some(next) = self.next { (proposal(next)) }
-            (list("Remarks", "What was passed over, or could not be decided.", &found.remarks))
+            (list("Remarks", "Rows that were left out, and questions that stay open.", &found.remarks))
             (made_from(self.made_from))
         };
         document("snakeloop: discover", STYLE, &content)
@@ -205,7 +205,7 @@ fn proposal(next: &NextExperiment) -> Markup {
         h2 { "The next experiment" }
         p { (next.sentence()) }
         (table("Trajectories compared", header, &rows))
-        (list("Beyond reach", "Open as well, and not decided by this trajectory.", &next.beyond_reach))
+        (list("Beyond reach", "Questions that this trajectory does not decide.", &next.beyond_reach))
     }
 }
 
@@ -228,7 +228,7 @@ pub fn few_samples_page(found: &FewSamples, from: &Provenance) -> String {
         p.verdict { (found.sentence()) }
         (definitions("summary", &summary(found.verdict, found.samples, &found.before, Some(&found.after), found.noise_floor_mm)))
         p { (GLOSSARY) }
-        (list("Remarks", "What was passed over, or could not be decided.", &found.remarks))
+        (list("Remarks", "Rows that were left out, and questions that stay open.", &found.remarks))
         (made_from(from))
     };
     document("snakeloop: discover", STYLE, &content)
@@ -258,7 +258,7 @@ fn gap_lines(before: &Gap, after: &Gap, noise_floor_mm: f64) -> String {
 pub fn sentence(found: &Discovery) -> String {
     match found.verdict {
         Verdict::None => {
-            "Nothing is missing that these data could show: the gap is the measurements' own noise.".into()
+            "These data show nothing that the model lacks: the gap is the measurements' noise.".into()
         }
         Verdict::Unexplained => {
             let most = found.structure_after.follows.first();
@@ -356,9 +356,9 @@ fn summary(
 /// What to make of effects that stand under the verdict `unexplained`.
 fn considered(found: &Discovery) -> Markup {
     let words = if found.named.is_empty() {
-        "Every effect of the library, alone and together with others; none takes enough of the gap away on held-out sweeps."
+        "Every effect of the library was tried, alone and together with others. None removes enough of the gap on held-out sweeps."
     } else {
-        "Each of these takes part of the gap away, but what is left is more than noise. It is evidence, not an answer."
+        "Each of these removes part of the gap, but more than noise is left. This is evidence, not an answer."
     };
     html! {
         @if found.verdict == Verdict::Unexplained {
@@ -416,7 +416,7 @@ fn effect(found: &Discovery, named: &Named) -> Markup {
             (table(&title, ["effect", "worse by (information criterion)"], &alternatives))
             p {
                 "The Bayesian information criterion is the sum of the squared residuals in units of the noise, and a charge for \
-                 each parameter. Less is better; what is worse by more than 6 is ruled out."
+                 each parameter. Less is better; effects that are worse by more than 6 are ruled out."
             }
         }
     }

@@ -87,7 +87,7 @@ impl Report<'_> {
             (self.all_frames())
             (self.frames_not_measured())
             (self.measurements_not_used())
-            (list("Warnings", "What was passed over in the input files.", &self.warnings))
+            (list("Warnings", "Rows of the input files that were left out.", &self.warnings))
             (self.pictures())
             (made_from(&self.made_from))
         };

@@ -111,8 +111,8 @@ impl<'a> Sampled<'a> {
         let law = Series { name: "Eq. 18 as learned".into(), style: Style::Band, points: law };
         Titled {
             title: "Compensation ε over force τ",
-            caption: "ε = q̃ − q is what the actuation line takes up of a command; τ is the force that the model says the bent snake needs of a \
-                      backbone. The slope tells η, the height λ."
+            caption: "ε = q̃ − q is the part of a command that the actuation line takes up; τ is the force that the bent snake needs of a backbone by the \
+                      model. The slope is η times the line's compliance; the height at τ = 0 is λ and the part of the friction f_s."
                 .into(),
             plot: Plot {
                 x_label: "τ (N)".into(),

@@ -165,7 +165,7 @@ impl Calibrated {
         text += "\nrms px  worst px  tilt   picture\n";
         for picture in &self.pictures {
             let BoardView { path, rms_px, worst_px, tilt_deg, outlier } = picture;
-            let mark = if *outlier { "  stands out" } else { "" };
+            let mark = if *outlier { "  is an outlier" } else { "" };
             text += &format!("{rms_px:6.3}  {worst_px:8.3}  {tilt_deg:4.1}°  {}{mark}\n", path.display());
         }
         text
