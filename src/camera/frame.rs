@@ -143,7 +143,7 @@ fn without_alpha<T: Copy>(samples: &[T], channels: usize) -> Vec<T> {
 /// sensor's own rows and columns. What follows the end of a JPEG picture, such as a phone's clip, is no part of it.
 ///
 /// # Errors
-/// What is no file (a pipe is not waited at), cannot be read, is none of these formats, is damaged or cut short, has more than 100
+/// Something that is no file (a pipe is not waited for), cannot be read, has another format, is damaged or cut short, has more than 100
 /// megapixels or 65,535 px in a row or column, or would take more memory than such a picture does.
 pub fn read_frame(path: &Path) -> Result<Frame> {
     if !std::fs::metadata(path).map_err(Error::io(path, "read"))?.is_file() {

@@ -129,7 +129,7 @@ impl FrameSource {
         {
             return Ok(Self::Stack(only.clone(), pages));
         }
-        // A file that is called a video, and whose content is nothing that is known, is asked as one, for the reason why it is none.
+        // A file with a video's ending and unknown content is opened as a video, so that the error says why it cannot be.
         match &paths[..] {
             [only] if has_extension(only, &VIDEO_EXTENSIONS) && is_unknown(only) => Self::of_video(only.clone()),
             _ => Self::of_files(folder, pattern, with_indices(paths)?),

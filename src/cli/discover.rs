@@ -355,7 +355,7 @@ impl Args {
     }
 }
 
-/// What the gap is without some outliers, in words; nothing where there are none.
+/// The gap without the outliers, in words; empty without outliers.
 fn without(outliers: &[&Measurement], found: &Discovery, Inputs { measurements, readings, .. }: &Inputs) -> String {
     let Some(first) = outliers.first() else { return String::new() };
     let rest: Vec<Measurement> = measurements.iter().filter(|m| outliers.iter().all(|o| *o != *m)).cloned().collect();

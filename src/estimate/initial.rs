@@ -48,7 +48,7 @@ impl Sample {
 
 /// What a few measurements say together, and which of them are outliers.
 pub(super) struct InitialEstimate {
-    /// Of those that are none.
+    /// The information of the measurements that are no outliers.
     pub filter: InformationFilter,
     pub x: Vector2<f64>,
     pub covariance: Matrix2<f64>,

@@ -101,7 +101,7 @@ impl From<LearnedTable> for DataRange {
 }
 
 impl ModelFile {
-    /// The first number that neither the model nor its squares would show: a negative σ, a range that is none.
+    /// The first number out of range that the model itself would not show, because it holds squares: a negative σ, an impossible range.
     fn out_of_range(&self) -> Option<OutOfRange> {
         let mut numbers = Vec::new();
         if let Some(EstimateTable { sd_eta, sd_lambda_mm, .. }) = self.estimate {
@@ -256,7 +256,7 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
     model.out_of_range().map_or(Ok(model), |fault| Err(out_of_range(fault)))
 }
 
-/// Where in the text the key of a dotted path stands; `None` where a default stands in for it.
+/// The position in the text of the key with a dotted path; `None` if the key is left out.
 fn line_of_key(table: &DeTable, path: &str) -> Option<usize> {
     let (first, rest) = path.split_once('.').map_or((path, None), |(first, rest)| (first, Some(rest)));
     // A number of a list stands where the list does.

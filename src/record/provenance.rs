@@ -50,7 +50,7 @@ impl Provenance {
         Ok(self)
     }
 
-    /// With these files as inputs; a folder, as a recording may be, is none.
+    /// With these files as inputs; a folder, as a recording may be, is passed over.
     ///
     /// # Errors
     /// A file that cannot be read.

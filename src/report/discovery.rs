@@ -330,7 +330,7 @@ fn parameters(found: &Discovery, name: &str) -> Vec<(String, String)> {
     written.collect()
 }
 
-/// The figures at the head of the page; without a gap after, where that is none but the gap before.
+/// The figures at the head of the page; `after` is `None` if nothing was found that changes the gap.
 fn summary(
     verdict: Verdict,
     samples: usize,

@@ -109,7 +109,7 @@ pub fn paint_for_test(picture: &mut RgbImage, columns: Range<u32>, rows: Range<u
     }
 }
 
-/// What stands in the corner of the picture: the frame, then θ ± σ and δ ± σ, or why there are none.
+/// The text in the picture's corner: the frame, then θ ± σ and δ ± σ, or the reason why they are missing.
 fn caption(measurement: &Measurement) -> Vec<String> {
     let mut lines = vec![format!("frame {}", measurement.index)];
     if let Some(view) = &measurement.view {

@@ -88,7 +88,7 @@ fn section(title: &str, comparisons: &[Comparison], places: &[&str], figures: &[
     }
 }
 
-/// A number with four decimals; in exponential form where they would all be zeros, without decimals where it has none. The limits
+/// A number with four decimals; in exponential form if they would all be zeros, and without decimals if it is a whole number. The limits
 /// are display choices.
 fn number(value: f64) -> String {
     let text = match value.abs() {

@@ -63,7 +63,7 @@ impl Reproduction {
     /// The CSV files: name and content, one a figure or table.
     ///
     /// # Errors
-    /// [`Error::Encode`](crate::Error::Encode) for a row that cannot be written as CSV; there is none.
+    /// [`Error::Encode`](crate::Error::Encode) for a row that cannot be written as CSV, which does not occur.
     pub fn files(&self) -> Result<Vec<(&'static str, String)>> {
         Ok(vec![
             ("comparisons.csv", csv_of(&self.comparisons)?),
