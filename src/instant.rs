@@ -98,9 +98,11 @@ mod tests {
 
     #[test]
     fn a_unix_time_is_a_date_and_back() {
-        for (unix_s, date) in
-            [(0, "1970-01-01T00:00:00Z"), (951_782_400, "2000-02-29T00:00:00Z"), (1_795_660_528, "2026-11-26T02:35:28Z")]
-        {
+        for (unix_s, date) in [
+            (0, "1970-01-01T00:00:00Z"),
+            (951_782_400, "2000-02-29T00:00:00Z"),
+            (1_795_660_528, "2026-11-26T02:35:28Z"),
+        ] {
             assert_eq!(utc(unix_s), date);
             assert_eq!(seconds_of(date), Some(unix_s as f64));
         }

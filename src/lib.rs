@@ -47,9 +47,9 @@ mod instant;
 pub mod live;
 pub mod measure;
 pub mod observation;
-pub mod record;
 #[cfg(feature = "report")]
 mod quantity;
+pub mod record;
 #[cfg(feature = "report")]
 pub mod report;
 pub mod reproduce;

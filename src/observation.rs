@@ -140,7 +140,9 @@ impl Status {
                 "the views of one moment contradict each other",
                 "trigger the cameras together; check `delta_offset_deg` of each view and its straight picture",
             ),
-            Self::Unreadable => ("the picture could not be read", "check whether the file is complete, and write it again"),
+            Self::Unreadable => {
+                ("the picture could not be read", "check whether the file is complete, and write it again")
+            }
             Self::WrongSize => (
                 "the picture has another size than the camera file says",
                 "calibrate the camera at the size of the frames; `snakeloop check` names the pictures",

@@ -30,7 +30,10 @@ mod tests {
 
     #[test]
     fn zero_has_no_sign_and_a_standard_deviation_two_digits() {
-        assert_eq!((decimal(-0.0004, 3), decimal(-1.25, 1), decimal(2.0, 0)), ("0.000".into(), "−1.2".into(), "2".into()));
+        assert_eq!(
+            (decimal(-0.0004, 3), decimal(-1.25, 1), decimal(2.0, 0)),
+            ("0.000".into(), "−1.2".into(), "2".into())
+        );
         for (value, sd, text) in [
             (1.22076, 0.001253, "1.2208 ± 0.0013"),
             (-1e-5, 2e-6, "−0.0000100 ± 0.0000020"),

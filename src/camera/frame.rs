@@ -235,8 +235,7 @@ pub(super) fn decoded(mut decoder: impl ImageDecoder) -> std::result::Result<Fra
     decoder.set_limits(limits).map_err(unreadable)?;
     let colour: ColorType = decoder.color_type();
     let image = DynamicImage::from_decoder(decoder).map_err(unreadable)?;
-    let other =
-        || format!("{colour:?} pixels, whose white is not defined; write 8 or 16 bits, grey or colour");
+    let other = || format!("{colour:?} pixels, whose white is not defined; write 8 or 16 bits, grey or colour");
     Frame::from_image(image).ok_or_else(other)
 }
 

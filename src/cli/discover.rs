@@ -17,8 +17,8 @@ use crate::estimate::gap::{Gap, gap};
 use crate::estimate::{Options, Verdict as GateVerdict, estimate};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, Experiment, OutputFolder, Provenance, measurements_csv, read_effects, read_measurements, read_model, trajectory_csv,
-    write_atomically, write_learned_model,
+    Checked, Experiment, OutputFolder, Provenance, measurements_csv, read_effects, read_measurements, read_model,
+    trajectory_csv, write_atomically, write_learned_model,
 };
 use crate::report::discovery::{Page, few_samples_lines, few_samples_page, lines};
 use crate::report::verdict::verdict_page;
@@ -259,7 +259,8 @@ impl Args {
             }
             None => Vec::new(),
         };
-        let made_from = Provenance::new("discover").with_options(&BTreeMap::from(options))?.with_inputs(of_experiment)?;
+        let made_from =
+            Provenance::new("discover").with_options(&BTreeMap::from(options))?.with_inputs(of_experiment)?;
         made_from.with_inputs(self.named().into_iter().flatten())
     }
 
@@ -269,7 +270,9 @@ impl Args {
         match verdict {
             Found::Named | Found::Partly => format!("snakeloop table --model {} -o table", model.display()),
             Found::None => "command by the model as it is: nothing is missing".to_owned(),
-            Found::Unexplained => "add --correction for a law, or --next for the experiment that would tell more".to_owned(),
+            Found::Unexplained => {
+                "add --correction for a law, or --next for the experiment that would tell more".to_owned()
+            }
         }
     }
 

@@ -16,13 +16,13 @@ use crate::estimate::gap::{Gap, gap_of};
 use crate::estimate::{estimate_each, or_one_gain};
 use crate::input::read_text;
 use crate::observation::EncoderReading;
+use crate::quantity::with_sd;
 use crate::record::{
-    Checked, Experiment, MeasurementRows, OutputFolder, PendingFile, Provenance, Warning, Worth, estimate_line, estimates_header,
-    mark_stale, write_atomically, write_compensation, write_learned_model,
+    Checked, Experiment, MeasurementRows, OutputFolder, PendingFile, Provenance, Warning, Worth, estimate_line,
+    estimates_header, mark_stale, write_atomically, write_compensation, write_learned_model,
 };
 use crate::report::run_history::RunHistory;
 use crate::report::run_page::Report;
-use crate::quantity::with_sd;
 use crate::robot::Model;
 use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};

@@ -62,7 +62,8 @@ pub fn reasons_of(warnings: &[Warning]) -> Vec<Reason> {
     let contradictions = of(Fault::Contradiction).next().map(|first| {
         let others = of(Fault::Contradiction).count() - 1;
         let more = if others > 0 { format!(" (and {others} more)") } else { String::new() };
-        let remedy = "find out what writes the second one, and remove it; `joints`, or a separate topic, says which one counts";
+        let remedy =
+            "find out what writes the second one, and remove it; `joints`, or a separate topic, says which one counts";
         Reason::new(Code::ContradictoryReadings, Level::Look, format!("{first}{more}"), remedy)
     });
     let clock = of(Fault::Clock).map(|warning| {
@@ -74,8 +75,7 @@ pub fn reasons_of(warnings: &[Warning]) -> Vec<Reason> {
 }
 
 fn damaged(text: String) -> Reason {
-    let remedy =
-        "copy the recording again; `mcap doctor` and `mcap recover` show and repair the damage; the part that could be read was used";
+    let remedy = "copy the recording again; `mcap doctor` and `mcap recover` show and repair the damage; the part that could be read was used";
     Reason::new(Code::RecordingDamaged, Level::Look, text, remedy)
 }
 

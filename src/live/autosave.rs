@@ -9,7 +9,9 @@ use super::recent_bends::RecentBends;
 use super::shared_state::{Commanding, SharedState};
 use super::status::{PublicationState, PublicationStatus};
 use crate::error::{DataError, Error, Result};
-use crate::record::{Provenance, Worth, mark_stale, unmark_stale, write_atomically, write_compensation, write_learned_model};
+use crate::record::{
+    Provenance, Worth, mark_stale, unmark_stale, write_atomically, write_compensation, write_learned_model,
+};
 use crate::robot::PerBackbone;
 use nalgebra::Vector2;
 use std::fs::OpenOptions;

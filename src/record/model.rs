@@ -175,8 +175,14 @@ pub fn read_model(path: &Path) -> Result<Model> {
 ///
 /// # Errors
 /// Those of [`write_model`].
-pub fn write_learned_model(path: &Path, model: &Model, verdict: Option<&Verdict>, made_from: &Provenance) -> Result<()> {
-    let comment = |verdict: &Verdict| verdict.lines().iter().map(|line| format!("# {line}\n")).collect::<String>() + "\n";
+pub fn write_learned_model(
+    path: &Path,
+    model: &Model,
+    verdict: Option<&Verdict>,
+    made_from: &Provenance,
+) -> Result<()> {
+    let comment =
+        |verdict: &Verdict| verdict.lines().iter().map(|line| format!("# {line}\n")).collect::<String>() + "\n";
     let text = verdict.map(comment).unwrap_or_default() + &text_of(model, Some(made_from.table()?))?;
     write_atomically(path, text.as_bytes())
 }

@@ -130,7 +130,9 @@ mod tests {
         }
         let table = made.table().unwrap();
         assert_eq!(table["inputs"][path.to_str().unwrap()].as_str(), Some(sum));
-        assert!(table["date"].as_str().unwrap().ends_with('Z') && table["program"].as_str().unwrap().contains("snakeloop"));
+        assert!(
+            table["date"].as_str().unwrap().ends_with('Z') && table["program"].as_str().unwrap().contains("snakeloop")
+        );
         assert!(Provenance::new("run").with_inputs([folder.path().join("none")]).is_err());
     }
 }

@@ -257,9 +257,7 @@ fn gap_lines(before: &Gap, after: &Gap, noise_floor_mm: f64) -> String {
 /// The verdict in a sentence.
 pub fn sentence(found: &Discovery) -> String {
     match found.verdict {
-        Verdict::None => {
-            "These data show nothing that the model lacks: the gap is the measurements' noise.".into()
-        }
+        Verdict::None => "These data show nothing that the model lacks: the gap is the measurements' noise.".into(),
         Verdict::Unexplained => {
             let most = found.structure_after.follows.first();
             let follows = most.map(|(what, _)| format!(" It follows {what} most.")).unwrap_or_default();

@@ -176,8 +176,17 @@ impl Report<'_> {
             [frame_name(m.index, &m.view), time, status, theta, sd_theta, delta, sd_delta, rms, estimator]
         };
         let rows: Vec<_> = self.history.plotted.iter().map(row).collect();
-        let header =
-            ["frame", "time (s)", "status", "θ (°)", "σ of θ (°)", "δ (°)", "σ of δ (°)", "edges, rms (px)", "for η and λ"];
+        let header = [
+            "frame",
+            "time (s)",
+            "status",
+            "θ (°)",
+            "σ of θ (°)",
+            "δ (°)",
+            "σ of δ (°)",
+            "edges, rms (px)",
+            "for η and λ",
+        ];
         html! { .scroll { (table("Frame by frame", header, &rows)) } }
     }
 

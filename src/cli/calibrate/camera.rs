@@ -86,7 +86,10 @@ impl Args {
         console.warn(calibrated.warnings());
         console.result(&calibrated, || calibrated.text());
         if let Some(path) = &self.output {
-            console.next(format_args!("name {} as `camera` of the view in experiment.toml, and leave the focus as it is", path.display()));
+            console.next(format_args!(
+                "name {} as `camera` of the view in experiment.toml, and leave the focus as it is",
+                path.display()
+            ));
         }
         Ok(())
     }
