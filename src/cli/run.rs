@@ -327,13 +327,16 @@ impl Summary {
             lines.push(("backlash λ", format!("{} mm", with_sd(lambda_mm, sd_lambda_mm))));
         }
         if gap.samples > 0 {
-            lines.push(("ε left (rms)", format!("{:.4} mm, noise alone {:.4} mm", gap.rms_eps_mm, gap.noise_floor_mm)));
             lines.push((
-                "θ left (rms)",
+                "ε missed (rms)",
+                format!("{:.4} mm, noise alone {:.4} mm", gap.rms_eps_mm, gap.noise_floor_mm),
+            ));
+            lines.push((
+                "θ missed (rms)",
                 format!("{:.3}°, before learning {:.3}°", gap.rms_theta_deg, naive.rms_theta_deg),
             ));
             lines.push((
-                "δ left (rms)",
+                "δ missed (rms)",
                 format!("{:.3}°, before learning {:.3}°", gap.rms_delta_deg, naive.rms_delta_deg),
             ));
         }

@@ -118,7 +118,7 @@ impl Page<'_> {
             x_label: x_label.to_owned(),
             y_label: y_label.to_owned(),
             series,
-            y_shown: Vec::new(),
+            y_shown: if y_label.contains("missed") || y_label.contains("gap") { vec![0.0] } else { Vec::new() },
         };
         let command = format!("q̃ of backbone {backbone} (mm)");
         let bends = [("measured", measured_deg), ("by the model", &modelled_deg[1])];
@@ -176,9 +176,17 @@ impl Page<'_> {
         Plot {
             x_label: what.into(),
             y_label: "gap of ε (mm)".into(),
-            series: series.collect(),
-            y_shown: vec![all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max)],
+            series: std::iter::once(self.noise(x)).chain(series).collect(),
+            y_shown: vec![all().fold(f64::INFINITY, f64::min), 0.0, all().fold(f64::NEG_INFINITY, f64::max)],
         }
+    }
+
+    /// The gap that noise alone would leave, as a band over these places.
+    fn noise(&self, x: &[f64]) -> Series {
+        let ends =
+            [x.iter().copied().fold(f64::INFINITY, f64::min), x.iter().copied().fold(f64::NEG_INFINITY, f64::max)];
+        let points = ends.map(|x| Point { x, y: 0.0, sd: self.found.noise_floor_mm }).to_vec();
+        Series { name: "noise alone".to_owned(), style: Style::Band, points }
     }
 
     /// One of so many samples is drawn, so that a page of any experiment opens.

@@ -55,7 +55,7 @@ const MEANT: [(&str, usize); 7] = [
 /// Colour of what stands beside the thing itself for comparison. Convention: a display choice.
 const FAINT: RGBColor = RGBColor(140, 146, 156);
 /// Names of such series.
-const FAINT_NAMES: [&str; 3] = ["rejected", "naive", "as asked for"];
+const FAINT_NAMES: [&str; 3] = ["rejected", "naive", "noise alone"];
 /// Points of a series that answer a hover at most. Convention: more are closer than a finger, and make pages heavy.
 const MOST_TIPS: usize = 400;
 /// A band this many times as wide as the values and the later bands reach is not shown whole. Convention: a display choice.

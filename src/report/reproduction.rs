@@ -28,7 +28,7 @@ td.why { min-width: 18rem; color: var(--soft); }
 ";
 
 const LEAD: &str = "Every number and picture of the paper that can be computed, beside what this program gives. Where the two \
-    differ the last column says why. Where the paper measured its robot, a simulated one stands in: it obeys Eq. 18 with the \
+    differ the last column says why. Where the paper measured its robot, a simulated one is measured here: it obeys Eq. 18 with the \
     paper's η = 1.221 and λ = 0.1765 mm, and in a second form has play of ± 0.0875 mm that each backbone's load takes up, the \
     middle of what the paper's dial indicator found. Naive is compensation by the model alone, with η = 1 and λ = 0.";
 

@@ -130,7 +130,7 @@ impl Report<'_> {
             "The largest |q̃ − q| of a backbone at each bend: how much more than the geometry says is to be commanded.";
         html! {
             h2 { "What was learned" }
-            .plots {
+            .plots.pairs {
                 (titled(&sampled.missed_before()))
                 (titled(&sampled.missed_after()))
                 (titled(&sampled.epsilon_over_tau()))
@@ -240,9 +240,10 @@ impl Report<'_> {
 }
 
 /// The words of the page.
-const GLOSSARY: &str = "θ is the snake's bend from straight, δ the direction that it leans towards. η scales the forces that bend it, λ is the play that all actuators \
-     share. q is what a backbone is to move in the snake for a bend, q̃ what to command, and ε = q̃ − q what the actuation line takes up. \
-     Left is what the model misses (root mean square). Values stand with one standard deviation σ (±).";
+const GLOSSARY: &str = "θ is the snake's bend from straight, δ the direction that it leans towards. The force scale η multiplies the forces that the \
+     ideal model expects; λ is the backlash that all actuators share. q is how far a backbone must move in the snake for a bend, q̃ what to command, \
+     and ε = q̃ − q the part that the actuation line takes up. Missed is the difference between measurement and model (root mean square). \
+     ± is one standard deviation σ.";
 
 /// What the colours on pictures mean.
 const DRAWN: &str =

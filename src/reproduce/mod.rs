@@ -3,7 +3,7 @@
 //! Every [`Comparison`] holds one figure of the paper, the program's own, and why they differ where they do. The figures' data are
 //! kept as plain rows, one structure a file ([`Reproduction::files`]), so that anybody can draw them again.
 //!
-//! What the paper measured on its robot is here measured on a simulated one ([`bending`]): it obeys Eq. 18 with the paper's η and
+//! Where the paper measured its robot, a simulated one is measured here ([`bending`]). It obeys Eq. 18 with the paper's η and
 //! λ, and in a second form has the play that the paper's dial indicator found, taken up by each backbone in the direction of its load.
 
 pub mod bending;
