@@ -7,12 +7,14 @@
 use super::lines::{Lines, MOST_SCATTER};
 use super::pattern::PatternKind;
 use super::phases::{Windows, design_effect};
-use super::seed::{LEAST_WAVE_PX, Seed, evened, find_seeds, ordered, strongest_mix};
+use super::region::PictureRegion;
+use super::seed::{LEAST_WAVE_PX, Seed, evened, evened_without, find_seeds, ordered, strongest_mix};
 use super::sheet::{Sheet, turn_covariance};
 use super::sheet_fit::{SheetFit, TargetPoint, fit_from_afar, fit_points, square_sheet};
 use crate::camera::{Frame, Lens};
 use crate::measure::image::plane::Plane;
 use nalgebra::{Matrix2, Matrix3, Point2, Vector2, Vector3};
+use rayon::prelude::*;
 use std::f64::consts::FRAC_1_SQRT_2;
 
 /// The most rounds in which phases are measured again with the waves that the sheet predicts, and by how much more of the sheet is seen in a
@@ -102,6 +104,12 @@ impl SheetHypothesis {
         Self { sheet: self.sheet.scaled(factor), ..self.clone() }
     }
 
+    /// The grid as this ruling shows it roughly, its direction taken for certain.
+    pub fn rough_grid(&self) -> Grid {
+        let (kind, sheet) = (self.kind, self.sheet.clone());
+        Grid { kind, sheet, turn_covariance: Matrix3::zeros(), rms_px: 0.0, waves_mm: 0.0 }
+    }
+
     /// The vectors in the picture from one line to the next, across and along, px.
     pub fn lines_px(&self) -> [Vector2<f64>; 2] {
         [0, 1].map(|k| self.waves[k].normalize() * self.pitch_px[k])
@@ -175,14 +183,16 @@ impl SheetSearch {
         }
     }
 
-    /// The sheet of a hypothesis, measured by its own waves and lines; `None` where they are not seen well enough.
-    pub fn refined(&self, lens: &Lens, hypothesis: &SheetHypothesis) -> Option<Grid> {
+    /// The sheet of a hypothesis, measured by its own waves and lines beside the body that hides a part of it, if that is known; `None`
+    /// where they are not seen well enough.
+    pub fn refined(&self, lens: &Lens, hypothesis: &SheetHypothesis, body: Option<&PictureRegion>) -> Option<Grid> {
         let kind = hypothesis.kind;
         let waves = ordered(hypothesis.waves[0], hypothesis.waves[1], kind);
         let is_clearest = |of: &PatternKind, seen: &[Vector2<f64>; 2]| *of == kind && *seen == hypothesis.waves;
-        let fit = match &self.clearest {
-            Some((of, seen, fit)) if is_clearest(of, seen) => fit.clone(),
-            _ => sheet_by_windows(&self.evened, lens, kind, self.pitch_mm, waves)?.1,
+        let fit = match (&self.clearest, body) {
+            (Some((of, seen, fit)), None) if is_clearest(of, seen) => fit.clone(),
+            (_, None) => sheet_by_windows(&self.evened, lens, kind, self.pitch_mm, waves)?.1,
+            (_, Some(body)) => sheet_by_windows(&self.evened_beside(body), lens, kind, self.pitch_mm, waves)?.1,
         };
         // Lines that are washed out tell less than the waves do.
         let by_lines = match kind {
@@ -197,6 +207,14 @@ impl SheetSearch {
         let slopes = sheet.shape.slope_covariance(MIDDLE_SD) + Matrix2::from_diagonal(&of_waves);
         let turn_covariance = seen + to_camera * turn_covariance(&slopes) * to_camera.transpose();
         Some(Grid { kind, sheet, turn_covariance, rms_px, waves_mm })
+    }
+
+    /// The picture of even contrast without what a body covers.
+    fn evened_beside(&self, body: &PictureRegion) -> Plane {
+        let (width, height) = (self.mix.width, self.mix.height);
+        let at = |k: usize| Point2::new((k % width) as f64, (k / width) as f64);
+        let shown = (0..width * height).into_par_iter().map(|k| if body.contains(&at(k)) { 0.0 } else { 1.0 });
+        evened_without(&self.mix, &Plane::new(width, height, shown.collect()))
     }
 
     /// How far waves and creases take the sheet before and behind its model, mm (rms): by what neighbouring places are shifted in the picture,
