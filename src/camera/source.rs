@@ -456,12 +456,4 @@ mod tests {
             assert!(message.contains(expected), "{pattern}: expected {expected:?}, got {message:?}");
         }
     }
-
-    #[cfg(not(feature = "opencv"))]
-    #[test]
-    fn a_build_without_opencv_says_so() {
-        let (_root, folder) = folder(&[]);
-        let error = FrameSource::open(&folder, "frames/run.MP4").unwrap_err();
-        assert!(matches!(error, Error::NoOpenCv { .. }), "{error}");
-    }
 }

@@ -70,6 +70,8 @@ pub struct Args {
     correction: bool,
 }
 
+/// The angles that were measured in an experiment's frames.
+const MEASUREMENTS: &str = "measurements.csv";
 /// The trajectory that --next writes.
 const NEXT: &str = "next.csv";
 
@@ -251,16 +253,13 @@ impl Args {
 
     fn made_from(&self) -> Result<Provenance> {
         let options = [("encoder_sd_mm", self.encoder_sd)];
-        let of_experiment = match &self.experiment {
-            Some(experiment) => {
-                let mut files = Experiment::read(experiment)?.files();
-                files.push(self.output.join("measurements.csv"));
-                files
-            }
-            None => Vec::new(),
+        let made_from = Provenance::new("discover").with_options(&BTreeMap::from(options))?;
+        let made_from = match &self.experiment {
+            Some(experiment) => made_from
+                .with_inputs(Experiment::read(experiment)?.files())?
+                .with_input(MEASUREMENTS, &self.output.join(MEASUREMENTS))?,
+            None => made_from,
         };
-        let made_from =
-            Provenance::new("discover").with_options(&BTreeMap::from(options))?.with_inputs(of_experiment)?;
         made_from.with_inputs(self.named().into_iter().flatten())
     }
 
@@ -278,8 +277,7 @@ impl Args {
 
     /// Takes the folder to write to.
     fn claim(&self) -> Result<OutputFolder> {
-        const OUTPUTS: [&str; 6] =
-            ["measurements.csv", "discrepancy.json", NEXT, "model.toml", "report.html", "rig.jpg"];
+        const OUTPUTS: [&str; 6] = [MEASUREMENTS, "discrepancy.json", NEXT, "model.toml", "report.html", "rig.jpg"];
         let (inputs, outputs) = match &self.experiment {
             Some(experiment) => (files_read(&Experiment::read(experiment)?, &self.named()), &OUTPUTS[..]),
             None => (self.named().into_iter().flatten().cloned().collect(), &OUTPUTS[1..]),
@@ -339,8 +337,8 @@ impl Args {
                         Ok(())
                     },
                 )?;
-                self.write("measurements.csv", &measurements_csv(&measurements))?;
-                Count::of(&self.output.join("measurements.csv"))?.require_some_measured(&experiment)?;
+                self.write(MEASUREMENTS, &measurements_csv(&measurements))?;
+                Count::of(&self.output.join(MEASUREMENTS))?.require_some_measured(&experiment)?;
                 Ok(Inputs::new(model, measurements, readings, Some(&experiment)))
             }
             (None, Some(measurements), Some(encoders)) => {

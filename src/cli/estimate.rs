@@ -206,9 +206,8 @@ impl Args {
         };
         console.result(&followed, || {
             format!(
-                "Φ at the end  {:.1} ± {:.1}°\nmeasurements  {used} used, {} skipped\n{}",
-                followed.phi_deg,
-                followed.sd_phi_deg,
+                "Φ at the end  {}°\nmeasurements  {used} used, {} skipped\n{}",
+                with_sd(followed.phi_deg, followed.sd_phi_deg),
                 followed.skipped,
                 followed.output.display()
             )

@@ -303,7 +303,7 @@ fn name_of(experiment: &Experiment) -> String {
 /// What a run was made from: the files of the experiment, and the measurements that its frames gave.
 fn provenance(experiment: &Experiment, settings: Settings, output: &Path) -> Result<Provenance> {
     let made_from = Provenance::new("run").with_options(&settings)?.with_inputs(experiment.files())?;
-    made_from.with_inputs([output.join("measurements.csv")])
+    made_from.with_input("measurements.csv", &output.join("measurements.csv"))
 }
 
 impl Summary {

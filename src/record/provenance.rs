@@ -50,21 +50,28 @@ impl Provenance {
         Ok(self)
     }
 
-    /// With these files as inputs; a folder, as a recording may be, is passed over.
+    /// With these files as inputs, by their paths; a folder, as a recording may be, is passed over.
     ///
     /// # Errors
     /// A file that cannot be read.
-    pub fn with_inputs<P: AsRef<Path>>(mut self, files: impl IntoIterator<Item = P>) -> Result<Self> {
-        for path in files {
-            let path = path.as_ref();
-            if path.is_dir() {
-                continue;
-            }
+    pub fn with_inputs<P: AsRef<Path>>(self, files: impl IntoIterator<Item = P>) -> Result<Self> {
+        files.into_iter().try_fold(self, |made_from, file| {
+            let path = file.as_ref();
+            made_from.with_input(&path.display().to_string(), path)
+        })
+    }
+
+    /// With a file as an input under this name.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn with_input(mut self, name: &str, path: &Path) -> Result<Self> {
+        if !path.is_dir() {
             let mut sum = Sha256::new();
             let read = File::open(path).and_then(|mut file| io::copy(&mut file, &mut sum));
             read.map_err(Error::io(path, "read"))?;
             let digits = sum.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-            self.inputs.insert(path.display().to_string(), digits);
+            self.inputs.insert(name.to_owned(), digits);
         }
         Ok(self)
     }
