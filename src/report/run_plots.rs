@@ -53,8 +53,7 @@ impl<'a> Sampled<'a> {
     pub fn missed_after(&self) -> Titled {
         Titled {
             title: "Reached − desired bend, after learning",
-            caption: "Each dot is a measured bend less the bend that the learned model expects of the same command, with bars of ±1σ of the \
-                      measurement. At zero the snake goes where it is sent."
+            caption: "The same for the learned model alone, with bars of ±1σ of the measurement. At zero the snake goes where it is sent."
                 .into(),
             plot: self.missed_plot(vec![self.missed_by("after compensation", self.model)]),
         }
@@ -66,7 +65,9 @@ impl<'a> Sampled<'a> {
         let both = [self.missed_by("before compensation", &naive), self.missed_by("after compensation", self.model)];
         Titled {
             title: "Reached − desired bend, before and after",
-            caption: "Before: the same for the naive model, with η = 1 and λ = 0, where nothing was learned.".into(),
+            caption: "Measured bend less the bend that a model expects of the same command: by the naive model (η = 1, λ = 0, nothing learned) and by \
+                      the learned one."
+                .into(),
             plot: self.missed_plot(both.into()),
         }
     }
