@@ -12,6 +12,7 @@ mod opencv;
 pub mod source;
 mod stack;
 mod stamps;
+mod video_mark;
 // Beside OpenCV it is there for its tests alone.
 #[cfg(any(test, not(feature = "opencv")))]
 #[cfg_attr(feature = "opencv", allow(dead_code))]
@@ -20,7 +21,7 @@ pub use board::Board;
 pub use calibrate::{CameraCalibration, calibrate_camera};
 pub use capture::{CaptureSettings, CaptureTarget, FourCc};
 pub use file::{CameraFormat, CameraNumbers};
-pub use frame::{Frame, Sample, Samples, decode_frame, picture_size, read_frame};
+pub use frame::{Frame, Sample, Samples, decode_frame, picture_size_for, read_frame, read_frame_for};
 pub use lens::Lens;
 pub use opencv::Capture;
 pub use source::{FrameSource, PictureFile, SourceFrame};

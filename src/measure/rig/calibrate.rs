@@ -83,10 +83,18 @@ pub fn find_rig(picture: StraightPicture, sketch: &mut RigSketch) -> Result<Rig,
             Err(error) => refused = Some(error.or_further(refused)),
         }
     }
+    let best = rulings.first();
     match refused {
         Some(error) if error.step() < CalibrationStep::Scale => {
-            let best = rulings.first().map_or(0.0, Ruling::gain);
-            Err(tries.contradiction(best, sketch).unwrap_or(error))
+            let contradiction = tries.contradiction(best.map_or(0.0, Ruling::gain), sketch);
+            let no_snake = || match best {
+                _ if !search.is_print => RigError::NoSheet,
+                Some(best) if !best.explains_most() => {
+                    RigError::NoForm { explained: best.explained(), source: Box::new(error) }
+                }
+                _ => error,
+            };
+            Err(contradiction.unwrap_or_else(no_snake))
         }
         error => Err(error.unwrap_or(RigError::NoSheet)),
     }
@@ -123,7 +131,12 @@ struct Ruling {
 impl Ruling {
     /// Whether a snake of this size explains most of what is seen of it and around it.
     fn explains_most(&self) -> bool {
-        self.found.first().is_some_and(|start| start.explained > 0.5)
+        self.explained() > 0.5
+    }
+
+    /// The share of what is seen of it and around it that a snake of this size explains.
+    fn explained(&self) -> f64 {
+        self.found.first().map_or(0.0, |start| start.explained)
     }
 
     /// How well a snake of this size explains the picture.
