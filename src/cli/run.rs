@@ -275,8 +275,9 @@ fn page(
     Ok(report.html())
 }
 
-/// Longer side, px, of the straight picture in the report, and its quality. Convention: display choices.
+/// Longer side of the straight picture in the report, px. Convention: a display choice.
 const RIG_PICTURE_PX: u32 = 1000;
+/// Its quality as a JPEG. Convention: a display choice.
 const RIG_PICTURE_QUALITY: u8 = 80;
 
 /// What the calibration of each view's rig saw, with the view's name.
