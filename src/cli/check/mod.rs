@@ -84,7 +84,10 @@ impl Args {
             .iter()
             .find(|reason| reason.code == Code::Files && reason.level == Level::DoNotUse)
         {
-            Some(reason) => Err(Failure::Work(Error::content(&experiment.path, reason.text.clone()))),
+            Some(_) => Err(Failure::Work(Error::content(
+                &experiment.path,
+                "cannot be used as it stands; the verdict says why",
+            ))),
             None => self.verdict.check(&summary.verdict),
         }
     }
