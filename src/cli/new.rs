@@ -217,24 +217,14 @@ impl Answers {
             r#"# One experiment. Paths are relative to this file; `snakeloop check` says what is missing or does not fit.
 
 robot = "robot.toml"          # the robot's constants
-<<<<<<< HEAD
 # model = "model.toml"        # a model that an earlier run learned, to start from
-encoders = "{encoders}"     # index,time_s,q1_mm,q2_mm,q3_mm: what the encoders read at each frame
-=======
-# model = "model.toml"        # what an earlier run learned of it, to start from
 encoders = "{encoders}"     # {columns}: what the encoders read at each frame
->>>>>>> main
 
 {log}
 # Which column holds which backbone, if the header is wrong; `check` and `run` say what to write.
 # [wiring]
-<<<<<<< HEAD
-# columns = [1, 2, 3]         # backbone i is in column columns[i]
-# signs = [1, 1, 1]           # -1 if an encoder counts the other way
-=======
 # columns = [{numbers}]         # backbone i is in column columns[i]
-# signs = [{signs}]           # -1 where an encoder counts the other way
->>>>>>> main
+# signs = [{signs}]           # -1 if an encoder counts the other way
 # scale = 1.0                 # mm for one unit of the log
 # index_shift = 0             # frame k's reading is in row k + index_shift
 
@@ -275,7 +265,7 @@ standoff_mm = {standoff:?}            # from the snake's axis back to the grid t
             "# An experiment for snakeloop\n\n\
              | file | what it is |\n| --- | --- |\n\
              | experiment.toml | which files belong to the experiment; each key has a comment |\n\
-             | robot.toml | the robot's constants: correct what is not as in the paper |\n\
+             | robot.toml | the robot's constants: correct what differs from the paper |\n\
              | {camera} | the lens: `snakeloop print chessboard`, take pictures of it, `snakeloop calibrate camera boards/*.jpg --corners 9x6 -o {camera}` |\n\
              | {straight} | the unbent snake before the grid target (`snakeloop print grid`) |\n\
              | {frames} | a picture at each pose; the number in the name is the frame's index |\n\
@@ -306,26 +296,6 @@ standoff_mm = {standoff:?}            # from the snake's axis back to the grid t
     }
 }
 
-<<<<<<< HEAD
-fn readme(found: &Found) -> String {
-    let Found { camera, straight, frames, encoders, .. } = found;
-    format!(
-        "# An experiment for snakeloop\n\n\
-         | file | what it is |\n| --- | --- |\n\
-         | experiment.toml | which files belong to the experiment; each key has a comment |\n\
-         | robot.toml | the robot's constants: correct what differs from the paper |\n\
-         | {camera} | the lens: `snakeloop print chessboard`, take pictures of it, `snakeloop calibrate camera boards/*.jpg --corners 9x6 -o {camera}` |\n\
-         | {straight} | the unbent snake before the grid target (`snakeloop print grid`) |\n\
-         | {frames} | a picture at each pose; the number in the name is the frame's index |\n\
-         | {encoders} | one row a frame: `index,time_s,q1_mm,q2_mm,q3_mm`, a column for each backbone, mm |\n\n\
-         Then, from the folder above:\n\n\
-         ```sh\nsnakeloop check THIS_FOLDER            # seconds: what is missing, does not fit, or will be learned\n\
-         snakeloop run THIS_FOLDER -o out       # θ and δ of every frame, η and λ, what to command, out/report.html\n```\n"
-    )
-}
-
-=======
->>>>>>> main
 impl Summary {
     fn text(&self) -> String {
         self.written.iter().map(|path| format!("{}\n", path.display())).collect()
