@@ -91,9 +91,6 @@ fn a_folder_in_use_crowds_and_a_removed_folder_cost_nothing() {
         std::thread::sleep(Duration::from_millis(50));
     }
     live.until("the notice", |state| state["notices"].to_string().contains("was removed"));
-<<<<<<< HEAD
-    assert!(sandbox.fail(&again, 1).contains("another call of snakeloop is working"));
-=======
 
     // A file stands in its place: that is told once, and the folder is back when it can be.
     let aside = sandbox.join("aside");
@@ -109,8 +106,7 @@ fn a_folder_in_use_crowds_and_a_removed_folder_cost_nothing() {
         assert!(Instant::now() < deadline, "{} of {before} entries", entries(&output));
         std::thread::sleep(Duration::from_millis(50));
     }
-    assert!(sandbox.fail(&again, 1).contains("another call of snakeloop is at work"));
->>>>>>> main
+    assert!(sandbox.fail(&again, 1).contains("another call of snakeloop is working"));
     end(live);
 
     let other = sandbox.fail("live bending -o out --resume", 1);
