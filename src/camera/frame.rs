@@ -439,7 +439,7 @@ mod tests {
         let (bmp, png) = (encoded(&picture, ImageFormat::Bmp), encoded(&picture, ImageFormat::Png));
         assert_eq!(decode_frame(&bmp).unwrap(), decode_frame(&png).unwrap());
         let float = DynamicImage::ImageRgb32F(picture.to_rgb32f());
-        assert!(decode_frame(&encoded(&float, ImageFormat::Tiff)).unwrap_err().contains("nothing says what is white"));
+        assert!(decode_frame(&encoded(&float, ImageFormat::Tiff)).unwrap_err().contains("whose white is not defined"));
     }
 
     #[test]
