@@ -14,7 +14,7 @@ fn main() {
 
 /// The commit that is checked out; `None` if this is no checkout of its own.
 fn commit() -> Option<String> {
-    if git(&["rev-parse", "--show-prefix"])? != "" {
+    if !git(&["rev-parse", "--show-prefix"])?.is_empty() {
         return None;
     }
     for path in [git(&["rev-parse", "--git-path", "logs/HEAD"])?, "src".to_owned()] {

@@ -257,7 +257,7 @@ mod tests {
         let refused = |text: &str| MeasurementJournal::resume(folder.path(), &origin(text)).unwrap_err().to_string();
         let message = refused("follow = false\n[inputs]\n'a.csv' = '13'");
         assert!(message.contains("a.csv was \"12\" then and is \"13\" now"), "{message}");
-        assert!(message.contains(JOURNAL) && message.contains("without --resume"), "{message}");
+        assert!(message.contains(JOURNAL) && message.contains("leave out --resume"), "{message}");
         assert!(refused("follow = true\n[inputs]\n'a.csv' = '12'").contains("follow was false then and is true now"));
         assert!(refused("[inputs]\n'a.csv' = '12'").contains("follow was false then and is not there now"));
         std::fs::write(folder.path().join(JOURNAL), format!("# a = = 1\n{}\n", measurements_header())).unwrap();

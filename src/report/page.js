@@ -36,7 +36,7 @@ function sort(header) {
   const value = (row) => row.cells[column].textContent.replace("−", "-");
   const compare = (a, b) => {
     const [x, y] = [parseFloat(a), parseFloat(b)];
-    return isNaN(x) || isNaN(y) ? a.localeCompare(b) : x - y;
+    return Number.isFinite(x) && Number.isFinite(y) ? x - y : a.localeCompare(b);
   };
   const empty = (row) => !value(row);
   rows.sort((a, b) => empty(a) - empty(b) || (down ? -1 : 1) * compare(value(a), value(b)));
