@@ -41,13 +41,13 @@ pub fn course(history: &RunHistory) -> Vec<Titled> {
     vec![
         axis.plot("Force scale η", "η", estimate(|e| (e.eta, e.sd_eta)), ESTIMATE),
         axis.plot("Backlash λ", "λ (mm)", estimate(|e| (e.lambda_mm, e.sd_lambda_mm)), ESTIMATE),
-        axis.from_zero(
+        axis.plot_with_zero(
             "Reprojection residuals",
             "rms (px)",
             one(Style::Dots, &|m, _| Some((m.quality?.rms_px, 0.0))),
             "Root mean square distance of the edges in each frame from the fitted outline.",
         ),
-        axis.from_zero(
+        axis.plot_with_zero(
             "Residuals of ε",
             "residual (mm)",
             (0..backbones).map(residual).collect(),
@@ -102,7 +102,7 @@ impl Axis {
     }
 
     /// The same with a line at zero.
-    fn from_zero(&self, title: &'static str, y_label: &str, series: Vec<Series>, caption: &str) -> Titled {
+    fn plot_with_zero(&self, title: &'static str, y_label: &str, series: Vec<Series>, caption: &str) -> Titled {
         let Titled { title, caption, plot } = self.plot(title, y_label, series, caption);
         Titled { title, caption, plot: Plot { y_shown: vec![0.0], ..plot } }
     }
