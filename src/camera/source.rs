@@ -292,7 +292,15 @@ fn globbed(folder: &Path, pattern: &str) -> Result<Vec<PathBuf>> {
     let full = if Path::new(pattern).is_absolute() {
         pattern.to_owned()
     } else {
-        format!("{}/{pattern}", glob::Pattern::escape(&folder.to_string_lossy()))
+        let not_text = || {
+            Error::content(
+                folder,
+                format!(
+                    "the folder's name is not UTF-8, so that no pattern can be matched in it: rename it, or write frames/%05d.png for `{pattern}`"
+                ),
+            )
+        };
+        format!("{}/{pattern}", glob::Pattern::escape(folder.to_str().ok_or_else(not_text)?))
     };
     let wrong = |e: glob::PatternError| Error::content(folder, format!("frames = \"{pattern}\": {}", e.msg));
     let options = glob::MatchOptions { require_literal_leading_dot: true, ..glob::MatchOptions::new() };

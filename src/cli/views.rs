@@ -47,6 +47,17 @@ pub fn reasons_of_sheets(views: &[OpenView]) -> impl Iterator<Item = Reason> {
     views.iter().filter_map(|view| sheet_reason(&view.name, view.eye.rig()))
 }
 
+/// What the sheets of an experiment's views say against a result, each drawn anew into a folder; views whose rig cannot be calibrated any more say
+/// nothing.
+pub fn reasons_of_sheets_again(experiment: &Experiment, robot: &Robot, folder: &Path) -> Vec<Reason> {
+    let of_view = |view: &View| {
+        let drawn = folder.join(rig_picture_name(view, experiment));
+        let rig = rig_of(view, &view.lens().ok()?, robot, Some(&drawn)).ok()?;
+        sheet_reason(&view.name, &rig)
+    };
+    experiment.views.iter().filter_map(of_view).collect()
+}
+
 /// The name of the picture of what a view's calibration saw.
 pub fn rig_picture_name(view: &View, experiment: &Experiment) -> String {
     if experiment.views.len() == 1 { "rig.jpg".to_owned() } else { format!("rig-{}.jpg", view.name) }

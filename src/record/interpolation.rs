@@ -246,7 +246,10 @@ mod tests {
         log.extend(log[1..99].iter().map(|(time_s, _)| (*time_s, -9.0)).collect::<Vec<_>>());
         let found = matched(log, &[2.0, 4.05]);
         assert!(found.readings.is_empty(), "{found:?}");
-        assert!(found.warnings[0].message.contains("/joint_states has two different values for 98 of 100 moments"), "{found:?}");
+        assert!(
+            found.warnings[0].message.contains("/joint_states has two different values for 98 of 100 moments"),
+            "{found:?}"
+        );
     }
 
     #[test]
