@@ -21,5 +21,7 @@ pub use capture::{CaptureSettings, CaptureTarget, FourCc};
 pub use file::{CameraFormat, CameraNumbers};
 pub use frame::{Frame, Sample, Samples, decode_frame, picture_size, read_frame};
 pub use lens::Lens;
+#[cfg(feature = "live")]
+pub(crate) use message::Picture;
 pub use opencv::Capture;
 pub use source::{FrameSource, PictureFile, SourceFrame};
