@@ -5,16 +5,17 @@ use super::estimator::EstimatorArgs;
 use super::inputs::{encoders_of, files_read, maker, model_of, rows};
 use super::verdict::{VerdictArgs, verdict_text};
 use super::views::rig_of;
-use crate::camera::{CaptureSettings, CaptureTarget, FourCc, FrameSource};
+use crate::camera::{CaptureSettings, CaptureTarget, FourCc, FrameSource, Lens};
 use crate::cli::failure::Failure;
+use crate::live::ros2::{Node, Sink};
 use crate::live::server::{AppState, Server};
 use crate::live::{
     AccessControl, EncoderInput, EncoderSource, EncoderStatus, Histogram, Live, PublicationState, PublicationStatus,
     Setup, SharedState, Source, State, StemStatus, View, tui,
 };
 use crate::measure::{Eye, Rig, RigOptions};
-use crate::record::{self, Experiment, OutputFolder, RigSource, read_model};
-use crate::robot::Robot;
+use crate::record::{self, CameraSource, Experiment, OutputFolder, RigSource, read_model};
+use crate::robot::{Model, Robot};
 use crate::verdict::Verdict;
 use crate::{Error, Result};
 use serde::Serialize;
@@ -32,7 +33,9 @@ use std::time::Duration;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  snakeloop live EXPERIMENT --camera 0 --size 1280x720 --encoders tcp://robot:5000 -o out\n  \
-                  snakeloop live fixtures/bending --rate 2 --serve -o live"
+                  snakeloop live fixtures/bending --rate 2 --serve -o live\n  \
+                  snakeloop live EXPERIMENT --ros2 --image-topic /camera/image_raw --joint-topic /joint_states --joints b1,b2,b3 -o out",
+    group(clap::ArgGroup::new("readings").args(["encoders", "joint_topic"]))
 )]
 pub struct Args {
     /// The experiment: a folder with an experiment.toml, or that file
@@ -69,8 +72,28 @@ pub struct Args {
     #[arg(long, value_name = "FROM")]
     encoders: Option<EncoderSource>,
     /// Seconds to add to the encoders' times to have the frames'; estimated without it
-    #[arg(long, value_name = "SECONDS", allow_hyphen_values = true, requires = "encoders")]
+    #[arg(long, value_name = "SECONDS", allow_hyphen_values = true, requires = "readings")]
     encoder_offset: Option<f64>,
+    /// Join a ROS 2 network: publish bend, η, λ and verdict there, and take pictures and joints from its topics. Needs a build with
+    /// `--features ros2`
+    #[arg(long)]
+    ros2: bool,
+    /// The topic that pictures come from: sensor_msgs/Image or CompressedImage. Where the experiment names no camera file, the lens is
+    /// that of the camera_info beside it
+    #[arg(long, value_name = "TOPIC", requires = "ros2", conflicts_with_all = ["camera", "source"])]
+    image_topic: Option<String>,
+    /// The topic that encoder readings come from: sensor_msgs/JointState
+    #[arg(long, value_name = "TOPIC", requires_all = ["ros2", "joints"])]
+    joint_topic: Option<String>,
+    /// The joint of each backbone, in order: b1,b2,b3
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "joint_topic")]
+    joints: Vec<String>,
+    /// What one unit of a joint's position is, mm [default: 1000, for joints in m]
+    #[arg(long, value_name = "MM", value_parser = positive, requires = "joint_topic")]
+    mm_per_unit: Option<f64>,
+    /// The ROS 2 domain [default: that of ROS_DOMAIN_ID, else 0]
+    #[arg(long, value_name = "NUMBER", value_parser = clap::value_parser!(u16).range(..=MOST_DOMAIN), requires = "ros2")]
+    domain: Option<u16>,
     /// The model to start from (model.toml); its effects are obeyed. Without it the experiment's, or the paper's
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
@@ -122,6 +145,13 @@ const OUTPUTS: [&str; 12] = [
 /// memory of 2000 measurements, half a minute at 60 frames/s.
 const KEEP: f64 = 0.9995;
 
+/// The largest domain: further ones have no UDP ports.
+///
+/// Source: OMG DDSI-RTPS 2.5, section 9.6.2.3: port 7400 + 250 × domain.
+const MOST_DOMAIN: i64 = 232;
+/// What one unit of a joint's position is, mm. Convention: ROS's REP 103, lengths in m.
+const MM_PER_M: f64 = 1000.0;
+
 /// Rates and times beyond this are slips, frames/s or s. Convention: a limit that keeps durations representable.
 const LARGEST: f64 = 1e6;
 /// Exit code of a run that was asked to end a second time, while it was ending. Convention: a shell's for a program ended by Ctrl-C.
@@ -167,12 +197,15 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         // Address and folder before the long work of calibrating the rig.
         let server = self.access_control()?.map(Server::bind).transpose().map_err(Failure::of_call)?;
+        let node = self.domain()?.map(Node::join).transpose().map_err(Failure::of_call)?;
         let experiment = Experiment::read(&self.experiment)?;
         let folder = self.claim(&experiment)?;
-        let live = Live::start(self.setup(console, &experiment, folder)?)?;
+        let live = Live::start(self.setup(console, &experiment, folder, node.as_ref())?)?;
+        let shown = || (Arc::clone(&live.shared), Arc::clone(&live.video));
+        let sink = node.as_ref().map(|node| Sink::start(node, shown().0, shown().1)).transpose()?;
         if let Some(server) = server {
             let has_token = self.token_file.is_some();
-            let (shared, video) = (Arc::clone(&live.shared), Arc::clone(&live.video));
+            let (shared, video) = shown();
             let address = server.start(AppState { shared, video, commands: live.commands() });
             if !self.tui {
                 console.say(format!("dashboard: http://{address}/{}", if has_token { "?token=TOKEN" } else { "" }));
@@ -181,7 +214,9 @@ impl Args {
         self.wait(console, &live)?;
         live.stop();
         let shared = Arc::clone(&live.shared);
-        let latencies = live.finish()?;
+        let latencies = live.finish();
+        sink.into_iter().for_each(Sink::finish);
+        let latencies = latencies?;
         let summary = Summary::new(&shared.state(), &latencies, self.output.clone());
         console.result(&summary, || summary.text());
         self.verdict.check(&summary.verdict)
@@ -241,7 +276,29 @@ impl Args {
         Ok(out)
     }
 
-    fn setup(&self, console: &Console, experiment: &Experiment, folder: OutputFolder) -> Result<Setup, Failure> {
+    /// The domain to join, if one is to be joined.
+    fn domain(&self) -> Result<Option<u16>, Failure> {
+        let of_environment = || match std::env::var("ROS_DOMAIN_ID") {
+            Ok(text) if !text.is_empty() => {
+                let domain = text.parse().ok().filter(|domain| i64::from(*domain) <= MOST_DOMAIN);
+                domain.ok_or_else(|| Failure::Usage(format!("ROS_DOMAIN_ID is {text:?}, expected 0 to {MOST_DOMAIN}")))
+            }
+            _ => Ok(0),
+        };
+        match (self.ros2, self.domain) {
+            (false, _) => Ok(None),
+            (true, Some(domain)) => Ok(Some(domain)),
+            (true, None) => of_environment().map(Some),
+        }
+    }
+
+    fn setup(
+        &self,
+        console: &Console,
+        experiment: &Experiment,
+        folder: OutputFolder,
+        node: Option<&Node>,
+    ) -> Result<Setup, Failure> {
         let view = self.chosen_view(experiment)?;
         let mut model = model_of(experiment)?;
         if let Some(path) = &self.model {
@@ -253,20 +310,11 @@ impl Args {
                     .into(),
             ));
         }
-        let (source, source_name) = self.source(experiment, view)?;
-        let encoders = match &self.encoders {
-            Some(from) => EncoderInput::Lines {
-                source: from.clone(),
-                offset_s: self.encoder_offset,
-                wiring: experiment.wiring(model.robot.backbone_count())?,
-            },
-            None if source.is_recording() && experiment.encoders.is_some() => {
-                EncoderInput::Log(rows(console, encoders_of(experiment, &model)?))
-            }
-            None => EncoderInput::None,
-        };
+        let lens = self.lens(view, node)?;
+        let (source, source_name) = self.source(experiment, view, node)?;
+        let encoders = self.encoder_input(console, experiment, &model, &source, node)?;
         Ok(Setup {
-            view: self.open(view, &model.robot)?,
+            view: self.open(view, lens, &model.robot)?,
             source,
             source_name,
             encoders,
@@ -277,6 +325,42 @@ impl Args {
             resume: self.resume,
             save_every: Duration::from_secs_f64(self.save_every),
         })
+    }
+
+    /// The view's lens: by the experiment, or, where that names none, by the camera itself.
+    fn lens(&self, view: &record::View, node: Option<&Node>) -> Result<Lens, Failure> {
+        match (node, &self.image_topic, &view.camera) {
+            (Some(node), Some(topic), CameraSource::Untold) => Ok(node.lens_beside(topic)?),
+            _ => Ok(view.lens()?),
+        }
+    }
+
+    /// Where encoder readings come from.
+    fn encoder_input(
+        &self,
+        console: &Console,
+        experiment: &Experiment,
+        model: &Model,
+        source: &Source,
+        node: Option<&Node>,
+    ) -> Result<EncoderInput, Failure> {
+        let backbones = model.robot.backbone_count();
+        let offset_s = self.encoder_offset;
+        if let Some(from) = &self.encoders {
+            return Ok(EncoderInput::Lines { source: from.clone(), offset_s, wiring: experiment.wiring(backbones)? });
+        }
+        if let (Some(node), Some(topic)) = (node, &self.joint_topic) {
+            if self.joints.len() != backbones {
+                let joints = self.joints.join(",");
+                return Err(Failure::Usage(format!("--joints {joints}: expected {backbones}, one for each backbone")));
+            }
+            let stream = node.joints(topic, &self.joints, self.mm_per_unit.unwrap_or(MM_PER_M))?;
+            return Ok(EncoderInput::Stream { stream, offset_s, wiring: experiment.wiring(backbones)? });
+        }
+        match source.is_recording() && experiment.encoders.is_some() {
+            true => Ok(EncoderInput::Log(rows(console, encoders_of(experiment, model)?))),
+            false => Ok(EncoderInput::None),
+        }
     }
 
     fn chosen_view<'a>(&self, experiment: &'a Experiment) -> Result<&'a record::View, Failure> {
@@ -292,7 +376,12 @@ impl Args {
     }
 
     /// Where frames come from, and that in words.
-    fn source(&self, experiment: &Experiment, view: &record::View) -> Result<(Source, String), Failure> {
+    fn source(
+        &self,
+        experiment: &Experiment,
+        view: &record::View,
+        node: Option<&Node>,
+    ) -> Result<(Source, String), Failure> {
         let settings = CaptureSettings {
             size: self.size,
             rate_fps: self.rate,
@@ -308,6 +397,9 @@ impl Args {
         }
         if self.size.is_some() || self.fourcc.is_some() || self.exposure.is_some() || self.focus.is_some() {
             return Err(Failure::Usage("--size, --fourcc, --exposure and --focus are for --camera".into()));
+        }
+        if let (Some(node), Some(topic)) = (node, &self.image_topic) {
+            return Ok((Source::Stream(node.pictures(topic)?), format!("ROS 2 topic {topic}")));
         }
         match &self.source {
             Some(address) if address.contains("://") => {
@@ -326,8 +418,7 @@ impl Args {
     }
 
     /// The view's eye, by the rig of an earlier run where that is gone on with.
-    fn open(&self, view: &record::View, robot: &Robot) -> Result<View> {
-        let lens = view.lens()?;
+    fn open(&self, view: &record::View, lens: Lens, robot: &Robot) -> Result<View> {
         let retaken = self.output.join("rig.toml");
         let rig =
             if self.resume && retaken.exists() { Rig::read(&retaken)? } else { rig_of(view, &lens, robot, None)? };
