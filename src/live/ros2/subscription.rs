@@ -100,6 +100,7 @@ impl Subscription {
         let kinds = self.node.kinds_of(&self.topic);
         let topic = &self.topic;
         match &kinds[..] {
+            [] if self.reader.is_some() => format!("nobody publishes {topic} any more: see that its node still runs"),
             [] => format!(
                 "nobody publishes {topic} in domain {}: see that the topic is named as `ros2 topic list` does, and the domain \
                  (--domain, ROS_DOMAIN_ID)",
