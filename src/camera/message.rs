@@ -26,9 +26,7 @@ impl Lens {
         let model = info.distortion_model.as_str();
         let is_fisheye = FISHEYES.contains(&model);
         if !is_fisheye && !["", "plumb_bob", "rational_polynomial"].contains(&model) {
-            return Err(format!(
-                "distortion_model {model:?}, expected plumb_bob, rational_polynomial or equidistant"
-            ));
+            return Err(format!("distortion_model {model:?}, expected plumb_bob, rational_polynomial or equidistant"));
         }
         let lens = Self::of_parts((info.width, info.height), info.matrix, &info.distortion, is_fisheye);
         let lens = lens.map_err(|part| match part {

@@ -3,6 +3,7 @@
 use super::console::Console;
 use super::estimator::EstimatorArgs;
 use super::inputs::{encoders_of, files_read, maker, model_of, rows};
+use super::topics::TopicArgs;
 use super::verdict::{VerdictArgs, verdict_text};
 use super::views::rig_of;
 use crate::camera::{CaptureSettings, CaptureTarget, FourCc, FrameSource, Lens};
@@ -74,26 +75,6 @@ pub struct Args {
     /// Seconds to add to the encoders' times to have the frames'; estimated without it
     #[arg(long, value_name = "SECONDS", allow_hyphen_values = true, requires = "readings")]
     encoder_offset: Option<f64>,
-    /// Join a ROS 2 network: publish bend, η, λ and verdict there, and take pictures and joints from its topics. Needs a build with
-    /// `--features ros2`
-    #[arg(long)]
-    ros2: bool,
-    /// The topic that pictures come from: sensor_msgs/Image or CompressedImage. Where the experiment names no camera file, the lens is
-    /// that of the camera_info beside it
-    #[arg(long, value_name = "TOPIC", requires = "ros2", conflicts_with_all = ["camera", "source"])]
-    image_topic: Option<String>,
-    /// The topic that encoder readings come from: sensor_msgs/JointState
-    #[arg(long, value_name = "TOPIC", requires_all = ["ros2", "joints"])]
-    joint_topic: Option<String>,
-    /// The joint of each backbone, in order: b1,b2,b3
-    #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "joint_topic")]
-    joints: Vec<String>,
-    /// What one unit of a joint's position is, mm [default: 1000, for joints in m]
-    #[arg(long, value_name = "MM", value_parser = positive, requires = "joint_topic")]
-    mm_per_unit: Option<f64>,
-    /// The ROS 2 domain [default: that of ROS_DOMAIN_ID, else 0]
-    #[arg(long, value_name = "NUMBER", value_parser = clap::value_parser!(u16).range(..=MOST_DOMAIN), requires = "ros2")]
-    domain: Option<u16>,
     /// The model to start from (model.toml); its effects are obeyed. Without it the experiment's, or the paper's
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
@@ -120,6 +101,8 @@ pub struct Args {
     #[arg(long, conflicts_with_all = ["flat_sigma", "gate"])]
     stem: bool,
     #[command(flatten)]
+    topics: TopicArgs,
+    #[command(flatten)]
     estimator: EstimatorArgs,
     #[command(flatten)]
     verdict: VerdictArgs,
@@ -145,13 +128,6 @@ const OUTPUTS: [&str; 12] = [
 /// memory of 2000 measurements, half a minute at 60 frames/s.
 const KEEP: f64 = 0.9995;
 
-/// The largest domain: further ones have no UDP ports.
-///
-/// Source: OMG DDSI-RTPS 2.5, section 9.6.2.3: port 7400 + 250 × domain.
-const MOST_DOMAIN: i64 = 232;
-/// What one unit of a joint's position is, mm. Convention: ROS's REP 103, lengths in m.
-const MM_PER_M: f64 = 1000.0;
-
 /// Rates and times beyond this are slips, frames/s or s. Convention: a limit that keeps durations representable.
 const LARGEST: f64 = 1e6;
 /// Exit code of a run that was asked to end a second time, while it was ending. Convention: a shell's for a program ended by Ctrl-C.
@@ -167,7 +143,8 @@ fn size(text: &str) -> std::result::Result<(u32, u32), String> {
     parts.filter(|&(width, height)| width > 0 && height > 0).ok_or_else(|| "expected a size such as 1280x720".into())
 }
 
-fn positive(text: &str) -> std::result::Result<f64, String> {
+/// A number above 0.
+pub fn positive(text: &str) -> std::result::Result<f64, String> {
     let value = text.parse::<f64>().ok().filter(|value| *value > 0.0 && *value < LARGEST);
     value.ok_or_else(|| "expected a number above 0".into())
 }
@@ -197,7 +174,7 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         // Address and folder before the long work of calibrating the rig.
         let server = self.access_control()?.map(Server::bind).transpose().map_err(Failure::of_call)?;
-        let node = self.domain()?.map(Node::join).transpose().map_err(Failure::of_call)?;
+        let node = self.topics.domain()?.map(Node::join).transpose().map_err(Failure::of_call)?;
         let experiment = Experiment::read(&self.experiment)?;
         let folder = self.claim(&experiment)?;
         let live = Live::start(self.setup(console, &experiment, folder, node.as_ref())?)?;
@@ -276,22 +253,6 @@ impl Args {
         Ok(out)
     }
 
-    /// The domain to join, if one is to be joined.
-    fn domain(&self) -> Result<Option<u16>, Failure> {
-        let of_environment = || match std::env::var("ROS_DOMAIN_ID") {
-            Ok(text) if !text.is_empty() => {
-                let domain = text.parse().ok().filter(|domain| i64::from(*domain) <= MOST_DOMAIN);
-                domain.ok_or_else(|| Failure::Usage(format!("ROS_DOMAIN_ID is {text:?}, expected 0 to {MOST_DOMAIN}")))
-            }
-            _ => Ok(0),
-        };
-        match (self.ros2, self.domain) {
-            (false, _) => Ok(None),
-            (true, Some(domain)) => Ok(Some(domain)),
-            (true, None) => of_environment().map(Some),
-        }
-    }
-
     fn setup(
         &self,
         console: &Console,
@@ -329,7 +290,7 @@ impl Args {
 
     /// The view's lens: by the experiment, or, where that names none, by the camera itself.
     fn lens(&self, view: &record::View, node: Option<&Node>) -> Result<Lens, Failure> {
-        match (node, &self.image_topic, &view.camera) {
+        match (node, &self.topics.image_topic, &view.camera) {
             (Some(node), Some(topic), CameraSource::Untold) => Ok(node.lens_beside(topic)?),
             _ => Ok(view.lens()?),
         }
@@ -349,12 +310,7 @@ impl Args {
         if let Some(from) = &self.encoders {
             return Ok(EncoderInput::Lines { source: from.clone(), offset_s, wiring: experiment.wiring(backbones)? });
         }
-        if let (Some(node), Some(topic)) = (node, &self.joint_topic) {
-            if self.joints.len() != backbones {
-                let joints = self.joints.join(",");
-                return Err(Failure::Usage(format!("--joints {joints}: expected {backbones}, one for each backbone")));
-            }
-            let stream = node.joints(topic, &self.joints, self.mm_per_unit.unwrap_or(MM_PER_M))?;
+        if let Some(stream) = node.map(|node| self.topics.joints(node, backbones)).transpose()?.flatten() {
             return Ok(EncoderInput::Stream { stream, offset_s, wiring: experiment.wiring(backbones)? });
         }
         match source.is_recording() && experiment.encoders.is_some() {
@@ -398,7 +354,7 @@ impl Args {
         if self.size.is_some() || self.fourcc.is_some() || self.exposure.is_some() || self.focus.is_some() {
             return Err(Failure::Usage("--size, --fourcc, --exposure and --focus are for --camera".into()));
         }
-        if let (Some(node), Some(topic)) = (node, &self.image_topic) {
+        if let (Some(node), Some(topic)) = (node, &self.topics.image_topic) {
             return Ok((Source::Stream(node.pictures(topic)?), format!("ROS 2 topic {topic}")));
         }
         match &self.source {

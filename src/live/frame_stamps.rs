@@ -39,7 +39,9 @@ impl FrameStamps {
     /// A stamp that was never set, that came before, or that is older than the last: in words, without numbers that change.
     pub fn take(&mut self, stamp_s: f64, unix_s: f64) -> Result<NewStamp, String> {
         if stamp_s == 0.0 || !stamp_s.is_finite() {
-            return Err("pictures have no time (header.stamp is 0): see that their driver sets it; they are passed over".into());
+            return Err(
+                "pictures have no time (header.stamp is 0): see that their driver sets it; they are passed over".into(),
+            );
         }
         if let Some(last_s) = self.last_s
             && stamp_s <= last_s
@@ -75,7 +77,9 @@ mod tests {
     fn frames_that_come_twice_or_without_a_time_are_refused_and_a_clock_set_back_is_followed() {
         let mut stamps = FrameStamps::new();
         assert_eq!(stamps.take(100.0, 100.05), Ok(NewStamp { offset_s: 0.0, remark: None }));
-        for (stamp_s, expected) in [(100.0, "sent twice"), (99.9, "sent twice"), (0.0, "have no time"), (f64::NAN, "no time")] {
+        for (stamp_s, expected) in
+            [(100.0, "sent twice"), (99.9, "sent twice"), (0.0, "have no time"), (f64::NAN, "no time")]
+        {
             let why = stamps.take(stamp_s, 100.1).unwrap_err();
             assert!(why.contains(expected), "{why}");
         }

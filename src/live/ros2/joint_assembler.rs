@@ -133,7 +133,8 @@ impl Joint {
             )),
             Heard::Taken => {}
         }
-        let mut bad = |why: String| assembled.readings.push(SentReading::Bad(format!("joint {name:?} on {topic}: {why}")));
+        let mut bad =
+            |why: String| assembled.readings.push(SentReading::Bad(format!("joint {name:?} on {topic}: {why}")));
         if stamp_s == 0.0 || !stamp_s.is_finite() || !position.is_finite() {
             return bad(format!("position {position} at {stamp_s} s, expected numbers, and a header with its time"));
         }
@@ -210,7 +211,10 @@ mod tests {
         let found = take(&state(5.0, &[("b2", 0.009)]));
         assert!(matches!(&found.readings[..], [SentReading::Contradicted { stamp_s: 5.0, .. }]), "{found:?}");
         let found = take(&state(4.9, &[("b1", 0.001)]));
-        assert!(matches!(&found.readings[..], [SentReading::Bad(why)] if why.contains("4.9 is not after 5")), "{found:?}");
+        assert!(
+            matches!(&found.readings[..], [SentReading::Bad(why)] if why.contains("4.9 is not after 5")),
+            "{found:?}"
+        );
         let found = take(&state(5.2, &[("b1", f64::NAN), ("b2", 0.0), ("b3", 0.0)]));
         assert!(matches!(&found.readings[..], [SentReading::Bad(why)] if why.contains("position NaN")), "{found:?}");
     }
@@ -222,7 +226,9 @@ mod tests {
         for k in 0..5 {
             let t = f64::from(k) / 10.0 + 1.0;
             found.extend(joints.take(&state(t, &[("b1", t)]), GUID::GUID_UNKNOWN, Instant::now()).readings);
-            found.extend(joints.take(&state(t + 0.05, &[("b2", 2.0 * t + 0.1)]), GUID::GUID_UNKNOWN, Instant::now()).readings);
+            found.extend(
+                joints.take(&state(t + 0.05, &[("b2", 2.0 * t + 0.1)]), GUID::GUID_UNKNOWN, Instant::now()).readings,
+            );
         }
         assert_eq!(found.len(), 4, "the first has no second joint before it: {found:?}");
         for found in found {

@@ -171,8 +171,11 @@ impl Topics {
         let rest = [f64::from(level as u8), f64::from(u8::from(row.extrapolated)), commanding.age_s];
         let values: Vec<f64> = numbers.chain(rest).collect();
         let of_each = |name: &str| (1..=row.command_mm.len()).map(|i| format!("{name}{i}_mm,")).collect::<String>();
-        let label =
-            format!("bend_x_rad,bend_y_rad,{}{}level,extrapolated,age_s", of_each("q_command"), of_each("sd_q_command"));
+        let label = format!(
+            "bend_x_rad,bend_y_rad,{}{}level,extrapolated,age_s",
+            of_each("q_command"),
+            of_each("sd_q_command")
+        );
         // No number that is none reaches a controller.
         values.iter().all(|value| value.is_finite()).then_some((label, values))
     }
@@ -242,7 +245,8 @@ fn diagnosis(
             (diagnostic_level(verdict.level), worst.unwrap_or_else(|| verdict.level.to_string()))
         }
     };
-    let mut values = vec![("verdict".to_owned(), verdict.map_or("none yet".into(), |verdict| verdict.level.to_string()))];
+    let mut values =
+        vec![("verdict".to_owned(), verdict.map_or("none yet".into(), |verdict| verdict.level.to_string()))];
     for reason in verdict.into_iter().flat_map(|verdict| &verdict.reasons) {
         let code = serde_json::to_value(reason.code).ok().and_then(|code| Some(code.as_str()?.to_owned()));
         values.push((code.unwrap_or_default(), format!("{}; {}", reason.text, reason.remedy)));
