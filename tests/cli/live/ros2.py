@@ -1,7 +1,7 @@
 """Another DDS implementation on the loopback, which plays a laboratory's ROS 2: the Python package cyclonedds, with its own library.
 
   ros2.py --check                          whether the package is there
-  ros2.py play DOMAIN FOLDER [KEY=VALUE…]  publishes frames and encoders.csv of an experiment, once both topics have a reader
+  ros2.py play DOMAIN FOLDER [KEY=VALUE…]  publishes frames and encoders.csv of an experiment
   ros2.py listen DOMAIN                    prints what `snakeloop live` publishes, a line of JSON a message
   ros2.py ask DOMAIN X Y                   asks what to command for a bend (rad) and prints the answer, or null after three seconds
   ros2.py strange DOMAIN KIND              publishes on the image topic what does not belong there: "text" or "garbage"
@@ -233,7 +233,7 @@ def play(domain, folder, **options):
 
     encoding=compressed|rgb8|bgr8|mono8, period=S, rounds=N, apart=1 for a message a joint, repeat=1 for every message twice, drop=N to leave out
     every Nth picture, joint_faults=1 for a contradiction beside every reading, info=1 for the camera's lens beside, offset=S for a clock of its own,
-    image_only=1, joints_only=1, pairs=1 for several publishers at a time, qos=sensor.
+    blind=1 to wait for no reader, stay=1 to stay at the end, qos=sensor.
     """
     encoding, apart = options.get("encoding", "compressed"), "apart" in options
     period, rounds, drop = float(options.get("period", 0.2)), int(options.get("rounds", 1)), int(options.get("drop", 0))
@@ -247,27 +247,25 @@ def play(domain, folder, **options):
     images = writer(participant, IMAGE, CompressedImage if encoding == "compressed" else Image, qos)
     joints = writer(participant, JOINTS, JointState, qos)
     infos = writer(participant, INFO, CameraInfo)
-    if "info" in options:
-        info = camera_info(folder)
-        while not images.get_matched_subscriptions():
-            info.header = Header(Time.of(time.time()), "camera")
-            infos.write(info)
-            time.sleep(0.1)
-    until_matched(*([images] if "joints_only" not in options else []), *([joints] if "image_only" not in options else []))
-    # What was just matched may take a moment to be written to.
-    time.sleep(0.3)
+    info = camera_info(folder) if "info" in options else None
+    if "blind" not in options:
+        until_matched(images, joints)
+        # What was just matched may take a moment to be written to.
+        time.sleep(0.3)
     due = time.time()
     for number in range(rounds * len(kept)):
         picture, q = kept[number % len(kept)]
         time.sleep(max(0, due - time.time()))
         header = Header(Time.of(due + offset), "camera")
+        if info:
+            info.header = header
+            infos.write(info)
         for _ in range(2 if "repeat" in options else 1):
-            if "image_only" not in options:
-                for message in joint_messages(header, q, apart):
-                    joints.write(message)
-                if "joint_faults" in options:
-                    joints.write(JointState(header, ["b2"], [q[1] + 3], [], []))
-            if "joints_only" not in options and not (drop and number % drop == drop - 1):
+            for message in joint_messages(header, q, apart):
+                joints.write(message)
+            if "joint_faults" in options:
+                joints.write(JointState(header, ["b2"], [q[1] + 3], [], []))
+            if not (drop and number % drop == drop - 1):
                 picture.header = header
                 images.write(picture)
         due += period
