@@ -60,7 +60,7 @@ impl Args {
         };
         self.copy_overlays()?;
         let inputs = Inputs::read(console, &experiment)?;
-        let summary = finish(&experiment, &inputs, settings, &self.output, None)?;
+        let summary = finish(&experiment, &inputs, Vec::new(), settings, &self.output, None)?;
         console.result(&summary, || summary.text());
         summary.require_table(&experiment)?;
         self.verdict.check(&summary.verdict)

@@ -10,7 +10,7 @@ mod files;
 use super::console::Console;
 use super::inputs::{encoders_of, model_of};
 use super::trackers::{OpenTracker, open_tracker};
-use super::verdict::{VerdictArgs, doubt_of_times, reasons_of_files, subject, verdict_text};
+use super::verdict::{VerdictArgs, doubt_of_times, reasons_of_files, rig_reason, sheet_reason, subject, verdict_text};
 use super::views::{rig_of, rig_picture_name};
 use crate::camera::{FrameSource, picture_size};
 use crate::cli::failure::Failure;
@@ -309,11 +309,11 @@ impl Inspection {
         let rig = match rig_of(view, &lens, &model.robot, drawn.as_deref()) {
             Ok(rig) => rig,
             Err(error) => {
-                let remedy = "`check -o FOLDER` draws what was seen into FOLDER/rig.jpg; see \"Take the straight picture\" in the book";
-                self.fault(Code::Files, Level::DoNotUse, error.to_string(), remedy);
+                self.reasons.push(rig_reason(&error));
                 return Ok(Vec::new());
             }
         };
+        self.reasons.extend(sheet_reason(&view.name, &rig));
         let eye = Eye::new(lens, rig, model.robot.clone());
         let source = view.open_frames(experiment.folder())?;
         let count = source.count()?.unwrap_or(MEASURED);

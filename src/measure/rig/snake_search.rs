@@ -11,6 +11,7 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::image::plane::Plane;
+use crate::measure::target::PictureRegion;
 use crate::robot::Robot;
 use crate::statistics::order::{mad_scale, median};
 use crate::statistics::robust::{Irls, Loss};
@@ -33,6 +34,10 @@ const DIRECTIONS: usize = 60;
 const HALF_WIDTH: f64 = 1.1;
 const BELOW: f64 = 1.2;
 const BEYOND: f64 = 0.7;
+/// What is covered on either side of the body's axis and beyond its tip, in widths.
+///
+/// Convention: half of its width, and a fifth of that more for blur.
+const COVERED: f64 = 0.6;
 /// The same of a snake that may be bent, above and below the base.
 ///
 /// Convention: one disk's distance, and as much holder as most pictures show.
@@ -106,36 +111,6 @@ pub struct SnakeStart {
     pub explained: f64,
 }
 
-/// The part of a picture that shows the sheet: inside of a convex polygon.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SheetRegion(pub Vec<Point2<f64>>);
-
-impl SheetRegion {
-    /// The convex hull of some pixels.
-    pub fn around(pixels: impl IntoIterator<Item = Point2<f64>>) -> Self {
-        let rounded: Vec<_> =
-            pixels.into_iter().map(|p| imageproc::point::Point::new(p.x.round() as i32, p.y.round() as i32)).collect();
-        let hull = if rounded.is_empty() { Vec::new() } else { imageproc::geometry::convex_hull(rounded.as_slice()) };
-        Self(hull.into_iter().map(|corner| Point2::new(f64::from(corner.x), f64::from(corner.y))).collect())
-    }
-
-    /// The middle of the rectangle around it, px.
-    pub fn middle(&self) -> Point2<f64> {
-        let Some(first) = self.0.first() else { return Point2::origin() };
-        let (low, high) = self.0.iter().fold((*first, *first), |(low, high), p| (low.inf(p), high.sup(p)));
-        nalgebra::center(&low, &high)
-    }
-
-    /// Whether a pixel lies in it.
-    pub fn contains(&self, pixel: &Point2<f64>) -> bool {
-        let corners = self.0.iter().zip(self.0.iter().cycle().skip(1));
-        let sides = corners.map(|(from, to)| (to - from).perp(&(pixel - from)));
-        let (mut left, mut right) = (false, false);
-        sides.for_each(|side| (left, right) = (left || side > 0.0, right || side < 0.0));
-        !(left && right)
-    }
-}
-
 /// The straight body's silhouette in units of its width.
 pub struct BodyTemplate {
     drawn: Plane,
@@ -161,6 +136,14 @@ impl BodyTemplate {
         let corner = |along: f64, side: f64| start.base + (start.axis * along + across * (side * 0.5)) * width_px;
         let tip = self.length_widths;
         [corner(-BELOW, -1.0), corner(-BELOW, 1.0), corner(tip, 1.0), corner(tip, -1.0)]
+    }
+
+    /// What a body that is so many px wide covers at most: its strip and a little around it, and the holder below for as far as it may go.
+    pub fn covered(&self, start: &SnakeStart, width_px: f64) -> PictureRegion {
+        let across = Vector2::new(-start.axis.y, start.axis.x);
+        let corner = |along: f64, side: f64| start.base + (start.axis * along + across * (side * COVERED)) * width_px;
+        let tip = self.length_widths + COVERED;
+        PictureRegion::around([corner(-tip, -1.0), corner(-tip, 1.0), corner(tip, 1.0), corner(tip, -1.0)])
     }
 
     /// The silhouette of a robot's holder and of the first of its snake, which hardly bends there.
@@ -229,7 +212,7 @@ struct Unlike {
 
 impl Unlike {
     /// Looks at a picture in cells of this side.
-    fn of(frame: &Frame, cell_px: f64, region: &SheetRegion) -> Self {
+    fn of(frame: &Frame, cell_px: f64, region: &PictureRegion) -> Self {
         let channels = (0..frame.channels).map(|channel| cell_means(frame, channel, cell_px)).collect::<Vec<_>>();
         let (width, height) = (channels[0].width, channels[0].height);
         let middle = |k: usize| {
@@ -362,7 +345,7 @@ pub fn search_everywhere(
     frame: &Frame,
     template: &BodyTemplate,
     width_px: f64,
-    region: &SheetRegion,
+    region: &PictureRegion,
     is_asked: impl Fn(&Vector2<f64>) -> bool + Sync,
 ) -> Vec<SnakeStart> {
     let unlike = Unlike::of(frame, width_px / COARSE_CELLS, region);
@@ -382,7 +365,7 @@ pub fn search_nearby(
     frame: &Frame,
     template: &BodyTemplate,
     width_px: f64,
-    region: &SheetRegion,
+    region: &PictureRegion,
     found: &[SnakeStart],
 ) -> Vec<SnakeStart> {
     let unlike = Unlike::of(frame, width_px / FINE_CELLS, region);
@@ -540,7 +523,7 @@ mod tests {
         let robot = Robot::default();
         let template = BodyTemplate::of(&robot);
         let whole = [(-1.0, -1.0), (640.0, -1.0), (640.0, 480.0), (-1.0, 480.0)];
-        let region = SheetRegion::around(whole.map(|(x, y)| Point2::new(x, y)));
+        let region = PictureRegion::around(whole.map(|(x, y)| Point2::new(x, y)));
         for (direction_deg, base) in [(0.0, Point2::new(330.0, 360.0)), (14.0, Point2::new(280.0, 350.0))] {
             let frame = picture(&robot, 40.0, base, direction_deg);
             let found = search_everywhere(&frame, &template, 40.0, &region, |_| true);
@@ -550,14 +533,5 @@ mod tests {
             assert!(start.axis.angle(&Vector2::new(sin, -cos)).to_degrees() < 1.5, "{start:?}");
             assert!(start.explained > 0.5, "{start:?}");
         }
-    }
-
-    #[test]
-    fn a_convex_region_has_its_own_pixels_and_no_others() {
-        let region = SheetRegion::around(
-            [(0.0, 0.0), (10.0, 0.0), (10.0, 6.0), (0.0, 6.0), (5.0, 3.0)].map(|(x, y)| Point2::new(x, y)),
-        );
-        assert_eq!(region.middle(), Point2::new(5.0, 3.0));
-        assert!(region.contains(&Point2::new(1.0, 5.0)) && !region.contains(&Point2::new(11.0, 3.0)));
     }
 }
