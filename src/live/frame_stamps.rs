@@ -30,7 +30,7 @@ pub struct NewStamp {
 impl FrameStamps {
     /// No stamps yet.
     pub fn new() -> Self {
-        Self { last_s: None, offset: ClockOffset::new(None), told: false }
+        Self { last_s: None, offset: ClockOffset::of_messages(None), told: false }
     }
 
     /// Takes the stamp of a frame that came at a Unix time, s.
@@ -83,11 +83,12 @@ mod tests {
             let why = stamps.take(stamp_s, 100.1).unwrap_err();
             assert!(why.contains(expected), "{why}");
         }
-        assert_eq!(stamps.take(100.1, 100.15).unwrap().offset_s, 0.0);
+        // A delay is none of a clock.
+        assert_eq!(stamps.take(100.1, 102.0).unwrap(), NewStamp { offset_s: 0.0, remark: None });
         // A recording that is played again.
-        let again = stamps.take(50.0, 101.0).unwrap();
-        assert!((again.offset_s - 51.0).abs() < 1e-9, "{again:?}");
-        assert!(again.remark.unwrap().contains("51.000 s behind this machine's clock"));
-        assert_eq!(stamps.take(50.1, 101.1).unwrap().remark, None, "told once");
+        let again = stamps.take(50.0, 102.0).unwrap();
+        assert!((again.offset_s - 52.0).abs() < 1e-9, "{again:?}");
+        assert!(again.remark.unwrap().contains("52.000 s behind this machine's clock"));
+        assert_eq!(stamps.take(50.1, 102.1).unwrap().remark, None, "told once");
     }
 }

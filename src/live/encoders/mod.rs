@@ -54,7 +54,7 @@ impl Encoders {
         clock: Arc<FrameClock>,
         offset_s: Option<f64>,
     ) -> Self {
-        let readings = Readings::new(wiring.columns.len(), offset_s).wired(wiring);
+        let readings = Readings::new(wiring.columns.len(), offset_s).wired(wiring).of_messages(offset_s);
         Self::Lines(LineReader::listen(stream, readings, clock))
     }
 

@@ -80,6 +80,11 @@ impl Readings {
         Self { wiring, ..self }
     }
 
+    /// The same of messages, whose times are mostly the frames'.
+    pub fn of_messages(self, given_offset_s: Option<f64>) -> Self {
+        Self { offset: ClockOffset::of_messages(given_offset_s), ..self }
+    }
+
     /// Takes a line that arrived at `arrival_s` of the frames' clock (`None` before that runs) and at a Unix time.
     pub fn take(&mut self, line: &[u8], arrival_s: Option<f64>, unix_s: f64) {
         let taken: Parsed = self.parser.parse(line);
