@@ -15,11 +15,12 @@ mod opencv;
 pub mod source;
 mod stack;
 mod stamps;
+mod video_mark;
 pub use board::Board;
 pub use calibrate::{CameraCalibration, calibrate_camera};
 pub use capture::{CaptureSettings, CaptureTarget, FourCc};
 pub use file::{CameraFormat, CameraNumbers};
-pub use frame::{Frame, Sample, Samples, decode_frame, picture_size, read_frame};
+pub use frame::{Frame, Sample, Samples, decode_frame, picture_size_for, read_frame, read_frame_for};
 pub use lens::Lens;
 #[cfg(feature = "live")]
 pub(crate) use message::Picture;

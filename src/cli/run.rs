@@ -22,7 +22,7 @@ use crate::record::{
 };
 use crate::report::run_history::RunHistory;
 use crate::report::run_page::Report;
-use crate::robot::Model;
+use crate::robot::{Model, Robot};
 use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
@@ -134,6 +134,11 @@ pub struct Inputs {
 }
 
 impl Inputs {
+    /// The robot.
+    pub fn robot(&self) -> &Robot {
+        &self.start.robot
+    }
+
     /// Reads starting model and encoder log, and shows what was passed over in the log.
     pub fn read(console: &Console, experiment: &Experiment) -> Result<Self> {
         if experiment.encoders.is_none() {

@@ -5,7 +5,7 @@ use super::console::Console;
 use super::overlays::jpeg;
 use super::verdict::sheet_reason;
 use crate::bag::Topic;
-use crate::camera::{Frame, FrameSource, Lens, PictureFile, SourceFrame, read_frame};
+use crate::camera::{Frame, FrameSource, Lens, PictureFile, SourceFrame, read_frame_for};
 use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::measure::{Explanation, Eye, Rig, RigError, RigOptions, sketched_rig};
 use crate::record::{Experiment, RigSource, View, write_atomically};
@@ -47,6 +47,17 @@ pub fn reasons_of_sheets(views: &[OpenView]) -> impl Iterator<Item = Reason> {
     views.iter().filter_map(|view| sheet_reason(&view.name, view.eye.rig()))
 }
 
+/// What the sheets of an experiment's views say against a result, each drawn anew into a folder; views whose rig cannot be calibrated any more say
+/// nothing.
+pub fn reasons_of_sheets_again(experiment: &Experiment, robot: &Robot, folder: &Path) -> Vec<Reason> {
+    let of_view = |view: &View| {
+        let drawn = folder.join(rig_picture_name(view, experiment));
+        let rig = rig_of(view, &view.lens().ok()?, robot, Some(&drawn)).ok()?;
+        sheet_reason(&view.name, &rig)
+    };
+    experiment.views.iter().filter_map(of_view).collect()
+}
+
 /// The name of the picture of what a view's calibration saw.
 pub fn rig_picture_name(view: &View, experiment: &Experiment) -> String {
     if experiment.views.len() == 1 { "rig.jpg".to_owned() } else { format!("rig-{}.jpg", view.name) }
@@ -73,7 +84,7 @@ pub fn calibrated(
     options: &RigOptions,
     drawn: Option<&Path>,
 ) -> Result<Rig> {
-    let frame = read_frame(picture)?;
+    let frame = read_frame_for(picture, lens)?;
     let (rig, sketch) = sketched_rig(&frame, lens, robot, options);
     let said = match &rig {
         Ok(rig) => format!("the rig was found: {}", sheet_text(rig)),
@@ -131,8 +142,9 @@ impl OpenView {
         let lens = view.lens()?;
         let rig = rig_of(view, &lens, robot, Some(drawn))?;
         // In order, so that sums over them are the same in every run.
-        let sample = refining_frames(&frames)?.into_par_iter().filter_map(|frame| frame.read().ok());
-        let eye = Eye::new(lens, rig, robot.clone()).refined(sample);
+        let eye = Eye::new(lens, rig, robot.clone());
+        let sample = refining_frames(&frames)?.into_par_iter().filter_map(|frame| frame.read_for(eye.lens()).ok());
+        let eye = eye.clone().refined(sample);
         Ok(Self { name: view.name.clone(), eye, frames, checksum })
     }
 
