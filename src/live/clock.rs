@@ -18,11 +18,6 @@ impl FrameClock {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(unix_time_s() - time_s);
     }
 
-    /// Says by how much it is behind Unix time, s.
-    pub fn set_behind(&self, behind_s: f64) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(behind_s);
-    }
-
     /// The time now, s; `None` before the first frame of a recording.
     pub fn now_s(&self) -> Option<f64> {
         let behind = *self.0.lock().unwrap_or_else(PoisonError::into_inner);

@@ -13,7 +13,7 @@ const SHARED_WITHIN_S: f64 = 0.25;
 /// The same of messages with a header, whose times a network takes for those of one clock, s. Convention: longer than pictures are delayed, even
 /// the first one on a busy machine; what such clocks differ by shows in the motion. A clock of its own, as one that counts from its
 /// start, differs by more.
-const ONE_NETWORK_WITHIN_S: f64 = 5.0;
+pub const ONE_NETWORK_WITHIN_S: f64 = 5.0;
 /// The least difference is taken over this time, s. Convention: long enough to meet a line that was not delayed, short enough that
 /// clocks which drift apart by 100 ppm differ by a millisecond.
 const WINDOW_S: f64 = 10.0;

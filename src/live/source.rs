@@ -207,7 +207,7 @@ impl SharedQueue {
                         queue.status.remarks = remarks.unwrap_or_default();
                     });
                     match opened {
-                        Opened::Jpegs(mut stream) => self.read_stream(&mut *stream, &mut FrameStamps::new()),
+                        Opened::Jpegs(mut stream) => self.read_stream(&mut *stream, &mut FrameStamps::default()),
                         Opened::Capture(capture) => self.read_pictures(capture),
                     }
                     "no more frames come; trying again".to_owned()
@@ -237,7 +237,7 @@ impl SharedQueue {
 
     /// Reads a stream that is there, however long it is silent. Its clock is known once a frame came.
     fn listen(&self, mut stream: Box<dyn FrameStream>) {
-        let mut stamps = FrameStamps::new();
+        let mut stamps = FrameStamps::default();
         while self.update(|queue| queue.opened()) {
             self.read_stream(&mut *stream, &mut stamps);
             let trouble = stream.trouble();
@@ -286,10 +286,11 @@ impl SharedQueue {
         };
         match stamps.take(stamp_s, unix_s) {
             Err(why) => self.update(|queue| queue.remark(why)),
-            Ok(new) => {
-                self.clock.set_behind(new.offset_s);
+            Ok(remark) => {
+                // By the latest frame: a simulated clock need not run at the pace of this machine's.
+                self.clock.set(stamp_s);
                 self.update(|queue| {
-                    new.remark.into_iter().for_each(|remark| queue.remark(remark));
+                    remark.into_iter().for_each(|remark| queue.remark(remark));
                     let arrival = queue.stamped_arrival(at, stamp_s);
                     queue.push_undecoded(arrival, sent.packed);
                 })
