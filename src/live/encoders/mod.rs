@@ -9,7 +9,9 @@ mod readings;
 
 pub use line_parser::{LineParser, Parsed};
 pub use line_reader::EncoderSource;
-pub use readings::{Lookup, SILENCE};
+pub use readings::Lookup;
+#[cfg(feature = "ros2")]
+pub use readings::SILENCE;
 
 use self::line_reader::LineReader;
 use self::readings::{Readings, interpolate};
