@@ -32,8 +32,8 @@ use serde_json::json;
 use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::net::SocketAddr;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
@@ -231,14 +231,18 @@ fn router(access: Arc<AccessControl>, app: AppState) -> Router {
         .with_state(Served { app, streams: Arc::new(Semaphore::new(MAX_STREAMS)) })
 }
 
-/// The part of plotly.js that draws lines (MIT licence, named at its head), as its npm package `plotly.js-basic-dist-min` 3.7.0 has it.
-const PLOTLY: &str = include_str!("page/plotly-basic.min.js");
+/// plotly.js, out of the script elements that its crate gives.
+static PLOTLY: LazyLock<String> = LazyLock::new(|| {
+    let scripts = plotly::Plot::offline_js_sources();
+    let script = scripts.split_once('>').map_or("", |(_, after)| after);
+    script.split_once("</script>").map_or(script, |(script, _)| script).to_owned()
+});
 
 /// Time for which browsers keep plotly.js: a day. Convention.
 const PLOTLY_CACHE: &str = "max-age=86400";
 
 async fn plotly() -> impl IntoResponse {
-    ([(CONTENT_TYPE, "text/javascript; charset=utf-8"), (CACHE_CONTROL, PLOTLY_CACHE)], PLOTLY)
+    ([(CONTENT_TYPE, "text/javascript; charset=utf-8"), (CACHE_CONTROL, PLOTLY_CACHE)], PLOTLY.as_str())
 }
 
 /// An answer that is refused, and why.
@@ -426,4 +430,17 @@ async fn video(State(served): State<Served>) -> Response {
 async fn metrics(State(app): State<AppState>) -> impl IntoResponse {
     let text = metrics::text(&app.shared.lock());
     ([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_plot_library_is_taken_out_of_its_crate_whole() {
+        let head: String = PLOTLY.chars().take(400).collect();
+        assert!(head.contains("plotly.js v"), "{head}");
+        assert!(PLOTLY.len() > 3_000_000 && !PLOTLY.contains("<script"));
+        assert!(PLOTLY.trim_end().ends_with([';', '}', ')']), "cut short");
+    }
 }
