@@ -9,7 +9,7 @@ mod readings;
 
 pub use line_parser::{LineParser, Parsed};
 pub use line_reader::EncoderSource;
-pub use readings::{Lookup, SILENCE};
+pub use readings::Lookup;
 
 use self::line_reader::LineReader;
 use self::readings::{Readings, interpolate};
