@@ -1,6 +1,5 @@
 //! The messages of one topic, waited for, and what is wrong with who publishes it.
 
-use super::super::encoders::SILENCE;
 use super::super::stream::Came;
 use super::node::{Node, Reader};
 use crate::error::{Error, Result};
@@ -14,6 +13,9 @@ use tokio::time::timeout;
 
 /// Time between two looks at whether to go on, and at who publishes before anybody does. Convention: a timeout.
 const POLL: Duration = Duration::from_millis(100);
+
+/// Topics from which nothing comes for this time are silent. Convention: as for encoders that are lost.
+const SILENCE: Duration = Duration::from_secs(2);
 
 /// A topic whose type is known once somebody publishes it.
 pub struct Subscription {

@@ -191,7 +191,7 @@ fn frames_that_cannot_be_read_are_named_with_the_reason() {
             case(
                 "numbers with a fraction",
                 converted("tif", ImageFormat::Tiff, |picture| DynamicImage::ImageRgb32F(picture.to_rgb32f())),
-                Told(&["nothing says what is white"]),
+                Told(&["whose white is not defined"]),
             ),
             case(
                 "a video among pictures",

@@ -146,7 +146,7 @@ fn eta_and_lambda_are_those_of_the_folder_to_the_last_digit() {
     }
     let sandbox = Sandbox::new();
     let (folder, out) = (sandbox.join("folder"), sandbox.join("out"));
-    let by_folder = sandbox.json(&format!("live {} --rate 1 -o folder --json", bending()));
+    let by_folder = sandbox.json(&format!("live {} --rate 1 -o folder", bending()));
     assert_eq!((number(&by_folder, "dropped"), number(&by_folder, "measured")), (0.0, frames() as f64));
     let domain = domain();
     let listener = Listener::start(&domain);
@@ -261,7 +261,7 @@ fn strangers_contradictions_and_second_publishers_are_told_and_nothing_is_learne
     let state = live.until("both are told", |state| {
         let notices = state["notices"].to_string();
         notices.contains("/camera/image_raw has two publishers")
-            && notices.contains("/joint_states says two things of joint \"b2\"")
+            && notices.contains("/joint_states says two things of joint")
     });
     assert_eq!(state["latest"]["status"], "ok", "{state:#}");
     // Every reading was contradicted, so that nothing was learned, and nothing is answered.
