@@ -2,6 +2,7 @@
 
 use super::formula::Formula;
 use super::variables::Variable;
+use crate::robot::drive::Drive;
 use crate::robot::history::{History, Hysteresis, Motion};
 use crate::robot::line::Line;
 use crate::robot::statics::Snake;
@@ -103,6 +104,8 @@ pub enum Changes {
     Formula(&'static Formula),
     /// What the encoders read beyond the lines' motion, mm, from q̃.
     Encoders(fn(&PerBackbone, &[f64]) -> PerBackbone),
+    /// What lies between the readings and the travel of the lines.
+    Drive(fn(&mut Drive, &[f64])),
     /// The snake's constants: geometry, stiffness or load, and so q and τ.
     Snake(fn(&mut Snake, &[f64])),
     /// The bend vector that the eye measures, from the true one, rad.
@@ -181,11 +184,29 @@ pub struct Physics {
     pub largest_size: Option<fn(&[f64]) -> f64>,
     /// What it must gain in Schwarz's criterion beyond the price of its parameters before it is believed.
     pub prior_penalty: f64,
+    /// The logarithm of how probable it is beforehand in any machine with cable or rod drives, beside that of no effect, where a discrepancy
+    /// beside it is expected.
+    pub log_prior: f64,
     /// Effects that are named in its place where the data do not decide: physics makes them likelier.
     pub yields_to: &'static [&'static str],
     /// What it is confounded with by its equation; a search finds out what a given experiment confounds besides.
     pub confounded_with: &'static [Confounded],
 }
+
+/// The logarithm of the prior of what every machine has: a play, a rest that is not quite straight, a frame that is turned.
+///
+/// Convention: a prior is a choice; e⁻¹ says that data which do not speak leave it out.
+pub(super) const USUAL: f64 = -1.0;
+
+/// That of what many machines have: friction, a stiffness that is not constant, a load, slack.
+///
+/// Convention: as [`USUAL`]; e⁻³.
+pub(super) const FREQUENT: f64 = -3.0;
+
+/// That of all else: drags, drifts, clocks, errors of single parts.
+///
+/// Convention: as [`USUAL`]; e⁻⁶.
+pub(super) const UNUSUAL: f64 = -6.0;
 
 /// What most effects have in common: one form, a nearly linear fit that starts at zero, no history.
 pub(super) const LINEAR: Physics = Physics {
@@ -201,6 +222,7 @@ pub(super) const LINEAR: Physics = Physics {
     follows_neighbour: [false; NEIGHBOURS],
     largest_size: None,
     prior_penalty: 0.0,
+    log_prior: UNUSUAL,
     yields_to: &[],
     confounded_with: &[],
 };
@@ -238,7 +260,7 @@ impl Physics {
         if let (Some(needs), false) = (self.history, self.in_time) {
             needs(&mut history, &self.example(*BACKBONES.start()));
         }
-        (history.direction || history.has_hysteresis()) && !history.is_long()
+        (history.direction || history.drive || history.has_hysteresis()) && !history.is_long()
     }
 
     /// Says to a history what it must know of the path.
