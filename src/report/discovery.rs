@@ -280,13 +280,18 @@ pub fn sentence(found: &Discovery) -> String {
                         others => format!(" (these data cannot tell it from {})", others.join(", ")),
                     };
                     let size = size.collect::<Vec<_>>().join(", ");
-                    let percent = 100.0 * named.probability();
-                    format!("{} ({}: {size}; {percent:.0} %){or}", named.physics.reading, named.physics.name)
+                    let percent = percent(named.probability());
+                    format!("{} ({}: {size}; {percent} %){or}", named.physics.reading, named.physics.name)
                 })
                 .collect();
             format!("The data show {}.", readings.join(", and "))
         }
     }
+}
+
+/// A probability in whole percent; nothing that data say is certain.
+fn percent(probability: f64) -> u32 {
+    (100.0 * probability).round().min(99.0) as u32
 }
 
 /// "play at the bend, 0.31 ± 0.02 mm (97 %), removes 59 % of the gap".
@@ -300,9 +305,9 @@ fn partial_reading(found: &Discovery, named: &Named) -> String {
         others => format!(" (these data cannot tell it from {})", others.join(", ")),
     };
     format!(
-        "{}, {sizes} ({:.0} %), removes {:.0} % of the gap{or}",
+        "{}, {sizes} ({} %), removes {:.0} % of the gap{or}",
         named.physics.name.replace('_', " "),
-        100.0 * named.probability(),
+        percent(named.probability()),
         100.0 * named.removes
     )
 }
@@ -368,7 +373,7 @@ fn considered(found: &Discovery) -> Markup {
 fn structures(found: &Discovery) -> Markup {
     let row = |candidate: &Candidate| {
         let effects = if candidate.effects.is_empty() { "none".to_owned() } else { candidate.effects.join(", ") };
-        [effects, format!("{:.0} %", 100.0 * candidate.probability)]
+        [effects, format!("{} %", percent(candidate.probability))]
     };
     let rows: Vec<[String; 2]> = found.structures.iter().map(row).collect();
     html! {
