@@ -36,11 +36,13 @@
 pub mod bag;
 pub mod camera;
 pub mod closed_loop;
+mod content;
 pub mod discover;
 pub mod error;
 pub mod estimate;
 pub mod geometry;
 mod input;
+mod instant;
 #[cfg(feature = "live")]
 pub mod live;
 pub mod measure;

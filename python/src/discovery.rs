@@ -14,7 +14,7 @@ use snakeloop::observation::{EncoderReading, Measurement};
 use snakeloop::report::discovery::{Page, few_samples_lines, few_samples_page, lines};
 use snakeloop::report::verdict::verdict_page;
 use snakeloop::robot::Model;
-use snakeloop::verdict::{Subject, Verdict};
+use snakeloop::verdict::{Subject, Verdict, doubts_of_times};
 
 /// What `discover` found: verdict, effects, gap, and the model with the effects added.
 #[pyclass(name = "Discovery", module = "snakeloop", frozen)]
@@ -62,7 +62,8 @@ fn discovered(
         Ok(data) => Ok(data),
         Err(error) => Err(FewSamples::instead_of(error, &model, measurements, readings, sd_encoder_mm)?),
     };
-    if let Some(mistake) = Subject::new(&model, sd_encoder_mm).wiring_mistake(measurements, readings) {
+    let mistake = Subject::new(&model, sd_encoder_mm).wiring_mistake(measurements, readings);
+    if let Some(mistake) = mistake.or_else(|| doubts_of_times(measurements, readings, false)) {
         let verdict = Verdict::of(vec![mistake]);
         let remarks = answer.map_or_else(|few| few.remarks, |data| data.remarks);
         let json = nothing_named(&gap(&model, measurements, readings), &verdict, &remarks);

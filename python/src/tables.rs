@@ -30,7 +30,7 @@ pub fn measurements_of(source: &Bound<'_, PyAny>) -> PyResult<Vec<Measurement>> 
     let (theta, delta) = (table.numbers("theta_deg")?, table.numbers("delta_deg")?);
     let sigma_theta = table.optional_numbers("sigma_theta_deg")?;
     let sigma_delta = table.optional_numbers("sigma_delta_deg")?;
-    let (correlation, times_s) = (table.optional_numbers("rho_theta_delta")?, table.numbers("time_s")?);
+    let (correlation, times_s) = (table.optional_numbers("rho_theta_delta")?, table.times_s()?);
     let (inliers, rms_px) = (table.optional_numbers("inlier_fraction")?, table.optional_numbers("rms_px")?);
     let statuses = table.words("status")?;
     Ok((0..table.indices.len())
@@ -78,7 +78,7 @@ fn readings_of(source: &Bound<'_, PyAny>, backbones: usize) -> PyResult<Vec<Enco
         return rows(source.py(), read_encoders(&path, backbones).map_err(raised)?);
     }
     let table = Table::new("encoders", source)?;
-    let times_s = table.numbers("time_s")?;
+    let times_s = table.times_s()?;
     let columns: Vec<Vec<f64>> =
         (1..=backbones).map(|i| table.numbers(&format!("q{i}_mm"))).collect::<PyResult<_>>()?;
     let mut beside: [Vec<Vec<f64>>; NEIGHBOURS] = Default::default();
@@ -131,6 +131,25 @@ impl<'a, 'py> Table<'a, 'py> {
         let numbers = self.column(name)?;
         self.check_length(name, numbers.len())?;
         Ok(numbers)
+    }
+
+    /// The column of times, s. Dates and spans (`datetime64`, `timedelta64`) are seconds by their own unit: dates since 1970.
+    ///
+    /// # Errors
+    /// As [`numbers`](Self::numbers).
+    pub fn times_s(&self) -> PyResult<Vec<f64>> {
+        /// What NumPy's "not a time" is as a number.
+        const NOT_A_TIME: f64 = i64::MIN as f64;
+        let column = self.source.py().import("numpy")?.call_method1("asarray", (self.get("time_s")?,))?;
+        let unit = match column.getattr("dtype")?.getattr("kind")?.extract::<String>()?.as_str() {
+            "M" => "datetime64[ns]",
+            "m" => "timedelta64[ns]",
+            _ => return self.numbers("time_s"),
+        };
+        let counts = column.call_method1("astype", (unit,))?.call_method1("astype", ("int64",))?;
+        let counts = numbers_of(&counts).map_err(|e| wrong(format!("{}: time_s: {e}", self.what)))?;
+        self.check_length("time_s", counts.len())?;
+        Ok(counts.into_iter().map(|count| if count == NOT_A_TIME { f64::NAN } else { 1e-9 * count }).collect())
     }
 
     fn column(&self, name: &str) -> PyResult<Vec<f64>> {

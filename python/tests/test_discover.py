@@ -47,6 +47,29 @@ def test_files_frames_and_dicts_say_the_same(data, tmp_path):
         assert found.as_dict() == expected
 
 
+@pytest.mark.parametrize("unit", ["ns", "us", "ms"])
+def test_times_may_be_dates_and_spans(data, unit):
+    measurements, encoders, _ = data
+    expected = snakeloop.discover(measurements, encoders)
+    counts = {"ns": 1e9, "us": 1e6, "ms": 1e3}[unit]
+
+    def timed(table, kind):
+        return table | {"time_s": np.round(counts * table["time_s"]).astype("int64").astype(f"{kind}64[{unit}]")}
+
+    for kind in ["datetime", "timedelta"]:
+        found = snakeloop.discover(timed(measurements, kind), timed(encoders, kind))
+        assert [effect["name"] for effect in found.effects] == [effect["name"] for effect in expected.effects]
+
+
+def test_times_in_another_unit_have_no_physics_named(data):
+    measurements, encoders, _ = data
+    for per_second in [1e3, 1e6, 1e9]:
+        tables = [table | {"time_s": per_second * table["time_s"]} for table in (measurements, encoders)]
+        found = snakeloop.discover(*tables)
+        assert (found.verdict, found.effects) == ("unexplained", [])
+        assert found.as_dict()["reasons"][0]["code"] == "time_unit"
+
+
 def test_a_log_that_is_wired_wrongly_has_no_physics_named(data):
     measurements, encoders, _ = snakeloop.simulate()
     swapped = encoders | {"q2_mm": encoders["q3_mm"], "q3_mm": encoders["q2_mm"]}

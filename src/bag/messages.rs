@@ -168,19 +168,26 @@ pub struct CameraInfo {
     pub distortion: Vec<f64>,
     /// The camera matrix by rows.
     pub matrix: [f64; 9],
+    /// How many columns and rows of the sensor are one of a picture; 0 is one.
+    pub binning: [u32; 2],
+    /// The first column and row of the sensor in a picture.
+    pub offset: [u32; 2],
+    /// Columns and rows of the sensor in a picture; all of them where both are 0.
+    pub window: [u32; 2],
 }
 
 impl Stamped for CameraInfo {
     const KINDS: &'static [&'static str] = &["sensor_msgs/CameraInfo"];
 
     fn body(_: f64, _: &str, cdr: &mut Cdr) -> CdrResult<Self> {
-        Ok(Self {
-            height: cdr.u32()?,
-            width: cdr.u32()?,
-            distortion_model: cdr.text()?,
-            distortion: cdr.f64_sequence()?,
-            matrix: cdr.f64s()?,
-        })
+        let (height, width, distortion_model) = (cdr.u32()?, cdr.u32()?, cdr.text()?);
+        let (distortion, matrix) = (cdr.f64_sequence()?, cdr.f64s()?);
+        let _rectification: [f64; 9] = cdr.f64s()?;
+        let _projection: [f64; 12] = cdr.f64s()?;
+        let binning = [cdr.u32()?, cdr.u32()?];
+        let [x, y, window_height, window_width] = [cdr.u32()?, cdr.u32()?, cdr.u32()?, cdr.u32()?];
+        let window = [window_width, window_height];
+        Ok(Self { height, width, distortion_model, distortion, matrix, binning, offset: [x, y], window })
     }
 }
 

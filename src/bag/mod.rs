@@ -6,9 +6,11 @@
 //! Source: <https://mcap.dev/spec>, read by its own crate.
 
 mod cdr;
+mod files;
 pub mod messages;
 
 pub use cdr::{Cdr, CdrResult, CdrWriter};
+pub use files::Bag;
 pub use messages::Stamped;
 
 use crate::error::{Error, Result};
@@ -17,7 +19,7 @@ use mcap::records::Record;
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use serde::Deserialize;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fmt;
 use std::fs::File;
 use std::io::{Read, Seek};
@@ -37,69 +39,61 @@ const PACKED_RECORD_BYTES: usize = 64 << 20;
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Topic {
-    /// The MCAP file.
-    pub bag: PathBuf,
+    /// The recording.
+    pub bag: Bag,
     /// The topic's name.
     pub topic: String,
 }
 
 impl fmt::Display for Topic {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} of {}", self.topic, self.bag.display())
+        write!(f, "{} of {}", self.topic, self.bag)
     }
 }
 
 impl Topic {
     /// The topic with its file relative to a folder.
     pub fn within(mut self, folder: &Path) -> Self {
-        self.bag = folder.join(self.bag);
+        self.bag = self.bag.within(folder);
         self
     }
 
     /// An error about the topic.
     pub fn error(&self, message: impl fmt::Display) -> Error {
-        Error::content(&self.bag, format!("topic {}: {message}", self.topic))
+        Error::content(self.bag.path(), format!("topic {}: {message}", self.topic))
     }
 
-    /// The topic's messages in the file's order.
+    /// An error in words, without the file's name where it begins with that.
+    pub fn in_words(&self, error: &Error) -> String {
+        let (text, name) = (error.to_string(), format!("{}: ", self.bag.path().display()));
+        text.strip_prefix(&name).unwrap_or(&text).to_owned()
+    }
+
+    /// The topic's messages in the order of the files.
     ///
     /// # Errors
-    /// A file that cannot be opened.
+    /// A file that cannot be opened, or is no MCAP file.
     pub fn messages(&self) -> Result<Messages> {
-        let mut file = File::open(&self.bag).map_err(Error::io(&self.bag, "read"))?;
-        if let Some(why) = other_recording(&mut file).map_err(Error::io(&self.bag, "read"))? {
-            return Err(Error::content(&self.bag, why));
-        }
-        let length = file.metadata().map_or(0, |about| about.len());
-        let longest = usize::try_from(length).unwrap_or(usize::MAX).clamp(PACKED_RECORD_BYTES, RECORD_BYTES);
-        let options = LinearReaderOptions::default()
-            .with_validate_chunk_crcs(true)
-            .with_skip_end_magic(true)
-            .with_record_length_limit(longest);
-        Ok(Messages {
-            topic: self.clone(),
-            file,
-            reader: LinearReader::new_with_options(options),
-            schemas: HashMap::new(),
-            channels: HashMap::new(),
-            ended: false,
-        })
+        let mut files: VecDeque<PathBuf> = self.bag.files()?.into();
+        let first = files.pop_front().unwrap_or_default();
+        Ok(Messages { topic: self.clone(), part: Part::open(first)?, files, seen: BTreeMap::new(), ended: false })
     }
 
-    /// How many messages the topic has: by the summary at the end of a finished file, else by reading all of it.
+    /// How many messages the topic has: by the summaries at the ends of finished files, else by reading all of them.
     ///
     /// # Errors
     /// A file that cannot be opened.
     pub fn count(&self) -> Result<usize> {
-        match self.counted_by_summary() {
+        let by_summaries: Option<usize> = self.bag.files()?.iter().map(|file| self.counted_by_summary(file)).sum();
+        match by_summaries {
             Some(count) => Ok(count),
             None => Ok(self.messages()?.filter(Result::is_ok).count()),
         }
     }
 
-    /// What the file's summary says of the topic; `None` where there is none that can be read.
-    fn counted_by_summary(&self) -> Option<usize> {
-        let mut file = File::open(&self.bag).ok()?;
+    /// What a file's summary says of the topic; `None` where there is none that can be read.
+    fn counted_by_summary(&self, file: &Path) -> Option<usize> {
+        let mut file = File::open(file).ok()?;
         let length = file.metadata().ok()?.len();
         let options = SummaryReaderOptions::default().with_file_size(length).with_record_length_limit(RECORD_BYTES);
         let mut reader = SummaryReader::new_with_options(options);
@@ -118,48 +112,47 @@ impl Topic {
         usize::try_from(of_topic.filter_map(|channel| counts.get(&channel.id)).sum::<u64>()).ok()
     }
 
-    /// The first message, decoded.
+    /// The first message of this kind, decoded.
     ///
     /// # Errors
     /// A file that cannot be read, without such a topic, or whose messages are not of this kind.
     pub fn first<M: Stamped>(&self) -> Result<M> {
         let mut messages = self.messages()?;
-        match messages.next() {
-            Some(message) => message?.decoded(),
-            None => {
-                let known: Vec<String> = messages.topics().map(|(topic, kind)| format!("{topic} ({kind})")).collect();
-                Err(self.error(format!("no message; the recording has {}", known.join(", "))))
+        let mut why = None;
+        for message in messages.by_ref() {
+            match message.and_then(|message| message.decoded()) {
+                Ok(found) => return Ok(found),
+                Err(error) => why = why.or(Some(error)),
             }
         }
+        Err(why.unwrap_or_else(|| {
+            let known: Vec<String> = messages.topics().map(|(topic, kind)| format!("{topic} ({kind})")).collect();
+            self.error(format!("no message; the recording has {}", known.join(", ")))
+        }))
     }
 
-    /// All messages, decoded; for those that are small.
+    /// All messages, decoded, for those that are small; and in words what could not be read.
     ///
     /// # Errors
     /// As [`first`](Self::first).
-    pub fn all<M: Stamped>(&self) -> Result<Vec<M>> {
+    pub fn all<M: Stamped>(&self) -> Result<(Vec<M>, Vec<String>)> {
         self.first::<M>()?;
-        self.messages()?.map(|message| message?.decoded()).collect()
-    }
-}
-
-/// What to do about a file that ROS 2 records as well but is no MCAP file; `None` for others. Leaves the file at its beginning.
-///
-/// Source: the first bytes of SQLite's format (<https://sqlite.org/fileformat.html>) and of a zstd frame (RFC 8878).
-fn other_recording(file: &mut File) -> std::io::Result<Option<&'static str>> {
-    if file.metadata()?.is_dir() {
-        return Ok(Some("a folder, expected a recording; name the .mcap file in it"));
-    }
-    let mut first = Vec::new();
-    file.by_ref().take(16).read_to_end(&mut first)?;
-    file.rewind()?;
-    Ok(match &first[..] {
-        [b'S', b'Q', b'L', b'i', b't', b'e', ..] => {
-            Some("a recording in SQLite, expected MCAP; convert it (ros2 bag convert, with storage_id: mcap)")
+        let (mut found, mut faults, mut bad) = (Vec::new(), Vec::new(), (0, String::new()));
+        for message in self.messages()? {
+            match message.map(|message| message.decoded()) {
+                Ok(Ok(message)) => found.push(message),
+                Ok(Err(error)) => bad = (bad.0 + 1, if bad.0 == 0 { self.in_words(&error) } else { bad.1 }),
+                Err(error) => faults.push(format!("{}; what follows is not read", self.in_words(&error))),
+            }
         }
-        [0x28, 0xb5, 0x2f, 0xfd, ..] => Some("a file packed by zstd, expected MCAP; unpack it (zstd -d)"),
-        _ => None,
-    })
+        match bad {
+            (0, _) => {}
+            (count, first) => {
+                faults.push(format!("{first}; {count} of {} messages are passed over", found.len() + count))
+            }
+        }
+        Ok((found, faults))
+    }
 }
 
 /// One message of a topic, not decoded yet.
@@ -191,36 +184,49 @@ impl Message {
     }
 }
 
-/// The messages of one topic.
+/// The messages of one topic, file by file.
 pub struct Messages {
     topic: Topic,
+    part: Part,
+    /// Those that follow.
+    files: VecDeque<PathBuf>,
+    /// The topics of the files before, with their types.
+    seen: BTreeMap<String, String>,
+    ended: bool,
+}
+
+/// One file of a recording.
+struct Part {
+    path: PathBuf,
     file: File,
     reader: LinearReader,
     /// Names of types, by their number in the file.
     schemas: HashMap<u16, String>,
     /// Topic, type and encoding of each channel.
     channels: HashMap<u16, (String, String, String)>,
-    ended: bool,
 }
 
-impl Messages {
-    /// The topics seen so far with their types, by name.
-    fn topics(&self) -> impl Iterator<Item = (&str, &str)> {
-        let topics: BTreeMap<&str, &str> =
-            self.channels.values().map(|(topic, kind, _)| (topic.as_str(), kind.as_str())).collect();
-        topics.into_iter()
+impl Part {
+    fn open(path: PathBuf) -> Result<Self> {
+        let file = File::open(&path).map_err(Error::io(&path, "read"))?;
+        let length = file.metadata().map_or(0, |about| about.len());
+        let longest = usize::try_from(length).unwrap_or(usize::MAX).clamp(PACKED_RECORD_BYTES, RECORD_BYTES);
+        let options = LinearReaderOptions::default()
+            .with_validate_chunk_crcs(true)
+            .with_skip_end_magic(true)
+            .with_record_length_limit(longest);
+        let reader = LinearReader::new_with_options(options);
+        Ok(Self { path, file, reader, schemas: HashMap::new(), channels: HashMap::new() })
     }
 
     /// The topic's next message; `None` at the end, which an unfinished file has where it was cut off.
-    fn step(&mut self) -> Result<Option<Message>> {
-        let damaged =
-            |error: McapError| Error::content(&self.topic.bag, format!("no readable recording (MCAP): {error}"));
+    fn step(&mut self, wanted: &Topic) -> Result<Option<Message>> {
+        let damaged = |error: McapError| Error::content(&self.path, format!("no readable recording (MCAP): {error}"));
         loop {
             let (opcode, data) = match self.reader.next_event() {
                 None => return Ok(None),
                 Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
-                    let read =
-                        self.file.read(self.reader.insert(wanted)).map_err(Error::io(&self.topic.bag, "read"))?;
+                    let read = self.file.read(self.reader.insert(wanted)).map_err(Error::io(&self.path, "read"))?;
                     self.reader.notify_read(read);
                     continue;
                 }
@@ -238,18 +244,44 @@ impl Messages {
                 }
                 Record::Message { header, data } => {
                     let Some((topic, kind, encoding)) = self.channels.get(&header.channel_id) else { continue };
-                    if *topic != self.topic.topic {
+                    if *topic != wanted.topic {
                         continue;
                     }
                     if encoding != "cdr" {
-                        return Err(self
-                            .topic
-                            .error(format!("messages are in {encoding:?}, expected cdr, as ROS 2 records")));
+                        return Err(
+                            wanted.error(format!("messages are in {encoding:?}, expected cdr, as ROS 2 records"))
+                        );
                     }
-                    return Ok(Some(Message { topic: self.topic.clone(), kind: kind.clone(), cdr: data.into_owned() }));
+                    return Ok(Some(Message { topic: wanted.clone(), kind: kind.clone(), cdr: data.into_owned() }));
                 }
                 _ => {}
             }
+        }
+    }
+
+    fn topics(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.channels.values().map(|(topic, kind, _)| (topic.as_str(), kind.as_str()))
+    }
+}
+
+impl Messages {
+    /// The topics seen so far with their types, by name.
+    fn topics(&self) -> impl Iterator<Item = (&str, &str)> {
+        let before = self.seen.iter().map(|(topic, kind)| (topic.as_str(), kind.as_str()));
+        let topics: BTreeMap<&str, &str> = before.chain(self.part.topics()).collect();
+        topics.into_iter()
+    }
+
+    /// The next message of this file or of one that follows.
+    fn step(&mut self) -> Result<Option<Message>> {
+        loop {
+            if let Some(message) = self.part.step(&self.topic)? {
+                return Ok(Some(message));
+            }
+            let Some(next) = self.files.pop_front() else { return Ok(None) };
+            let topics: Vec<_> = self.part.topics().map(|(topic, kind)| (topic.to_owned(), kind.to_owned())).collect();
+            self.seen.extend(topics);
+            self.part = Part::open(next)?;
         }
     }
 }

@@ -229,6 +229,7 @@ mod tests {
             focal_px: Vector2::new(533.0, 534.0),
             centre_px: Point2::new(342.0, 234.0),
             distortion,
+            fisheye: None,
         }
     }
 

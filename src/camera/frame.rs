@@ -1,5 +1,7 @@
 //! One picture in memory, and how it is read from a file.
 
+use super::stack;
+use crate::content;
 use crate::error::{Error, Result};
 use crate::input::{PICTURE_BYTES, read_bytes};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
@@ -96,7 +98,7 @@ impl Frame {
         self.samples.level((y as usize * self.width as usize + x as usize) * self.channels + c)
     }
 
-    /// From a decoded picture of 8 or 16 bits; alpha is dropped. `None` for any other depth.
+    /// From a decoded picture of 8 or 16 bits; alpha is dropped, and 10 or 12 bits that are written into 16 fill them. `None` for any other depth.
     pub fn from_image(image: DynamicImage) -> Option<Self> {
         let (width, height) = (image.width(), image.height());
         let (channels, samples) = match image {
@@ -110,8 +112,24 @@ impl Frame {
             DynamicImage::ImageRgba16(p) => (3, Samples::Bits16(without_alpha(&p, 3))),
             _ => return None,
         };
+        let samples = match samples {
+            Samples::Bits16(samples) => Samples::Bits16(filling_16_bits(samples)),
+            samples => samples,
+        };
         Some(Self { width, height, channels, samples })
     }
+}
+
+/// Numbers of 10 or 12 bits that are written into 16 as they are, shifted to the top; others as they are.
+///
+/// Derived: a picture of 16 bits none of whose pixels reaches 1/16 of white shows nothing, so that none that could be measured is changed.
+fn filling_16_bits(mut samples: Vec<u16>) -> Vec<u16> {
+    let brightest = samples.iter().copied().max().unwrap_or(0);
+    let bits = [10, 12].into_iter().find(|bits| brightest < 1 << bits);
+    if let Some(bits) = bits.filter(|_| brightest > 0) {
+        samples.iter_mut().for_each(|sample| *sample <<= 16 - bits);
+    }
+    samples
 }
 
 /// The samples of pixels with so many channels and alpha after them.
@@ -119,10 +137,10 @@ fn without_alpha<T: Copy>(samples: &[T], channels: usize) -> Vec<T> {
     samples.chunks_exact(channels + 1).flat_map(|pixel| &pixel[..channels]).copied().collect()
 }
 
-/// Reads a picture: PNG, JPEG or TIFF (told by content, not by name), 8 or 16 bits, grey or colour.
+/// Reads a picture: PNG, JPEG, TIFF or BMP (told by content, not by name), 8 or 16 bits, grey or colour.
 ///
 /// The pixels are taken as they are stored; an orientation mark (EXIF) is not obeyed, because the camera file knows the
-/// sensor's own rows and columns.
+/// sensor's own rows and columns. What follows the end of a JPEG picture, such as a phone's clip, is no part of it.
 ///
 /// # Errors
 /// What is no file (a pipe is not waited at), cannot be read, is none of these formats, is damaged or cut short, has more than 100
@@ -141,6 +159,12 @@ pub fn picture_size(path: &Path) -> Option<(u32, u32)> {
     reader.with_guessed_format().ok()?.into_dimensions().ok()
 }
 
+/// Whether a picture file asks to be turned (EXIF), which is not done.
+pub fn has_rotation_mark(path: &Path) -> bool {
+    let open = || ImageReader::open(path).ok()?.with_guessed_format().ok()?.into_decoder().ok()?.orientation().ok();
+    path.is_file() && open().is_some_and(|orientation| orientation != image::metadata::Orientation::NoTransforms)
+}
+
 /// A picture from the bytes of its file; see [`read_frame`].
 ///
 /// # Errors
@@ -149,22 +173,55 @@ pub fn decode_frame(bytes: &[u8]) -> std::result::Result<Frame, String> {
     if bytes.is_empty() {
         return Err("empty file, expected a picture".to_owned());
     }
-    let expected = format!("expected at most {} megapixels and {MAX_SIDE} px a side", MAX_PIXELS / 1_000_000);
-    let unreadable = |e: image::ImageError| match e {
-        image::ImageError::Limits(_) => format!("takes more than {MAX_BYTES} bytes to decode, {expected}"),
-        e => format!("unreadable picture (expected PNG, JPEG or TIFF): {e}"),
+    let bytes = match image::guess_format(bytes) {
+        Ok(ImageFormat::Jpeg) => &bytes[..jpeg_end(bytes).ok_or("the JPEG file is cut short")?],
+        Ok(ImageFormat::Tiff) => match stack::pages(&mut Cursor::new(bytes)) {
+            Ok(pages) if pages.len() > 1 => {
+                return Err(format!(
+                    "a stack of {} pages, expected one picture; name the stack alone as `frames`, whose pages are then the frames",
+                    pages.len()
+                ));
+            }
+            _ => bytes,
+        },
+        Ok(ImageFormat::Png | ImageFormat::Bmp) => bytes,
+        _ => {
+            let found = content::name_of(bytes).unwrap_or("no picture that is known");
+            return Err(format!("{found}, expected PNG, JPEG, TIFF or BMP"));
+        }
     };
     let mut reader =
         ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| format!("unreadable picture: {e}"))?;
+    reader.limits(limits());
+    decoded(reader.into_decoder().map_err(unreadable)?)
+}
+
+fn limits() -> Limits {
     let mut limits = Limits::no_limits();
     limits.max_alloc = Some(MAX_BYTES);
-    reader.limits(limits.clone());
-    if reader.format() == Some(ImageFormat::Jpeg) && !jpeg_ends(bytes) {
-        return Err("the JPEG file is cut short".to_owned());
-    }
+    limits
+}
 
-    // The header alone is read so far. Sizes are checked here, and not by the decoder, so that the message can name them.
-    let mut decoder = reader.into_decoder().map_err(unreadable)?;
+/// What a picture may have at most, in words.
+fn expected() -> String {
+    format!("expected at most {} megapixels and {MAX_SIDE} px a side", MAX_PIXELS / 1_000_000)
+}
+
+/// Why a picture cannot be decoded, in words.
+pub(super) fn unreadable(e: image::ImageError) -> String {
+    match e {
+        image::ImageError::Limits(_) => format!("takes more than {MAX_BYTES} bytes to decode, {}", expected()),
+        e => format!("unreadable picture (expected PNG, JPEG, TIFF or BMP): {e}"),
+    }
+}
+
+/// The picture of a decoder that has read the header alone.
+///
+/// # Errors
+/// A picture that is too large or damaged, in words.
+pub(super) fn decoded(mut decoder: impl ImageDecoder) -> std::result::Result<Frame, String> {
+    // Sizes are checked here, and not by the decoder, so that the message can name them.
+    let (expected, mut limits) = (expected(), limits());
     let (width, height) = decoder.dimensions();
     if u64::from(width) * u64::from(height) > MAX_PIXELS || width.max(height) > MAX_SIDE {
         return Err(format!("{width}×{height} px, {expected}"));
@@ -178,16 +235,47 @@ pub fn decode_frame(bytes: &[u8]) -> std::result::Result<Frame, String> {
     decoder.set_limits(limits).map_err(unreadable)?;
     let colour: ColorType = decoder.color_type();
     let image = DynamicImage::from_decoder(decoder).map_err(unreadable)?;
-    Frame::from_image(image).ok_or_else(|| format!("{colour:?} pixels; expected 8 or 16 bits, grey or colour"))
+    let other =
+        || format!("{colour:?} pixels, of which nothing says what is white; write 8 or 16 bits, grey or colour");
+    Frame::from_image(image).ok_or_else(other)
 }
 
-/// Whether an end-of-image marker follows the last scan. The decoder itself fills what is missing with grey.
+/// Where a JPEG picture ends: behind the end-of-image marker of its own, whatever follows. `None` where it is cut short; the decoder itself
+/// fills what is missing with grey.
 ///
-/// Within a scan 0xff is followed by 0 or a restart marker, so neither marker can occur there by chance.
-fn jpeg_ends(bytes: &[u8]) -> bool {
-    let last = |marker: u8| bytes.windows(2).rposition(|pair| pair == [0xff, marker]);
-    let (start_of_scan, end_of_image) = (last(0xda), last(0xd9));
-    end_of_image.is_some() && end_of_image > start_of_scan
+/// Segments are passed over by their lengths, so that the marker of a preview in one of them does not count. Within a scan 0xff is followed by 0
+/// or a restart marker.
+///
+/// Source: ITU-T T.81, section B.1.1.
+fn jpeg_end(bytes: &[u8]) -> Option<usize> {
+    /// Source: T.81, table B.1: end of image.
+    const END: u8 = 0xd9;
+    /// Source: T.81, table B.1: start of scan.
+    const SCAN: u8 = 0xda;
+    let mut at = 2;
+    loop {
+        // Fill bytes may stand before a marker.
+        let marker = match bytes.get(at..at + 2)? {
+            [0xff, 0xff] => {
+                at += 1;
+                continue;
+            }
+            [0xff, marker] => *marker,
+            _ => return None,
+        };
+        at += 2;
+        match marker {
+            END => return Some(at),
+            0x01 | 0xd0..=0xd8 => continue,
+            _ => {}
+        }
+        let length = bytes.get(at..at + 2)?;
+        at += usize::from(u16::from_be_bytes([length[0], length[1]]));
+        if marker == SCAN {
+            let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0x00 | 0xd0..=0xd7);
+            at += bytes.get(at..)?.windows(2).position(is_marker)?;
+        }
+    }
 }
 
 #[cfg(test)]
@@ -252,7 +340,44 @@ mod tests {
                 assert!(decode_frame(&whole[..kept]).is_err(), "{format:?} cut to {kept} of {} bytes", whole.len());
             }
         }
-        assert!(decode_frame(b"this is no picture").unwrap_err().contains("expected PNG, JPEG or TIFF"));
+        assert!(decode_frame(b"this is no picture").unwrap_err().contains("expected PNG, JPEG, TIFF or BMP"));
+        assert!(decode_frame(b"\0\0\0\x18ftypheic").unwrap_err().contains("a HEIC picture"));
+    }
+
+    #[test]
+    fn what_follows_a_jpeg_is_no_part_of_it() {
+        let picture = DynamicImage::from(RgbImage::from_fn(64, 64, |x, y| Rgb([(x * y) as u8, x as u8, y as u8])));
+        let jpeg = encoded(&picture, ImageFormat::Jpeg);
+        let expected = decode_frame(&jpeg).unwrap();
+        for trailer in [&b"\xff\xda and \xff\xd8 of a clip"[..], &jpeg[..jpeg.len() / 2], b"\0\0\0\x18ftypmp42"] {
+            assert_eq!(decode_frame(&[&jpeg[..], trailer].concat()).unwrap(), expected);
+        }
+        // A preview in a segment of its own has its own end of image, which is not the picture's.
+        let preview = [&[0xff, 0xe1, 0, 8][..], &[0xff, 0xd8, 0xff, 0xd9, 0, 0]].concat();
+        let with_preview = [&jpeg[..2], &preview, &jpeg[2..]].concat();
+        assert_eq!(decode_frame(&with_preview).unwrap(), expected);
+        assert!(decode_frame(&with_preview[..with_preview.len() * 2 / 3]).unwrap_err().contains("cut short"));
+    }
+
+    #[test]
+    fn ten_and_twelve_bits_in_sixteen_fill_them() {
+        let picture = |white: u16| {
+            let image = ImageBuffer::from_fn(8, 1, |x, _| Luma([(u32::from(white) * x / 7) as u16]));
+            decode_frame(&encoded(&DynamicImage::ImageLuma16(image), ImageFormat::Png)).unwrap()
+        };
+        for (white, least) in [(1023, 250.0), (4095, 250.0), (65_535, 254.9), (16_000, 62.0)] {
+            let brightest = picture(white).get(7, 0, 0);
+            assert!((brightest - least).abs() < 6.0, "{white}: {brightest}");
+        }
+    }
+
+    #[test]
+    fn a_bmp_is_read_and_a_stack_is_named_by_its_pages() {
+        let picture = DynamicImage::from(RgbImage::from_fn(5, 4, |x, y| Rgb([x as u8, y as u8, 7])));
+        let (bmp, png) = (encoded(&picture, ImageFormat::Bmp), encoded(&picture, ImageFormat::Png));
+        assert_eq!(decode_frame(&bmp).unwrap(), decode_frame(&png).unwrap());
+        let float = DynamicImage::ImageRgb32F(picture.to_rgb32f());
+        assert!(decode_frame(&encoded(&float, ImageFormat::Tiff)).unwrap_err().contains("nothing says what is white"));
     }
 
     #[test]

@@ -1,6 +1,7 @@
-//! The pinhole camera with OpenCV's distortion model.
+//! The pinhole camera with OpenCV's distortion model, and its fisheye camera.
 //!
-//! Source: OpenCV documentation, calib3d, "Detailed description" (rational, tangential and thin-prism terms).
+//! Source: OpenCV documentation, calib3d, "Detailed description" (rational, tangential and thin-prism terms); "Fisheye camera model", which is
+//! that of J. Kannala, S. S. Brandt, IEEE Transactions on Pattern Analysis and Machine Intelligence 28, 2006, with angles from the axis.
 
 use nalgebra::{Matrix2, Matrix2x3, Point2, Point3, RowVector3, Vector2, Vector3};
 
@@ -17,6 +18,8 @@ pub struct Lens {
     pub centre_px: Point2<f64>,
     /// k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4; a camera with 5 or 8 coefficients has zeros for the rest.
     pub distortion: [f64; 12],
+    /// k1 k2 k3 k4 of a fisheye (equidistant model), in place of `distortion`.
+    pub fisheye: Option<[f64; 4]>,
 }
 
 impl Lens {
@@ -73,6 +76,9 @@ impl Lens {
     /// The same, and how the distorted coordinates (rows) follow the ideal ones.
     #[inline(always)]
     fn distort_with_jacobian(&self, ideal: Point2<f64>) -> (Point2<f64>, Matrix2<f64>) {
+        if let Some(coefficients) = self.fisheye {
+            return fisheye_with_jacobian(coefficients, ideal);
+        }
         let [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] = self.distortion;
         let (x, y) = (ideal.x, ideal.y);
         let r2 = x * x + y * y;
@@ -120,6 +126,27 @@ impl Lens {
     }
 }
 
+/// The fisheye's distorted coordinates, s (x, y) with s = θ_d/r, θ_d = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸), θ = atan r; and how they follow the
+/// ideal ones: s 1 + (s'/r) (x, y)ᵗ(x, y).
+fn fisheye_with_jacobian([k1, k2, k3, k4]: [f64; 4], ideal: Point2<f64>) -> (Point2<f64>, Matrix2<f64>) {
+    /// Below it the angle is the tangent to rounding, and the quotients would lose their digits.
+    ///
+    /// Derived: the next terms are of relative size r².
+    const NEAR_AXIS: f64 = 1e-7;
+    let r = ideal.coords.norm();
+    if r < NEAR_AXIS {
+        return (ideal, Matrix2::identity());
+    }
+    let angle = r.atan();
+    let a2 = angle * angle;
+    let distorted = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))));
+    let slope = 1.0 + a2 * (3.0 * k1 + a2 * (5.0 * k2 + a2 * (7.0 * k3 + a2 * 9.0 * k4)));
+    let scale = distorted / r;
+    let scale_slope = (slope / (1.0 + r * r) - scale) / r;
+    let slopes = Matrix2::identity() * scale + ideal.coords * ideal.coords.transpose() * (scale_slope / r);
+    ((ideal.coords * scale).into(), slopes)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -135,6 +162,40 @@ mod tests {
             focal_px: Vector2::new(800.0, 820.0),
             centre_px: Point2::new(639.5, 359.5),
             distortion,
+            fisheye: None,
+        }
+    }
+
+    const FISHEYE: [f64; 4] = [0.08, -0.03, 0.012, -0.004];
+    const FISHEYE_POINTS: [([f64; 3], [f64; 2]); 4] = [
+        ([0.3, -0.2, 1.7], [779.0932792799838, 264.1112591586777]),
+        ([-40.0, 25.0, 90.0], [306.3856318680165, 572.901392084552]),
+        ([12.0, -3.5, 30.0], [946.2722126595572, 267.7878905903199]),
+        ([90.0, 40.0, 50.0], [1497.2350916901255, 750.2459862143904]),
+    ];
+
+    /// The pixels are those of OpenCV 5.0's `cv::fisheye::projectPoints` for the same camera.
+    #[test]
+    fn a_fisheye_projects_as_opencv_does() {
+        let lens = Lens { fisheye: Some(FISHEYE), ..lens(&[]) };
+        for (point, pixel) in FISHEYE_POINTS {
+            assert_abs_diff_eq!(lens.project(&Point3::from(point)), Point2::from(pixel), epsilon = 1e-9);
+        }
+        assert_abs_diff_eq!(lens.project(&Point3::new(0.0, 0.0, 9.0)), Point2::new(639.5, 359.5), epsilon = 1e-12);
+    }
+
+    proptest! {
+        #[test]
+        fn a_fisheyes_ray_gives_its_pixel_back_and_its_jacobian_is_its_derivative(u in 0.0..1279.0, v in 0.0..719.0) {
+            let lens = Lens { fisheye: Some(FISHEYE), ..lens(&[]) };
+            let ray = lens.ray(&Point2::new(u, v));
+            let (back, jacobian) = lens.project_with_jacobian(&Point3::from(50.0 * ray));
+            prop_assert!((back - Point2::new(u, v)).norm() < 1e-8, "{u} {v} comes back as {back}");
+            for axis in 0..3 {
+                let step = Vector3::ith(axis, 1e-4);
+                let at = |step: Vector3<f64>| lens.project(&Point3::from(50.0 * ray + step));
+                prop_assert!(((at(step) - at(-step)) / 2e-4 - jacobian.column(axis)).norm() < 1e-6);
+            }
         }
     }
 

@@ -2,12 +2,12 @@
 //!
 //! Source: the definitions of ROS 2's package `sensor_msgs`; its `image_encodings.hpp` for the names of encodings.
 
+use super::file::{FISHEYES, WrongPart};
 use super::frame::{Frame, Samples, decode_frame};
 use super::lens::Lens;
 use crate::bag::messages::{CameraInfo, CompressedImage};
 use crate::bag::{Cdr, CdrResult, Stamped, Topic};
 use crate::error::Result;
-use nalgebra::{Point2, Vector2};
 
 impl Lens {
     /// The lens that the first `sensor_msgs/CameraInfo` of a topic tells.
@@ -17,30 +17,62 @@ impl Lens {
     pub fn of_topic(topic: &Topic) -> Result<Self> {
         let info: CameraInfo = topic.first()?;
         let model = info.distortion_model.as_str();
-        if !["", "plumb_bob", "rational_polynomial"].contains(&model) {
-            return Err(topic.error(format!("distortion_model {model:?}, expected plumb_bob or rational_polynomial")));
+        let is_fisheye = FISHEYES.contains(&model);
+        if !is_fisheye && !["", "plumb_bob", "rational_polynomial"].contains(&model) {
+            let expected = "expected plumb_bob, rational_polynomial or equidistant";
+            return Err(topic.error(format!("distortion_model {model:?}, {expected}")));
         }
-        let [fx, skew, cx, z0, fy, cy, z1, z2, one] = info.matrix;
-        let is_plain = [skew, z0, z1, z2, one] == [0.0, 0.0, 0.0, 0.0, 1.0];
-        if !is_plain || !info.matrix.iter().all(|value| value.is_finite()) || fx <= 0.0 || fy <= 0.0 {
-            let message =
-                format!("k = {:?}, expected [fx, 0, cx, 0, fy, cy, 0, 0, 1]; calibrate the camera", info.matrix);
-            return Err(topic.error(message));
-        }
-        let coefficients = &info.distortion;
-        if ![0, 4, 5, 8, 12].contains(&coefficients.len()) || !coefficients.iter().all(|value| value.is_finite()) {
-            return Err(topic.error(format!("d = {coefficients:?}, expected 0, 4, 5, 8 or 12 numbers")));
-        }
-        let mut distortion = [0.0; 12];
-        distortion[..coefficients.len()].copy_from_slice(coefficients);
-        Ok(Self {
-            width: info.width,
-            height: info.height,
-            focal_px: Vector2::new(fx, fy),
-            centre_px: Point2::new(cx, cy),
-            distortion,
-        })
+        let lens =
+            Self::of_parts((info.width, info.height), info.matrix, &info.distortion, is_fisheye).map_err(|part| {
+                match part {
+                    WrongPart::Matrix(why) => topic.error(format!("k: {why}; calibrate the camera")),
+                    WrongPart::Distortion(why) => topic.error(format!("d: {why}")),
+                }
+            })?;
+        let window = Window { binning: info.binning, offset: info.offset, size: info.window };
+        lens.windowed(&window).map_err(|why| topic.error(why))
     }
+
+    /// The lens of pictures that show a window of the sensor, or several pixels as one, from that of the whole sensor.
+    ///
+    /// Derived: pixel centres are at integers. A pixel of b × b binned ones lies at the mean of theirs, so that u = x₀ + b u' + (b − 1)/2.
+    ///
+    /// # Errors
+    /// A window that is not within the sensor.
+    pub(super) fn windowed(mut self, window: &Window) -> std::result::Result<Self, String> {
+        let Window { offset, size, .. } = *window;
+        let whole = [self.width, self.height];
+        let binning = window.binning.map(|count| count.max(1));
+        let size = if size == [0, 0] { whole } else { size };
+        let fits = |axis: usize| u64::from(offset[axis]) + u64::from(size[axis]) <= u64::from(whole[axis]);
+        if !fits(0) || !fits(1) || size[0] < binning[0] || size[1] < binning[1] {
+            return Err(format!(
+                "the window (roi) of {}×{} px from ({}, {}) on, binned {}×{}, does not fit the sensor of {}×{} px, so that nothing tells of which \
+                 of them the camera matrix is; calibrate with pictures of the window, and give that camera file",
+                size[0], size[1], offset[0], offset[1], binning[0], binning[1], whole[0], whole[1]
+            ));
+        }
+        for axis in 0..2 {
+            let bins = f64::from(binning[axis]);
+            self.focal_px[axis] /= bins;
+            self.centre_px[axis] = (self.centre_px[axis] - f64::from(offset[axis]) - (bins - 1.0) / 2.0) / bins;
+        }
+        (self.width, self.height) = (size[0] / binning[0], size[1] / binning[1]);
+        Ok(self)
+    }
+}
+
+/// The part of a sensor that a camera sends, px of the sensor, and how many of them each way it sends as one.
+///
+/// Source: `sensor_msgs/CameraInfo`, `RegionOfInterest`: zeros stand for the whole sensor, unbinned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Window {
+    /// Pixels that are one.
+    pub binning: [u32; 2],
+    /// The first column and row.
+    pub offset: [u32; 2],
+    /// Columns and rows.
+    pub size: [u32; 2],
 }
 
 /// A picture with its time.
@@ -173,11 +205,12 @@ fn colour(x: usize, y: usize, red_column: usize, red_row: usize) -> usize {
 mod tests {
     use super::*;
     use crate::camera::FrameSource;
+    use nalgebra::{Point2, Vector2};
     use std::path::PathBuf;
 
     /// Written by the Python package rosbags: tests/golden/ros2.py.
     fn golden(topic: &str) -> Topic {
-        Topic { bag: PathBuf::from("tests/golden/ros2.mcap"), topic: topic.to_owned() }
+        Topic { bag: PathBuf::from("tests/golden/ros2.mcap").into(), topic: topic.to_owned() }
     }
 
     /// What the script draws: 40 x + 10 y + channel.

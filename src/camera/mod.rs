@@ -13,11 +13,13 @@ mod opencv;
 #[path = "without_opencv.rs"]
 mod opencv;
 pub mod source;
+mod stack;
+mod stamps;
 pub use board::Board;
 pub use calibrate::{CameraCalibration, calibrate_camera};
-pub use capture::{CaptureSettings, CaptureTarget};
-pub use file::CameraFormat;
+pub use capture::{CaptureSettings, CaptureTarget, FourCc};
+pub use file::{CameraFormat, CameraNumbers};
 pub use frame::{Frame, Sample, Samples, decode_frame, picture_size, read_frame};
 pub use lens::Lens;
 pub use opencv::Capture;
-pub use source::{FrameSource, SourceFrame};
+pub use source::{FrameSource, PictureFile, SourceFrame};

@@ -1,6 +1,6 @@
 //! Everything that is done through OpenCV. No other module knows it.
 
-use super::capture::{CaptureSettings, CaptureTarget};
+use super::capture::{CaptureSettings, CaptureTarget, FourCc, cameras_there};
 use super::{Board, Frame, Lens, Samples};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
@@ -13,9 +13,9 @@ use opencv::core::{
 use opencv::imgproc::corner_sub_pix;
 use opencv::videoio::{
     CAP_ANY, CAP_FFMPEG, CAP_PROP_AUTO_EXPOSURE, CAP_PROP_AUTOFOCUS, CAP_PROP_BUFFERSIZE, CAP_PROP_EXPOSURE,
-    CAP_PROP_FOCUS, CAP_PROP_FPS, CAP_PROP_FRAME_COUNT, CAP_PROP_FRAME_HEIGHT, CAP_PROP_FRAME_WIDTH,
-    CAP_PROP_OPEN_TIMEOUT_MSEC, CAP_PROP_POS_MSEC, CAP_PROP_READ_TIMEOUT_MSEC, VideoCapture, VideoCaptureTrait,
-    VideoCaptureTraitConst,
+    CAP_PROP_FOCUS, CAP_PROP_FOURCC, CAP_PROP_FPS, CAP_PROP_FRAME_COUNT, CAP_PROP_FRAME_HEIGHT, CAP_PROP_FRAME_WIDTH,
+    CAP_PROP_OPEN_TIMEOUT_MSEC, CAP_PROP_ORIENTATION_AUTO, CAP_PROP_ORIENTATION_META, CAP_PROP_POS_MSEC,
+    CAP_PROP_READ_TIMEOUT_MSEC, VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst,
 };
 use std::path::Path;
 
@@ -33,11 +33,19 @@ impl Video {
     pub fn open(path: &Path) -> Result<Self> {
         std::fs::metadata(path).map_err(Error::io(path, "read"))?;
         let action = || format!("open the video {}", path.display());
-        let capture = VideoCapture::from_file(path, CAP_ANY).map_err(failed(action()))?;
+        let mut capture = VideoCapture::from_file(path, CAP_ANY).map_err(failed(action()))?;
         if !capture.is_opened().map_err(failed(action()))? {
             return Err(Error::content(path, "not a video that OpenCV can decode"));
         }
+        // Frames are taken as they are stored: the camera file knows the sensor's own rows and columns, and OpenCV's versions turn pictures
+        // differently. A backend that knows no such mark refuses, and turns nothing.
+        let _ = capture.set(CAP_PROP_ORIENTATION_AUTO, 0.0);
         Ok(Self { capture, position: 0 })
+    }
+
+    /// By how much the file says that its frames are to be turned to be upright, degrees; they are not.
+    pub fn rotation_mark_deg(&self) -> f64 {
+        self.capture.get(CAP_PROP_ORIENTATION_META).unwrap_or(0.0)
     }
 
     /// How many frames the file says that it has.
@@ -79,18 +87,6 @@ const OPEN_TIMEOUT_MS: i32 = 3000;
 /// Convention: a timeout.
 const READ_TIMEOUT_MS: i32 = 1000;
 
-/// Which cameras Linux has, for a message about one that cannot be opened; empty for streams and elsewhere.
-fn devices(target: &CaptureTarget) -> String {
-    if !cfg!(target_os = "linux") || !matches!(target, CaptureTarget::Device(_)) {
-        return String::new();
-    }
-    let there = glob::glob("/dev/video*").into_iter().flatten().flatten().map(|path| path.display().to_string());
-    match there.collect::<Vec<_>>().join(", ") {
-        none if none.is_empty() => "; there is no camera (no /dev/video*)".to_owned(),
-        some => format!("; there are {some}"),
-    }
-}
-
 impl Capture {
     /// Opens a camera or a stream. What a camera cannot be set to it leaves alone; [`settings`](Self::settings) tells.
     ///
@@ -113,7 +109,8 @@ impl Capture {
         };
         let capture = open().map_err(failed(name.clone()))?;
         if !capture.is_opened().map_err(failed(name.clone()))? {
-            let message = format!("it is not there, or does not answer{}", devices(target));
+            let others = if matches!(target, CaptureTarget::Device(_)) { cameras_there() } else { String::new() };
+            let message = format!("it is not there, or does not answer{others}");
             return Err(Error::OpenCv { action: name, message });
         }
         let mut opened = Self { capture, picture: Mat::default() };
@@ -134,6 +131,8 @@ impl Capture {
         };
         // Queued frames are stale frames.
         ask(CAP_PROP_BUFFERSIZE, Some(1.0));
+        // Before the size: without it many cameras offer large pictures at few frames a second only.
+        ask(CAP_PROP_FOURCC, settings.fourcc.map(|kind| f64::from(u32::from_le_bytes(kind.0))));
         ask(CAP_PROP_FRAME_WIDTH, settings.size.map(|(width, _)| f64::from(width)));
         ask(CAP_PROP_FRAME_HEIGHT, settings.size.map(|(_, height)| f64::from(height)));
         ask(CAP_PROP_FPS, settings.rate_fps);
@@ -161,6 +160,8 @@ impl Capture {
         CaptureSettings {
             size: size.map(|(width, height)| (width as u32, height as u32)),
             rate_fps: positive(CAP_PROP_FPS),
+            fourcc: positive(CAP_PROP_FOURCC).map(|kind| FourCc((kind as u32).to_le_bytes())),
+            autofocus: ask(CAP_PROP_AUTOFOCUS).filter(|value| *value >= 0.0).map(|value| value > 0.0),
             exposure: control(CAP_PROP_EXPOSURE),
             focus: control(CAP_PROP_FOCUS),
         }
@@ -250,6 +251,7 @@ pub fn calibrate(board: &Board, views: &[&[Point2<f64>]], size: (u32, u32)) -> R
             focal_px: Vector2::new(k(0, 0)?, k(1, 1)?),
             centre_px: Point2::new(k(0, 2)?, k(1, 2)?),
             distortion: [0.0; 12],
+            fisheye: None,
         };
         for (to, from) in lens.distortion.iter_mut().zip(distortion.data_typed::<f64>()?) {
             *to = *from;

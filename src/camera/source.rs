@@ -1,24 +1,45 @@
-//! Where frames come from: picture files told by a glob or a numbered pattern, or a video file.
+//! Where frames come from: picture files told by a glob or a numbered pattern, the pages of a TIFF stack, a video file, or a recording. What a
+//! file is its content says, not its name.
 
-use super::frame::{Frame, picture_size, read_frame};
+use super::frame::{Frame, has_rotation_mark, picture_size, read_frame};
 use super::message::Picture;
 use super::opencv::Video;
+use super::{stack, stamps};
 use crate::bag::{Message, Topic};
+use crate::content;
 use crate::error::{Error, Result};
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// File name extensions, in lower case, that make a source a video.
+/// File name extensions, in lower case, of videos that are a row of JPEGs and begin as one picture does.
+const MOTION_JPEG: [&str; 2] = ["mjpeg", "mjpg"];
+
+/// File name extensions, in lower case, of videos: of a file that is not there they tell what was meant.
 const VIDEO_EXTENSIONS: [&str; 11] = ["avi", "m4v", "mjpeg", "mjpg", "mkv", "mov", "mp4", "mpeg", "mpg", "webm", "wmv"];
 
 /// The frames of one view, in order of their index.
 #[derive(Debug, Clone, PartialEq)]
 pub enum FrameSource {
-    /// Picture files with their indices; never empty.
-    Pictures(Vec<(u64, PathBuf)>),
+    /// Picture files; never empty.
+    Pictures(Vec<PictureFile>),
+    /// A TIFF file of several pages, and where they are; a frame's index is its position, from 0.
+    Stack(PathBuf, Vec<u64>),
     /// A video file that has at least one frame; a frame's index is its position, from 0.
     Video(PathBuf),
     /// A topic of pictures in a ROS 2 recording, at least one; a frame's index is its position, from 0.
     Topic(Topic),
+}
+
+/// A picture file among frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PictureFile {
+    /// The number in its name; of names that are times the position in their order, from 0.
+    pub index: u64,
+    /// The time in its name, s, where all names have one.
+    pub time_s: Option<f64>,
+    /// The file.
+    pub path: PathBuf,
 }
 
 /// One frame of a source, not decoded yet where that can wait.
@@ -38,10 +59,14 @@ pub struct SourceFrame {
 enum Content {
     /// A picture file that is not read yet.
     File,
+    /// A page of a stack, not read yet.
+    Page(u64),
     /// A video's frame; videos decode in order.
     Decoded(Frame),
     /// A recording's message, not decoded yet.
     Message(Box<Message>),
+    /// What a recording has from here on cannot be read, for this reason.
+    Broken(String),
 }
 
 impl SourceFrame {
@@ -50,7 +75,7 @@ impl SourceFrame {
         match &self.content {
             Content::File => picture_size(&self.path),
             Content::Decoded(frame) => Some((frame.width, frame.height)),
-            Content::Message(_) => None,
+            Content::Page(_) | Content::Message(_) | Content::Broken(_) => None,
         }
     }
 
@@ -58,41 +83,74 @@ impl SourceFrame {
     pub fn read(self) -> Result<Frame> {
         match self.content {
             Content::File => read_frame(&self.path),
+            Content::Page(page) => stack::read_page(&self.path, page),
             Content::Decoded(frame) => Ok(frame),
             Content::Message(message) => Ok(message.decoded::<Picture>()?.frame),
+            Content::Broken(why) => Err(Error::content(&self.path, format!("{why}; the frames from here on are lost"))),
         }
     }
 }
 
 impl FrameSource {
     /// Finds the frames that a view names, relative to the experiment's folder: `frames/*.png` (a glob),
-    /// `frames/%05d.png` (a numbered pattern) or `run.mp4` (a video, told by its extension).
+    /// `frames/%05d.png` (a numbered pattern), `run.mp4` (a video) or `run.tif` (a stack), told by their content. Hidden files, such as those
+    /// that macOS keeps beside others, match no glob.
     ///
-    /// A frame's index is the number that stands for `%d`, with a glob the last number in the file's name, in a video its
-    /// position.
+    /// A frame's index is the number that stands for `%d`, with a glob the last number in the file's name, in a video or stack its
+    /// position. Of names that are times it is the position in their order.
     ///
     /// # Errors
     /// A pattern that is none of these or matches no file, a file name without a number, two files with the same
-    /// number, a folder that cannot be read; a video that cannot be read, or any video without the `opencv` feature.
+    /// number, several videos, a folder that cannot be read; a video that cannot be read, or any video without the `opencv` feature.
     pub fn open(folder: &Path, pattern: &str) -> Result<Self> {
-        let numbered = numbered(pattern);
-        if numbered.is_none() && is_video(pattern) {
-            let path = folder.join(pattern);
-            return match Video::open(&path)?.next() {
-                Some(_) => Ok(Self::Video(path)),
-                None => Err(Error::content(&path, "the video has no frame that can be decoded")),
-            };
+        if let Some(numbered) = numbered(pattern) {
+            return Self::of_files(folder, pattern, numbered.files(folder)?);
         }
-        let mut files = match numbered {
-            Some(numbered) => numbered.files(folder)?,
-            None => globbed(folder, pattern)?,
+        let paths = match folder.join(pattern) {
+            // A name that is there is meant, whatever it holds that a glob would take for its own.
+            literal if literal.is_file() => vec![literal],
+            literal if has_extension(&literal, &VIDEO_EXTENSIONS) && !pattern.contains(['*', '?', '[']) => {
+                return Self::of_video(literal);
+            }
+            _ => globbed(folder, pattern)?,
         };
+        if let Some(video) = paths.iter().find(|path| is_video(path)) {
+            if let [only] = &paths[..] {
+                return Self::of_video(only.clone());
+            }
+            let message = format!(
+                "a video among {} files that match `{pattern}`; name one video a view, or its pictures",
+                paths.len()
+            );
+            return Err(Error::content(video, message));
+        }
+        if let [only] = &paths[..]
+            && let Some(pages) = stack::pages_of(only).ok().flatten()
+        {
+            return Ok(Self::Stack(only.clone(), pages));
+        }
+        // A file that is called a video, and whose content is nothing that is known, is asked as one, for the reason why it is none.
+        match &paths[..] {
+            [only] if has_extension(only, &VIDEO_EXTENSIONS) && is_unknown(only) => Self::of_video(only.clone()),
+            _ => Self::of_files(folder, pattern, with_indices(paths)?),
+        }
+    }
+
+    fn of_video(path: PathBuf) -> Result<Self> {
+        match Video::open(&path)?.next() {
+            Some(_) => Ok(Self::Video(path)),
+            None => Err(Error::content(&path, "the video has no frame that can be decoded")),
+        }
+    }
+
+    fn of_files(folder: &Path, pattern: &str, mut files: Vec<PictureFile>) -> Result<Self> {
         if files.is_empty() {
             return Err(Error::content(folder, format!("no frames: no file here matches `{pattern}`")));
         }
-        files.sort();
-        if let Some([(index, a), (_, b)]) = files.array_windows().find(|[a, b]| a.0 == b.0) {
-            let message = format!("frame {index} is there twice: {} and {}", file_name(a), file_name(b));
+        files.sort_by(|a, b| (a.index, &a.path).cmp(&(b.index, &b.path)));
+        if let Some([a, b]) = files.array_windows().find(|[a, b]| a.index == b.index) {
+            let message =
+                format!("frame {} is there twice: {} and {}", a.index, file_name(&a.path), file_name(&b.path));
             return Err(Error::content(folder, message));
         }
         Ok(Self::Pictures(files))
@@ -111,9 +169,25 @@ impl FrameSource {
     pub fn count(&self) -> Result<Option<usize>> {
         match self {
             Self::Pictures(files) => Ok(Some(files.len())),
+            Self::Stack(_, pages) => Ok(Some(pages.len())),
             Self::Video(path) => Ok(Video::open(path)?.frame_count()),
             Self::Topic(topic) => Ok(Some(topic.count()?)),
         }
+    }
+
+    /// What a person should know of how the frames are taken, in a sentence: a mark that asks to turn them, which is not obeyed.
+    ///
+    /// # Errors
+    /// A video that cannot be opened any more.
+    pub fn remark(&self) -> Result<Option<String>> {
+        let turned = match self {
+            Self::Pictures(files) => files.first().is_some_and(|file| has_rotation_mark(&file.path)),
+            Self::Video(path) => Video::open(path)?.rotation_mark_deg() != 0.0,
+            Self::Stack(..) | Self::Topic(_) => false,
+        };
+        let text = "the frames carry a mark that asks to turn them; they are taken as they are stored, as the camera file and the straight \
+                    picture must be";
+        Ok(turned.then(|| text.to_owned()))
     }
 
     /// The frames in order of their index. Picture files can be read in parallel; a video is decoded by the iterator.
@@ -122,11 +196,17 @@ impl FrameSource {
     /// A video that cannot be opened any more.
     pub fn frames(&self) -> Result<Box<dyn Iterator<Item = SourceFrame> + Send + '_>> {
         Ok(match self {
-            Self::Pictures(files) => Box::new(files.iter().map(|(index, path)| SourceFrame {
+            Self::Pictures(files) => Box::new(files.iter().map(|PictureFile { index, time_s, path }| SourceFrame {
                 index: *index,
-                time_s: None,
+                time_s: *time_s,
                 path: path.clone(),
                 content: Content::File,
+            })),
+            Self::Stack(path, pages) => Box::new((0..).zip(pages).map(|(index, &page)| SourceFrame {
+                index,
+                time_s: None,
+                path: path.clone(),
+                content: Content::Page(page),
             })),
             Self::Video(path) => Box::new((0..).zip(Video::open(path)?).map(|(index, (time_s, frame))| SourceFrame {
                 index,
@@ -134,47 +214,95 @@ impl FrameSource {
                 path: path.clone(),
                 content: Content::Decoded(frame),
             })),
-            Self::Topic(topic) => {
-                Box::new((0..).zip(topic.messages()?.map_while(Result::ok)).map(|(index, message)| {
-                    let (time_s, path) = (message.stamp_s(), topic.bag.clone());
-                    SourceFrame { index, time_s, path, content: Content::Message(Box::new(message)) }
-                }))
-            }
+            Self::Topic(topic) => Box::new((0..).zip(topic.messages()?).map(|(index, message)| {
+                let path = topic.bag.path().to_owned();
+                match message {
+                    Ok(message) => {
+                        let time_s = message.stamp_s();
+                        SourceFrame { index, time_s, path, content: Content::Message(Box::new(message)) }
+                    }
+                    // What follows damage is lost; the frame that stands for it says so.
+                    Err(why) => {
+                        SourceFrame { index, time_s: None, path, content: Content::Broken(topic.in_words(&why)) }
+                    }
+                }
+            })),
         })
     }
 }
 
-fn is_video(pattern: &str) -> bool {
-    let extension = Path::new(pattern).extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    VIDEO_EXTENSIONS.contains(&extension.as_str())
+/// The first bytes of a file; `None` where it cannot be read.
+fn head_of(path: &Path) -> Option<Vec<u8>> {
+    let mut head = Vec::new();
+    // A pipe is not waited at.
+    let file = if path.is_file() { File::open(path).ok() } else { None };
+    file?.take(content::HEAD_BYTES as u64).read_to_end(&mut head).ok()?;
+    Some(head)
+}
+
+/// Whether a file is a video by its content.
+fn is_video(path: &Path) -> bool {
+    head_of(path).is_some_and(|head| content::is_video(&head) || has_extension(path, &MOTION_JPEG))
+}
+
+/// Whether nothing that is known has a file's content.
+fn is_unknown(path: &Path) -> bool {
+    head_of(path).is_some_and(|head| content::name_of(&head).is_none())
+}
+
+fn has_extension(path: &Path, extensions: &[&str]) -> bool {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    extensions.contains(&extension.as_str())
 }
 
 fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// All files that match a glob below the folder, each with the last number in its name.
-fn globbed(folder: &Path, pattern: &str) -> Result<Vec<(u64, PathBuf)>> {
+/// All that matches a glob below the folder, hidden files excepted. A link to nowhere, a pipe or a folder in a frame's place costs its row, and
+/// is not passed over.
+fn globbed(folder: &Path, pattern: &str) -> Result<Vec<PathBuf>> {
     let full = if Path::new(pattern).is_absolute() {
         pattern.to_owned()
     } else {
         format!("{}/{pattern}", glob::Pattern::escape(&folder.to_string_lossy()))
     };
     let wrong = |e: glob::PatternError| Error::content(folder, format!("frames = \"{pattern}\": {}", e.msg));
-    let mut files = Vec::new();
-    for entry in glob::glob(&full).map_err(wrong)? {
+    let options = glob::MatchOptions { require_literal_leading_dot: true, ..glob::MatchOptions::new() };
+    let mut paths = Vec::new();
+    for entry in glob::glob_with(&full, options).map_err(wrong)? {
         let path = entry.map_err(|e| {
             let path = e.path().to_owned();
             Error::io(&path, "read")(e.into())
         })?;
-        if path.is_file() {
-            files.push((last_number(&path)?, path));
-        } else if let (Some(_), Ok(index)) = (path.extension(), last_number(&path)) {
-            // A link to nowhere, a pipe or a folder in a frame's place costs its row, and is not passed over.
-            files.push((index, path));
+        if path.is_file() || (path.extension().is_some() && last_number(&path).is_ok()) {
+            paths.push(path);
         }
     }
-    Ok(files)
+    Ok(paths)
+}
+
+/// The files with their indices: the last numbers in their names, unless the names are times and these alone order them.
+fn with_indices(paths: Vec<PathBuf>) -> Result<Vec<PictureFile>> {
+    let names: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
+    let (stamps_s, is_decimal) = stamps::stamps_of(&names).unzip();
+    let numbers: Result<Vec<u64>> = paths.iter().map(|path| last_number(path)).collect();
+    let Some(stamps_s) = stamps_s else {
+        let file = |(index, path)| PictureFile { index, time_s: None, path };
+        return Ok(numbers?.into_iter().zip(paths).map(file).collect());
+    };
+    let mut order: Vec<usize> = (0..paths.len()).collect();
+    order.sort_by(|&a, &b| stamps_s[a].total_cmp(&stamps_s[b]));
+    let is_in_order = |values: &dyn Fn(usize, usize) -> bool| order.windows(2).all(|pair| values(pair[0], pair[1]));
+    let are_times = is_in_order(&|a, b| stamps_s[a] < stamps_s[b]);
+    let numbers =
+        numbers.ok().filter(|numbers| is_decimal != Some(true) && is_in_order(&|a, b| numbers[a] < numbers[b]));
+    let file = |(rank, k): (usize, &usize)| PictureFile {
+        index: numbers.as_ref().map_or(rank as u64, |numbers| numbers[*k]),
+        time_s: are_times.then_some(stamps_s[*k]),
+        path: paths[*k].clone(),
+    };
+    Ok(order.iter().enumerate().map(file).collect())
 }
 
 /// The last run of digits in a file's name without its extension.
@@ -203,7 +331,7 @@ fn numbered(pattern: &str) -> Option<Numbered<'_>> {
 }
 
 impl Numbered<'_> {
-    fn files(&self, folder: &Path) -> Result<Vec<(u64, PathBuf)>> {
+    fn files(&self, folder: &Path) -> Result<Vec<PictureFile>> {
         let (subfolder, before) = self.before.rsplit_once('/').unwrap_or(("", self.before));
         let parent = folder.join(subfolder);
         let mut files = Vec::new();
@@ -214,7 +342,7 @@ impl Numbered<'_> {
                 continue;
             };
             if let Some(index) = self.number(digits) {
-                files.push((index, path));
+                files.push(PictureFile { index, time_s: None, path });
             }
         }
         Ok(files)
@@ -264,6 +392,35 @@ mod tests {
         assert_eq!(indices(&folder, "frames/f%d_2.png").iter().map(|f| f.0).collect::<Vec<_>>(), [123_456]);
     }
 
+    #[test]
+    fn hidden_files_match_no_glob_and_names_that_are_times_are_ordered_by_them() {
+        let (_root, folder) = folder(&["._1.png", ".2.png", "3.png"]);
+        assert_eq!(indices(&folder, "frames/*.png"), [(3, "3.png".to_owned())]);
+        let (_root, folder) = super::tests::folder(&["f_1738133058.45788000.png", "f_1738133057.945788000.png"]);
+        let found = indices(&folder, "frames/*.png");
+        assert_eq!(
+            found.iter().map(|f| (f.0, &f.1[..12])).collect::<Vec<_>>(),
+            [(0, "f_1738133057"), (1, "f_1738133058")]
+        );
+        let source = FrameSource::open(&folder, "frames/*.png").unwrap();
+        let times: Vec<f64> = source.frames().unwrap().filter_map(|frame| frame.time_s).collect();
+        assert!((times[1] - times[0] - 0.1).abs() < 1e-6, "{times:?}");
+        // A counter behind the time is the index, as ever.
+        let (_root, folder) = super::tests::folder(&["20261126_023528_001.png", "20261126_023528_002.png"]);
+        assert_eq!(indices(&folder, "frames/*.png").iter().map(|f| f.0).collect::<Vec<_>>(), [1, 2]);
+    }
+
+    #[test]
+    fn several_videos_are_refused_by_name() {
+        let (_root, folder) = folder(&["1.ts", "2.ts"]);
+        let packets: Vec<u8> = (0..600).map(|at| if at % 188 == 0 { 0x47 } else { 0 }).collect();
+        for name in ["1.ts", "2.ts"] {
+            std::fs::write(folder.join("frames").join(name), &packets).unwrap();
+        }
+        let said = FrameSource::open(&folder, "frames/*.ts").unwrap_err().to_string();
+        assert!(said.contains("a video among 2 files that match `frames/*.ts`"), "{said}");
+    }
+
     #[cfg(unix)]
     #[test]
     fn what_stands_in_a_frames_place_and_is_none_keeps_its_index_and_is_not_waited_for() {
@@ -303,7 +460,7 @@ mod tests {
     #[cfg(not(feature = "opencv"))]
     #[test]
     fn a_build_without_opencv_says_so() {
-        let (_root, folder) = folder(&["run.MP4"]);
+        let (_root, folder) = folder(&[]);
         let error = FrameSource::open(&folder, "frames/run.MP4").unwrap_err();
         assert!(matches!(error, Error::NoOpenCv { .. }), "{error}");
     }

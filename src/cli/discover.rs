@@ -6,6 +6,7 @@ use super::inputs::{encoders_of, files_read, model_of, model_or_paper, readings,
 use super::measuring::Count;
 use super::shard::Shard;
 use super::trackers::open_trackers;
+use super::verdict::doubt_of_times;
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::discover::{
@@ -25,6 +26,7 @@ use crate::robot::Model;
 use crate::verdict::{Reason, Subject, Verdict};
 use crate::{Error, Result};
 use serde_json::Value;
+use std::convert::Infallible;
 use std::path::PathBuf;
 
 /// Find the effect that the model lacks, name it and add it: writes discrepancy.json, model.toml and report.html
@@ -75,6 +77,21 @@ struct Inputs {
     model: Model,
     measurements: Vec<Measurement>,
     readings: Vec<EncoderReading>,
+    /// What is odd about the times.
+    doubt: Option<Reason>,
+}
+
+impl Inputs {
+    fn new(
+        model: Model,
+        measurements: Vec<Measurement>,
+        readings: Vec<EncoderReading>,
+        experiment: Option<&Experiment>,
+    ) -> Self {
+        let rows = measurements.iter().cloned().map(Ok::<_, Infallible>);
+        let Ok(doubt) = doubt_of_times(rows, &readings, experiment);
+        Self { model, measurements, readings, doubt }
+    }
 }
 
 /// What came of the search.
@@ -106,8 +123,11 @@ impl Args {
         }
     }
 
-    fn wiring_mistake(&self, Inputs { model, measurements, readings }: &Inputs) -> Option<Reason> {
-        Subject::new(model, self.encoder_sd).wiring_mistake(measurements, readings)
+    /// What keeps physics from being named: a log that is wired otherwise than it is read, or times in another unit.
+    fn wiring_mistake(&self, inputs: &Inputs) -> Option<Reason> {
+        let Inputs { model, measurements, readings, .. } = inputs;
+        let mistake = Subject::new(model, self.encoder_sd).wiring_mistake(measurements, readings);
+        mistake.or_else(|| inputs.doubt.clone())
     }
 
     fn search(&self, console: &Console, inputs: &Inputs, mut data: Data) -> Result<(), Failure> {
@@ -168,7 +188,7 @@ impl Args {
 
     /// The answer to samples too few for a search; the error where that is another, or they are too few for any answer.
     fn without_a_search(&self, console: &Console, inputs: &Inputs, error: Error) -> Result<(), Failure> {
-        let Inputs { model, measurements, readings } = inputs;
+        let Inputs { model, measurements, readings, .. } = inputs;
         let found = FewSamples::instead_of(error, model, measurements, readings, self.encoder_sd)?;
         if let Some(mistake) = self.wiring_mistake(inputs) {
             return Ok(self.name_nothing(console, inputs, mistake, &found.remarks)?);
@@ -194,7 +214,7 @@ impl Args {
 
     /// No physics is named of a log that is wired otherwise than it is read.
     fn name_nothing(&self, console: &Console, inputs: &Inputs, mistake: Reason, remarks: &[String]) -> Result<()> {
-        let Inputs { model, measurements, readings } = inputs;
+        let Inputs { model, measurements, readings, .. } = inputs;
         let verdict = Verdict::of(vec![mistake]);
         let json = nothing_named(&gap(model, measurements, readings), &verdict, remarks);
         self.write_all(&json, model, &verdict_page("snakeloop: discover", &verdict))?;
@@ -214,7 +234,8 @@ impl Args {
 
     /// Takes the folder to write to.
     fn claim(&self) -> Result<OutputFolder> {
-        const OUTPUTS: [&str; 5] = ["measurements.csv", "discrepancy.json", NEXT, "model.toml", "report.html"];
+        const OUTPUTS: [&str; 6] =
+            ["measurements.csv", "discrepancy.json", NEXT, "model.toml", "report.html", "rig.jpg"];
         let named = [self.measurements.as_ref(), self.encoders.as_ref(), self.model.as_ref(), self.effects.as_ref()];
         let (inputs, outputs) = match &self.experiment {
             Some(experiment) => (files_read(&Experiment::read(experiment)?, &named), &OUTPUTS[..]),
@@ -255,7 +276,7 @@ impl Args {
                 };
                 let Checked { rows: readings, warnings } = encoders_of(&experiment, &model)?;
                 console.warn(&warnings);
-                let views = open_views(console, &experiment, &model.robot)?;
+                let views = open_views(console, &experiment, &model.robot, &self.output)?;
                 let trackers = open_trackers(console, &experiment, &model.robot, &readings)?;
                 let flow = Flow {
                     views: &views,
@@ -277,13 +298,13 @@ impl Args {
                 )?;
                 self.write("measurements.csv", &measurements_csv(&measurements))?;
                 Count::of(&self.output.join("measurements.csv"))?.require_some_measured(&experiment)?;
-                Ok(Inputs { model, measurements, readings })
+                Ok(Inputs::new(model, measurements, readings, Some(&experiment)))
             }
             (None, Some(measurements), Some(encoders)) => {
                 let model = model_or_paper(console, self.model.as_deref())?;
                 let readings = readings(console, encoders, &model)?;
                 let measurements = rows(console, read_measurements(measurements)?);
-                Ok(Inputs { model, measurements, readings })
+                Ok(Inputs::new(model, measurements, readings, None))
             }
             _ => Err(Failure::Usage("give an experiment, or --measurements and --encoders".to_owned())),
         }

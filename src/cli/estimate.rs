@@ -2,14 +2,14 @@
 
 use super::console::Console;
 use super::estimator::EstimatorArgs;
-use super::inputs::{measurements_and_readings, model_or_paper, with_effects};
-use super::verdict::{VerdictArgs, verdict_text};
+use super::inputs::{WorthArgs, force_limits, measurements_and_readings, with_effects};
+use super::verdict::{VerdictArgs, doubt_of_times, verdict_text};
 use crate::cli::failure::Failure;
 use crate::estimate::{EstimateRow, Verdict as RowVerdict, estimate, estimate_stem, or_one_gain};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{OutputFolder, estimates_csv, stems_csv, write_atomically, write_judged_model, write_model};
-use crate::robot::{Effect, Estimate, Model};
-use crate::verdict::{Subject, Verdict};
+use crate::robot::{Effect, Estimate, ForceLimits, Model};
+use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -36,6 +36,10 @@ pub struct Args {
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
+    /// The robot was commanded by a table with these force limits (`table --force-limits`): the force that the backbones share then moves what
+    /// all encoders read alike, and is taken off before λ is learned
+    #[arg(long, value_name = "PULL,PUSH", value_delimiter = ',', allow_hyphen_values = true, conflicts_with = "stem")]
+    force_limits: Option<Vec<f64>>,
     /// Follow the total bending angle of a flexible stem instead, with η and λ of --model known: writes OUT/stem.csv, and
     /// OUT/model.toml with the stem as it was at the end
     #[arg(long, requires = "model", conflicts_with_all = ["flat_sigma", "gate"])]
@@ -44,6 +48,8 @@ pub struct Args {
     estimator: EstimatorArgs,
     #[command(flatten)]
     verdict: VerdictArgs,
+    #[command(flatten)]
+    worth: WorthArgs,
 }
 
 /// The stem's angle as results are printed.
@@ -75,6 +81,8 @@ pub struct Estimated {
     pub skipped: usize,
     /// How often each reason for not using a measurement came up.
     pub reasons: BTreeMap<String, usize>,
+    /// The first frames whose measurement was rejected.
+    pub rejected_frames: Vec<u64>,
 }
 
 /// η and λ with their standard deviations.
@@ -99,12 +107,17 @@ impl Args {
             [Some(&self.measurements), Some(&self.encoders), self.model.as_ref()].into_iter().flatten().cloned();
         const OUTPUTS: [&str; 3] = ["model.toml", "estimate.csv", "stem.csv"];
         let _out = OutputFolder::claim(&self.output, &OUTPUTS, &inputs.collect::<Vec<_>>())?;
-        let model = with_effects(model_or_paper(console, self.model.as_deref())?, &self.effect)?;
+        let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
+        let model = with_effects(model, &self.effect)?;
         let (measurements, encoders) =
             measurements_and_readings(console, &model, &self.measurements, Some(&self.encoders))?;
         if self.stem {
-            return Ok(self.follow_stem(console, &model, &measurements, &encoders)?);
+            return Ok(self.follow_stem(console, (&model, do_not_use.as_deref()), &measurements, &encoders)?);
         }
+        let encoders = match force_limits(self.force_limits.as_deref())? {
+            Some(limits) => self.without_sharing(&model, &limits, &measurements, &encoders)?,
+            None => encoders,
+        };
         let (steps, model) = estimate(&model, self.estimator.options(1.0), &measurements, &encoders)?;
         let mut verdicts = Verdicts::default();
         steps.iter().for_each(|step| verdicts.add(step));
@@ -114,7 +127,9 @@ impl Args {
         let used_and_rejected = Some((estimated.used, estimated.rejected));
         let subject =
             Subject { used_and_rejected, replaced, ..Subject::new(&model, self.estimator.options(1.0).sd_encoder_mm) };
-        let Ok(verdict) = subject.verdict(rows(), &encoders);
+        let (Ok(verdict), Ok(doubt)) = (subject.verdict(rows(), &encoders), doubt_of_times(rows(), &encoders, None));
+        let verdict = doubt.into_iter().fold(verdict, Verdict::and);
+        let verdict = do_not_use.as_deref().map(bad_start).into_iter().fold(verdict, Verdict::and);
         if model.estimate.is_some() {
             write_judged_model(&self.output.join("model.toml"), &model, &verdict)?;
         }
@@ -129,10 +144,28 @@ impl Args {
         self.verdict.check(&summary.verdict)
     }
 
+    /// The readings without the force that the backbones share within limits. It depends on η, which the bending part alone tells, and which
+    /// is estimated from the readings as they are.
+    fn without_sharing(
+        &self,
+        model: &Model,
+        limits: &ForceLimits,
+        measurements: &[Measurement],
+        encoders: &[EncoderReading],
+    ) -> Result<Vec<EncoderReading>> {
+        let (_, first) = estimate(model, self.estimator.options(1.0), measurements, encoders)?;
+        let Ok((first, _)) = or_one_gain(first, measurements.iter().cloned().map(Ok::<_, Infallible>), encoders);
+        let without = |reading: &EncoderReading| {
+            let q_mm = first.without_sharing(&reading.q_mm, limits);
+            EncoderReading { q_mm, ..*reading }
+        };
+        Ok(encoders.iter().map(without).collect())
+    }
+
     fn follow_stem(
         &self,
         console: &Console,
-        model: &Model,
+        (model, do_not_use): (&Model, Option<&str>),
         measurements: &[Measurement],
         encoders: &[EncoderReading],
     ) -> Result<()> {
@@ -144,7 +177,11 @@ impl Args {
         };
         let output = self.output.join("stem.csv");
         write_atomically(&output, stems_csv(&rows).as_bytes())?;
-        write_model(&self.output.join("model.toml"), &model)?;
+        let path = self.output.join("model.toml");
+        match do_not_use {
+            Some(why) => write_judged_model(&path, &model, &Verdict::of(vec![bad_start(why)]))?,
+            None => write_model(&path, &model)?,
+        }
         let followed = Followed {
             phi_deg: last.phi.to_degrees(),
             sd_phi_deg: last.sd_phi.to_degrees(),
@@ -165,6 +202,12 @@ impl Args {
     }
 }
 
+/// The reason that a start with a model that must not be used makes.
+fn bad_start(why: &str) -> Reason {
+    let text = format!("the model that this was started with must not be used: {why}");
+    Reason::new(Code::Files, Level::DoNotUse, text, "start with a model that can be used (--model)")
+}
+
 /// How often each verdict was passed.
 #[derive(Debug, Default)]
 pub struct Verdicts {
@@ -172,14 +215,21 @@ pub struct Verdicts {
     rejected: usize,
     skipped: usize,
     reasons: BTreeMap<String, usize>,
+    rejected_frames: Vec<u64>,
 }
+
+/// Rejected frames that are named. Convention: a display choice; estimate.csv has all.
+const NAMED: usize = 5;
 
 impl Verdicts {
     /// Adds a row's.
     pub fn add(&mut self, row: &EstimateRow) {
         match row.verdict {
             RowVerdict::Used => self.used += 1,
-            RowVerdict::Rejected => self.rejected += 1,
+            RowVerdict::Rejected => {
+                self.rejected += 1;
+                self.rejected_frames.extend(Some(row.index).filter(|_| self.rejected <= NAMED));
+            }
             RowVerdict::Skipped => self.skipped += 1,
         }
         if row.verdict != RowVerdict::Used {
@@ -191,9 +241,9 @@ impl Verdicts {
 impl Estimated {
     /// What became of the rows.
     pub fn of(verdicts: Verdicts, estimate: Option<Estimate>) -> Self {
-        let Verdicts { used, rejected, skipped, reasons } = verdicts;
+        let Verdicts { used, rejected, skipped, reasons, rejected_frames } = verdicts;
         let parameters = estimate.map(Parameters::of);
-        Self { parameters, used, rejected, skipped, reasons }
+        Self { parameters, used, rejected, skipped, reasons, rejected_frames }
     }
 
     /// An error where the measurements pinned no estimate. `source` is named in it.
@@ -219,9 +269,12 @@ impl Estimated {
         format!("{}measurements  {}\n", lines.unwrap_or_default(), self.counts())
     }
 
-    /// "34 used, 1 rejected, 1 skipped (bend_outlier 1, no_snake 1)".
+    /// "34 used, 1 rejected, 1 skipped (bend_outlier 1, no_snake 1, frames rejected: 17)".
     pub fn counts(&self) -> String {
-        let reasons: Vec<_> = self.reasons.iter().map(|(reason, count)| format!("{reason} {count}")).collect();
+        let mut reasons: Vec<_> = self.reasons.iter().map(|(reason, count)| format!("{reason} {count}")).collect();
+        let named: Vec<_> = self.rejected_frames.iter().map(u64::to_string).collect();
+        let more = if self.rejected > named.len() { " and others" } else { "" };
+        reasons.extend((!named.is_empty()).then(|| format!("frames rejected: {}{more}", named.join(", "))));
         let why = if reasons.is_empty() { String::new() } else { format!(" ({})", reasons.join(", ")) };
         format!("{} used, {} rejected, {} skipped{why}", self.used, self.rejected, self.skipped)
     }

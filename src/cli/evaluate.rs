@@ -2,13 +2,13 @@
 
 use super::console::Console;
 use super::inputs::{measurements_and_readings, model_or_paper, rows};
-use super::verdict::{VerdictArgs, verdict_text};
+use super::verdict::{VerdictArgs, doubt_of_times, verdict_text};
 use crate::cli::failure::Failure;
 use crate::estimate::Options;
 use crate::estimate::accuracy::{Accuracy, AngleScore, accuracy};
 use crate::estimate::gap::{Gap, gap};
 use crate::record::read_truth;
-use crate::verdict::{Subject, Verdict};
+use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::convert::Infallible;
@@ -78,7 +78,20 @@ impl Args {
             }
         };
         let subject = Subject::new(&model, self.encoder_sd);
-        let Ok(verdict) = subject.verdict(measurements.iter().cloned().map(Ok::<_, Infallible>), &readings);
+        let rows = || measurements.iter().cloned().map(Ok::<_, Infallible>);
+        let verdict = match &self.encoders {
+            Some(_) => {
+                let (Ok(verdict), Ok(doubt)) =
+                    (subject.verdict(rows(), &readings), doubt_of_times(rows(), &readings, None));
+                doubt.into_iter().fold(verdict, Verdict::and)
+            }
+            None => Verdict::of(vec![Reason::new(
+                Code::NothingToJudge,
+                Level::Look,
+                "no --encoders: the measurements are compared with the truth, and no model is judged",
+                "give --encoders to judge a model",
+            )]),
+        };
         let evaluation = Evaluation { verdict, gap, accuracy };
         console.result(&evaluation, || evaluation.text());
         self.verdict.check(&evaluation.verdict)

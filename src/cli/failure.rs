@@ -11,6 +11,9 @@ pub enum Failure {
     /// The result must not be used, and the call asked to be told by the exit code.
     #[error("do not use (--strict): {0}")]
     Verdict(String),
+    /// The model must not be used, and the call did not ask for it all the same.
+    #[error("{0}; put it right and learn anew, or take it all the same with --even-if-bad")]
+    BadModel(String),
     /// The work failed.
     #[error(transparent)]
     Work(#[from] Error),
@@ -26,7 +29,7 @@ impl Failure {
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Usage(_) | Self::Work(Error::Argument(_)) => 2,
-            Self::Verdict(_) | Self::Work(_) => 1,
+            Self::Verdict(_) | Self::BadModel(_) | Self::Work(_) => 1,
         }
     }
 }

@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 use std::iter::Peekable;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc;
+use std::sync::{Mutex, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 
 /// How long measuring took, and what for.
@@ -82,7 +82,7 @@ impl Flow<'_> {
         draw: impl Fn(&MeasuredFrames) -> Result<()> + Sync,
         mut each: impl FnMut(Measurement) -> Result<()>,
     ) -> Result<Flowed> {
-        let clocks = Clocks::default();
+        let (clocks, unreadable) = (Clocks::default(), Unreadable::default());
         let start = Instant::now();
         let expected = self.count()?;
         let bar = console.progress(expected, "measuring");
@@ -96,13 +96,13 @@ impl Flow<'_> {
                 bar.inc(1);
             }
             // Where a camera is followed to hangs on all frames before.
-            let prepared = (wanted || self.follow).then(|| self.prepare(&mut eyes, frames, &clocks));
+            let prepared = (wanted || self.follow).then(|| self.prepare(&mut eyes, frames, (&clocks, &unreadable)));
             prepared.filter(|_| wanted).map(|prepared| (rank, index, prepared))
         });
         let work = |(rank, index, prepared): (usize, u64, Result<Vec<Prepared>>)| {
             let reading = self.reading(index).map(|reading| reading.beside_resting_neighbours(self.model));
             let bend = reading.and_then(|reading| self.model.forward_bend(&reading.q_mm).ok());
-            let see = |prepared| self.see(prepared, bend, &clocks);
+            let see = |prepared| self.see(prepared, bend, (&clocks, &unreadable));
             let seen = prepared?.into_iter().map(see).collect::<Result<Vec<_>>>()?;
             let measurement = self.row(index, &seen);
             let frames = seen.iter().filter_map(|seen| Some((seen.view, seen.frame.as_ref()?))).collect();
@@ -115,6 +115,7 @@ impl Flow<'_> {
             each(measurement)
         })?;
         bar.finish_and_clear();
+        console.warn(unreadable.told());
         Ok(Flowed { count, throughput: clocks.throughput(measured, start.elapsed()) })
     }
 
@@ -123,10 +124,15 @@ impl Flow<'_> {
     ///
     /// # Errors
     /// A folder of frames that is gone.
-    fn prepare(&self, eyes: &mut [Eye], frames: Vec<(usize, SourceFrame)>, clocks: &Clocks) -> Result<Vec<Prepared>> {
+    fn prepare(
+        &self,
+        eyes: &mut [Eye],
+        frames: Vec<(usize, SourceFrame)>,
+        notes: (&Clocks, &Unreadable),
+    ) -> Result<Vec<Prepared>> {
         let prepare = |(view, source): (usize, SourceFrame)| {
             let time_s = source.time_s;
-            let ready = if self.follow { followed(&mut eyes[view], source, clocks)? } else { Ready::Unread(source) };
+            let ready = if self.follow { followed(&mut eyes[view], source, notes)? } else { Ready::Unread(source) };
             Ok(Prepared { view, time_s, ready })
         };
         frames.into_iter().map(prepare).collect()
@@ -139,7 +145,7 @@ impl Flow<'_> {
 
     /// How many indices there are; `None` where a video does not tell.
     fn count(&self) -> Result<Option<usize>> {
-        if self.views.iter().all(|view| matches!(view.source(), FrameSource::Pictures(_))) {
+        if self.views.iter().all(|view| matches!(view.source(), FrameSource::Pictures(_) | FrameSource::Stack(..))) {
             return Ok(Some(self.sets()?.count()));
         }
         let counts: Result<Vec<_>> = self.views.iter().map(|view| view.source().count()).collect();
@@ -156,7 +162,7 @@ impl Flow<'_> {
         &self,
         Prepared { view, time_s, ready }: Prepared,
         expected: Option<Vector2<f64>>,
-        clocks: &Clocks,
+        (clocks, unreadable): (&Clocks, &Unreadable),
     ) -> Result<Seen<'_>> {
         let view = &self.views[view];
         let measure = |eye: &Eye, frame: Frame| {
@@ -170,7 +176,7 @@ impl Flow<'_> {
             Ready::Unread(source) if is_far_too_large(&source, view.eye().lens()) => {
                 (None, without_angles(Status::WrongSize))
             }
-            Ready::Unread(source) => match clocks.reading.time(|| read(source))? {
+            Ready::Unread(source) => match clocks.reading.time(|| read(source, unreadable))? {
                 Some(frame) => measure(view.eye(), frame),
                 None => (None, without_angles(Status::Unreadable)),
             },
@@ -230,8 +236,10 @@ fn without_angles(status: Status) -> FrameMeasurement {
 }
 
 /// Finds the camera in a view's next frame, from where it was in the last one in which it was found.
-fn followed(eye: &mut Eye, source: SourceFrame, clocks: &Clocks) -> Result<Ready> {
-    let Some(frame) = clocks.reading.time(|| read(source))? else { return Ok(Ready::Lost(Status::Unreadable, None)) };
+fn followed(eye: &mut Eye, source: SourceFrame, (clocks, unreadable): (&Clocks, &Unreadable)) -> Result<Ready> {
+    let Some(frame) = clocks.reading.time(|| read(source, unreadable))? else {
+        return Ok(Ready::Lost(Status::Unreadable, None));
+    };
     Ok(match clocks.measuring.time(|| eye.following(&frame)) {
         Ok(there) => {
             *eye = there.clone();
@@ -254,18 +262,45 @@ fn is_far_too_large(source: &SourceFrame, lens: &Lens) -> bool {
 ///
 /// # Errors
 /// The folder that it was in is gone: then all frames to come would be lost with it.
-fn read(source: SourceFrame) -> Result<Option<Frame>> {
+fn read(source: SourceFrame, unreadable: &Unreadable) -> Result<Option<Frame>> {
     let folder = match source.path.parent() {
         Some(parent) if parent != Path::new("") => parent.to_owned(),
         _ => Path::new(".").to_owned(),
     };
     match source.read() {
         Ok(frame) => Ok(Some(frame)),
-        Err(Error::Io { .. }) => match std::fs::read_dir(&folder) {
-            Ok(_) => Ok(None),
-            Err(e) => Err(Error::io(&folder, "read any more frames, the folder is gone:")(e)),
-        },
-        Err(_) => Ok(None),
+        Err(why) => {
+            if matches!(why, Error::Io { .. }) {
+                std::fs::read_dir(&folder).map_err(Error::io(&folder, "read any more frames, the folder is gone:"))?;
+            }
+            unreadable.note(&why);
+            Ok(None)
+        }
+    }
+}
+
+/// Why frames could not be read: the first reasons, and how many there are.
+#[derive(Default)]
+struct Unreadable(Mutex<(usize, Vec<String>)>);
+
+impl Unreadable {
+    /// Reasons that are told. Convention: as many as a person reads.
+    const MOST: usize = 3;
+
+    fn note(&self, why: &Error) {
+        let mut noted = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        noted.0 += 1;
+        if noted.1.len() < Self::MOST {
+            noted.1.push(why.to_string());
+        }
+    }
+
+    fn told(self) -> Vec<String> {
+        let (count, mut reasons) = self.0.into_inner().unwrap_or_else(PoisonError::into_inner);
+        if count > reasons.len() {
+            reasons.push(format!("and {} more frames that cannot be read", count - reasons.len()));
+        }
+        reasons
     }
 }
 

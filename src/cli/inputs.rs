@@ -5,15 +5,16 @@ use crate::cli::failure::Failure;
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, EncoderLog, Experiment, read_encoders, read_joints, read_measurements, read_model, stale_mark,
+    Checked, EncoderLog, Experiment, Matched, do_not_use_mark, read_encoders, read_joints, read_log, read_measurements,
+    read_model, stale_mark,
 };
-use crate::robot::{Effect, Model};
+use crate::robot::{Effect, ForceLimits, Model};
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// File name extensions, in lower case, of the pictures that are read.
-const PICTURE_EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
+const PICTURE_EXTENSIONS: [&str; 6] = ["bmp", "jpg", "jpeg", "png", "tif", "tiff"];
 
 /// The model in a file; without one the paper's naive one, with Table I, which is told.
 pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
@@ -27,6 +28,40 @@ pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
             console.say("no --model: the paper's naive model is used (Table I, η = 1, λ = 0)");
             Ok(Model::default())
         }
+    }
+}
+
+/// What a command that predicts does with a model that must not be used.
+#[derive(Debug, Clone, Copy, clap::Args)]
+pub struct WorthArgs {
+    /// Take a model that must not be used all the same (its verdict is "do not use", or no robot has its η or λ); all that is written is
+    /// marked
+    #[arg(long)]
+    even_if_bad: bool,
+}
+
+impl WorthArgs {
+    /// [`model_or_paper`], and why it must not be used, if that is so and it was asked for all the same.
+    pub fn model(self, console: &Console, path: Option<&Path>) -> Result<(Model, Option<String>), Failure> {
+        let model = model_or_paper(console, path)?;
+        let Some(path) = path else { return Ok((model, None)) };
+        let implausible = model.estimate.and_then(|estimate| estimate.implausible());
+        let Some(why) = do_not_use_mark(path).or(implausible) else { return Ok((model, None)) };
+        let named = format!("{}: this model must not be used: {why}", path.display());
+        if !self.even_if_bad {
+            return Err(Failure::BadModel(named));
+        }
+        console.warn([named]);
+        Ok((model, Some(why)))
+    }
+}
+
+/// The limits that --force-limits gives: pull and push, N.
+pub fn force_limits(numbers: Option<&[f64]>) -> Result<Option<ForceLimits>, Failure> {
+    match numbers {
+        None => Ok(None),
+        Some(&[least_n, most_n]) => Ok(Some(ForceLimits::new(least_n, most_n)?)),
+        Some(numbers) => Err(Failure::Usage(format!("--force-limits: {} numbers, expected 2", numbers.len()))),
     }
 }
 
@@ -123,14 +158,17 @@ pub fn encoders_of(experiment: &Experiment, model: &Model) -> Result<Checked<Enc
     let wiring = experiment.wiring(backbones)?;
     match &experiment.encoders {
         Some(EncoderLog::File(path)) => {
-            let Checked { rows, warnings } = read_encoders(path, backbones)?;
+            let Checked { rows, warnings } = match &experiment.log {
+                Some(keys) => read_log(path, backbones, keys, || experiment.stamps_s())?,
+                None => read_encoders(path, backbones)?,
+            };
             require_neighbours(path, model, &rows)?;
             Ok(Checked { rows: wiring.readings(&rows), warnings })
         }
         Some(EncoderLog::Joints(joints)) => {
-            let rows = read_joints(joints, &experiment.stamps_s()?, backbones)?;
-            require_neighbours(&experiment.path, model, &rows)?;
-            Ok(Checked { rows: wiring.readings(&rows), warnings: Vec::new() })
+            let Matched { readings, warnings } = read_joints(joints, &experiment.stamps_s()?, backbones)?;
+            require_neighbours(&experiment.path, model, &readings)?;
+            Ok(Checked { rows: wiring.readings(&readings), warnings })
         }
         None => Ok(Checked { rows: Vec::new(), warnings: Vec::new() }),
     }
@@ -140,6 +178,9 @@ pub fn encoders_of(experiment: &Experiment, model: &Model) -> Result<Checked<Enc
 pub fn commonest_picture(folder: &Path) -> Option<(String, usize)> {
     let mut extensions = BTreeMap::<String, usize>::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        if entry.file_name().to_string_lossy().starts_with('.') {
+            continue;
+        }
         let extension = entry.path().extension().unwrap_or_default().to_string_lossy().into_owned();
         if PICTURE_EXTENSIONS.contains(&extension.to_lowercase().as_str()) {
             *extensions.entry(extension).or_default() += 1;

@@ -1,7 +1,7 @@
 //! `invert`: the compensation for one pose, either way round.
 
 use super::console::Console;
-use super::inputs::{model_or_paper, tell_of_neighbours, with_effects};
+use super::inputs::{WorthArgs, tell_of_neighbours, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::error::NoSolution;
@@ -38,6 +38,8 @@ pub struct Args {
         conflicts_with_all = ["theta_deg", "delta_deg"]
     )]
     qc_mm: Option<Vec<f64>>,
+    #[command(flatten)]
+    worth: WorthArgs,
 }
 
 /// One row of the compensation table, or its inverse.
@@ -47,6 +49,10 @@ struct Pose {
     q_mm: PerBackbone,
     qc_mm: PerBackbone,
     sd: Option<Sd>,
+    /// Whether the pose is beyond the bends that the model was learned on.
+    extrapolated: bool,
+    /// Why the answer must not be used.
+    do_not_use: Option<String>,
 }
 
 /// What the uncertainty of η and λ does to the answer; nothing is known of it where nothing was estimated.
@@ -59,7 +65,8 @@ enum Sd {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
-        let model = with_effects(model_or_paper(console, self.model.as_deref())?, &self.effect)?;
+        let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
+        let model = with_effects(model, &self.effect)?;
         tell_of_neighbours(console, &model);
         let pose = match (&self.qc_mm, self.theta_deg, self.delta_deg) {
             (Some(qc_mm), _, _) => {
@@ -79,6 +86,7 @@ impl Args {
             }
             _ => return Err(Failure::Usage("give --theta-deg and --delta-deg, or --qc-mm".to_owned())),
         };
+        let pose = Pose { do_not_use, ..pose };
         console.result(&pose.json(), || pose.text());
         Ok(())
     }
@@ -109,6 +117,8 @@ impl Pose {
             q_mm: row.q_mm,
             qc_mm: row.command_mm,
             sd: model.estimate.map(|_| Sd::CommandMm(row.sd_command_mm)),
+            extrapolated: row.extrapolated,
+            do_not_use: None,
         })
     }
 
@@ -123,6 +133,8 @@ impl Pose {
             q_mm: model.robot.joint_displacements(psi),
             qc_mm,
             sd,
+            extrapolated: model.learned.is_some_and(|range| !range.covers(psi)),
+            do_not_use: None,
         })
     }
 
@@ -142,7 +154,10 @@ impl Pose {
             None => {}
         }
         let rounded = |value: f64| Value::from((value * 1e9).round() / 1e9);
-        fields.into_iter().map(|(name, value)| (name, rounded(value))).collect()
+        let mut json: Map<_, _> = fields.into_iter().map(|(name, value)| (name, rounded(value))).collect();
+        json.insert("extrapolated".to_owned(), u8::from(self.extrapolated).into());
+        json.extend(self.do_not_use.clone().map(|why| ("do_not_use".to_owned(), why.into())));
+        json
     }
 
     fn text(&self) -> String {
@@ -164,6 +179,10 @@ impl Pose {
             let command = with_sd(self.qc_mm[i], sd_command.map(|sd| sd[i]), 5);
             text += &format!("{:>8}   {:>14.5}   {command}\n", i + 1, self.q_mm[i]);
         }
+        if self.extrapolated {
+            text += "extrapolated: beyond the bends that the model was learned on\n";
+        }
+        text += &self.do_not_use.as_ref().map_or(String::new(), |why| format!("do not use: {why}\n"));
         text
     }
 }

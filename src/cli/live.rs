@@ -5,7 +5,7 @@ use super::estimator::EstimatorArgs;
 use super::inputs::{encoders_of, files_read, maker, model_of, rows};
 use super::verdict::{VerdictArgs, verdict_text};
 use super::views::rig_of;
-use crate::camera::{CaptureSettings, CaptureTarget, FrameSource};
+use crate::camera::{CaptureSettings, CaptureTarget, FourCc, FrameSource};
 use crate::cli::failure::Failure;
 use crate::live::server::{AppState, Server};
 use crate::live::{
@@ -43,9 +43,9 @@ pub struct Args {
     /// The view that the camera has; the first where the experiment has several
     #[arg(long, value_name = "NAME")]
     view: Option<String>,
-    /// Take frames from this camera of the machine
-    #[arg(long, value_name = "NUMBER", conflicts_with = "source")]
-    camera: Option<u32>,
+    /// Take frames from this camera of the machine: its number, or its device, such as /dev/v4l/by-id/…
+    #[arg(long, value_name = "NUMBER|DEVICE", conflicts_with = "source")]
+    camera: Option<String>,
     /// Take frames from a video file, numbered pictures (frames/%05d.png) or a stream (http://…, rtsp://…)
     #[arg(long, value_name = "SOURCE")]
     source: Option<String>,
@@ -53,8 +53,11 @@ pub struct Args {
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
     size: Option<(u32, u32)>,
     /// Frames per second to ask the camera for, or to play pictures or a video at [default: 30 for pictures, a video's own]
-    #[arg(long, value_name = "FPS", value_parser = positive)]
+    #[arg(long, visible_alias = "fps", value_name = "FPS", value_parser = positive)]
     rate: Option<f64>,
+    /// How the camera is to pack its pictures, four letters such as MJPG; many reach their full rate so only
+    #[arg(long, value_name = "FOURCC")]
+    fourcc: Option<FourCc>,
     /// Exposure to ask the camera for, in its own unit; switches automatic exposure off
     #[arg(long, value_name = "VALUE", allow_hyphen_values = true)]
     exposure: Option<f64>,
@@ -290,14 +293,21 @@ impl Args {
 
     /// Where frames come from, and that in words.
     fn source(&self, experiment: &Experiment, view: &record::View) -> Result<(Source, String), Failure> {
-        let settings =
-            CaptureSettings { size: self.size, rate_fps: self.rate, exposure: self.exposure, focus: self.focus };
-        if let Some(number) = self.camera {
-            let target = CaptureTarget::Device(number);
-            return Ok((Source::Device { target, settings }, format!("camera {number}")));
+        let settings = CaptureSettings {
+            size: self.size,
+            rate_fps: self.rate,
+            fourcc: self.fourcc,
+            autofocus: None,
+            exposure: self.exposure,
+            focus: self.focus,
+        };
+        if let Some(name) = &self.camera {
+            let target =
+                CaptureTarget::camera(name).map_err(|why| Failure::Usage(format!("--camera {name}: {why}")))?;
+            return Ok((Source::Device { target, settings }, format!("camera {name}")));
         }
-        if self.size.is_some() || self.exposure.is_some() || self.focus.is_some() {
-            return Err(Failure::Usage("--size, --exposure and --focus are for --camera".into()));
+        if self.size.is_some() || self.fourcc.is_some() || self.exposure.is_some() || self.focus.is_some() {
+            return Err(Failure::Usage("--size, --fourcc, --exposure and --focus are for --camera".into()));
         }
         match &self.source {
             Some(address) if address.contains("://") => {
@@ -319,7 +329,8 @@ impl Args {
     fn open(&self, view: &record::View, robot: &Robot) -> Result<View> {
         let lens = view.lens()?;
         let retaken = self.output.join("rig.toml");
-        let rig = if self.resume && retaken.exists() { Rig::read(&retaken)? } else { rig_of(view, &lens, robot)? };
+        let rig =
+            if self.resume && retaken.exists() { Rig::read(&retaken)? } else { rig_of(view, &lens, robot, None)? };
         let (grid_pitch_mm, standoff_mm) = match view.rig {
             RigSource::Straight { grid_pitch_mm, standoff_mm, .. } => (grid_pitch_mm, standoff_mm),
             // The grid's z points away from the camera, and the base stands before it.

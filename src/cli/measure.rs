@@ -46,14 +46,14 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         self.measuring.start_threads()?;
         let experiment = Experiment::read(&self.experiment)?;
-        const OUTPUTS: [&str; 2] = ["measurements.journal", "measurements.csv"];
+        const OUTPUTS: [&str; 3] = ["measurements.journal", "measurements.csv", "rig.jpg"];
         let out = OutputFolder::claim(&self.output, &OUTPUTS, &files_read(&experiment, &[]))?;
         if self.explain.is_none() {
             out.refuse_mixing(&maker("measure", &experiment), &OUTPUTS)?;
         }
         let model = model_of(&experiment)?;
         let encoders = rows(console, encoders_of(&experiment, &model)?);
-        let views = open_views(console, &experiment, &model.robot)?;
+        let views = open_views(console, &experiment, &model.robot, &self.output)?;
         if let Some(index) = self.explain {
             return Ok(self.explain(console, &experiment, &views, index)?);
         }

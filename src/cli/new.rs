@@ -3,7 +3,7 @@
 use super::console::Console;
 use super::inputs::commonest_picture;
 use crate::cli::failure::Failure;
-use crate::record::write_atomically;
+use crate::record::{LogProposal, write_atomically};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::fs;
@@ -69,7 +69,7 @@ impl Args {
             return Err(Error::content(&experiment, message).into());
         }
         let answers = self.answers(std::io::stdin().is_terminal() && console.may_ask())?;
-        let found = Found::in_folder(&self.folder);
+        let found = Found::in_folder(&self.folder, answers.backbones);
         fs::create_dir_all(self.folder.join("frames")).map_err(Error::io(&self.folder, "create"))?;
         let mut written = Vec::new();
         let files = [
@@ -139,10 +139,12 @@ struct Found {
     straight: String,
     frames: String,
     encoders: String,
+    /// How the log's columns are to be read, where its header is another.
+    log: Option<LogProposal>,
 }
 
 impl Found {
-    fn in_folder(folder: &Path) -> Self {
+    fn in_folder(folder: &Path, backbones: u8) -> Self {
         let first = |names: &[&str]| {
             let there = names.iter().find(|name| folder.join(name).is_file());
             (*there.unwrap_or(&names[0])).to_owned()
@@ -150,11 +152,13 @@ impl Found {
         let most = commonest_picture(&folder.join("frames")).map_or("jpg".to_owned(), |(extension, _)| extension);
         let straight =
             [format!("straight.{most}"), "straight.jpg".into(), "straight.png".into(), "straight.tif".into()];
+        let encoders = log_in(folder, usize::from(backbones));
         Self {
-            camera: first(&["camera.yaml", "camera.yml", "camera.xml"]),
+            camera: first(&["camera.yaml", "camera.yml", "camera.xml", "camera.json", "camera.toml"]),
             straight: first(&straight.each_ref().map(String::as_str)),
             frames: format!("frames/*.{most}"),
-            encoders: "encoders.csv".to_owned(),
+            log: LogProposal::of_file(&folder.join(&encoders), usize::from(backbones)),
+            encoders,
         }
     }
 
@@ -167,9 +171,41 @@ impl Found {
     }
 }
 
+/// The encoder log in a folder: encoders.csv, or the first table whose header looks like one.
+fn log_in(folder: &Path, backbones: usize) -> String {
+    let usual = "encoders.csv".to_owned();
+    if folder.join(&usual).is_file() {
+        return usual;
+    }
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let is_table = |path: &PathBuf| {
+        let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        ["csv", "tsv", "txt"].contains(&extension.as_str()) && LogProposal::of_file(path, backbones).is_some()
+    };
+    let mut tables: Vec<PathBuf> = entries.filter(is_table).collect();
+    tables.sort();
+    let name = tables.first().and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned()));
+    name.unwrap_or(usual)
+}
+
+/// What stands in experiment.toml where the log's header says all.
+const NO_LOG: &str = r#"# Which columns of the log mean what, where its header is another.
+# [log]
+# index = "frame"             # without it rows are matched to frames by time
+# time = "timestamp_ms"
+# time_unit = "ms"            # s, ms, us, ns
+# q = ["m1", "m2", "m3"]      # a column for each backbone
+# unit = "mm"                 # mm, m, um, inch; deg or rad with drum_radius_mm; counts with counts_per_unit
+"#;
+
+/// What stands above the keys that were read off a log's header.
+const LOG_SEEN: &str = "# Which columns of the log mean what, as its header looks: check it. unit is mm, m, um, inch, deg, rad (both with drum_radius_mm) or counts\n\
+     # (with counts_per_unit).\n";
+
 impl Answers {
     fn experiment_toml(&self, found: &Found) -> String {
-        let Found { camera, straight, frames, encoders } = found;
+        let Found { camera, straight, frames, encoders, log } = found;
+        let log = log.as_ref().map_or_else(|| NO_LOG.to_owned(), |log| format!("{LOG_SEEN}{}", log.toml()));
         let (pitch, standoff) = (self.grid_pitch_mm, self.standoff_mm);
         format!(
             r#"# One experiment. Paths are relative to this file; `snakeloop check` says what is missing or does not fit.
@@ -178,6 +214,7 @@ robot = "robot.toml"          # the robot's constants
 # model = "model.toml"        # what an earlier run learned of it, to start from
 encoders = "{encoders}"     # index,time_s,q1_mm,q2_mm,q3_mm: what the encoders read at each frame
 
+{log}
 # How the log's columns hold the backbones, where that is not as they are named; `check` and `run` say what to write.
 # [wiring]
 # columns = [1, 2, 3]         # backbone i is in column columns[i]
@@ -224,7 +261,7 @@ standoff_mm = {standoff:?}            # from the snake's axis back to the grid t
 }
 
 fn readme(found: &Found) -> String {
-    let Found { camera, straight, frames, encoders } = found;
+    let Found { camera, straight, frames, encoders, .. } = found;
     format!(
         "# An experiment for snakeloop\n\n\
          | file | what it is |\n| --- | --- |\n\
@@ -262,7 +299,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         fs::create_dir(folder.path().join("frames")).unwrap();
         fs::write(folder.path().join("frames/1.png"), "").unwrap();
-        let found = Found::in_folder(folder.path());
+        let found = Found::in_folder(folder.path(), 4);
         let answers = Answers {
             grid_pitch_mm: 2.0,
             standoff_mm: 30.5,

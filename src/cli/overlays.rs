@@ -158,7 +158,7 @@ fn narrowed(picture: &RgbImage, most: u32) -> RgbImage {
     imageops::resize(picture, width, height, FilterType::Triangle)
 }
 
-fn jpeg(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {
+pub fn jpeg(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let mut encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
     encoder.encode_image(picture).map_err(Error::encode("a picture"))?;

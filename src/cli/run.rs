@@ -9,7 +9,7 @@ use super::origin::Settings;
 use super::overlays::{self, Overlays, closeup, draw, pictures};
 use super::table::largest_correction_mm;
 use super::trackers::open_trackers;
-use super::verdict::{VerdictArgs, subject, verdict_text};
+use super::verdict::{VerdictArgs, doubt_of_times, reasons_of_files, subject, verdict_text};
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::estimate::gap::{Gap, gap_of};
@@ -17,12 +17,12 @@ use crate::estimate::{estimate_each, or_one_gain};
 use crate::input::read_text;
 use crate::observation::EncoderReading;
 use crate::record::{
-    Checked, Experiment, MeasurementRows, OutputFolder, PendingFile, Warning, estimate_line, estimates_header,
-    mark_stale, write_atomically, write_judged_compensation, write_judged_model,
+    Checked, Experiment, MeasurementRows, OutputFolder, PendingFile, Warning, Worth, estimate_line, estimates_header,
+    mark_stale, write_atomically, write_compensation, write_judged_model,
 };
 use crate::report::run_history::RunHistory;
 use crate::report::run_page::Report;
-use crate::robot::{Grid, Model};
+use crate::robot::Model;
 use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
@@ -51,7 +51,7 @@ pub struct Args {
 }
 
 /// What a run writes into its folder.
-pub const OUTPUTS: [&str; 8] = [
+pub const OUTPUTS: [&str; 9] = [
     "measurements.journal",
     "measurements.csv",
     "estimate.csv",
@@ -60,6 +60,7 @@ pub const OUTPUTS: [&str; 8] = [
     "compensation.json",
     "overlays",
     "report.html",
+    "rig.jpg",
 ];
 
 /// The result, as it is printed.
@@ -97,7 +98,7 @@ impl Args {
         let mut out = OutputFolder::claim(&self.output, &OUTPUTS, &files_read(&experiment, &[]))?;
         out.made_by(&maker("run", &experiment), &OUTPUTS)?;
         let inputs = Inputs::read(console, &experiment)?;
-        let views = open_views(console, &experiment, &inputs.start.robot)?;
+        let views = open_views(console, &experiment, &inputs.start.robot, &self.output)?;
 
         let trackers = open_trackers(console, &experiment, &inputs.start.robot, &inputs.encoders)?;
         let (encoders, start) = (&inputs.encoders[..], &inputs.start);
@@ -166,7 +167,9 @@ pub fn finish(
     let wiring = experiment.wiring(start.robot.backbone_count())?;
     let judged = subject(&model, experiment, wiring, settings.estimator.options(1.0).sd_encoder_mm);
     let verdict = Subject { used_and_rejected, replaced, ..judged }.verdict(rows()?, encoders)?;
-    let verdict = beside_former(output, verdict)?;
+    let doubts =
+        reasons_of_files(experiment, warnings)?.into_iter().chain(doubt_of_times(rows()?, encoders, Some(experiment))?);
+    let verdict = beside_former(output, doubts.fold(verdict, Verdict::and))?;
     let table = written_table(output, &model, &verdict)?;
     // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
     if table.is_some() || !output.join("model.toml").exists() {
@@ -272,7 +275,7 @@ fn written_table(output: &Path, model: &Model, verdict: &Verdict) -> Result<Opti
         return Ok(None);
     }
     write_judged_model(&output.join("model.toml"), model, verdict)?;
-    let table = write_judged_compensation(output, model, "model.toml", &Grid::default(), verdict)?;
+    let table = write_compensation(output, model, "model.toml", Worth::of(verdict))?;
     Ok(Some(Table { poses: table.len(), largest_correction_mm: largest_correction_mm(&table) }))
 }
 

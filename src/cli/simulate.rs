@@ -2,17 +2,17 @@
 
 use super::console::Console;
 use super::estimate::Parameters;
-use super::inputs::{model_or_paper, rows, tell_of_neighbours, with_effects};
+use super::inputs::{WorthArgs, rows, tell_of_neighbours, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::closed_loop::ClosedLoop;
 use crate::observation::Waypoint;
 use crate::record::{
-    csv_of, encoders_csv, measurements_csv, read_trajectory, truth_csv, write_atomically, write_compensation,
+    Worth, csv_of, encoders_csv, measurements_csv, read_trajectory, truth_csv, write_atomically, write_compensation,
     write_model,
 };
 use crate::report::learning::learning_curve;
-use crate::robot::{Effect, Estimate, Grid, Model};
+use crate::robot::{Effect, Estimate, Model};
 use crate::simulate::{BendingExperiment, Plant, Scene, SimulatedEye};
 use nalgebra::Matrix2;
 use serde::Serialize;
@@ -75,12 +75,17 @@ pub struct Args {
     /// Seed of all noise: the same seed gives the same files
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     seed: u64,
+    #[command(flatten)]
+    worth: WorthArgs,
 }
 
 #[derive(Serialize)]
 struct Summary {
     poses: usize,
     seconds: f64,
+    /// Why the model that the snake obeys must not be used.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    do_not_use: Option<String>,
     output: PathBuf,
 }
 
@@ -102,6 +107,9 @@ struct Closed {
     /// What was learned; `None` where too little was measured.
     #[serde(flatten)]
     learned: Option<Parameters>,
+    /// Why the model that the snake obeys must not be used.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    do_not_use: Option<String>,
     output: PathBuf,
 }
 
@@ -114,13 +122,14 @@ impl Args {
             Some(path) => rows(console, read_trajectory(path)?),
             None => self.bending_experiment()?,
         };
-        let mut model = with_effects(model_or_paper(console, self.model.as_deref())?, &self.effect)?;
+        let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
+        let mut model = with_effects(model, &self.effect)?;
         if self.closed_loop || trajectory.iter().any(|waypoint| waypoint.neighbours.count() < model.neighbours()) {
             tell_of_neighbours(console, &model);
         }
         if self.closed_loop {
             model.estimate.get_or_insert(HIDDEN);
-            return Ok(self.close_the_loop(console, model, &trajectory)?);
+            return Ok(self.close_the_loop(console, (model, do_not_use), &trajectory)?);
         }
         let plant = Plant { model, sd_encoder_mm: self.encoder_sd };
         let samples = plant.run(&trajectory, self.seed.wrapping_add(1));
@@ -134,14 +143,19 @@ impl Args {
             self.write("measurements.csv", &measurements_csv(&measurements))?;
         }
         let seconds = readings.last().map_or(0.0, |reading| reading.time_s);
-        let summary = Summary { poses: samples.len(), seconds, output: self.output.clone() };
+        let summary = Summary { poses: samples.len(), seconds, do_not_use, output: self.output.clone() };
         console.result(&summary, || {
             format!("{} poses in {:.1} s\n{}", summary.poses, summary.seconds, summary.output.display())
         });
         Ok(())
     }
 
-    fn close_the_loop(&self, console: &Console, plant: Model, trajectory: &[Waypoint]) -> Result<()> {
+    fn close_the_loop(
+        &self,
+        console: &Console,
+        (plant, do_not_use): (Model, Option<String>),
+        trajectory: &[Waypoint],
+    ) -> Result<()> {
         let clean = || Ok(Scene { robot: plant.robot.clone(), ..Scene::default() });
         let scene = self.scene.as_deref().map_or_else(clean, Scene::read)?;
         let simulation = ClosedLoop {
@@ -162,13 +176,15 @@ impl Args {
         }
         let model_path = self.output.join("model.toml");
         write_model(&model_path, &model)?;
-        write_compensation(&self.output, &model, &model_path.display().to_string(), &Grid::default())?;
+        let worth = Worth { verdict: None, do_not_use: do_not_use.as_deref() };
+        write_compensation(&self.output, &model, &model_path.display().to_string(), worth)?;
         let summary = Closed {
             frames: cycles.len(),
             table_error_before_deg: first,
             table_error_after_deg: cycles.last().map_or(first, |cycle| cycle.table_error_deg),
             hidden: Parameters::of(simulation.plant.estimate.unwrap_or(HIDDEN)),
             learned: model.estimate.map(Parameters::of),
+            do_not_use,
             output: self.output.clone(),
         };
         console.result(&summary, || summary.text());
@@ -199,7 +215,7 @@ impl Args {
 
 impl Closed {
     fn text(&self) -> String {
-        let Self { frames, table_error_before_deg, table_error_after_deg, hidden, learned, output } = self;
+        let Self { frames, table_error_before_deg, table_error_after_deg, hidden, learned, output, .. } = self;
         let (before, after) = (table_error_before_deg, table_error_after_deg);
         let mut text = format!("{frames} frames; the table's error fell from {before:.2}° to {after:.3}° rms\n");
         text += &match learned {

@@ -1,11 +1,11 @@
 //! `table`: the compensation table on any grid.
 
 use super::console::Console;
-use super::inputs::{model_or_paper, tell_of_neighbours, with_effects};
+use super::inputs::{WorthArgs, force_limits, tell_of_neighbours, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
-use crate::record::{OutputFolder, compensation_c_header, write_atomically, write_compensation_rows};
-use crate::robot::{Effect, ForceLimits, Grid, GridAxis, TableRow, compensation_table};
+use crate::record::{OutputFolder, Worth, compensation_c_header, write_atomically, write_compensation_rows};
+use crate::robot::{Effect, Grid, GridAxis, Model, TableRow, compensation_table};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -24,9 +24,9 @@ pub struct Args {
     /// The folder to write to; created where it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
-    /// The grid's bends θ, degrees
-    #[arg(long, value_name = "START:STOP:STEP", default_value_t = Grid::default().theta)]
-    theta_deg: GridAxis,
+    /// The grid's bends θ, degrees [default: 0:90:5, or as far as the bends that the model was learned on]
+    #[arg(long, value_name = "START:STOP:STEP")]
+    theta_deg: Option<GridAxis>,
     /// The grid's azimuths δ, degrees; a direction that comes again, such as 180 after -180, is left out
     #[arg(long, value_name = "START:STOP:STEP", allow_hyphen_values = true, default_value_t = Grid::default().delta)]
     delta_deg: GridAxis,
@@ -37,6 +37,8 @@ pub struct Args {
     /// Also write OUT/compensation.h, the table for a controller in C, with a lookup that interpolates it
     #[arg(long)]
     c_header: bool,
+    #[command(flatten)]
+    worth: WorthArgs,
 }
 
 #[derive(Serialize)]
@@ -44,6 +46,11 @@ struct Summary {
     poses: usize,
     /// The largest correction |q̃ − q| of any backbone, mm.
     largest_correction_mm: f64,
+    /// Poses beyond the bends that the model was learned on.
+    extrapolated: usize,
+    /// Why the table must not be used.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    do_not_use: Option<String>,
     output: PathBuf,
 }
 
@@ -51,28 +58,31 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         const OUTPUTS: [&str; 3] = ["compensation.csv", "compensation.json", "compensation.h"];
         let _out = OutputFolder::claim(&self.output, &OUTPUTS, self.model.as_slice())?;
-        let model = with_effects(model_or_paper(console, self.model.as_deref())?, &self.effect)?;
+        let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
+        let model = with_effects(model, &self.effect)?;
         tell_of_neighbours(console, &model);
         let source = self.model.as_deref().map_or("built in".to_owned(), |path| path.display().to_string());
-        let grid = Grid { theta: self.theta_deg, delta: self.delta_deg };
+        let theta = self.theta_deg.unwrap_or(Grid::within_data(&model).theta);
+        let grid = Grid { theta, delta: self.delta_deg };
         let mut rows = compensation_table(&model, &grid)?;
-        if let Some(limits) = self.force_limits()? {
+        if let Some(limits) = force_limits(self.force_limits.as_deref())? {
             rows = rows.into_iter().map(|row| row.within(&model, &limits)).collect();
-            let outside = rows.iter().filter(|row| row.sharing.is_some_and(|sharing| !sharing.within)).count();
-            if outside > 0 {
-                console.warn([format!("{outside} of {} poses need forces beyond the limits", rows.len())]);
-            }
-        }
-        write_compensation_rows(&self.output, &model, &source, &grid, &rows)?;
-        if self.c_header {
-            let header = compensation_c_header(&grid, &rows, &source)?;
-            write_atomically(&self.output.join("compensation.h"), header.as_bytes())?;
         }
         let summary = Summary {
             poses: rows.len(),
             largest_correction_mm: largest_correction_mm(&rows),
+            extrapolated: rows.iter().filter(|row| row.extrapolated).count(),
+            do_not_use,
             output: self.output.join("compensation.csv"),
         };
+        summary.warn(console, &model, &rows);
+        let do_not_use = summary.do_not_use.as_deref();
+        let worth = Worth { verdict: None, do_not_use };
+        write_compensation_rows(&self.output, (&model, &source), &grid, &rows, worth)?;
+        if self.c_header {
+            let header = compensation_c_header(&grid, &rows, &source, do_not_use)?;
+            write_atomically(&self.output.join("compensation.h"), header.as_bytes())?;
+        }
         console.result(&summary, || {
             format!(
                 "{} poses, largest correction {:.3} mm\n{}",
@@ -83,13 +93,28 @@ impl Args {
         });
         Ok(())
     }
+}
 
-    fn force_limits(&self) -> Result<Option<ForceLimits>, Failure> {
-        match self.force_limits.as_deref() {
-            None => Ok(None),
-            Some(&[least_n, most_n]) => Ok(Some(ForceLimits::new(least_n, most_n)?)),
-            Some(numbers) => Err(Failure::Usage(format!("--force-limits: {} numbers, expected 2", numbers.len()))),
-        }
+impl Summary {
+    /// What of the table cannot be relied on.
+    fn warn(&self, console: &Console, model: &Model, rows: &[TableRow]) {
+        let poses = self.poses;
+        let outside = rows.iter().filter(|row| row.sharing.is_some_and(|sharing| !sharing.within)).count();
+        console.warn((outside > 0).then(|| format!("{outside} of {poses} poses need forces beyond the limits")));
+        let range = match model.learned {
+            Some(range) if self.extrapolated > 0 => Some(format!(
+                "{} of {poses} poses are beyond the bends that the model was learned on (to {:.1}°, within 45° of δ = {}): extrapolated = 1",
+                self.extrapolated,
+                range.theta_max().to_degrees(),
+                range.directions_deg().iter().map(|delta| format!("{delta:.0}°")).collect::<Vec<_>>().join(", ")
+            )),
+            None if model.estimate.is_some() => Some(
+                "the model does not say on which bends it was learned ([learned]): no pose is marked as extrapolated"
+                    .to_owned(),
+            ),
+            _ => None,
+        };
+        console.warn(range);
     }
 }
 

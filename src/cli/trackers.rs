@@ -74,10 +74,13 @@ pub fn open_tracker(
     encoders: &[EncoderReading],
 ) -> Result<(OpenTracker, Vec<String>)> {
     let Tracker { name, poses: source, straight, delta_offset_deg, base_mm } = tracker;
-    let poses = match source {
-        Source::Files(path) => rows(console, read_tracker_poses(path)?),
-        Source::Topic(topic) => tracker_poses_of(topic)?,
-    };
+    let poses = rows(
+        console,
+        match source {
+            Source::Files(path) => read_tracker_poses(path)?,
+            Source::Topic(topic) => tracker_poses_of(topic)?,
+        },
+    );
     let options = TrackerOptions {
         straight: *straight,
         delta_offset: delta_offset_deg.map(f64::to_radians),

@@ -1,10 +1,11 @@
 //! The verdict as commands print it and end by it.
 
 use super::failure::Failure;
-use crate::observation::Wiring;
-use crate::record::Experiment;
+use crate::Result;
+use crate::observation::{EncoderReading, Measurement, Wiring};
+use crate::record::{Experiment, Fault, Warning};
 use crate::robot::Model;
-use crate::verdict::{Level, Subject, Verdict, ViewOffset};
+use crate::verdict::{Code, Level, Reason, Subject, Verdict, ViewOffset, doubts_of_times};
 
 /// What a command does with its verdict.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -34,4 +35,61 @@ pub fn subject<'a>(model: &'a Model, experiment: &Experiment, wiring: Wiring, sd
     let offset =
         |view: &crate::record::View| ViewOffset { name: view.name.clone(), delta_offset_deg: view.delta_offset_deg };
     Subject { wiring, views: experiment.views.iter().map(offset).collect(), ..Subject::new(model, sd_encoder_mm) }
+}
+
+/// Rows by which the unit of the times is told. Convention: a resource limit, far beyond what is needed.
+const TIMED: usize = 2000;
+
+/// What the files themselves say against a result: recordings that break off, readings that contradict each other, clocks that do not meet.
+///
+/// # Errors
+/// A recording that is not there.
+pub fn reasons_of_files(experiment: &Experiment, warnings: &[Warning]) -> Result<Vec<Reason>> {
+    let mut reasons = reasons_of(warnings);
+    let mut seen = Vec::new();
+    for bag in experiment.bags() {
+        if !seen.contains(&bag) {
+            reasons.extend(bag.unfinished()?.into_iter().map(damaged));
+            seen.push(bag);
+        }
+    }
+    Ok(reasons)
+}
+
+/// What warnings of a file say against a result; rows that make no sense cost themselves only.
+pub fn reasons_of(warnings: &[Warning]) -> Vec<Reason> {
+    let of = |fault: Fault| warnings.iter().filter(move |warning| warning.fault == fault);
+    let contradictions = of(Fault::Contradiction).next().map(|first| {
+        let others = of(Fault::Contradiction).count() - 1;
+        let more = if others > 0 { format!(" (and {others} more)") } else { String::new() };
+        let remedy = "find out what writes the second one, and leave it out; `joints`, or a topic of its own, names the one that counts";
+        Reason::new(Code::ContradictoryReadings, Level::Look, format!("{first}{more}"), remedy)
+    });
+    let clock = of(Fault::Clock).map(|warning| {
+        let remedy = "stamp frames and readings by one clock; in ROS let the driver set header.stamp, or give an encoders.csv with each frame's index";
+        Reason::new(Code::Clock, Level::DoNotUse, warning.to_string(), remedy)
+    });
+    let damage = of(Fault::Damage).map(|warning| damaged(warning.to_string()));
+    contradictions.into_iter().chain(clock).chain(damage).collect()
+}
+
+fn damaged(text: String) -> Reason {
+    let remedy =
+        "copy the recording again; `mcap doctor` and `mcap recover` tell and mend what can be; what was read is used";
+    Reason::new(Code::RecordingDamaged, Level::Look, text, remedy)
+}
+
+/// A doubt of the times' unit, or of which row belongs to which frame, from some of the measurements.
+///
+/// # Errors
+/// What `measurements` gives.
+pub fn doubt_of_times<E>(
+    measurements: impl Iterator<Item = Result<Measurement, E>>,
+    log: &[EncoderReading],
+    experiment: Option<&Experiment>,
+) -> Result<Option<Reason>, E> {
+    let some = measurements.take(TIMED).collect::<Result<Vec<_>, E>>()?;
+    let is_stated =
+        experiment.and_then(|experiment| experiment.log.as_ref()).is_some_and(|log| log.time_unit.is_some());
+    Ok(doubts_of_times(&some, log, is_stated))
 }

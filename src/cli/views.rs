@@ -2,17 +2,23 @@
 
 use super::checksum::Checksum;
 use super::console::Console;
+use super::overlays::jpeg;
 use crate::bag::Topic;
-use crate::camera::{Frame, FrameSource, Lens, SourceFrame, read_frame};
+use crate::camera::{Frame, FrameSource, Lens, PictureFile, SourceFrame, read_frame};
 use crate::input::{PICTURE_BYTES, read_bytes};
-use crate::measure::{Explanation, Eye, Rig, RigOptions, calibrate_rig};
-use crate::record::{Experiment, RigSource, View};
+use crate::measure::{Explanation, Eye, Rig, RigOptions, sketched_rig};
+use crate::record::{Experiment, RigSource, View, write_atomically};
 use crate::report::decimation;
 use crate::report::overlay::Shape;
+use crate::report::rig_picture::{draw_straight, rig_picture};
 use crate::robot::{BendProfile, Robot};
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::fs;
+use std::path::Path;
+
+/// Quality of the picture of what a calibration saw. Convention: a display choice.
+const RIG_PICTURE_QUALITY: u8 = 85;
 
 /// One view: where its frames are and the eye that measures them.
 pub struct OpenView {
@@ -24,33 +30,79 @@ pub struct OpenView {
 
 /// Reads cameras and rigs and finds the frames of every view; calibrates rigs that are given by a straight picture. Warns of views in which
 /// the snake is small.
-pub fn open_views(console: &Console, experiment: &Experiment, robot: &Robot) -> Result<Vec<OpenView>> {
-    let views: Vec<OpenView> =
-        experiment.views.iter().map(|view| OpenView::open(view, experiment, robot)).collect::<Result<_>>()?;
+///
+/// What the calibration of a rig saw is drawn into rig.jpg of a folder, into rig-NAME.jpg for each of several views.
+pub fn open_views(console: &Console, experiment: &Experiment, robot: &Robot, folder: &Path) -> Result<Vec<OpenView>> {
+    let open = |view| OpenView::open(view, experiment, robot, &folder.join(rig_picture_name(view, experiment)));
+    let views: Vec<OpenView> = experiment.views.iter().map(open).collect::<Result<_>>()?;
     let small = |view: &OpenView| Some(format!("view {}: {}", view.name, view.eye.small_picture()?));
     console.warn(views.iter().filter_map(small));
     Ok(views)
 }
 
-/// The rig of a view: from its file, or calibrated from its straight picture.
-pub fn rig_of(view: &View, lens: &Lens, robot: &Robot) -> Result<Rig> {
+/// The name of the picture of what a view's calibration saw.
+pub fn rig_picture_name(view: &View, experiment: &Experiment) -> String {
+    if experiment.views.len() == 1 { "rig.jpg".to_owned() } else { format!("rig-{}.jpg", view.name) }
+}
+
+/// The rig of a view: from its file, or calibrated from its straight picture. What the calibration saw is drawn into a file, if one is
+/// named.
+pub fn rig_of(view: &View, lens: &Lens, robot: &Robot, drawn: Option<&Path>) -> Result<Rig> {
     let delta_offset = view.delta_offset_deg.to_radians();
     match &view.rig {
         RigSource::File(path) => Ok(Rig::read(path)?.looking_from(delta_offset)),
         RigSource::Straight { picture, grid_pitch_mm, standoff_mm } => {
             let options = RigOptions { grid_pitch_mm: *grid_pitch_mm, standoff_mm: *standoff_mm, delta_offset };
-            calibrate_rig(&read_frame(picture)?, lens, robot, &options).map_err(Error::rig(picture))
+            calibrated(picture, lens, robot, &options, drawn)
         }
     }
 }
 
+/// The rig that a straight picture shows. What the calibration saw is drawn into a file, if one is named: also where it is refused.
+pub fn calibrated(
+    picture: &Path,
+    lens: &Lens,
+    robot: &Robot,
+    options: &RigOptions,
+    drawn: Option<&Path>,
+) -> Result<Rig> {
+    let frame = read_frame(picture)?;
+    let (rig, sketch) = sketched_rig(&frame, lens, robot, options);
+    let said = match &rig {
+        Ok(rig) => format!("the rig was found: {}", sheet_text(rig)),
+        Err(error) => error.to_string(),
+    };
+    if let Some(path) = drawn {
+        let mut picture = rig_picture(&frame, &sketch, &said);
+        if let Ok(rig) = &rig {
+            draw_straight(&mut picture, rig, lens, robot);
+        }
+        write_atomically(path, &jpeg(&picture, RIG_PICTURE_QUALITY)?)?;
+    }
+    rig.map_err(|error| {
+        let shown = drawn.map(|path| format!("; {} shows what was seen", path.display())).unwrap_or_default();
+        Error::rig(picture)(format!("{error}{shown}"))
+    })
+}
+
+/// What the sheet of a rig is like, in words.
+pub fn sheet_text(rig: &Rig) -> String {
+    let (shape, pitch_mm) = (&rig.sheet_shape, rig.grid_pitch_mm);
+    let [across_mm, along_mm] = [1.0, -1.0].map(|sign| pitch_mm * (1.0 + sign * shape.anisotropy / 2.0));
+    format!(
+        "lines {across_mm:.3} mm apart across and {along_mm:.3} mm along, meeting under {:.2}°, on a sheet that bows by {:.2} mm (rms)",
+        90.0 - shape.shear.to_degrees(),
+        shape.rms_mm()
+    )
+}
+
 impl OpenView {
-    fn open(view: &View, experiment: &Experiment, robot: &Robot) -> Result<Self> {
+    fn open(view: &View, experiment: &Experiment, robot: &Robot, drawn: &Path) -> Result<Self> {
         let frames = view.open_frames(experiment.folder())?;
         // First of all: a frame that is changed from here on is not the one that was refined from.
         let checksum = checksum_of(&frames)?;
         let lens = view.lens()?;
-        let rig = rig_of(view, &lens, robot)?;
+        let rig = rig_of(view, &lens, robot, Some(drawn))?;
         // In order, so that sums over them are the same in every run.
         let sample = refining_frames(&frames)?.into_par_iter().filter_map(|frame| frame.read().ok());
         let eye = Eye::new(lens, rig, robot.clone()).refined(sample);
@@ -105,7 +157,7 @@ fn checksum_of(source: &FrameSource) -> Result<String> {
     let mut checksum = Checksum::default();
     match source {
         FrameSource::Pictures(files) => {
-            for (index, path) in files {
+            for PictureFile { index, path, .. } in files {
                 checksum.add(&index.to_le_bytes());
                 checksum.add(path.file_name().unwrap_or_default().as_encoded_bytes());
             }
@@ -116,10 +168,16 @@ fn checksum_of(source: &FrameSource) -> Result<String> {
                 checksum.add(&content.unwrap_or_default());
             }
         }
-        FrameSource::Video(path) | FrameSource::Topic(Topic { bag: path, .. }) => {
-            let length = fs::metadata(path).map_err(Error::io(path, "read"))?.len();
-            checksum.add(&length.to_le_bytes());
+        FrameSource::Video(path) | FrameSource::Stack(path, _) => add_length(&mut checksum, path)?,
+        FrameSource::Topic(Topic { bag, .. }) => {
+            bag.files()?.iter().try_for_each(|path| add_length(&mut checksum, path))?
         }
     }
     Ok(checksum.to_string())
+}
+
+fn add_length(checksum: &mut Checksum, path: &Path) -> Result<()> {
+    let length = fs::metadata(path).map_err(Error::io(path, "read"))?.len();
+    checksum.add(&length.to_le_bytes());
+    Ok(())
 }

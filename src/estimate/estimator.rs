@@ -25,7 +25,7 @@ use super::usable::usable;
 use super::{Consistency, InformationFilter, LinearisedMeasurement, Options, Reason, Verdict};
 use crate::error::Result;
 use crate::observation::{EncoderReading, Measurement};
-use crate::robot::{Estimate, Model, PerBackbone};
+use crate::robot::{DataRange, Estimate, Model, PerBackbone};
 
 /// A verdict on an earlier measurement that a later one overturned.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,7 +59,7 @@ pub struct Step {
 /// The recursive estimator of η and λ.
 #[derive(Debug, Clone)]
 pub struct Estimator {
-    /// The model, with the estimate as it stands.
+    /// The model, with the estimate as it stands and the bends that it was learned on.
     model: Model,
     options: Options,
     updates: usize,
@@ -78,7 +78,7 @@ impl Estimator {
     /// [`ArgumentError::OutOfRange`](crate::error::ArgumentError::OutOfRange) for an option out of its range.
     pub fn new(model: &Model, options: Options) -> Result<Self> {
         options.check()?;
-        let model = Model { estimate: None, ..model.clone() };
+        let model = Model { estimate: None, learned: None, ..model.clone() };
         let gate = Gate::new(options.gate);
         Ok(Self { model, options, updates: 0, running: None, undecided: Vec::new(), gate })
     }
@@ -140,6 +140,7 @@ impl Estimator {
         if self.undecided.len() == MOST {
             self.run_from(initial);
         } else {
+            self.model.learned = Some(self.range_of(&initial));
             let consistency = Consistency::of_fit(&initial.x, initial.agreeing());
             self.publish(&initial.filter, &consistency);
         }
@@ -173,6 +174,8 @@ impl Estimator {
         }
         filter.absorb(linearised);
         consistency.add(&whitened);
+        let measured = sample.measured;
+        self.model.learned.get_or_insert_default().add(measured.configuration, measured.sigma_delta);
         self.publish(&filter, &consistency);
         self.running = Some((filter, consistency));
         None
@@ -215,8 +218,18 @@ impl Estimator {
         revisions
     }
 
+    /// The bends of the undecided measurements that agree.
+    fn range_of(&self, initial: &InitialEstimate) -> DataRange {
+        let mut range = DataRange::default();
+        for (sample, _) in self.undecided.iter().zip(&initial.outliers).filter(|(_, outlier)| outlier.is_none()) {
+            range.add(sample.measured.configuration, sample.measured.sigma_delta);
+        }
+        range
+    }
+
     /// Begins the recursion with what the first measurements say.
     fn run_from(&mut self, initial: InitialEstimate) {
+        self.model.learned = Some(self.range_of(&initial));
         let consistency = Consistency::of_fit(&initial.x, initial.agreeing());
         self.undecided.clear();
         self.gate.restart(initial.squared_distances());

@@ -11,7 +11,7 @@ use super::friction::friction_covariance;
 use super::usable::usable;
 use super::{Pair, pairs_without_effects};
 use crate::observation::{EncoderReading, Measurement};
-use crate::robot::{Estimate, Model, PerBackbone};
+use crate::robot::{DataRange, Estimate, Model, PerBackbone};
 use crate::statistics::binomial;
 use crate::statistics::correlation::SerialScatter;
 use crate::statistics::order::{mad_scale, median};
@@ -59,12 +59,14 @@ pub fn or_one_gain<E>(
 ) -> Result<(Model, Option<Replaced>), E> {
     let (mut points, mut every, mut seen) = (Vec::new(), 1, 0usize);
     let mut last: Option<Vector2<f64>> = None;
+    let mut learned = DataRange::default();
     for pair in pairs_without_effects(&model, measurements, log)? {
         let (measurement, reading): Pair = pair?;
         let Ok((measured, q_mm)) = usable(model.robot.backbone_count(), &measurement, reading.as_ref()) else {
             continue;
         };
         let bend = measured.configuration.bend_vector();
+        learned.add(measured.configuration, measured.sigma_delta);
         if last.is_some_and(|last| (bend - last).norm() < NEW_POSE) {
             continue;
         }
@@ -83,7 +85,7 @@ pub fn or_one_gain<E>(
         }
     }
     let Some(estimate) = one_gain(&model, &points) else { return Ok((model, None)) };
-    let candidate = model.with_estimate(Some(estimate));
+    let candidate = Model { learned: Some(learned), ..model.with_estimate(Some(estimate)) };
     let miss = |model: &Model, bend: Vector2<f64>, q: &_| model.plain().forward_bend(q).map(|b| (b - bend).norm()).ok();
     let better = |&&(bend, ref q): &&(Vector2<f64>, _)| match (miss(&candidate, bend, q), miss(&model, bend, q)) {
         (Some(one), Some(own)) => one < own,

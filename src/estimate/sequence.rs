@@ -83,7 +83,8 @@ fn one_round(
         decided = estimator.decided();
     }
     open.into_iter().try_for_each(each)?;
-    Ok(model.with_estimate(estimator.model().estimate))
+    let learned = estimator.model();
+    Ok(Model { learned: learned.learned, ..model.with_estimate(learned.estimate) })
 }
 
 fn row(measurement: Measurement, step: Step) -> EstimateRow {

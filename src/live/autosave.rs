@@ -6,11 +6,11 @@ use super::journal::SyncHandle;
 use super::low_priority::lower_priority;
 use super::publication::Withheld;
 use super::recent_bends::RecentBends;
-use super::shared_state::SharedState;
+use super::shared_state::{Commanding, SharedState};
 use super::status::{PublicationState, PublicationStatus};
 use crate::error::{DataError, Error, Result};
-use crate::record::{mark_stale, unmark_stale, write_atomically, write_compensation, write_model};
-use crate::robot::{Grid, PerBackbone};
+use crate::record::{Worth, mark_stale, unmark_stale, write_atomically, write_compensation, write_judged_model};
+use crate::robot::PerBackbone;
 use nalgebra::Vector2;
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -131,14 +131,14 @@ impl Autosave {
 /// # Errors
 /// No estimate yet; a file that cannot be written.
 pub fn save(shared: &SharedState, output: &Path) -> Result<std::result::Result<(), Withheld>> {
-    let (model, decided) = shared.model_to_command_by();
-    if let (Ok(()), Some(model)) = (&decided, model) {
+    let (commanding, decided) = shared.model_to_command_by();
+    if let (Ok(()), Some(Commanding { model, verdict, .. })) = (&decided, commanding) {
         if model.estimate.is_none() {
             return Err(DataError::NoEstimateYet.into());
         }
         let path = output.join("model.toml");
-        write_model(&path, &model)?;
-        write_compensation(output, &model, &path.display().to_string(), &Grid::default())?;
+        write_judged_model(&path, &model, &verdict)?;
+        write_compensation(output, &model, &path.display().to_string(), Worth::of(&verdict))?;
         let mut shared = shared.lock();
         shared.state.saved_at_s = Some(unix_time_s());
         shared.gate.publish(model);

@@ -15,6 +15,9 @@ pub struct MultipartParser {
     /// What stands after each part's content: the end of a line, and what stands before the next part.
     delimiter: Vec<u8>,
     pending: Vec<u8>,
+    /// Whether the first delimiter was met. What precedes it is a preamble and no part (RFC 2046, section 5.1.1): some cameras begin with a whole
+    /// picture and put a delimiter behind each.
+    has_begun: bool,
     /// The part whose head was taken: its length, where that was told.
     open: Option<Option<usize>>,
     /// So many of the pending bytes were searched in vain.
@@ -45,7 +48,7 @@ impl MultipartParser {
         })?;
         // Many cameras take the dashes before the boundary for part of its name.
         let delimiter = format!("\r\n--{}", boundary.trim_start_matches('-')).into_bytes();
-        Some(Self { delimiter, pending: Vec::new(), open: None, searched: 0 })
+        Some(Self { delimiter, pending: Vec::new(), has_begun: false, open: None, searched: 0 })
     }
 
     /// Takes the next bytes.
@@ -56,6 +59,9 @@ impl MultipartParser {
     /// The next part. Every byte is searched once, however many pieces it comes in.
     pub fn next_part(&mut self) -> Part {
         loop {
+            if !self.has_begun && !self.passes_preamble() {
+                return if self.pending.len() > MAX_PICTURE { Part::Broken } else { Part::Incomplete };
+            }
             let end = match self.open {
                 None => {
                     let Some(end) = self.find(HEAD_END) else {
@@ -82,6 +88,16 @@ impl MultipartParser {
             self.open = None;
             return Part::Complete(self.take(end));
         }
+    }
+
+    /// Takes what precedes the first delimiter, which need not begin a line. Whether the delimiter is there.
+    fn passes_preamble(&mut self) -> bool {
+        let first = self.delimiter[2..].to_vec();
+        if let Some(at) = self.find(&first) {
+            self.take(at);
+            self.has_begun = true;
+        }
+        self.has_begun
     }
 
     /// Where something stands in the pending bytes, of which those searched before are passed over.
@@ -163,6 +179,17 @@ mod tests {
     }
 
     #[test]
+    fn a_stream_that_begins_with_a_picture_gives_those_behind_its_delimiters() {
+        let part = |picture: &str| {
+            format!("Content-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n{picture}\r\n--a\r\n", picture.len())
+        };
+        let long = "x".repeat(3 * MAX_HEAD);
+        let stream = [part(&long), part("two"), part("three")].concat();
+        let found = pictures("multipart/x-mixed-replace;boundary=a", stream.as_bytes(), &[1000]);
+        assert_eq!(found, [b"two".to_vec(), b"three".to_vec()]);
+    }
+
+    #[test]
     fn a_large_picture_without_a_length_is_searched_once_however_many_pieces_it_comes_in() {
         let picture = vec![b'-'; 16 << 20];
         let stream = [b"--a\r\n\r\n", &picture[..], b"\r\n--a"].concat();
@@ -177,7 +204,10 @@ mod tests {
     fn what_has_no_parts_or_no_end_is_refused() {
         assert!(MultipartParser::new("video/mp4").is_none() && MultipartParser::new(CONTENT_KIND).is_none());
         let mut parts = MultipartParser::new("multipart/x-mixed-replace;boundary=a").unwrap();
-        parts.push(&vec![b'x'; MAX_HEAD + 1]);
+        parts.push(&vec![b'x'; MAX_PICTURE + 1]);
+        assert_eq!(parts.next_part(), Part::Broken);
+        let mut parts = MultipartParser::new("multipart/x-mixed-replace;boundary=a").unwrap();
+        parts.push(&[b"--a\r\n", &vec![b'x'; MAX_HEAD + 1][..]].concat());
         assert_eq!(parts.next_part(), Part::Broken);
         let mut parts = MultipartParser::new("multipart/x-mixed-replace;boundary=a").unwrap();
         parts.push(b"--a\r\nContent-Length: 99999999999\r\n\r\n");

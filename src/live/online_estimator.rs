@@ -103,7 +103,10 @@ impl OnlineEstimator {
     /// before: a few such measurements are enough for an estimator to start afresh on them, and fewer than tell that the encoders are stuck.
     pub fn model(&self) -> Model {
         match self.believed() {
-            Subject::Parameters(estimator) => self.start.with_estimate(estimator.model().estimate),
+            Subject::Parameters(estimator) => {
+                let learned = estimator.model();
+                Model { learned: learned.learned, ..self.start.with_estimate(learned.estimate) }
+            }
             Subject::Stem(stem) => Model { robot: stem.model().robot, ..self.start.clone() },
         }
     }

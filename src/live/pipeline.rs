@@ -161,7 +161,7 @@ impl Pipeline {
             }
             self.learn(&mut progress)?;
             self.show(&mut progress);
-            self.restore(&mut progress)?;
+            self.restore(&mut progress);
         }
         self.finish(progress)
     }
@@ -285,21 +285,30 @@ impl Pipeline {
     }
 
     /// Makes the folder and the journal anew where somebody removed them.
-    fn restore(&mut self, progress: &mut Progress) -> Result<()> {
+    fn restore(&mut self, progress: &mut Progress) {
         if progress.looked.elapsed() < LOOK_EVERY {
-            return Ok(());
+            return;
         }
         progress.looked = Instant::now();
-        if self.journal.restore()? {
-            self.folder.restore()?;
-            let mut shared = self.shared.lock();
-            shared.state.publication = PublicationStatus::default();
-            shared.notice(format!(
-                "{} was removed: the journal is written anew with all that it had, the table at the next save",
+        let restored = self.journal.restore();
+        let restored =
+            restored.and_then(|restored| if restored { self.folder.restore().map(|()| true) } else { Ok(false) });
+        let mut shared = self.shared.lock();
+        match restored {
+            Ok(false) => {}
+            Ok(true) => {
+                shared.state.publication = PublicationStatus::default();
+                shared.notice(format!(
+                    "{} was removed: the journal is written anew with all that it had, the table at the next save",
+                    self.output.display()
+                ));
+            }
+            // The journal stays open, wherever it was moved to, and takes what is measured.
+            Err(error) => shared.notice(format!(
+                "{} cannot be written to, and nothing but the loop goes on; it is tried again every second: {error}",
                 self.output.display()
-            ));
+            )),
         }
-        Ok(())
     }
 
     /// Brings what changes without a measurement up to date.
@@ -312,6 +321,9 @@ impl Pipeline {
         if timing.state != FrameTimingState::Fresh && timing.state != shared.state.timing.state {
             shared.notice(timing.sentence.clone().unwrap_or_default());
         }
+        let is_new = |remark: &&String| !shared.state.source.remarks.contains(remark);
+        let remarks: Vec<String> = source.remarks.iter().filter(is_new).cloned().collect();
+        remarks.into_iter().for_each(|remark| shared.notice(remark));
         shared.state.timing = timing;
         shared.state.elapsed_s = progress.began.elapsed().as_secs_f64();
         shared.state.source = source;
@@ -352,6 +364,7 @@ impl Pipeline {
         shared.state.estimate = EstimateStatus::of(&shared.model);
         shared.state.stem = self.estimator.stem().map(StemStatus::from);
         shared.state.discovery = None;
+        shared.gate.forget_verdict();
         shared.notice(done);
         Ok(done)
     }

@@ -1,4 +1,7 @@
-//! The gate before what live publishes: whether the model as it stands may replace the table in the folder.
+//! The gate before what live publishes: whether the model as it stands may replace the table in the folder, and whether anything may be
+//! commanded by at all.
+//!
+//! Nothing is published before the first verdict, and nothing under a red one. Between two verdicts the gate itself watches.
 //!
 //! Encoders that stand still while the snake moves, a log that contradicts the picture, or a moment's wrong restart of the estimator give
 //! an η and λ that fit the last few measurements and nothing else. So the model is compared, on the last [`POSES`] poses that the snake
@@ -10,8 +13,9 @@ use crate::estimate::{NEW_POSE, bend_covariance};
 use crate::observation::Measured;
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::moments::{mean, standard_deviation};
-use crate::verdict::{Code, MEAN_SQUARE_OF_NOISE};
+use crate::verdict::{Code, Level, MEAN_SQUARE_OF_NOISE, Verdict};
 use std::collections::VecDeque;
+use std::time::Instant;
 
 /// Poses on which models are compared, each a new one ([`NEW_POSE`]) after the one before. Convention: as many as the gap monitor asks
 /// for before it tells anything.
@@ -36,6 +40,8 @@ pub struct Sample {
 /// Why a model may not be published.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Withheld {
+    /// Red where nothing may be commanded by; amber where the model that was published last still may.
+    pub level: Level,
     /// The reason's code, as verdicts name it.
     pub code: Code,
     /// The reason in a sentence.
@@ -52,14 +58,33 @@ pub struct PublicationGate {
     gap: GapState,
     /// Whether the encoders stand still while the snake moves.
     is_stuck: bool,
-    /// The model that was published last.
-    published: Option<Model>,
+    /// The last verdict, and when it was passed.
+    verdict: Option<(Verdict, Instant)>,
+    /// The model that was published last, and when that was.
+    published: Option<(Model, Instant)>,
 }
 
 impl PublicationGate {
     /// A gate for readings of this standard deviation, mm. `compares` where η and λ are learned; `published` is what stands there.
     pub fn new(sd_encoder_mm: f64, compares: bool, published: Option<Model>) -> Self {
-        Self { sd_encoder_mm, compares, poses: VecDeque::new(), gap: GapState::Unknown, is_stuck: false, published }
+        let published = published.map(|model| (model, Instant::now()));
+        let (poses, gap) = (VecDeque::new(), GapState::Unknown);
+        Self { sd_encoder_mm, compares, poses, gap, is_stuck: false, verdict: None, published }
+    }
+
+    /// Takes the verdict on what was measured so far.
+    pub fn take_verdict(&mut self, verdict: Verdict) {
+        self.verdict = Some((verdict, Instant::now()));
+    }
+
+    /// The last verdict, and its age in seconds.
+    pub fn verdict(&self) -> Option<(&Verdict, f64)> {
+        self.verdict.as_ref().map(|(verdict, at)| (verdict, at.elapsed().as_secs_f64()))
+    }
+
+    /// Forgets the verdict, as where all that was learned is forgotten.
+    pub fn forget_verdict(&mut self) {
+        self.verdict = None;
     }
 
     /// Takes a sample, where there is one, the gap after it, and whether the encoders are stuck.
@@ -80,14 +105,14 @@ impl PublicationGate {
         }
     }
 
-    /// The model that was published last.
-    pub fn published(&self) -> Option<&Model> {
-        self.published.as_ref()
+    /// The model that was published last, and how many seconds ago.
+    pub fn published(&self) -> Option<(&Model, f64)> {
+        self.published.as_ref().map(|(model, at)| (model, at.elapsed().as_secs_f64()))
     }
 
     /// Notes that a model was published.
     pub fn publish(&mut self, model: Model) {
-        self.published = Some(model);
+        self.published = Some((model, Instant::now()));
     }
 
     /// Whether a model may be published; why not, if it may not.
@@ -95,12 +120,23 @@ impl PublicationGate {
     /// # Errors
     /// The reason.
     pub fn judge(&self, model: &Model) -> Result<(), Withheld> {
-        let withheld = |code, text: String| Err(Withheld { code, text });
+        let withheld = |level, code, text: String| Err(Withheld { level, code, text });
+        let red = |code, text: String| withheld(Level::DoNotUse, code, text);
+        let Some((verdict, _)) = &self.verdict else {
+            return red(Code::WorkspaceNotCovered, "no verdict was passed yet".into());
+        };
         if self.is_stuck {
-            return withheld(Code::EncoderStuck, "the encoders stand still while the snake moves".into());
+            return red(Code::EncoderStuck, "the encoders stand still while the snake moves".into());
+        }
+        if let Some(worst) = verdict.reasons.first().filter(|worst| worst.level == Level::DoNotUse) {
+            return red(worst.code, worst.text.clone());
+        }
+        if let Some(why) = model.estimate.and_then(|estimate| estimate.implausible()) {
+            return red(Code::ParameterOutOfRange, why);
         }
         if self.gap == GapState::Above {
-            return withheld(Code::GapAboveNoise, "the model leaves more of the measurements than their noise".into());
+            let text = "the model leaves more of the measurements than their noise";
+            return withheld(Level::Look, Code::GapAboveNoise, text.into());
         }
         if !self.compares || self.poses.is_empty() {
             return Ok(());
@@ -112,9 +148,9 @@ impl PublicationGate {
         };
         let seen = format!("of ε at the last {} poses the model leaves {}", self.poses.len(), rms(&left));
         if is_worse(&left, &naive) {
-            return withheld(Code::WorseThanNaive, format!("{seen}, the naive one {}", rms(&naive)));
+            return red(Code::WorseThanNaive, format!("{seen}, the naive one {}", rms(&naive)));
         }
-        if let Some(published) = &self.published {
+        if let Some((published, _)) = &self.published {
             let before = self.squares(published);
             let noise = self.noise_square(model);
             let [now, then] = [&left, &before].map(|squares| mean(squares.iter().copied()));
@@ -122,7 +158,11 @@ impl PublicationGate {
             // χ² of so many numbers.
             let hidden = noise * (2.0 / (left.len() * model.robot.backbone_count()) as f64).sqrt();
             if now > MEAN_SQUARE_OF_NOISE * noise && now - then > hidden && is_worse(&left, &before) {
-                return withheld(Code::Stale, format!("{seen}, the one published before {}", rms(&before)));
+                return withheld(
+                    Level::Look,
+                    Code::Stale,
+                    format!("{seen}, the one published before {}", rms(&before)),
+                );
             }
         }
         Ok(())
@@ -136,7 +176,12 @@ impl PublicationGate {
             (Err(why), None) => (PublicationState::Withheld, Some(why)),
             (Err(why), Some(_)) => (PublicationState::Stale, Some(why)),
         };
-        PublicationStatus { state, code: why.map(|why| why.code), reason: why.map(|why| why.text.clone()) }
+        PublicationStatus {
+            state,
+            level: why.map(|why| why.level),
+            code: why.map(|why| why.code),
+            reason: why.map(|why| why.text.clone()),
+        }
     }
 
     /// At each pose what a model leaves of ε: the sum of the squares over the backbones, mm².
@@ -180,8 +225,16 @@ mod tests {
     use crate::observation::Waypoint;
     use crate::robot::{Effect, Estimate};
     use crate::simulate::{Plant, SimulatedEye};
+    use crate::verdict::Reason;
     use nalgebra::{Matrix2, Vector2};
     use std::f64::consts::TAU;
+
+    /// A gate after a verdict that finds nothing.
+    fn judged_good() -> PublicationGate {
+        let mut gate = PublicationGate::new(0.0015, true, None);
+        gate.take_verdict(Verdict::default());
+        gate
+    }
 
     /// A snake that goes round and round before camera and encoders, and what is learned from it.
     struct Bench {
@@ -202,7 +255,7 @@ mod tests {
             let options = Options { forgetting: 0.9995, ..Options::default() };
             Self {
                 estimator: OnlineEstimator::new(Model::default(), options, None).unwrap(),
-                gate: PublicationGate::new(0.0015, true, None),
+                gate: judged_good(),
                 plant: Plant { model, sd_encoder_mm: 0.0015 },
                 seed: 1,
                 time_s: 0.0,
@@ -258,7 +311,7 @@ mod tests {
                 }
             };
             bench.go(20.0, false, keep);
-            let good = bench.gate.published().unwrap().clone();
+            let good = bench.gate.published().unwrap().0.clone();
             assert!(bench.error_mm(&good) < 0.03, "{}", bench.error_mm(&good));
             let (mut codes, mut worst) = (std::collections::BTreeSet::new(), 0f64);
             let plant = Bench::new(vec![]);
@@ -276,7 +329,7 @@ mod tests {
                 keep(model, decided, gate);
             });
             assert_eq!(last, Ok(()), "seed {seed}");
-            assert!(bench.error_mm(bench.gate.published().unwrap()) < 0.03);
+            assert!(bench.error_mm(bench.gate.published().unwrap().0) < 0.03);
         }
     }
 
@@ -326,8 +379,9 @@ mod tests {
         };
         let judged = |gate: &PublicationGate, model: &Model| gate.judge(model).map_err(|why| why.code);
         assert_eq!(judged(&bench.gate, &with(1.221, 0.1765)), Ok(()));
-        assert_eq!(judged(&bench.gate, &with(-3.0, 0.1765)), Err(Code::WorseThanNaive));
-        assert_eq!(judged(&bench.gate, &with(f64::NAN, 0.1765)), Err(Code::WorseThanNaive));
+        assert_eq!(judged(&bench.gate, &with(-3.0, 0.1765)), Err(Code::ParameterOutOfRange));
+        assert_eq!(judged(&bench.gate, &with(f64::NAN, 0.1765)), Err(Code::ParameterOutOfRange));
+        assert_eq!(judged(&bench.gate, &with(0.4, 0.1765)), Err(Code::WorseThanNaive));
         assert_eq!(judged(&bench.gate, &with(1.1, 0.1765)), Ok(()), "better than nothing");
         bench.gate.publish(with(1.221, 0.1765));
         assert_eq!(judged(&bench.gate, &with(1.1, 0.1765)), Err(Code::Stale));
@@ -335,5 +389,24 @@ mod tests {
         bench.plant.model = with(1.5, 0.25);
         bench.go(30.0, false, |_, _, _| ());
         assert_eq!(judged(&bench.gate, &with(1.5, 0.25)), Ok(()));
+    }
+
+    #[test]
+    fn nothing_is_published_before_the_first_verdict_and_nothing_under_a_red_one() {
+        let bench = Bench::new(vec![]);
+        let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
+        let model = Model { estimate: Some(estimate), ..Model::default() };
+        let mut gate = PublicationGate { verdict: None, ..bench.gate };
+        let level_and_code = |gate: &PublicationGate| gate.judge(&model).map_err(|why| (why.level, why.code));
+        assert_eq!(level_and_code(&gate), Err((Level::DoNotUse, Code::WorkspaceNotCovered)));
+        let reason = |code, level| Verdict::of(vec![Reason::new(code, level, "seen", "do")]);
+        for code in [Code::Clock, Code::Wiring, Code::GapAboveNoise] {
+            gate.take_verdict(reason(code, Level::DoNotUse));
+            assert_eq!(level_and_code(&gate), Err((Level::DoNotUse, code)));
+        }
+        gate.take_verdict(reason(Code::WorkspaceNotCovered, Level::Look));
+        assert_eq!(level_and_code(&gate), Ok(()));
+        gate.forget_verdict();
+        assert!(gate.judge(&model).is_err() && gate.verdict().is_none());
     }
 }

@@ -8,12 +8,12 @@ use super::annotated_video::AnnotatedVideo;
 use super::commands::{Command, Commands};
 use super::low_priority::lower_priority;
 use super::metrics;
-use super::shared_state::SharedState;
+use super::shared_state::{Commanding, SharedState};
 use super::status::Row;
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::record::model_json;
-use crate::robot::{MAX_THETA, Model, TableRow};
+use crate::robot::{MAX_THETA, TableRow};
 use axum::body::Body;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{DefaultBodyLimit, FromRef, Path, Query, State};
@@ -45,10 +45,10 @@ const MAX_STREAMS: usize = 64;
 /// What a connection beyond the limit is told.
 const NO_ROOM: &[u8] =
     b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nRetry-After: 10\r\nContent-Length: 0\r\n\r\n";
-/// A connection that has not sent its request's head by then is closed. Convention.
+/// A connection that has not sent its request's head by then is closed.
 ///
-/// Convention: a timeout.
-const HEADER_TIMEOUT: Duration = Duration::from_secs(10);
+/// Convention: a timeout; so long can connections that send nothing keep others out.
+const HEADER_TIMEOUT: Duration = Duration::from_secs(2);
 /// So is one that does not take what it asked for. Convention.
 ///
 /// Convention: a timeout.
@@ -254,13 +254,15 @@ async fn measurements(
 }
 
 async fn model(State(app): State<AppState>) -> Response {
-    let (model, stale) = match to_command_by(&app) {
+    let (commanding, stale) = match to_command_by(&app) {
         Ok(found) => found,
         Err(refused) => return refused.into_response(),
     };
-    match model_json(&model) {
+    match model_json(&commanding.model) {
         Ok(mut json) => {
             json["stale"] = stale.into();
+            json["verdict"] = json!(commanding.verdict);
+            json["age_s"] = commanding.age_s.into();
             Json(json).into_response()
         }
         Err(error) => failure(StatusCode::INTERNAL_SERVER_ERROR, error),
@@ -268,12 +270,15 @@ async fn model(State(app): State<AppState>) -> Response {
 }
 
 /// The model to command by, and why it is stale, if it is; a refusal where there is none.
-fn to_command_by(app: &AppState) -> std::result::Result<(Model, Option<String>), Refusal> {
-    let (model, decided) = app.shared.model_to_command_by();
+fn to_command_by(app: &AppState) -> std::result::Result<(Commanding, Option<String>), Refusal> {
+    let (commanding, decided) = app.shared.model_to_command_by();
     let stale = decided.err().map(|why| why.text);
-    let why = || format!("no model may be published: {}", stale.as_deref().unwrap_or_default());
-    let model = model.ok_or_else(|| Refusal(StatusCode::CONFLICT, why()))?;
-    Ok((model, stale))
+    let why = || format!("nothing may be commanded by: {}", stale.as_deref().unwrap_or_default());
+    let commanding = commanding.ok_or_else(|| Refusal(StatusCode::CONFLICT, why()))?;
+    if commanding.model.estimate.is_none() {
+        return Err(Refusal(StatusCode::CONFLICT, "nothing may be commanded by: η and λ are not known yet".into()));
+    }
+    Ok((commanding, stale))
 }
 
 #[derive(Deserialize)]
@@ -293,10 +298,13 @@ async fn table(State(app): State<AppState>, query: std::result::Result<Query<Pos
         let message = format!("theta {theta}, delta {delta}: expected 0 to {most:.0} and −360 to 360 degrees");
         return failure(StatusCode::BAD_REQUEST, message);
     }
-    let (model, stale) = match to_command_by(&app) {
+    let (Commanding { model, verdict, age_s }, stale) = match to_command_by(&app) {
         Ok(found) => found,
         Err(refused) => return refused.into_response(),
     };
+    let learned = model
+        .learned
+        .map(|range| json!({ "theta_max_deg": range.theta_max().to_degrees(), "delta_deg": range.directions_deg() }));
     let row = TableRow::new(&model, Configuration::from_degrees(theta, delta));
     Json(json!({
         "theta_deg": row.configuration.theta_deg(),
@@ -310,6 +318,10 @@ async fn table(State(app): State<AppState>, query: std::result::Result<Query<Pos
         "sd_qc_mm": row.sd_command_mm,
         "estimated": model.estimate.is_some(),
         "stale": stale,
+        "verdict": verdict,
+        "age_s": age_s,
+        "learned": learned,
+        "extrapolated": u8::from(row.extrapolated),
     }))
     .into_response()
 }

@@ -20,8 +20,9 @@ use super::status::{EstimateStatus, State, StemStatus};
 use super::straight_reference::RenewableEye;
 use super::verdict_worker::VerdictWorker;
 use crate::error::{Error, Result};
-use crate::record::read_model;
+use crate::record::{read_model, verdict_mark};
 use crate::robot::Model;
+use crate::verdict::Level;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -131,9 +132,11 @@ impl Live {
     }
 }
 
-/// The model that an earlier run published into a folder.
+/// The model that an earlier run published into a folder, if its verdict stands above it and is not red.
 fn published_in(output: &Path) -> Option<Model> {
-    read_model(&output.join("model.toml")).ok().filter(|model| model.estimate.is_some())
+    let path = output.join("model.toml");
+    let was_good = || verdict_mark(&path).is_some_and(|(level, _)| level != Level::DoNotUse.to_string());
+    read_model(&path).ok().filter(|model| model.estimate.is_some() && was_good())
 }
 
 /// Opens the journal and the index of the next frame. Where the run is resumed, estimator and tables take what the journal has.

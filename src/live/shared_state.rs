@@ -3,10 +3,10 @@
 use super::latency::Histogram;
 use super::publication::{PublicationGate, Withheld};
 use super::status::{Row, State};
-use crate::estimate::Verdict;
+use crate::estimate::Verdict as RowVerdict;
 use crate::observation::Measurement;
 use crate::robot::Model;
-use crate::verdict::Code;
+use crate::verdict::{Level, Verdict};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -38,9 +38,20 @@ pub struct LiveState {
     pub gate: PublicationGate,
 }
 
+/// A model that may be commanded by, and what it is worth.
+#[derive(Debug, Clone)]
+pub struct Commanding {
+    /// The model.
+    pub model: Model,
+    /// The last verdict.
+    pub verdict: Verdict,
+    /// Seconds since the model was confirmed: since the verdict, or since it was published where what came since does not confirm it.
+    pub age_s: f64,
+}
+
 impl LiveState {
     /// Adds a measurement that was made now.
-    pub fn add(&mut self, measurement: &Measurement, verdict: Verdict, row: Row) {
+    pub fn add(&mut self, measurement: &Measurement, verdict: RowVerdict, row: Row) {
         self.count(measurement, verdict);
         self.latencies.add(row.latency_ms / 1000.0);
         self.state.latency = self.latencies.status(row.latency_ms);
@@ -54,10 +65,10 @@ impl LiveState {
     }
 
     /// Counts a measurement, made now or taken over from an earlier run.
-    pub fn count(&mut self, measurement: &Measurement, verdict: Verdict) {
+    pub fn count(&mut self, measurement: &Measurement, verdict: RowVerdict) {
         self.state.measurements += 1;
         self.state.measured += u64::from(measurement.measured.is_some());
-        self.state.rejected += u64::from(verdict == Verdict::Rejected);
+        self.state.rejected += u64::from(verdict == RowVerdict::Rejected);
         *self.by_status.entry(measurement.status.to_string()).or_default() += 1;
     }
 
@@ -101,20 +112,21 @@ impl SharedState {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The model to command by: the one as it stands where that may be published, else the one published last, if there is one. With it
-    /// whether the one as it stands may be published.
-    pub fn model_to_command_by(&self) -> (Option<Model>, Result<(), Withheld>) {
-        let (model, gate, miswired) = {
+    /// The model to command by, if there is one, and whether the one as it stands may be published: the one as it stands if it may; the one
+    /// published last if the reason is amber; none under a red one.
+    pub fn model_to_command_by(&self) -> (Option<Commanding>, Result<(), Withheld>) {
+        let (model, gate) = {
             let shared = self.lock();
-            let miswired = shared.state.verdict.reasons.iter().find(|reason| reason.code == Code::Wiring).cloned();
-            (shared.model.clone(), shared.gate.clone(), miswired)
+            (shared.model.clone(), shared.gate.clone())
         };
-        let decided = match miswired {
-            Some(reason) => Err(Withheld { code: reason.code, text: reason.text }),
-            None => gate.judge(&model),
-        };
-        let to_command_by = if decided.is_ok() { Some(model) } else { gate.published().cloned() };
-        (to_command_by, decided)
+        let decided = gate.judge(&model);
+        let verdict = |gate: &PublicationGate| gate.verdict().map(|(verdict, age_s)| (verdict.clone(), age_s));
+        let commanding = verdict(&gate).and_then(|(verdict, age_s)| match &decided {
+            Ok(()) => Some(Commanding { model, verdict, age_s }),
+            Err(why) if why.level == Level::DoNotUse => None,
+            Err(_) => gate.published().map(|(model, age_s)| Commanding { model: model.clone(), verdict, age_s }),
+        });
+        (commanding, decided)
     }
 
     /// A copy of what `GET /api/state` gives.
@@ -147,7 +159,7 @@ mod tests {
         SharedState::new(state, Model::default(), PublicationGate::new(0.0015, true, None))
     }
 
-    fn add(shared: &SharedState, index: u64, status: Status, verdict: Verdict) {
+    fn add(shared: &SharedState, index: u64, status: Status, verdict: RowVerdict) {
         let measurement = Measurement { index, time_s: None, status, measured: None, quality: None, view: None };
         shared.lock().add(&measurement, verdict, Row::of(&measurement, 0.0));
     }
@@ -156,7 +168,7 @@ mod tests {
     fn the_latest_rows_are_kept_and_found_by_their_index() {
         let shared = shared();
         for index in 0..MAX_ROWS as u64 + 5 {
-            add(&shared, index, Status::Ok, Verdict::Used);
+            add(&shared, index, Status::Ok, RowVerdict::Used);
         }
         let indices_of = |rows: Vec<Row>| rows.iter().map(|row| row.index).collect::<Vec<_>>();
         let indices = |after, limit| indices_of(shared.rows_after(after, limit));
@@ -170,9 +182,9 @@ mod tests {
     #[test]
     fn measurements_are_counted_by_status_and_verdict() {
         let shared = shared();
-        add(&shared, 0, Status::NoSnake, Verdict::Skipped);
-        add(&shared, 1, Status::Ok, Verdict::Rejected);
-        add(&shared, 2, Status::NoSnake, Verdict::Skipped);
+        add(&shared, 0, Status::NoSnake, RowVerdict::Skipped);
+        add(&shared, 1, Status::Ok, RowVerdict::Rejected);
+        add(&shared, 2, Status::NoSnake, RowVerdict::Skipped);
         let locked = shared.lock();
         assert_eq!((locked.state.measurements, locked.state.rejected), (3, 1));
         assert_eq!(locked.by_status["no_snake"], 2);

@@ -197,6 +197,8 @@ impl SharedQueue {
                     self.update(|queue| {
                         queue.opened();
                         queue.status.settings = opened.settings();
+                        let remarks = queue.status.settings.map(|found| found.remarks(settings));
+                        queue.status.remarks = remarks.unwrap_or_default();
                     });
                     match opened {
                         Opened::Jpegs(stream) => self.read_jpegs(*stream),

@@ -71,7 +71,7 @@ impl State {
 
 /// The verdict before anything was judged.
 pub fn nothing_judged() -> RunVerdict {
-    let text = "nothing was judged yet: no frame was measured";
+    let text = "nothing was judged yet: no frame was measured that has an encoder reading";
     let remedy = "see that frames and readings come, and bend the snake in at least two planes";
     RunVerdict::of(vec![Reason::new(Code::WorkspaceNotCovered, Level::Look, text, remedy)])
 }
@@ -208,6 +208,8 @@ pub struct SourceStatus {
     pub rate_fps: f64,
     /// The settings that a camera or stream reports.
     pub settings: Option<CaptureSettings>,
+    /// What of them is not as it was asked for, or moves the lens, in sentences.
+    pub remarks: Vec<String>,
 }
 
 /// Whose clock the encoders' time stamps are in.
@@ -355,6 +357,8 @@ pub enum PublicationState {
 pub struct PublicationStatus {
     /// The state.
     pub state: PublicationState,
+    /// How bad the reason is: red where nothing may be commanded by, amber where the table that was written last still may.
+    pub level: Option<Level>,
     /// Why the model may not be published: a code of the verdict's.
     pub code: Option<Code>,
     /// The same in a sentence.

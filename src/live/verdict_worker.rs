@@ -11,8 +11,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Time between verdicts. Convention: a resource limit; one takes some tenths of a second.
-const EVERY: Duration = Duration::from_secs(5);
+/// Time between verdicts, and until the first. Convention: what a fault may go unnoticed at the longest, where nothing else sees it; one verdict
+/// takes some tenths of a second.
+const EVERY: Duration = Duration::from_secs(2);
 
 /// Passes verdicts, one at a time.
 #[derive(Debug)]
@@ -63,6 +64,9 @@ fn judge(shared: &SharedState, sd_encoder_mm: f64, measurements: &[Measurement],
     let Ok(verdict) = subject.verdict(measurements.iter().cloned().map(Ok::<_, Infallible>), readings);
     let verdict = if measurements.is_empty() { nothing_judged() } else { verdict };
     let mut shared = shared.lock();
+    if !measurements.is_empty() {
+        shared.gate.take_verdict(verdict.clone());
+    }
     shared.state.verdict = with_publication(verdict, &shared.state.publication);
 }
 
@@ -70,9 +74,10 @@ fn judge(shared: &SharedState, sd_encoder_mm: f64, measurements: &[Measurement],
 fn with_publication(verdict: Verdict, publication: &PublicationStatus) -> Verdict {
     let (Some(code), Some(text)) = (publication.code, &publication.reason) else { return verdict };
     let remedy = "look at encoders and camera; the table is written again once the model explains what is measured";
-    // A mistake in the wiring is the verdict's own finding, which is made anew each time.
-    let is_told = verdict.has(code) || code == Code::Wiring;
-    let verdict = if is_told { verdict } else { verdict.and(Reason::new(code, Level::DoNotUse, text.clone(), remedy)) };
+    // What is red because of the verdict is the verdict's own finding, which is made anew each time.
+    let is_told = verdict.has(code) || code == Code::WorkspaceNotCovered;
+    let level = publication.level.unwrap_or(Level::Look);
+    let verdict = if is_told { verdict } else { verdict.and(Reason::new(code, level, text.clone(), remedy)) };
     if publication.state != PublicationState::Stale || code == Code::Stale {
         return verdict;
     }

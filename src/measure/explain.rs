@@ -7,7 +7,6 @@ use crate::measure::eye::Eye;
 use crate::measure::fit::{Edge, EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase};
 use crate::measure::image::plane::Region;
 use crate::measure::measurement::FrameMeasurement;
-use crate::measure::target::project_target;
 use crate::robot::BendProfile;
 use nalgebra::{Point2, Vector2, Vector3};
 
@@ -106,11 +105,12 @@ impl Eye {
 
     /// The lines of both directions that cross the picture.
     fn grid_lines(&self) -> Vec<Vec<Point2<f64>>> {
+        let sheet = self.rig.sheet();
         let pixel = |axis: usize, line: i32, along: i32| {
             let mut target = Point2::origin();
             target[axis] = f64::from(line) * self.rig.grid_pitch_mm;
             target[1 - axis] = f64::from(along) * self.rig.grid_pitch_mm;
-            project_target(&self.lens, &self.rig.camera_from_grid, &target)
+            sheet.project(&self.lens, &target)
         };
         let line = |axis: usize, line: i32| -> Vec<Point2<f64>> {
             (-GRID_LINES..=GRID_LINES)

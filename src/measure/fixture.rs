@@ -27,6 +27,7 @@ impl Scene {
                 focal_px: Vector2::repeat(1500.0),
                 centre_px: Point2::new(399.5, 299.5),
                 distortion: [0.0; 12],
+                fisheye: None,
             },
             camera_from_base: Pose::from_parts(Translation3::new(0.0, 12.0, 120.0), rotation),
             robot: Robot::default(),

@@ -4,7 +4,7 @@
 //! with edges of other things over the rest; the eye, which knows all bends, then sees the snake where it is.
 
 use super::eye::Eye;
-use super::rig::{Rig, RigError, RigOptions, find_rig};
+use super::rig::{Rig, RigError, RigOptions, RigSketch, StraightPicture, find_rig};
 use crate::camera::{Frame, Lens};
 use crate::robot::Robot;
 
@@ -20,7 +20,23 @@ const BENT_SIGMAS: f64 = 3.0;
 ///
 /// Why the try that came furthest ended, with the values that tell; or that the snake is bent, by how much.
 pub fn calibrate_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOptions) -> Result<Rig, RigError> {
-    let rig = find_rig(frame, lens, robot, options)?;
+    sketched_rig(frame, lens, robot, options).0
+}
+
+/// The same, with what was seen in the picture, whether it was refused or not.
+pub fn sketched_rig(
+    frame: &Frame,
+    lens: &Lens,
+    robot: &Robot,
+    options: &RigOptions,
+) -> (Result<Rig, RigError>, RigSketch) {
+    let mut sketch = RigSketch::default();
+    let rig = find_rig(StraightPicture { frame, lens, robot, options }, &mut sketch);
+    (rig.and_then(|rig| unbent(frame, lens, robot, rig)), sketch)
+}
+
+/// The rig, unless the eye sees a bent snake through it.
+fn unbent(frame: &Frame, lens: &Lens, robot: &Robot, rig: Rig) -> Result<Rig, RigError> {
     let seen = Eye::new(lens.clone(), rig.clone(), robot.clone()).measure_straight(frame).measured;
     if let Some(bend) = seen {
         let (theta_deg, sigma_deg) = (bend.configuration.theta_deg(), bend.sigma_theta.to_degrees());

@@ -9,11 +9,12 @@ use crate::robot::{Grid, TableRow};
 /// The header, with the names of what is filled in between `@`.
 const TEMPLATE: &str = include_str!("compensation.h.in");
 
-/// The header as text. `rows` are the table over `grid`, δ running fastest; `source` says where the model comes from.
+/// The header as text. `rows` are the table over `grid`, δ running fastest; `source` says where the model comes from, and `do_not_use` why the
+/// table must not be used, if that is so.
 ///
 /// # Errors
 /// [`ArgumentError::Grid`] for a grid with fewer than four angles either way, or whose δ does not go once round in even steps.
-pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str) -> Result<String> {
+pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str, do_not_use: Option<&str>) -> Result<String> {
     let theta: Vec<f64> = grid.theta.values_deg().collect();
     let delta: Vec<f64> = grid.azimuths_deg().collect();
     let deltas = delta.len();
@@ -26,10 +27,15 @@ pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str) -> Re
     }
     let backbones = rows.first().map_or(0, |row| row.command_mm.len());
     let names: Vec<String> = (1..=backbones).map(|i| format!("q_command[{}]", i - 1)).collect();
+    // What could end the comment early does not belong there.
+    let in_comment = |text: &str| text.replace("*/", "").replace(['\n', '\r'], " ");
+    let mark = do_not_use.map(|why| format!(" *\n * DO NOT USE: {}\n", in_comment(why)));
+    let define = do_not_use.map(|_| "#define SNAKELOOP_DO_NOT_USE 1\n".to_owned());
     let filled_in = [
         ("@VERSION@", env!("CARGO_PKG_VERSION").to_owned()),
-        // What could end the comment early does not belong in a file's name.
-        ("@SOURCE@", source.replace("*/", "")),
+        ("@SOURCE@", in_comment(source)),
+        ("@MARK@", mark.unwrap_or_default()),
+        ("@DEFINE@\n", define.unwrap_or_default()),
         ("@FIRST@", theta_0.to_string()),
         ("@LAST@", theta_last.to_string()),
         ("@THETAS@", theta.len().to_string()),
@@ -42,8 +48,20 @@ pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str) -> Re
         ("@BACKBONES@", backbones.to_string()),
         ("@ZEROS@", vec!["0"; backbones].join(", ")),
         ("@VALUES@", values(rows, deltas)),
+        ("@STATUSES@", statuses(rows, deltas)),
     ];
     Ok(filled_in.iter().fold(TEMPLATE.to_owned(), |text, (name, value)| text.replace(name, value)))
+}
+
+/// What the lookup returns at each pose.
+fn statuses(rows: &[TableRow], deltas: usize) -> String {
+    let status = |pose: &TableRow| match pose.sharing {
+        Some(sharing) if !sharing.within => "2",
+        _ if pose.extrapolated => "3",
+        _ => "0",
+    };
+    let of_theta = |row: &[TableRow]| format!("    {{{}}},\n", row.iter().map(status).collect::<Vec<_>>().join(", "));
+    rows.chunks(deltas).map(of_theta).collect()
 }
 
 /// The table's numbers, a row of braces for each θ, which has `deltas` poses.
@@ -101,7 +119,7 @@ mod tests {
     fn the_compiled_lookup_is_the_table_at_its_poses_and_the_model_between_them() {
         let grid = Grid::default();
         let rows = compensation_table(&model(), &grid).unwrap();
-        let header = compensation_c_header(&grid, &rows, "a */ model").unwrap();
+        let header = compensation_c_header(&grid, &rows, "a */ model", None).unwrap();
         let nodes: Vec<(f64, f64)> =
             rows.iter().map(|row| (row.configuration.theta_deg(), row.configuration.delta_deg())).collect();
         for (found, row) in looked_up(&header, "-std=c89", &nodes).iter().zip(&rows) {
@@ -123,7 +141,7 @@ mod tests {
     fn a_seam_that_is_named_twice_is_one_and_a_sector_is_refused() {
         let grid = |theta: &str, delta: &str| Grid { theta: theta.parse().unwrap(), delta: delta.parse().unwrap() };
         let header =
-            |grid: &Grid| compensation_c_header(grid, &compensation_table(&model(), grid).unwrap(), "built in");
+            |grid: &Grid| compensation_c_header(grid, &compensation_table(&model(), grid).unwrap(), "built in", None);
         let twice = header(&grid("0:60:20", "-180:180:30")).unwrap();
         assert!(twice.contains("#define SNAKELOOP_DELTAS 12"));
         let near = looked_up(&twice, "-std=c89", &[(40.0, 180.0), (40.0, -180.0), (40.0, 540.0)]);

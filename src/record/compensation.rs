@@ -10,9 +10,11 @@
 //! | `common_n` | with force limits: the mean of the forces that they add to the backbones; with three, what each gets |
 //! | `f1_n` … `fn_n` | with force limits: what the actuation unit exerts on each, positive where it pushes |
 //! | `within_limits` | with force limits: 1 where all lie within them, else 0 |
+//! | `extrapolated` | 1 where the pose is beyond the bends and directions that the model was learned on, else 0 |
+//! | `do_not_use` | only in a table of a model that must not be used: 1 in every row |
 //!
 //! The JSON has the same rows under `rows`, the model under `model` with model.toml's keys, under `provenance` what made them,
-//! and under `verdict` whether `run` found that they can be relied on.
+//! under `verdict` whether `run` or `live` found that they can be relied on, and under `do_not_use` why not, if they must not be used.
 
 use super::columns::{azimuth, backbone_columns, backbone_decimals, csv_text, decimals};
 use super::model::ModelFile;
@@ -27,8 +29,24 @@ use std::path::Path;
 /// The columns of lengths.
 const LENGTHS: [&str; 3] = ["q", "qc", "sd_qc"];
 
+/// What is known of a table besides its numbers: the verdict on it, and why it must not be used, if that is so.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Worth<'a> {
+    /// The verdict, where one was passed.
+    pub verdict: Option<&'a Verdict>,
+    /// Why the table must not be used.
+    pub do_not_use: Option<&'a str>,
+}
+
+impl<'a> Worth<'a> {
+    /// That of a model that was judged.
+    pub fn of(verdict: &'a Verdict) -> Self {
+        Self { verdict: Some(verdict), do_not_use: verdict.why_not() }
+    }
+}
+
 /// compensation.csv as text; angles to 1e-6°, lengths to 1 nm, forces to 1 µN.
-pub fn compensation_csv(rows: &[TableRow]) -> String {
+pub fn compensation_csv(rows: &[TableRow], worth: Worth) -> String {
     let backbones = rows.first().map_or(0, |row| row.q_mm.len());
     let mut columns = vec!["theta_deg".to_owned(), "delta_deg".to_owned()];
     columns.extend(LENGTHS.iter().flat_map(|name| backbone_columns(name, "mm", backbones)));
@@ -40,16 +58,21 @@ pub fn compensation_csv(rows: &[TableRow]) -> String {
         columns.extend(backbone_columns("f", "n", backbones));
         columns.push("within_limits".to_owned());
     }
+    columns.push("extrapolated".to_owned());
+    columns.extend(worth.do_not_use.map(|_| "do_not_use".to_owned()));
+    let flag = |set: bool| u8::from(set).to_string();
     csv_text([columns].into_iter().chain(rows.iter().map(|row| {
-        let TableRow { configuration, q_mm, command_mm, sd_command_mm, beyond_data, sharing } = row;
+        let TableRow { configuration, q_mm, command_mm, sd_command_mm, beyond_data, extrapolated, sharing } = row;
         let mut fields = vec![decimals(configuration.theta_deg(), 6), azimuth(configuration.delta_deg())];
         fields.extend([q_mm, command_mm, sd_command_mm].into_iter().flat_map(|mm| backbone_decimals(mm, 6)));
-        fields.extend(beyond_data.map(|beyond| u8::from(beyond).to_string()));
+        fields.extend(beyond_data.map(flag));
         if let Some(sharing) = sharing {
             fields.push(decimals(sharing.common_n, 6));
             fields.extend(backbone_decimals(&sharing.actuation_n, 6));
-            fields.push(u8::from(sharing.within).to_string());
+            fields.push(flag(sharing.within));
         }
+        fields.push(flag(*extrapolated));
+        fields.extend(worth.do_not_use.map(|_| flag(true)));
         fields
     })))
 }
@@ -58,13 +81,10 @@ pub fn compensation_csv(rows: &[TableRow]) -> String {
 ///
 /// # Errors
 /// [`Error::Encode`] for a number that JSON cannot hold.
-pub fn compensation_json(model: &Model, source: &str, grid: &Grid, rows: &[TableRow]) -> Result<String> {
-    json_text(model, source, grid, rows, None)
-}
-
-fn json_text(model: &Model, source: &str, grid: &Grid, rows: &[TableRow], verdict: Option<&Verdict>) -> Result<String> {
+pub fn compensation_json(model: &Model, source: &str, grid: &Grid, rows: &[TableRow], worth: Worth) -> Result<String> {
     let file = CompensationFile {
-        verdict,
+        verdict: worth.verdict,
+        do_not_use: worth.do_not_use,
         provenance: Provenance {
             program: "snakeloop",
             version: env!("CARGO_PKG_VERSION"),
@@ -79,56 +99,31 @@ fn json_text(model: &Model, source: &str, grid: &Grid, rows: &[TableRow], verdic
     text.map(|text| text + "\n").map_err(Error::encode("the table"))
 }
 
-/// [`write_compensation`] of a model that was judged: the JSON has the verdict under `verdict`.
+/// Writes compensation.csv and compensation.json into a folder, over the grid that ends where the model's data end, and gives the rows.
+/// `source` says where the model comes from.
 ///
 /// # Errors
-/// Those of [`write_compensation`].
-pub fn write_judged_compensation(
-    folder: &Path,
-    model: &Model,
-    source: &str,
-    grid: &Grid,
-    verdict: &Verdict,
-) -> Result<Vec<TableRow>> {
-    let rows = compensation_table(model, grid)?;
-    write_tables(folder, model, source, grid, &rows, Some(verdict))?;
+/// A number that JSON cannot hold, a file that cannot be written.
+pub fn write_compensation(folder: &Path, model: &Model, source: &str, worth: Worth) -> Result<Vec<TableRow>> {
+    let grid = Grid::within_data(model);
+    let rows = compensation_table(model, &grid)?;
+    write_compensation_rows(folder, (model, source), &grid, &rows, worth)?;
     Ok(rows)
 }
 
-/// Writes compensation.csv and compensation.json into a folder, and gives the rows. `source` says where the model comes from.
-///
-/// # Errors
-/// A grid of too many poses, a number that JSON cannot hold, a file that cannot be written.
-pub fn write_compensation(folder: &Path, model: &Model, source: &str, grid: &Grid) -> Result<Vec<TableRow>> {
-    let rows = compensation_table(model, grid)?;
-    write_compensation_rows(folder, model, source, grid, &rows)?;
-    Ok(rows)
-}
-
-/// The same for rows that were computed already.
+/// The same for a grid of one's own, whose rows were computed already.
 ///
 /// # Errors
 /// A number that JSON cannot hold, a file that cannot be written.
 pub fn write_compensation_rows(
     folder: &Path,
-    model: &Model,
-    source: &str,
+    (model, source): (&Model, &str),
     grid: &Grid,
     rows: &[TableRow],
+    worth: Worth,
 ) -> Result<()> {
-    write_tables(folder, model, source, grid, rows, None)
-}
-
-fn write_tables(
-    folder: &Path,
-    model: &Model,
-    source: &str,
-    grid: &Grid,
-    rows: &[TableRow],
-    verdict: Option<&Verdict>,
-) -> Result<()> {
-    write_atomically(&folder.join("compensation.csv"), compensation_csv(rows).as_bytes())?;
-    let json = json_text(model, source, grid, rows, verdict)?;
+    write_atomically(&folder.join("compensation.csv"), compensation_csv(rows, worth).as_bytes())?;
+    let json = compensation_json(model, source, grid, rows, worth)?;
     write_atomically(&folder.join("compensation.json"), json.as_bytes())
 }
 
@@ -136,6 +131,8 @@ fn write_tables(
 struct CompensationFile<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     verdict: Option<&'a Verdict>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    do_not_use: Option<&'a str>,
     provenance: Provenance<'a>,
     model: ModelFile,
     rows: Vec<JsonRow<'a>>,
@@ -156,7 +153,7 @@ struct JsonRow<'a>(&'a TableRow);
 
 impl Serialize for JsonRow<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
-        let TableRow { configuration, q_mm, command_mm, sd_command_mm, beyond_data, sharing } = self.0;
+        let TableRow { configuration, q_mm, command_mm, sd_command_mm, beyond_data, extrapolated, sharing } = self.0;
         let rounded = |value: f64| (value * 1e9).round() / 1e9;
         let mut map = serializer.serialize_map(None)?;
         map.serialize_entry("theta_deg", &rounded(configuration.theta_deg()))?;
@@ -176,6 +173,7 @@ impl Serialize for JsonRow<'_> {
             }
             map.serialize_entry("within_limits", within)?;
         }
+        map.serialize_entry("extrapolated", &u8::from(*extrapolated))?;
         map.end()
     }
 }
@@ -196,9 +194,11 @@ mod tests {
     fn both_files_hold_the_same_rows() {
         let grid = Grid { theta: "0:90:45".parse().unwrap(), delta: "0:345:120".parse().unwrap() };
         let rows = compensation_table(&model(), &grid).unwrap();
-        let csv = compensation_csv(&rows);
-        let json: serde_json::Value =
-            serde_json::from_str(&compensation_json(&model(), "out/model.toml", &grid, &rows).unwrap()).unwrap();
+        let csv = compensation_csv(&rows, Worth::default());
+        let json: serde_json::Value = serde_json::from_str(
+            &compensation_json(&model(), "out/model.toml", &grid, &rows, Worth::default()).unwrap(),
+        )
+        .unwrap();
         assert_eq!(json["model"]["estimate"]["eta"], 1.221);
         assert_eq!(json["model"]["robot"]["length_mm"], 26.0);
         assert_eq!(json["provenance"]["model_source"], "out/model.toml");
@@ -221,9 +221,9 @@ mod tests {
         let rows = compensation_table(&model(), &grid).unwrap();
         let expected = model().static_friction_mm() + 0.1765;
         let line = format!(
-            "0.000000,0.000000,0.000000,0.000000,0.000000,{0:.6},{0:.6},{0:.6},0.002000,0.002000,0.002000",
+            "0.000000,0.000000,0.000000,0.000000,0.000000,{0:.6},{0:.6},{0:.6},0.002000,0.002000,0.002000,0",
             expected
         );
-        assert_eq!(compensation_csv(&rows).lines().nth(1).unwrap(), line);
+        assert_eq!(compensation_csv(&rows, Worth::default()).lines().nth(1).unwrap(), line);
     }
 }

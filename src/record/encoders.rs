@@ -2,6 +2,7 @@
 //! several sections the readings of up to two neighbours may follow: `n1_q1_mm,n1_q2_mm,n1_q3_mm`, then `n2_q1_mm` and so on.
 
 use super::columns::{backbone_columns, backbone_decimals, csv_text, decimals};
+use super::log::LogProposal;
 use super::table::{self, Checked, Indexed, Row, RowResult};
 use crate::error::Result;
 use crate::observation::EncoderReading;
@@ -9,7 +10,7 @@ use crate::robot::{BACKBONES, NEIGHBOURS, Neighbours, PerBackbone};
 use std::path::Path;
 
 /// The columns on a robot of so many backbones.
-fn columns(backbones: usize) -> Vec<String> {
+pub(super) fn columns(backbones: usize) -> Vec<String> {
     ["index", "time_s"].map(str::to_owned).into_iter().chain(backbone_columns("q", "mm", backbones)).collect()
 }
 
@@ -26,21 +27,43 @@ impl Indexed for EncoderReading {
 pub fn read_encoders(path: &Path, backbones: usize) -> Result<Checked<EncoderReading>> {
     let columns = columns(backbones);
     let required: Vec<&str> = columns.iter().map(String::as_str).collect();
-    let fits = |is_there: &dyn Fn(&str) -> bool| {
-        let found = backbone_columns("q", "mm", usize::from(u8::MAX)).take_while(|name| is_there(name)).count();
-        if found < *BACKBONES.start() || found == backbones {
-            return neighbours_fit(is_there);
-        }
-        Err(format!("q1_mm to q{found}_mm, expected q1_mm to q{backbones}_mm: the robot has {backbones} backbones"))
-    };
-    table::read_where(path, &required, fits, |row| {
-        let (index, time_s) = (row.index("index")?, row.number("time_s")?);
-        let mut q_mm = PerBackbone::repeat(backbones, 0.0);
-        for (q, column) in q_mm.iter_mut().zip(&columns[2..]) {
-            *q = row.number(column)?;
-        }
-        Ok(EncoderReading { index, time_s, q_mm, neighbours: neighbours_of(row)? })
-    })
+    table::read_where(path, &required, |header| fits(header, backbones), reading_of(&columns))
+}
+
+/// A row whose columns are these: index, time and the backbones'.
+pub(super) fn reading_of(columns: &[String]) -> impl Fn(&Row) -> RowResult<EncoderReading> {
+    |row| {
+        let (index, time_s) = (row.index("index")?, row.time()?);
+        Ok(EncoderReading { index, time_s, q_mm: displacements(row, &columns[2..])?, neighbours: neighbours_of(row)? })
+    }
+}
+
+/// The numbers of the backbones' columns.
+pub(super) fn displacements(row: &Row, columns: &[String]) -> RowResult<PerBackbone> {
+    let mut q_mm = PerBackbone::repeat(columns.len(), 0.0);
+    for (q, column) in q_mm.iter_mut().zip(columns) {
+        *q = row.number(column)?;
+    }
+    Ok(q_mm)
+}
+
+/// Whether a header can be that of a robot of so many backbones; of one that has none of the columns, how `[log]` would read it.
+fn fits(header: &[String], backbones: usize) -> RowResult<()> {
+    let is_there = |name: &str| header.iter().any(|known| known == name);
+    let found = backbone_columns("q", "mm", usize::from(u8::MAX)).take_while(|name| is_there(name)).count();
+    if found == 0
+        && let Some(proposal) = LogProposal::of(header, backbones)
+    {
+        let header = header.join(",");
+        return Err(format!(
+            "the header has {header}, expected {}; if these are the readings, write into experiment.toml: {proposal}",
+            columns(backbones).join(",")
+        ));
+    }
+    if found < *BACKBONES.start() || found == backbones {
+        return neighbours_fit(header);
+    }
+    Err(format!("q1_mm to q{found}_mm, expected q1_mm to q{backbones}_mm: the robot has {backbones} backbones"))
 }
 
 /// The columns of a neighbour of so many backbones; neighbours count from 0.
@@ -62,7 +85,8 @@ pub(super) fn neighbours_of(row: &Row) -> RowResult<Neighbours> {
 }
 
 /// Whether the columns of neighbours can be theirs: as many as a section can have backbones, the first neighbour's where there is a second.
-pub(super) fn neighbours_fit(is_there: &dyn Fn(&str) -> bool) -> RowResult<()> {
+pub(super) fn neighbours_fit(header: &[String]) -> RowResult<()> {
+    let is_there = |name: &str| header.iter().any(|known| known == name);
     let counts: Vec<usize> = (0..NEIGHBOURS)
         .map(|k| neighbour_columns(k, usize::from(u8::MAX)).take_while(|name| is_there(name)).count())
         .collect();

@@ -1,6 +1,8 @@
 //! experiment.toml: what belongs to one experiment and where it lies.
 
-use super::source::{EncoderLog, Source};
+use super::log::LogKeys;
+use super::source::{CameraSource, EncoderLog, Source};
+use crate::bag::Bag;
 use crate::camera::{FrameSource, Lens};
 use crate::error::{Error, Result};
 use crate::input::read_text;
@@ -20,6 +22,8 @@ pub struct Experiment {
     pub model: Option<PathBuf>,
     /// The encoder log; measuring alone needs none.
     pub encoders: Option<EncoderLog>,
+    /// What the log's columns mean, and in which units; as encoders.csv has them where absent.
+    pub log: Option<LogKeys>,
     /// How the log's columns hold the readings; as they are named where absent.
     pub wiring: WiringKeys,
     /// The cameras.
@@ -44,8 +48,8 @@ pub struct WiringKeys {
 pub struct View {
     /// Its name, unique in the experiment: letters, digits, `-` and `_`.
     pub name: String,
-    /// The camera file, or a topic of `CameraInfo`.
-    pub camera: Source<PathBuf>,
+    /// The camera file, a topic of `CameraInfo`, or its numbers.
+    pub camera: CameraSource,
     /// The frames: a glob, a numbered pattern or a video, relative to the experiment's folder; or a topic of pictures.
     pub frames: Source<String>,
     /// Where grid and base are, or the picture that tells.
@@ -92,6 +96,7 @@ struct ExperimentFile {
     robot: Option<PathBuf>,
     model: Option<PathBuf>,
     encoders: Option<EncoderLog>,
+    log: Option<LogKeys>,
     #[serde(default)]
     wiring: WiringKeys,
     #[serde(default)]
@@ -114,7 +119,7 @@ struct TrackerTable {
 #[serde(deny_unknown_fields)]
 struct ViewTable {
     name: String,
-    camera: Source<PathBuf>,
+    camera: CameraSource,
     frames: Source<String>,
     rig: Option<PathBuf>,
     straight: Option<PathBuf>,
@@ -169,7 +174,7 @@ impl Experiment {
     pub fn files(&self) -> Vec<PathBuf> {
         let of_views = self.views.iter().flat_map(|view| match &view.rig {
             RigSource::File(path) | RigSource::Straight { picture: path, .. } => {
-                [view.camera.path().to_owned(), path.clone()]
+                view.camera.path().map(Path::to_owned).into_iter().chain([path.clone()])
             }
         });
         let log = self.encoders.iter().map(|log| log.path().to_owned());
@@ -178,11 +183,22 @@ impl Experiment {
         std::iter::once(self.path.clone()).chain(named).chain(of_views).chain(of_trackers).collect()
     }
 
+    /// The recordings that it names.
+    pub fn bags(&self) -> impl Iterator<Item = Bag> {
+        let log = self.encoders.iter().filter_map(|log| match log {
+            EncoderLog::File(_) => None,
+            EncoderLog::Joints(joints) => Some(joints.topic().bag),
+        });
+        let of_frames = self.views.iter().filter_map(|view| view.frames.topic());
+        let of_poses = self.trackers.iter().filter_map(|tracker| tracker.poses.topic());
+        log.chain(of_frames.chain(of_poses).map(|topic| topic.bag.clone()))
+    }
+
     /// The frames of each view: a video, a recording, or a pattern of file names.
     pub fn frames(&self) -> impl Iterator<Item = PathBuf> {
         self.views.iter().map(|view| match &view.frames {
             Source::Files(pattern) => self.folder().join(pattern),
-            Source::Topic(topic) => topic.bag.clone(),
+            Source::Topic(topic) => topic.bag.path().to_owned(),
         })
     }
 
@@ -214,6 +230,10 @@ impl Experiment {
             }
             trackers.push(tracker);
         }
+        if file.log.is_some() && !matches!(file.encoders, Some(EncoderLog::File(_))) {
+            let message = "[log] says how a table is read, and `encoders` is none; remove it";
+            return Err(Error::content(path, message));
+        }
         if views.is_empty() && trackers.is_empty() {
             return Err(Error::content(path, "no [[view]] and no [[tracker]]; an experiment needs one at least"));
         }
@@ -222,6 +242,7 @@ impl Experiment {
             robot: file.robot.map(here),
             model: file.model.map(here),
             encoders: file.encoders.map(|log| log.within(folder)),
+            log: file.log,
             wiring: file.wiring,
             views,
             trackers,
@@ -244,11 +265,12 @@ impl View {
     /// The view's lens.
     ///
     /// # Errors
-    /// As [`Lens::read`] and [`Lens::of_topic`].
+    /// As [`Lens::read`], [`Lens::of_topic`] and [`Lens::of_numbers`].
     pub fn lens(&self) -> Result<Lens> {
         match &self.camera {
-            Source::Files(path) => Lens::read(path),
-            Source::Topic(topic) => Lens::of_topic(topic),
+            CameraSource::File(path) => Lens::read(path),
+            CameraSource::Topic(topic) => Lens::of_topic(topic),
+            CameraSource::Numbers(numbers) => Lens::of_numbers(numbers),
         }
     }
 
@@ -387,9 +409,12 @@ standoff_mm = 25
                 "{ bag = \"run.mcap\", topic = \"/joints\", joints = [\"b1\"], mm_per_unit = 1e3 }",
             );
         let experiment = parse(&text).unwrap();
-        let topic = |name: &str| Topic { bag: PathBuf::from("lab/run.mcap"), topic: name.to_owned() };
+        let topic = |name: &str| Topic { bag: PathBuf::from("lab/run.mcap").into(), topic: name.to_owned() };
         let [view] = &experiment.views[..] else { panic!("one view") };
-        assert_eq!((&view.frames, &view.camera), (&Source::Topic(topic("/image")), &Source::Topic(topic("/info"))));
+        assert_eq!(
+            (&view.frames, &view.camera),
+            (&Source::Topic(topic("/image")), &CameraSource::Topic(topic("/info")))
+        );
         let Some(EncoderLog::Joints(joints)) = &experiment.encoders else { panic!("{:?}", experiment.encoders) };
         assert_eq!((joints.topic(), joints.mm_per_unit), (topic("/joints"), 1e3));
         assert!(experiment.files().contains(&PathBuf::from("lab/run.mcap")));

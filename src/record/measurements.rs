@@ -95,7 +95,7 @@ fn measurement_of(row: &Row) -> RowResult<Measurement> {
     }
     Ok(Measurement {
         index: row.index("index")?,
-        time_s: row.optional_number("time_s")?,
+        time_s: row.optional_time()?,
         status,
         measured,
         quality: quality_of(row)?,

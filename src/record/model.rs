@@ -10,6 +10,9 @@
 //! sd_lambda_mm = 0.0006
 //! correlation = 0.1    # of the errors of eta and lambda
 //! samples = 36
+//! [learned]            # on which bends, so that what lies beyond is marked in every table
+//! theta_max_deg = 76.2
+//! delta_deg = [-30.0, 0.0, 30.0]   # the sectors of 30° in which the snake bent, by their middles
 //! [[effect]]           # each effect that was found; see robot::effects
 //! name = "load_directed_backlash"
 //! found = "discover, 320 samples"
@@ -33,7 +36,7 @@ use super::experiment::line_at;
 use super::write::write_atomically;
 use crate::error::{Error, Result};
 use crate::input::read_text;
-use crate::robot::{Estimate, Friction, Model, Robot};
+use crate::robot::{DataRange, Estimate, Friction, MAX_THETA, Model, OutOfRange, Robot};
 use crate::verdict::Verdict;
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
@@ -50,6 +53,8 @@ pub(super) struct ModelFile {
     friction: Friction,
     #[serde(skip_serializing_if = "Option::is_none")]
     estimate: Option<EstimateTable>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    learned: Option<LearnedTable>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     effect: Vec<toml::Spanned<EffectTable>>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -68,6 +73,49 @@ struct EstimateTable {
     samples: usize,
 }
 
+/// The bends that η and λ were learned on.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LearnedTable {
+    theta_max_deg: f64,
+    delta_deg: Vec<f64>,
+}
+
+impl From<DataRange> for LearnedTable {
+    fn from(range: DataRange) -> Self {
+        // Rounded up, so that the largest bend itself lies within.
+        let theta_max_deg = (range.theta_max().to_degrees() * 1e6).ceil() / 1e6;
+        Self { theta_max_deg, delta_deg: range.directions_deg() }
+    }
+}
+
+impl From<LearnedTable> for DataRange {
+    fn from(table: LearnedTable) -> Self {
+        Self::of(table.theta_max_deg.to_radians(), &table.delta_deg)
+    }
+}
+
+impl ModelFile {
+    /// The first number that neither the model nor its squares would show: a negative σ, a range that is none.
+    fn out_of_range(&self) -> Option<OutOfRange> {
+        let mut numbers = Vec::new();
+        if let Some(EstimateTable { sd_eta, sd_lambda_mm, .. }) = self.estimate {
+            numbers.extend([("estimate.sd_eta", sd_eta, 0.0, 1e6), ("estimate.sd_lambda_mm", sd_lambda_mm, 0.0, 1e3)]);
+        }
+        if let Some(LearnedTable { theta_max_deg, delta_deg }) = &self.learned {
+            numbers.push(("learned.theta_max_deg", *theta_max_deg, 0.0, MAX_THETA.to_degrees() + 1e-6));
+            numbers.extend(delta_deg.iter().map(|delta| ("learned.delta_deg", *delta, -360.0, 360.0)));
+        }
+        let mut wrong = numbers.into_iter().filter(|(_, value, least, most)| !(least..=most).contains(&value));
+        wrong.next().map(|(key, value, least, most)| OutOfRange {
+            key: key.to_owned(),
+            value,
+            range: least..=most,
+            why: "",
+        })
+    }
+}
+
 impl From<&Model> for ModelFile {
     fn from(model: &Model) -> Self {
         let effect = |k: usize| toml::Spanned::new(0..0, EffectTable::of(model, k));
@@ -75,6 +123,7 @@ impl From<&Model> for ModelFile {
             robot: model.robot.clone(),
             friction: model.friction,
             estimate: model.estimate.map(EstimateTable::from),
+            learned: model.learned.filter(|_| model.estimate.is_some()).map(LearnedTable::from),
             effect: (0..model.effects.len()).map(effect).collect(),
             covariance: CovarianceTable::of(model).map(|table| toml::Spanned::new(0..0, table)),
         }
@@ -162,8 +211,16 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
     };
     let document = DeTable::parse(text).map_err(at_span)?;
     let file: ModelFile = toml::from_str(text).map_err(at_span)?;
+    let out_of_range = |fault: OutOfRange| {
+        let line = line_of_key(document.get_ref(), &fault.key).map(|byte| line_at(text, byte));
+        Error::Content { path: path.to_owned(), line, message: fault.to_string() }
+    };
+    if let Some(fault) = file.out_of_range() {
+        return Err(out_of_range(fault));
+    }
     let mut model = Model {
         estimate: file.estimate.map(Estimate::from),
+        learned: file.learned.map(DataRange::from),
         robot: file.robot,
         friction: file.friction,
         ..Model::default()
@@ -185,13 +242,7 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
         }
     };
     model.set_covariance(&covariance);
-    match model.out_of_range() {
-        None => Ok(model),
-        Some(fault) => {
-            let line = line_of_key(document.get_ref(), &fault.key).map(|byte| line_at(text, byte));
-            Err(Error::Content { path: path.to_owned(), line, message: fault.to_string() })
-        }
-    }
+    model.out_of_range().map_or(Ok(model), |fault| Err(out_of_range(fault)))
 }
 
 /// Where in the text the key of a dotted path stands; `None` where a default stands in for it.

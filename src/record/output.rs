@@ -114,8 +114,8 @@ impl OutputFolder {
         if is_at(&self.record, &self.path.join(RECORD)) {
             return Ok(());
         }
-        let made = self.made.take();
-        *self = Self::lock(&self.path)?;
+        let locked = Self::lock(&self.path)?;
+        let made = std::mem::replace(self, locked).made.take();
         made.map_or(Ok(()), |(maker, outputs)| {
             self.made_by(&maker, &outputs.iter().map(String::as_str).collect::<Vec<_>>())
         })

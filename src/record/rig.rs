@@ -5,7 +5,8 @@
 //! rotation = [[…], […], […]]      # rows of R in x_camera = R x_base + t
 //! translation_mm = [x, y, z]
 //! covariance = [[…] × 6]          # of a small turn (rad) and a shift (mm) along the camera's axes
-//! [grid]                    # the camera's pose to the grid target
+//! [grid]                    # the camera's pose to the grid target's mean plane
+//! [sheet]                   # how the printed sheet departs from a flat and square one; files of older versions have none
 //! [print]                   # what is on it, and the colours in which it shows; files of older versions have none
 //! [appearance]              # what tells snake from grid target
 //! [fit]                     # how well the calibration fitted
@@ -14,7 +15,7 @@
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::input::read_text;
-use crate::measure::{Appearance, EdgeBias, GridPattern, Rig, UNKNOWN_SHAPE_RAD};
+use crate::measure::{Appearance, EdgeBias, GridPattern, Rig, SheetShape, UNKNOWN_SHAPE_RAD};
 use crate::record::{line_at, write_atomically};
 use crate::robot::MODES;
 use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -26,6 +27,8 @@ use std::path::Path;
 struct RigFile {
     base: BaseTable,
     grid: GridTable,
+    #[serde(default)]
+    sheet: Option<SheetTable>,
     #[serde(default)]
     print: GridPattern,
     appearance: Appearance,
@@ -46,6 +49,40 @@ struct GridTable {
     pitch_mm: f64,
     rotation: [[f64; 3]; 3],
     translation_mm: [f64; 3],
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SheetTable {
+    anisotropy: f64,
+    shear_deg: f64,
+    bow_mm: [f64; 3],
+    centre_mm: [f64; 2],
+    half_mm: [f64; 2],
+}
+
+impl SheetTable {
+    fn of(shape: &SheetShape) -> Self {
+        Self {
+            anisotropy: shape.anisotropy,
+            shear_deg: shape.shear.to_degrees(),
+            bow_mm: shape.bow_mm,
+            centre_mm: shape.centre_mm.into(),
+            half_mm: shape.half_mm.into(),
+        }
+    }
+
+    /// The shape; `None` where a number is not finite, or the sheet has no extent.
+    fn shape(&self) -> Option<SheetShape> {
+        let Self { anisotropy, shear_deg, bow_mm, centre_mm, half_mm } = *self;
+        let numbers = bow_mm.iter().chain(&centre_mm).chain(&half_mm).chain([&anisotropy, &shear_deg]);
+        let is_sheet = numbers.copied().all(f64::is_finite)
+            && half_mm.iter().all(|half| *half > 0.0)
+            && anisotropy.abs() < 1.0
+            && shear_deg.abs() < 45.0;
+        let (centre_mm, half_mm) = (centre_mm.into(), half_mm.into());
+        is_sheet.then(|| SheetShape { anisotropy, shear: shear_deg.to_radians(), bow_mm, centre_mm, half_mm })
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -112,6 +149,10 @@ impl Rig {
             pose_covariance: Matrix6::from_fn(|r, c| (base.covariance[r][c] + base.covariance[c][r]) / 2.0),
             camera_from_grid: pose(&file.grid.rotation, &file.grid.translation_mm)
                 .ok_or_else(|| wrong("[grid] is not a pose"))?,
+            sheet_shape: match &file.sheet {
+                Some(sheet) => sheet.shape().ok_or_else(|| wrong("[sheet] is not a sheet's shape"))?,
+                None => SheetShape::default(),
+            },
             grid_pitch_mm: file.grid.pitch_mm,
             pattern: file.print,
             appearance: file.appearance,
@@ -142,6 +183,7 @@ impl Rig {
                 covariance: std::array::from_fn(|r| std::array::from_fn(|c| covariance[(r, c)])),
             },
             grid: GridTable { pitch_mm: self.grid_pitch_mm, rotation: grid.0, translation_mm: grid.1 },
+            sheet: Some(SheetTable::of(&self.sheet_shape)),
             print: self.pattern.clone(),
             appearance: self.appearance.clone(),
             fit: FitTable {
@@ -185,6 +227,13 @@ mod tests {
             camera_from_base: Pose::new(Vector3::new(1.0, 2.0, 230.0), Vector3::new(1.5, 0.1, -0.05)),
             pose_covariance: Matrix6::from_diagonal_element(1e-6),
             camera_from_grid: Pose::new(Vector3::new(0.0, 0.0, 255.0), Vector3::new(0.02, 0.01, 0.03)),
+            sheet_shape: SheetShape {
+                anisotropy: 0.01,
+                shear: 0.002,
+                bow_mm: [0.3, -0.2, 0.1],
+                centre_mm: [4.0, -3.0].into(),
+                half_mm: [30.0, 20.0].into(),
+            },
             grid_pitch_mm: 1.0,
             pattern: GridPattern { kind: PatternKind::Checkerboard, weights: vec![0.5, 0.25, -0.5] },
             appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },

@@ -1,6 +1,7 @@
 //! Where the parts of an experiment come from: files, or topics of a ROS 2 recording.
 
-use crate::bag::Topic;
+use crate::bag::{Bag, Topic};
+use crate::camera::CameraNumbers;
 use serde::Deserialize;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -35,12 +36,56 @@ pub enum EncoderLog {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointTopic {
-    bag: PathBuf,
+    bag: Bag,
     topic: String,
     /// The joint of each backbone.
     pub joints: Vec<String>,
     /// What one unit of a joint's position is, mm.
     pub mm_per_unit: f64,
+}
+
+/// Where a view's lens comes from.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected a camera file, a table such as { bag = \"run.mcap\", topic = \"/camera/camera_info\" }, or numbers: { K = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dist = [k1, k2, p1, p2, k3], size = [width, height] }"
+)]
+pub enum CameraSource {
+    /// A camera file.
+    File(PathBuf),
+    /// A topic of `CameraInfo`.
+    Topic(Topic),
+    /// The numbers themselves.
+    Numbers(CameraNumbers),
+}
+
+impl CameraSource {
+    /// The file that is read, where there is one.
+    pub fn path(&self) -> Option<&Path> {
+        match self {
+            Self::File(path) => Some(path),
+            Self::Topic(topic) => Some(topic.bag.path()),
+            Self::Numbers(_) => None,
+        }
+    }
+
+    pub(super) fn within(self, folder: &Path) -> Self {
+        match self {
+            Self::File(path) => Self::File(folder.join(path)),
+            Self::Topic(topic) => Self::Topic(topic.within(folder)),
+            Self::Numbers(numbers) => Self::Numbers(numbers),
+        }
+    }
+}
+
+impl fmt::Display for CameraSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File(path) => path.display().fmt(f),
+            Self::Topic(topic) => topic.fmt(f),
+            Self::Numbers(_) => f.write_str("the numbers in experiment.toml"),
+        }
+    }
 }
 
 impl JointTopic {
@@ -65,7 +110,7 @@ impl Source<PathBuf> {
     pub fn path(&self) -> &Path {
         match self {
             Self::Files(path) => path,
-            Self::Topic(topic) => &topic.bag,
+            Self::Topic(topic) => topic.bag.path(),
         }
     }
 
@@ -100,14 +145,14 @@ impl EncoderLog {
     pub fn path(&self) -> &Path {
         match self {
             Self::File(path) => path,
-            Self::Joints(joints) => &joints.bag,
+            Self::Joints(joints) => joints.bag.path(),
         }
     }
 
     pub(super) fn within(self, folder: &Path) -> Self {
         match self {
             Self::File(path) => Self::File(folder.join(path)),
-            Self::Joints(joints) => Self::Joints(JointTopic { bag: folder.join(&joints.bag), ..joints }),
+            Self::Joints(joints) => Self::Joints(JointTopic { bag: joints.bag.clone().within(folder), ..joints }),
         }
     }
 }

@@ -12,6 +12,7 @@
 use super::write::write_atomically;
 use crate::error::{Error, Result};
 use crate::input::read_text;
+use crate::verdict::Level;
 use std::io::ErrorKind;
 use std::path::Path;
 
@@ -42,6 +43,21 @@ pub fn unmark_stale(folder: &Path) -> Result<()> {
 pub fn stale_mark(model: &Path) -> Option<String> {
     let text = read_text(model).ok()?;
     Some(text.lines().next()?.strip_prefix(IN_MODEL)?.to_owned())
+}
+
+/// The verdict above the keys of a model's file, if there is one: its level, and the worst reason in a sentence.
+pub fn verdict_mark(model: &Path) -> Option<(String, Option<String>)> {
+    let text = read_text(model).ok()?;
+    let mut comments = text.lines().take_while(|line| line.starts_with('#')).map(|line| line[1..].trim());
+    let level = comments.find_map(|line| line.strip_prefix("verdict: "))?;
+    let worst = comments.find_map(|line| line.strip_prefix("- "));
+    Some((level.to_owned(), worst.map(str::to_owned)))
+}
+
+/// Why the model in a file must not be used, if the verdict above its keys says so.
+pub fn do_not_use_mark(model: &Path) -> Option<String> {
+    let (level, worst) = verdict_mark(model)?;
+    (level == Level::DoNotUse.to_string()).then(|| worst.unwrap_or("its verdict is \"do not use\"".to_owned()))
 }
 
 fn set_mark(folder: &Path, why: Option<&str>) -> Result<()> {
@@ -92,8 +108,8 @@ fn in_json(text: &str, why: Option<&str>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::{read_model, write_compensation, write_model};
-    use crate::robot::{Grid, Model};
+    use crate::record::{Worth, read_model, write_compensation, write_model};
+    use crate::robot::Model;
     use std::collections::BTreeMap;
 
     #[test]
@@ -107,8 +123,7 @@ mod tests {
             names.iter().map(|name| (*name, std::fs::read_to_string(path.join(name)).unwrap())).collect()
         };
         write_model(&path.join("model.toml"), &Model::default()).unwrap();
-        let grid = Grid { theta: "0:90:45".parse().unwrap(), delta: "0:345:120".parse().unwrap() };
-        write_compensation(path, &Model::default(), "model.toml", &grid).unwrap();
+        write_compensation(path, &Model::default(), "model.toml", Worth::default()).unwrap();
         let plain = files();
 
         // Once more with another reason: there is one mark.

@@ -6,9 +6,10 @@
 //! | `sigma_mm` | standard deviation of each coordinate |
 //! | `base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz` | the pose of a second sensor on the base, which may move; the tip's is then taken from it |
 //!
-//! A row whose position is empty or NaN is a pose that the tracker lost.
+//! A row whose position is empty, NaN, or one number three times is a pose that the tracker lost: programs write 0, −9999 or −3.7e28 where there is
+//! none, and no place has three coordinates that are alike to the last digit.
 
-use super::table::{self, Checked, Indexed, Row, RowResult};
+use super::table::{self, Checked, Fault, Indexed, Row, RowResult, Warning};
 use crate::bag::Topic;
 use crate::bag::messages::StampedPose;
 use crate::error::Result;
@@ -36,13 +37,20 @@ impl Indexed for TrackerPose {
 /// A file that cannot be read, lacks a column or has no usable row. A bad row, such as one with a quaternion that is not of length 1, is a
 /// warning.
 pub fn read_tracker_poses(path: &Path) -> Result<Checked<TrackerPose>> {
-    let in_mm = |is_there: &dyn Fn(&str) -> bool| match is_there("x_m") || is_there("x") {
-        true if !is_there("x_mm") => Err("positions are expected in x_mm,y_mm,z_mm, in mm".to_owned()),
-        _ => Ok(()),
+    let in_mm = |header: &[String]| {
+        let is_there = |name: &str| header.iter().any(|known| known == name);
+        match is_there("x_m") || is_there("x") {
+            true if !is_there("x_mm") => Err("positions are expected in x_mm,y_mm,z_mm, in mm".to_owned()),
+            _ => Ok(()),
+        }
     };
     table::read_where(path, &REQUIRED, in_mm, |row| {
         let position = position(row, ["x_mm", "y_mm", "z_mm"])?;
-        let orientation = orientation(row, ["qw", "qx", "qy", "qz"])?;
+        // What stands beside no position is no orientation either.
+        let orientation = match position {
+            Some(_) => orientation(row, ["qw", "qx", "qy", "qz"])?,
+            None => None,
+        };
         let base = position_of_base(row)?;
         let sigma_mm = row.optional_number("sigma_mm")?;
         if let Some(sigma_mm) = sigma_mm.filter(|sigma_mm| *sigma_mm <= 0.0) {
@@ -50,7 +58,7 @@ pub fn read_tracker_poses(path: &Path) -> Result<Checked<TrackerPose>> {
         }
         Ok(TrackerPose {
             index: row.index("index")?,
-            time_s: row.number("time_s")?,
+            time_s: row.time()?,
             position_mm: position.map(|position| base.inverse_transform_point(&position)),
             orientation: orientation.map(|orientation| base.rotation.inverse() * orientation),
             sigma_mm,
@@ -59,32 +67,53 @@ pub fn read_tracker_poses(path: &Path) -> Result<Checked<TrackerPose>> {
 }
 
 /// A tracker's poses from a topic of `PoseStamped` or `TransformStamped`, in mm; a pose's index is its position, from 0. A pose with a number that
-/// is none is one that the tracker lost.
+/// is none is one that the tracker lost; a message that cannot be read, or has an orientation that is none, costs itself.
 ///
 /// # Errors
-/// A recording that cannot be read, has no such topic, or orientations that are no quaternions of length 1.
-pub fn tracker_poses_of(topic: &Topic) -> Result<Vec<TrackerPose>> {
+/// A recording that cannot be read, has no such topic, or no pose in it.
+pub fn tracker_poses_of(topic: &Topic) -> Result<Checked<TrackerPose>> {
+    topic.first::<StampedPose>()?;
+    let (mut rows, mut warnings) = (Vec::new(), Vec::new());
+    let damage = |message: String| {
+        let path = topic.bag.path().to_owned();
+        Warning { path, line: None, message, fault: Fault::Damage }
+    };
+    for (index, message) in (0..).zip(topic.messages()?) {
+        let pose = match message {
+            Ok(message) => message
+                .decoded::<StampedPose>()
+                .map_err(|why| topic.in_words(&why))
+                .and_then(|pose| pose_of(index, &pose)),
+            Err(why) => Err(topic.in_words(&why)),
+        };
+        match pose {
+            Ok(pose) => rows.push(pose),
+            Err(why) => warnings.push(damage(format!("pose {index}: {why}; passed over"))),
+        }
+    }
+    Ok(Checked { rows, warnings })
+}
+
+/// A message as a pose.
+fn pose_of(index: u64, pose: &StampedPose) -> RowResult<TrackerPose> {
     /// Convention: ROS has lengths in m.
     const MM_PER_M: f64 = 1000.0;
-    let poses: Vec<StampedPose> = topic.all()?;
-    let pose_of = |(index, pose): (usize, &StampedPose)| {
-        let position_mm = pose.position_m * MM_PER_M;
-        let is_there = position_mm.iter().chain(pose.orientation.coords.iter()).all(|value| value.is_finite());
-        let orientation = is_there.then(|| unit_quaternion(pose.orientation)).transpose();
-        Ok(TrackerPose {
-            index: index as u64,
-            time_s: pose.stamp_s,
-            position_mm: is_there.then(|| Point3::from(position_mm)),
-            orientation: orientation.map_err(|why| topic.error(format!("pose {index}: {why}")))?,
-            sigma_mm: None,
-        })
-    };
-    poses.iter().enumerate().map(pose_of).collect()
+    let position_mm = Point3::from(pose.position_m * MM_PER_M);
+    let is_there = position_mm.iter().chain(pose.orientation.coords.iter()).all(|value| value.is_finite());
+    let position_mm = Some(position_mm).filter(|place| is_there && !is_lost(place));
+    let orientation = position_mm.map(|_| unit_quaternion(pose.orientation)).transpose()?;
+    Ok(TrackerPose { index, time_s: pose.stamp_s, position_mm, orientation, sigma_mm: None })
+}
+
+/// Whether a position is what programs write where there is none: one number three times.
+fn is_lost(position: &Point3<f64>) -> bool {
+    position.x == position.y && position.y == position.z
 }
 
 /// The pose of the sensor on the base; where it is at rest where the file has none.
 fn position_of_base(row: &Row) -> RowResult<Pose> {
-    let position = position(row, ["base_x_mm", "base_y_mm", "base_z_mm"])?;
+    // The origin may lie on the base, so that three zeros are a place here.
+    let position = numbers(row, ["base_x_mm", "base_y_mm", "base_z_mm"])?.map(Point3::from);
     let orientation = orientation(row, ["base_qw", "base_qx", "base_qy", "base_qz"])?;
     match (position, orientation) {
         (None, None) => Ok(Pose::identity()),
@@ -95,7 +124,7 @@ fn position_of_base(row: &Row) -> RowResult<Pose> {
 
 /// A position; `None` where the tracker lost it.
 fn position(row: &Row, columns: [&str; 3]) -> RowResult<Option<Point3<f64>>> {
-    Ok(numbers(row, columns)?.map(Point3::from))
+    Ok(numbers(row, columns)?.map(Point3::from).filter(|position| !is_lost(position)))
 }
 
 /// An orientation; `None` where there is none.

@@ -10,6 +10,7 @@ pub mod overlay;
 mod page;
 pub mod plot;
 pub mod reproduction;
+pub mod rig_picture;
 mod run_course;
 pub mod run_history;
 pub mod run_page;

@@ -203,7 +203,7 @@ fn blend(pixel: &mut Rgb<u8>, colour: Rgb<u8>, share: f64) {
 }
 
 /// Writes lines of text on a dark box in the top left or right corner, `size` px high each.
-fn label(picture: &mut RgbImage, lines: &[String], size: f64, colour: Rgb<u8>, at_right: bool) {
+pub(super) fn label(picture: &mut RgbImage, lines: &[String], size: f64, colour: Rgb<u8>, at_right: bool) {
     let Ok(font) = FontRef::try_from_slice(epaint_default_fonts::HACK_REGULAR) else { return };
     let size = size.max(MIN_TEXT_PX);
     let scale = PxScale::from(size as f32);

@@ -1,5 +1,6 @@
 //! What the numbers of a robot can be: physical ranges, checked where numbers come in.
 
+use super::model::{ETA, LAMBDA};
 use super::{BACKBONES, Body, Estimate, Friction, Model, Robot};
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -132,6 +133,20 @@ impl Friction {
 }
 
 impl Estimate {
+    /// Why no robot can have these numbers, if none can: a line that yields against its load or hundreds of times too far, a play of
+    /// millimetres. `None` says that they are possible, not that they are right.
+    pub fn implausible(&self) -> Option<String> {
+        let Self { eta, lambda_mm, .. } = *self;
+        let text = if !(ETA.range.0..=ETA.range.1).contains(&eta) {
+            format!("η = {eta:.3}, and every robot's lies between {} and {}", ETA.range.0, ETA.range.1)
+        } else if !(LAMBDA.range.0..=LAMBDA.range.1).contains(&lambda_mm) {
+            format!("λ = {lambda_mm:.3} mm, and every robot's lies within {} mm of 0", LAMBDA.range.1)
+        } else {
+            return None;
+        };
+        Some(text.replace('-', "−"))
+    }
+
     fn check(&self, check: &mut Check) {
         // As wide as a log in a wrong unit can make them: whether they are plausible is the verdict's business.
         check.that("estimate.eta", self.eta, -1e6..=1e6, "");

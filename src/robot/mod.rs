@@ -6,6 +6,7 @@
 pub mod backbones;
 pub mod compensation;
 pub mod curve;
+pub mod data_range;
 mod directions;
 pub mod drive;
 pub mod effects;
@@ -30,6 +31,7 @@ pub mod without_effects;
 pub use backbones::{BACKBONES, PerBackbone};
 pub use compensation::Response;
 pub use curve::{BendProfile, Curve, MODES, PROFILE};
+pub use data_range::DataRange;
 pub use effects::{COUPLINGS, DRIVE, Effect, LIBRARY, Physics};
 pub use forward::{ForwardSolution, LineJacobian};
 pub use friction::{Friction, FrictionFit, FrictionSample};

@@ -1,7 +1,7 @@
 //! The model: what a prediction needs to know about one robot.
 
 use super::effects::ParameterSpec;
-use super::{Effect, Friction, Robot};
+use super::{DataRange, Effect, Friction, Robot};
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 
 /// η as a parameter.
@@ -59,6 +59,8 @@ pub struct Model {
     /// The rows of the parameters' covariance that belong to the effects, m × (2 + m). It may be smaller: parameters beyond its end are
     /// exactly known.
     pub effects_covariance: DMatrix<f64>,
+    /// The bends that η and λ were learned on; `None` where nobody says.
+    pub learned: Option<DataRange>,
 }
 
 impl Default for Model {
@@ -69,6 +71,7 @@ impl Default for Model {
             estimate: None,
             effects: Vec::new(),
             effects_covariance: DMatrix::zeros(0, 0),
+            learned: None,
         }
     }
 }

@@ -21,7 +21,7 @@
 //!
 //! A force f_i stretches its line by κf_i, which is added to q̃_i: the choice shows in the table and in the bend not at all.
 
-use super::{Mechanics, Model, PerBackbone};
+use super::{Mechanics, Model, PerBackbone, Response};
 use crate::error::{ArgumentError, Result};
 use crate::geometry::Configuration;
 use nalgebra::Vector2;
@@ -97,6 +97,15 @@ impl Model {
             shift_mm: added_n * self.line_compliance_mm_per_n(),
             within: actuation_n.iter().all(|&force| limits.contain(force)),
         }
+    }
+}
+
+impl Model {
+    /// q̃ as it would be without the force that the backbones share within limits, mm: as it is commanded by a table that was made for these
+    /// limits. The shared force bends nothing, so that the bend that q̃ leads to tells it. q̃ itself where the model has no answer for it.
+    pub fn without_sharing(&self, q_tilde: &PerBackbone, limits: &ForceLimits) -> PerBackbone {
+        let shift = |solution: Response| self.sharing(solution.configuration, limits).shift_mm;
+        self.forward(q_tilde).map_or(*q_tilde, |solution| *q_tilde - shift(solution))
     }
 }
 
@@ -215,6 +224,33 @@ mod tests {
         let back = model.forward(&(model.command(psi) + sharing.shift_mm)).unwrap();
         assert!((back.configuration.theta - psi.theta).abs() < 1e-9);
         assert!((back.internal_force_n - sharing.common_n).abs() < 1e-9);
+    }
+
+    #[test]
+    fn lambda_is_found_behind_force_limits_once_the_estimator_knows_them() {
+        use crate::estimate::{Options, estimate};
+        use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
+        let limits = ForceLimits::new(-60.0, 15.0).unwrap();
+        let plant = Plant { model: paper(), sd_encoder_mm: 0.0015 };
+        let samples = plant.run(&BendingExperiment::default().waypoints().unwrap(), 4);
+        let measurements = SimulatedEye::default().observe(&samples, 5);
+        let shifted = samples.iter().map(|sample| {
+            let shift = paper().sharing(sample.truth.configuration, &limits).shift_mm;
+            crate::observation::EncoderReading { q_mm: sample.reading.q_mm + shift, ..sample.reading }
+        });
+        let readings: Vec<_> = shifted.collect();
+        let learned =
+            |readings: &[_]| estimate(&Model::default(), Options::default(), &measurements, readings).unwrap().1;
+        let first = learned(&readings);
+        let known = readings.iter().map(|reading| crate::observation::EncoderReading {
+            q_mm: first.without_sharing(&reading.q_mm, &limits),
+            ..*reading
+        });
+        let [before, after] = [first.estimate, learned(&known.collect::<Vec<_>>()).estimate].map(Option::unwrap);
+        let off = |estimate: &Estimate| (estimate.lambda_mm - 0.1765).abs() / estimate.sd_lambda_mm();
+        assert!((before.lambda_mm - 0.1765).abs() > 0.1, "{before:?}");
+        assert!(off(&after) < 2.0 && after.sd_lambda_mm() < 0.01, "{after:?}");
+        assert!((after.eta - 1.221).abs() < 3.0 * after.sd_eta(), "{after:?}");
     }
 
     proptest! {

@@ -96,6 +96,19 @@ impl Grid {
     }
 }
 
+impl Grid {
+    /// The default grid, which ends where the bends that a model was learned on end: at the last 5° up to them, and not below 15°, since a
+    /// table in C interpolates between four angles.
+    pub fn within_data(model: &Model) -> Self {
+        let grid = Self::default();
+        let Some(range) = &model.learned else { return grid };
+        let least_deg = grid.theta.start_deg + 3.0 * grid.theta.step_deg;
+        let covered = |theta_deg: &f64| *theta_deg <= least_deg || range.reaches(theta_deg.to_radians());
+        let stop_deg = grid.theta.values_deg().take_while(covered).last().unwrap_or(grid.theta.stop_deg);
+        Self { theta: GridAxis { stop_deg, ..grid.theta }, ..grid }
+    }
+}
+
 impl Default for Grid {
     /// θ 0 to 90° by 5°, δ once round by 15°.
     fn default() -> Self {
@@ -120,6 +133,8 @@ pub struct TableRow {
     /// Whether the pose is beyond what an effect of the model was learned from, which then goes on straight from the end of its domain;
     /// none where no effect has a domain.
     pub beyond_data: Option<bool>,
+    /// Whether the pose is beyond the bends that η and λ were learned on; false where nobody says which those are.
+    pub extrapolated: bool,
     /// How the backbones share the load, where the actuation unit's limits were given; q̃ then has it in.
     pub sharing: Option<Sharing>,
 }
@@ -133,6 +148,7 @@ impl TableRow {
             command_mm: model.command(configuration),
             sd_command_mm: model.command_sds(configuration),
             beyond_data: Mechanics::new(model).is_beyond_data(configuration.bend_vector()),
+            extrapolated: model.learned.is_some_and(|range| !range.covers(configuration)),
             sharing: None,
         }
     }

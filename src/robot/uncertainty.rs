@@ -18,13 +18,15 @@ use nalgebra::{DVector, Matrix2, Matrix2xX, Vector2};
 const PARAMETER_STEP: f64 = 1e-3;
 
 impl Model {
-    /// Standard deviations of [`command`](Self::command), mm, from the covariance of all parameters.
+    /// Standard deviations of [`command`](Self::command), mm, from the covariance of all parameters, and from what the model may miss
+    /// beyond the bends that it was learned on ([`data_range`](super::data_range)).
     pub fn command_sds(&self, psi: Configuration) -> PerBackbone {
         let (columns, covariance) = (self.command_by_parameters(psi.bend_vector()), self.covariance());
+        let beyond_mm = self.beyond_data_mm(psi.bend_vector());
         PerBackbone::from_fn(self.robot.backbone_count(), |i| {
             let by = DVector::from_iterator(columns.len(), columns.iter().map(|column| column[i]));
             // A variance may come out as a rounding below zero.
-            by.dot(&(&covariance * &by)).max(0.0).sqrt()
+            by.dot(&(&covariance * &by)).max(0.0).sqrt().hypot(beyond_mm[i])
         })
     }
 
@@ -51,7 +53,8 @@ impl Model {
         columns.collect()
     }
 
-    /// Covariance of the bend vector (rad²) that a given q̃ leads to, from that of all parameters.
+    /// Covariance of the bend vector (rad²) that a given q̃ leads to, from that of all parameters, and from what the model may miss beyond the
+    /// bends that it was learned on.
     ///
     /// # Errors
     /// As [`updated_jacobian_bend`](Self::updated_jacobian_bend).
@@ -59,7 +62,8 @@ impl Model {
         let by_command = self.updated_jacobian_bend(bend)?;
         let columns: Vec<_> = self.command_by_parameters(bend).iter().map(|column| by_command.tr_mul(column)).collect();
         let by_parameters = Matrix2xX::from_columns(&columns);
-        Ok(&by_parameters * self.covariance() * by_parameters.transpose())
+        let beyond = by_command.tr_mul(&self.beyond_data_mm(bend));
+        Ok(&by_parameters * self.covariance() * by_parameters.transpose() + beyond * beyond.transpose())
     }
 
     /// Covariance of (θ, δ), rad², that a given q̃ leads to, from that of all parameters.

@@ -233,6 +233,7 @@ mod tests {
                 focal_px: Vector2::new(600.0, 620.0),
                 centre_px: Point2::new(80.3, 90.6),
                 distortion: [0.0; 12],
+                fisheye: None,
             },
             view: Viewpoint { yaw_deg: 0.0, pitch_deg: 0.0, roll_deg: 0.0, base_mm: [0.0, 0.0, 200.0] },
             sensor: Sensor { rays_per_pixel: 256, blur_px: 0.0, noise: 0.0 },

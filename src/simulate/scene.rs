@@ -220,6 +220,7 @@ impl Default for Scene {
                 focal_px: Vector2::new(4282.34, 4282.34),
                 centre_px: Point2::new(639.5, 359.5),
                 distortion: [0.0; 12],
+                fisheye: None,
             },
             view: Viewpoint { yaw_deg: 3.0, pitch_deg: 5.0, roll_deg: 2.0, base_mm: [-0.35, 9.96, 225.87] },
             robot: Robot::default(),
@@ -363,7 +364,7 @@ mod lens_as_table {
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Lens, D::Error> {
         let Table { width, height, focal_px, centre_px, distortion } = Table::deserialize(deserializer)?;
         let (focal_px, centre_px) = (Vector2::from(focal_px), Point2::from(centre_px));
-        Ok(Lens { width, height, focal_px, centre_px, distortion })
+        Ok(Lens { width, height, focal_px, centre_px, distortion, fisheye: None })
     }
 }
 

@@ -10,6 +10,7 @@
 //! | [`projection`] | what columns have beyond the span of others |
 //! | [`robust`] | losses of Huber and Tukey, weights in units of the MAD, iteratively reweighted least squares (IRLS) |
 //! | [`trimmed`] | least trimmed squares (LTS): a start that outliers cannot spoil |
+//! | [`chi_square`] | quantiles of χ² |
 //! | [`cluster`] | cluster-robust covariance of a fit whose errors come in groups |
 //! | [`correlation`] | autocorrelation and design effect of errors that come in order |
 //! | [`information`] | square-root information filter: recursive least squares with a forgetting factor |
@@ -22,6 +23,7 @@
 
 pub mod binomial;
 pub mod bootstrap;
+pub mod chi_square;
 pub mod cluster;
 pub mod correlation;
 pub mod information;

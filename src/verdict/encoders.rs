@@ -1,10 +1,14 @@
-//! Whether the encoders are alive: columns that stand still, columns that repeat another, readings that freeze.
+//! Whether encoders and camera are alive: columns that stand still, columns that repeat another, readings that freeze, pictures that freeze.
+//!
+//! Every spread leaves out the values farthest from the median, so that a gross reading or two decide nothing.
 
 use super::evidence::Sample;
 use super::reason::{Code, Level, Reason};
-use crate::estimate::bend_covariance;
+use super::rules::REJECTED_IN_ORDER;
+use crate::estimate::{NEW_POSE, bend_covariance};
 use crate::robot::Robot;
 use crate::statistics::moments::standard_deviation;
+use crate::statistics::order::median;
 use nalgebra::Vector2;
 
 /// A column stands still where its spread is less than this share of what the bends seen ask of it, measured by the column for which
@@ -19,6 +23,11 @@ const LEAST_SAMPLES: usize = 4;
 ///
 /// Derived: the gate's 4.5, which noise exceeds once in 20,000 steps.
 const MOVED_SDS: f64 = 4.5;
+/// A picture is the one before again if its bend differs by less than so many standard deviations.
+///
+/// Derived: two errors of their own are so near once in 80,000 steps (1 − exp(−0.005²/2)); where the rig's share of σ is ten times the frames' own,
+/// as a snake's that rests in its play, once in 800, and [`LEAST_FROZEN`] steps in a row by no chance. The same picture gives the same bend to 1e-6°.
+const SAME_SDS: f64 = 0.005;
 /// So many steps in which the bend moved and no reading changed at all. Convention: one could be a single wrong measurement.
 const LEAST_FROZEN: usize = 2;
 
@@ -37,7 +46,7 @@ fn columns_stuck(robot: &Robot, samples: &[Sample]) -> Option<String> {
     }
     let by_bend = robot.displacement_by_bend();
     let count = robot.backbone_count();
-    let spread = |value: &dyn Fn(&Sample) -> f64| standard_deviation(&samples.iter().map(value).collect::<Vec<_>>());
+    let spread = |value: &dyn Fn(&Sample) -> f64| robust_spread(samples.iter().map(value).collect());
     let asked = |column: Vector2<f64>| spread(&|s: &Sample| column.dot(&s.measured.configuration.bend_vector()));
     let noise = samples.iter().map(|s| s.measured.sigma_theta).sum::<f64>() / samples.len() as f64;
     // What noise of the eye alone asks for is no motion.
@@ -63,14 +72,48 @@ fn columns_stuck(robot: &Robot, samples: &[Sample]) -> Option<String> {
     Some(format!("q{} repeats q{}: the snake's motion asks for different readings", i + 1, j + 1))
 }
 
+/// The standard deviation without the tenth of the values that is farthest from the median, one at least.
+fn robust_spread(mut values: Vec<f64>) -> f64 {
+    let centre = median(&mut values);
+    values.sort_unstable_by(|a, b| (a - centre).abs().total_cmp(&(b - centre).abs()));
+    let left_out = (REJECTED_IN_ORDER * values.len() as f64).ceil() as usize;
+    values.truncate(values.len() - left_out);
+    standard_deviation(&values)
+}
+
+/// How far the bend moved from one sample to another, in standard deviations.
+fn step_sds(a: &Sample, b: &Sample) -> Option<f64> {
+    let [from, to] = [a, b].map(|sample| sample.measured.configuration);
+    let covariance = bend_covariance(&a.measured, from) + bend_covariance(&b.measured, to);
+    let step = to.bend_vector() - from.bend_vector();
+    covariance.cholesky().map(|factor| step.dot(&factor.solve(&step)).sqrt())
+}
+
+/// Pictures that do not change at all while the readings ask for other poses: the same picture again and again.
+pub(super) fn camera_stuck(robot: &Robot, samples: &[Sample]) -> Option<Reason> {
+    let implied = |sample: &Sample| robot.bend_by_displacement().tr_mul(&sample.q_mm);
+    let is_frozen = |pair: &[Sample]| {
+        (implied(&pair[1]) - implied(&pair[0])).norm() > NEW_POSE
+            && step_sds(&pair[0], &pair[1]).is_some_and(|sds| sds < SAME_SDS)
+    };
+    let frozen: Vec<&[Sample]> = samples.windows(2).filter(|pair| is_frozen(pair)).collect();
+    let in_a_row = samples.windows(LEAST_FROZEN + 1).any(|row| row.windows(2).all(is_frozen));
+    let (first, last) = (frozen.first()?, frozen.last()?);
+    in_a_row.then(|| {
+        let text = format!(
+            "the picture stands still in {} steps between frames {} and {} while the readings ask for other bends",
+            frozen.len(),
+            first[0].index,
+            last[1].index
+        );
+        let remedy = "see whether the camera or its recording froze, and take the frames anew; nothing that was learned from these can be used";
+        Reason::new(Code::CameraStuck, Level::DoNotUse, text, remedy)
+    })
+}
+
 /// Readings that do not change at all while the bend moves.
 fn frozen(samples: &[Sample]) -> Option<String> {
-    let moved = |a: &Sample, b: &Sample| {
-        let [from, to] = [a, b].map(|sample| sample.measured.configuration);
-        let covariance = bend_covariance(&a.measured, from) + bend_covariance(&b.measured, to);
-        let step = to.bend_vector() - from.bend_vector();
-        covariance.cholesky().is_some_and(|factor| step.dot(&factor.solve(&step)) > MOVED_SDS.powi(2))
-    };
+    let moved = |a: &Sample, b: &Sample| step_sds(a, b).is_some_and(|sds| sds > MOVED_SDS);
     let is_frozen = |pair: &&[Sample]| pair[0].q_mm == pair[1].q_mm && moved(&pair[0], &pair[1]);
     let steps: Vec<&[Sample]> = samples.windows(2).filter(is_frozen).collect();
     let (first, last) = (steps.first()?, steps.last()?);

@@ -11,6 +11,8 @@
 
 mod encoders;
 mod evidence;
+mod health;
+mod inputs;
 mod reason;
 mod rules;
 mod scale;
@@ -18,5 +20,6 @@ pub mod wiring;
 mod words;
 
 pub use evidence::{Evidence, Subject, ViewOffset};
+pub use inputs::doubts_of_times;
 pub use reason::{Code, Level, Reason, Suggestion, Verdict};
 pub use rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, MOST_LAMBDA_MM, REJECTED_IN_ORDER};

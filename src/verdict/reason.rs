@@ -34,12 +34,24 @@ impl fmt::Display for Level {
 pub enum Code {
     /// A file or a row is missing, or cannot be read (`check`).
     Files,
+    /// There is not one frame, or not one reading.
+    NothingToJudge,
+    /// A recording breaks off, or has messages that cannot be read.
+    RecordingDamaged,
+    /// Two sources say different things of one index or one moment.
+    ContradictoryReadings,
     /// An encoder's readings stand still, or one's stand in two columns.
     EncoderStuck,
     /// Another order, sign, unit or numbering of the readings explains the bends far better.
     Wiring,
+    /// The pictures stand still while the readings move.
+    CameraStuck,
+    /// One encoder or actuator moves more or less than it says, which accounts for the gap.
+    EncoderScale,
     /// Time stamps run backwards, or the encoders' clock is not the frames'.
     Clock,
+    /// Times are in another unit than seconds.
+    TimeUnit,
     /// The camera or the base moved since the straight picture.
     RigDrift,
     /// The gap has the form that a wrong camera file gives it.
@@ -62,11 +74,17 @@ pub enum Code {
 
 impl Code {
     /// Every kind of reason.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 19] = [
         Self::Files,
+        Self::NothingToJudge,
+        Self::RecordingDamaged,
+        Self::ContradictoryReadings,
         Self::EncoderStuck,
         Self::Wiring,
+        Self::CameraStuck,
+        Self::EncoderScale,
         Self::Clock,
+        Self::TimeUnit,
         Self::RigDrift,
         Self::CameraLens,
         Self::ManyNotMeasured,
@@ -99,6 +117,24 @@ pub struct Suggestion {
     pub mirrored: bool,
 }
 
+impl Suggestion {
+    /// The lines of experiment.toml that say how the log is to be read; none where it is read rightly.
+    fn to_paste(&self) -> Vec<String> {
+        let Wiring { columns, signs, scale, index_shift } = &self.wiring;
+        if self.wiring.is_straight() {
+            return Vec::new();
+        }
+        let lines = [
+            "[wiring]".to_owned(),
+            format!("columns = {columns:?}"),
+            format!("signs = {signs:?}"),
+            format!("scale = {scale:?}"),
+            format!("index_shift = {index_shift}"),
+        ];
+        lines.into()
+    }
+}
+
 /// One reason of a verdict.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reason {
@@ -113,12 +149,18 @@ pub struct Reason {
     /// The mistake's correction, where there is one that can be written down.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub suggestion: Option<Suggestion>,
+    /// The backbone that is meant, from 1, where it is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub backbone: Option<usize>,
+    /// What this backbone's readings are to be multiplied by, where their scale is wrong.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scale: Option<f64>,
 }
 
 impl Reason {
     /// A reason without a suggestion.
     pub fn new(code: Code, level: Level, text: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self { code, level, text: text.into(), remedy: remedy.into(), suggestion: None }
+        Self { code, level, text: text.into(), remedy: remedy.into(), suggestion: None, backbone: None, scale: None }
     }
 }
 
@@ -145,17 +187,23 @@ impl Verdict {
         Self::of(reasons)
     }
 
+    /// Why what was judged must not be used, if that is so.
+    pub fn why_not(&self) -> Option<&str> {
+        self.reasons.first().filter(|worst| worst.level == Level::DoNotUse).map(|worst| worst.text.as_str())
+    }
+
     /// Whether there is a reason of a kind.
     pub fn has(&self, code: Code) -> bool {
         self.reasons.iter().any(|reason| reason.code == code)
     }
 
-    /// Lines for people: the level, and under it each reason with its remedy.
+    /// Lines for people: the level, and under it each reason with its remedy and what to paste into experiment.toml.
     pub fn lines(&self) -> Vec<String> {
         let mut lines = vec![format!("verdict: {}", self.level)];
-        for Reason { text, remedy, .. } in &self.reasons {
+        for Reason { text, remedy, suggestion, .. } in &self.reasons {
             lines.push(format!("  - {text}"));
             lines.push(format!("    → {remedy}"));
+            lines.extend(suggestion.iter().flat_map(Suggestion::to_paste).map(|line| format!("      {line}")));
         }
         lines
     }

@@ -1,16 +1,17 @@
 //! The rules of the verdict. Each is a test of a hypothesis: how probable is what was seen, were all in order?
 
-use super::encoders::stuck;
+use super::encoders::{camera_stuck, stuck};
 use super::evidence::{Evidence, Sample, Subject};
+use super::health::Health;
+use super::inputs::nothing_to_judge;
 use super::reason::{Code, Level, Reason, Verdict};
 use super::scale::{PLAUSIBLE_ETA, angles_are_radians};
 use super::wiring::{self, Mistake, WiringCheck};
 use super::words;
-use crate::estimate::{LinearisedMeasurement, NEW_POSE, Replaced, Weighting, Whitened};
-use crate::observation::{EncoderReading, Wiring};
+use crate::estimate::{NEW_POSE, Replaced};
+use crate::observation::{EncoderReading, Status, Wiring};
 use crate::robot::Model;
 use crate::statistics::binomial;
-use crate::statistics::order::{mad_scale, median};
 use nalgebra::{Matrix2, Vector2};
 use std::f64::consts::PI;
 
@@ -31,10 +32,6 @@ pub const REJECTED_IN_ORDER: f64 = 0.1;
 /// Convention: the smallest gap worth a search, 1.2 times the noise in rms (√(2.5 − 1)); sigmas that are too small by 1.6, and effects that
 /// size, raise no alarm.
 pub const MEAN_SQUARE_OF_NOISE: f64 = 2.5;
-/// Medians of χ² with 2 and 1 degrees of freedom.
-///
-/// Derived: 2 ln 2, and Φ⁻¹(¾)².
-const MEDIAN_CHI_SQUARE: [f64; 2] = [1.386_294, 0.454_936];
 /// A snake that bends no further than so many standard deviations of θ does not bend.
 ///
 /// Derived: as where the estimator takes a bend for straight (`TOLD_FROM_STRAIGHT_SD`): noise is 1 % of what H² grows to from there on.
@@ -52,16 +49,13 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
     if let Some(radians) = radians(subject, evidence) {
         return Verdict::of(vec![radians]);
     }
-    let robot = &subject.model.robot;
-    let (stuck, no_bend) = (stuck(robot, &evidence.samples), no_bend(evidence));
-    let check = match (&stuck, &no_bend) {
-        (None, None) => wiring::check(robot, subject.sd_encoder_mm, &evidence.poses, log),
-        _ => None,
-    };
-    let gap = Residuals::of(subject, evidence).above_noise();
+    let no_bend = no_bend(evidence);
+    let (stuck, check) = stuck_or_miswired(subject, evidence, log, no_bend.is_none());
+    let health = Health::of(subject, evidence);
     let reasons = [
         stuck,
         check.as_ref().and_then(|check| words::wiring(subject, check)),
+        nothing_to_judge(evidence, log),
         unmatched(evidence, log),
         backwards(log),
         not_measured(evidence),
@@ -71,23 +65,40 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
         rejected(subject),
         replaced(subject),
         not_covered(subject, evidence, check.as_ref()),
-        camera_lens(subject, evidence, check.as_ref().filter(|_| gap.is_some())),
-        gap,
+        camera_lens(subject, evidence, check.as_ref().filter(|_| health.has_gap())),
+        health.encoder_scale().filter(|_| check.as_ref().is_none_or(|check| check.mistake.is_none())),
+        health.gap(),
     ];
     Verdict::of(reasons.into_iter().flatten().collect())
+}
+
+/// Encoders or a camera that stand still, and the wiring check, where something bends. Of few poses a wrong order of the columns may look
+/// like a column that stands still: it is taken for that unless another wiring explains the bends to the noise.
+fn stuck_or_miswired(
+    subject: &Subject,
+    evidence: &Evidence,
+    log: &[EncoderReading],
+    bends: bool,
+) -> (Option<Reason>, Option<WiringCheck>) {
+    let robot = &subject.model.robot;
+    let stuck = stuck(robot, &evidence.samples).or_else(|| camera_stuck(robot, &evidence.samples));
+    let check = bends.then(|| wiring::check(robot, subject.sd_encoder_mm, &evidence.poses, log)).flatten();
+    let is_explained =
+        |check: &WiringCheck| check.mistake.is_some() && check.misfit_corrected <= MEAN_SQUARE_OF_NOISE.sqrt();
+    match stuck {
+        Some(stuck) if !check.as_ref().is_some_and(is_explained) => (Some(stuck), None),
+        _ => (None, check),
+    }
 }
 
 /// What keeps physics from being named: encoders that stand still, or a log that is wired otherwise than it is read. A lag, and a shift
 /// of rows that does not explain the bends to the noise, may be physics too, and are none.
 pub(super) fn wiring_mistake(subject: &Subject, evidence: &Evidence, log: &[EncoderReading]) -> Option<Reason> {
-    let robot = &subject.model.robot;
-    if let Some(stuck) = stuck(robot, &evidence.samples) {
-        return Some(stuck);
+    let (stuck, check) = stuck_or_miswired(subject, evidence, log, no_bend(evidence).is_none());
+    if stuck.is_some() {
+        return stuck;
     }
-    if no_bend(evidence).is_some() {
-        return None;
-    }
-    let check = wiring::check(robot, subject.sd_encoder_mm, &evidence.poses, log)?;
+    let check = check?;
     let may_be_physics = match &check.mistake {
         Some(Mistake::Clock { .. }) => true,
         Some(Mistake::Log(wiring)) => {
@@ -104,61 +115,8 @@ fn more_often(times: usize, of: usize, p: f64) -> bool {
     of > 0 && binomial::at_least(times, of, p) < LEVEL_OF_TESTS
 }
 
-/// Standard deviation of an encoder reading, mm: what is assumed, or more where the readings' common part scatters by more from one
-/// sample to the next. No bend changes that part, the model's faults change it slowly, and a median passes over jumps.
-fn learned_sd_mm(subject: &Subject, evidence: &Evidence) -> f64 {
-    let robot = &subject.model.robot;
-    let common: Vec<f64> = evidence.samples.iter().map(|s| robot.bend_and_common(&s.q_mm).z).collect();
-    let steps = common.windows(2).map(|pair| pair[1] - pair[0]);
-    (mad_scale(steps) / 2f64.sqrt()).max(subject.sd_encoder_mm)
-}
-
-/// What the model leaves, at poses that differ.
-struct Residuals {
-    /// Squares of the whitened residuals' bending part.
-    bending: Vec<f64>,
-    /// Those of the common part.
-    common: Vec<f64>,
-}
-
-impl Residuals {
-    fn of(subject: &Subject, evidence: &Evidence) -> Self {
-        let plain = subject.model.plain();
-        let sd_mm = learned_sd_mm(subject, evidence);
-        let whitened = |sample: &Sample| {
-            let measured = &sample.measured;
-            let one = LinearisedMeasurement::new(&plain, Weighting::Measured, sd_mm, measured, &sample.q_mm);
-            Whitened::new(&one.residual(&plain.parameters()), &one.covariance)
-        };
-        let whitened: Vec<Whitened> = new_poses(&evidence.samples).filter_map(whitened).collect();
-        Self {
-            bending: whitened.iter().map(|one| one.bending.norm_squared()).collect(),
-            common: whitened.iter().map(|one| one.common.powi(2)).collect(),
-        }
-    }
-
-    /// Sign test of the median: more than half of the squares beyond the median of what counts as noise.
-    fn above_noise(&self) -> Option<Reason> {
-        let part = |squares: &[f64], nominal: f64, name: &str| {
-            let beyond = squares.iter().filter(|&&square| square > MEAN_SQUARE_OF_NOISE * nominal).count();
-            if !more_often(beyond, squares.len(), 0.5) {
-                return None;
-            }
-            let times = (median(&mut squares.to_vec()) / nominal).sqrt();
-            let all = squares.len();
-            Some(format!("the model misses {name} by {times:.1} times the noise ({beyond} of {all} poses beyond it)"))
-        };
-        let [bending, common] = MEDIAN_CHI_SQUARE;
-        let text = part(&self.bending, bending, "the bends")
-            .or_else(|| part(&self.common, common, "what the readings have in common"))?;
-        let remedy = "`snakeloop discover` names what the model lacks; where it names nothing, check camera.yaml (focal length, \
-                      picture size), grid_pitch_mm, standoff_mm and the straight picture";
-        Some(Reason::new(Code::GapAboveNoise, Level::Look, text, remedy))
-    }
-}
-
 /// Samples whose bend has moved on since the last one taken.
-fn new_poses(samples: &[Sample]) -> impl Iterator<Item = &Sample> {
+pub(super) fn new_poses(samples: &[Sample]) -> impl Iterator<Item = &Sample> {
     let mut last: Option<Vector2<f64>> = None;
     samples.iter().filter(move |sample| {
         let bend = sample.measured.configuration.bend_vector();
@@ -242,8 +200,12 @@ fn not_measured(evidence: &Evidence) -> Option<Reason> {
                       every frame";
         return Some(Reason::new(Code::RigDrift, level, text, remedy));
     }
-    let remedy = "`snakeloop measure EXPERIMENT --explain INDEX -o OUT` shows why a frame failed, stage by stage; light, focus and \
-                  what stands before the snake are the usual causes";
+    let commonest = statuses.iter().filter(|(word, _)| *word != "ok").max_by_key(|(_, count)| **count);
+    let remedy = commonest.map_or_else(String::new, |(word, _)| {
+        let status: Status = word.parse().unwrap_or_else(|never| match never {});
+        let (meaning, remedy) = status.explained();
+        format!("{word}: {meaning}; {remedy}. `snakeloop measure EXPERIMENT --explain INDEX -o OUT` shows why a frame failed, stage by stage")
+    });
     Some(Reason::new(Code::ManyNotMeasured, level, text, remedy))
 }
 
@@ -262,28 +224,25 @@ fn no_bend(evidence: &Evidence) -> Option<Reason> {
     Some(Reason::new(Code::WorkspaceNotCovered, Level::DoNotUse, text, remedy))
 }
 
-/// η and λ where no robot has them.
+/// η and λ where no robot has them: red if they are no robot's at all, amber if their σ leaves no usual value.
 fn out_of_range(model: &Model) -> Option<Reason> {
     let estimate = model.estimate?;
-    let (eta, lambda) = (estimate.eta, estimate.lambda_mm);
-    let (reach_eta, reach_lambda) = (NORMAL_QUANTILE * estimate.sd_eta(), NORMAL_QUANTILE * estimate.sd_lambda_mm());
-    let is_impossible = eta + reach_eta <= 0.0;
     let remedy = "check units and radii in the robot's file and the unit of the log; if both are right the line gives way otherwise \
                   than the model: `snakeloop discover`";
-    if is_impossible || eta + reach_eta < *PLAUSIBLE_ETA.start() || eta - reach_eta > *PLAUSIBLE_ETA.end() {
-        let level = if is_impossible { Level::DoNotUse } else { Level::Look };
-        let sd = estimate.sd_eta();
-        let text = format!("η = {eta:.3} ± {sd:.3}, and such robots have one third to three").replace('-', "−");
-        return Some(Reason::new(Code::ParameterOutOfRange, level, text, remedy));
+    if let Some(text) = estimate.implausible() {
+        return Some(Reason::new(Code::ParameterOutOfRange, Level::DoNotUse, text, remedy));
     }
-    if lambda + reach_lambda < 0.0 || lambda - reach_lambda > MOST_LAMBDA_MM {
+    let (eta, lambda) = (estimate.eta, estimate.lambda_mm);
+    let (reach_eta, reach_lambda) = (NORMAL_QUANTILE * estimate.sd_eta(), NORMAL_QUANTILE * estimate.sd_lambda_mm());
+    let text = if eta + reach_eta < *PLAUSIBLE_ETA.start() || eta - reach_eta > *PLAUSIBLE_ETA.end() {
+        format!("η = {eta:.3} ± {:.3}, and such robots have one third to three", estimate.sd_eta())
+    } else if lambda + reach_lambda < 0.0 || lambda - reach_lambda > MOST_LAMBDA_MM {
         let sd = estimate.sd_lambda_mm();
-        let text =
-            format!("λ = {lambda:.3} ± {sd:.3} mm, and a play is neither negative nor larger than {MOST_LAMBDA_MM} mm")
-                .replace('-', "−");
-        return Some(Reason::new(Code::ParameterOutOfRange, Level::Look, text, remedy));
-    }
-    None
+        format!("λ = {lambda:.3} ± {sd:.3} mm, and a play is neither negative nor larger than {MOST_LAMBDA_MM} mm")
+    } else {
+        return None;
+    };
+    Some(Reason::new(Code::ParameterOutOfRange, Level::Look, text.replace('-', "−"), remedy))
 }
 
 /// Sign test: whether the naive model predicts more bends better than this one.

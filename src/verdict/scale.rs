@@ -43,7 +43,7 @@ const OF_THE_MACHINE: [(RangeInclusive<f64>, &str, &str); 2] = [
 /// A factor that no unit of the list gives is told where it is larger than this, or smaller than one over it.
 ///
 /// Convention: a smaller one may as well be the robot's own, and is told as η out of range.
-const LEAST_UNNAMED: f64 = 2.0;
+pub(super) const LEAST_UNNAMED: f64 = 2.0;
 
 /// A unit that would make η plausible.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -41,7 +41,7 @@ fn the_chain_from_simulation_to_table_holds_for_four_five_and_six() {
 
         sandbox.succeed("table --model out/model.toml --c-header -o table");
         let columns = header(&sandbox, "table/compensation.csv");
-        assert_eq!(columns, format!("theta_deg,delta_deg,{},{},{}", q("q"), q("qc"), q("sd_qc")));
+        assert_eq!(columns, format!("theta_deg,delta_deg,{},{},{},extrapolated", q("q"), q("qc"), q("sd_qc")));
         let c = sandbox.read("table/compensation.h");
         assert!(c.contains(&format!("double q_command_mm[{backbones}]")), "{c}");
 

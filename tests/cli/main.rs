@@ -14,6 +14,7 @@ mod commands;
 mod discover;
 mod faults;
 mod first_hour;
+mod inputs;
 mod live;
 mod recordings;
 mod run;

@@ -107,7 +107,7 @@ const TOPIC: &str = "[[tracker]]\nname = \"em\"\nposes = { bag = \"ride.mcap\", 
 
 /// A sandbox whose tracker is a file of the ride's poses, each as `change` leaves it (x, y, z in mm and w, x, y, z of its orientation), and
 /// whose encoders are a file, too.
-fn tracked(change: impl Fn(usize, &mut [f64; 7])) -> Sandbox {
+pub fn tracked(change: impl Fn(usize, &mut [f64; 7])) -> Sandbox {
     let sandbox = sandbox(JOINTS, TOPIC);
     let experiment = Experiment::read(&sandbox.join("ride")).unwrap();
     let (Source::Topic(topic), Some(EncoderLog::Joints(joints))) =
@@ -122,9 +122,9 @@ fn tracked(change: impl Fn(usize, &mut [f64; 7])) -> Sandbox {
         let numbers: Vec<String> = numbers.iter().map(|number| format!("{number:.6}")).collect();
         format!("{k},{:.4},{}\n", pose.time_s, numbers.join(","))
     };
-    let rows: String = tracker_poses_of(topic).unwrap().iter().enumerate().map(row).collect();
+    let rows: String = tracker_poses_of(topic).unwrap().rows.iter().enumerate().map(row).collect();
     sandbox.write("ride/tip.csv", &format!("index,time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz\n{rows}"));
-    let readings = read_joints(joints, &experiment.stamps_s().unwrap(), 3).unwrap();
+    let readings = read_joints(joints, &experiment.stamps_s().unwrap(), 3).unwrap().readings;
     sandbox.write("ride/encoders.csv", &encoders_csv(&readings, 3));
     sandbox.write("ride/experiment.toml", &format!("encoders = \"encoders.csv\"\n{TRACKER}"));
     sandbox

@@ -37,7 +37,7 @@ fn the_bundled_experiment_gives_its_hidden_parameters_back() {
     assert!(figure("delta", "rms_deg") <= 0.17, "{score}");
 
     assert_eq!(sandbox.rows("out/estimate.csv"), 17);
-    assert_eq!(sandbox.rows("out/compensation.csv"), 19 * 24, "the default grid");
+    assert_eq!(sandbox.rows("out/compensation.csv"), 16 * 24, "to 75°, where the data end");
     assert!(json(&sandbox.read("out/compensation.json"))["model"]["estimate"]["eta"].is_f64());
     assert_eq!(fs::read_dir(sandbox.join("out/overlays")).unwrap().count(), 17);
     let report = sandbox.read("out/report.html");

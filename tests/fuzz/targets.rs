@@ -143,14 +143,16 @@ const POSES: [&str; 2] = ["/tip/pose", "/tip/transform"];
 /// Recordings of ROS 2: the container, and the messages in it.
 pub fn recording(bytes: &[u8]) -> Outcomes {
     in_file(bytes, |path| {
-        let topic = |topic: &str| Topic { bag: path.to_owned(), topic: topic.to_owned() };
+        let topic = |topic: &str| Topic { bag: path.to_owned().into(), topic: topic.to_owned() };
         let mut outcomes =
             vec![outcome("joints", topic(JOINTS).all::<JointState>()), outcome("lens", Lens::of_topic(&topic(LENS)))];
         for name in POSES {
             let poses = tracker_poses_of(&topic(name));
-            for pose in poses.iter().flatten() {
+            for pose in poses.iter().flat_map(|poses| &poses.rows) {
                 assert!(pose.position_mm.is_none_or(|position| position.iter().all(|mm| mm.is_finite())));
             }
+            let faults = poses.iter().flat_map(|poses| &poses.warnings).map(|fault| Err(fault.message.clone()));
+            outcomes.extend(faults.map(|fault| ("poses", fault)).collect::<Vec<_>>());
             outcomes.push(outcome("poses", poses));
         }
         outcomes.extend(PICTURES.map(|name| outcome("pictures", pictures(topic(name)))));

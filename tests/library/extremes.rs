@@ -208,6 +208,7 @@ fn lens(width: u32, height: u32) -> Lens {
         focal_px: Vector2::new(2100.0, 2100.0),
         centre_px: Point2::new(f64::from(width) / 2.0, f64::from(height) / 2.0),
         distortion: [0.0; 12],
+        fisheye: None,
     }
 }
 

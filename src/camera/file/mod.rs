@@ -1,16 +1,41 @@
-//! Camera files: OpenCV's FileStorage, YAML and XML, and ROS `camera_info` YAML.
+//! Camera files: OpenCV's FileStorage in YAML and XML, ROS `camera_info` and its messages as text, and what other programs write in YAML, JSON or
+//! TOML.
 //!
-//! All keep the same four things under the same names: `image_width`, `image_height`, `camera_matrix` (3×3) and
-//! `distortion_coefficients` (k1 k2 p1 p2 \[k3 \[k4 k5 k6 \[s1 s2 s3 s4\]\]\]). ROS adds `distortion_model`.
+//! Whatever the file, it is read into one tree ([`tree`]), and the numbers of a camera are found in it by the names that programs give them
+//! ([`names`]).
 
+mod names;
+mod tree;
 mod xml;
 mod yaml;
 
 use super::Lens;
+use crate::content;
 use crate::error::{Error, Result};
-use crate::input::read_text;
+use crate::input::{SETTINGS_BYTES, read_bytes, read_text};
 use nalgebra::{Point2, Vector2};
+pub(super) use names::FISHEYES;
+use names::{Camera, Found};
+use serde::Deserialize;
 use std::path::Path;
+use tree::Node;
+
+/// A camera as experiment.toml may hold it: `{ K = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dist = [k1, k2, p1, p2, k3], size = [width, height] }`.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraNumbers {
+    /// The camera matrix, by rows.
+    #[serde(rename = "K")]
+    pub matrix: [[f64; 3]; 3],
+    /// The distortion coefficients in OpenCV's order; none where it is left out.
+    #[serde(default)]
+    pub dist: Vec<f64>,
+    /// Width and height of the pictures, px.
+    pub size: [u32; 2],
+    /// Whether the coefficients are those of OpenCV's fisheye.
+    #[serde(default)]
+    pub fisheye: bool,
+}
 
 /// The kinds of camera files that can be written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,41 +49,96 @@ pub enum CameraFormat {
 }
 
 impl Lens {
-    /// Reads a camera file of any of the three kinds; its content tells which, not its name.
+    /// Reads a camera file; its content tells of which kind it is, not its name.
     ///
     /// # Errors
-    /// A file that cannot be read, is neither YAML nor XML, lacks one of the four keys, or holds something in them that is
-    /// no camera of this model: another shape, a skewed or non-finite matrix, a fisheye `distortion_model`.
+    /// A file that cannot be read, is no text of these kinds, holds no camera or several, or one that is not of this model: a skewed or
+    /// non-finite matrix, another number of coefficients, another distortion model. What is missing is told with the keys that were found.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = read_text(path)?;
-        Self::parse(path, &text)
+        let head = read_bytes(path, SETTINGS_BYTES)?;
+        if let Some(found) = content::name_of(&head) {
+            let message = format!(
+                "{found}, expected a camera file as text; write the numbers into experiment.toml: camera = {{ K = [[fx, 0, cx], [0, fy, cy], \
+                 [0, 0, 1]], dist = [k1, k2, p1, p2, k3], size = [width, height] }}"
+            );
+            return Err(Error::content(path, message));
+        }
+        Self::parse(path, &read_text(path)?)
     }
 
     /// The camera file's text; `path` is for error messages only.
     fn parse(path: &Path, text: &str) -> Result<Self> {
         let text = text.trim_start_matches('\u{feff}');
-        let entries = if text.trim_start().starts_with('<') { xml::entries(text) } else { yaml::entries(text) };
-        let entries = entries.map_err(|NotAFile { line, message }| Error::at_line(path, line, message))?;
-        let file = CameraFile { path, entries };
+        let tree = Node::parse(text).map_err(|tree::NotAFile { line, message }| Error::at_line(path, line, message))?;
+        let camera = Camera::find(&tree);
+        let lens = camera.and_then(|camera| Self::of_camera(&camera));
+        lens.map_err(|wrong| wrong.error(path, text, &tree))
+    }
 
-        file.check_distortion_model()?;
-        let (width, height) = (file.size("image_width")?, file.size("image_height")?);
-        let matrix = file.numbers("camera_matrix")?;
-        let [fx, skew, cx, z0, fy, cy, z1, z2, one] = <[f64; 9]>::try_from(matrix)
-            .map_err(|_| file.error("camera_matrix", format!("{} numbers, expected 9 (3×3)", matrix.len())))?;
-        if [skew, z0, z1, z2, one] != [0.0, 0.0, 0.0, 0.0, 1.0] || fx <= 0.0 || fy <= 0.0 {
+    fn of_camera(camera: &Camera) -> std::result::Result<Self, names::Wrong> {
+        let Found { key, value: [width, height] } = camera.size()?;
+        let size = |pixels: f64| match pixels {
+            pixels if pixels.fract() == 0.0 && (1.0..=100_000.0).contains(&pixels) => Ok(pixels as u32),
+            _ => Err(names::Wrong::at(&key, "expected a whole number of pixels, at least 1")),
+        };
+        let (width, height) = (size(width)?, size(height)?);
+        let Found { key: of_matrix, value: matrix } = camera.matrix()?;
+        let is_fisheye = camera.is_fisheye()?;
+        let Found { key: of_distortion, value: coefficients } = camera.distortion()?;
+        let lens = Self::of_parts((width, height), matrix, &coefficients, is_fisheye);
+        let lens = lens.map_err(|wrong| match wrong {
+            WrongPart::Matrix(why) => names::Wrong::at(&of_matrix, why),
+            WrongPart::Distortion(why) => names::Wrong::at(&of_distortion, why),
+        })?;
+        lens.windowed(&camera.window()?).map_err(|why| names::Wrong::at("roi", why))
+    }
+
+    /// A lens from the numbers that experiment.toml holds.
+    ///
+    /// # Errors
+    /// A matrix that is skewed or no camera's, another number of coefficients, a size of nothing.
+    pub fn of_numbers(numbers: &CameraNumbers) -> Result<Self> {
+        let [width, height] = numbers.size;
+        let matrix = [numbers.matrix[0], numbers.matrix[1], numbers.matrix[2]].concat();
+        let matrix = <[f64; 9]>::try_from(matrix).unwrap_or_default();
+        let wrong = |why: String| Error::content(Path::new("experiment.toml"), format!("camera: {why}"));
+        if width == 0 || height == 0 {
+            return Err(wrong(format!("size = [{width}, {height}], expected width and height in pixels")));
+        }
+        Self::of_parts((width, height), matrix, &numbers.dist, numbers.fisheye).map_err(|part| match part {
+            WrongPart::Matrix(why) => wrong(format!("K: {why}")),
+            WrongPart::Distortion(why) => wrong(format!("dist: {why}")),
+        })
+    }
+
+    /// A lens from its size, px, its matrix by rows, and its coefficients in OpenCV's order, the fisheye's where it is one.
+    ///
+    /// # Errors
+    /// Which part is none of these models, and why.
+    pub(super) fn of_parts(
+        (width, height): (u32, u32),
+        matrix: [f64; 9],
+        coefficients: &[f64],
+        is_fisheye: bool,
+    ) -> std::result::Result<Self, WrongPart> {
+        let [fx, skew, cx, z0, fy, cy, z1, z2, one] = matrix;
+        let is_plain = [skew, z0, z1, z2, one] == [0.0, 0.0, 0.0, 0.0, 1.0];
+        if !is_plain || !matrix.iter().all(|value| value.is_finite()) || fx <= 0.0 || fy <= 0.0 {
             let expected = "expected [fx, 0, cx, 0, fy, cy, 0, 0, 1] with positive fx, fy";
-            return Err(file.error("camera_matrix", format!("{matrix:?}, {expected}")));
+            return Err(WrongPart::Matrix(format!("{matrix:?}, {expected}")));
         }
-        let coefficients = file.numbers("distortion_coefficients")?;
-        if ![4, 5, 8, 12].contains(&coefficients.len()) {
-            let message = format!("{} numbers, expected 4, 5, 8 or 12", coefficients.len());
-            return Err(file.error("distortion_coefficients", message));
+        if !coefficients.iter().all(|value| value.is_finite()) {
+            return Err(WrongPart::Distortion(format!("{coefficients:?}, expected finite numbers")));
         }
-        let mut distortion = [0.0; 12];
-        distortion[..coefficients.len()].copy_from_slice(coefficients);
-
-        Ok(Self { width, height, focal_px: Vector2::new(fx, fy), centre_px: Point2::new(cx, cy), distortion })
+        let (focal_px, centre_px) = (Vector2::new(fx, fy), Point2::new(cx, cy));
+        let lens = Self { width, height, focal_px, centre_px, distortion: [0.0; 12], fisheye: None };
+        if is_fisheye {
+            let four = <[f64; 4]>::try_from(coefficients);
+            let wrong =
+                || WrongPart::Distortion(format!("{} numbers, expected the 4 of a fisheye", coefficients.len()));
+            return Ok(Self { fisheye: Some(four.map_err(|_| wrong())?), ..lens });
+        }
+        Ok(Self { distortion: standard(coefficients).map_err(WrongPart::Distortion)?, ..lens })
     }
 
     /// The camera file's text, with as few distortion coefficients (5, 8 or 12) as hold all that are not zero. Numbers
@@ -66,7 +146,7 @@ impl Lens {
     pub fn to_file(&self, format: CameraFormat) -> String {
         let used = self.distortion.iter().rposition(|&k| k != 0.0).map_or(0, |last| last + 1);
         let count = [5, 8, 12].into_iter().find(|&n| n >= used).unwrap_or(12);
-        let coefficients = &self.distortion[..count];
+        let coefficients = self.fisheye.as_ref().map_or(&self.distortion[..count], |fisheye| &fisheye[..]);
         match format {
             CameraFormat::OpenCvYaml => yaml::opencv(self, coefficients),
             CameraFormat::OpenCvXml => xml::opencv(self, coefficients),
@@ -81,94 +161,34 @@ impl Lens {
     }
 }
 
+/// The twelve coefficients that these stand for.
+fn standard(coefficients: &[f64]) -> std::result::Result<[f64; 12], String> {
+    if ![0, 4, 5, 8, 12, 14].contains(&coefficients.len()) {
+        return Err(format!("{} numbers, expected 0, 4, 5, 8, 12 or 14", coefficients.len()));
+    }
+    let tilt = coefficients.get(12..).unwrap_or_default();
+    if tilt.iter().any(|&angle| angle != 0.0) {
+        return Err(format!(
+            "a tilted sensor (the last two of 14 coefficients are {tilt:?}), which is not read; calibrate without CALIB_TILTED_MODEL"
+        ));
+    }
+    let mut distortion = [0.0; 12];
+    let count = coefficients.len().min(12);
+    distortion[..count].copy_from_slice(&coefficients[..count]);
+    Ok(distortion)
+}
+
 /// Numbers with as many digits as tell them apart, between separators.
 fn joined(values: &[f64], separator: &str) -> String {
     values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(separator)
 }
 
-/// Why a text is no YAML or XML at all.
-struct NotAFile {
-    line: u64,
-    message: String,
-}
-
-/// What a file says under one key of its top level.
-struct Entry {
-    key: String,
-    line: u64,
-    value: Value,
-}
-
-enum Value {
-    Number(f64),
-    Text(String),
-    Matrix {
-        /// How many rows and columns it says that it has.
-        shape: Option<(f64, f64)>,
-        /// Its elements, row by row; `None` where one of them is no finite number.
-        data: Option<Vec<f64>>,
-    },
-    Other,
-}
-
-/// A parsed file and its path, so that every complaint can name file, line and key.
-struct CameraFile<'a> {
-    path: &'a Path,
-    entries: Vec<Entry>,
-}
-
-impl CameraFile<'_> {
-    fn error(&self, key: &str, found: impl std::fmt::Display) -> Error {
-        let message = format!("{key}: {found}");
-        match self.find(key) {
-            Some(entry) => Error::at_line(self.path, entry.line, message),
-            None => Error::content(self.path, message),
-        }
-    }
-
-    fn find(&self, key: &str) -> Option<&Entry> {
-        self.entries.iter().find(|entry| entry.key == key)
-    }
-
-    fn get(&self, key: &str) -> Result<&Value> {
-        let missing = || self.error(key, "missing; is this a camera file?");
-        self.find(key).map(|entry| &entry.value).ok_or_else(missing)
-    }
-
-    /// A picture's width or height.
-    fn size(&self, key: &str) -> Result<u32> {
-        match *self.get(key)? {
-            Value::Number(value) if value.fract() == 0.0 && (1.0..=100_000.0).contains(&value) => Ok(value as u32),
-            _ => Err(self.error(key, "expected a whole number of pixels, at least 1")),
-        }
-    }
-
-    /// The elements of a matrix, row by row.
-    fn numbers(&self, key: &str) -> Result<&[f64]> {
-        let Value::Matrix { shape, data } = self.get(key)? else {
-            return Err(self.error(key, "no list `data`; expected rows, cols and data"));
-        };
-        let Some(data) = data else {
-            return Err(self.error(key, "`data` holds something that is no finite number"));
-        };
-        if let Some((rows, cols)) = shape
-            && rows * cols != data.len() as f64
-        {
-            return Err(self.error(key, format!("{} numbers for {rows} rows × {cols} columns", data.len())));
-        }
-        Ok(data)
-    }
-
-    /// ROS names its model; of these two the coefficients mean what OpenCV's do.
-    fn check_distortion_model(&self) -> Result<()> {
-        let found = match self.find("distortion_model").map(|entry| &entry.value) {
-            None => return Ok(()),
-            Some(Value::Text(name)) if ["plumb_bob", "rational_polynomial"].contains(&name.as_str()) => return Ok(()),
-            Some(Value::Text(name)) => name,
-            Some(_) => "not a name",
-        };
-        Err(self.error("distortion_model", format!("{found}, expected plumb_bob or rational_polynomial")))
-    }
+/// Which part of a camera is not of this model, and why.
+pub(super) enum WrongPart {
+    /// The camera matrix.
+    Matrix(String),
+    /// The distortion coefficients.
+    Distortion(String),
 }
 
 #[cfg(test)]
@@ -240,7 +260,7 @@ rectification_matrix:
     #[test]
     fn complaints_name_file_line_and_key() {
         let edits = [
-            ("image_width: 1280", "", "camera.yaml: image_width: missing"),
+            ("image_width: 1280", "", "no width and height of the pictures"),
             ("image_height: 720", "image_height: 720.5", "camera.yaml:5: image_height: expected a whole number"),
             ("image_height: 720", "image_height: -1", "camera.yaml:5: image_height: expected a whole number"),
             ("0., 0., 1. ]", "0., 1. ]", "camera_matrix: 8 numbers for 3 rows × 3 columns"),
@@ -248,8 +268,8 @@ rectification_matrix:
             ("data: [ 4861.2826321440971, 0.,", "data: [ 4861.2826321440971, 0.5,", "expected [fx, 0, cx"),
             ("data: [ 4861.2826321440971, 0.,", "data: [ x, 0.,", "no finite number"),
             ("   cols: 5", "   cols: 4", "distortion_coefficients: 5 numbers for 1 rows × 4 columns"),
-            ("image_width:", "distortion_model: equidistant\nimage_width:", "equidistant, expected plumb_bob"),
-            ("data: [ -0.1", "data: [ -0.1, [", "neither a YAML nor an XML camera file"),
+            ("image_width:", "distortion_model: fov\nimage_width:", "fov, expected plumb_bob"),
+            ("data: [ -0.1", "data: [ -0.1, [", "no camera file that can be read"),
         ];
         for (from, to, expected) in edits {
             assert!(OPENCV.contains(from), "{from}");
@@ -261,7 +281,7 @@ rectification_matrix:
         }
         let seven = "   cols: 7\n   dt: d\n   data: [ 0, 0, 0, 0, 0, 0, 0 ]\n";
         let message = parse(&(OPENCV.split_once("   cols: 5").unwrap().0.to_owned() + seven)).unwrap_err().to_string();
-        assert!(message.contains("7 numbers, expected 4, 5, 8 or 12"), "{message}");
+        assert!(message.contains("7 numbers, expected 0, 4, 5, 8, 12 or 14"), "{message}");
     }
 
     #[test]
@@ -302,12 +322,12 @@ rectification_matrix:
     #[test]
     fn complaints_about_xml_name_file_line_and_key() {
         let edits = [
-            ("<image_width>1280</image_width>\n", "", "camera.yaml: image_width: missing"),
+            ("<image_width>1280</image_width>\n", "", "no width and height of the pictures"),
             (">720<", ">seven<", "camera.yaml:5: image_height: expected a whole number"),
             ("<rows>3", "<rows>4", "camera.yaml:6: camera_matrix: 9 numbers for 4 rows × 3 columns"),
-            ("0. 639.5", ".Nan 639.5", "camera.yaml:6: camera_matrix: `data` holds something that is no finite"),
+            ("0. 639.5", ".Nan 639.5", "camera.yaml:6: camera_matrix: holds something that is no finite"),
             ("0. 639.5", "0.5 639.5", "expected [fx, 0, cx"),
-            ("<data>\n    4861", "<dat>\n    4861", "neither a YAML nor an XML camera file"),
+            ("<data>\n    4861", "<dat>\n    4861", "no camera file that can be read"),
             ("opencv_storage>", "storage>", "camera.yaml:2: <storage>, expected a camera file with <opencv_storage>"),
         ];
         for (from, to, expected) in edits {
@@ -373,10 +393,12 @@ rectification_matrix:
             distortion[..used].copy_from_slice(&coefficients[..used]);
             let lens = Lens {
                 width: size.0, height: size.1, focal_px: Vector2::new(focal.0, focal.1),
-                centre_px: Point2::new(centre.0, centre.1), distortion,
+                centre_px: Point2::new(centre.0, centre.1), distortion, fisheye: None,
             };
+            let fisheye = Lens { fisheye: coefficients.first_chunk().copied(), distortion: [0.0; 12], ..lens.clone() };
             for format in [CameraFormat::OpenCvYaml, CameraFormat::OpenCvXml, CameraFormat::Ros] {
                 prop_assert_eq!(&parse(&lens.to_file(format)).unwrap(), &lens);
+                prop_assert_eq!(&parse(&fisheye.to_file(format)).unwrap(), &fisheye);
             }
         }
 

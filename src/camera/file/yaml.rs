@@ -1,6 +1,7 @@
 //! Camera files in YAML: OpenCV's FileStorage, whose matrices are tagged, and ROS `camera_info`, whose are not.
 
-use super::{Entry, NotAFile, Value, joined};
+use super::joined;
+use super::tree::{Node, NotAFile};
 use crate::camera::Lens;
 use saphyr::{LoadableYamlNode, MarkedYaml, Scalar, YamlData};
 use std::fmt::Write as _;
@@ -10,8 +11,8 @@ use std::fmt::Write as _;
 /// Convention: a limit on what is read.
 const DEEPEST: usize = 100;
 
-/// What stands at the top level of a file.
-pub fn entries(text: &str) -> Result<Vec<Entry>, NotAFile> {
+/// The file's first document.
+pub fn tree(text: &str) -> Result<Node, NotAFile> {
     let text = without_directive(text);
     let brackets = text.bytes().filter(|b| b"[{".contains(b)).count();
     let indents = text.lines().map(|line| line.len() - line.trim_start_matches([' ', '-', '?', ':']).len()).max();
@@ -20,19 +21,12 @@ pub fn entries(text: &str) -> Result<Vec<Entry>, NotAFile> {
     }
     let documents = MarkedYaml::load_from_str(&text).map_err(|e| NotAFile {
         line: e.marker().line() as u64,
-        message: format!("neither a YAML nor an XML camera file: {}", e.info()),
+        message: format!("no camera file that can be read (YAML: {})", e.info()),
     })?;
-    let Some(root) = documents.first() else {
-        return Err(NotAFile { line: 1, message: "empty; expected a camera file".into() });
-    };
-    let YamlData::Mapping(members) = &untagged(root).data else { return Ok(Vec::new()) };
-    let entry = |(key, node): (&MarkedYaml, &MarkedYaml)| match &key.data {
-        YamlData::Value(Scalar::String(name)) => {
-            Some(Entry { key: name.to_string(), line: node.span.start.line() as u64, value: value(node) })
-        }
-        _ => None,
-    };
-    Ok(members.iter().filter_map(entry).collect())
+    match documents.first() {
+        Some(root) => Ok(node(root)),
+        None => Err(NotAFile { line: 1, message: "empty; expected a camera file".into() }),
+    }
 }
 
 /// The text with a leading `%YAML:1.0` or `%YAML 1.2` line blanked: the first is OpenCV's own and not YAML.
@@ -43,56 +37,31 @@ fn without_directive(text: &str) -> String {
     }
 }
 
-fn value(node: &MarkedYaml) -> Value {
-    if let Some(number) = number(node) {
-        return Value::Number(number);
-    }
-    match &untagged(node).data {
-        YamlData::Value(Scalar::String(text)) => Value::Text(text.to_string()),
-        YamlData::Mapping(_) => matrix(node).unwrap_or(Value::Other),
-        _ => Value::Other,
-    }
-}
-
-/// `{rows, cols, data}`.
-fn matrix(node: &MarkedYaml) -> Option<Value> {
-    let YamlData::Sequence(items) = &untagged(member(node, "data")?).data else { return None };
-    let count = |name| member(node, name).and_then(number);
-    Some(Value::Matrix {
-        shape: count("rows").zip(count("cols")),
-        data: items.iter().map(|item| number(item).filter(|v| v.is_finite())).collect(),
-    })
-}
-
-/// The node below its tags: `!!opencv-matrix {…}` is `{…}`.
-fn untagged<'a>(node: &'a MarkedYaml<'a>) -> &'a MarkedYaml<'a> {
-    match &node.data {
-        YamlData::Tagged(_, inner) => untagged(inner),
-        _ => node,
-    }
-}
-
-fn member<'a>(node: &'a MarkedYaml<'a>, key: &str) -> Option<&'a MarkedYaml<'a>> {
-    match &untagged(node).data {
-        YamlData::Mapping(entries) => entries.iter().find_map(|(k, value)| match &k.data {
-            YamlData::Value(Scalar::String(name)) if name == key => Some(value),
-            _ => None,
-        }),
-        _ => None,
-    }
-}
-
-fn number(node: &MarkedYaml) -> Option<f64> {
-    match &untagged(node).data {
-        YamlData::Value(Scalar::Integer(value)) => Some(*value as f64),
-        YamlData::Value(Scalar::FloatingPoint(value)) => Some(value.into_inner()),
-        _ => None,
+fn node(yaml: &MarkedYaml) -> Node {
+    match &yaml.data {
+        // `!!opencv-matrix {…}` is `{…}`.
+        YamlData::Tagged(_, inner) => node(inner),
+        YamlData::Value(Scalar::Integer(value)) => Node::Number(*value as f64),
+        YamlData::Value(Scalar::FloatingPoint(value)) => Node::Number(value.into_inner()),
+        YamlData::Value(Scalar::String(text)) => Node::of_text(text),
+        YamlData::Sequence(items) => Node::List(items.iter().map(node).collect()),
+        YamlData::Mapping(members) => {
+            let member = |(key, value): (&MarkedYaml, &MarkedYaml)| match &key.data {
+                YamlData::Value(Scalar::String(name)) => Some((name.to_string(), node(value))),
+                _ => None,
+            };
+            Node::Map(members.iter().filter_map(member).collect())
+        }
+        _ => Node::Text(String::new()),
     }
 }
 
 /// As OpenCV's FileStorage writes it.
 pub fn opencv(lens: &Lens, coefficients: &[f64]) -> String {
     let mut text = format!("%YAML:1.0\n---\nimage_width: {}\nimage_height: {}\n", lens.width, lens.height);
+    if lens.fisheye.is_some() {
+        text += "fisheye_model: 1\n";
+    }
     for (key, rows, values) in
         [("camera_matrix", 3, lens.matrix().as_slice()), ("distortion_coefficients", 1, coefficients)]
     {
@@ -107,7 +76,11 @@ pub fn opencv(lens: &Lens, coefficients: &[f64]) -> String {
 /// As ROS's camera_calibration writes it, for a picture that is not rectified: the identity as rectification, and the
 /// camera matrix as projection. More than five coefficients are ROS's `rational_polynomial`.
 pub fn ros(lens: &Lens, coefficients: &[f64]) -> String {
-    let model = if coefficients.len() <= 5 { "plumb_bob" } else { "rational_polynomial" };
+    let model = match (lens.fisheye, coefficients.len()) {
+        (Some(_), _) => "equidistant",
+        (None, 0..=5) => "plumb_bob",
+        (None, _) => "rational_polynomial",
+    };
     let [fx, _, cx, _, fy, cy, ..] = lens.matrix();
     let rectification = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     let projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0];

@@ -1,15 +1,16 @@
 //! `calibrate rig`: grid and base from a picture of the unbent snake.
 
-use crate::camera::{Lens, read_frame};
+use crate::Result;
+use crate::camera::Lens;
 use crate::cli::console::Console;
 use crate::cli::failure::Failure;
 use crate::cli::inputs::model_or_paper;
-use crate::measure::{RigOptions, calibrate_rig};
-use crate::{Error, Result};
+use crate::cli::views::{calibrated, sheet_text};
+use crate::measure::RigOptions;
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Find the grid and the snake's base in a picture of the unbent snake: writes rig.toml
+/// Find the grid and the snake's base in a picture of the unbent snake: writes rig.toml, and rig.jpg beside it
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop calibrate rig --camera camera.yaml --grid-pitch 1 --standoff 25 \
                   --straight straight.png -o rig.toml")]
@@ -41,6 +42,12 @@ struct Summary {
     distance_mm: f64,
     grid_rms_px: f64,
     edge_rms_px: f64,
+    /// Distance of the grid's lines across and along, mm.
+    pitch_mm: [f64; 2],
+    /// By how much the lines' angle differs from 90°, degrees.
+    shear_deg: f64,
+    /// Bow of the sheet about its mean plane, mm (rms).
+    bow_rms_mm: f64,
 }
 
 impl Args {
@@ -53,21 +60,25 @@ impl Args {
         let lens = Lens::read(&self.camera)?;
         let model = model_or_paper(console, self.model.as_deref())?;
         let options = RigOptions { grid_pitch_mm: self.grid_pitch, standoff_mm: self.standoff, delta_offset: 0.0 };
-        let rig = calibrate_rig(&read_frame(&self.straight)?, &lens, &model.robot, &options)
-            .map_err(Error::rig(&self.straight))?;
+        let drawn = self.output.with_file_name("rig.jpg");
+        let rig = calibrated(&self.straight, &lens, &model.robot, &options, Some(&drawn))?;
         rig.write(&self.output)?;
         let summary = Summary {
             rig: self.output.clone(),
             distance_mm: rig.camera_from_base.translation.z,
             grid_rms_px: rig.grid_rms_px,
             edge_rms_px: rig.edge_rms_px,
+            pitch_mm: [1.0, -1.0].map(|sign| rig.grid_pitch_mm * (1.0 + sign * rig.sheet_shape.anisotropy / 2.0)),
+            shear_deg: rig.sheet_shape.shear.to_degrees(),
+            bow_rms_mm: rig.sheet_shape.rms_mm(),
         };
         console.result(&summary, || {
             format!(
-                "base {:.2} mm from the camera; grid fits to {:.2} px, the snake's edges to {:.2} px (rms)\n{}",
+                "base {:.2} mm from the camera; grid fits to {:.2} px, the snake's edges to {:.2} px (rms)\n{}\n{}",
                 summary.distance_mm,
                 summary.grid_rms_px,
                 summary.edge_rms_px,
+                sheet_text(&rig),
                 summary.rig.display()
             )
         });

@@ -1,5 +1,6 @@
 //! The files of an experiment: which it names, and what to do where one is missing.
 
+use crate::Error;
 use crate::camera::FrameSource;
 use crate::cli::inputs::commonest_picture;
 use crate::record::{Experiment, RigSource, Source, View};
@@ -21,7 +22,7 @@ pub fn files_with_remedies(experiment: &Experiment) -> Vec<(PathBuf, String)> {
     for view in &experiment.views {
         let lens = "`snakeloop print chessboard`, take a dozen pictures of it, tilted differently, and `snakeloop calibrate camera boards/*.jpg \
                     --corners 9x6 -o camera.yaml`";
-        files.push((view.camera.path().to_owned(), lens.to_owned()));
+        files.extend(view.camera.path().map(|path| (path.to_owned(), lens.to_owned())));
         files.push(match &view.rig {
             RigSource::File(path) => {
                 (path.clone(), "`snakeloop calibrate rig` writes it; or give `straight`".to_owned())
@@ -38,8 +39,19 @@ pub fn files_with_remedies(experiment: &Experiment) -> Vec<(PathBuf, String)> {
     files
 }
 
-/// What to do where a view's frames are not found: the pattern that would match what is there, if anything is.
-pub fn frames_remedy(experiment: &Experiment, view: &View) -> String {
+/// What to do where a view's frames cannot be taken, by why: of those that are not found the pattern that would match what is there, if
+/// anything is.
+pub fn frames_remedy(experiment: &Experiment, view: &View, why: &Error) -> String {
+    match why {
+        Error::NoOpenCv { .. } => {
+            return "use a build with OpenCV (the default), or take the pictures out: ffmpeg -i VIDEO frames/%05d.png"
+                .to_owned();
+        }
+        Error::Content { path, .. } | Error::Io { path, .. } if path != experiment.folder() => {
+            return format!("look at that file, or correct `frames` of view {}", view.name);
+        }
+        _ => {}
+    }
     let pattern = match &view.frames {
         Source::Files(pattern) => pattern,
         Source::Topic(_) => return "name a topic of pictures that the recording has".to_owned(),
@@ -67,7 +79,7 @@ pub fn pictures(experiment: &Experiment, view: &View) -> Vec<PathBuf> {
         _ => Vec::new(),
     };
     let count = frames.len();
-    let some = frames.into_iter().enumerate().filter(|(k, _)| keeps(*k, SIZED, count)).map(|(_, (_, path))| path);
+    let some = frames.into_iter().enumerate().filter(|(k, _)| keeps(*k, SIZED, count)).map(|(_, file)| file.path);
     straight.into_iter().chain(some).collect()
 }
 

@@ -10,14 +10,14 @@ mod files;
 use super::console::Console;
 use super::inputs::{encoders_of, model_of};
 use super::trackers::{OpenTracker, open_tracker};
-use super::verdict::{VerdictArgs, subject, verdict_text};
-use super::views::rig_of;
+use super::verdict::{VerdictArgs, doubt_of_times, reasons_of_files, subject, verdict_text};
+use super::views::{rig_of, rig_picture_name};
 use crate::camera::{FrameSource, picture_size};
 use crate::cli::failure::Failure;
 use crate::estimate::{Options, estimate, or_one_gain};
 use crate::measure::Eye;
 use crate::observation::{EncoderReading, Measurement, Status};
-use crate::record::{Checked, Experiment, View};
+use crate::record::{Checked, Experiment, Fault, View};
 use crate::report::decimation::keeps;
 use crate::robot::Model;
 use crate::statistics::order::median;
@@ -36,12 +36,15 @@ const MEASURED: usize = 36;
 
 /// Look whether an experiment is fit for a run: files, sizes, indices, clocks, wiring, coverage, and the σ of η and λ to expect
 ///
-/// Takes seconds, writes nothing, and says what to do about each thing that is not as it should be. Exit code 1 where a run could not begin.
+/// Takes seconds, writes nothing but what `-o` asks for, and says what to do about each thing that is not as it should be. Exit code 1 where a run could not begin.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop check fixtures/bending")]
 pub struct Args {
     /// The experiment: a folder with an experiment.toml, or that file
     experiment: PathBuf,
+    /// A folder for rig.jpg: the straight picture with what was seen on it, the sheet, its lines and the snake
+    #[arg(short, long, value_name = "FOLDER")]
+    output: Option<PathBuf>,
     #[command(flatten)]
     verdict: VerdictArgs,
 }
@@ -66,7 +69,7 @@ struct Summary {
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let experiment = Experiment::read(&self.experiment)?;
-        let mut inspection = Inspection::default();
+        let mut inspection = Inspection { folder: self.output.clone(), ..Inspection::default() };
         inspection.files(&experiment);
         let summary =
             if inspection.reasons.is_empty() { inspection.with_data(console, &experiment)? } else { inspection.end() };
@@ -86,6 +89,8 @@ impl Args {
 /// What was found so far.
 #[derive(Default)]
 struct Inspection {
+    /// Where rig.jpg is written, if anywhere.
+    folder: Option<PathBuf>,
     looks: Vec<Look>,
     reasons: Vec<Reason>,
     expected: Option<Expected>,
@@ -109,20 +114,27 @@ impl Inspection {
         let mut named = vec![];
         for (path, remedy) in files_with_remedies(experiment) {
             let name = name_in(experiment, &path);
-            if !path.is_file() {
+            if !path.exists() {
                 self.fault(Code::Files, Level::DoNotUse, format!("{name} is not there"), remedy);
             } else if !named.contains(&name) {
                 named.push(name);
             }
         }
-        for view in &experiment.views {
+        for error in experiment.bags().filter(|bag| bag.path().exists()).filter_map(|bag| bag.files().err()) {
+            let remedy = "name an MCAP file, the folder of a split recording, or the list of its files";
+            self.fault(Code::Files, Level::DoNotUse, error.to_string(), remedy);
+        }
+        for view in
+            experiment.views.iter().filter(|view| view.frames.topic().is_none_or(|topic| topic.bag.files().is_ok()))
+        {
             match view.open_frames(experiment.folder()) {
                 Ok(source) => {
                     let count = source.count().ok().flatten().map_or("a video".to_owned(), |n| format!("{n} frames"));
                     named.push(format!("{count} of {}", view.name));
                 }
                 Err(error) => {
-                    self.fault(Code::Files, Level::DoNotUse, error.to_string(), frames_remedy(experiment, view))
+                    let remedy = frames_remedy(experiment, view, &error);
+                    self.fault(Code::Files, Level::DoNotUse, error.to_string(), remedy);
                 }
             }
         }
@@ -133,8 +145,16 @@ impl Inspection {
     fn with_data(mut self, console: &Console, experiment: &Experiment) -> Result<Summary> {
         let model = model_of(experiment)?;
         self.sizes(experiment);
-        let Checked { rows: log, warnings } = encoders_of(experiment, &model)?;
-        for warning in warnings.iter().take(3) {
+        let Checked { rows: log, warnings } = match encoders_of(experiment, &model) {
+            Ok(checked) => checked,
+            Err(error) => {
+                let remedy = "see \"Bring your own log\" and \"Use a tracker, or ROS 2 recordings\" in the book";
+                self.fault(Code::Files, Level::DoNotUse, error.to_string(), remedy);
+                return Ok(self.end());
+            }
+        };
+        self.reasons.extend(reasons_of_files(experiment, &warnings)?);
+        for warning in warnings.iter().filter(|warning| warning.fault == Fault::Row).take(3) {
             self.fault(
                 Code::Files,
                 Level::Look,
@@ -232,8 +252,11 @@ impl Inspection {
         }
         for view in &experiment.views {
             match view.open_frames(experiment.folder())? {
-                FrameSource::Pictures(files) => frames.extend(files.iter().map(|(index, _)| *index)),
-                FrameSource::Video(_) | FrameSource::Topic(_) => frames.extend(&read),
+                FrameSource::Pictures(files) => frames.extend(files.iter().map(|file| file.index)),
+                source => match source.count()? {
+                    Some(count) => frames.extend(0..count as u64),
+                    None => frames.extend(&read),
+                },
             }
         }
         if experiment.encoders.is_none() {
@@ -282,10 +305,11 @@ impl Inspection {
         log: &[EncoderReading],
     ) -> Result<Vec<Measurement>> {
         let Ok(lens) = view.lens() else { return Ok(Vec::new()) };
-        let rig = match rig_of(view, &lens, &model.robot) {
+        let drawn = self.folder.as_ref().map(|folder| folder.join(rig_picture_name(view, experiment)));
+        let rig = match rig_of(view, &lens, &model.robot, drawn.as_deref()) {
             Ok(rig) => rig,
             Err(error) => {
-                let remedy = "see \"Take the straight frame\" and \"Troubleshooting\" in the book";
+                let remedy = "`check -o FOLDER` draws what was seen into FOLDER/rig.jpg; see \"Take the straight picture\" in the book";
                 self.fault(Code::Files, Level::DoNotUse, error.to_string(), remedy);
                 return Ok(Vec::new());
             }
@@ -295,17 +319,27 @@ impl Inspection {
         let count = source.count()?.unwrap_or(MEASURED);
         let frames = source.frames()?.enumerate().filter(|(k, _)| keeps(*k, MEASURED, count)).take(MEASURED);
         let frames: Vec<_> = frames.map(|(_, frame)| frame).collect();
-        let measurements: Vec<Measurement> = frames
+        let measurements: Vec<Result<Measurement>> = frames
             .into_par_iter()
             .map(|frame| {
-                let index = frame.index;
-                let found = frame.read().ok().map(|picture| eye.measure(&picture));
-                let (status, measured, quality) = found
-                    .map_or((Status::Unreadable, None, None), |found| (found.status, found.measured, found.quality));
-                let time_s = log.binary_search_by_key(&index, |row| row.index).ok().map(|row| log[row].time_s);
-                Measurement { index, time_s, status, measured, quality, view: Some(view.name.clone()) }
+                let (index, own_s) = (frame.index, frame.time_s);
+                let found = eye.measure(&frame.read()?);
+                let logged = || log.binary_search_by_key(&index, |row| row.index).ok().map(|row| log[row].time_s);
+                let time_s = own_s.or_else(logged);
+                let view = Some(view.name.clone());
+                Ok(Measurement {
+                    index,
+                    time_s,
+                    status: found.status,
+                    measured: found.measured,
+                    quality: found.quality,
+                    view,
+                })
             })
             .collect();
+        let all = measurements.len();
+        let (measurements, unreadable): (Vec<Measurement>, Vec<Error>) = parted(measurements);
+        self.unreadable(view, all, &unreadable);
         let mut sigmas: Vec<f64> = measurements.iter().filter_map(|one| Some(one.measured?.sigma_theta)).collect();
         let (ok, length_px) = (sigmas.len(), eye.projection().straight_length_px());
         let sigma = if ok > 0 {
@@ -313,14 +347,26 @@ impl Inspection {
         } else {
             String::new()
         };
-        let all = measurements.len();
         let seen =
             format!("{}: {ok} of {all} looked at were measured, the snake {length_px:.0} px long{sigma}", view.name);
         self.saw("frames", seen);
+        if let Some(remark) = source.remark()? {
+            self.saw("frames", format!("{}: {remark}", view.name));
+        }
         if let Some(small) = eye.small_picture() {
             self.saw("frames", format!("{}: {small}", view.name));
         }
         Ok(measurements)
+    }
+
+    /// Frames that cannot be read, with the reason of the first.
+    fn unreadable(&mut self, view: &View, all: usize, unreadable: &[Error]) {
+        let Some(first) = unreadable.first() else { return };
+        let level = if unreadable.len() == all { Level::DoNotUse } else { Level::Look };
+        let count = unreadable.len();
+        let text = format!("{count} of {all} frames looked at of view {} cannot be read: {first}", view.name);
+        let (_, remedy) = Status::Unreadable.explained();
+        self.fault(Code::Files, level, text, remedy);
     }
 
     /// The verdict on the sample, where the snake goes, and what a run would know.
@@ -332,6 +378,12 @@ impl Inspection {
         log: &[EncoderReading],
         indices: &BTreeSet<u64>,
     ) -> Result<()> {
+        if log.is_empty() && experiment.encoders.is_some() {
+            let text = "no frame and no pose has an encoder reading: a run would learn nothing";
+            let remedy =
+                "see the reason beside it; each reading needs the index of its frame, or a time by the frames' clock";
+            self.fault(Code::NothingToJudge, Level::DoNotUse, text, remedy);
+        }
         if measurements.is_empty() || log.is_empty() {
             return Ok(());
         }
@@ -342,6 +394,8 @@ impl Inspection {
         let wiring = experiment.wiring(model.robot.backbone_count())?;
         let judged = Subject { replaced, ..subject(&learned, experiment, wiring, options.sd_encoder_mm) };
         let Ok(verdict) = judged.verdict(rows(), log);
+        let Ok(doubt) = doubt_of_times(rows(), log, Some(experiment));
+        self.reasons.extend(doubt);
         let wired_wrong = verdict.has(Code::Wiring) || verdict.has(Code::EncoderStuck);
         self.reasons.extend(verdict.reasons);
         let poses = poses_of(&learned, log, indices);
@@ -356,6 +410,18 @@ impl Inspection {
         }
         Ok(())
     }
+}
+
+/// What could be measured, and why the rest could not be read.
+fn parted(measurements: Vec<Result<Measurement>>) -> (Vec<Measurement>, Vec<Error>) {
+    let (mut measured, mut unreadable) = (Vec::new(), Vec::new());
+    for measurement in measurements {
+        match measurement {
+            Ok(measurement) => measured.push(measurement),
+            Err(why) => unreadable.push(why),
+        }
+    }
+    (measured, unreadable)
 }
 
 impl Summary {

@@ -138,6 +138,7 @@ mod tests {
             focal_px: Vector2::repeat(500.0),
             centre_px: Point2::new(99.5, 99.5),
             distortion: [0.0; 12],
+            fisheye: None,
         }
     }
 

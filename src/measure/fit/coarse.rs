@@ -229,6 +229,7 @@ fn shrunk_lens(lens: &Lens) -> Lens {
         focal_px: lens.focal_px / factor,
         centre_px: lens.centre_px.map(|c| (c - (factor - 1.0) / 2.0) / factor),
         distortion: lens.distortion,
+        fisheye: lens.fisheye,
     }
 }
 
@@ -276,6 +277,7 @@ mod tests {
             focal_px: Vector2::new(900.0, 910.0),
             centre_px: Point2::new(321.0, 236.5),
             distortion: [0.0; 12],
+            fisheye: None,
         };
         let point = Point3::new(3.0, -2.0, 100.0);
         let (pixel, small) = (lens.project(&point), shrunk_lens(&lens).project(&point));

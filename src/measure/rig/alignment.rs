@@ -1,11 +1,11 @@
-//! Aligns the straight snake along its axis: disks look alike, and the holder's end may have been found a disk or two off.
+//! Aligns the straight snake along its axis by its own colours: disks look alike, and shadows and glints may have put it a part of a disk off.
 //!
 //! The model's silhouette is moved along the axis in small steps over a strip of the picture. Where it covers the snake and nothing else,
 //! what tells snake from target adds up to the most inside of it without what adds up outside.
 
 use super::base_fit::{STRAIGHT, StraightPicture, appearance_of};
-use super::holder_sides::SnakeStart;
 use super::placement::Placement;
+use super::snake_search::SnakeStart;
 use crate::measure::body::{BodyPoint, Outline, Projection};
 use crate::measure::image::plane::Plane;
 use crate::measure::target::Grid;
@@ -48,7 +48,7 @@ const COUNTED: (f32, f32) = (-0.5, 1.5);
 /// from target there.
 pub fn aligned_starts(picture: StraightPicture, rough: &SnakeStart, grid: &Grid) -> Vec<SnakeStart> {
     let StraightPicture { frame, lens, robot, options } = picture;
-    let start_at = |offset_px: f64| SnakeStart { base: rough.base + rough.axis * offset_px, axis: rough.axis };
+    let start_at = |offset_px: f64| SnakeStart { base: rough.base + rough.axis * offset_px, ..rough.clone() };
     let view_from = |start: &SnakeStart| {
         let placement = Placement::from_picture(lens, options, grid, &start.base, start.axis)?;
         Some(Projection { lens, camera_from_base: placement.camera_from_base(options, grid), robot })

@@ -5,9 +5,9 @@
 //! must go on pulling; then Tukey's biweight, to which what is still far off counts nothing.
 
 use super::error::{RigError, SnakePart};
-use super::holder_sides::SnakeStart;
 use super::parameters::{Rig, RigOptions};
 use super::placement::{PLACEMENT, Placement, TILT};
+use super::snake_search::SnakeStart;
 use crate::camera::{Frame, Lens};
 use crate::geometry::Configuration;
 use crate::measure::body::{Outline, Projection};
@@ -42,10 +42,10 @@ const LEARNING_ROUNDS: usize = 3;
 ///
 /// Convention: a ruler's precision.
 pub const STANDOFF_SIGMA_MM: f64 = 0.1;
-/// How far the snake may be from parallel to the grid, rad (1σ).
+/// How far the snake may be from parallel to the grid, rad (1σ): in a jig that was made for it, and where an eye set it. Either is as likely.
 ///
-/// Convention: a jig's precision, 0.05 mm over the snake's length.
-const TILT_SIGMA: f64 = 0.1 * PI / 180.0;
+/// Convention: a jig's precision, 0.05 mm over the snake's length; and half a millimetre.
+const TILT_SIGMAS: [f64; 2] = [0.1 * PI / 180.0, 1.0 * PI / 180.0];
 /// How far from its own tilt the light on the disks' faces makes a straight snake seem tilted, rad (1σ): all faces are seen at nearly the same
 /// glancing angle, so that no number of disks averages it away. Bent snakes, whose faces are seen at many angles, do not share it.
 ///
@@ -76,8 +76,8 @@ const LEAST_AGREEING_OF_FOUND: f64 = 0.9;
 /// An edge bias beyond this, px, is no edge's but a wrong model's; blurred edges are displaced by as much more as they are wider than
 /// a pixel.
 ///
-/// Fitted: by hand on the project's renders (tests/eye/robustness); not judged elsewhere.
-const MOST_BIAS_PX: f64 = 0.8;
+/// Derived: four times what is known of it beforehand.
+const MOST_BIAS_PX: f64 = 4.0 * BIAS_SIGMA_PX;
 /// Edges that scatter by more than this about the model, px, are not its own; blurred ones scatter by as much more as they are wider than
 /// a pixel.
 ///
@@ -85,9 +85,8 @@ const MOST_BIAS_PX: f64 = 0.8;
 const MOST_RMS_PX: f64 = 0.87;
 /// A camera whose direction is less certain than this, rad (1σ), was not found.
 ///
-/// Fitted: to the rigs of tests/eye/robustness (`cargo test --release --no-default-features --test eye robustness -- --ignored`), where a grid in good view tells it to
-/// 0.02° to 0.3°; not judged elsewhere.
-const MOST_TURN_SIGMA: f64 = 1.0 * PI / 180.0;
+/// Convention: a tenth of a radian: up to there a covariance describes a direction, and bent frames refine it.
+const MOST_TURN_SIGMA: f64 = 0.1;
 /// So long as edges are searched for further away than this, px, the border is not known so well that colours beside it are asked for most.
 ///
 /// Convention: about the width of the border's surroundings that are then asked.
@@ -242,7 +241,7 @@ impl<'a> BaseFit<'a> {
             let faces = [(near - GLARE) / GLARE_SIGMA, (far - GLARE) / GLARE_SIGMA];
             let height = placement.height_mm() / STANDOFF_SIGMA_MM;
             let known =
-                [placement.tilt() / TILT_SIGMA.hypot(SEEMING_TILT_SIGMA)].into_iter().chain(biases).chain(faces);
+                [placement.tilt() / TILT_SIGMAS[1].hypot(SEEMING_TILT_SIGMA)].into_iter().chain(biases).chain(faces);
             let known = known.map(|prior| prior * DESIGN_EFFECT.sqrt()).chain([height]);
             DVector::from_vec(weighted.chain(known).collect())
         };
@@ -267,6 +266,12 @@ impl<'a> BaseFit<'a> {
         let are_all_visible = visibility.are_all_faintly_visible(last_part(robot));
         self.check_agreement(edges, agreeing, edge_rms_px, are_all_visible)?;
         check_visibility(&visibility, robot)?;
+        let sheet_sigma = (0..3).map(|axis| self.grid.turn_covariance[(axis, axis)]).fold(0.0, f64::max).sqrt();
+        if sheet_sigma > MOST_TURN_SIGMA {
+            let (sigma_deg, most_deg) = (sheet_sigma.to_degrees(), MOST_TURN_SIGMA.to_degrees());
+            let (bow_mm, waves_mm) = (self.grid.sheet.shape.rms_mm(), self.grid.waves_mm);
+            return Err(RigError::SheetNotFlat { bow_mm, waves_mm, sigma_deg, most_deg });
+        }
         let (placement, covariance) = of_its_own_tilt(&self.placement, covariance);
         let pose_covariance = placement.pose_covariance(&covariance, options, self.grid);
         let turn_sigma = (0..3).map(|axis| pose_covariance[(axis, axis)]).fold(0.0, f64::max).sqrt();
@@ -277,7 +282,8 @@ impl<'a> BaseFit<'a> {
         Ok(Rig {
             camera_from_base: placement.camera_from_base(options, self.grid),
             pose_covariance,
-            camera_from_grid: self.grid.camera_from_grid,
+            camera_from_grid: self.grid.sheet.camera_from_grid,
+            sheet_shape: self.grid.sheet.shape,
             grid_pitch_mm: options.grid_pitch_mm,
             pattern: GridPattern::dark(self.grid.kind),
             appearance: appearance.clone(),
@@ -329,16 +335,37 @@ fn covariance(
     Some(clustered + systematic)
 }
 
-/// A placement whose tilt is what the edges show, and its covariance, with the tilt that the snake itself has: of what edges show a part is
-/// light's doing, so that its mean given the edges is a share of it (two Gaussians of known variance).
+/// A placement whose tilt is what the edges show, and its covariance, with the tilt that the snake itself has: mean and variance of the
+/// mixture of what either jig would have, each as likely as the tilt that is shown makes it. Of what edges show a part is light's doing.
 fn of_its_own_tilt(seeming: &Placement, covariance: DMatrix<f64>) -> (Placement, DMatrix<f64>) {
-    let own_share = (TILT_SIGMA / TILT_SIGMA.hypot(SEEMING_TILT_SIGMA)).powi(2);
+    let shown = seeming.tilt();
+    // The fit knew the wider jig's variance.
+    let known = TILT_SIGMAS[1].powi(2) + SEEMING_TILT_SIGMA.powi(2);
+    let fitted = covariance[(TILT, TILT)];
+    let (shown, noise) = if fitted < known {
+        let edges = fitted * known / (known - fitted);
+        (shown * (edges + known) / known, edges + SEEMING_TILT_SIGMA.powi(2))
+    } else {
+        (0.0, f64::INFINITY)
+    };
+    let jigs = TILT_SIGMAS.map(|sigma| {
+        let (own, all) = (sigma * sigma, sigma * sigma + noise);
+        let weight = if all.is_finite() { (-0.5 * shown * shown / all).exp() / all.sqrt() } else { 1.0 };
+        let share = if all.is_finite() { own / all } else { 0.0 };
+        (weight, share * shown, own - share * own)
+    });
+    let total: f64 = jigs.iter().map(|(weight, ..)| weight).sum();
+    let mean = jigs.iter().map(|(weight, mean, _)| weight * mean).sum::<f64>() / total;
+    let variance =
+        jigs.iter().map(|(weight, own, variance)| weight * (variance + (own - mean).powi(2))).sum::<f64>() / total;
+    // The rest of the placement goes with the tilt as it went with the one that was fitted.
+    let share = if seeming.tilt() == 0.0 { 0.0 } else { mean / seeming.tilt() };
     let mut by_seeming = DMatrix::identity(covariance.nrows(), covariance.ncols());
-    by_seeming[(TILT, TILT)] = own_share;
+    by_seeming[(TILT, TILT)] = share;
     let mut own = seeming.0.clone();
-    own[TILT] *= own_share;
+    own[TILT] = mean;
     let mut covariance = &by_seeming * covariance * &by_seeming;
-    covariance[(TILT, TILT)] += own_share * SEEMING_TILT_SIGMA.powi(2);
+    covariance[(TILT, TILT)] = variance;
     (Placement(own), covariance)
 }
 
@@ -390,24 +417,32 @@ pub fn appearance_of(frame: &Frame, view: &Projection, outline: &Outline, is_wel
 mod tests {
     use super::*;
 
+    /// Against sums over a grid of tilts: the snake's own, of either jig, light's and the edges' noise.
     #[test]
-    fn of_a_tilt_that_edges_show_the_snakes_own_part_is_what_gaussians_say() {
-        // The snake's own tilt t, light's l and the edges' noise n, independent of each other; edges show t + l + n.
-        let (own, light, noise) = (TILT_SIGMA.powi(2), SEEMING_TILT_SIGMA.powi(2), (0.05 * PI / 180.0).powi(2));
-        let (shown, at) = (0.2 * PI / 180.0, 3.0);
-        // What the fit of t + l makes of it, whose prior has both variances; the place of the base goes with the tilt.
-        let seeming = (own + light) / (own + light + noise);
-        let mut placement = DVector::zeros(PLACEMENT);
-        (placement[0], placement[TILT]) = (at, seeming * shown);
-        let mut covariance = DMatrix::zeros(PLACEMENT + BIASES, PLACEMENT + BIASES);
-        (covariance[(0, 0)], covariance[(TILT, TILT)]) = (1.0, seeming * noise);
-        (covariance[(0, TILT)], covariance[(TILT, 0)]) = (1e-4, 1e-4);
-        let (placement, covariance) = of_its_own_tilt(&Placement(placement), covariance);
-        // The regression of t on t + l + n, and what it leaves.
-        let gain = own / (own + light + noise);
-        assert!((placement.tilt() / (gain * shown) - 1.0).abs() < 1e-12);
-        assert!((covariance[(TILT, TILT)] / (own - gain * own) - 1.0).abs() < 1e-12);
-        assert_eq!((placement.0[0], covariance[(0, 0)]), (at, 1.0));
-        assert!((covariance[(0, TILT)] / (1e-4 * own / (own + light)) - 1.0).abs() < 1e-12);
+    fn of_a_tilt_that_edges_show_the_snakes_own_part_is_what_bayes_says() {
+        let degree = PI / 180.0;
+        let noise = 0.05 * degree;
+        for shown_deg in [-0.8, 0.05, 0.2, 0.4, 0.9] {
+            let shown = shown_deg * degree;
+            let normal = |x: f64, variance: f64| (-0.5 * x * x / variance).exp() / variance.sqrt();
+            let prior = |t: f64| TILT_SIGMAS.iter().map(|sigma| normal(t, sigma * sigma)).sum::<f64>();
+            let likelihood = |t: f64| normal(shown - t, SEEMING_TILT_SIGMA.powi(2) + noise * noise);
+            let tilts: Vec<f64> = (-4000..=4000).map(|k| f64::from(k) * 1e-3 * degree).collect();
+            let sum =
+                |value: &dyn Fn(f64) -> f64| tilts.iter().map(|&t| value(t) * prior(t) * likelihood(t)).sum::<f64>();
+            let mean = sum(&|t| t) / sum(&|_| 1.0);
+            let variance = sum(&|t| (t - mean).powi(2)) / sum(&|_| 1.0);
+            // What the fit of the seeming tilt makes of it, whose prior has the wider jig's and light's variance.
+            let known = TILT_SIGMAS[1].powi(2) + SEEMING_TILT_SIGMA.powi(2);
+            let seeming = known / (known + noise * noise);
+            let mut placement = DVector::zeros(PLACEMENT);
+            (placement[0], placement[TILT]) = (3.0, seeming * shown);
+            let mut covariance = DMatrix::zeros(PLACEMENT + BIASES, PLACEMENT + BIASES);
+            (covariance[(0, 0)], covariance[(TILT, TILT)]) = (1.0, seeming * noise * noise);
+            let (placement, covariance) = of_its_own_tilt(&Placement(placement), covariance);
+            assert!((placement.tilt() - mean).abs() < 1e-3 * degree, "{shown_deg}: {} for {mean}", placement.tilt());
+            assert!((covariance[(TILT, TILT)] / variance - 1.0).abs() < 0.02, "{shown_deg}");
+            assert_eq!((placement.0[0], covariance[(0, 0)]), (3.0, 1.0));
+        }
     }
 }

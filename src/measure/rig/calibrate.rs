@@ -1,249 +1,246 @@
-//! Calibrates a rig from a picture of the straight snake before the grid target.
+//! Calibrates a rig from a picture of the straight snake before the grid target: first the sheet, then the snake.
 
 use super::alignment::aligned_starts;
-use super::background::Colours;
 use super::base_fit::{STANDOFF_SIGMA_MM, StraightPicture, fit_base};
 use super::error::{CalibrationStep, RigError};
-use super::holder_sides::{SnakeStart, find_start, holders_at_border};
-use super::locate::{Holder, MOST_WIDTH, locate_holders};
 use super::parameters::{Rig, RigOptions};
 use super::scale::{contradiction, pattern_of};
-use crate::camera::{Frame, Lens};
-use crate::measure::target::{Grid, find_grid};
-use crate::robot::Robot;
+use super::sketch::RigSketch;
+use super::snake_search::{BodyTemplate, SheetRegion, SnakeStart, search_everywhere, search_nearby};
+use crate::camera::Lens;
+use crate::measure::target::{Grid, SheetHypothesis, SheetSearch};
 use nalgebra::Point2;
 use rayon::prelude::*;
-use std::ops::{Range, RangeInclusive};
+use std::ops::Range;
 
 /// A snake further from where the standoff puts it than this many times the standoff's precision contradicts what was stated.
 ///
 /// Convention: a wrong millimetre of the standoff is the fit's to find (1.5 mm), a wrong pitch is the user's.
 const FAR_OFF_SIGMAS: f64 = 15.0;
-/// How wide the holder may be, in units of the width that was seen of it, in each of the searches for the grid: what was seen may be
-/// only its dark side, and thin lines have an overtone of twice their number; or a shadow was seen with it.
+/// How wide a snake may be: px, and as shares of the picture's longer side.
 ///
-/// Fitted: by hand to the rigs of tests/eye/robustness; not judged elsewhere.
-const WIDTHS: [(f64, f64); 3] = [(0.85, 2.2), (1.25, 2.2), (0.45, 0.85)];
-/// How wide the holder may be in the end, in units of the width that was seen of it.
+/// Convention: twelve cells across are looked at, of one pixel and more; a snake of an eightieth of the picture is a twelfth as long as it, and one wider
+/// than a third of it is not seen whole.
+const LEAST_WIDTH_PX: f64 = 12.0;
+const LEAST_WIDTH: f64 = 1.0 / 80.0;
+const MOST_WIDTH: f64 = 0.35;
+/// How many rulings are taken for the stated one, and how many places of the snake before each, until one fits.
 ///
-/// Derived: from the widths above, and a tenth more for a target that leans.
-const SEEN_WIDTHS: Range<f64> = 0.4..2.45;
-/// Ranges of the pitch that begin and end within this share of each other's are one.
+/// Convention: limits of time; in every picture that is accepted it was the first or second of either.
+const MOST_RULINGS: usize = 5;
+const MOST_STARTS: usize = 2;
+/// Snakes whose widths differ by less than this share are searched for once.
 ///
-/// Convention: far less than they are wide.
-const SAME_RANGE: f64 = 0.15;
-/// Starts of snakes whose places and widths differ by less than this share of the width are the same.
+/// Derived: a twentieth of the length is a third of a width at the tip, a cell and a half.
+const SAME_WIDTH: f64 = 0.05;
+/// The pitches, in units of the stated one, with which the snake's size is tried where none fits as stated.
 ///
-/// Convention: what follows searches further than that.
-const SAME_START: f64 = 0.1;
-/// Grids whose distances differ by less than this share are the same lines.
-///
-/// Convention: a line more or less among a hundred would change it by three times as much.
-const SAME_GRID: f64 = 0.003;
-/// Other pitches, in units of the one that was stated, with which it may be plain what is wrong.
-///
-/// Convention: every other line missing, or as many between.
-const OTHER_PITCHES: [f64; 2] = [0.5, 2.0];
+/// Convention: inches for centimetres, halves, doubles and what lies between, in steps that the matched filter bridges.
+const OTHER_PITCHES: [f64; 8] = [0.5, 2.0, 0.7, 1.4, 0.4, 2.54, 0.25, 4.0];
 
-/// Finds the rig in a picture of the straight snake before the grid target.
+/// Finds the rig in a picture of the straight snake before the grid target, and notes in the sketch what it saw.
 ///
-/// 1. The snake is the large, long object that is unlike the target; its width tells the scale. Where there are several,
-///    each is tried in turn.
-/// 2. The grid near the pitch that this scale predicts gives the camera's pose to the target.
-/// 3. The snake lies parallel to the target, `standoff_mm` before it; its silhouette tells where along its axis it begins, and its
-///    edges give the base's place and direction, and refine standoff and parallelism within what a ruler can do.
+/// 1. The sheet is where the picture is periodic in two directions. Its clearest ruling gives its pose and shape.
+/// 2. Each ruling in turn is taken for the one of the stated pitch; scale and standoff then say how wide the snake is, and a matched filter of
+///    the straight body finds it.
+/// 3. The snake lies parallel to the sheet, `standoff_mm` before it; its edges give the base's place and direction, and refine standoff and
+///    parallelism within what a jig can do. The first place that the edges confirm is the snake's.
 ///
 /// # Errors
 ///
 /// Why the try that came furthest ended, with the values that tell.
-pub fn find_rig(frame: &Frame, lens: &Lens, robot: &Robot, options: &RigOptions) -> Result<Rig, RigError> {
+pub fn find_rig(picture: StraightPicture, sketch: &mut RigSketch) -> Result<Rig, RigError> {
+    let StraightPicture { frame, lens, robot, options } = picture;
     if (frame.width, frame.height) != (lens.width, lens.height) {
         let (picture_px, lens_px) = ([frame.width, frame.height], [lens.width, lens.height]);
         return Err(RigError::WrongSize { picture_px, lens_px });
     }
-    let pictures = Colours::of(frame);
-    let (mut holders, mut refused): (Vec<(&Colours, Holder)>, _) = (Vec::new(), None);
-    for colours in &pictures {
-        match locate_holders(frame, colours) {
-            Ok(found) => holders.extend(found.into_iter().map(|holder| (colours, holder))),
+    let search = SheetSearch::new(frame, lens, options.grid_pitch_mm);
+    let region = region_of(&search, lens);
+    sketch.sheet.clone_from(&region.0);
+    if search.hypotheses.is_empty() {
+        return Err(RigError::NoSheet);
+    }
+    let tries = Tries { picture, search: &search, region: &region, template: BodyTemplate::of(robot) };
+    let (mut rulings, mut refused): (Vec<Ruling>, _) = (Vec::new(), None);
+    for hypothesis in &search.hypotheses {
+        let outcome = tries.ruling(hypothesis, &rulings).and_then(|mut ruling| {
+            // A snake that explains most of what is seen around it is asked for its edges before others are looked for.
+            let rig = ruling.explains_most().then(|| tries.rig(&mut ruling, sketch)).transpose();
+            rulings.push(ruling);
+            rig
+        });
+        match outcome {
+            Ok(Some(rig)) => return Ok(rig),
+            Ok(None) => {}
             Err(error) => refused = Some(error.or_further(refused)),
         }
     }
-    let mut search = Search::default();
-    for (colours, holder) in &holders {
-        let picture = StraightPicture { frame, lens, robot, options };
-        match calibrate_from(picture, colours, holder, &mut search) {
+    rulings.sort_by(|a, b| b.gain().total_cmp(&a.gain()));
+    for ruling in rulings.iter_mut().take(MOST_RULINGS).filter(|ruling| !ruling.is_tried) {
+        match tries.rig(ruling, sketch) {
             Ok(rig) => return Ok(rig),
             Err(error) => refused = Some(error.or_further(refused)),
         }
     }
-    let picture = StraightPicture { frame, lens, robot, options };
     match refused {
         Some(error) if error.step() < CalibrationStep::Scale => {
-            let cut = search.cut_by_the_border(picture, &pictures);
-            cut.ok_or_else(|| search.contradiction(picture, &holders).unwrap_or(error))
+            let best = rulings.first().map_or(0.0, Ruling::gain);
+            Err(tries.contradiction(best, sketch).unwrap_or(error))
         }
-        error => Err(error.unwrap_or(RigError::NoObject)),
+        error => Err(error.unwrap_or(RigError::NoSheet)),
     }
 }
 
-/// What was found and tried so far: objects of other colours lead to the same grids and snakes.
-#[derive(Default)]
-struct Search {
-    /// Holders, the range of the pitch, px, and the grid that was found in it.
-    grids: Vec<(Holder, RangeInclusive<f64>, Option<Grid>)>,
-    /// Where a snake of which width was looked for.
-    starts: Vec<(Point2<f64>, f64)>,
-}
-
-impl Search {
-    /// The grid beside a holder with a pitch in a range, px.
-    fn grid(&mut self, picture: StraightPicture, holder: &Holder, range: &RangeInclusive<f64>) -> Option<Grid> {
-        let is_near = |a: f64, b: f64| (a / b - 1.0).abs() < SAME_RANGE;
-        let known = self.grids.iter().find(|(other, searched, _)| {
-            let is_same_range = is_near(*searched.start(), *range.start()) && is_near(*searched.end(), *range.end());
-            is_same_range && other.covers_like(holder)
-        });
-        if let Some((_, _, grid)) = known {
-            return grid.clone();
-        }
-        let pitch_mm = picture.options.grid_pitch_mm;
-        let grid = find_grid(picture.frame, picture.lens, pitch_mm, range, holder.axis, |p| holder.covers(p));
-        self.grids.push((holder.clone(), range.clone(), grid.clone()));
-        grid
-    }
-
-    /// Whether this is the first start there.
-    fn is_new(&mut self, start: &SnakeStart, width_px: f64) -> bool {
-        let near_px = SAME_START * width_px;
-        let is_new = self
-            .starts
-            .iter()
-            .all(|(base, width)| (base - start.base).norm() > near_px || (width - width_px).abs() > near_px);
-        if is_new {
-            self.starts.push((start.base, width_px));
-        }
-        is_new
-    }
-
-    /// The grids that were found, each once.
-    fn distinct_grids(&self, lens: &Lens) -> Vec<Grid> {
-        let ray = lens.ray(&lens.centre_px);
-        let mut distinct: Vec<Grid> = Vec::new();
-        for grid in self.grids.iter().filter_map(|(_, _, grid)| grid.as_ref()) {
-            let is_same = |other: &Grid| (other.distance_mm(&ray) / grid.distance_mm(&ray) - 1.0).abs() < SAME_GRID;
-            if !distinct.iter().any(is_same) {
-                distinct.push(grid.clone());
-            }
-        }
-        distinct
-    }
-
-    /// The rig of a snake that stood out too little to be an object, but whose holder the border cuts: a grid tells how wide it is.
-    fn cut_by_the_border(&mut self, picture: StraightPicture, pictures: &[Colours]) -> Option<Rig> {
-        let StraightPicture { lens, robot, options, .. } = picture;
-        self.distinct_grids(lens).iter().find_map(|grid| {
-            let distance_mm = grid.distance_mm(&lens.ray(&lens.centre_px)) - options.standoff_mm;
-            let width_px = lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm;
-            if !(0.0..MOST_WIDTH * f64::from(lens.width.max(lens.height))).contains(&width_px) {
-                return None;
-            }
-            let cut = |colours| holders_at_border(colours, width_px).into_iter().map(move |holder| (colours, holder));
-            let mut holders = pictures.iter().flat_map(cut);
-            holders.find_map(|(colours, holder)| calibrate_on(picture, colours, &holder, grid, self).ok())
+/// The part of the picture that shows the sheet: the hull of the windows that saw it, and half of their reach around.
+pub(super) fn region_of(search: &SheetSearch, lens: &Lens) -> SheetRegion {
+    let reach_px = search.reach_px;
+    let corners = search.seen.iter().flat_map(|at| {
+        [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| {
+            let inside = |v: f64, length: u32| v.clamp(-1.0, f64::from(length));
+            [inside(at.x + x * reach_px, lens.width), inside(at.y + y * reach_px, lens.height)]
         })
+    });
+    SheetRegion::around(corners.map(Into::into))
+}
+
+/// What is tried with one picture.
+struct Tries<'a> {
+    picture: StraightPicture<'a>,
+    search: &'a SheetSearch,
+    region: &'a SheetRegion,
+    template: BodyTemplate,
+}
+
+/// A ruling taken for the one of the stated pitch, and where a snake of the size that follows may be before it.
+struct Ruling {
+    hypothesis: SheetHypothesis,
+    width_px: f64,
+    found: Vec<SnakeStart>,
+    is_tried: bool,
+}
+
+impl Ruling {
+    /// Whether a snake of this size explains most of what is seen of it and around it.
+    fn explains_most(&self) -> bool {
+        self.found.first().is_some_and(|start| start.explained > 0.5)
     }
 
-    /// The contradiction of a snake that fits before a grid that was found, if its lines are half or twice as far apart as was stated.
-    fn contradiction(&self, picture: StraightPicture, holders: &[(&Colours, Holder)]) -> Option<RigError> {
-        let (colours, holder) = holders.first()?;
-        let StraightPicture { lens, robot, options, .. } = picture;
-        let grids = self.distinct_grids(lens);
-        OTHER_PITCHES.into_par_iter().find_map_first(|factor| {
-            let other = RigOptions { grid_pitch_mm: factor * options.grid_pitch_mm, ..*options };
-            let picture = StraightPicture { options: &other, ..picture };
-            let rig = grids.iter().find_map(|grid| {
-                let mut afresh = Self::default();
-                calibrate_on(picture, colours, holder, &grid.with_pitch_times(factor), &mut afresh).ok()
-            });
-            // Of lines that are closer or further apart than was looked for no grid was found yet.
-            let rig = rig.or_else(|| calibrate_from(picture, colours, holder, &mut Self::default()).ok());
-            rig.map(|rig| contradiction(robot, options, &rig))
-        })
+    /// How well a snake of this size explains the picture.
+    fn gain(&self) -> f64 {
+        self.found.first().map_or(0.0, |start| start.gain)
     }
 }
 
-/// Calibrates the rig if this is the holder.
-fn calibrate_from(
-    picture: StraightPicture,
-    colours: &Colours,
-    holder: &Holder,
-    search: &mut Search,
-) -> Result<Rig, RigError> {
-    let StraightPicture { lens, robot, options, .. } = picture;
-    let pitch_px = |width_px: f64| {
-        let distance_mm = lens.focal_px.x * robot.body.disk_diameter_mm / width_px;
-        lens.focal_px.x * options.grid_pitch_mm / (distance_mm + options.standoff_mm)
-    };
-    let mut refused = None;
-    for (narrowest, widest) in WIDTHS {
-        let range = pitch_px(narrowest * holder.width_px)..=pitch_px(widest * holder.width_px);
-        let outcome = match search.grid(picture, holder, &range) {
-            Some(grid) => calibrate_on(picture, colours, holder, &grid, search),
-            None => {
-                let pitch_px = [*range.start(), *range.end()];
-                Err(RigError::NoGrid { grid_pitch_mm: options.grid_pitch_mm, pitch_px })
-            }
+impl Tries<'_> {
+    /// Looks for the snake if this ruling is the one of the stated pitch; where another one asked for a snake of the same size, it was
+    /// looked for already.
+    fn ruling(&self, hypothesis: &SheetHypothesis, known: &[Ruling]) -> Result<Ruling, RigError> {
+        let StraightPicture { frame, lens, options, .. } = self.picture;
+        let (width_px, pitch_px) = (self.width_px(hypothesis), hypothesis.pitch_px);
+        if width_px.is_nan() || width_px <= 0.0 {
+            let target_mm = hypothesis.distance_mm(&lens.ray(&self.region.middle()));
+            return Err(RigError::BehindCamera { target_mm, standoff_mm: options.standoff_mm });
+        }
+        let side_px = f64::from(frame.width.max(frame.height));
+        let widths: Range<f64> = LEAST_WIDTH_PX.max(LEAST_WIDTH * side_px)..MOST_WIDTH * side_px;
+        if !widths.contains(&width_px) {
+            return Err(RigError::NoSnake { pitch_px, width_px });
+        }
+        let same = known.iter().find(|other| (other.width_px / width_px - 1.0).abs() < SAME_WIDTH);
+        let found = match same {
+            Some(other) => other.found.clone(),
+            None => search_everywhere(frame, &self.template, width_px, self.region, |_| true),
         };
-        match outcome {
-            Ok(rig) => return Ok(rig),
-            Err(error) => refused = Some(error.or_further(refused)),
+        let is_found = !found.is_empty();
+        is_found
+            .then(|| Ruling { hypothesis: hypothesis.clone(), width_px, found, is_tried: false })
+            .ok_or(RigError::NoSnake { pitch_px, width_px })
+    }
+
+    /// The rig if this ruling is the one of the stated pitch.
+    fn rig(&self, ruling: &mut Ruling, sketch: &mut RigSketch) -> Result<Rig, RigError> {
+        let StraightPicture { frame, lens, .. } = self.picture;
+        ruling.is_tried = true;
+        let Ruling { hypothesis, width_px, found, .. } = ruling;
+        let starts = search_nearby(frame, &self.template, *width_px, self.region, found);
+        if sketch.bodies.is_empty() {
+            sketch.see_snake(hypothesis.lines_px(), self.strips(&starts, *width_px));
+        }
+        let pitch_px = hypothesis.pitch_px;
+        let grid = self.search.refined(lens, hypothesis).ok_or(RigError::SheetNotMeasured { pitch_px })?;
+        let mut refused = None;
+        for start in starts.iter().take(MOST_STARTS) {
+            match fit_at(self.picture, start, &grid).and_then(|rig| self.as_stated(&grid, rig)) {
+                Ok(rig) => {
+                    sketch.see_snake(hypothesis.lines_px(), self.strips(std::slice::from_ref(start), *width_px));
+                    return Ok(rig);
+                }
+                Err(error) => refused = refused.or(Some(error)),
+            }
+        }
+        Err(refused.unwrap_or(RigError::NoSnake { pitch_px, width_px: *width_px }))
+    }
+
+    /// The rig, unless its lines are not as far apart as was stated: every other one is missing, or there are as many between. The scale is right
+    /// all the same, since the snake's size says which overtone of the pattern was found.
+    fn as_stated(&self, grid: &Grid, rig: Rig) -> Result<Rig, RigError> {
+        let StraightPicture { lens, robot, options, .. } = self.picture;
+        match self.search.other_ruling(lens, grid) {
+            Some(factor) => Err(RigError::PitchContradiction {
+                stated_mm: options.grid_pitch_mm,
+                found_mm: factor * options.grid_pitch_mm,
+                diameter_mm: robot.body.disk_diameter_mm,
+            }),
+            None => Ok(rig),
         }
     }
-    Err(refused.unwrap_or(RigError::NoObject))
-}
 
-/// Calibrates the rig if these are the holder and the grid.
-fn calibrate_on(
-    picture: StraightPicture,
-    colours: &Colours,
-    holder: &Holder,
-    grid: &Grid,
-    search: &mut Search,
-) -> Result<Rig, RigError> {
-    let StraightPicture { lens, robot, options, .. } = picture;
-    // The snake is nearer than the grid by the standoff; where it is cut by the border its holder is this wide.
-    let target_mm = grid.distance_mm(&lens.ray(&holder.root));
-    let distance_mm = target_mm - options.standoff_mm;
-    if distance_mm <= 0.0 {
-        return Err(RigError::BehindCamera { target_mm, standoff_mm: options.standoff_mm });
+    /// The boxes of places of a snake so many px wide.
+    fn strips(&self, starts: &[SnakeStart], width_px: f64) -> Vec<[Point2<f64>; 4]> {
+        starts.iter().map(|start| self.template.strip(start, width_px)).collect()
     }
-    let width_px = lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm;
-    if !SEEN_WIDTHS.contains(&(width_px / holder.width_px)) {
-        return Err(RigError::NoHolder { width_px });
+
+    /// How wide the snake is if this ruling has the stated pitch, px; not positive where it would be behind the camera.
+    fn width_px(&self, hypothesis: &SheetHypothesis) -> f64 {
+        let StraightPicture { lens, robot, options, .. } = self.picture;
+        let distance_mm = hypothesis.distance_mm(&lens.ray(&self.region.middle())) - options.standoff_mm;
+        lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm
     }
-    let rough = find_start(colours, holder, width_px)?;
-    if !search.is_new(&rough, width_px) {
-        return Err(RigError::NoHolder { width_px });
-    }
-    let starts = aligned_starts(picture, &rough, grid);
-    let fits: Vec<_> = starts.par_iter().map(|start| fit_at(picture, start, grid)).collect();
-    let mut refused = None;
-    for fit in fits {
-        match fit {
-            Ok(rig) => return Ok(rig),
-            Err(error) => refused = refused.or(Some(error)),
+
+    /// The contradiction of a snake that fits before the sheet if its lines are further apart than was stated, or closer, and that explains the
+    /// picture better than any of the stated size did.
+    fn contradiction(&self, as_stated: f64, sketch: &mut RigSketch) -> Option<RigError> {
+        let clearest = self.search.hypotheses.first()?;
+        let tried = OTHER_PITCHES
+            .iter()
+            .filter_map(|&factor| Some((factor, self.ruling(&clearest.with_pitch_times(factor), &[]).ok()?)));
+        let (factor, Ruling { hypothesis, width_px, found, .. }) =
+            tried.max_by(|(_, a), (_, b)| a.gain().total_cmp(&b.gain()))?;
+        let StraightPicture { frame, robot, options, lens } = self.picture;
+        let start = search_nearby(frame, &self.template, width_px, self.region, &found).into_iter().next()?;
+        if found.first()?.gain <= as_stated {
+            return None;
         }
+        let other = RigOptions { grid_pitch_mm: factor * options.grid_pitch_mm, ..*options };
+        let grid = self.search.refined(lens, clearest)?.with_pitch_times(factor);
+        let rig = fit_base(StraightPicture { options: &other, ..self.picture }, &start, &grid).ok()?;
+        sketch.see_snake(hypothesis.lines_px(), self.strips(&[start], width_px));
+        Some(contradiction(robot, options, &rig))
     }
-    Err(refused.unwrap_or(RigError::NoContrast))
 }
 
-/// Fits the snake from a start, and checks the scale.
+/// Fits the snake from where it lies best along its axis near a start, and checks the scale.
 fn fit_at(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Result<Rig, RigError> {
     let StraightPicture { robot, options, .. } = picture;
-    let rig = fit_base(picture, start, grid)?;
+    let fits: Vec<_> =
+        aligned_starts(picture, start, grid).par_iter().map(|start| fit_base(picture, start, grid)).collect();
+    let rig = fits
+        .into_iter()
+        .reduce(|best, other| best.or_else(|error| other.map_err(|_| error)))
+        .unwrap_or(Err(RigError::NoContrast))?;
     if (rig.standoff_mm() - options.standoff_mm).abs() > FAR_OFF_SIGMAS * STANDOFF_SIGMA_MM {
         return Err(contradiction(robot, options, &rig));
     }
-    Ok(Rig { pattern: pattern_of(picture, grid)?, ..rig })
+    Ok(Rig { pattern: pattern_of(picture, grid), ..rig })
 }

@@ -61,8 +61,7 @@ pub struct RigDriftMonitor {
 
 impl RigDriftMonitor {
     pub fn new(lens: &Lens, rig: &Rig, view: &Projection) -> Self {
-        let grid =
-            GridPhaseMonitor::new(lens, &rig.camera_from_grid, rig.standoff_mm(), rig.grid_pitch_mm, &rig.pattern);
+        let grid = GridPhaseMonitor::new(lens, &rig.sheet(), rig.standoff_mm(), rig.grid_pitch_mm, &rig.pattern);
         Self { base: BaseMonitor::new(view, rig.edge_bias), grid }
     }
 

@@ -41,42 +41,48 @@ pub enum RigError {
         /// Those that the camera file states, px.
         lens_px: [u32; 2],
     },
-    /// Nothing stands out from the grid target.
-    #[error("no object stands out from the grid target; is the snake in the picture?")]
-    NoObject,
-    /// What stands out is no holder: no border of the picture cuts it, and it is not long.
+    /// Nowhere are there lines in two directions, equally far apart.
     #[error(
-        "the object that stands out neither reaches the picture's border nor is it long, as a snake on its holder is"
+        "no printed grid was found: nowhere in the picture are there lines in two directions, equally far apart. Is the grid target in the picture, \
+         in focus, and are its lines at least 5 px apart?"
     )]
-    ObjectWithinBorders,
-    /// What stands out is too large to be a holder.
+    NoSheet,
+    /// A sheet was seen, but its lines are not regular enough to be measured.
     #[error(
-        "what stands out from the grid target is far too large for a snake's holder: {width_px:.0} px wide, and \
-         {:.0} % of the picture (at most {most_width_px:.0} px and {:.0} % are looked at)",
-        100.0 * area_share,
-        100.0 * most_area_share
-    )]
-    ObjectTooLarge {
-        /// Its width where the border cuts it, px.
-        width_px: f64,
-        /// The most that a holder may have, px.
-        most_width_px: f64,
-        /// The share of the picture that it covers.
-        area_share: f64,
-        /// The most that a holder may cover.
-        most_area_share: f64,
-    },
-    /// There is no grid of this pitch where the snake's size puts it.
-    #[error(
-        "no grid of {grid_pitch_mm} mm pitch was found on the grid target; by the snake's size its lines should be {:.0} to \
-         {:.0} px apart. Check grid_pitch_mm and that the lines can be seen",
+        "a grid with lines {:.1} px apart across and {:.1} px along was found, but too little of it is regular enough to be measured; is the sheet \
+         creased, or hidden for the most part?",
         pitch_px[0], pitch_px[1]
     )]
-    NoGrid {
-        /// The pitch that was looked for, mm.
-        grid_pitch_mm: f64,
-        /// The range of pitches that was looked at, px.
+    SheetNotMeasured {
+        /// The lines' distances, px, across and along.
         pitch_px: [f64; 2],
+    },
+    /// The sheet leaves its own direction open.
+    #[error(
+        "the sheet tells its direction no better than to {sigma_deg:.1}° (1σ, at most {most_deg:.1}°): it bows by {bow_mm:.2} mm and is wavy by \
+         {waves_mm:.2} mm (rms), or too little of it is seen. Lay it flat, and show more of it"
+    )]
+    SheetNotFlat {
+        /// How far the sheet's smooth bow takes it from its mean plane, mm (rms).
+        bow_mm: f64,
+        /// How far waves and creases do, mm (rms).
+        waves_mm: f64,
+        /// Standard deviation of its direction about the worst axis, degrees.
+        sigma_deg: f64,
+        /// The most that it may be, degrees.
+        most_deg: f64,
+    },
+    /// No snake stands before the sheet.
+    #[error(
+        "no snake was found before the grid: with its lines {:.1} px apart across and {:.1} px along the snake would be {width_px:.0} px wide, and nothing of \
+         its form stands before the sheet. Is the straight snake in the picture, and are grid_pitch_mm and standoff_mm right?",
+        pitch_px[0], pitch_px[1]
+    )]
+    NoSnake {
+        /// The lines' distances, px, across and along.
+        pitch_px: [f64; 2],
+        /// How wide the snake would be, px.
+        width_px: f64,
     },
     /// The snake, a standoff before the grid target, would be behind the camera.
     #[error(
@@ -88,15 +94,6 @@ pub enum RigError {
         target_mm: f64,
         /// The standoff that was stated, mm.
         standoff_mm: f64,
-    },
-    /// The holder's sides were not found.
-    #[error(
-        "the sides of the snake's holder were not found: it must be seen for at least half its width below the \
-         snake, which is {width_px:.0} px wide"
-    )]
-    NoHolder {
-        /// The holder's expected width, px.
-        width_px: f64,
     },
     /// No mix of colours tells the snake from the grid target.
     #[error("the snake does not stand out from the grid target")]
@@ -210,12 +207,10 @@ pub enum RigError {
 pub enum CalibrationStep {
     /// Before anything was looked for.
     Input,
-    /// Finding what may be the holder.
-    Holder,
-    /// Finding the grid.
-    Grid,
-    /// Finding the holder's upper end.
-    Start,
+    /// Finding the sheet.
+    Sheet,
+    /// Finding the snake before it.
+    Search,
     /// Fitting the snake.
     Snake,
     /// All was found, but not where scale and standoff say.
@@ -239,9 +234,8 @@ impl RigError {
     pub fn step(&self) -> CalibrationStep {
         match self {
             Self::WrongSize { .. } => CalibrationStep::Input,
-            Self::NoObject | Self::ObjectWithinBorders | Self::ObjectTooLarge { .. } => CalibrationStep::Holder,
-            Self::NoGrid { .. } | Self::BehindCamera { .. } => CalibrationStep::Grid,
-            Self::NoHolder { .. } => CalibrationStep::Start,
+            Self::NoSheet => CalibrationStep::Sheet,
+            Self::BehindCamera { .. } | Self::NoSnake { .. } | Self::SheetNotMeasured { .. } => CalibrationStep::Search,
             Self::NoContrast
             | Self::TooFewEdges { .. }
             | Self::Undetermined
@@ -249,6 +243,7 @@ impl RigError {
             | Self::EdgesScattered { .. }
             | Self::Bent { .. }
             | Self::PartNotVisible(_)
+            | Self::SheetNotFlat { .. }
             | Self::UncertainDirection { .. } => CalibrationStep::Snake,
             Self::ScaleContradiction { .. } | Self::PitchContradiction { .. } => CalibrationStep::Scale,
         }
@@ -271,8 +266,8 @@ mod tests {
     #[test]
     fn the_first_of_those_that_came_furthest_is_told() {
         let few = |edges| RigError::TooFewEdges { edges, places: 100 };
-        let grid = RigError::NoGrid { grid_pitch_mm: 1.0, pitch_px: [10.0, 20.0] };
-        let tries = [grid, few(1), RigError::NoHolder { width_px: 60.0 }, few(2)];
+        let none = RigError::NoSnake { pitch_px: [20.0, 20.0], width_px: 60.0 };
+        let tries = [RigError::NoSheet, few(1), none, few(2)];
         let told = tries.into_iter().fold(None, |former, error| Some(error.or_further(former)));
         assert_eq!(told, Some(few(1)));
     }

@@ -4,19 +4,18 @@
 //! frame to frame the camera is found again from the holder's edges and the target's waves together; where it jumped further
 //! than they can tell, from the holder and the grid as in a first picture.
 
-use super::background::Colours;
+use super::calibrate::region_of;
 use super::drift::{DriftCheck, RigDriftMonitor};
-use super::holder_sides::find_start;
-use super::locate::{Holder, locate_holders};
 use super::parameters::Rig;
+use super::snake_search::{BodyTemplate, search_everywhere, search_nearby};
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Pose, perturbed};
 use crate::measure::body::Projection;
 use crate::measure::fit::EdgeFinder;
-use crate::measure::target::find_grid;
+use crate::measure::target::{SheetHypothesis, SheetSearch};
 use crate::observation::Status;
 use crate::robot::Robot;
-use nalgebra::{Matrix6, Point3, Translation3, Vector6};
+use nalgebra::{Matrix6, Point3, Vector2, Vector6};
 use std::ops::Range;
 
 /// What holder and target leave unknown of the camera's pose however well they are seen (waviness of the target, printing, shading; 1σ):
@@ -33,6 +32,11 @@ const CONVERGED_PX: f64 = 0.03;
 ///
 /// Convention: a camera that came nearer or went away by a quarter.
 const PITCHES: Range<f64> = 0.75..1.33;
+
+/// How far the camera may have rolled where it jumped, rad.
+///
+/// Convention: a knock, not a new setup.
+const MOST_TURN: f64 = 0.5;
 
 /// What a frame says of the rig.
 pub enum Followed {
@@ -78,8 +82,8 @@ impl RigFollower<'_> {
             _ => {}
         }
         self.converged(rig.clone(), frame, finder).or_else(|status| {
-            let again = self.found_again(rig, frame).and_then(|rig| self.converged(rig, frame, finder).ok());
-            again.ok_or(status)
+            let again = self.found_again(rig, frame);
+            again.into_iter().find_map(|rig| self.converged(rig, frame, finder).ok()).ok_or(status)
         })
     }
 
@@ -112,35 +116,55 @@ impl RigFollower<'_> {
         }
     }
 
-    /// A rig that is nearly right, from the holder and the grid as a first picture would tell them.
-    fn found_again(&self, rig: &Rig, frame: &Frame) -> Option<Rig> {
-        let pictures = Colours::of(frame);
-        let mut holders = pictures.iter().flat_map(|colours| {
-            locate_holders(frame, colours).unwrap_or_default().into_iter().map(move |holder| (colours, holder))
-        });
-        holders.find_map(|(colours, holder)| self.found_at(rig, frame, colours, &holder))
+    /// Rigs that may be nearly right, from the grid and the holder as a first picture would tell them: of a snake that may be bent the holder is what
+    /// stands out, together with the first of the snake.
+    fn found_again(&self, rig: &Rig, frame: &Frame) -> Vec<Rig> {
+        let search = SheetSearch::new(frame, self.lens, rig.grid_pitch_mm);
+        let depth_mm = (rig.camera_from_grid * Point3::origin()).z;
+        let pitch_px = self.lens.focal_px.x * rig.grid_pitch_mm / depth_mm;
+        let is_near = |hypothesis: &&SheetHypothesis| {
+            hypothesis.kind == rig.pattern.kind
+                && hypothesis.pitch_px.iter().all(|px| PITCHES.contains(&(px / pitch_px)))
+        };
+        let ruling = search.hypotheses.iter().find(is_near);
+        ruling.and_then(|ruling| self.found_at(rig, frame, &search, ruling)).unwrap_or_default()
     }
 
-    /// The same if this is the holder.
-    fn found_at(&self, rig: &Rig, frame: &Frame, colours: &Colours, holder: &Holder) -> Option<Rig> {
+    /// The same if this is the ruling, the likeliest first.
+    fn found_at(
+        &self,
+        rig: &Rig,
+        frame: &Frame,
+        search: &SheetSearch,
+        hypothesis: &SheetHypothesis,
+    ) -> Option<Vec<Rig>> {
         let Self { lens, robot, .. } = self;
+        let grid = search.refined(lens, hypothesis)?;
         let grid_from_base = rig.camera_from_grid.inverse() * rig.camera_from_base;
         let base_mm = grid_from_base.translation.vector;
-        let depth_mm = (rig.camera_from_grid * Point3::origin()).z;
-        let pitch_px = lens.focal_px.x * rig.grid_pitch_mm / depth_mm;
-        let range = PITCHES.start * pitch_px..=PITCHES.end * pitch_px;
-        let grid = find_grid(frame, lens, rig.grid_pitch_mm, &range, holder.axis, |p| holder.covers(p))?;
-        let distance_mm = grid.distance_mm(&lens.ray(&holder.root)) + base_mm.z;
-        let start = find_start(colours, holder, lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm).ok()?;
+        let region = region_of(search, lens);
+        let distance_mm = grid.distance_mm(&lens.ray(&region.middle())) + base_mm.z;
+        let width_px = lens.focal_px.x * robot.body.disk_diameter_mm / distance_mm;
+        let template = BodyTemplate::of_holder(robot);
+        let (_, axis) = self.view(rig).holder_end();
+        let found = search_everywhere(frame, &template, width_px, &region, |seen| seen.angle(&axis) < MOST_TURN);
+        let starts = search_nearby(frame, &template, width_px, &region, &found);
         // Where the base would be on the lattice as it was found now: the base's height over the target is known.
-        let grid_from_camera = grid.camera_from_grid.inverse();
+        let grid_from_camera = grid.sheet.camera_from_grid.inverse();
         let eye = grid_from_camera * Point3::origin();
-        let ray = grid_from_camera * lens.ray(&start.base);
-        let at = eye + ray * ((base_mm.z - eye.z) / ray.z);
-        let lines = (at.coords - base_mm).xy() / rig.grid_pitch_mm;
-        let slide = lines.map(|v| v.round() * rig.grid_pitch_mm);
-        let camera_from_grid: Pose = grid.camera_from_grid * Translation3::new(slide.x, slide.y, 0.0);
-        Some(Rig { camera_from_grid, camera_from_base: camera_from_grid * grid_from_base, ..rig.clone() })
+        // The holder's end is found to half a pitch or so: the lines next to the nearest ones are tried as well.
+        let near = [(0, 0), (0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)];
+        let rigs = starts.into_iter().flat_map(|start| {
+            let ray = grid_from_camera * lens.ray(&start.base);
+            let at = eye + ray * ((base_mm.z - eye.z) / ray.z);
+            let lines = ((at.coords - base_mm).xy() / rig.grid_pitch_mm).map(f64::round);
+            near.map(|(x, y)| {
+                let slide = (lines + Vector2::new(f64::from(x), f64::from(y))) * rig.grid_pitch_mm;
+                let camera_from_grid: Pose = grid.sheet.counted_from(slide).camera_from_grid;
+                Rig { camera_from_grid, camera_from_base: camera_from_grid * grid_from_base, ..rig.clone() }
+            })
+        });
+        Some(rigs.collect())
     }
 }
 

@@ -4,8 +4,9 @@
 //! | --- | --- |
 //! | `parameters` | the rig as data (its file, rig.toml, is `record`'s) |
 //! | `error` | why a rig could not be calibrated |
-//! | `background`, `locate`, `holder_sides` | find the snake in a picture of which nothing is known |
-//! | `alignment` | moves the straight snake along its axis to where its disks and ends are |
+//! | `snake_search` | finds the straight snake before a sheet whose scale is known |
+//! | `alignment` | moves it along its axis to where its disks and ends are |
+//! | `sketch` | what a calibration saw, for a person to look at |
 //! | `placement`, `base_fit`, `scale` | fit the straight snake before its grid, and check the scale that was stated |
 //! | `calibrate` | the calibration from the straight picture, which calls these in order |
 //! | `base_monitor`, `drift` | whether holder and target are still where the rig says |
@@ -15,23 +16,25 @@
 //! Nothing here knows the eye, which stands on top.
 
 mod alignment;
-mod background;
 mod base_fit;
 mod base_monitor;
 mod calibrate;
 mod drift;
 mod error;
 mod follow;
-mod holder_sides;
-mod locate;
 mod parameters;
 mod placement;
 mod refine;
 mod scale;
+mod sketch;
+mod snake_search;
 
+pub use base_fit::STRAIGHT;
+pub(super) use base_fit::StraightPicture;
 pub(super) use calibrate::find_rig;
 pub(super) use drift::{DriftCheck, RigDriftMonitor};
 pub use error::{CalibrationStep, RigError, SnakePart};
 pub(super) use follow::{Followed, RigFollower};
 pub use parameters::{Rig, RigOptions};
 pub(super) use refine::{SnakePlane, refined_rig};
+pub use sketch::RigSketch;

@@ -6,7 +6,7 @@ use crate::measure::fit::{
     UNKNOWN_SHAPE_RAD,
 };
 use crate::measure::image::appearance::Appearance;
-use crate::measure::target::GridPattern;
+use crate::measure::target::{GridPattern, Sheet, SheetShape};
 use crate::robot::MODES;
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
@@ -19,7 +19,9 @@ pub struct Rig {
     pub pose_covariance: Matrix6<f64>,
     /// The camera's pose to the grid.
     pub camera_from_grid: Pose,
-    /// Pitch of the grid's lines, mm.
+    /// How the printed sheet departs from a flat and square one.
+    pub sheet_shape: SheetShape,
+    /// Pitch of the grid's lines, mm: the mean of both directions.
     pub grid_pitch_mm: f64,
     /// What is printed on the grid target.
     pub pattern: GridPattern,
@@ -54,6 +56,11 @@ impl Rig {
     pub fn looking_from(mut self, delta_offset: f64) -> Self {
         self.camera_from_base.rotation *= azimuth(delta_offset);
         self
+    }
+
+    /// The grid target's sheet.
+    pub(crate) fn sheet(&self) -> Sheet {
+        Sheet { camera_from_grid: self.camera_from_grid, shape: self.sheet_shape }
     }
 
     /// Whether the frames of a sequence told how far this snake departs from an arc.
@@ -104,6 +111,7 @@ pub(super) mod tests {
             camera_from_base: camera_from_grid * grid_from_base,
             pose_covariance: Matrix6::from_diagonal_element(1e-6),
             camera_from_grid,
+            sheet_shape: SheetShape::default(),
             grid_pitch_mm: 1.0,
             pattern: GridPattern::default(),
             appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },

@@ -37,7 +37,7 @@ impl Placement {
         base: &Point2<f64>,
         axis: Vector2<f64>,
     ) -> Option<Self> {
-        let grid_from_camera = grid.camera_from_grid.inverse();
+        let grid_from_camera = grid.sheet.camera_from_grid.inverse();
         let eye = grid_from_camera * Point3::origin();
         let on_plane = |pixel: &Point2<f64>| -> Option<Point3<f64>> {
             let ray = grid_from_camera * lens.ray(pixel);
@@ -77,7 +77,7 @@ impl Placement {
 
     /// The camera's pose to the base.
     pub fn camera_from_base(&self, options: &RigOptions, grid: &Grid) -> Pose {
-        grid.camera_from_grid * self.grid_from_base(options)
+        grid.sheet.camera_from_grid * self.grid_from_base(options)
     }
 
     /// The covariance of a placement as one of the camera's pose, in the terms of [`perturbed`](crate::geometry::perturbed).
@@ -93,7 +93,7 @@ impl Placement {
         let placed = covariance.view((0, 0), (PLACEMENT, PLACEMENT));
         let motions = &jacobian * placed * jacobian.transpose();
         // The base is turned about its own axis as the grid is; the grid's own error adds to that of the placement on it.
-        let from_grid = |r: usize, c: usize| if r == c && r < 3 { grid.rotation_variance[r] } else { 0.0 };
+        let from_grid = |r: usize, c: usize| if r < 3 && c < 3 { grid.turn_covariance[(r, c)] } else { 0.0 };
         Matrix6::from_fn(|r, c| motions[(r, c)] + from_grid(r, c))
     }
 }
@@ -101,7 +101,7 @@ impl Placement {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measure::target::PatternKind;
+    use crate::measure::target::{PatternKind, Sheet};
     use crate::simulate::scene::Scene;
     use approx::assert_relative_eq;
 
@@ -110,9 +110,10 @@ mod tests {
     fn grid() -> Grid {
         Grid {
             kind: PatternKind::Lines,
-            camera_from_grid: Pose::new(Vector3::new(3.0, -2.0, 260.0), Vector3::new(0.05, -0.04, 0.1)),
-            rotation_variance: Vector3::new(1e-6, 2e-6, 3e-6),
+            sheet: Sheet::flat(Pose::new(Vector3::new(3.0, -2.0, 260.0), Vector3::new(0.05, -0.04, 0.1))),
+            turn_covariance: Matrix3::from_diagonal(&Vector3::new(1e-6, 2e-6, 3e-6)),
             rms_px: 0.1,
+            waves_mm: 0.0,
         }
     }
 
@@ -143,12 +144,12 @@ mod tests {
     #[test]
     fn the_pose_covariance_is_that_of_moved_placements() {
         let placement = Placement(DVector::from_column_slice(&[2.0, 3.0, 0.2, 0.1, 0.01]));
-        let grid = Grid { rotation_variance: Vector3::zeros(), ..grid() };
+        let grid = Grid { turn_covariance: Matrix3::zeros(), ..grid() };
         // A turn γ alone turns the camera's pose about the target's normal, by its size.
         let mut covariance = DMatrix::zeros(PLACEMENT, PLACEMENT);
         covariance[(2, 2)] = 4e-6;
         let pose_covariance = placement.pose_covariance(&covariance, &OPTIONS, &grid);
-        let normal = grid.camera_from_grid.rotation * Vector3::z();
+        let normal = grid.sheet.camera_from_grid.rotation * Vector3::z();
         let expected = normal * normal.transpose() * 4e-6;
         assert_relative_eq!(pose_covariance.fixed_view::<3, 3>(0, 0).into_owned(), expected, epsilon = 1e-12);
         assert!(pose_covariance.fixed_view::<3, 3>(3, 3).norm() < 1e-12);

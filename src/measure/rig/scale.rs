@@ -3,16 +3,9 @@
 use super::base_fit::StraightPicture;
 use super::error::RigError;
 use super::parameters::{Rig, RigOptions};
-use crate::measure::target::{Grid, GridPattern, GridPhaseMonitor, PatternKind};
+use crate::measure::target::{Grid, GridPattern, GridPhaseMonitor};
 use crate::robot::Robot;
 use nalgebra::{Point3, Vector3};
-
-/// Strength of a wave twice as long as stated, and of one half as long, from which on it is the lines', in units of the stated one's.
-///
-/// Fitted: by hand on the project's renders (tests/eye/robustness): narrow lines' overtones are about as strong as their wave, and heavier lines among
-/// them add little to longer ones; not judged elsewhere.
-const LONGER: f64 = 0.8;
-const SHORTER: f64 = 1.8;
 
 /// What to say if the snake is not a standoff before the target but elsewhere: the snake's size puts it at a depth, and the
 /// grid, if it is as large as was stated, puts the target at another one than a standoff behind it. The rig may have been calibrated with
@@ -36,28 +29,13 @@ pub fn contradiction(robot: &Robot, options: &RigOptions, rig: &Rig) -> RigError
 }
 
 /// What is printed on the target, and the colours in which it shows.
-///
-/// # Errors
-///
-/// If the lines are not as far apart as was stated: every other one is missing, or there are as many between them.
-/// The scale is right all the same, since the snake's size says which overtone of the pattern was found; but not what was stated.
-pub fn pattern_of(picture: StraightPicture, grid: &Grid) -> Result<GridPattern, RigError> {
-    let StraightPicture { frame, lens, robot, options } = picture;
+pub fn pattern_of(picture: StraightPicture, grid: &Grid) -> GridPattern {
+    let StraightPicture { frame, lens, options, .. } = picture;
     let pattern = GridPattern::dark(grid.kind);
-    let monitor = |pitch_mm: f64, pattern: &GridPattern| {
-        GridPhaseMonitor::new(lens, &grid.camera_from_grid, options.standoff_mm, pitch_mm, pattern)
-    };
-    let stated_mm = options.grid_pitch_mm;
-    let Some(as_stated) = monitor(stated_mm, &pattern) else { return Ok(pattern) };
-    let pattern = GridPattern { weights: as_stated.weights_in(frame), ..pattern };
-    let strength = |pitch_mm: f64| monitor(pitch_mm, &pattern).map_or(0.0, |monitor| monitor.strength(frame));
-    let stated = strength(stated_mm);
-    for (found_mm, ratio) in [(2.0 * stated_mm, LONGER), (stated_mm / 2.0, SHORTER)] {
-        if grid.kind == PatternKind::Lines && strength(found_mm) > ratio * stated {
-            return Err(RigError::PitchContradiction { stated_mm, found_mm, diameter_mm: robot.body.disk_diameter_mm });
-        }
+    match GridPhaseMonitor::new(lens, &grid.sheet, options.standoff_mm, options.grid_pitch_mm, &pattern) {
+        Some(monitor) => GridPattern { weights: monitor.weights_in(frame), ..pattern },
+        None => pattern,
     }
-    Ok(pattern)
 }
 
 #[cfg(test)]

@@ -1,136 +1,283 @@
-//! Finds the grid target in a picture, and the camera's pose to it.
+//! Finds printed sheets in a picture, and the camera's pose to them.
+//!
+//! [`SheetSearch`] finds lattices without knowing what else is in the picture. The clearest gives the geometry: where the sheet is, how it leans
+//! and bows. Which of the rulings seen on it has the stated pitch is open until the snake's size tells; each is a [`SheetHypothesis`], and
+//! [`SheetSearch::refined`] measures the one that is decided for by its own waves and lines.
 
 use super::lines::{Lines, MOST_SCATTER};
 use super::pattern::PatternKind;
 use super::phases::{Windows, design_effect};
-use super::planar_pose::{PoseFit, TargetPoint, fit_from_afar, fit_points, square_pose};
-use super::seed::{Seed, find_seed, strongest_mix};
+use super::seed::{LEAST_WAVE_PX, Seed, evened, find_seeds, ordered, strongest_mix};
+use super::sheet::{Sheet, turn_covariance};
+use super::sheet_fit::{SheetFit, TargetPoint, fit_from_afar, fit_points, square_sheet};
 use crate::camera::{Frame, Lens};
-use crate::geometry::Pose;
 use crate::measure::image::plane::Plane;
-use nalgebra::{Point2, Vector2, Vector3};
-use std::ops::RangeInclusive;
+use nalgebra::{Matrix2, Matrix3, Point2, Vector2, Vector3};
+use std::f64::consts::FRAC_1_SQRT_2;
 
-/// Rounds in which phases are measured again with the waves that the pose predicts, and lines looked for where it puts them.
+/// The most rounds in which phases are measured again with the waves that the sheet predicts, and by how much more of the sheet is seen in a
+/// round that is not the last.
 ///
-/// Convention: the first round removes what perspective did to the seed's waves; the second confirms it.
-const ROUNDS: usize = 2;
-/// Most scatter of the windows about the pose, in periods.
+/// Convention: the first round removes what perspective did to the seed's waves; a snake across the sheet hides its other half until
+/// the second or third.
+const MOST_ROUNDS: usize = 5;
+const GROWING: f64 = 1.02;
+/// Rounds in which lines are looked for where the sheet puts them.
 ///
-/// Fitted: to the rigs of tests/eye/robustness (`cargo test --release --no-default-features --test eye robustness -- --ignored`): there it is below 0.015, and 0.05 and more where
-/// windows were miscounted or see no grid; not judged elsewhere.
-const MOST_WINDOW_SCATTER: f64 = 0.03;
-/// Fewest windows, and least share of the clear ones, that must agree on the grid.
+/// Convention: the second round confirms the first.
+const LINE_ROUNDS: usize = 2;
+/// Fewest windows that must show a sheet.
 ///
-/// Fitted: by hand on the project's renders with shadows (tests/eye/robustness); not judged elsewhere.
+/// Convention: three times four; fewer could not show its lean in both directions.
 const FEWEST_POINTS: usize = 12;
-const LEAST_SHARE: f64 = 1.0 / 3.0;
-
-/// The least pitch of a grid that is looked for, px.
+/// How far the middle of the sheet that is seen may be from the middle of the sheet as it was laid and measured (1σ), in units of half of
+/// what is seen.
 ///
-/// Derived: the second difference that places a line spans 4 px; with lines closer than that it would see three of them.
-const LEAST_PITCH_PX: f64 = 4.0;
+/// Fitted: by hand to the azimuths that eight photo-real laboratory rigs show from the straight picture, five of which bow; not judged elsewhere.
+const MIDDLE_SD: f64 = 0.15;
+/// Slope of the mean plane that waves leave, in units of their height over half of what is seen.
+///
+/// Derived: the slope of a straight line fitted to n independent heights over ±1 has σ = √(3/n); along a sheet there are about four waves' halves.
+const WAVE_SLOPE: f64 = 0.87;
+/// The most by which a ruling's two pitches may differ, as a share.
+///
+/// Derived: three times what printers do (1σ of 2 %); a heavier line's wave across and a thinner one's along make no ruling.
+const MOST_ANISOTROPY: f64 = 0.06;
+/// Turn within which waves are thought to run along the picture's borders, as a cosine.
+///
+/// Convention: 30°; squares' waves run at 45° to their sides.
+const ALONG_BORDERS: f64 = 0.866;
 
 /// The grid in one picture.
 #[derive(Debug, Clone)]
 pub struct Grid {
     /// The kind of pattern.
     pub kind: PatternKind,
-    /// The camera's pose to it.
-    pub camera_from_grid: Pose,
-    /// Variance of that pose's rotation about each of the camera's axes, rad².
-    pub rotation_variance: Vector3<f64>,
-    /// Scatter of what was seen of it about the pose, px per coordinate.
+    /// The sheet that it is printed on.
+    pub sheet: Sheet,
+    /// Covariance of a turn of the sheet's mean plane about the camera's axes, rad².
+    pub turn_covariance: Matrix3<f64>,
+    /// Scatter of what was seen of it about the sheet's model, px per coordinate.
     pub rms_px: f64,
+    /// How far the sheet lies before and behind its model, mm (rms): waves and creases.
+    pub waves_mm: f64,
 }
 
 impl Grid {
+    /// Depth (camera z), mm, at which a line of sight meets the sheet's mean plane.
+    pub fn distance_mm(&self, ray: &Vector3<f64>) -> f64 {
+        distance_mm(&self.sheet, ray)
+    }
+
     /// The grid of another pitch, in units of this one's, that would be seen in the same place.
     #[must_use]
     pub fn with_pitch_times(&self, factor: f64) -> Self {
-        let mut other = self.clone();
-        other.camera_from_grid.translation.vector *= factor;
-        other
-    }
-
-    /// Depth (camera z), mm, at which a line of sight meets the target.
-    pub fn distance_mm(&self, ray: &Vector3<f64>) -> f64 {
-        let normal = self.camera_from_grid * Vector3::z();
-        let along = normal.dot(&self.camera_from_grid.translation.vector) / normal.dot(ray);
-        along * ray.z
+        Self { sheet: self.sheet.scaled(factor), ..self.clone() }
     }
 }
 
-/// Finds the grid in a picture; `None` where there is none.
-///
-/// `pitch_px` is the range in which the snake's known size puts the pitch, narrow enough that a heavier ruling is not
-/// mistaken for it. Within it the finest ruling has the strongest wave, for every heavier line lies on it too. The lines
-/// run within 30° of the snake's `axis` or square to it. `is_snake` tells pixels that are not the target's.
-pub fn find_grid(
-    frame: &Frame,
-    lens: &Lens,
-    pitch_mm: f64,
-    pitch_px: &RangeInclusive<f64>,
-    axis: Vector2<f64>,
-    is_snake: impl Fn(&Point2<f64>) -> bool + Sync,
-) -> Option<Grid> {
-    let pitch_px = &(pitch_px.start().max(LEAST_PITCH_PX)..=*pitch_px.end());
-    if pitch_px.is_empty() {
-        return None;
+/// Depth (camera z), mm, at which a line of sight meets a sheet's mean plane.
+fn distance_mm(sheet: &Sheet, ray: &Vector3<f64>) -> f64 {
+    let normal = sheet.camera_from_grid * Vector3::z();
+    let along = normal.dot(&sheet.camera_from_grid.translation.vector) / normal.dot(ray);
+    along * ray.z
+}
+
+/// One of the rulings that a sheet shows, taken for the one of the stated pitch.
+#[derive(Debug, Clone)]
+pub struct SheetHypothesis {
+    /// The kind of pattern.
+    pub kind: PatternKind,
+    /// Where the sheet is if this ruling has the stated pitch, roughly.
+    pub sheet: Sheet,
+    /// Distance between its lines, or side of its squares, in the middle of the sheet, px, across and along.
+    pub pitch_px: [f64; 2],
+    waves: [Vector2<f64>; 2],
+}
+
+impl SheetHypothesis {
+    /// The same ruling of another pitch, in units of this one's.
+    #[must_use]
+    pub fn with_pitch_times(&self, factor: f64) -> Self {
+        Self { sheet: self.sheet.scaled(factor), ..self.clone() }
     }
-    let plane = strongest_mix(frame, &is_snake);
-    let mut best: Option<(usize, Grid)> = None;
-    for kind in [PatternKind::Lines, PatternKind::Checkerboard] {
-        let Some(seed) = find_seed(&plane, kind, pitch_px, axis, &is_snake) else { continue };
-        let Some((points, fit)) = pose_by_windows(&plane, lens, kind, pitch_mm, &seed, &is_snake) else { continue };
-        let fit = match kind {
-            PatternKind::Lines => pose_by_lines(&plane, lens, pitch_mm, &seed, fit, &is_snake),
-            PatternKind::Checkerboard => Some(fit),
+
+    /// The vectors in the picture from one line to the next, across and along, px.
+    pub fn lines_px(&self) -> [Vector2<f64>; 2] {
+        [0, 1].map(|k| self.waves[k].normalize() * self.pitch_px[k])
+    }
+
+    /// Depth (camera z), mm, at which a line of sight meets the sheet.
+    pub fn distance_mm(&self, ray: &Vector3<f64>) -> f64 {
+        distance_mm(&self.sheet, ray)
+    }
+}
+
+/// The printed sheet in a picture of which nothing is known but the camera.
+pub struct SheetSearch {
+    mix: Plane,
+    evened: Plane,
+    pitch_mm: f64,
+    /// The clearest ruling's kind and waves, and the sheet that they show.
+    clearest: Option<(PatternKind, [Vector2<f64>; 2], SheetFit)>,
+    /// The rulings, the likeliest first.
+    pub hypotheses: Vec<SheetHypothesis>,
+    /// Where windows of the clearest one lie, px.
+    pub seen: Vec<Point2<f64>>,
+    /// How far a window reaches around its middle, px.
+    pub reach_px: f64,
+}
+
+impl SheetSearch {
+    /// The distance of the lines of a grid of this picture, in units of the stated one, if every other line is missing, or there are as many
+    /// between.
+    pub fn other_ruling(&self, lens: &Lens, grid: &Grid) -> Option<f64> {
+        let lines = Lines { plane: &self.mix, lens, pitch_mm: self.pitch_mm };
+        (grid.kind == PatternKind::Lines).then(|| lines.other_ruling(&grid.sheet)).flatten()
+    }
+
+    /// Looks for a sheet whose ruling may have this pitch, mm; without hypotheses where there is none.
+    pub fn new(frame: &Frame, lens: &Lens, pitch_mm: f64) -> Self {
+        let mix = strongest_mix(frame);
+        if mix.data.is_empty() {
+            let (evened, hypotheses, seen) = (mix.clone(), Vec::new(), Vec::new());
+            return Self { mix, evened, pitch_mm, clearest: None, hypotheses, seen, reach_px: 0.0 };
+        }
+        let evened = evened(&mix);
+        let seeds = find_seeds(&evened);
+        // Windows for lines need more waves around them than a picture of large squares has.
+        let kinds = [PatternKind::Lines, PatternKind::Checkerboard];
+        let clearest = seeds.iter().flat_map(|seed| kinds.map(|kind| (seed, kind))).find_map(|(seed, kind)| {
+            let waves = ordered(seed.waves[0], seed.waves[1], kind);
+            let (points, fit) = sheet_by_windows(&evened, lens, kind, pitch_mm, waves)?;
+            let is_ruling = fit.sheet.shape.anisotropy.abs() < MOST_ANISOTROPY;
+            is_ruling.then_some((seed, kind, points, fit))
+        });
+        let Some((seed, kind, points, fit)) = clearest else {
+            return Self {
+                mix,
+                evened,
+                pitch_mm,
+                clearest: None,
+                hypotheses: Vec::new(),
+                seen: Vec::new(),
+                reach_px: 0.0,
+            };
         };
-        let Some(PoseFit { camera_from_grid, rotation_variance, rms_px }) = fit else { continue };
-        if best.as_ref().is_none_or(|(most, _)| points > *most) {
-            best = Some((points, Grid { kind, camera_from_grid, rotation_variance, rms_px }));
+        Self {
+            pitch_mm,
+            hypotheses: hypotheses(&seeds, seed, kind, &fit.sheet),
+            seen: points.iter().map(|point| point.pixel).collect(),
+            reach_px: kind.window_radius() * seed.period_px(),
+            clearest: Some((kind, seed.waves, fit)),
+            mix,
+            evened,
         }
     }
-    best.map(|(_, grid)| grid)
+
+    /// The sheet of a hypothesis, measured by its own waves and lines; `None` where they are not seen well enough.
+    pub fn refined(&self, lens: &Lens, hypothesis: &SheetHypothesis) -> Option<Grid> {
+        let kind = hypothesis.kind;
+        let waves = ordered(hypothesis.waves[0], hypothesis.waves[1], kind);
+        let is_clearest = |of: &PatternKind, seen: &[Vector2<f64>; 2]| *of == kind && *seen == hypothesis.waves;
+        let fit = match &self.clearest {
+            Some((of, seen, fit)) if is_clearest(of, seen) => fit.clone(),
+            _ => sheet_by_windows(&self.evened, lens, kind, self.pitch_mm, waves)?.1,
+        };
+        // Lines that are washed out tell less than the waves do.
+        let by_lines = match kind {
+            PatternKind::Lines => self.sheet_by_lines(lens, &fit, 1.0 / waves[0].norm()),
+            PatternKind::Checkerboard => None,
+        };
+        let by_lines = by_lines.filter(|lines| lines.turn_covariance.trace() < fit.turn_covariance.trace());
+        let waves_mm = self.waves_mm(lens, &fit);
+        let SheetFit { sheet, turn_covariance: seen, rms_px, .. } = by_lines.unwrap_or(fit);
+        let to_camera = sheet.camera_from_grid.rotation.to_rotation_matrix().into_inner();
+        let of_waves = sheet.shape.half_mm.map(|half| (WAVE_SLOPE * waves_mm / half).powi(2));
+        let slopes = sheet.shape.slope_covariance(MIDDLE_SD) + Matrix2::from_diagonal(&of_waves);
+        let turn_covariance = seen + to_camera * turn_covariance(&slopes) * to_camera.transpose();
+        Some(Grid { kind, sheet, turn_covariance, rms_px, waves_mm })
+    }
+
+    /// How far waves and creases take the sheet before and behind its model, mm (rms): by what neighbouring places are shifted in the picture,
+    /// over the tangent of the angle (rms) under which they are seen off the camera's axis.
+    fn waves_mm(&self, lens: &Lens, fit: &SheetFit) -> f64 {
+        let middle = fit.sheet.shape.centre_mm;
+        let mm_px = (fit.sheet.project(lens, &(middle + Vector2::x())) - fit.sheet.project(lens, &middle)).norm();
+        let tangents =
+            self.seen.iter().map(|pixel| lens.ray(pixel)).map(|ray| (ray.x * ray.x + ray.y * ray.y) / (ray.z * ray.z));
+        let tangent = (tangents.sum::<f64>() / 2.0 / (self.seen.len() as f64).max(1.0)).sqrt();
+        fit.shared_px / mm_px / tangent.max(f64::MIN_POSITIVE)
+    }
+
+    /// The sheet from the lines themselves, from the one that the waves gave; `None` where the lines are not where the waves put them.
+    fn sheet_by_lines(&self, lens: &Lens, by_waves: &SheetFit, period_px: f64) -> Option<SheetFit> {
+        let lines = Lines { plane: &self.mix, lens, pitch_mm: self.pitch_mm };
+        let mut fit = lines.fit_sheet(&lines.put_origin_on_a_line(&by_waves.sheet)?)?;
+        for _ in 1..LINE_ROUNDS {
+            fit = lines.fit_sheet(&fit.sheet)?;
+        }
+        (fit.rms_px <= MOST_SCATTER * period_px).then_some(fit)
+    }
 }
 
-/// The pose from the waves' phases, and how many windows show them; `None` where they are too few or do not agree on a pose.
-fn pose_by_windows(
+/// The rulings that other seeds show on the sheet of the clearest one, which was fitted as one of a kind, as lines and as squares: those that run as
+/// its waves may.
+fn hypotheses(seeds: &[Seed], clearest: &Seed, kind: PatternKind, sheet: &Sheet) -> Vec<SheetHypothesis> {
+    let length_px = |waves: [Vector2<f64>; 2]| 1.0 / (waves[0].norm() * waves[1].norm()).sqrt();
+    let clearest_px = length_px(clearest.waves) / kind.wavelength();
+    let ratio = |seed: &Seed| seed.waves[0].norm() / seed.waves[1].norm();
+    let is_ruling = |seed: &&Seed| (ratio(seed) / ratio(clearest)).ln().abs() < MOST_ANISOTROPY;
+    let of_seed = |seed: &Seed| {
+        let wave_px = length_px(seed.waves);
+        let is_along = seed.waves[0].normalize().x.abs() > ALONG_BORDERS;
+        let of_kind = |kind: PatternKind| {
+            let pitch_px = wave_px / kind.wavelength();
+            SheetHypothesis {
+                kind,
+                sheet: sheet.scaled(clearest_px / pitch_px),
+                pitch_px: seed.waves.map(|wave| 1.0 / (wave.norm() * kind.wavelength())),
+                waves: seed.waves,
+            }
+        };
+        let kinds = [PatternKind::Lines, PatternKind::Checkerboard];
+        if is_along { kinds.map(of_kind) } else { [kinds[1], kinds[0]].map(of_kind) }
+    };
+    let all = seeds.iter().filter(is_ruling).flat_map(of_seed);
+    all.filter(|hypothesis| hypothesis.pitch_px.iter().all(|pitch_px| *pitch_px > LEAST_WAVE_PX * FRAC_1_SQRT_2))
+        .collect()
+}
+
+/// The sheet from the waves' phases, and the places that show it; `None` where they are too few.
+///
+/// Phases are counted from window to window only as far as nothing is in the way. A sheet that fits them predicts the phases beyond, so that
+/// each round sees more of the sheet, until it has seen all.
+fn sheet_by_windows(
     plane: &Plane,
     lens: &Lens,
     kind: PatternKind,
     pitch_mm: f64,
-    seed: &Seed,
-    is_snake: &(impl Fn(&Point2<f64>) -> bool + Sync),
-) -> Option<(usize, PoseFit)> {
-    let mut windows = Windows::new(plane, kind, seed, is_snake)?;
-    windows.unwrap_from(seed)?;
+    waves: [Vector2<f64>; 2],
+) -> Option<(Vec<TargetPoint>, SheetFit)> {
+    let mut windows = Windows::new(plane, kind, waves)?;
     let mut points: Vec<TargetPoint> = windows.points(pitch_mm);
-    let square = square_pose(lens, pitch_mm, kind.gradients(seed.waves), points.first()?);
+    if points.len() < FEWEST_POINTS {
+        return None;
+    }
+    let square = square_sheet(lens, pitch_mm, kind.gradients(waves), &points)?;
     let mut fit = fit_from_afar(lens, &points, &square, design_effect(kind))?;
-    for _ in 0..ROUNDS {
-        windows.measure_again(lens, pitch_mm, &fit.camera_from_grid)?;
-        points = windows.points(pitch_mm);
-        fit = fit_points(lens, &points, &fit.camera_from_grid, design_effect(kind))?;
+    for _ in 0..MOST_ROUNDS {
+        windows.measure_again(lens, pitch_mm, &fit.sheet);
+        let seen = windows.points(pitch_mm);
+        if seen.len() < FEWEST_POINTS {
+            return None;
+        }
+        let has_all = (seen.len() as f64) < GROWING * points.len() as f64;
+        points = seen;
+        fit = fit_points(lens, &points, &fit.sheet.seen_at(&points), design_effect(kind))?;
+        if has_all {
+            break;
+        }
     }
-    let is_enough = points.len() >= FEWEST_POINTS && points.len() as f64 >= LEAST_SHARE * windows.clear_count() as f64;
-    (is_enough && fit.rms_px <= MOST_WINDOW_SCATTER * seed.period_px()).then_some((points.len(), fit))
-}
-
-/// The pose from the lines themselves, from the one that the waves gave; `None` where the lines are not where the waves put them.
-fn pose_by_lines(
-    plane: &Plane,
-    lens: &Lens,
-    pitch_mm: f64,
-    seed: &Seed,
-    mut fit: PoseFit,
-    is_snake: &(impl Fn(&Point2<f64>) -> bool + Sync),
-) -> Option<PoseFit> {
-    let lines = Lines { plane, lens, pitch_mm, is_snake };
-    fit.camera_from_grid = lines.put_origin_on_a_line(fit.camera_from_grid)?;
-    for _ in 0..ROUNDS {
-        fit = lines.fit_pose(&fit.camera_from_grid)?;
-    }
-    (fit.rms_px <= MOST_SCATTER * seed.period_px()).then_some(fit)
+    Some((points, fit))
 }

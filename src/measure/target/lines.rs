@@ -3,11 +3,11 @@
 //! The waves average over windows that cannot reach the picture's border and that shadows and the snake cut into; the
 //! lines are seen everywhere, and each place of each line is a measurement of its own.
 
-use super::planar_pose::{PoseFit, fit_distances, project_target, target_at};
+use super::sheet::{Sheet, SheetShape};
+use super::sheet_fit::{SheetFit, fit_distances};
 use crate::camera::Lens;
-use crate::geometry::Pose;
 use crate::measure::image::plane::Plane;
-use nalgebra::{Point2, Translation3, Vector2};
+use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
 
@@ -17,14 +17,25 @@ use std::ops::RangeInclusive;
 const SEARCH: f64 = 0.15;
 /// Most scatter of lines' places, in pitches.
 ///
-/// Derived: places at random within ±[`SEARCH`] scatter by SEARCH/√3 = 0.087 pitches. A scatter of 0.08 is hardly less: the lines are not where
-/// the waves put them, so the waves were not the lines'.
-pub(super) const MOST_SCATTER: f64 = 0.08;
-/// Distance between the samples across a line, px, and the half width, in samples, of the second difference that finds its middle.
+/// Derived: places at random within ±[`SEARCH`] scatter by SEARCH/√3 = 0.087 pitches; half of that is as much line as chance.
+pub(super) const MOST_SCATTER: f64 = 0.044;
+/// Distance between the samples across a line, px.
 ///
-/// Fitted: by hand on the project's renders, whose lines are 1 to 5 px wide; not judged elsewhere.
+/// Convention: half a pixel, which bilinear samples resolve.
 const STEP_PX: f64 = 0.5;
-const HALF_WIDTH: usize = 4;
+/// Half width of the second difference that finds a line's middle, in pitches, and the least, px.
+///
+/// Convention: lines are a tenth of a pitch to a fifth wide, blurred ones more, and none is seen thinner than two pixels.
+const HALF_WIDTH: f64 = 0.1;
+const LEAST_HALF_WIDTH_PX: f64 = 2.0;
+/// Every other line is missing where it is less dark, on the mean, than this share of the ones beside.
+///
+/// Convention: between chance, of which the mean over hundreds of places is some hundredths, and equal lines.
+const MISSING: f64 = 0.2;
+/// There are further lines where what lies half way between lines is darker than this share of them.
+///
+/// Derived: of equal lines with heavier ones every 5 and 10 of them half way is 0.85 as dark; fainter ones are a finer ruling of the same sheet.
+const BETWEEN: f64 = 0.7;
 /// Half length of the mean along a line, in pitches: it stops short of the lines that cross it half a pitch away.
 ///
 /// Convention: long against noise; the crossing lines, half a pitch away, may be 0.3 pitches wide.
@@ -51,11 +62,10 @@ const DESIGN_EFFECT: f64 = 10.0;
 const ALONG: f64 = 0.3;
 
 /// Looks for lines in a picture.
-pub(super) struct Lines<'a, F> {
+pub(super) struct Lines<'a> {
     pub plane: &'a Plane,
     pub lens: &'a Lens,
     pub pitch_mm: f64,
-    pub is_snake: &'a F,
 }
 
 /// A place on a printed line: where it is on the target, where it was seen, and the line's normal in the picture.
@@ -65,40 +75,72 @@ struct LinePlace {
     normal: Vector2<f64>,
     /// How much darker it is than its surroundings; negative if lighter.
     darkness: f64,
+    /// The axis that its line is square to, and the line's number.
+    axis: usize,
+    line: i64,
 }
 
-impl<F: Fn(&Point2<f64>) -> bool + Sync> Lines<'_, F> {
-    /// Fits the pose to the lines' places, looked for where a pose that is nearly right puts them.
-    pub fn fit_pose(&self, start: &Pose) -> Option<PoseFit> {
+impl Lines<'_> {
+    /// Fits the sheet to the lines' places, looked for where a sheet that is nearly right puts them.
+    pub fn fit_sheet(&self, start: &Sheet) -> Option<SheetFit> {
         let places = of_one_kind(self.places(start)?)?;
-        let distance_px = |pose: &Pose, k: usize| {
+        let lattice_mm: Vec<Point2<f64>> = places.iter().map(|place| place.target_mm).collect();
+        let distance_px = |sheet: &Sheet, k: usize| {
             let place: &LinePlace = &places[k];
-            place.normal.dot(&(place.seen - project_target(self.lens, pose, &place.target_mm)))
+            place.normal.dot(&(place.seen - sheet.project(self.lens, &place.target_mm)))
         };
-        fit_distances(start, places.len(), distance_px, DESIGN_EFFECT)
+        fit_distances(start, &lattice_mm, distance_px, DESIGN_EFFECT)
     }
 
     /// The waves' crests are the lines if these are light, and half way between them if they are dark. Lines are the
     /// narrower of the two, so the place with the stronger second difference tells.
-    pub fn put_origin_on_a_line(&self, pose: Pose) -> Option<Pose> {
-        let shifted = |by: f64| pose * Translation3::new(by * self.pitch_mm, by * self.pitch_mm, 0.0);
-        let sharpness = |pose: &Pose| -> Option<f64> {
-            let places = self.places(pose)?;
+    pub fn put_origin_on_a_line(&self, sheet: &Sheet) -> Option<Sheet> {
+        let shifted = |by: f64| sheet.counted_from(Vector2::new(by, by) * self.pitch_mm);
+        let sharpness = |sheet: &Sheet| -> Option<f64> {
+            let places = self.places(sheet)?;
             Some((places.iter().map(|place| place.darkness).sum::<f64>() / places.len().max(1) as f64).abs())
         };
         let (crest, trough) = (shifted(0.0), shifted(0.5));
         Some(if sharpness(&crest)? > sharpness(&trough)? { crest } else { trough })
     }
 
+    /// The distance of the lines, in pitches, if every other one is missing (2), or there are as many between (½).
+    pub fn other_ruling(&self, sheet: &Sheet) -> Option<f64> {
+        // Along each axis the mean of lines of even numbers and of odd ones.
+        let darkness = |sheet: &Sheet| -> Option<[[f64; 2]; 2]> {
+            let mut sums = [[(0.0, 0.0); 2]; 2];
+            for place in self.places(sheet)? {
+                let (sum, count) = &mut sums[place.axis][place.line.rem_euclid(2) as usize];
+                *sum += place.darkness;
+                *count += 1.0;
+            }
+            Some(sums.map(|axis| axis.map(|(sum, count)| sum / f64::max(count, 1.0))))
+        };
+        let sheet = &self.put_origin_on_a_line(sheet)?;
+        let lines = darkness(sheet)?;
+        let total: f64 = lines.as_flattened().iter().sum();
+        let half_way = sheet.counted_from(Vector2::new(0.5, 0.5) * self.pitch_mm);
+        let between: f64 = darkness(&half_way)?.as_flattened().iter().sum();
+        let is_missing = |[even, odd]: &[f64; 2]| {
+            let (even, odd) = (even * total.signum(), odd * total.signum());
+            even.min(odd) < MISSING * even.max(odd)
+        };
+        if lines.iter().all(is_missing) {
+            Some(2.0)
+        } else {
+            (between * total.signum() > BETWEEN * total.abs()).then_some(0.5)
+        }
+    }
+
     /// Looks at every line of both directions, in the middle between the lines that cross it.
-    fn places(&self, pose: &Pose) -> Option<Vec<LinePlace>> {
-        let lines = self.lines_in_view(pose)?;
+    fn places(&self, sheet: &Sheet) -> Option<Vec<LinePlace>> {
+        let lines = self.lines_in_view(sheet)?;
         let of_line = |axis: usize, line: i64| {
             lines[1 - axis].clone().filter_map(move |between| {
                 let mut target_mm = Point2::origin();
                 target_mm[axis] = line as f64 * self.pitch_mm;
                 target_mm[1 - axis] = (between as f64 + 0.5) * self.pitch_mm;
-                self.place(pose, target_mm, axis)
+                self.place(sheet, target_mm, axis, line)
             })
         };
         let all: Vec<(usize, i64)> =
@@ -107,13 +149,17 @@ impl<F: Fn(&Point2<f64>) -> bool + Sync> Lines<'_, F> {
     }
 
     /// The lines square to each of the target's axes that may be in the picture; `None` where they are too many.
-    fn lines_in_view(&self, pose: &Pose) -> Option<[RangeInclusive<i64>; 2]> {
+    fn lines_in_view(&self, sheet: &Sheet) -> Option<[RangeInclusive<i64>; 2]> {
         let size = Vector2::new(self.plane.width as f64 - 1.0, self.plane.height as f64 - 1.0);
         let mut reach = [(f64::MAX, f64::MIN); 2];
         for (x, y) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
-            let (place_mm, _) = target_at(self.lens, pose, &Point2::new(x * size.x, y * size.y))?;
+            let (place_mm, _) = sheet.at(self.lens, &Point2::new(x * size.x, y * size.y))?;
             for axis in 0..2 {
-                let line = place_mm[axis] / self.pitch_mm;
+                // The sheet ends where the last windows saw it, or soon after.
+                let end = SheetShape::BEYOND * sheet.shape.half_mm[axis];
+                let place_mm =
+                    (place_mm[axis] - sheet.shape.centre_mm[axis]).clamp(-end, end) + sheet.shape.centre_mm[axis];
+                let line = place_mm / self.pitch_mm;
                 reach[axis] = (reach[axis].0.min(line), reach[axis].1.max(line));
             }
         }
@@ -122,16 +168,16 @@ impl<F: Fn(&Point2<f64>) -> bool + Sync> Lines<'_, F> {
     }
 
     /// The line square to an axis at a place of the target, where the picture shows it there.
-    fn place(&self, pose: &Pose, target_mm: Point2<f64>, axis: usize) -> Option<LinePlace> {
-        let pixel = project_target(self.lens, pose, &target_mm);
-        if !self.lens.contains(&pixel, MARGIN_PX) || (self.is_snake)(&pixel) {
+    fn place(&self, sheet: &Sheet, target_mm: Point2<f64>, axis: usize, line: i64) -> Option<LinePlace> {
+        let pixel = sheet.project(self.lens, &target_mm);
+        if !self.lens.contains(&pixel, MARGIN_PX) {
             return None;
         }
         let mut ahead = target_mm;
         ahead[1 - axis] += ALONG * self.pitch_mm;
-        let along = (project_target(self.lens, pose, &ahead) - pixel) / ALONG;
+        let along = (sheet.project(self.lens, &ahead) - pixel) / ALONG;
         let (darkness, seen, normal) = ridge(self.plane, &pixel, along)?;
-        Some(LinePlace { target_mm, seen, normal, darkness })
+        Some(LinePlace { target_mm, seen, normal, darkness, axis, line })
     }
 }
 
@@ -142,7 +188,8 @@ fn ridge(plane: &Plane, pixel: &Point2<f64>, along: Vector2<f64>) -> Option<(f64
     let direction = along / pitch_px;
     let normal = Vector2::new(-direction.y, direction.x);
     let search = (SEARCH * pitch_px / STEP_PX).ceil() as i64;
-    let reach = search + HALF_WIDTH as i64 + 2;
+    let half_width = ((HALF_WIDTH * pitch_px).max(LEAST_HALF_WIDTH_PX) / STEP_PX).round() as usize;
+    let reach = search + half_width as i64 + 2;
     let rows = (HALF_LENGTH * pitch_px).floor() as i64;
     let profile: Vec<f64> = (-reach..=reach)
         .map(|k| {
@@ -152,9 +199,9 @@ fn ridge(plane: &Plane, pixel: &Point2<f64>, along: Vector2<f64>) -> Option<(f64
         })
         .collect();
     // A second difference about as wide as a line finds its middle whatever the target's slope of brightness.
-    let curve = |k: usize| profile[k - HALF_WIDTH] + profile[k + HALF_WIDTH] - 2.0 * profile[k];
+    let curve = |k: usize| profile[k - half_width] + profile[k + half_width] - 2.0 * profile[k];
     let smooth = |k: usize| curve(k - 1) + 2.0 * curve(k) + curve(k + 1);
-    let inner = HALF_WIDTH + 2..profile.len().saturating_sub(HALF_WIDTH + 2);
+    let inner = half_width + 2..profile.len().saturating_sub(half_width + 2);
     let best = inner.clone().max_by(|&a, &b| smooth(a).abs().total_cmp(&smooth(b).abs()))?;
     if best == inner.start || best + 1 == inner.end {
         return None;
@@ -176,18 +223,18 @@ fn of_one_kind(found: Vec<LinePlace>) -> Option<Vec<LinePlace>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::perturbed;
+    use crate::geometry::{Pose, perturbed};
     use crate::measure::target::phases::tests::noisy;
     use nalgebra::Vector6;
 
-    /// Lines 2 px wide (σ 0.8 px) in both directions, `sign` times 60 from grey 150, one pitch of 1 mm apart on the target at a pose.
-    fn ruled(lens: &Lens, pose: &Pose, sign: f64) -> Plane {
+    /// Lines 2 px wide (σ 0.8 px) in both directions, `sign` times 60 from grey 150, so many mm apart on a sheet.
+    fn ruled(lens: &Lens, sheet: &Sheet, sign: f64, every: f64) -> Plane {
         let (width, height) = (lens.width as usize, lens.height as usize);
         let value = |k: usize| {
             let pixel = Point2::new((k % width) as f64, (k / width) as f64);
-            let (place, gradient) = target_at(lens, pose, &pixel).unwrap();
+            let (place, gradient) = sheet.at(lens, &pixel).unwrap();
             let line = |axis: usize| {
-                let distance_px = (place[axis] - place[axis].round()) / gradient.row(axis).norm();
+                let distance_px = (place[axis] - every * (place[axis] / every).round()) / gradient.row(axis).norm();
                 (-0.5 * (distance_px / 0.8).powi(2)).exp()
             };
             150.0 + sign * 60.0 * line(0).max(line(1))
@@ -195,32 +242,52 @@ mod tests {
         Plane::new(width, height, (0..width * height).map(|k| value(k) as f32).collect())
     }
 
-    #[test]
-    fn lines_give_their_pose_whether_dark_or_light_and_the_origin_comes_to_lie_on_one() {
+    /// A lens of 400 × 300 px, and a sheet that fills its picture.
+    fn lens_and_sheet() -> (Lens, Sheet) {
         let mut lens = crate::simulate::scene::Scene::default().lens;
         (lens.width, lens.height) = (400, 300);
         lens.focal_px = [4000.0, 4000.0].into();
         lens.centre_px = [199.5, 149.5].into();
         let pose = perturbed(&Pose::translation(-2.0, 1.0, 250.0), &Vector6::new(0.05, -0.08, 0.1, 0.0, 0.0, 0.0));
+        let shape =
+            SheetShape { half_mm: Vector2::new(12.0, 9.0), centre_mm: Point2::new(2.0, -1.0), ..SheetShape::default() };
+        (lens, Sheet { camera_from_grid: pose, shape })
+    }
+
+    #[test]
+    fn lines_give_their_sheet_whether_dark_or_light_and_the_origin_comes_to_lie_on_one() {
+        let (lens, sheet) = lens_and_sheet();
         for sign in [-1.0, 1.0] {
-            let plane = noisy(ruled(&lens, &pose, sign), 3.0, 1);
-            let lines = Lines { plane: &plane, lens: &lens, pitch_mm: 1.0, is_snake: &|_: &Point2<f64>| false };
+            let plane = noisy(ruled(&lens, &sheet, sign, 1.0), 3.0, 1);
+            let lines = Lines { plane: &plane, lens: &lens, pitch_mm: 1.0 };
             // Off by half a pitch along both axes, as the waves leave it.
-            let between = pose * Translation3::new(0.5, 0.5, 0.0);
-            for start in [pose, between] {
-                let start = lines.put_origin_on_a_line(start).unwrap();
-                let near = perturbed(&start, &Vector6::new(1e-4, -1e-4, 1e-4, 0.03, -0.02, 0.1));
-                let fit = lines.fit_pose(&near).and_then(|fit| lines.fit_pose(&fit.camera_from_grid)).unwrap();
-                let error = fit.camera_from_grid.inverse() * pose;
-                // On another line at most, and turned by no more than four of its sigmas.
-                let slide = error.translation.vector.xy();
-                assert!((slide - slide.map(f64::round)).norm() < 0.005, "{slide}");
-                let turn = (fit.camera_from_grid.rotation * pose.rotation.inverse()).scaled_axis();
+            for start in [sheet.clone(), sheet.counted_from(Vector2::new(0.5, 0.5))] {
+                let start = lines.put_origin_on_a_line(&start).unwrap();
+                let near = Vector6::new(1e-4, -1e-4, 1e-4, 0.03, -0.02, 0.1);
+                let near = Sheet { camera_from_grid: perturbed(&start.camera_from_grid, &near), ..start };
+                let fit = lines.fit_sheet(&near).and_then(|fit| lines.fit_sheet(&fit.sheet)).unwrap();
+                // The places of the truth's lattice are on the lines of the one that was found.
+                for place in [Point2::new(0.0, 0.0), Point2::new(5.0, 4.0), Point2::new(-4.0, -6.0)] {
+                    let (found, _) = fit.sheet.at(&lens, &sheet.project(&lens, &place)).unwrap();
+                    assert!((found - found.map(f64::round)).norm() < 0.01, "{found}");
+                }
+                let turn = fit.sheet.camera_from_grid.rotation * sheet.camera_from_grid.rotation.inverse();
                 for axis in 0..3 {
-                    assert!(turn[axis].abs() < 4.0 * fit.rotation_variance[axis].sqrt(), "{turn} {fit:?}");
+                    let sigma = fit.turn_covariance[(axis, axis)].sqrt();
+                    assert!(turn.scaled_axis()[axis].abs() < 4.0 * sigma, "{turn} {fit:?}");
                 }
                 assert!(fit.rms_px < 0.3, "{}", fit.rms_px);
             }
+        }
+    }
+
+    #[test]
+    fn every_other_line_that_is_missing_is_noticed() {
+        let (lens, sheet) = lens_and_sheet();
+        for (every, expected) in [(1.0, None), (2.0, Some(2.0)), (0.5, Some(0.5))] {
+            let plane = noisy(ruled(&lens, &sheet, -1.0, every), 3.0, 2);
+            let lines = Lines { plane: &plane, lens: &lens, pitch_mm: 1.0 };
+            assert_eq!(lines.other_ruling(&sheet), expected);
         }
     }
 

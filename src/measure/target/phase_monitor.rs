@@ -4,13 +4,13 @@
 //! drift monitor looks at beside the target.
 
 use super::pattern::{GridPattern, wrap_cycles};
-use super::planar_pose::{project_target, target_at};
 use super::robust_linear::RobustLinear;
+use super::sheet::Sheet;
 use super::sparse_window::{Phase, SparseWindow};
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::statistics::least_squares::central_differences;
-use crate::statistics::order::{mad_scale, median};
+use crate::statistics::order::mad_scale;
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix6, Point2, Translation3, UnitQuaternion, Vector2, Vector3, Vector6};
 use rustfft::num_complex::Complex;
 use std::f64::consts::{PI, TAU};
@@ -93,7 +93,7 @@ pub struct GridShift {
 #[derive(Debug)]
 pub struct GridPhaseMonitor {
     lens: Lens,
-    camera_from_grid: Pose,
+    sheet: Sheet,
     standoff_mm: f64,
     pattern: GridPattern,
     windows: Vec<SparseWindow>,
@@ -107,27 +107,21 @@ pub type Phases = Vec<[Phase; 2]>;
 
 impl GridPhaseMonitor {
     /// `None` where the picture has too little room for windows, or some of them would not see the target.
-    pub fn new(
-        lens: &Lens,
-        camera_from_grid: &Pose,
-        standoff_mm: f64,
-        pitch_mm: f64,
-        pattern: &GridPattern,
-    ) -> Option<Self> {
-        let windows = windows(lens, camera_from_grid, pitch_mm, pattern)?;
+    pub fn new(lens: &Lens, sheet: &Sheet, standoff_mm: f64, pitch_mm: f64, pattern: &GridPattern) -> Option<Self> {
+        let windows = windows(lens, sheet, pitch_mm, pattern)?;
         let shifts_px = |by: &DVector<f64>| {
-            let moved = moved_target(camera_from_grid, by.as_slice());
+            let moved = moved_target(sheet, by.as_slice());
             let of_window = |window: &SparseWindow| -> [f64; 2] {
-                let seen = target_at(lens, &moved, &window.centre());
+                let seen = moved.at(lens, &window.centre());
                 let phases = seen.map(|(place, _)| pattern.kind.phases(place.coords / pitch_mm));
                 [0, 1].map(|k| phases.map_or(f64::NAN, |phases| phases[k]) * window.wavelengths_px()[k])
             };
             DVector::from_iterator(2 * windows.len(), windows.iter().flat_map(of_window))
         };
         let by_motion = central_differences(shifts_px, &DVector::zeros(6), &DVector::from_column_slice(&STEPS));
-        let (lens, camera_from_grid, pattern) = (lens.clone(), *camera_from_grid, pattern.clone());
+        let (lens, sheet, pattern) = (lens.clone(), sheet.clone(), pattern.clone());
         let sees_all = by_motion.iter().all(|slope| slope.is_finite());
-        sees_all.then_some(Self { lens, camera_from_grid, standoff_mm, pattern, windows, by_motion })
+        sees_all.then_some(Self { lens, sheet, standoff_mm, pattern, windows, by_motion })
     }
 
     /// The mix of channels in which the target's waves are strongest and have their crests where the rig expects them.
@@ -140,12 +134,6 @@ impl GridPhaseMonitor {
         let amplitudes = DVector::from_fn(frame.channels, |c, _| amplitude(c));
         let norm = amplitudes.norm().max(f64::MIN_POSITIVE);
         amplitudes.iter().map(|a| a / norm).collect()
-    }
-
-    /// Median amplitude of the waves in a frame, grey levels.
-    pub fn strength(&self, frame: &Frame) -> f64 {
-        let mut amplitudes: Vec<f64> = self.phases(frame).into_iter().flatten().map(|phase| phase.amplitude).collect();
-        median(&mut amplitudes)
     }
 
     /// Measures all phases in a frame.
@@ -171,17 +159,17 @@ impl GridPhaseMonitor {
         }
         let covariance = covariance * DESIGN_EFFECT;
         let variance_px = (&self.by_motion * &covariance * self.by_motion.transpose()).trace() / count;
-        let moved = moved_target(&self.camera_from_grid, motion.as_slice());
-        let (place_mm, _) = target_at(&self.lens, &self.camera_from_grid, base)?;
+        let moved = moved_target(&self.sheet, motion.as_slice());
+        let (place_mm, _) = self.sheet.at(&self.lens, base)?;
         let motion = Vector6::from_column_slice(motion.as_slice());
         let covariance: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
         Some(GridShift {
             px: (&self.by_motion * motion).norm() / count.sqrt(),
             sigma_px: variance_px.sqrt(),
-            at_base: project_target(&self.lens, &moved, &place_mm) - base,
+            at_base: moved.project(&self.lens, &place_mm) - base,
             out_of_plane: out_of_plane(&motion, &covariance),
             may_be_a_turn: self.may_be_a_turn(&motion, &covariance, &place_mm)?,
-            camera_from_grid: moved,
+            camera_from_grid: moved.camera_from_grid,
         })
     }
 
@@ -211,8 +199,8 @@ impl GridPhaseMonitor {
     /// What each wave's phase, as a shift in px, does when the camera turns about a point (mm, its own axes) and shifts: columns turn
     /// (rad) and shift (mm), along the camera's axes.
     pub fn by_camera(&self, about: &Vector3<f64>) -> DMatrix<f64> {
-        let to_grid = self.camera_from_grid.rotation.inverse().to_rotation_matrix().into_inner();
-        let arm = self.camera_from_grid.translation.vector - about;
+        let to_grid = self.sheet.camera_from_grid.rotation.inverse().to_rotation_matrix().into_inner();
+        let arm = self.sheet.camera_from_grid.translation.vector - about;
         let mut target = DMatrix::zeros(6, 6);
         target.view_mut((0, 0), (3, 3)).copy_from(&(-to_grid * arm.cross_matrix()));
         target.view_mut((0, 3), (3, 3)).copy_from(&to_grid);
@@ -264,10 +252,10 @@ impl GridPhaseMonitor {
 }
 
 /// Lays windows over the picture; `None` where it has too little room for them.
-fn windows(lens: &Lens, camera_from_grid: &Pose, pitch_mm: f64, pattern: &GridPattern) -> Option<Vec<SparseWindow>> {
+fn windows(lens: &Lens, sheet: &Sheet, pitch_mm: f64, pattern: &GridPattern) -> Option<Vec<SparseWindow>> {
     let (width, height) = (f64::from(lens.width), f64::from(lens.height));
     let waves_at = |at: &Point2<f64>| {
-        let (place, gradient) = target_at(lens, camera_from_grid, at)?;
+        let (place, gradient) = sheet.at(lens, at)?;
         Some((pattern.kind.phases(place.coords / pitch_mm), pattern.kind.waves(gradient / pitch_mm)))
     };
     let (_, [one, other]) = waves_at(&Point2::new(width / 2.0, height / 2.0))?;
@@ -294,10 +282,11 @@ fn out_of_plane(motion: &Vector6<f64>, covariance: &Matrix6<f64>) -> f64 {
     share(2, WAVINESS_MM).max(share(3, WAVINESS_RAD)).max(share(4, WAVINESS_RAD))
 }
 
-/// The target's pose after it moved in its own frame: shift x, y, z (mm), turn about x, y, z (rad).
-fn moved_target(camera_from_grid: &Pose, by: &[f64]) -> Pose {
+/// The sheet after it moved in its own frame: shift x, y, z (mm), turn about x, y, z (rad).
+fn moved_target(sheet: &Sheet, by: &[f64]) -> Sheet {
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(by[3], by[4], by[5]));
-    camera_from_grid * Pose::from_parts(Translation3::new(by[0], by[1], by[2]), turn)
+    let moved = Pose::from_parts(Translation3::new(by[0], by[1], by[2]), turn);
+    Sheet { camera_from_grid: sheet.camera_from_grid * moved, shape: sheet.shape }
 }
 
 #[cfg(test)]
@@ -317,7 +306,7 @@ mod tests {
 
     fn monitor(kind: PatternKind) -> GridPhaseMonitor {
         let pattern = GridPattern::dark(kind);
-        GridPhaseMonitor::new(&Scene::default().lens, &rig_pose(), 25.0, PITCH_MM, &pattern).unwrap()
+        GridPhaseMonitor::new(&Scene::default().lens, &Sheet::flat(rig_pose()), 25.0, PITCH_MM, &pattern).unwrap()
     }
 
     /// The phases of a target that moved in its own frame, each with a normal error of this σ, px.
@@ -325,12 +314,12 @@ mod tests {
         let mut random = StdRng::seed_from_u64(seed);
         let noise = Normal::new(0.0, noise_px).unwrap();
         let kind = monitor.pattern.kind;
-        let phases_at = |pose: &Pose, window: &SparseWindow| {
-            kind.phases(target_at(&monitor.lens, pose, &window.centre()).unwrap().0.coords / PITCH_MM)
+        let phases_at = |pose: &Sheet, window: &SparseWindow| {
+            kind.phases(pose.at(&monitor.lens, &window.centre()).unwrap().0.coords / PITCH_MM)
         };
-        let moved = moved_target(&rig_pose(), &motion);
+        let moved = moved_target(&Sheet::flat(rig_pose()), &motion);
         let of_window = |window: &SparseWindow| {
-            let change = phases_at(&moved, window) - phases_at(&rig_pose(), window);
+            let change = phases_at(&moved, window) - phases_at(&Sheet::flat(rig_pose()), window);
             std::array::from_fn(|k| {
                 let error = noise.sample(&mut random) / window.wavelengths_px()[k];
                 Phase { cycles: wrap_cycles(change[k] + error), amplitude: 20.0 }
@@ -354,8 +343,8 @@ mod tests {
                 let shift = monitor.shift(&phases(&monitor, motion, 0.0, 0), &base).unwrap();
                 // The phases are taken for linear in the motion; a turn of φ shrinks distances by φ²/2.
                 let second_order_mm = 0.5 * Vector3::new(motion[3], motion[4], motion[5]).norm_squared() * 255.0;
-                let moved = moved_target(&rig_pose(), &motion);
-                let off = shift.camera_from_grid.inverse() * moved;
+                let moved = moved_target(&Sheet::flat(rig_pose()), &motion);
+                let off = shift.camera_from_grid.inverse() * moved.camera_from_grid;
                 assert!(off.rotation.angle() < 2e-4, "{kind:?} {motion:?}: {off:?}");
                 let slide = off.translation.vector.xy();
                 assert!((slide - slide.map(f64::round)).norm() < 0.02, "{kind:?} {motion:?}: {off:?}");

@@ -5,36 +5,28 @@
 //! predicts to well within half a cycle, so that a flood fill from the seed counts the cycles.
 
 use super::pattern::{PatternKind, wrap_cycles};
-use super::planar_pose::{TargetPoint, target_at};
-use super::seed::Seed;
+use super::sheet::Sheet;
+use super::sheet_fit::TargetPoint;
 use crate::camera::Lens;
-use crate::geometry::Pose;
 use crate::measure::image::plane::Plane;
+use crate::statistics::order::quantile;
 use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex;
-use std::collections::VecDeque;
+use std::collections::BinaryHeap;
 use std::f64::consts::{PI, TAU};
 
-/// Least share of a window that shows the target, not the snake.
+/// Amplitude from which on a wave counts as the target's, as a share of that in the clearest windows, and the share of windows that these are.
 ///
-/// Fitted: by hand on the project's renders (tests/eye/robustness) to keep windows beside the snake's border; not judged elsewhere.
-const LEAST_SHARE: f64 = 0.85;
-/// Amplitude, as a share of that beside the seed, from which on a wave counts as the grid's.
-///
-/// Fitted: by hand on the project's renders with shadows (tests/eye/robustness); not judged elsewhere.
-const LEAST_AMPLITUDE: f64 = 1.0 / 3.0;
+/// Derived: in a picture of even contrast the waves are as strong everywhere; at half of the clearest amplitude a window lies half
+/// beyond the sheet's edge, and a quarter is still ten times what noise of the same contrast leaves in a window of 1000 px.
+const LEAST_AMPLITUDE: f64 = 0.25;
+const CLEAREST: f64 = 0.9;
 /// Largest difference, cycles, between a phase and the one predicted.
 ///
 /// Derived: a phase is certain up to whole cycles, so that half a cycle cannot be told from its opposite; half of that keeps both
 /// signs apart.
 const MOST_DEVIATION_CYCLES: f64 = 0.25;
-/// Places along each side of a window at which it is asked whether it shows the snake, and the part of the window's radius up to
-/// which they reach.
-///
-/// Convention: enough for steps of an eighth; beyond 0.7 of the radius a Hann window has 5 % of its weight.
-const PROBES: i32 = 9;
-const PROBED_REACH: f64 = 0.7;
 /// Fewest columns and rows of windows.
 ///
 /// Convention: fewer could not show a target's tilt.
@@ -70,88 +62,100 @@ pub(super) struct Windows<'a> {
     columns: i64,
     /// Row by row.
     windows: Vec<Window>,
-    /// Amplitudes from which on the two waves count as the grid's.
+    /// Amplitudes from which on the two waves count as the target's.
     enough: [f64; 2],
 }
 
-/// One window: its centre, whether it shows little but the target, and its phases in cycles, once counted.
+/// A part of the picture in which phases are measured.
+#[derive(Debug, Clone, Copy)]
 struct Window {
     centre: Point2<f64>,
-    is_clear: bool,
+    /// Counted phases of the two waves, cycles; `None` where they are not seen.
     phases: Option<Vector2<f64>>,
 }
 
+/// A window whose phases are counted, the clearest of which is gone on from first.
+#[derive(Debug, PartialEq)]
+struct Counted {
+    amplitude: f64,
+    window: usize,
+}
+
+impl Eq for Counted {}
+
+impl PartialOrd for Counted {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Counted {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.amplitude.total_cmp(&other.amplitude).then(self.window.cmp(&other.window))
+    }
+}
+
 impl<'a> Windows<'a> {
-    /// Lays windows over the picture; `None` where it has too little room for them.
-    pub fn new(
-        plane: &'a Plane,
-        kind: PatternKind,
-        seed: &Seed,
-        is_snake: &impl Fn(&Point2<f64>) -> bool,
-    ) -> Option<Self> {
-        let radius = kind.window_radius() / seed.waves[0].norm();
-        let step = spacing(kind) / kind.gradients(seed.waves)[0].norm();
+    /// Lays windows over a picture and counts the phases of two waves from the clearest window on, as far as the target goes; `None`
+    /// where the picture has too little room for windows.
+    pub fn new(plane: &'a Plane, kind: PatternKind, waves: [Vector2<f64>; 2]) -> Option<Self> {
+        let radius = kind.window_radius() / waves[0].norm();
+        let step = spacing(kind) / kind.gradients(waves)[0].norm();
         let count = |length: usize| ((length as f64 - 2.0 * radius - 2.0) / step).floor() as i64;
         let (columns, rows) = (count(plane.width), count(plane.height));
         if columns < FEWEST_WINDOWS || rows < FEWEST_WINDOWS {
             return None;
         }
         let place = |x: i64, y: i64| Point2::new(radius + 1.0 + x as f64 * step, radius + 1.0 + y as f64 * step);
-        let window = |k: i64| {
-            let centre = place(k % columns, k / columns);
-            Window { centre, is_clear: target_share(&centre, radius, is_snake) > LEAST_SHARE, phases: None }
-        };
-        let windows = (0..rows * columns).map(window).collect();
-        let beside = clamp_into(plane, &seed.centre, radius);
+        let window = |k: i64| Window { centre: place(k % columns, k / columns), phases: None };
+        let windows: Vec<Window> = (0..rows * columns).map(window).collect();
         let taper = Taper::new(radius);
-        let enough = phases_at(plane, &beside, seed.waves, &taper).map(|(_, amplitude)| LEAST_AMPLITUDE * amplitude);
-        Some(Self { plane, kind, taper, columns, windows, enough })
+        let seen: Vec<[(f64, f64); 2]> =
+            windows.par_iter().map(|window| phases_at(plane, &window.centre, waves, &taper)).collect();
+        let enough = [0, 1].map(|wave| {
+            let mut amplitudes: Vec<f64> = seen.iter().map(|seen| seen[wave].1).collect();
+            LEAST_AMPLITUDE * quantile(&mut amplitudes, CLEAREST)
+        });
+        let mut windows = Self { plane, kind, taper, columns, windows, enough };
+        windows.count(waves, &seen);
+        Some(windows)
     }
 
-    /// Counts phases from the window next to the seed over the whole picture; `None` where no window is clear.
-    pub fn unwrap_from(&mut self, seed: &Seed) -> Option<()> {
-        let clear = (0..self.windows.len()).filter(|&k| self.windows[k].is_clear);
-        let start = clear.min_by(|&a, &b| {
-            let distance = |k: usize| (self.windows[k].centre - seed.centre).norm();
-            distance(a).total_cmp(&distance(b))
-        })?;
-        let [(first, _), (second, _)] = phases_at(self.plane, &self.windows[start].centre, seed.waves, &self.taper);
-        self.windows[start].phases = Some(Vector2::new(first, second));
-        let mut queue = VecDeque::from([start]);
-        while let Some(from) = queue.pop_front() {
+    /// Counts cycles from neighbour to neighbour, the clearest first.
+    fn count(&mut self, waves: [Vector2<f64>; 2], seen: &[[(f64, f64); 2]]) {
+        let amplitude = |k: usize| {
+            (0..2).map(|wave| seen[k][wave].1 / self.enough[wave].max(f64::MIN_POSITIVE)).fold(f64::MAX, f64::min)
+        };
+        let amplitudes: Vec<f64> = (0..seen.len()).map(amplitude).collect();
+        let Some(start) = (0..seen.len()).max_by(|&a, &b| amplitudes[a].total_cmp(&amplitudes[b])) else { return };
+        self.windows[start].phases = Some(Vector2::new(seen[start][0].0, seen[start][1].0));
+        let mut open = BinaryHeap::from([Counted { amplitude: amplitudes[start], window: start }]);
+        while let Some(Counted { window: from, .. }) = open.pop() {
             let Some(known) = self.windows[from].phases else { continue };
             for to in self.neighbours(from) {
-                if !self.windows[to].is_clear || self.windows[to].phases.is_some() {
+                if self.windows[to].phases.is_some() {
                     continue;
                 }
                 let moved = self.windows[to].centre - self.windows[from].centre;
-                let predicted = known + Vector2::new(seed.waves[0].dot(&moved), seed.waves[1].dot(&moved));
-                self.windows[to].phases = self.measured(to, predicted, seed.waves);
+                let predicted = known + Vector2::new(waves[0].dot(&moved), waves[1].dot(&moved));
+                self.windows[to].phases = self.counted(&seen[to], predicted);
                 if self.windows[to].phases.is_some() {
-                    queue.push_back(to);
+                    open.push(Counted { amplitude: amplitudes[to], window: to });
                 }
             }
         }
-        Some(())
     }
 
-    /// Measures the phases of all clear windows again, with the waves and the cycles that a pose predicts; `None` where some of them
-    /// would not see the target.
-    pub fn measure_again(&mut self, lens: &Lens, pitch_mm: f64, camera_from_grid: &Pose) -> Option<()> {
-        let again = |k: usize| {
-            let (place_mm, gradient) = target_at(lens, camera_from_grid, &self.windows[k].centre)?;
-            let predicted = self.kind.phases(place_mm.coords / pitch_mm);
-            Some((k, self.measured(k, predicted, self.kind.waves(gradient / pitch_mm))))
+    /// Measures the phases of all windows again, with the waves and the cycles that a sheet predicts.
+    pub fn measure_again(&mut self, lens: &Lens, pitch_mm: f64, sheet: &Sheet) {
+        let again = |window: &Window| {
+            let (place_mm, gradient) = sheet.at(lens, &window.centre)?;
+            let waves = self.kind.waves(gradient / pitch_mm);
+            let seen = phases_at(self.plane, &window.centre, waves, &self.taper);
+            self.counted(&seen, self.kind.phases(place_mm.coords / pitch_mm))
         };
-        let clear = (0..self.windows.len()).into_par_iter().filter(|&k| self.windows[k].is_clear);
-        let measured: Vec<_> = clear.map(again).collect::<Option<_>>()?;
-        measured.into_iter().for_each(|(k, phases)| self.windows[k].phases = phases);
-        Some(())
-    }
-
-    /// How many windows show little but the target.
-    pub fn clear_count(&self) -> usize {
-        self.windows.iter().filter(|window| window.is_clear).count()
+        let measured: Vec<_> = self.windows.par_iter().map(again).collect();
+        self.windows.iter_mut().zip(measured).for_each(|(window, phases)| window.phases = phases);
     }
 
     /// The places of the target that were seen.
@@ -170,11 +174,10 @@ impl<'a> Windows<'a> {
         all.into_iter().filter(inside).map(move |(x, y)| (y * columns + x) as usize)
     }
 
-    /// The phases of a window near predicted ones; `None` where a wave is too weak or too far from there.
-    fn measured(&self, k: usize, predicted: Vector2<f64>, waves: [Vector2<f64>; 2]) -> Option<Vector2<f64>> {
+    /// The phases that were seen, counted by predicted ones; `None` where a wave is too weak or too far from there.
+    fn counted(&self, seen: &[(f64, f64); 2], predicted: Vector2<f64>) -> Option<Vector2<f64>> {
         let mut phases = Vector2::zeros();
-        let seen = phases_at(self.plane, &self.windows[k].centre, waves, &self.taper);
-        for (wave, (phase, amplitude)) in seen.into_iter().enumerate() {
+        for (wave, &(phase, amplitude)) in seen.iter().enumerate() {
             let deviation = wrap_cycles(phase - predicted[wave]);
             if amplitude < self.enough[wave] || deviation.abs() > MOST_DEVIATION_CYCLES {
                 return None;
@@ -262,20 +265,6 @@ fn row_sums(row: &[f32], columns: &[Vec<Complex<f64>>; 2], weights: &[f64]) -> (
     (waves.map(|lanes| lanes.iter().sum()), grey.iter().sum())
 }
 
-/// The nearest place to a centre at which a window of this radius lies inside the picture.
-fn clamp_into(plane: &Plane, centre: &Point2<f64>, radius: f64) -> Point2<f64> {
-    let inside = |at: f64, length: usize| at.clamp(radius + 1.0, (length as f64 - radius - 2.0).max(radius + 1.0));
-    Point2::new(inside(centre.x, plane.width), inside(centre.y, plane.height))
-}
-
-/// The share of a window that shows the target.
-fn target_share(centre: &Point2<f64>, radius: f64, is_snake: &impl Fn(&Point2<f64>) -> bool) -> f64 {
-    let offsets = (0..PROBES * PROBES)
-        .map(|k| Vector2::new(f64::from(k % PROBES), f64::from(k / PROBES)) * 2.0 / f64::from(PROBES - 1));
-    let free = offsets.filter(|o| !is_snake(&(centre + (o - Vector2::new(1.0, 1.0)) * PROBED_REACH * radius)));
-    free.count() as f64 / f64::from(PROBES * PROBES)
-}
-
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
@@ -328,28 +317,31 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn unwrapped_phases_are_the_truth_up_to_whole_cycles_of_the_start_and_the_snake_is_left_out() {
+    fn counted_phases_are_the_truth_up_to_whole_cycles_of_the_start_as_far_as_the_sheet_goes() {
         for kind in [PatternKind::Lines, PatternKind::Checkerboard] {
             let gradient = Matrix2::new(0.06, 0.004, -0.004, 0.06);
             let waves = kind.waves(gradient);
-            let plane = noisy(wave_plane(640, 480, waves, [0.2, 0.4]), 2.0, 1);
+            let mut plane = noisy(wave_plane(640, 480, waves, [0.2, 0.4]), 2.0, 1);
+            // The sheet ends at x = 500; beyond it there is noise.
+            let is_sheet = |p: &Point2<f64>| p.x < 500.0;
+            let noise = noisy(Plane::new(640, 480, vec![100.0; 640 * 480]), 2.0, 2);
+            for (k, value) in plane.data.iter_mut().enumerate() {
+                *value = if is_sheet(&Point2::new((k % 640) as f64, 0.0)) { *value } else { noise.data[k] };
+            }
             // The seed's waves are off by 1 %, as those of a tilted target are at its far side.
-            let seed = Seed { centre: Point2::new(150.0, 150.0), waves: waves.map(|wave| wave * 1.01) };
-            let is_snake = |p: &Point2<f64>| (p.x - 320.0).abs() < 30.0 && p.y > 200.0;
-            let mut windows = Windows::new(&plane, kind, &seed, &is_snake).unwrap();
-            windows.unwrap_from(&seed).unwrap();
-            let errors: Vec<Vector2<f64>> = windows
-                .windows
+            let windows = Windows::new(&plane, kind, waves.map(|wave| wave * 1.01)).unwrap();
+            let seen: Vec<&Window> = windows.windows.iter().filter(|window| window.phases.is_some()).collect();
+            let errors: Vec<Vector2<f64>> = seen
                 .iter()
-                .filter_map(|window| {
+                .map(|window| {
                     let true_phase = |k: usize| waves[k].dot(&window.centre.coords) + [0.2, 0.4][k];
-                    Some(window.phases? - Vector2::from_fn(|k, _| true_phase(k)))
+                    window.phases.unwrap() - Vector2::from_fn(|k, _| true_phase(k))
                 })
                 .collect();
-            assert!(errors.len() as f64 > 0.7 * windows.windows.len() as f64, "{kind:?}: {}", errors.len());
-            assert!(windows.clear_count() < windows.windows.len());
+            assert!(errors.len() as f64 > 0.6 * windows.windows.len() as f64, "{kind:?}: {}", errors.len());
+            assert!(seen.iter().all(|window| window.centre.x < 530.0), "{kind:?}");
             let cycles = errors[0].map(f64::round);
-            assert!(errors.iter().all(|error| (error - cycles).amax() < 0.05), "{kind:?}");
+            assert!(errors.iter().all(|error| (error - cycles).amax() < 0.06), "{kind:?}");
         }
     }
 

@@ -22,6 +22,7 @@ use nalgebra::{Matrix2, Point3, Rotation2, SMatrix, Vector2};
 use rayon::prelude::*;
 use registration::{RIG, Registration, Role, is_improbable};
 use shared::SharedErrors;
+use std::collections::HashMap;
 
 /// The fewest poses of a tip that are registered.
 ///
@@ -92,6 +93,7 @@ pub fn measure_poses(
     robot: &Robot,
     options: &TrackerOptions,
 ) -> Result<TrackedPoses, TrackerError> {
+    let poses = &without_frozen(poses, readings, robot)[..];
     let seen: Vec<&TrackerPose> = poses.iter().filter(|pose| pose.position_mm.is_some()).collect();
     if seen.len() < LEAST_POSES {
         return Err(TrackerError::TooFew { found: seen.len(), needed: LEAST_POSES });
@@ -100,6 +102,9 @@ pub fn measure_poses(
     let straight = straight.ok_or(TrackerError::NoStraight { index: options.straight })?;
     let reach_mm = reach_mm(straight, robot, options.base_mm)?;
     check_unit(&seen, straight, reach_mm)?;
+    // What no tip can reach has no say in where the base is: one such value among a hundred may turn it over.
+    let seen: Vec<&TrackerPose> =
+        seen.iter().copied().filter(|pose| distance_mm(pose, straight) <= Some(MOST_LENGTHS * reach_mm)).collect();
     let mut mirrored = None;
     for registration in registered(&seen, straight, robot, options.base_mm)? {
         let found: Vec<Option<PoseFit>> = poses.par_iter().map(|pose| fitted(&registration, pose)).collect();
@@ -176,11 +181,36 @@ fn reach_mm(straight: &TrackerPose, robot: &Robot, base_mm: Option<Point3<f64>>)
     }
 }
 
+/// How far apart two poses are, mm.
+fn distance_mm(one: &TrackerPose, other: &TrackerPose) -> Option<f64> {
+    Some((one.position_mm? - other.position_mm?).norm())
+}
+
+/// The poses, those without a position that repeat the one before to the last digit while the encoders move the tip by more than is told from a
+/// tip at rest: a tracker that lost its sensor may go on sending the last pose.
+fn without_frozen(poses: &[TrackerPose], readings: &[EncoderReading], robot: &Robot) -> Vec<TrackerPose> {
+    let by_index: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
+    let meant = |pose: &TrackerPose| {
+        let reading = by_index.get(&pose.index).filter(|reading| reading.q_mm.len() == robot.backbone_count())?;
+        Some(robot.bend_by_displacement().tr_mul(&reading.q_mm))
+    };
+    let place = |pose: &TrackerPose| (pose.position_mm, pose.orientation);
+    let mut poses = poses.to_vec();
+    for alike in poses.chunk_by_mut(|one, other| one.position_mm.is_some() && place(one) == place(other)) {
+        let Some(first) = meant(&alike[0]) else { continue };
+        // A bend of θ moves the tip by about L θ/2.
+        let moved = |pose: &TrackerPose| meant(pose).is_some_and(|bend| (bend - first).norm() > 2.0 * LEAST_SHARE);
+        if alike.iter().any(moved) {
+            alike[1..].iter_mut().for_each(|pose| (pose.position_mm, pose.orientation) = (None, None));
+        }
+    }
+    poses
+}
+
 /// # Errors
 /// Positions that look as if in metres, too far apart for the snake, or all in one place.
 fn check_unit(seen: &[&TrackerPose], straight: &TrackerPose, length_mm: f64) -> Result<(), TrackerError> {
-    let from_straight = |pose: &&TrackerPose| Some((pose.position_mm? - straight.position_mm?).norm());
-    let mut distances: Vec<f64> = seen.iter().filter_map(from_straight).collect();
+    let mut distances: Vec<f64> = seen.iter().filter_map(|pose| distance_mm(pose, straight)).collect();
     let spread_mm = quantile(&mut distances, TRUSTED_SHARE);
     let plausible = LEAST_SHARE * length_mm..=MOST_LENGTHS * length_mm;
     match spread_mm {
@@ -254,9 +284,10 @@ fn remarks(registration: &Registration, azimuth: &Azimuth, found: &[Option<PoseF
     )];
     let lost = found.iter().filter(|fit| fit.is_none()).count();
     let jumps = found.iter().flatten().filter(|fit| fit.is_jump).count();
-    for (count, what) in
-        [(lost, "have no position (tracker_lost)"), (jumps, "lie off what the tip can reach (tracker_jump)")]
-    {
+    for (count, what) in [
+        (lost, "have no position, or repeat the last one while the encoders move (tracker_lost)"),
+        (jumps, "lie off what the tip can reach (tracker_jump)"),
+    ] {
         if count > 0 {
             remarks.push(format!("{count} of {} poses {what} and are not measured", found.len()));
         }

@@ -2,20 +2,20 @@
 
 use super::recorder::Recorder;
 use crate::bag::messages::CompressedImage;
-use crate::camera::FrameSource;
+use crate::camera::{FrameSource, PictureFile};
 use crate::error::{Error, Result};
 use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::record::View;
 use image::ImageFormat;
 use std::iter::Peekable;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::vec::IntoIter;
 
 /// A view's frames, gone through in order of their index.
 pub struct Camera<'a> {
     view: &'a str,
     channel: u16,
-    files: Peekable<IntoIter<(u64, PathBuf)>>,
+    files: Peekable<IntoIter<PictureFile>>,
     pub missed: usize,
 }
 
@@ -24,6 +24,7 @@ impl<'a> Camera<'a> {
     pub fn open(view: &'a View, folder: &Path, recorder: &mut Recorder) -> Result<std::result::Result<Self, String>> {
         let files = match view.open_frames(folder) {
             Ok(FrameSource::Pictures(files)) => files,
+            Ok(FrameSource::Stack(..)) => return Ok(Err("its frames are the pages of a TIFF stack".to_owned())),
             Ok(FrameSource::Video(_)) | Err(Error::NoOpenCv { .. }) => {
                 return Ok(Err("its frames are a video".to_owned()));
             }
@@ -45,8 +46,8 @@ impl<'a> Camera<'a> {
 
     /// Writes the frame of this index, where there is one that is still to come.
     pub fn write(&mut self, index: u64, time_ns: u64, recorder: &mut Recorder) -> Result<()> {
-        while self.files.next_if(|(before, _)| *before < index).is_some() {}
-        let Some((_, path)) = self.files.next_if(|(at, _)| *at == index) else { return Ok(()) };
+        while self.files.next_if(|file| file.index < index).is_some() {}
+        let Some(PictureFile { path, .. }) = self.files.next_if(|file| file.index == index) else { return Ok(()) };
         let bytes = read_bytes(&path, PICTURE_BYTES).unwrap_or_default();
         let format = match image::guess_format(&bytes) {
             Ok(ImageFormat::Png) => "png",

@@ -274,9 +274,9 @@ fn encoders_are_read_again_as_they_are_in_the_file() {
         "bag = {path:?}\ntopic = \"/encoders\"\njoints = [\"q1\", \"q2\", \"q3\"]\nmm_per_unit = 1000.0\n"
     ))
     .unwrap();
-    let stamps_s: Vec<f64> =
-        joints.topic().messages().unwrap().map(|message| message.unwrap().stamp_s().unwrap()).collect();
-    let again = read_joints(&joints, &stamps_s, 3).unwrap();
+    let stamps_s: Vec<(u64, f64)> =
+        (0..).zip(joints.topic().messages().unwrap().map(|message| message.unwrap().stamp_s().unwrap())).collect();
+    let again = read_joints(&joints, &stamps_s, 3).unwrap().readings;
     let log = read_encoders(&folder.path().join("encoders.csv"), 3).unwrap().rows;
     assert_eq!(again.len(), log.len());
     for (read, written) in again.iter().zip(&log) {
@@ -297,7 +297,7 @@ fn a_view_has_a_topic_that_ros_allows() {
     fs::write(folder.path().join("experiment.toml"), settings).unwrap();
     let path = folder.path().join("run.mcap");
     write_recording(&path, folder.path(), Some(&Experiment::read(folder.path()).unwrap())).unwrap();
-    let topic = Topic { bag: path, topic: "/camera/view_2nd_side/compressed".to_owned() };
+    let topic = Topic { bag: path.into(), topic: "/camera/view_2nd_side/compressed".to_owned() };
     assert_eq!(topic.count().unwrap(), 2);
 }
 

@@ -15,6 +15,7 @@
 //! 1989.
 
 use crate::statistics::correlation::SerialScatter;
+use crate::statistics::order::median;
 use nalgebra::{Matrix2, Matrix2x4, Matrix4, Vector2, Vector4};
 
 /// ν: degrees of freedom of the errors' distribution.
@@ -86,7 +87,7 @@ impl Fit {
 fn maximised(points: &[Point], freedom: Freedom) -> Option<Fit> {
     let rows: Vec<(Vector2<f64>, Matrix2x4<f64>)> = points.iter().map(|point| equations(point, freedom)).collect();
     let numbers = 2.0 * rows.len() as f64;
-    let mut weights = vec![1.0; rows.len()];
+    let mut weights = bounded_influence(points);
     let mut parameters = Vector4::zeros();
     let (mut variance, mut log_likelihood) = (f64::INFINITY, f64::NEG_INFINITY);
     for _ in 0..MOST_ROUNDS {
@@ -122,6 +123,16 @@ fn maximised(points: &[Point], freedom: Freedom) -> Option<Fit> {
         design_effect,
     })
     .filter(|fit| fit.log_likelihood.is_finite())
+}
+
+/// Weights to start from: a reading far beyond the others must not decide where the maximum is looked for.
+///
+/// Source: the design weights of C. L. Mallows, as in F. R. Hampel et al., *Robust Statistics*, Wiley 1986, ch. 6.3: inverse to the square
+/// of the distance, beyond the median distance.
+fn bounded_influence(points: &[Point]) -> Vec<f64> {
+    let typical = median(&mut points.iter().map(|point| point.implied.norm()).collect::<Vec<_>>());
+    let weight = |point: &Point| (typical / point.implied.norm()).powi(2).min(1.0);
+    points.iter().map(|point| if typical > 0.0 { weight(point) } else { 1.0 }).collect()
 }
 
 /// ln of the t distribution's density in two dimensions, up to a constant, at a squared distance.

@@ -31,6 +31,12 @@ use samples::Samples;
 /// Convention: three quarters of the variance; play, creep and drag look like a small lag too, and are left to `discover`.
 const LEFT_BY_A_LAG: f64 = 0.5;
 
+/// A wiring is left out if it makes the readings' internal part so many times as loud as the quietest does.
+///
+/// Convention: the wirings that the bends cannot tell apart (with four backbones, two that face each other exchanged and both signs turned)
+/// turn a play of tenths of a millimetre about, against microns of noise.
+const LOUDER: f64 = 2.0;
+
 /// What is wrong with the log or with a view.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Mistake {
@@ -78,13 +84,16 @@ pub struct WiringCheck {
 /// Tries the log against the bends. `None` where there are too few bends with readings to say anything.
 pub(super) fn check(robot: &Robot, sd_encoder_mm: f64, poses: &[Pose], log: &[EncoderReading]) -> Option<WiringCheck> {
     let samples = Samples::new(robot, sd_encoder_mm, poses, log);
-    let as_it_is = samples.fit(&Candidate::straight(robot.backbone_count()), Freedom::Gain)?;
+    let straight = Candidate::straight(robot.backbone_count());
+    let as_it_is = samples.fit(&straight, Freedom::Gain)?;
     let mut logs = of_the_log(&samples, poses, log);
     if samples.common_part_is_positive() {
         // No view and no order changes the common part, and play and friction put it above zero: the signs are not all turned.
         logs.retain(|rival| !rival.turns_all_signs());
     }
-    let (columns_best, undecided) = (best(&logs), undecided(&logs));
+    let quietest_mm = logs.iter().map(|rival| rival.internal_mm).fold(samples.internal_spread_mm(&straight), f64::min);
+    logs.retain(|rival| rival.internal_mm <= LOUDER * quietest_mm.max(sd_encoder_mm));
+    let (columns_best, undecided) = (plainest_of_the_best(&logs), undecided(&logs));
     let view_best = best(&of_views(&samples));
     let clock_best = best(&of_the_clock(&samples, &as_it_is));
 
@@ -115,6 +124,8 @@ pub(super) fn check(robot: &Robot, sd_encoder_mm: f64, poses: &[Pose], log: &[En
 #[derive(Debug, Clone)]
 struct Rival {
     mistake: Mistake,
+    /// Spread of the readings' internal part, mm, where the log is read otherwise.
+    internal_mm: f64,
     fit: Fit,
     evidence: f64,
 }
@@ -128,6 +139,22 @@ impl Rival {
 
 fn best(rivals: &[Rival]) -> Option<Rival> {
     rivals.iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence)).cloned()
+}
+
+/// Of the wirings that explain the bends about as well as the best, the plainest: with the fewest turned signs, then the fewest moved columns,
+/// then the smallest shift.
+fn plainest_of_the_best(rivals: &[Rival]) -> Option<Rival> {
+    let least = best(rivals)?.evidence + LEVEL_OF_TESTS.ln();
+    let odd = |rival: &Rival| match &rival.mistake {
+        Mistake::Log(wiring) => (
+            wiring.signs.iter().filter(|sign| **sign < 0).count(),
+            wiring.columns.iter().enumerate().filter(|(i, column)| **column != i + 1).count(),
+            wiring.index_shift.unsigned_abs(),
+        ),
+        _ => Default::default(),
+    };
+    let as_good = rivals.iter().filter(|rival| rival.evidence >= least);
+    as_good.min_by(|a, b| odd(a).cmp(&odd(b)).then(b.evidence.total_cmp(&a.evidence))).cloned()
 }
 
 /// What tells for a fit against that of the log as it is, of so many mistakes of its kind.
@@ -152,8 +179,9 @@ fn of_the_log(samples: &Samples, poses: &[Pose], log: &[EncoderReading]) -> Vec<
             let of_kind = kinds * if is_order { orders.len() } else { 1 };
             let candidate = Candidate { columns: columns.clone(), signs: signs.clone(), shift };
             if let Some(fit) = common.fit(&candidate, Freedom::Gain).filter(|_| !wiring.is_straight()) {
-                let evidence = evidence(&fit, &as_it_is, of_kind);
-                rivals.push(Rival { mistake: Mistake::Log(wiring), fit, evidence });
+                let (evidence, internal_mm) =
+                    (evidence(&fit, &as_it_is, of_kind), common.internal_spread_mm(&candidate));
+                rivals.push(Rival { mistake: Mistake::Log(wiring), internal_mm, fit, evidence });
             }
         }
     }
@@ -185,7 +213,8 @@ fn of_views(samples: &Samples) -> Vec<Rival> {
             let evidence = evidence(&fit, &as_it_is, 2 * views.len()) - 0.5 * (own.len() as f64).ln();
             // b = (turn of u), so that δ as seen is the true one and the turn; it is to be taken off.
             let turn = -fit.gain.y.atan2(fit.gain.x);
-            rivals.push(Rival { mistake: Mistake::View { view: view.clone(), turn, mirrored }, fit, evidence });
+            let mistake = Mistake::View { view: view.clone(), turn, mirrored };
+            rivals.push(Rival { mistake, internal_mm: 0.0, fit, evidence });
         }
     }
     rivals
@@ -202,7 +231,7 @@ fn of_the_clock(samples: &Samples, as_it_is: &Fit) -> Vec<Rival> {
         let Some((unshifted, fit)) = fits else { continue };
         let evidence = evidence(&fit, &unshifted, lags.len());
         if fit.scale <= LEFT_BY_A_LAG * as_it_is.scale {
-            rivals.push(Rival { mistake: Mistake::Clock { age_s }, fit, evidence });
+            rivals.push(Rival { mistake: Mistake::Clock { age_s }, internal_mm: 0.0, fit, evidence });
         }
     }
     rivals

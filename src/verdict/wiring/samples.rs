@@ -6,7 +6,7 @@ use crate::estimate::bend_covariance;
 use crate::observation::{EncoderReading, Measured};
 use crate::robot::{PerBackbone, Robot};
 use crate::statistics::moments::{mean, standard_deviation};
-use crate::statistics::order::median;
+use crate::statistics::order::{mad_scale, median};
 use crate::verdict::rules::NORMAL_QUANTILE;
 use nalgebra::{Matrix2, Vector2};
 use std::collections::{BTreeMap, BTreeSet};
@@ -37,6 +37,8 @@ struct Sample {
 #[derive(Debug, Clone)]
 pub(super) struct Samples<'a> {
     bend_by_displacement: PerBackbone<Vector2<f64>>,
+    /// What bends nothing: the common part first, then what alternates along the circle; orthonormal.
+    internal: Vec<PerBackbone>,
     log: BTreeMap<u64, &'a EncoderReading>,
     samples: Vec<Sample>,
 }
@@ -61,7 +63,7 @@ impl<'a> Samples<'a> {
             finite.then(|| Sample { index: pose.index, view: pose.view.clone(), seen, whitener, row })
         };
         let samples = poses.iter().filter_map(sample).collect();
-        Self { bend_by_displacement, log, samples }
+        Self { bend_by_displacement, internal: robot.internal_parts().collect(), log, samples }
     }
 
     pub fn backbones(&self) -> usize {
@@ -81,21 +83,36 @@ impl<'a> Samples<'a> {
 
     /// The fit under a candidate, of the samples that have a reading then.
     pub fn fit(&self, candidate: &Candidate, freedom: Freedom) -> Option<Fit> {
-        let points: Vec<Point> = self
-            .samples
-            .iter()
-            .filter_map(|sample| {
-                let row = match candidate.shift {
-                    0 => sample.row?,
-                    shift => self.row_at(sample.index, shift)?,
-                };
-                let q =
-                    PerBackbone::from_fn(row.len(), |i| f64::from(candidate.signs[i]) * row[candidate.columns[i] - 1]);
-                let implied = self.bend_by_displacement.tr_mul(&q);
-                Some(Point { seen: sample.seen, whitener: sample.whitener, implied })
-            })
-            .collect();
+        let point = |(sample, row): (&Sample, PerBackbone)| {
+            let implied = self.bend_by_displacement.tr_mul(&row);
+            Point { seen: sample.seen, whitener: sample.whitener, implied }
+        };
+        let points: Vec<Point> = self.rows(candidate).map(point).collect();
         Fit::of(&points, freedom)
+    }
+
+    /// Spread of the readings' internal part under a candidate, mm: of the common part about its median, and of the others about zero, where
+    /// they are unless the backbones press against each other.
+    pub fn internal_spread_mm(&self, candidate: &Candidate) -> f64 {
+        let rows: Vec<PerBackbone> = self.rows(candidate).map(|(_, row)| row).collect();
+        let spread = |(k, part): (usize, &PerBackbone)| {
+            let mut values: Vec<f64> = rows.iter().map(|row| part.dot(row)).collect();
+            let centre = if k == 0 { median(&mut values) } else { 0.0 };
+            mad_scale(values.iter().map(|value| value - centre)).powi(2)
+        };
+        self.internal.iter().enumerate().map(spread).sum::<f64>().sqrt()
+    }
+
+    /// The samples that have a reading under a candidate, with it.
+    fn rows(&self, candidate: &Candidate) -> impl Iterator<Item = (&Sample, PerBackbone)> {
+        self.samples.iter().filter_map(|sample| {
+            let row = match candidate.shift {
+                0 => sample.row?,
+                shift => self.row_at(sample.index, shift)?,
+            };
+            let wired = |i: usize| f64::from(candidate.signs[i]) * row[candidate.columns[i] - 1];
+            Some((sample, PerBackbone::from_fn(row.len(), wired)))
+        })
     }
 
     fn row_at(&self, index: u64, shift: i64) -> Option<PerBackbone> {

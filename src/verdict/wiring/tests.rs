@@ -7,11 +7,14 @@ use crate::robot::{Estimate, LIBRARY, Model, PerBackbone, Physics};
 use crate::simulate::{BendingExperiment, Plant, Sealed, SimulatedEye};
 use crate::verdict::{Code, Level, Subject, Verdict, ViewOffset};
 use nalgebra::{Matrix2, Vector2};
+use rand::SeedableRng;
 
 struct Lab {
     measurements: Vec<Measurement>,
     log: Vec<EncoderReading>,
     offset_deg: f64,
+    /// The robot as it is known.
+    start: Model,
 }
 
 impl Lab {
@@ -22,14 +25,15 @@ impl Lab {
 
     fn with(model: Model, ride: BendingExperiment, seed: u64) -> Self {
         let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
+        let start = Model { robot: model.robot.clone(), ..Model::default() };
         let model = Model { estimate: Some(estimate), ..model };
         let samples = Plant { model, sd_encoder_mm: 0.0015 }.run(&ride.waypoints().unwrap(), seed);
         let measurements = SimulatedEye::default().observe(&samples, seed + 1);
-        Self { measurements, log: samples.iter().map(|sample| sample.reading).collect(), offset_deg: 0.0 }
+        Self { measurements, log: samples.iter().map(|sample| sample.reading).collect(), offset_deg: 0.0, start }
     }
 
     fn verdict(&self) -> Verdict {
-        let (rows, model) = estimate(&Model::default(), Options::default(), &self.measurements, &self.log).unwrap();
+        let (rows, model) = estimate(&self.start, Options::default(), &self.measurements, &self.log).unwrap();
         let used = rows.iter().filter(|row| row.reason.is_empty()).count();
         let views = vec![ViewOffset { name: "side".into(), delta_offset_deg: self.offset_deg }];
         let subject =
@@ -126,6 +130,110 @@ fn turned_and_mirrored_azimuths_are_named() {
         let reason = first(&lab);
         let offset = reason.suggestion.as_ref().unwrap().delta_offset_deg.unwrap();
         assert!((offset - right_deg).abs() < 1.0 && reason.text.contains(cause), "{reason:#?}");
+    }
+}
+
+#[test]
+fn a_scale_of_one_encoder_is_named_and_never_called_good() {
+    for (backbone, scale) in [(0, 1.05), (1, 0.9), (2, 1.2), (0, 1.1), (1, 0.8), (2, 0.95)] {
+        let lab = Lab::new(13).readings(|q| [0, 1, 2].map(|i| if i == backbone { scale * q[i] } else { q[i] }));
+        let verdict = lab.verdict();
+        let found = verdict.reasons.iter().find(|reason| reason.code == Code::EncoderScale);
+        let found = found.unwrap_or_else(|| panic!("{backbone}, {scale}: {verdict:#?}"));
+        assert_eq!((found.backbone, verdict.has(Code::GapAboveNoise)), (Some(backbone + 1), true), "{verdict:#?}");
+        assert!((found.scale.unwrap() * scale - 1.0).abs() < 0.04, "{backbone}, {scale}: {found:#?}");
+    }
+    // Two per cent are half a degree of the table and hardly more than the noise of this eye: told more often than not.
+    let told = (0..6).filter(|&k| {
+        let lab = Lab::new(20 + k).readings(|q| [0, 1, 2].map(|i| if i as u64 == k % 3 { 1.02 * q[i] } else { q[i] }));
+        lab.verdict().level != Level::Good
+    });
+    assert!(told.count() >= 4);
+}
+
+#[test]
+fn noise_that_all_readings_share_hides_no_gap() {
+    let mut random = rand::rngs::StdRng::seed_from_u64(2);
+    let jitter: Vec<f64> = (0..200)
+        .map(|_| 0.05 * rand_distr::Distribution::<f64>::sample(&rand_distr::StandardNormal, &mut random))
+        .collect();
+    let with_jitter = |mut lab: Lab| {
+        lab.log.iter_mut().zip(&jitter).for_each(|(row, jitter)| row.q_mm = row.q_mm.add_scalar(*jitter));
+        lab
+    };
+    assert_eq!(with_jitter(Lab::new(15)).verdict().level, Level::Good);
+    let mut late = Lab::new(15);
+    let rows = late.log.clone();
+    for (row, pair) in late.log.iter_mut().skip(1).zip(rows.windows(2)) {
+        row.q_mm = pair[1].q_mm * 0.75 + pair[0].q_mm * 0.25;
+    }
+    let turned = Lab::new(15).azimuths(|delta| delta + 3f64.to_radians());
+    let mut bent = Lab::new(15);
+    for measured in bent.measurements.iter_mut().filter_map(|m| m.measured.as_mut()) {
+        let tilt = Vector2::new(0.02, 0.028);
+        measured.configuration = Configuration::from_bend_vector(measured.configuration.bend_vector() - tilt);
+    }
+    let scaled = Lab::new(15).readings(|q| [q[0], 1.1 * q[1], q[2]]);
+    for (name, lab) in [("late", late), ("turned", turned), ("bent", bent), ("scaled", scaled)] {
+        let verdict = with_jitter(lab).verdict();
+        assert_ne!(verdict.level, Level::Good, "{name}");
+    }
+}
+
+#[test]
+fn one_gross_reading_decides_nothing() {
+    for (row, gross) in [(5, -99.0), (0, 9999.0), (20, 0.0), (30, 42.7)] {
+        let mut lab = Lab::new(17);
+        lab.log[row].q_mm[1] = gross;
+        let verdict = lab.verdict();
+        assert_eq!(verdict.level, Level::Good, "row {row}: {verdict:#?}");
+    }
+}
+
+#[test]
+fn a_camera_that_stands_still_is_told_as_such() {
+    for from in [0, 18] {
+        let mut lab = Lab::new(19);
+        let still = lab.measurements[from].measured;
+        lab.measurements[from..].iter_mut().for_each(|measurement| measurement.measured = still);
+        let verdict = lab.verdict();
+        let first = &verdict.reasons[0];
+        assert_eq!((first.code, first.level), (Code::CameraStuck, Level::DoNotUse), "{verdict:#?}");
+    }
+}
+
+#[test]
+fn of_few_poses_a_wrong_log_must_not_be_used() {
+    for (poses, step) in [(4, 9), (6, 6), (9, 4)] {
+        let few = |mut lab: Lab| {
+            lab.measurements.retain(|measurement| measurement.index % step == 1);
+            assert_eq!(lab.measurements.len(), poses);
+            lab.verdict()
+        };
+        assert_ne!(few(Lab::new(21)).level, Level::DoNotUse, "{poses} poses, all right");
+        let wrong: [fn(&PerBackbone) -> [f64; 3]; 3] =
+            [|q| [q[1], q[0], q[2]], |q| [q[2], q[0], q[1]], |q| [-q[0], q[1], q[2]]];
+        for (k, change) in wrong.into_iter().enumerate() {
+            let verdict = few(Lab::new(21).readings(change));
+            assert_eq!(verdict.level, Level::DoNotUse, "{poses} poses, wiring {k}: {verdict:#?}");
+        }
+    }
+}
+
+#[test]
+fn four_backbones_rightly_wired_are_good_and_a_wrong_order_is_named() {
+    let four = |wired: [usize; 4]| {
+        let robot = crate::robot::Robot { backbones: 4, ..Default::default() };
+        let mut lab = Lab::with(Model { robot, ..Model::default() }, BendingExperiment::default(), 23);
+        for row in &mut lab.log {
+            let right = row.q_mm;
+            (0..4).for_each(|i| row.q_mm[wired[i] - 1] = right[i]);
+        }
+        lab
+    };
+    assert_eq!(four([1, 2, 3, 4]).verdict().level, Level::Good, "{:#?}", four([1, 2, 3, 4]).verdict());
+    for wired in [[2, 1, 3, 4], [1, 2, 4, 3], [2, 3, 4, 1], [4, 2, 3, 1]] {
+        assert_eq!(suggested(&four(wired)), Wiring { columns: wired.to_vec(), ..Wiring::straight(4) });
     }
 }
 

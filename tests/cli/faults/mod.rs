@@ -3,6 +3,7 @@
 
 pub mod fixture;
 mod outputs;
+mod worth;
 
 use crate::program::{Sandbox, all_said, text};
 use fixture::{FRAMES, bytes_below, journal_rows, outputs, run, sandbox};

@@ -46,6 +46,11 @@ fn no_output_replaces_an_input_and_no_call_mixes_with_another() {
 #[test]
 fn of_two_runs_started_together_one_gets_in() {
     let sandbox = sandbox();
+    // A call waits 0.4 s for another one to let go: the run must last longer than that.
+    let frame = |index: usize| sandbox.join(&format!("experiment/frames/{index:05}.png"));
+    for index in FRAMES..8 * FRAMES {
+        fs::copy(frame(index % FRAMES), frame(index)).unwrap();
+    }
     for round in 0..3 {
         let start = || {
             let mut command = sandbox.command(&format!("run experiment -o out{round} --jobs 1"));
@@ -56,8 +61,8 @@ fn of_two_runs_started_together_one_gets_in() {
         assert_eq!(refused, 1, "{both:?}");
     }
     // One frame gives no estimate: nothing that looks like one stands beside what an earlier run left.
-    for index in 1..FRAMES {
-        fs::remove_file(sandbox.join(&format!("experiment/frames/{index:05}.png"))).unwrap();
+    for index in 1..8 * FRAMES {
+        fs::remove_file(frame(index)).unwrap();
     }
     fs::create_dir(sandbox.join("out")).unwrap();
     fs::write(sandbox.join("out/model.toml"), "an earlier run's").unwrap();

@@ -1,0 +1,563 @@
+//! Finds the straight snake before a sheet whose scale is known: a matched filter of the body's silhouette.
+//!
+//! The picture is looked at in cells a fraction of the snake's width wide. How unlike the sheet a cell's colour is, is a number between 0
+//! and 1; the silhouette of the straight robot is another. For every place of the base and every direction the correlation r of the two over
+//! the silhouette and its surroundings tells how well two levels, one on the body and one beside it, explain the cells: n cells gain
+//! −n/2 ln(1 − r²) of log-likelihood over a single level. Ink, clamps, table and shadows are unlike the sheet as well, but not of this form.
+//! Below the base the silhouette has a piece of the holder, and nothing is asked of what lies further down.
+
+use super::base_fit::STRAIGHT;
+use crate::camera::{Frame, Lens};
+use crate::geometry::Pose;
+use crate::measure::body::{Outline, Projection};
+use crate::measure::image::plane::Plane;
+use crate::robot::Robot;
+use crate::statistics::order::{mad_scale, median};
+use crate::statistics::robust::{Irls, Loss};
+use nalgebra::{DMatrix, DVector, Matrix3, Point2, UnitQuaternion, Vector2, Vector3, Vector6};
+use rayon::prelude::*;
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+/// Cells across the snake's width in the search everywhere, and in the refinement of what it finds.
+///
+/// Derived: the disks of the paper's robot are 0.9 widths apart; four cells show them as waves, twelve show each.
+const COARSE_CELLS: f64 = 4.0;
+const FINE_CELLS: f64 = 12.0;
+/// Directions that are searched.
+///
+/// Derived: 6° apart; half of that moves the tip, six widths away, by 0.3 widths.
+const DIRECTIONS: usize = 60;
+/// The parts of the strip around the body, in widths: beside its axis, below the base, beyond the tip.
+///
+/// Convention: half a width of sheet on all sides, and as much holder as the user is asked to show, and as much again.
+const HALF_WIDTH: f64 = 1.1;
+const BELOW: f64 = 1.2;
+const BEYOND: f64 = 0.7;
+/// The same of a snake that may be bent, above and below the base.
+///
+/// Convention: one disk's distance, and as much holder as most pictures show.
+const HELD_ABOVE: f64 = 0.9;
+const HELD_BELOW: f64 = 2.0;
+/// The least share of the strip that must be in the picture, on the sheet.
+///
+/// Convention: a majority.
+const LEAST_SEEN: f64 = 0.55;
+/// How many findings are refined, and how far apart they are: in widths, and rad.
+///
+/// Convention: a limit of time; closer ones lead to the same refinement.
+const MOST_FOUND: usize = 8;
+const APART_WIDTHS: f64 = 0.75;
+const APART_RAD: f64 = 0.35;
+/// Refined findings closer than this, in widths, are one.
+///
+/// Convention: what the fit of the base searches is wider.
+const SAME_WIDTHS: f64 = 0.2;
+/// How far a finding is refined: rad, and widths along and across, in steps.
+///
+/// Derived: half the distance of the directions and more; along, a disk's distance to either side; across, a coarse cell and more.
+const TURNS: (f64, i32) = (0.07, 5);
+const ALONG_WIDTHS: (f64, i32) = (1.0, 12);
+const ACROSS_WIDTHS: (f64, i32) = (0.42, 5);
+/// A cell's squared distance from the sheet's colours from which on it is unlike the sheet, and the multiple of the median distance
+/// beyond which a cell is not asked what the sheet's colours are.
+///
+/// Derived: a χ² of three degrees of freedom exceeds 9 in 3 of 100 cells, and 6 times its median in 3 of 1000.
+const UNLIKE_CHI2: f64 = 9.0;
+const MOST_MEDIANS: f64 = 6.0;
+/// The share of the sheet that a snake and its holder cover.
+///
+/// Convention: in the pictures of the book 3 to 10 %.
+const BODY_SHARE: f64 = 0.06;
+/// Least variance of a channel about the sheet's colours, grey levels².
+///
+/// Derived: that of rounding to whole levels, and as much noise of a mean over a cell.
+const LEAST_VARIANCE: f64 = 0.2;
+/// What deviates from the surface of a channel's brightness by more than this many standard deviations is not asked for it, the least standard
+/// deviation (grey levels), and the rounds of its fit.
+///
+/// Convention: 2.5 keeps 98.8 % of normal errors.
+const SURFACE_LIMIT: f64 = 2.5;
+const LEAST_SURFACE_SCALE: f64 = 0.2;
+const SURFACE_ROUNDS: usize = 6;
+/// The least variance of how unlike the sheet the cells of a strip are.
+///
+/// Convention: a tenth of the range, squared; a blank sheet's cells scatter by less, and show nothing.
+const LEAST_SCATTER: f64 = 0.01;
+/// Rounds in which the cells that are the sheet's and its colours follow each other.
+///
+/// Convention: a cap; they settle sooner.
+const COLOUR_ROUNDS: usize = 4;
+/// Width of the body in the drawing from which its silhouette is taken, px, and how far away the drawing's camera is, in widths.
+///
+/// Convention: fine beside the fine cells; far enough that perspective does not matter.
+const DRAWN_WIDTH_PX: f64 = 36.0;
+const DRAWN_FROM_WIDTHS: f64 = 60.0;
+
+/// Where a straight snake was found.
+#[derive(Debug, Clone)]
+pub struct SnakeStart {
+    /// Middle of the base disk's upper face, px.
+    pub base: Point2<f64>,
+    /// Direction from the holder to the tip, in the picture.
+    pub axis: Vector2<f64>,
+    /// By how much log-likelihood two levels explain the cells better than one.
+    pub gain: f64,
+    /// The share of the cells' variance that two levels explain: r².
+    pub explained: f64,
+}
+
+/// The part of a picture that shows the sheet: inside of a convex polygon.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SheetRegion(pub Vec<Point2<f64>>);
+
+impl SheetRegion {
+    /// The convex hull of some pixels.
+    pub fn around(pixels: impl IntoIterator<Item = Point2<f64>>) -> Self {
+        let rounded: Vec<_> =
+            pixels.into_iter().map(|p| imageproc::point::Point::new(p.x.round() as i32, p.y.round() as i32)).collect();
+        let hull = if rounded.is_empty() { Vec::new() } else { imageproc::geometry::convex_hull(rounded.as_slice()) };
+        Self(hull.into_iter().map(|corner| Point2::new(f64::from(corner.x), f64::from(corner.y))).collect())
+    }
+
+    /// The middle of the rectangle around it, px.
+    pub fn middle(&self) -> Point2<f64> {
+        let Some(first) = self.0.first() else { return Point2::origin() };
+        let (low, high) = self.0.iter().fold((*first, *first), |(low, high), p| (low.inf(p), high.sup(p)));
+        nalgebra::center(&low, &high)
+    }
+
+    /// Whether a pixel lies in it.
+    pub fn contains(&self, pixel: &Point2<f64>) -> bool {
+        let corners = self.0.iter().zip(self.0.iter().cycle().skip(1));
+        let sides = corners.map(|(from, to)| (to - from).perp(&(pixel - from)));
+        let (mut left, mut right) = (false, false);
+        sides.for_each(|side| (left, right) = (left || side > 0.0, right || side < 0.0));
+        !(left && right)
+    }
+}
+
+/// The straight body's silhouette in units of its width.
+pub struct BodyTemplate {
+    drawn: Plane,
+    base: Point2<f64>,
+    /// How much of the strip lies above the base, and below it, in widths.
+    above: f64,
+    below: f64,
+    length_widths: f64,
+}
+
+/// One cell of the strip around the body: where it is from the base (widths, along and across), and the share of it that the body covers.
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    along: f64,
+    across: f64,
+    body: f32,
+}
+
+impl BodyTemplate {
+    /// The corners of the strip around a body that is so many px wide: holder left and right, tip right and left.
+    pub fn strip(&self, start: &SnakeStart, width_px: f64) -> [Point2<f64>; 4] {
+        let across = Vector2::new(-start.axis.y, start.axis.x);
+        let corner = |along: f64, side: f64| start.base + (start.axis * along + across * (side * 0.5)) * width_px;
+        let tip = self.length_widths;
+        [corner(-BELOW, -1.0), corner(-BELOW, 1.0), corner(tip, 1.0), corner(tip, -1.0)]
+    }
+
+    /// The silhouette of a robot's holder and of the first of its snake, which hardly bends there.
+    pub fn of_holder(robot: &Robot) -> Self {
+        Self { above: HELD_ABOVE, below: HELD_BELOW, ..Self::of(robot) }
+    }
+
+    /// The silhouette of a straight robot.
+    pub fn of(robot: &Robot) -> Self {
+        let width_mm = robot.body.disk_diameter_mm;
+        let end_mm = robot.length_mm + robot.body.tool.map_or(0.0, |tool| tool.length_mm);
+        let length_widths = end_mm / width_mm;
+        let size = |widths: f64| (widths * DRAWN_WIDTH_PX).ceil() as u32;
+        let (width, height) = (size(2.0 * HALF_WIDTH + 1.0), size(length_widths + HELD_BELOW + BEYOND + 1.0));
+        let focal_px = DRAWN_WIDTH_PX * DRAWN_FROM_WIDTHS;
+        let base = Point2::new(f64::from(width) / 2.0, (length_widths + BEYOND + 0.5) * DRAWN_WIDTH_PX);
+        let lens = Lens {
+            width,
+            height,
+            focal_px: [focal_px, focal_px].into(),
+            // Square to the body's middle, so that its disks are seen edge-on.
+            centre_px: [base.x, f64::from(height) / 2.0].into(),
+            distortion: Default::default(),
+            fisheye: None,
+        };
+        let distance_mm = DRAWN_FROM_WIDTHS * width_mm;
+        let drop_mm = (base.y - f64::from(height) / 2.0) / DRAWN_WIDTH_PX * width_mm;
+        // The base's z is up in the picture, its y away from the camera.
+        let upright = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), FRAC_PI_2);
+        let camera_from_base = Pose::from_parts([0.0, drop_mm, distance_mm].into(), upright);
+        let view = Projection { lens: &lens, camera_from_base, robot };
+        let outline = Outline::new(&view, STRAIGHT);
+        let covered = |k: u32| outline.covers(&Point2::new(f64::from(k % width), f64::from(k / width)));
+        let data = (0..width * height).map(|k| if covered(k) { 1.0 } else { 0.0 }).collect();
+        let drawn = Plane::new(width as usize, height as usize, data);
+        Self { drawn, base, above: length_widths + BEYOND, below: BELOW, length_widths }
+    }
+
+    /// The strip in cells of which so many go into a width.
+    fn cells(&self, per_width: f64) -> Vec<Cell> {
+        let side_px = DRAWN_WIDTH_PX / per_width;
+        let (columns, rows) = ((HALF_WIDTH * per_width) as i32, (self.above * per_width) as i32);
+        let below = (self.below * per_width) as i32;
+        let cell = |row: i32, column: i32| {
+            let (along, across) = (f64::from(row) / per_width, f64::from(column) / per_width);
+            let middle = self.base + Vector2::new(across, -along) * DRAWN_WIDTH_PX;
+            // The mean over a lattice of places in the cell.
+            const PLACES: i32 = 6;
+            let at = |k: i32| ((f64::from(k) + 0.5) / f64::from(PLACES) - 0.5) * side_px;
+            let places = (0..PLACES * PLACES).map(|k| middle + Vector2::new(at(k % PLACES), at(k / PLACES)));
+            let body = places.map(|place| self.drawn.sample(&place)).sum::<f32>() / (PLACES * PLACES) as f32;
+            Cell { along, across, body }
+        };
+        (-below..=rows).flat_map(|row| (-columns..=columns).map(move |column| cell(row, column))).collect()
+    }
+}
+
+/// How unlike the sheet the cells of a picture are, 0 to 1.
+struct Unlike {
+    cell_px: f64,
+    width: usize,
+    height: usize,
+    /// 1 where a cell shows the sheet's part of the picture, and there how unlike the sheet it is, and its square; 0 elsewhere.
+    moments: [Vec<f32>; 3],
+}
+
+impl Unlike {
+    /// Looks at a picture in cells of this side.
+    fn of(frame: &Frame, cell_px: f64, region: &SheetRegion) -> Self {
+        let channels = (0..frame.channels).map(|channel| cell_means(frame, channel, cell_px)).collect::<Vec<_>>();
+        let (width, height) = (channels[0].width, channels[0].height);
+        let middle = |k: usize| {
+            Point2::new(((k % width) as f64 + 0.5) * cell_px - 0.5, ((k / width) as f64 + 0.5) * cell_px - 0.5)
+        };
+        let sheet: Vec<usize> = (0..width * height).filter(|&k| region.contains(&middle(k))).collect();
+        let residuals: Vec<Vec<f64>> = channels.par_iter().map(|plane| minus_surface(plane, &sheet)).collect();
+        let distances = distances(&residuals, &sheet);
+        let middle_chi2 = middle_chi2(&distances);
+        let mut moments: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; width * height]);
+        for (&k, distance) in sheet.iter().zip(&distances) {
+            let unlike = (distance / (distance + middle_chi2)) as f32;
+            [1.0, unlike, unlike * unlike].into_iter().zip(&mut moments).for_each(|(value, moment)| moment[k] = value);
+        }
+        Self { cell_px, width, height, moments }
+    }
+
+    /// The moments at a pixel.
+    fn at(&self, pixel: &Point2<f64>) -> [f32; 3] {
+        let (x, y) = (((pixel.x + 0.5) / self.cell_px).floor(), ((pixel.y + 0.5) / self.cell_px).floor());
+        let is_inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
+        if is_inside {
+            self.moments.each_ref().map(|moment| moment[y as usize * self.width + x as usize])
+        } else {
+            [0.0; 3]
+        }
+    }
+}
+
+/// The mean over the cells of one channel.
+fn cell_means(frame: &Frame, channel: usize, cell_px: f64) -> Plane {
+    let count = |length: u32| ((f64::from(length) / cell_px) as usize).max(1);
+    let (width, height) = (count(frame.width), count(frame.height));
+    let part = |k: usize| {
+        (k as f64 * cell_px) as u32..(((k + 1) as f64 * cell_px) as u32).max((k as f64 * cell_px) as u32 + 1)
+    };
+    let mean = |k: usize| {
+        let (columns, rows) = (part(k % width), part(k / width));
+        let (mut sum, mut pixels) = (0.0, 0.0);
+        for y in rows.filter(|y| *y < frame.height) {
+            for x in columns.clone().filter(|x| *x < frame.width) {
+                sum += frame.get(x, y, channel);
+                pixels += 1.0;
+            }
+        }
+        sum / f32::max(pixels, 1.0)
+    };
+    Plane::new(width, height, (0..width * height).into_par_iter().map(mean).collect())
+}
+
+/// What some cells of a channel leave of a quadratic surface, fitted to the majority of them.
+fn minus_surface(plane: &Plane, cells: &[usize]) -> Vec<f64> {
+    let level = f64::from(median(&mut cells.iter().map(|&k| plane.data[k]).collect::<Vec<f32>>()));
+    let terms = |k: usize| {
+        let along = |at: usize, length: usize| at as f64 / length as f64 - 0.5;
+        let (x, y) = (along(k % plane.width, plane.width), along(k / plane.width, plane.height));
+        Vector6::new(1.0, x, y, x * x, x * y, y * y)
+    };
+    let stride = (cells.len() / 2000).max(1);
+    let used: Vec<usize> = cells.iter().copied().step_by(stride).collect();
+    let design = DMatrix::from_fn(used.len(), 6, |row, column| terms(used[row])[column]);
+    let offset = DVector::from_iterator(used.len(), used.iter().map(|&k| level - f64::from(plane.data[k])));
+    let irls = Irls {
+        loss: Loss::Talwar(SURFACE_LIMIT),
+        least_scale: LEAST_SURFACE_SCALE,
+        rounds: SURFACE_ROUNDS,
+        tolerance: 0.0,
+    };
+    let surface = irls.fit(&design, &offset, used.len()).map(|fit| fit.parameters);
+    let at = |k: usize| {
+        surface.as_ref().map_or(0.0, |surface| surface.dot(&DVector::from_column_slice(terms(k).as_slice())))
+    };
+    cells.iter().map(|&k| f64::from(plane.data[k]) - level - at(k)).collect()
+}
+
+/// Squared distances of cells from the sheet's colours, in units of the covariance of those that are the sheet's.
+fn distances(residuals: &[Vec<f64>], cells: &[usize]) -> Vec<f64> {
+    // A colour has up to three channels; what a picture lacks of them is zero in all cells.
+    let colour = |k: usize| Vector3::from_fn(|c, _| residuals.get(c).map_or(0.0, |channel| channel[k]));
+    let least = Matrix3::from_diagonal_element(LEAST_VARIANCE);
+    let scales = Vector3::from_fn(|c, _| residuals.get(c).map_or(0.0, |r| mad_scale(r.iter().copied()).powi(2)));
+    let mut covariance = Matrix3::from_diagonal(&scales) + least;
+    let mut mean = Vector3::zeros();
+    let mut distances = vec![0.0; cells.len()];
+    for _ in 0..COLOUR_ROUNDS {
+        let Some(information) = covariance.try_inverse() else { break };
+        for (k, distance) in distances.iter_mut().enumerate() {
+            let off = colour(k) - mean;
+            *distance = off.dot(&(information * off));
+        }
+        let limit = MOST_MEDIANS * median(&mut distances.clone());
+        let kept: Vec<Vector3<f64>> = (0..cells.len()).filter(|&k| distances[k] < limit).map(colour).collect();
+        let count = (kept.len() as f64).max(1.0);
+        mean = kept.iter().sum::<Vector3<f64>>() / count;
+        covariance = kept.iter().map(|c| (c - mean) * (c - mean).transpose()).sum::<Matrix3<f64>>() / count + least;
+    }
+    distances
+}
+
+/// The squared distance at which a cell is half unlike the sheet: half of what the least alike cells have, so that a shadow is less so than the
+/// body that throws it.
+fn middle_chi2(distances: &[f64]) -> f64 {
+    let mut sorted = distances.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let least_alike = &sorted[((1.0 - BODY_SHARE) * sorted.len() as f64) as usize..];
+    let mean = least_alike.iter().sum::<f64>() / (least_alike.len() as f64).max(1.0);
+    UNLIKE_CHI2.max(0.25 * mean)
+}
+
+/// Sums over the cells of a strip that show the sheet's part of the picture, from which the correlation of silhouette and picture follows:
+/// of one, of the body's share and its square, of how unlike the sheet they are and its square, and of the product of both.
+type Sums = [f32; 6];
+
+/// The gain of log-likelihood of two levels over one, where the body is the more unlike one, of so many cells in all, and r².
+fn gain(sums: Sums, of: usize) -> (f64, f64) {
+    let [n, body, body2, seen, seen2, both] = sums.map(f64::from);
+    if n < LEAST_SEEN * of as f64 {
+        return (0.0, 0.0);
+    }
+    let covariance = both - body * seen / n;
+    let scatter = (seen2 - seen * seen / n).max(LEAST_SCATTER * n);
+    let r2 = covariance * covariance / ((body2 - body * body / n).max(f64::MIN_POSITIVE) * scatter);
+    let r2 = if covariance > 0.0 { r2.min(1.0 - 1e-9) } else { 0.0 };
+    (-0.5 * n * (1.0 - r2).ln(), r2)
+}
+
+/// Where a straight snake, so many px wide, may be before the part of a picture that shows the sheet, roughly, in directions that are asked
+/// for; the likeliest first.
+pub fn search_everywhere(
+    frame: &Frame,
+    template: &BodyTemplate,
+    width_px: f64,
+    region: &SheetRegion,
+    is_asked: impl Fn(&Vector2<f64>) -> bool + Sync,
+) -> Vec<SnakeStart> {
+    let unlike = Unlike::of(frame, width_px / COARSE_CELLS, region);
+    let cells = template.cells(COARSE_CELLS);
+    let axis = |k: usize| {
+        let direction = TAU * k as f64 / DIRECTIONS as f64;
+        Vector2::new(direction.sin(), -direction.cos())
+    };
+    let asked = (0..DIRECTIONS).into_par_iter().map(axis).filter(|axis| is_asked(axis));
+    let mut all: Vec<SnakeStart> = asked.flat_map_iter(|axis| in_direction(&unlike, &cells, axis)).collect();
+    all.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    distinct(all, APART_WIDTHS * width_px)
+}
+
+/// The same places, each moved to where the snake fits best in fine cells; the likeliest first.
+pub fn search_nearby(
+    frame: &Frame,
+    template: &BodyTemplate,
+    width_px: f64,
+    region: &SheetRegion,
+    found: &[SnakeStart],
+) -> Vec<SnakeStart> {
+    let unlike = Unlike::of(frame, width_px / FINE_CELLS, region);
+    let cells = template.cells(FINE_CELLS);
+    let mut all: Vec<SnakeStart> = found.par_iter().map(|start| refined(&unlike, &cells, width_px, start)).collect();
+    all.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    distinct(all, SAME_WIDTHS * width_px)
+}
+
+/// The first of several places that are closer than this, px, and seen from nearly one direction; no more than are gone on from.
+fn distinct(sorted: Vec<SnakeStart>, apart_px: f64) -> Vec<SnakeStart> {
+    let mut found: Vec<SnakeStart> = Vec::new();
+    for start in sorted {
+        let is_apart = |other: &SnakeStart| {
+            (other.base - start.base).norm() > apart_px || other.axis.angle(&start.axis) > APART_RAD
+        };
+        if found.len() < MOST_FOUND && found.iter().all(is_apart) {
+            found.push(start);
+        }
+    }
+    found
+}
+
+/// The best places in one direction: every local maximum of the gain over the cells that stands out from its neighbours.
+fn in_direction(unlike: &Unlike, cells: &[Cell], axis: Vector2<f64>) -> Vec<SnakeStart> {
+    let across = Vector2::new(-axis.y, axis.x);
+    let offsets: Vec<(i64, i64, f32)> = cells
+        .iter()
+        .map(|cell| {
+            let off = (axis * cell.along + across * cell.across) * COARSE_CELLS;
+            (off.x.round() as i64, off.y.round() as i64, cell.body)
+        })
+        .collect();
+    let (width, height) = (unlike.width as i64, unlike.height as i64);
+    let mut sums: [Vec<f32>; 6] = std::array::from_fn(|_| vec![0.0; (width * height) as usize]);
+    for &(dx, dy, body) in &offsets {
+        for y in 0.max(-dy)..height.min(height - dy) {
+            let columns = 0.max(-dx)..width.min(width - dx);
+            if columns.is_empty() {
+                continue;
+            }
+            let count = (columns.end - columns.start) as usize;
+            let into = (y * width + columns.start) as usize;
+            let from = ((y + dy) * width + columns.start + dx) as usize;
+            let add = |into: &mut [f32], values: &[f32], by: f32| {
+                into.iter_mut().zip(values).for_each(|(sum, value)| *sum += by * value);
+            };
+            let [shown, seen, seen2] = unlike.moments.each_ref().map(|moment| &moment[from..][..count]);
+            let rows = sums.each_mut().map(|sum| &mut sum[into..][..count]);
+            for (row, (values, by)) in rows.into_iter().zip([
+                (shown, 1.0),
+                (shown, body),
+                (shown, body * body),
+                (seen, 1.0),
+                (seen2, 1.0),
+                (seen, body),
+            ]) {
+                add(row, values, by);
+            }
+        }
+    }
+    let gains: Vec<(f64, f64)> =
+        (0..(width * height) as usize).map(|k| gain(sums.each_ref().map(|sum| sum[k]), cells.len())).collect();
+    let at = |x: i64, y: i64| {
+        if (0..width).contains(&x) && (0..height).contains(&y) { gains[(y * width + x) as usize] } else { (0.0, 0.0) }
+    };
+    let mut places: Vec<SnakeStart> = Vec::new();
+    for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+        let (gain, explained) = at(x, y);
+        let is_peak = gain > 0.0 && (-1..=1).all(|dy| (-1..=1).all(|dx| at(x + dx, y + dy).0 <= gain));
+        if is_peak {
+            let base = Point2::new((x as f64 + 0.5) * unlike.cell_px - 0.5, (y as f64 + 0.5) * unlike.cell_px - 0.5);
+            places.push(SnakeStart { base, axis, gain, explained });
+        }
+    }
+    places.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    places.truncate(MOST_FOUND);
+    places
+}
+
+/// The best of all starts around one, first turned and moved in coarse steps, then in the single ones around the best.
+fn refined(unlike: &Unlike, cells: &[Cell], width_px: f64, start: &SnakeStart) -> SnakeStart {
+    let gain = |base: &Point2<f64>, axis: &Vector2<f64>| {
+        let across = Vector2::new(-axis.y, axis.x);
+        let mut sums = Sums::default();
+        for Cell { along, across: beside, body } in cells.iter().copied() {
+            let [shown, seen, seen2] = unlike.at(&(base + (axis * along + across * beside) * width_px));
+            let terms = [shown, body * shown, body * body * shown, seen, seen2, body * seen];
+            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+        }
+        gain(sums, cells.len())
+    };
+    let steps = |(reach, count): (f64, i32), every: i32| {
+        (-count..=count).filter(move |k| k % every == 0).map(move |k| reach * f64::from(k) / f64::from(count))
+    };
+    let (first, explained) = gain(&start.base, &start.axis);
+    let mut best = SnakeStart { gain: first, explained, ..start.clone() };
+    let around = |from: SnakeStart, turns: (f64, i32), along: (f64, i32), across: (f64, i32), every: i32| {
+        let mut best = from.clone();
+        let (sin_cos, origin) = (from.axis, from.base);
+        for turn in steps(turns, every) {
+            let axis = (sin_cos + Vector2::new(-sin_cos.y, sin_cos.x) * turn).normalize();
+            for (by_along, by_across) in steps(along, every).flat_map(|a| steps(across, every).map(move |b| (a, b))) {
+                let base = origin + (axis * by_along + Vector2::new(-axis.y, axis.x) * by_across) * width_px;
+                let (gain, explained) = gain(&base, &axis);
+                if gain > best.gain {
+                    best = SnakeStart { base, axis, gain, explained };
+                }
+            }
+        }
+        best
+    };
+    best = around(best, (TURNS.0, TURNS.1), ALONG_WIDTHS, ACROSS_WIDTHS, 2);
+    let single = |(reach, count): (f64, i32)| (2.0 * reach / f64::from(count), 2);
+    around(best, single(TURNS), single(ALONG_WIDTHS), single(ACROSS_WIDTHS), 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Samples;
+
+    /// A picture of grey paper on which the silhouette of a straight robot, so many px wide, is drawn at a place and in a direction, beside a
+    /// blot and a clamp at the lower border.
+    fn picture(robot: &Robot, width_px: f64, base: Point2<f64>, direction_deg: f64) -> Frame {
+        let template = BodyTemplate::of(robot);
+        let (sin, cos) = direction_deg.to_radians().sin_cos();
+        let axis = Vector2::new(sin, -cos);
+        let across = Vector2::new(-axis.y, axis.x);
+        let (width, height) = (640_u32, 480_u32);
+        let level = |k: u32| {
+            let at = Point2::new(f64::from(k % width), f64::from(k / width));
+            let off = (at - base) / width_px;
+            let drawn = template.base + Vector2::new(across.dot(&off), -axis.dot(&off)) * DRAWN_WIDTH_PX;
+            let is_in = drawn.x > 1.0 && drawn.x < template.drawn.width as f64 - 2.0 && drawn.y > 1.0;
+            let is_body = is_in && template.drawn.sample(&drawn) > 0.5;
+            let is_blot = (at - Point2::new(120.0, 100.0)).norm() < 45.0;
+            let is_clamp = at.y > 440.0 && (at.x - base.x).abs() < 90.0;
+            let noise = (k.wrapping_mul(2_654_435_761) >> 28) as u8;
+            let paper = if k % 17 < 2 || k / width % 17 < 2 { 150 } else { 190 };
+            noise
+                + if is_body {
+                    60
+                } else if is_blot || is_clamp {
+                    30
+                } else {
+                    paper
+                }
+        };
+        Frame { width, height, channels: 1, samples: Samples::Bits8((0..width * height).map(level).collect()) }
+    }
+
+    #[test]
+    fn the_straight_snake_is_found_beside_a_blot_and_a_clamp() {
+        let robot = Robot::default();
+        let template = BodyTemplate::of(&robot);
+        let whole = [(-1.0, -1.0), (640.0, -1.0), (640.0, 480.0), (-1.0, 480.0)];
+        let region = SheetRegion::around(whole.map(|(x, y)| Point2::new(x, y)));
+        for (direction_deg, base) in [(0.0, Point2::new(330.0, 360.0)), (14.0, Point2::new(280.0, 350.0))] {
+            let frame = picture(&robot, 40.0, base, direction_deg);
+            let found = search_everywhere(&frame, &template, 40.0, &region, |_| true);
+            let start = search_nearby(&frame, &template, 40.0, &region, &found).remove(0);
+            assert!((start.base - base).norm() < 6.0, "{start:?} for {base}");
+            let (sin, cos) = f64::to_radians(direction_deg).sin_cos();
+            assert!(start.axis.angle(&Vector2::new(sin, -cos)).to_degrees() < 1.5, "{start:?}");
+            assert!(start.explained > 0.5, "{start:?}");
+        }
+    }
+
+    #[test]
+    fn a_convex_region_has_its_own_pixels_and_no_others() {
+        let region = SheetRegion::around(
+            [(0.0, 0.0), (10.0, 0.0), (10.0, 6.0), (0.0, 6.0), (5.0, 3.0)].map(|(x, y)| Point2::new(x, y)),
+        );
+        assert_eq!(region.middle(), Point2::new(5.0, 3.0));
+        assert!(region.contains(&Point2::new(1.0, 5.0)) && !region.contains(&Point2::new(11.0, 3.0)));
+    }
+}

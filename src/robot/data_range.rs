@@ -1,0 +1,167 @@
+//! The range of the data: which bends and directions a model was learned on, and what it may miss beyond.
+//!
+//! Within the range the measurements have confirmed the model. Beyond its largest bend θ_m a stiffness that changes with the bend shows
+//! itself, which nothing measured contradicts: the elastic part of ε is then wrong by a share κ (θ² − θ_m²). κ is not known; its standard
+//! deviation is [`SD_OF_STIFFENING`], and σ of a prediction holds it.
+
+use super::PerBackbone;
+use super::model::Model;
+use crate::geometry::Configuration;
+use nalgebra::Vector2;
+use std::f64::consts::{PI, TAU};
+
+/// Sectors of the azimuth.
+///
+/// Convention: 30° each, half of the distance at which neighbouring backbones of six take over from each other.
+const SECTORS: usize = 12;
+/// Standard deviation of κ, by which the elastic part of ε may change with the square of the bend, 1/rad².
+///
+/// Fitted: to the tables of robots that soften by 0.1/rad² or stiffen by 0.3/rad² (`simulate --effect superelastic_softening`,
+/// `cubic_stiffness`), learned on bends to 25° and 35° and judged at 45° to 75°: see
+/// `robots_that_soften_or_stiffen_stay_within_what_the_sigma_allows`.
+pub const SD_OF_STIFFENING: f64 = 0.2;
+
+/// A pose counts as within the range up to so much beyond its largest bend, rad.
+///
+/// Convention: half a degree, the largest noise of a bend that is measured well; a table to 75° of data to 74.9° ends where they end.
+const TOLERANCE: f64 = 0.5 * PI / 180.0;
+
+/// The bends that a model was learned on.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct DataRange {
+    theta_max: f64,
+    directions: [bool; SECTORS],
+}
+
+impl DataRange {
+    /// Adds a bend, and how well its azimuth is known, rad; of a snake that is nearly straight it says nothing.
+    pub fn add(&mut self, psi: Configuration, sigma_delta: f64) {
+        self.theta_max = self.theta_max.max(psi.theta);
+        if sigma_delta < TAU / SECTORS as f64 / 2.0 {
+            self.directions[sector(psi.delta)] = true;
+        }
+    }
+
+    /// The range that a file tells: the largest bend, rad, and azimuths, degrees.
+    pub fn of(theta_max: f64, directions_deg: &[f64]) -> Self {
+        let mut range = Self { theta_max, ..Self::default() };
+        directions_deg.iter().for_each(|delta| range.directions[sector(delta.to_radians())] = true);
+        range
+    }
+
+    /// The largest bend, rad.
+    pub fn theta_max(&self) -> f64 {
+        self.theta_max
+    }
+
+    /// The azimuths of the sectors in which the snake bent, each the middle of its 30°, degrees in (−180, 180].
+    pub fn directions_deg(&self) -> Vec<f64> {
+        let middle = |k: usize| 360.0 * k as f64 / SECTORS as f64;
+        let mut seen: Vec<f64> = (0..SECTORS).filter(|&k| self.directions[k]).map(middle).collect();
+        seen.iter_mut().filter(|delta| **delta > 180.0).for_each(|delta| *delta -= 360.0);
+        seen.sort_by(f64::total_cmp);
+        seen
+    }
+
+    /// Whether a pose lies within the range: bent no further than the largest bend, in a sector that was seen or next to one.
+    pub fn covers(&self, psi: Configuration) -> bool {
+        let own = sector(psi.delta);
+        let near = [own, (own + 1) % SECTORS, (own + SECTORS - 1) % SECTORS];
+        self.reaches(psi.theta) && (psi.theta == 0.0 || near.iter().any(|&k| self.directions[k]))
+    }
+
+    /// Whether a bend, rad, is no larger than the largest that was seen.
+    pub fn reaches(&self, theta: f64) -> bool {
+        theta <= self.theta_max + TOLERANCE
+    }
+
+    /// θ² − θ_m², rad²; 0 within the range.
+    fn beyond(&self, theta: f64) -> f64 {
+        (theta.powi(2) - self.theta_max.powi(2)).max(0.0)
+    }
+}
+
+fn sector(delta: f64) -> usize {
+    (delta / TAU * SECTORS as f64).round().rem_euclid(SECTORS as f64) as usize % SECTORS
+}
+
+impl Model {
+    /// Standard deviation of q̃ at a bend because of what the data's range leaves open, mm, with its sign; zero within the range, and
+    /// where none is known.
+    pub(crate) fn beyond_data_mm(&self, bend: Vector2<f64>) -> PerBackbone {
+        let elastic = self.epsilon_by_parameters(bend).column(0) * self.parameters().x;
+        elastic * (SD_OF_STIFFENING * self.learned.map_or(0.0, |range| range.beyond(bend.norm())))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::{Options, estimate};
+    use crate::robot::{Effect, Estimate};
+    use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
+    use nalgebra::Matrix2;
+
+    fn pose(theta_deg: f64, delta_deg: f64) -> Configuration {
+        Configuration::from_degrees(theta_deg, delta_deg)
+    }
+
+    #[test]
+    fn a_range_holds_what_was_added_and_its_neighbours_and_nothing_else() {
+        let mut range = DataRange::default();
+        assert!(range.covers(pose(0.0, 0.0)) && !range.covers(pose(1.0, 0.0)));
+        range.add(pose(40.0, 10.0), 0.01);
+        range.add(pose(0.5, 90.0), 0.9);
+        assert_eq!((range.theta_max().to_degrees().round(), range.directions_deg()), (40.0, vec![0.0]));
+        for (theta_deg, delta_deg, within) in
+            [(40.0, 0.0, true), (40.0, 44.0, true), (20.0, -44.0, true), (20.0, 46.0, false), (41.0, 0.0, false)]
+        {
+            assert_eq!(range.covers(pose(theta_deg, delta_deg)), within, "{theta_deg} {delta_deg}");
+        }
+        range.add(pose(30.0, -179.0), 0.01);
+        assert_eq!(range.directions_deg(), [0.0, 180.0]);
+        assert_eq!(DataRange::of(range.theta_max(), &range.directions_deg()), range);
+    }
+
+    /// The errors of a table in units of its σ, at 45 to 75°, of a robot with an effect that is learned on bends to so many degrees.
+    fn errors_in_sigmas(effect: &str, largest_deg: f64, seed: u64) -> Vec<f64> {
+        let truth = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
+        let robot = Model { estimate: Some(truth), effects: vec![Effect::parse(effect).unwrap()], ..Model::default() };
+        let ride = BendingExperiment {
+            sweep_theta_deg: (5.0, largest_deg),
+            round_theta_deg: largest_deg,
+            seed,
+            ..BendingExperiment::default()
+        };
+        let plant = Plant { model: robot.clone(), sd_encoder_mm: 0.0015 };
+        let samples = plant.run(&ride.waypoints().unwrap(), seed);
+        let readings: Vec<_> = samples.iter().map(|sample| sample.reading).collect();
+        let measurements = SimulatedEye::default().observe(&samples, seed + 1);
+        let (_, model) = estimate(&Model::default(), Options::default(), &measurements, &readings).unwrap();
+        let error = |k: u32| {
+            let psi = pose(45.0 + 10.0 * f64::from(k % 4), 30.0 * f64::from(k));
+            let (off, sd) = (model.command(psi) - robot.command(psi), model.command_sds(psi));
+            off.norm() / sd.norm()
+        };
+        (0..12).map(error).collect()
+    }
+
+    #[test]
+    fn robots_that_soften_or_stiffen_stay_within_what_the_sigma_allows() {
+        let effects = [
+            "superelastic_softening:softening_per_rad2=0.1",
+            "cubic_stiffness:stiffening_per_rad2=0.1",
+            "cubic_stiffness:stiffening_per_rad2=0.3",
+        ];
+        let mut errors = Vec::new();
+        for (effect, largest_deg) in effects.iter().flat_map(|effect| [25.0, 35.0].map(|largest| (effect, largest))) {
+            let own = errors_in_sigmas(effect, largest_deg, 3);
+            println!("{effect}, to {largest_deg}°: {own:.2?}");
+            errors.extend(own);
+        }
+        let rms = crate::statistics::moments::rms(errors.iter().copied());
+        let worst = errors.iter().copied().fold(0.0, f64::max);
+        println!("rms {rms:.2}, largest {worst:.2} σ");
+        assert!((0.3..1.5).contains(&rms) && worst < 3.0, "rms {rms}, largest {worst} σ");
+    }
+}

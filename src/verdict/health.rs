@@ -1,0 +1,315 @@
+//! What a model leaves of the measurements, in one place: the innovations, whitened by what the eye and the encoders promise.
+//!
+//! A residual has a part that bends and a part common to all backbones. The bending part decides whether the table is right. Its noise is
+//! the eye's and that of an encoder reading as it is assumed. It is not learned from the common part: a jitter that all readings share, a
+//! scale of one encoder or a load that the backbones share move the common part, and say nothing of the noise of the bending part. The
+//! common part moves neither θ nor δ, so that its noise is learned from its own scatter.
+//!
+//! Both parts are judged by their mean square, so that the size of a gap counts as well as the number of poses. The largest tenth is left
+//! out, as hands and reflections may spoil that many frames. The bending part is judged by its affine part besides, a + M b with b the
+//! bend: a scale of one encoder, a view that is turned, a straight picture that was bent, a wrong aspect of the picture are all of this form,
+//! and six numbers tell them where noise hides them from the mean square.
+
+use super::evidence::{Evidence, Sample, Subject};
+use super::reason::{Code, Level, Reason};
+use super::rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, NORMAL_QUANTILE, REJECTED_IN_ORDER, new_poses};
+use super::scale::LEAST_UNNAMED;
+use crate::estimate::{LinearisedMeasurement, Weighting, Whitened, line_share};
+use crate::robot::{Model, PerBackbone};
+use crate::statistics::chi_square;
+use crate::statistics::moments::{mean, rms};
+use crate::statistics::order::mad_scale;
+use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
+use std::f64::consts::PI;
+
+/// Mean square of normal values of which the largest tenth is left out: of pairs (χ² with two degrees of freedom), and of single ones.
+///
+/// Derived: (1 − α − α ln(1/α)) / (1 − α), and P(χ²_3 < Φ⁻¹(0.95)²) / (1 − α), with α = 0.1.
+const TRIMMED_MEAN_SQUARE: [f64; 2] = [0.744_157, 0.623_236];
+/// A single encoder's scale accounts for a gap if it leaves no more than this share of the mean square.
+///
+/// Convention: half of the rms, as where a lag is taken for the clock's.
+const LEFT_BY_A_SCALE: f64 = 0.25;
+
+/// The affine part of a gap is told if it moves a bend of the data by more than this, rad.
+///
+/// Convention: half a degree, which a table is asked to be right to.
+const ASKED_FOR: f64 = 0.5 * PI / 180.0;
+/// A direction that the poses leave open is left out below this share of the largest information. Convention: numerical.
+const SINGULAR: f64 = 1e-9;
+
+/// What the model leaves of one pose.
+struct Innovation {
+    /// The bending part, in units of its standard deviations.
+    bending: Vector2<f64>,
+    /// What η adds to it by a unit, likewise.
+    by_eta: Vector2<f64>,
+    /// What each encoder's relative error adds to it by a unit, likewise.
+    by_scale: PerBackbone<Vector2<f64>>,
+    /// L⁻¹ of the bending part's covariance L Lᵗ, 1/mm.
+    whitener: Matrix2<f64>,
+    /// What the rig's six unit errors add to the bending part, in units of its standard deviations.
+    by_rig: Matrix2x6<f64>,
+    /// The bend seen, rad.
+    bend: Vector2<f64>,
+    /// The common part, mm (√n times its mean).
+    common_mm: f64,
+    /// The reading, mm.
+    q_mm: PerBackbone,
+    /// Size of the bending part, mm.
+    missed_mm: f64,
+    /// What compensation by the naive model moves the bending part by, mm.
+    compensated_mm: f64,
+}
+
+impl Innovation {
+    fn of(subject: &Subject, plain: &Model, sample: &Sample) -> Option<Self> {
+        let Sample { measured, q_mm, .. } = sample;
+        let robot = &plain.robot;
+        let one = LinearisedMeasurement::new(plain, Weighting::Measured, subject.sd_encoder_mm, measured, q_mm);
+        let residual = one.residual(&plain.parameters());
+        let whitened = Whitened::new(&residual, &one.covariance)?;
+        let whitener = one.covariance.fixed_view::<2, 2>(0, 0).into_owned().cholesky()?.l().try_inverse()?;
+        let whiten = |column: Vector2<f64>| whitener * column;
+        let by_scale = PerBackbone::from_fn(q_mm.len(), |i| {
+            let alone = PerBackbone::from_fn(q_mm.len(), |j| if i == j { q_mm[i] } else { 0.0 });
+            whiten(robot.bend_and_common(&alone).xy())
+        });
+        let naive = Model { estimate: None, ..plain.clone() };
+        let psi = measured.configuration;
+        let compensation = naive.command(psi) - robot.joint_displacements(psi);
+        let innovation = Self {
+            bending: whitened.bending,
+            by_eta: whiten(one.h.column(0).xy()),
+            by_scale,
+            whitener,
+            by_rig: whitener * one.by_rig.fixed_view::<2, 6>(0, 0),
+            bend: psi.bend_vector(),
+            common_mm: residual.z,
+            q_mm: *q_mm,
+            missed_mm: residual.xy().norm(),
+            compensated_mm: robot.bend_and_common(&compensation).xy().norm(),
+        };
+        innovation.bending.norm_squared().is_finite().then_some(innovation)
+    }
+}
+
+impl Innovation {
+    /// The whitened columns of a_x, a_y and of M's columns.
+    fn affine(&self) -> Matrix2x6<f64> {
+        let w = self.whitener;
+        let (along, across) = (w * self.bend.x, w * self.bend.y);
+        Matrix2x6::from_fn(|row, column| [w, along, across][column / 2][(row, column % 2)])
+    }
+}
+
+/// The innovations at poses that differ.
+pub(super) struct Health {
+    /// Of the bending part, the largest tenth left out; in order of time.
+    innovations: Vec<Innovation>,
+    /// How many there were.
+    poses: usize,
+    /// Squares of the common part in units of its noise, the largest tenth left out.
+    common: Vec<f64>,
+    /// ∂θ by a bending part of q̃, rad per mm.
+    bend_by_mm: f64,
+    sd_encoder_mm: f64,
+}
+
+impl Health {
+    pub fn of(subject: &Subject, evidence: &Evidence) -> Self {
+        let plain = subject.model.plain();
+        let poses = new_poses(&evidence.samples).filter_map(|sample| Innovation::of(subject, &plain, sample));
+        let innovations: Vec<Innovation> = poses.collect();
+        let noise_mm = common_noise_mm(&innovations, |one| one.common_mm).max(subject.sd_encoder_mm);
+        let common = innovations.iter().map(|one| (one.common_mm / noise_mm).powi(2)).collect();
+        // QᵗQ is n r²/2 times the identity, and η's share of q̃ is k.
+        let robot = &plain.robot;
+        let length = robot.backbone_circle_radius_mm * (robot.backbone_count() as f64 / 2.0).sqrt();
+        let bend_by_mm =
+            1.0 / (length * (1.0 + plain.parameters().x * line_share(&plain)).abs().max(f64::MIN_POSITIVE));
+        let poses = innovations.len();
+        let innovations = without_largest(innovations, |one| one.bending.norm_squared());
+        let common = without_largest(common, |square| *square);
+        Self { innovations, poses, common, bend_by_mm, sd_encoder_mm: subject.sd_encoder_mm }
+    }
+
+    /// The rms of the bending part in units of its noise, if it is above what counts as noise.
+    fn bending_above_noise(&self) -> Option<f64> {
+        let squares: Vec<f64> = self.innovations.iter().map(|one| one.bending.norm_squared()).collect();
+        above_noise(&squares, 2)
+    }
+
+    /// Whether the bends are missed by more than noise.
+    pub fn has_gap(&self) -> bool {
+        self.bending_above_noise().is_some() || self.affine_rad().is_some()
+    }
+
+    /// By how much the affine part of the gap moves the farthest bends at the most, towards any azimuth, rad; if it is more than noise accounts
+    /// for, and more than a table may be wrong by.
+    fn affine_rad(&self) -> Option<f64> {
+        let (mut information, mut slope, mut by_rig, mut own) =
+            (Matrix6::zeros(), Vector6::zeros(), Matrix6::zeros(), Matrix6::zeros());
+        for one in &self.innovations {
+            let h = one.affine();
+            information += h.transpose() * h;
+            slope += h.transpose() * one.bending;
+            let rig = h.transpose() * one.by_rig;
+            by_rig += rig;
+            own += rig * rig.transpose();
+        }
+        let inverse = |matrix: Matrix6<f64>| matrix.pseudo_inverse(SINGULAR * matrix.norm()).ok();
+        let covariance = inverse(information)?;
+        let x = covariance * slope;
+        // The rig's errors are shared by all poses, as where an estimate's covariance counts them (`covariance_by_rig`).
+        let shared = covariance * (by_rig * by_rig.transpose() - own) * covariance;
+        let distance = x.dot(&(inverse(covariance + shared)? * x));
+        let farthest = self.innovations.iter().map(|one| one.bend.norm()).fold(0.0, f64::max);
+        let moved = |k: u32| {
+            let (sin, cos) = (PI / 6.0 * f64::from(k)).sin_cos();
+            let [along, across] = [x.fixed_rows::<2>(2), x.fixed_rows::<2>(4)];
+            self.bend_by_mm * (x.fixed_rows::<2>(0) + (along * cos + across * sin) * farthest).norm()
+        };
+        let most = (0..12).map(moved).fold(0.0, f64::max);
+        let is_noise = distance < MEAN_SQUARE_OF_NOISE * chi_square::quantile(6, NORMAL_QUANTILE);
+        (!is_noise && most > ASKED_FOR).then_some(most)
+    }
+
+    /// The gap, if there is one: red if the model misses the bends by more than compensation changes them.
+    pub fn gap(&self) -> Option<Reason> {
+        let remedy = "`snakeloop discover` names what the model lacks; where it names nothing, check camera.yaml (focal length, \
+                      picture size), grid_pitch_mm, standoff_mm and the straight picture";
+        let reason = |level, text: String, remedy| Some(Reason::new(Code::GapAboveNoise, level, text, remedy));
+        let Some(times) = self.bending_above_noise() else {
+            if let Some(most) = self.affine_rad() {
+                let text = format!(
+                    "the model misses the bends by up to {:.2}° in proportion to the bend or by a constant ({} poses)",
+                    most.to_degrees(),
+                    self.poses
+                );
+                return reason(Level::Look, text, remedy.to_owned());
+            }
+            let times = above_noise(&self.common, 1)?;
+            let text = format!(
+                "the model misses what the readings have in common by {times:.1} times the noise ({} poses)",
+                self.poses
+            );
+            return reason(Level::Look, text, remedy.to_owned());
+        };
+        let missed_mm = rms(self.innovations.iter().map(|one| one.missed_mm));
+        let compensated_mm = rms(self.innovations.iter().map(|one| one.compensated_mm));
+        let missed_deg = (self.bend_by_mm * missed_mm).to_degrees();
+        let text = format!(
+            "the model misses the bends by {times:.1} times the noise: {missed_deg:.2}°, or {missed_mm:.3} mm of q̃ ({} poses)",
+            self.poses
+        );
+        if missed_mm > compensated_mm {
+            let text = format!("{text}; all that compensation changes is {compensated_mm:.3} mm");
+            return reason(Level::DoNotUse, text, remedy.to_owned());
+        }
+        let sd = self.sd_encoder_mm;
+        reason(Level::Look, text, format!("{remedy}; if the encoders are noisier than {sd} mm, give --encoder-sd"))
+    }
+
+    /// A single encoder or actuator whose scale accounts for the gap, if no other does so nearly as well. One number tells what is hidden from the
+    /// gap's mean square, so that a scale is told alone as well, if it moves a bend by more than a table may be wrong by.
+    pub fn encoder_scale(&self) -> Option<Reason> {
+        let mut fits: Vec<ScaleFit> =
+            (0..self.innovations.first()?.q_mm.len()).filter_map(|i| ScaleFit::of(&self.innovations, i)).collect();
+        fits.sort_by(|a, b| a.left.total_cmp(&b.left));
+        let (best, second) = (fits.first()?, fits.get(1)?);
+        let before: f64 = self.innovations.iter().map(|one| one.bending.norm_squared()).sum();
+        let numbers = 2.0 * self.innovations.len() as f64;
+        let is_noise =
+            best.left < MEAN_SQUARE_OF_NOISE * chi_square::quantile(2 * self.innovations.len(), NORMAL_QUANTILE);
+        let explains = is_noise || best.left <= LEFT_BY_A_SCALE * before;
+        // Twice the logarithm of the likelihood ratio where the noise's size is not known.
+        let is_alone = numbers * (second.left / best.left.max(numbers)).ln() > -2.0 * LEVEL_OF_TESTS.ln();
+        let is_certain = best.error.abs() > NORMAL_QUANTILE * MEAN_SQUARE_OF_NOISE.sqrt() * best.sd;
+        let moved_mm =
+            self.innovations.iter().map(|one| (one.q_mm[best.backbone] * best.error).abs()).fold(0.0, f64::max);
+        let counts = self.has_gap() || self.bend_by_mm * moved_mm > ASKED_FOR;
+        // An encoder's error moves the common part as well, which the correction must make quieter; an error of the eye does not.
+        let quieter = {
+            let i = best.backbone;
+            let root_n = (self.innovations[0].q_mm.len() as f64).sqrt();
+            let corrected = |one: &Innovation| one.common_mm - best.error * one.q_mm[i] / root_n;
+            common_noise_mm(&self.innovations, corrected) < common_noise_mm(&self.innovations, |one| one.common_mm)
+        };
+        // A larger factor is another unit or a wrong sign, and the wiring check's business.
+        let is_scale = (1.0 / LEAST_UNNAMED..LEAST_UNNAMED).contains(&(1.0 - best.error));
+        (counts && explains && is_alone && is_certain && quieter && is_scale).then(|| best.reason())
+    }
+}
+
+/// Noise of the common part, mm: the scatter of its steps from one pose to the next, which a median keeps from jumps.
+fn common_noise_mm(innovations: &[Innovation], common_mm: impl Fn(&Innovation) -> f64) -> f64 {
+    let steps = innovations.windows(2).map(|pair| common_mm(&pair[1]) - common_mm(&pair[0]));
+    mad_scale(steps) / 2f64.sqrt()
+}
+
+/// All but the largest tenth, one at least; in their order.
+fn without_largest<T>(items: Vec<T>, size: impl Fn(&T) -> f64) -> Vec<T> {
+    let mut sizes: Vec<f64> = items.iter().map(&size).collect();
+    sizes.sort_unstable_by(f64::total_cmp);
+    let left_out = (REJECTED_IN_ORDER * sizes.len() as f64).ceil() as usize;
+    match sizes.len().checked_sub(1 + left_out) {
+        Some(last) => items.into_iter().filter(|item| size(item) <= sizes[last]).collect(),
+        None => Vec::new(),
+    }
+}
+
+/// The rms in units of the noise, if squares of so many numbers each are larger than what counts as noise allows.
+fn above_noise(squares: &[f64], numbers: usize) -> Option<f64> {
+    let nominal = numbers as f64 * TRIMMED_MEAN_SQUARE[2 - numbers];
+    let most = MEAN_SQUARE_OF_NOISE
+        * TRIMMED_MEAN_SQUARE[2 - numbers]
+        * chi_square::quantile(numbers * squares.len(), NORMAL_QUANTILE);
+    let times = (mean(squares.iter().copied()) / nominal).sqrt();
+    (!squares.is_empty() && squares.iter().sum::<f64>() > most).then_some(times)
+}
+
+/// One encoder's relative error e, fitted beside η: of what is read a share of 1 − e is moved.
+struct ScaleFit {
+    backbone: usize,
+    error: f64,
+    sd: f64,
+    /// Sum of the squares that are left.
+    left: f64,
+}
+
+impl ScaleFit {
+    /// By least squares; `None` if the poses do not tell it from η.
+    fn of(innovations: &[Innovation], backbone: usize) -> Option<Self> {
+        let (mut information, mut slope) = (Matrix2::zeros(), Vector2::zeros());
+        for one in innovations {
+            let h = Matrix2::from_columns(&[one.by_eta, one.by_scale[backbone]]);
+            information += h.transpose() * h;
+            slope += h.transpose() * one.bending;
+        }
+        let covariance = information.cholesky()?.inverse();
+        let x = covariance * slope;
+        let left = |one: &Innovation| (one.bending - one.by_eta * x.x - one.by_scale[backbone] * x.y).norm_squared();
+        let left: f64 = innovations.iter().map(left).sum();
+        let variance = (left / (2.0 * innovations.len() as f64)).max(1.0);
+        Some(Self { backbone, error: x.y, sd: (variance * covariance[(1, 1)]).sqrt(), left })
+    }
+
+    fn reason(&self) -> Reason {
+        let Self { error, sd, .. } = *self;
+        let backbone = self.backbone + 1;
+        // The residual is e times the reading, so that 1 − e of the reading is motion.
+        let scale = 1.0 - error;
+        let (size, side) = (100.0 * (1.0 / scale - 1.0).abs(), if error > 0.0 { "more" } else { "less" });
+        let text = format!(
+            "encoder or actuator of backbone {backbone} reads {size:.1} ± {:.1} % {side} than it moves, which accounts for the gap",
+            100.0 * sd
+        );
+        let remedy = format!(
+            "check drum, screw pitch and counts of backbone {backbone}: its readings times {scale:.3} agree with the bends; if they are right, \
+             `snakeloop discover` fits the effect actuator_scale"
+        );
+        let reason = Reason::new(Code::EncoderScale, Level::Look, text, remedy);
+        Reason { backbone: Some(backbone), scale: Some((scale * 1e4).round() / 1e4), ..reason }
+    }
+}
