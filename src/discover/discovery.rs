@@ -37,7 +37,7 @@ const MOST_SEARCHES: usize = 3;
 pub struct Discovery {
     /// The answer.
     pub verdict: Verdict,
-    /// The effects, where the verdict is named or partly; those that explain most where it is unexplained, as evidence only.
+    /// The effects, where the verdict is named or partly.
     pub named: Vec<Named>,
     /// The gain in the information criterion that is asked of an effect.
     pub least_bic_gain: f64,
@@ -296,7 +296,6 @@ impl Answer {
 }
 
 /// The answer where the library does not account for the gap: what helps all the same, or nothing; and the held-out residuals before.
-/// Where nothing helps, the effects that explain most are evidence only.
 fn partly_answered(
     searched: &Searched,
     (given, data): (&Model, &Data),
@@ -317,7 +316,7 @@ fn partly_answered(
     let held_out = HeldOutResiduals::new(&partial.problem, &partial.after);
     let helps = !partial.named.is_empty() && held_out.gap.theta_deg < before.gap.theta_deg;
     let (verdict, named) =
-        if helps { (Verdict::Partly, partial.named.clone()) } else { (Verdict::Unexplained, searched.named().0) };
+        if helps { (Verdict::Partly, partial.named.clone()) } else { (Verdict::Unexplained, Vec::new()) };
     let fit = if helps { &partial.after } else { &partial.before };
     let answer = Answer {
         model: partial.model(fit),

@@ -3,20 +3,21 @@
 //! A real machine never lies wholly in a library. Structures are then compared by their held-out
 //! [predictive density](super::predictive_density), in which what they miss is a correlated discrepancy, and by what physics expects beforehand
 //! ([`Physics::log_prior`]): their score is the sum of both logarithms. The search begins with what no model of a machine knows
-//! exactly, a gain and a bend at rest, adds the effect that raises the score most as long as one does, and drops what does not earn its
-//! prior beside the rest. Every structure whose score counts is a converged fit.
+//! exactly, a gain and a bend at rest, adds the effect that raises the score most as long as one is asked for, and drops what is not
+//! asked for beside the rest. An effect is asked for where the structure with it is probably better, over a bootstrap of the stretches.
+//! Every structure whose score counts is a converged fit.
 
 use super::data::Data;
 use super::fit::{Fit, normal_equations, prior_precision};
 use super::hypotheses::{Hypothesis, is_periodic};
 use super::noise::Noise;
-use super::predictive_density::{Density, Judged};
+use super::predictive_density::Judged;
 use super::residuals::Problem;
 use super::search::Named;
 use super::start::unknown_start;
 use super::structure_weights::{Weighed, weights};
 use crate::discover::comparison::Evidence;
-use crate::robot::effects::{COMMAND_GAIN, Effect, ParameterSpec, Role, physics};
+use crate::robot::effects::{COMMAND_GAIN, Effect, ParameterSpec, REST_BEND, Role, physics};
 use crate::robot::{Model, Physics};
 use crate::statistics::moments::rms;
 use nalgebra::{DMatrix, Vector2};
@@ -52,13 +53,19 @@ const TRAVELS: [f64; 5] = [0.04, 0.1, 0.25, 0.6, 1.5];
 /// Convention: any.
 const GAP: f64 = 0.2;
 
-/// A score that is higher by less is the same.
+/// A hysteresis takes the place of another where its score is higher by this.
 ///
 /// Convention: above what the tolerance of a fit moves it by; odds of 1.1 to 1.
 const LEAST_GAIN: f64 = 0.1;
 
+/// An effect stands where the structure with it is better than the one without with this probability.
+///
+/// Source: that a difference exceeds one of its standard errors; the rule of one standard error of Breiman et al. 1984, Classification and
+/// Regression Trees, 3.4.3.
+const CLEARLY: f64 = 0.84;
+
 /// What no model of a machine knows exactly.
-const FRAME: [&str; 2] = ["rest_bend", COMMAND_GAIN];
+const FRAME: [&str; 2] = [REST_BEND, COMMAND_GAIN];
 
 /// A fit whose own next step promises this share of its cost has not converged.
 ///
@@ -103,17 +110,24 @@ pub struct Partial<'a> {
 #[derive(Debug, Clone)]
 struct Structure {
     fit: Fit,
-    density: Density,
-    log_prior: f64,
+    weighed: Weighed,
+    /// The squares that the refits without each stretch leave in it, rad².
+    squares: f64,
 }
 
 impl Structure {
     fn score(&self) -> f64 {
-        self.density.total() + self.log_prior
+        self.weighed.score()
     }
 
+    /// Whether what it has beyond another is asked for.
     fn is_better_than(&self, other: &Self) -> bool {
-        self.score() > other.score() + LEAST_GAIN
+        self.preference(other) > CLEARLY
+    }
+
+    /// The probability that it is better, of the two.
+    fn preference(&self, other: &Self) -> f64 {
+        weights(&[self.weighed.clone(), other.weighed.clone()])[0]
     }
 }
 
@@ -173,15 +187,16 @@ struct Search<'a> {
 
 impl<'a> Search<'a> {
     fn new(answer: &Partial<'a>) -> Self {
-        let judged = Judged::new(&answer.problem, &answer.before.model);
+        let judged = Judged::new(&answer.problem, &answer.before);
         Self { problem: answer.problem.clone(), judged, before: answer.before.clone(), scored: Vec::new() }
     }
 
     /// The answer that the search comes to from one without effects.
     fn answer(mut self, nothing: Partial<'a>) -> Partial<'a> {
         let Some(density) = self.judged.of_fit(&self.problem, &self.before) else { return nothing };
-        let bare = Structure { fit: self.before.clone(), density, log_prior: 0.0 };
-        self.scored.push(Weighed { effects: Vec::new(), stretches: bare.density.stretches, log_prior: 0.0 });
+        let weighed = Weighed { effects: Vec::new(), stretches: density.stretches, log_prior: 0.0 };
+        self.scored.push(weighed.clone());
+        let bare = Structure { fit: self.before.clone(), weighed, squares: density.squares };
         let mut best = self.with_frame().unwrap_or_else(|| bare.clone());
         while best.fit.model.effects.len() < self.given() + MOST_EFFECTS {
             let Some(better) = self.best_with_one_more(&best, |_| true).filter(|more| more.is_better_than(&best))
@@ -214,21 +229,23 @@ impl<'a> Search<'a> {
         Some(self.under_its_own_discrepancy(structure))
     }
 
-    /// Another hysteresis in the place of one, and what does not earn its prior dropped, as long as either raises the score.
+    /// What is not asked for beside the rest dropped, and another hysteresis put in the place of one where that is better.
     fn settled(&mut self, mut best: Structure) -> Structure {
-        for _ in 0..MOST_EFFECTS {
+        for _ in 0..2 * MOST_EFFECTS {
             let simpler = (self.given()..best.fit.model.effects.len()).map(|k| best.fit.model.without_effect(k));
-            let simpler: Vec<Model> = simpler.collect();
-            let mut others = self.structures(simpler.into_iter().map(|model| (model, best.fit.path.clone())).collect());
-            let lacks =
-                |other: &&Structure| !other.fit.model.effects.iter().any(|effect| effect.physics.is_hysteresis());
-            let hysteresis = best.fit.model.effects.iter().any(|effect| effect.physics.is_hysteresis());
-            if let Some(without) = others.iter().find(lacks).filter(|_| hysteresis).cloned() {
-                others.extend(self.best_with_one_more(&without, Physics::is_hysteresis));
+            let simpler = simpler.map(|model| (model, best.fit.path.clone())).collect();
+            let others = self.structures(simpler);
+            let least_missed = others.iter().min_by(|a, b| best.preference(a).total_cmp(&best.preference(b)));
+            if let Some(simpler) = least_missed.filter(|simpler| !best.is_better_than(simpler)) {
+                best = self.under_its_own_discrepancy(simpler.clone());
+                continue;
             }
-            match others.into_iter().max_by(|a, b| a.score().total_cmp(&b.score())) {
-                Some(other) if other.is_better_than(&best) => best = self.under_its_own_discrepancy(other),
-                _ => break,
+            let has_hysteresis = |of: &Structure| of.fit.model.effects.iter().any(|e| e.physics.is_hysteresis());
+            let without = others.into_iter().find(|other| has_hysteresis(&best) && !has_hysteresis(other));
+            let other = without.and_then(|without| self.best_with_one_more(&without, Physics::is_hysteresis));
+            match other.filter(|other| other.score() > best.score() + LEAST_GAIN) {
+                Some(other) => best = self.under_its_own_discrepancy(other),
+                None => break,
             }
         }
         best
@@ -250,7 +267,12 @@ impl<'a> Search<'a> {
             }
         }
         let starts = chosen.into_iter().map(|hypothesis| (hypothesis.start, best.fit.path.clone())).collect();
-        self.structures(starts).into_iter().max_by(|a, b| a.score().total_cmp(&b.score()))
+        let all = self.structures(starts);
+        if std::env::var("TRACE").is_ok() {
+            eprintln!("from {}", trace(best));
+            all.iter().for_each(|s| eprintln!("   {:6.1} {} {:?}", s.score() - best.score(), trace(s), [0, 1, 2, 3, 4, 5].map(|k| ((s.weighed.stretches[k] - best.weighed.stretches[k]) * 10.0).round() / 10.0)));
+        }
+        all.into_iter().max_by(|a, b| a.score().total_cmp(&b.score()))
     }
 
     /// Every effect that the model lacks and that `admits`, at each of its starts. A model has one hysteresis at most: two of them describe one loop.
@@ -333,8 +355,9 @@ impl<'a> Search<'a> {
         let density = self.judged.of_fit(&self.problem, &fit).filter(|_| is_scored)?;
         let log_prior = log_prior(&fit.model, self.given());
         let names = fit.model.effects.iter().skip(self.given()).map(|effect| effect.physics).collect();
-        self.scored.push(Weighed { effects: names, stretches: density.stretches, log_prior });
-        Some(Structure { fit, density, log_prior })
+        let weighed = Weighed { effects: names, stretches: density.stretches, log_prior };
+        self.scored.push(weighed.clone());
+        Some(Structure { fit, weighed, squares: density.squares })
     }
 
     /// Whether every effect beyond those that were given is there, and no parameter of one lies at the end of its range, where it is not what the
@@ -362,8 +385,8 @@ impl<'a> Search<'a> {
         let physics = best.fit.model.effects[k].physics;
         let simpler = self.problem.fit(&best.fit.model.without_effect(k), Some(&best.fit.path), None);
         let simpler = self.structure(simpler).unwrap_or_else(|| bare.clone());
-        let excess = bare.density.squares - self.judged.noise_squares(&self.problem);
-        let removed = simpler.density.squares - best.density.squares;
+        let excess = bare.squares - self.judged.noise_squares(&self.problem);
+        let removed = simpler.squares - best.squares;
         let weights = weights(&self.scored);
         let probability = |holds: &dyn Fn(&Weighed) -> bool| {
             self.scored.iter().zip(&weights).filter(|(own, _)| holds(own)).map(|(_, weight)| weight).sum::<f64>()
@@ -390,7 +413,7 @@ impl<'a> Search<'a> {
             evidence: Evidence {
                 bic_gain: 2.0 * (best.score() - simpler.score()),
                 excess_share: removed / excess,
-                held_out_gain: removed / simpler.density.squares,
+                held_out_gain: removed / simpler.squares,
                 inclusion,
             },
             removes: (removed / excess).clamp(0.0, 1.0),
@@ -442,4 +465,9 @@ fn promises(fit: &Fit) -> f64 {
 fn bend_squares(problem: &Problem, fit: &Fit) -> f64 {
     let known = problem.noise.unknown_start..problem.data.len();
     known.map(|k| problem.bend_gap(&fit.residuals, k).norm_squared()).sum()
+}
+
+fn trace(s: &Structure) -> String {
+    let e: Vec<String> = s.fit.model.effects.iter().map(|e| format!("{}[{}]{:.3?}", e.physics.name, e.physics.form, e.values)).collect();
+    format!("{:.1} prior {:.1} cost {:.1} | {}", s.score() - s.weighed.log_prior, s.weighed.log_prior, s.fit.cost, e.join(" "))
 }

@@ -12,7 +12,6 @@
 use super::fit::{Fit, prior_precision};
 use super::noise::Noise;
 use super::residuals::Problem;
-use crate::robot::Model;
 use crate::statistics::moments::mean;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix2, Vector2};
 use std::ops::AddAssign;
@@ -27,24 +26,25 @@ pub const STRETCHES: usize = 6;
 /// Convention: a discrepancy that changes more quickly is taken for noise.
 const SPACING: f64 = 0.05;
 
-/// The lengths along which a discrepancy may be correlated, in halves of the range; 0 is none.
+/// The lengths along which a discrepancy may be correlated, in halves of the range.
 ///
-/// Convention: from the [`SPACING`] to several times a whole log, each about twice the one before.
-const LENGTHS: [f64; 9] = [0.0, 0.07, 0.2, 0.45, 1.0, 2.0, 5.0, 10.0, 25.0];
+/// Convention: from the [`SPACING`] to several times a whole log, each two to three times the one before.
+const LENGTHS: [f64; 7] = [0.05, 0.12, 0.3, 0.8, 2.0, 6.0, 25.0];
 
-/// The shares of the stated noise that may be independent from row to row; what is left besides may be correlated.
+/// The shares of the variance that may be independent from row to row; the rest is correlated.
 ///
-/// Convention: all of it, or hardly any, as of a tracker that filters.
-const INDEPENDENT: [f64; 2] = [1.0, 0.1];
+/// Convention: from all of it to hardly any, as of a tracker that filters, each about a third of the one before.
+const INDEPENDENT: [f64; 5] = [1.0, 0.3, 0.1, 0.03, 0.01];
 
 /// Degrees of freedom of Student's t.
 ///
 /// Convention: the usual choice for a robust error model (Lange, Little and Taylor 1989, J. Am. Stat. Assoc. 84:881, estimate 4 in several sets).
 const DEGREES_OF_FREEDOM: f64 = 4.0;
 
-/// What is left of a noise at the least, as a share of its stated variance.
+/// What a structure may claim at the least to leave, as a share of the noise's variance. A component of the bend of which the model as given
+/// leaves less is not judged: nothing is to be explained in it.
 ///
-/// Convention: half the stated sigma; noise is learned before, and no structure may claim that there is hardly any.
+/// Convention: half the sigma; noise is learned before, and no structure may claim that there is hardly any.
 const LEAST_VARIANCE: f64 = 0.25;
 
 /// The samples that structures are judged on, the same for all.
@@ -56,6 +56,8 @@ pub struct Judged {
     pub half_range: f64,
     /// Along and across the commands' main direction, from the axes of the bend.
     turn: Matrix2<f64>,
+    /// The components of the bend in that frame that are judged.
+    components: Vec<usize>,
 }
 
 /// How well a structure foretells each stretch that it was not fitted to.
@@ -75,9 +77,10 @@ impl Density {
 }
 
 impl Judged {
-    /// Of a problem's samples, after a start that nobody knows.
-    pub fn new(problem: &Problem, model: &Model) -> Self {
-        let (data, by_q) = (problem.data, model.robot.bend_by_displacement());
+    /// Of a problem's samples, after a start that nobody knows; `fit` is that of the model as given.
+    pub fn new(problem: &Problem, fit: &Fit) -> Self {
+        let (data, model) = (problem.data, &fit.model);
+        let by_q = model.robot.bend_by_displacement();
         let commands: Vec<Vector2<f64>> = data.log.own_q_mm(model).iter().map(|q| by_q.tr_mul(q)).collect();
         let (low, high) = commands.iter().fold((commands[0], commands[0]), |(low, high), u| (low.inf(u), high.sup(u)));
         let half_range = (0.5 * (high - low).amax()).max(f64::MIN_POSITIVE);
@@ -96,7 +99,15 @@ impl Judged {
         rows.iter_mut().enumerate().for_each(|(place, row)| row.2 = place * STRETCHES / count);
         let middle = commands.iter().sum::<Vector2<f64>>() / commands.len() as f64;
         let scatter: Matrix2<f64> = commands.iter().map(|u| (u - middle) * (u - middle).transpose()).sum();
-        Self { rows, half_range, turn: scatter.symmetric_eigen().eigenvectors.transpose() }
+        let turn = scatter.symmetric_eigen().eigenvectors.transpose();
+        let (mut left, mut noise) = (Vector2::zeros(), Vector2::zeros());
+        for &(k, ..) in &rows {
+            let own = turn * problem.bend_unit(k) * Vector2::new(fit.residuals[k][0], fit.residuals[k][1]);
+            left += own.component_mul(&own);
+            noise += noise_variances(problem, &turn, k);
+        }
+        let components = (0..2).filter(|&c| left[c] > LEAST_VARIANCE * noise[c]).collect();
+        Self { rows, half_range, turn, components }
     }
 
     /// The squares that noise alone leaves of the rows, rad².
@@ -119,13 +130,15 @@ impl Judged {
         precision: &DVector<f64>,
     ) -> Option<Density> {
         let rows = Rows::new(self, problem, residuals, jacobian, precision)?;
-        let kinds = INDEPENDENT.iter().flat_map(|&share| LENGTHS.iter().map(move |&length| (length, share)));
+        let correlated = INDEPENDENT[1..].iter().flat_map(|&share| LENGTHS.map(|length| (length, share)));
+        // Without a correlation the length is of no consequence.
+        let kinds = [(LENGTHS[0], INDEPENDENT[0])].into_iter().chain(correlated);
         let each: Vec<Vec<Equations>> = kinds.map(|(length, share)| rows.equations(length, share)).collect();
         let mut density = Density { stretches: [0.0; STRETCHES], squares: 0.0 };
         for stretch in 0..STRETCHES {
             let fits = each
                 .iter()
-                .filter_map(|own| Refit::without(own, stretch, precision).map(|refit| (refit, &own[stretch])));
+                .filter_map(|own| Some((Refit::without(own, stretch, precision, rows.least)?, &own[stretch])));
             let (best, held_out) = fits.max_by(|a, b| a.0.likelihood.total_cmp(&b.0.likelihood))?;
             density.stretches[stretch] = best.foretells(held_out)?;
             density.squares += rows.squares(stretch, 0, &best.step) + rows.squares(stretch, 1, &best.step);
@@ -141,8 +154,10 @@ struct Rows<'a> {
     values: [DMatrix<f64>; 2],
     /// The noise's variance of each row and component, rad².
     noise: Vec<Vector2<f64>>,
-    /// The mean square that least squares leave of each component, rad².
+    /// The mean square that least squares leave of each component, rad²; the unit of its variances.
     left: [f64; 2],
+    /// What these are multiplied by at the least, so that hardly less than the noise is claimed.
+    least: f64,
 }
 
 impl<'a> Rows<'a> {
@@ -166,47 +181,52 @@ impl<'a> Rows<'a> {
                 let bend = unit * whitened;
                 (values[0][(column, place)], values[1][(column, place)]) = (bend.x, bend.y);
             }
-            let covariance = problem.bend_covariance(k, &Noise { discrepancy_rad: 0.0, ..problem.noise });
-            noise.push((judged.turn * covariance * judged.turn.transpose()).diagonal());
+            noise.push(noise_variances(problem, &judged.turn, k));
         }
-        let mut rows = Self { judged, values, noise, left: [0.0; 2] };
+        let mut rows = Self { judged, values, noise, left: [0.0; 2], least: 0.0 };
         let step = rows.least_squares_step(precision)?;
-        rows.left = [0, 1].map(|component| {
-            let squares: f64 = (0..STRETCHES).map(|stretch| rows.squares(stretch, component, &step)).sum();
-            squares / rows.noise.len() as f64
-        });
+        for &c in &judged.components {
+            let squares: f64 = (0..STRETCHES).map(|stretch| rows.squares(stretch, c, &step)).sum();
+            let least = LEAST_VARIANCE * rows.mean_noise(c);
+            rows.left[c] = (squares / rows.noise.len() as f64).max(least);
+            rows.least = rows.least.max(least / rows.left[c]);
+        }
         (judged.rows.len() > p && rows.left.iter().all(|square| square.is_finite())).then_some(rows)
+    }
+
+    /// The mean variance of the noise of a component, rad².
+    fn mean_noise(&self, component: usize) -> f64 {
+        mean(self.noise.iter().map(|noise| noise[component]))
     }
 
     /// The step of the parameters that leaves least squares, whatever the noise.
     fn least_squares_step(&self, precision: &DVector<f64>) -> Option<DVector<f64>> {
         let mut all = Equations::zero(self.values[0].nrows());
         let unit = mean(self.noise.iter().map(|noise| noise.mean()));
-        self.values.iter().for_each(|values| all.products += values * values.transpose() / unit);
+        let values = self.judged.components.iter().map(|&c| &self.values[c]);
+        values.for_each(|values| all.products += values * values.transpose() / unit);
         let factor = (all.information() + DMatrix::from_diagonal(precision)).cholesky()?;
         Some(-factor.solve(&all.gradient()))
     }
 
-    /// The variance of a component that may be correlated beside a share of the noise, rad².
-    fn discrepancy(&self, component: usize, share: f64) -> f64 {
-        (self.left[component] - share * mean(self.noise.iter().map(|noise| noise[component]))).max(0.0)
-    }
-
-    /// The normal equations of each stretch under a discrepancy of this length beside a share of the noise, whitened by its Kalman filter.
+    /// The normal equations of each stretch, whitened by the Kalman filter of a discrepancy of this length beside a noise that has this share of
+    /// the variance.
     fn equations(&self, length: f64, share: f64) -> Vec<Equations> {
         let columns = self.values[0].nrows();
         let mut each = vec![Equations::zero(columns); STRETCHES];
-        for (component, values) in self.values.iter().enumerate() {
+        for &component in &self.judged.components {
+            let values = &self.values[component];
             let mut state = DVector::zeros(columns);
-            let discrepancy = self.discrepancy(component, share);
+            let discrepancy = (1.0 - share) * self.left[component];
+            let white = share * self.left[component] / self.mean_noise(component);
             let mut variance = discrepancy;
             let mut last = None;
             for (place, &(_, travel, stretch)) in self.judged.rows.iter().enumerate() {
-                let kept = if last == Some(stretch) && length > 0.0 { (-travel / length).exp() } else { 0.0 };
+                let kept = if last == Some(stretch) { (-travel / length).exp() } else { 0.0 };
                 last = Some(stretch);
                 state *= kept;
                 variance = kept * kept * variance + (1.0 - kept * kept) * discrepancy;
-                let noise = share * self.noise[place][component];
+                let noise = white * self.noise[place][component];
                 let expected = variance + noise;
                 let innovation = values.column(place) - &state;
                 state.axpy(variance / expected, &innovation, 1.0);
@@ -226,6 +246,12 @@ impl<'a> Rows<'a> {
         });
         left.sum()
     }
+}
+
+/// The variances of the noise alone of a sample's bend in a turned frame, rad².
+fn noise_variances(problem: &Problem, turn: &Matrix2<f64>, k: usize) -> Vector2<f64> {
+    let covariance = problem.bend_covariance(k, &Noise { discrepancy_rad: 0.0, ..problem.noise });
+    (turn * covariance * turn.transpose()).diagonal()
 }
 
 /// Normal equations of whitened rows, the residual as their last column.
@@ -276,14 +302,14 @@ struct Refit {
     information: DMatrix<f64>,
     factor: Cholesky<f64, Dyn>,
     step: DVector<f64>,
-    /// What the variances of noise and discrepancy are multiplied by.
+    /// What the variances are multiplied by.
     variance: f64,
     /// The logarithm of the likelihood of the rows that were seen.
     likelihood: f64,
 }
 
 impl Refit {
-    fn without(each: &[Equations], stretch: usize, precision: &DVector<f64>) -> Option<Self> {
+    fn without(each: &[Equations], stretch: usize, precision: &DVector<f64>, least: f64) -> Option<Self> {
         let mut rest = Equations::zero(each[0].products.nrows());
         each.iter().enumerate().filter(|(own, _)| *own != stretch).for_each(|(_, own)| rest += own);
         let p = rest.products.nrows() - 1;
@@ -292,7 +318,7 @@ impl Refit {
         let gradient = rest.gradient();
         let step = -factor.solve(&gradient);
         let squares = (rest.squares() + gradient.dot(&step)).max(0.0);
-        let variance = (squares / (rest.count - p as f64).max(1.0)).max(LEAST_VARIANCE);
+        let variance = (squares / (rest.count - p as f64).max(1.0)).max(least);
         let likelihood = -0.5 * (rest.count * variance.ln() + rest.log_variances + squares / variance);
         Some(Self { information, factor, step, variance, likelihood })
     }
@@ -328,12 +354,12 @@ mod tests {
         let mut random = StdRng::seed_from_u64(3);
         let mut matrix = || DMatrix::from_fn(3, 30, |_, _| random.sample::<f64, _>(StandardNormal));
         let noise = (0..30).map(|k| Vector2::new(0.1 + 0.01 * f64::from(k), 0.2)).collect();
-        Rows { judged, values: [matrix(), matrix()], noise, left: [0.9, 0.7] }
+        Rows { judged, values: [matrix(), matrix()], noise, left: [0.9, 0.7], least: 0.1 }
     }
 
     fn judged() -> Judged {
         let rows = (0..30).map(|k| (k, 0.05 + 0.02 * (k % 3) as f64, k / 5)).collect();
-        Judged { rows, half_range: 1.0, turn: Matrix2::identity() }
+        Judged { rows, half_range: 1.0, turn: Matrix2::identity(), components: vec![0, 1] }
     }
 
     /// The covariance of a stretch's rows under a discrepancy of this length, written out.
@@ -349,8 +375,9 @@ mod tests {
             .collect();
         DMatrix::from_fn(5, 5, |a, b| {
             let (a, b) = (5 * stretch + a, 5 * stretch + b);
-            let noise = if a == b { 0.5 * rows.noise[a][component] } else { 0.0 };
-            rows.discrepancy(component, 0.5) * (-(places[a] - places[b]).abs() / length).exp() + noise
+            let relative = rows.noise[a][component] / rows.noise.iter().map(|n| n[component]).sum::<f64>() * 30.0;
+            let noise = if a == b { 0.4 * relative } else { 0.0 };
+            rows.left[component] * (0.6 * (-(places[a] - places[b]).abs() / length).exp() + noise)
         })
     }
 
@@ -359,7 +386,7 @@ mod tests {
         let judged = judged();
         let rows = rows(&judged);
         let length = 0.3;
-        for (stretch, own) in rows.equations(length, 0.5).iter().enumerate() {
+        for (stretch, own) in rows.equations(length, 0.4).iter().enumerate() {
             let (mut products, mut log_determinant) = (DMatrix::zeros(3, 3), 0.0);
             for component in 0..2 {
                 let covariance = covariance(&rows, stretch, component, length);
@@ -376,12 +403,12 @@ mod tests {
     fn a_stretch_is_foretold_by_the_density_of_students_t_with_the_uncertainty_of_the_parameters() {
         let judged = judged();
         let rows = rows(&judged);
-        let each = rows.equations(0.0, 1.0);
+        let each = rows.equations(1.0, 1.0);
         let precision = DVector::repeat(2, 1e-4);
-        let refit = Refit::without(&each, 2, &precision).unwrap();
+        let refit = Refit::without(&each, 2, &precision, rows.least).unwrap();
         // Whitened rows of the stretch: without a correlation each by its own variance.
         let whitened = |component: usize, place: usize| {
-            let variance = rows.discrepancy(component, 1.0) + rows.noise[place][component];
+            let variance = rows.left[component] * rows.noise[place][component] / rows.mean_noise(component);
             rows.values[component].column(place) / variance.sqrt()
         };
         let columns: Vec<DVector<f64>> = (0..2)

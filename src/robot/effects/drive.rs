@@ -1,6 +1,6 @@
 //! The drive: backlash and friction on the side of the motors, and the gain of a command (see [`Drive`](crate::robot::drive::Drive)).
 
-use super::physics::{Changes, Confounded, FREQUENT, LINEAR, ParameterSpec, Physics, Poses, Role, Starts, USUAL};
+use super::physics::{Changes, Confounded, FREQUENT, LINEAR, OPEN, ParameterSpec, Physics, Poses, Role, Starts, USUAL};
 
 /// Half the width of a backlash, up to the whole travel of such robots.
 const HALF_GAP: ParameterSpec = ParameterSpec::positive("half_gap_mm", "mm", (0.0, 20.0), 0.05);
@@ -102,7 +102,7 @@ const GAIN: ParameterSpec = ParameterSpec {
 /// The command is in other units than the model's: every linear conversion of a laboratory's own is a gain. η is nearly another name of it, but
 /// stays above zero.
 pub(super) static COMMAND_GAIN: Physics = Physics {
-    log_prior: USUAL,
+    log_prior: OPEN,
     name: "command_gain",
     equation: "the lines bend by g u where the readings command u, g = 1 + gain_less_1",
     reading: "a gain between what is commanded and what the lines travel",

@@ -1,11 +1,11 @@
 //! The eye: where the camera's answer differs from the snake's bend.
 
-use super::physics::{Changes, FREQUENT, LINEAR, ParameterSpec, Physics, USUAL};
+use super::physics::{Changes, FREQUENT, LINEAR, ParameterSpec, Physics, OPEN};
 use nalgebra::Rotation2;
 
 /// The grid's or the camera's axis is turned about the snake's.
 pub(super) static PLANE_MISALIGNMENT: Physics = Physics {
-    log_prior: USUAL,
+    log_prior: OPEN,
     name: "plane_misalignment",
     equation: "measured δ = δ + a",
     reading: "a camera or grid that is turned about the snake's axis, so that every δ is off by the same angle",

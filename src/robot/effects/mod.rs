@@ -44,6 +44,9 @@ pub use physics::{Changes, Confounded, Instant, ParameterSpec, Phases, Physics, 
 pub use rig::RIG_ERROR;
 pub use variables::Variable;
 
+/// The name of a bend at rest.
+pub const REST_BEND: &str = "rest_bend";
+
 /// The name of the gain of a command, beside which η is told by what is known of it beforehand.
 pub const COMMAND_GAIN: &str = "command_gain";
 

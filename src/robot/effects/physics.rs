@@ -184,8 +184,7 @@ pub struct Physics {
     pub largest_size: Option<fn(&[f64]) -> f64>,
     /// What it must gain in Schwarz's criterion beyond the price of its parameters before it is believed.
     pub prior_penalty: f64,
-    /// The logarithm of how probable it is beforehand in any machine with cable or rod drives, beside that of no effect, where a discrepancy
-    /// beside it is expected.
+    /// The logarithm of the odds beforehand that any machine with cable or rod drives has it, where a discrepancy beside it is expected.
     pub log_prior: f64,
     /// Effects that are named in its place where the data do not decide: physics makes them likelier.
     pub yields_to: &'static [&'static str],
@@ -193,19 +192,24 @@ pub struct Physics {
     pub confounded_with: &'static [Confounded],
 }
 
-/// The logarithm of the prior of what every machine has: a play, a rest that is not quite straight, a frame that is turned.
+/// The logarithm of the prior odds of what no model of a machine knows exactly: a rest that is not quite straight, a gain, a frame that is turned.
 ///
-/// Convention: a prior is a choice; e⁻¹ says that data which do not speak leave it out.
+/// Convention: a prior is a choice; it is there as likely as not.
+pub(super) const OPEN: f64 = 0.0;
+
+/// That of a backlash.
+///
+/// Convention: as [`OPEN`]; e⁻¹.
 pub(super) const USUAL: f64 = -1.0;
 
 /// That of what many machines have: friction, a stiffness that is not constant, a load, slack.
 ///
-/// Convention: as [`USUAL`]; e⁻³.
+/// Convention: as [`OPEN`]; e⁻³.
 pub(super) const FREQUENT: f64 = -3.0;
 
 /// That of all else: drags, drifts, clocks, errors of single parts.
 ///
-/// Convention: as [`USUAL`]; e⁻⁶.
+/// Convention: as [`OPEN`]; e⁻⁶.
 pub(super) const UNUSUAL: f64 = -6.0;
 
 /// What most effects have in common: one form, a nearly linear fit that starts at zero, no history.
