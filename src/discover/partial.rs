@@ -88,6 +88,11 @@ const RESTARTS: usize = 2;
 /// Convention: 0.06 is 1° of 16°.
 const LEAST_GAP: f64 = 0.06;
 
+/// An answer takes at least this share of the gap beyond noise away, held out. What takes less is the trace of something else.
+///
+/// Convention: a ninth less of the rms.
+const LEAST_REMOVED: f64 = 0.2;
+
 /// A hysteresis in whose place another has this probability does not stand alone.
 ///
 /// Convention: the usual level of 5 %.
@@ -206,7 +211,8 @@ impl<'a> Search<'a> {
             best = self.under_its_own_discrepancy(better);
         }
         best = self.settled(best);
-        if !best.is_better_than(&bare) {
+        let removed = (bare.squares - best.squares) / (bare.squares - self.judged.noise_squares(&self.problem));
+        if !best.is_better_than(&bare) || removed < LEAST_REMOVED {
             return nothing;
         }
         let named = (self.given()..best.fit.model.effects.len()).map(|k| self.describe(&best, &bare, k)).collect();

@@ -28,8 +28,8 @@ const SPACING: f64 = 0.05;
 
 /// The lengths along which a discrepancy may be correlated, in halves of the range.
 ///
-/// Convention: from the [`SPACING`] to several times a whole log, each two to three times the one before.
-const LENGTHS: [f64; 7] = [0.05, 0.12, 0.3, 0.8, 2.0, 6.0, 25.0];
+/// Convention: from the [`SPACING`] to the whole range, each about twice the one before. What goes on for longer is a bend at rest, or a gain.
+const LENGTHS: [f64; 6] = [0.05, 0.1, 0.2, 0.45, 1.0, 2.0];
 
 /// The shares of the variance that may be independent from row to row; the rest is correlated.
 ///

@@ -1,6 +1,6 @@
 //! The eye: where the camera's answer differs from the snake's bend.
 
-use super::physics::{Changes, FREQUENT, LINEAR, ParameterSpec, Physics, OPEN};
+use super::physics::{Changes, FREQUENT, LINEAR, OPEN, ParameterSpec, Physics};
 use nalgebra::Rotation2;
 
 /// The grid's or the camera's axis is turned about the snake's.

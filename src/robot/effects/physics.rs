@@ -192,24 +192,29 @@ pub struct Physics {
     pub confounded_with: &'static [Confounded],
 }
 
-/// The logarithm of the prior odds of what no model of a machine knows exactly: a rest that is not quite straight, a gain, a frame that is turned.
+/// The logarithm of the prior odds of a bend at rest: no machine is quite straight.
 ///
-/// Convention: a prior is a choice; it is there as likely as not.
+/// Convention: a prior is a choice; e², so that data which hardly speak leave it in.
+pub(super) const EXPECTED: f64 = 2.0;
+
+/// That of a gain, and of a frame that is turned.
+///
+/// Convention: as [`EXPECTED`]; there as likely as not.
 pub(super) const OPEN: f64 = 0.0;
 
 /// That of a backlash.
 ///
-/// Convention: as [`OPEN`]; e⁻¹.
+/// Convention: as [`EXPECTED`]; e⁻¹.
 pub(super) const USUAL: f64 = -1.0;
 
 /// That of what many machines have: friction, a stiffness that is not constant, a load, slack.
 ///
-/// Convention: as [`OPEN`]; e⁻³.
+/// Convention: as [`EXPECTED`]; e⁻³.
 pub(super) const FREQUENT: f64 = -3.0;
 
 /// That of all else: drags, drifts, clocks, errors of single parts.
 ///
-/// Convention: as [`OPEN`]; e⁻⁶.
+/// Convention: as [`EXPECTED`]; e⁻⁶.
 pub(super) const UNUSUAL: f64 = -6.0;
 
 /// What most effects have in common: one form, a nearly linear fit that starts at zero, no history.

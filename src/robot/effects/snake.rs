@@ -1,7 +1,7 @@
 //! The snake itself: its geometry, its stiffness, what hangs on it.
 
 use super::actuator::summing_to_zero;
-use super::physics::{Changes, Confounded, FREQUENT, LINEAR, ParameterSpec, Physics, Poses, OPEN, per_backbone};
+use super::physics::{Changes, Confounded, EXPECTED, FREQUENT, LINEAR, ParameterSpec, Physics, Poses, per_backbone};
 use crate::robot::PerBackbone;
 use nalgebra::{Vector2, Vector3, Vector6};
 
@@ -70,7 +70,7 @@ const fn rest(name: &'static str) -> ParameterSpec {
 
 /// The snake is bent where its lines are at zero.
 pub(super) static REST_BEND: Physics = Physics {
-    log_prior: OPEN,
+    log_prior: EXPECTED,
     name: "rest_bend",
     equation: "q = Q (b − b_0), ∇E = ∇E(b − b_0)",
     reading: "a snake that is bent at rest",
