@@ -10,8 +10,8 @@ use super::verdict::doubt_of_times;
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::discover::{
-    Data, Discovery, FewSamples, LEAST_SAMPLES, Localisation, NextExperiment, ProposedLaw, Verdict as Found, discover_in_frames,
-    discover_telling, next_experiment, nothing_named, propose_law,
+    Data, Discovery, FewSamples, LEAST_SAMPLES, Localisation, NextExperiment, ProposedLaw, Verdict as Found,
+    discover_in_frames, discover_telling, next_experiment, nothing_named, propose_law,
 };
 use crate::estimate::gap::{Gap, gap};
 use crate::estimate::{Options, Verdict as GateVerdict, estimate};
@@ -116,7 +116,9 @@ impl Args {
             return Err(Failure::Usage(format!("--encoder-sd {}: expected more than 0, to 1 mm", self.encoder_sd)));
         }
         if let Some(poses) = self.poses.filter(|&poses| poses < LEAST_SAMPLES) {
-            return Err(Failure::Usage(format!("--poses {poses}: expected {LEAST_SAMPLES} or more, which a search needs")));
+            return Err(Failure::Usage(format!(
+                "--poses {poses}: expected {LEAST_SAMPLES} or more, which a search needs"
+            )));
         }
         let _out = self.claim()?;
         let inputs = self.inputs(console)?;

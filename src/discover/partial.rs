@@ -58,7 +58,8 @@ const GAP: f64 = 0.2;
 /// Convention: above what the tolerance of a fit moves it by; odds of 1.1 to 1.
 const LEAST_GAIN: f64 = 0.1;
 
-/// An effect stands where the structure with it is better than the one without with this probability.
+/// An effect stands where the structure with it is better than the one without with this probability; one that physics expects stands where
+/// that is likelier than not.
 ///
 /// Source: that a difference exceeds one of its standard errors; the rule of one standard error of Breiman et al. 1984, Classification and
 /// Regression Trees, 3.4.3.
@@ -127,7 +128,12 @@ impl Structure {
 
     /// Whether what it has beyond another is asked for.
     fn is_better_than(&self, other: &Self) -> bool {
-        self.preference(other) > CLEARLY
+        self.preference(other) > self.asked_beside(other)
+    }
+
+    /// The probability that is asked of what it has beyond another.
+    fn asked_beside(&self, other: &Self) -> f64 {
+        if self.weighed.log_prior > other.weighed.log_prior { 0.5 } else { CLEARLY }
     }
 
     /// The probability that it is better, of the two.
@@ -241,8 +247,9 @@ impl<'a> Search<'a> {
             let simpler = (self.given()..best.fit.model.effects.len()).map(|k| best.fit.model.without_effect(k));
             let simpler = simpler.map(|model| (model, best.fit.path.clone())).collect();
             let others = self.structures(simpler);
-            let least_missed = others.iter().min_by(|a, b| best.preference(a).total_cmp(&best.preference(b)));
-            if let Some(simpler) = least_missed.filter(|simpler| !best.is_better_than(simpler)) {
+            let excess = |simpler: &Structure| best.preference(simpler) - best.asked_beside(simpler);
+            let least_missed = others.iter().min_by(|a, b| excess(a).total_cmp(&excess(b)));
+            if let Some(simpler) = least_missed.filter(|simpler| excess(simpler) <= 0.0) {
                 best = self.under_its_own_discrepancy(simpler.clone());
                 continue;
             }
@@ -273,12 +280,7 @@ impl<'a> Search<'a> {
             }
         }
         let starts = chosen.into_iter().map(|hypothesis| (hypothesis.start, best.fit.path.clone())).collect();
-        let all = self.structures(starts);
-        if std::env::var("TRACE").is_ok() {
-            eprintln!("from {}", trace(best));
-            all.iter().for_each(|s| eprintln!("   {:6.1} {} {:?}", s.score() - best.score(), trace(s), [0, 1, 2, 3, 4, 5].map(|k| ((s.weighed.stretches[k] - best.weighed.stretches[k]) * 10.0).round() / 10.0)));
-        }
-        all.into_iter().max_by(|a, b| a.score().total_cmp(&b.score()))
+        self.structures(starts).into_iter().max_by(|a, b| a.score().total_cmp(&b.score()))
     }
 
     /// Every effect that the model lacks and that `admits`, at each of its starts. A model has one hysteresis at most: two of them describe one loop.
@@ -471,9 +473,4 @@ fn promises(fit: &Fit) -> f64 {
 fn bend_squares(problem: &Problem, fit: &Fit) -> f64 {
     let known = problem.noise.unknown_start..problem.data.len();
     known.map(|k| problem.bend_gap(&fit.residuals, k).norm_squared()).sum()
-}
-
-fn trace(s: &Structure) -> String {
-    let e: Vec<String> = s.fit.model.effects.iter().map(|e| format!("{}[{}]{:.3?}", e.physics.name, e.physics.form, e.values)).collect();
-    format!("{:.1} prior {:.1} cost {:.1} | {}", s.score() - s.weighed.log_prior, s.weighed.log_prior, s.fit.cost, e.join(" "))
 }

@@ -408,7 +408,10 @@ fn effect(found: &Discovery, named: &Named) -> Markup {
             format!("Gain in the information criterion ({:.1} is asked)", found.least_bic_gain),
             format!("{:.1}", evidence.bic_gain),
         ),
-        ("Share of the held-out gap beyond noise that it removes".to_owned(), format!("{:.1} %", 100.0 * named.removes)),
+        (
+            "Share of the held-out gap beyond noise that it removes".to_owned(),
+            format!("{:.1} %", 100.0 * named.removes),
+        ),
         ("Probability".to_owned(), format!("{} %", percent(named.probability()))),
     ]);
     if !named.indistinguishable_from.is_empty() {

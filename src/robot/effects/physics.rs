@@ -194,8 +194,8 @@ pub struct Physics {
 
 /// The logarithm of the prior odds of a bend at rest: no machine is quite straight.
 ///
-/// Convention: a prior is a choice; e², so that data which hardly speak leave it in.
-pub(super) const EXPECTED: f64 = 2.0;
+/// Convention: a prior is a choice; e¹.
+pub(super) const EXPECTED: f64 = 1.0;
 
 /// That of a gain, and of a frame that is turned.
 ///
