@@ -1,9 +1,10 @@
 //! One picture in memory, and how it is read from a file.
 
-use super::stack;
+use super::{Lens, stack};
 use crate::content;
 use crate::error::{Error, Result};
 use crate::input::{PICTURE_BYTES, read_bytes};
+use image::metadata::Orientation;
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use std::io::Cursor;
 use std::path::Path;
@@ -60,6 +61,38 @@ impl Sample for u16 {
         /// Convention: the scale of 8-bit pictures.
         const LEVEL: f32 = 257.0;
         f32::from(self) / LEVEL
+    }
+}
+
+impl Frame {
+    /// The frame as it is, or turned by a quarter as its mark asks if only that gives it the width and height of the camera file.
+    #[must_use]
+    pub fn turned_for(self, lens: &Lens, mark: impl FnOnce() -> Orientation) -> Self {
+        let is_turned = (self.width, self.height) == (lens.height, lens.width) && self.width != self.height;
+        match if is_turned { mark() } else { Orientation::NoTransforms } {
+            Orientation::Rotate90 => self.turned(true),
+            Orientation::Rotate270 => self.turned(false),
+            _ => self,
+        }
+    }
+
+    /// The frame turned by a quarter, clockwise or the other way.
+    fn turned(self, clockwise: bool) -> Self {
+        let (width, height) = (self.height, self.width);
+        let from = |k: usize| {
+            let (x, y) = (k % width as usize, k / width as usize);
+            let (x, y) = if clockwise { (y, self.height as usize - 1 - x) } else { (self.width as usize - 1 - y, x) };
+            (y * self.width as usize + x) * self.channels
+        };
+        fn moved<T: Copy>(samples: &[T], pixels: usize, channels: usize, from: impl Fn(usize) -> usize) -> Vec<T> {
+            (0..pixels).flat_map(|k| &samples[from(k)..][..channels]).copied().collect()
+        }
+        let pixels = width as usize * height as usize;
+        let samples = match &self.samples {
+            Samples::Bits8(samples) => Samples::Bits8(moved(samples, pixels, self.channels, from)),
+            Samples::Bits16(samples) => Samples::Bits16(moved(samples, pixels, self.channels, from)),
+        };
+        Self { width, height, channels: self.channels, samples }
     }
 }
 
@@ -140,7 +173,7 @@ fn without_alpha<T: Copy>(samples: &[T], channels: usize) -> Vec<T> {
 /// Reads a picture: PNG, JPEG, TIFF or BMP (told by content, not by name), 8 or 16 bits, grey or colour.
 ///
 /// The pixels are taken as they are stored; an orientation mark (EXIF) is not obeyed, because the camera file knows the
-/// sensor's own rows and columns. What follows the end of a JPEG picture, such as a phone's clip, is no part of it.
+/// sensor's own rows and columns; see [`read_frame_for`]. What follows the end of a JPEG picture, such as a phone's clip, is no part of it.
 ///
 /// # Errors
 /// What is no file (a pipe is not waited at), cannot be read, is none of these formats, is damaged or cut short, has more than 100
@@ -159,10 +192,27 @@ pub fn picture_size(path: &Path) -> Option<(u32, u32)> {
     reader.with_guessed_format().ok()?.into_dimensions().ok()
 }
 
-/// Whether a picture file asks to be turned (EXIF), which is not done.
-pub fn has_rotation_mark(path: &Path) -> bool {
+/// A picture as a camera file knows it: as it is stored, or turned as its mark (EXIF) asks if only that gives it the camera's width and height.
+///
+/// # Errors
+/// Those of [`read_frame`].
+pub fn read_frame_for(path: &Path, lens: &Lens) -> Result<Frame> {
+    Ok(read_frame(path)?.turned_for(lens, || rotation_mark(path)))
+}
+
+/// Width and height, px, that [`read_frame_for`] gives a picture file, without decoding it; `None` where its header tells none.
+pub fn picture_size_for(path: &Path, lens: &Lens) -> Option<(u32, u32)> {
+    let (width, height) = picture_size(path)?;
+    let is_turned = (width, height) == (lens.height, lens.width)
+        && matches!(rotation_mark(path), Orientation::Rotate90 | Orientation::Rotate270);
+    Some(if is_turned { (height, width) } else { (width, height) })
+}
+
+/// How a picture file asks to be turned (EXIF).
+pub fn rotation_mark(path: &Path) -> Orientation {
     let open = || ImageReader::open(path).ok()?.with_guessed_format().ok()?.into_decoder().ok()?.orientation().ok();
-    path.is_file() && open().is_some_and(|orientation| orientation != image::metadata::Orientation::NoTransforms)
+    let found = if path.is_file() { open() } else { None };
+    found.unwrap_or(Orientation::NoTransforms)
 }
 
 /// A picture from the bytes of its file; see [`read_frame`].
@@ -281,6 +331,19 @@ fn jpeg_end(bytes: &[u8]) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_frame_is_turned_as_its_mark_asks_only_if_the_camera_file_is_of_the_turned_size() {
+        let stored = Frame { width: 2, height: 3, channels: 1, samples: Samples::Bits8(vec![1, 2, 3, 4, 5, 6]) };
+        let lens = |width, height| Lens { width, height, ..crate::simulate::scene::Scene::default().lens };
+        let turned = |mark| stored.clone().turned_for(&lens(3, 2), || mark);
+        assert_eq!(turned(Orientation::Rotate90).samples, Samples::Bits8(vec![5, 3, 1, 6, 4, 2]));
+        assert_eq!(turned(Orientation::Rotate270).samples, Samples::Bits8(vec![2, 4, 6, 1, 3, 5]));
+        assert_eq!((turned(Orientation::Rotate90).width, turned(Orientation::Rotate90).height), (3, 2));
+        assert_eq!(turned(Orientation::NoTransforms), stored);
+        assert_eq!(stored.clone().turned_for(&lens(2, 3), || Orientation::Rotate90), stored);
+    }
+
     use image::{GrayAlphaImage, GrayImage, ImageBuffer, Luma, Rgb, RgbImage, RgbaImage};
 
     fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {

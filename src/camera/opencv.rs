@@ -14,8 +14,8 @@ use opencv::imgproc::corner_sub_pix;
 use opencv::videoio::{
     CAP_ANY, CAP_FFMPEG, CAP_PROP_AUTO_EXPOSURE, CAP_PROP_AUTOFOCUS, CAP_PROP_BUFFERSIZE, CAP_PROP_EXPOSURE,
     CAP_PROP_FOCUS, CAP_PROP_FOURCC, CAP_PROP_FPS, CAP_PROP_FRAME_COUNT, CAP_PROP_FRAME_HEIGHT, CAP_PROP_FRAME_WIDTH,
-    CAP_PROP_OPEN_TIMEOUT_MSEC, CAP_PROP_ORIENTATION_AUTO, CAP_PROP_ORIENTATION_META, CAP_PROP_POS_MSEC,
-    CAP_PROP_READ_TIMEOUT_MSEC, VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst,
+    CAP_PROP_OPEN_TIMEOUT_MSEC, CAP_PROP_ORIENTATION_AUTO, CAP_PROP_POS_MSEC, CAP_PROP_READ_TIMEOUT_MSEC, VideoCapture,
+    VideoCaptureTrait, VideoCaptureTraitConst,
 };
 use std::path::Path;
 
@@ -41,11 +41,6 @@ impl Video {
         // differently. A backend that knows no such mark refuses, and turns nothing.
         let _ = capture.set(CAP_PROP_ORIENTATION_AUTO, 0.0);
         Ok(Self { capture, position: 0 })
-    }
-
-    /// By how much the file says that its frames are to be turned to be upright, degrees; they are not.
-    pub fn rotation_mark_deg(&self) -> f64 {
-        self.capture.get(CAP_PROP_ORIENTATION_META).unwrap_or(0.0)
     }
 
     /// How many frames the file says that it has.

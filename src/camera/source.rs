@@ -1,13 +1,15 @@
 //! Where frames come from: picture files told by a glob or a numbered pattern, the pages of a TIFF stack, a video file, or a recording. What a
 //! file is its content says, not its name.
 
-use super::frame::{Frame, has_rotation_mark, picture_size, read_frame};
+use super::frame::{Frame, picture_size, read_frame, rotation_mark};
+use super::lens::Lens;
 use super::message::Picture;
 use super::opencv::Video;
-use super::{stack, stamps};
+use super::{stack, stamps, video_mark};
 use crate::bag::{Message, Topic};
 use crate::content;
 use crate::error::{Error, Result};
+use image::metadata::Orientation;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -61,8 +63,8 @@ enum Content {
     File,
     /// A page of a stack, not read yet.
     Page(u64),
-    /// A video's frame; videos decode in order.
-    Decoded(Frame),
+    /// A video's frame, and how the video asks to turn it; videos decode in order.
+    Decoded(Frame, Orientation),
     /// A recording's message, not decoded yet.
     Message(Box<Message>),
     /// What a recording has from here on cannot be read, for this reason.
@@ -74,17 +76,30 @@ impl SourceFrame {
     pub fn size(&self) -> Option<(u32, u32)> {
         match &self.content {
             Content::File => picture_size(&self.path),
-            Content::Decoded(frame) => Some((frame.width, frame.height)),
+            Content::Decoded(frame, _) => Some((frame.width, frame.height)),
             Content::Page(_) | Content::Message(_) | Content::Broken(_) => None,
         }
     }
 
-    /// The picture, read and decoded now if it is a file; see [`read_frame`] for the errors.
+    /// The picture as a camera file knows it: as it is stored, or turned by a quarter as its mark asks if only that gives it the camera's
+    /// width and height; see [`read_frame`] for the errors.
+    pub fn read_for(self, lens: &Lens) -> Result<Frame> {
+        let (path, of_video) = (
+            self.path.clone(),
+            match &self.content {
+                Content::Decoded(_, mark) => Some(*mark),
+                _ => None,
+            },
+        );
+        Ok(self.read()?.turned_for(lens, || of_video.unwrap_or_else(|| rotation_mark(&path))))
+    }
+
+    /// The picture as it is stored, read and decoded now if it is a file; see [`read_frame`] for the errors.
     pub fn read(self) -> Result<Frame> {
         match self.content {
             Content::File => read_frame(&self.path),
             Content::Page(page) => stack::read_page(&self.path, page),
-            Content::Decoded(frame) => Ok(frame),
+            Content::Decoded(frame, _) => Ok(frame),
             Content::Message(message) => Ok(message.decoded::<Picture>()?.frame),
             Content::Broken(why) => Err(Error::content(&self.path, format!("{why}; the frames from here on are lost"))),
         }
@@ -175,19 +190,28 @@ impl FrameSource {
         }
     }
 
-    /// What a person should know of how the frames are taken, in a sentence: a mark that asks to turn them, which is not obeyed.
+    /// What a person should know of how the frames are taken, in a sentence: a mark that asks to turn them.
     ///
     /// # Errors
     /// A video that cannot be opened any more.
-    pub fn remark(&self) -> Result<Option<String>> {
-        let turned = match self {
-            Self::Pictures(files) => files.first().is_some_and(|file| has_rotation_mark(&file.path)),
-            Self::Video(path) => Video::open(path)?.rotation_mark_deg() != 0.0,
-            Self::Stack(..) | Self::Topic(_) => false,
+    pub fn remark(&self, lens: &Lens) -> Result<Option<String>> {
+        let mark = match self {
+            Self::Pictures(files) => files.first().map_or(Orientation::NoTransforms, |file| rotation_mark(&file.path)),
+            Self::Video(path) => video_mark::of(path),
+            Self::Stack(..) | Self::Topic(_) => Orientation::NoTransforms,
         };
-        let text = "the frames carry a mark that asks to turn them; they are taken as they are stored, as the camera file and the straight \
-                    picture must be";
-        Ok(turned.then(|| text.to_owned()))
+        if mark == Orientation::NoTransforms {
+            return Ok(None);
+        }
+        let first = self.frames()?.next().and_then(|frame| frame.size());
+        let is_turned = first == Some((lens.height, lens.width)) && lens.width != lens.height;
+        let text = if is_turned {
+            "the frames carry a mark that asks to turn them; they are turned so, since only that gives them the size of the camera file"
+        } else {
+            "the frames carry a mark that asks to turn them; they are taken as they are stored, as the camera file and the straight picture \
+             must be"
+        };
+        Ok(Some(text.to_owned()))
     }
 
     /// The frames in order of their index. Picture files can be read in parallel; a video is decoded by the iterator.
@@ -208,12 +232,15 @@ impl FrameSource {
                 path: path.clone(),
                 content: Content::Page(page),
             })),
-            Self::Video(path) => Box::new((0..).zip(Video::open(path)?).map(|(index, (time_s, frame))| SourceFrame {
-                index,
-                time_s,
-                path: path.clone(),
-                content: Content::Decoded(frame),
-            })),
+            Self::Video(path) => {
+                let mark = video_mark::of(path);
+                Box::new((0..).zip(Video::open(path)?).map(move |(index, (time_s, frame))| SourceFrame {
+                    index,
+                    time_s,
+                    path: path.clone(),
+                    content: Content::Decoded(frame, mark),
+                }))
+            }
             Self::Topic(topic) => Box::new((0..).zip(topic.messages()?).map(|(index, message)| {
                 let path = topic.bag.path().to_owned();
                 match message {
@@ -265,7 +292,15 @@ fn globbed(folder: &Path, pattern: &str) -> Result<Vec<PathBuf>> {
     let full = if Path::new(pattern).is_absolute() {
         pattern.to_owned()
     } else {
-        format!("{}/{pattern}", glob::Pattern::escape(&folder.to_string_lossy()))
+        let not_text = || {
+            Error::content(
+                folder,
+                format!(
+                    "the folder's name is not UTF-8, so that no pattern can be matched in it: rename it, or write frames/%05d.png for `{pattern}`"
+                ),
+            )
+        };
+        format!("{}/{pattern}", glob::Pattern::escape(folder.to_str().ok_or_else(not_text)?))
     };
     let wrong = |e: glob::PatternError| Error::content(folder, format!("frames = \"{pattern}\": {}", e.msg));
     let options = glob::MatchOptions { require_literal_leading_dot: true, ..glob::MatchOptions::new() };

@@ -15,10 +15,6 @@ impl Video {
         Err(Error::NoOpenCv { what: format!("{}: reading a video", path.display()) })
     }
 
-    pub fn rotation_mark_deg(&self) -> f64 {
-        match *self {}
-    }
-
     pub fn frame_count(&self) -> Option<usize> {
         match *self {}
     }

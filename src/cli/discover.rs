@@ -22,7 +22,7 @@ use crate::record::{
 };
 use crate::report::discovery::{Page, few_samples_lines, few_samples_page, lines};
 use crate::report::verdict::verdict_page;
-use crate::robot::Model;
+use crate::robot::{DataRange, Model};
 use crate::verdict::{Reason, Subject, Verdict};
 use crate::{Error, Result};
 use serde_json::Value;
@@ -95,6 +95,18 @@ impl Inputs {
         let Ok(doubt) = doubt_of_times(rows, &readings, experiment);
         Self { model, measurements, readings, doubt }
     }
+
+    /// A model that was learned on these measurements: with the range of bends that they and their readings show.
+    fn with_range(&self, model: &Model) -> Model {
+        let mut range = DataRange::default();
+        let has_reading = |index: u64| self.readings.binary_search_by_key(&index, |reading| reading.index).is_ok();
+        for measurement in self.measurements.iter().filter(|measurement| has_reading(measurement.index)) {
+            if let Some(measured) = &measurement.measured {
+                range.add(measured.configuration, measured.sigma_delta);
+            }
+        }
+        Model { learned: Some(range), ..model.clone() }
+    }
 }
 
 /// What came of the search.
@@ -161,14 +173,14 @@ impl Args {
             next: if self.next { self.propose(&found, &data)? } else { None },
             found,
         };
-        let json = self.write_answer(&answer, &data)?;
+        let json = self.write_answer(&answer, inputs, &data)?;
         console.warn(&answer.found.remarks);
         console.result(&json, || self.in_words(&answer, inputs));
         Ok(())
     }
 
     /// Writes the files of a search, and gives discrepancy.json.
-    fn write_answer(&self, answer: &Answer, data: &Data) -> Result<Value> {
+    fn write_answer(&self, answer: &Answer, inputs: &Inputs, data: &Data) -> Result<Value> {
         let Answer { found, correction, localised, outliers, next } = answer;
         let mut json = found.json();
         json["outliers"] = outliers.iter().map(|measurement| measurement.index).collect::<Vec<_>>().into();
@@ -181,7 +193,7 @@ impl Args {
         }
         let corrected = correction.as_ref().and_then(|correction| correction.model.as_ref());
         let page = Page { found, data, gap: localised.as_ref(), correction: correction.as_ref(), next: next.as_ref() };
-        self.write_all(&json, corrected.unwrap_or(&found.model), &page.html())?;
+        self.write_all(&json, &inputs.with_range(corrected.unwrap_or(&found.model)), &page.html())?;
         Ok(json)
     }
 
@@ -202,7 +214,7 @@ impl Args {
             return Ok(self.name_nothing(console, inputs, mistake, &found.remarks)?);
         }
         let json = found.json();
-        self.write_all(&json, &found.model, &few_samples_page(&found))?;
+        self.write_all(&json, &inputs.with_range(&found.model), &few_samples_page(&found))?;
         console.warn(&found.remarks);
         console.result(&json, || few_samples_lines(&found));
         Ok(())
@@ -225,7 +237,7 @@ impl Args {
         let Inputs { model, measurements, readings, .. } = inputs;
         let verdict = Verdict::of(vec![mistake]);
         let json = nothing_named(&gap(model, measurements, readings), &verdict, remarks);
-        self.write_all(&json, model, &verdict_page("snakeloop: discover", &verdict))?;
+        self.write_all(&json, &inputs.with_range(model), &verdict_page("snakeloop: discover", &verdict))?;
         console.warn(remarks);
         console.result(&json, || {
             format!("unexplained: no physics is named of these data\n{}", verdict.lines().join("\n"))

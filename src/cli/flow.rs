@@ -176,7 +176,7 @@ impl Flow<'_> {
             Ready::Unread(source) if is_far_too_large(&source, view.eye().lens()) => {
                 (None, without_angles(Status::WrongSize))
             }
-            Ready::Unread(source) => match clocks.reading.time(|| read(source, unreadable))? {
+            Ready::Unread(source) => match clocks.reading.time(|| read(source, view.eye().lens(), unreadable))? {
                 Some(frame) => measure(view.eye(), frame),
                 None => (None, without_angles(Status::Unreadable)),
             },
@@ -237,7 +237,7 @@ fn without_angles(status: Status) -> FrameMeasurement {
 
 /// Finds the camera in a view's next frame, from where it was in the last one in which it was found.
 fn followed(eye: &mut Eye, source: SourceFrame, (clocks, unreadable): (&Clocks, &Unreadable)) -> Result<Ready> {
-    let Some(frame) = clocks.reading.time(|| read(source, unreadable))? else {
+    let Some(frame) = clocks.reading.time(|| read(source, eye.lens(), unreadable))? else {
         return Ok(Ready::Lost(Status::Unreadable, None));
     };
     Ok(match clocks.measuring.time(|| eye.following(&frame)) {
@@ -262,12 +262,12 @@ fn is_far_too_large(source: &SourceFrame, lens: &Lens) -> bool {
 ///
 /// # Errors
 /// The folder that it was in is gone: then all frames to come would be lost with it.
-fn read(source: SourceFrame, unreadable: &Unreadable) -> Result<Option<Frame>> {
+fn read(source: SourceFrame, lens: &Lens, unreadable: &Unreadable) -> Result<Option<Frame>> {
     let folder = match source.path.parent() {
         Some(parent) if parent != Path::new("") => parent.to_owned(),
         _ => Path::new(".").to_owned(),
     };
-    match source.read() {
+    match source.read_for(lens) {
         Ok(frame) => Ok(Some(frame)),
         Err(why) => {
             if matches!(why, Error::Io { .. }) {

@@ -1,16 +1,17 @@
 //! Reading what several commands are told, with warnings shown.
 
 use super::console::Console;
+use crate::camera::FrameSource;
 use crate::cli::failure::Failure;
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, EncoderLog, Experiment, Matched, do_not_use_mark, read_encoders, read_joints, read_log, read_measurements,
-    read_model, stale_mark,
+    Checked, EncoderLog, Experiment, Matched, do_not_use_mark, read_encoders, read_encoders_kept, read_joints,
+    read_log, read_measurements, read_model, stale_mark,
 };
 use crate::robot::{Effect, ForceLimits, Model};
 use crate::{Error, Result};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// File name extensions, in lower case, of the pictures that are read.
@@ -45,8 +46,7 @@ impl WorthArgs {
     pub fn model(self, console: &Console, path: Option<&Path>) -> Result<(Model, Option<String>), Failure> {
         let model = model_or_paper(console, path)?;
         let Some(path) = path else { return Ok((model, None)) };
-        let implausible = model.estimate.and_then(|estimate| estimate.implausible());
-        let Some(why) = do_not_use_mark(path).or(implausible) else { return Ok((model, None)) };
+        let Some(why) = must_not_be_used(path, &model) else { return Ok((model, None)) };
         let named = format!("{}: this model must not be used: {why}", path.display());
         if !self.even_if_bad {
             return Err(Failure::BadModel(named));
@@ -54,6 +54,11 @@ impl WorthArgs {
         console.warn([named]);
         Ok((model, Some(why)))
     }
+}
+
+/// Why the model in a file must not be used, if that is so: by its verdict, or since no robot has such parameters.
+fn must_not_be_used(path: &Path, model: &Model) -> Option<String> {
+    do_not_use_mark(path).or_else(|| model.estimate.and_then(|estimate| estimate.implausible()))
 }
 
 /// The limits that --force-limits gives: pull and push, N.
@@ -126,9 +131,27 @@ pub fn measurements_and_readings(
     Ok((measurements, readings))
 }
 
+/// The model in a file, to start from.
+///
+/// # Errors
+/// A file that cannot be read, or a model that must not be used: what is learned from there on would be worth no more.
+pub fn model_that_may_be_used(path: &Path) -> Result<Model> {
+    let model = read_model(path)?;
+    match must_not_be_used(path, &model) {
+        None => Ok(model),
+        Some(why) => {
+            let remedy = "take `model` (or --model) out to learn from the start, or name one that can be used";
+            Err(Error::content(path, format!("this model must not be used: {why}; {remedy}")))
+        }
+    }
+}
+
 /// An experiment's model: its `model`, with the constants of its `robot` where that is given; the paper's without.
+///
+/// # Errors
+/// A file that cannot be read, or a model that must not be used: what is learned from there on would be worth no more.
 pub fn model_of(experiment: &Experiment) -> Result<Model> {
-    let mut model = experiment.model.as_deref().map_or_else(|| Ok(Model::default()), read_model)?;
+    let mut model = experiment.model.as_deref().map_or_else(|| Ok(Model::default()), model_that_may_be_used)?;
     if let Some(path) = &experiment.robot {
         let Model { robot, friction, .. } = read_model(path)?;
         model.robot = robot;
@@ -160,10 +183,20 @@ pub fn encoders_of(experiment: &Experiment, model: &Model) -> Result<Checked<Enc
         Some(EncoderLog::File(path)) => {
             let Checked { rows, warnings } = match &experiment.log {
                 Some(keys) => read_log(path, backbones, keys, || experiment.stamps_s())?,
-                None => read_encoders(path, backbones)?,
+                None => readings_near_frames(path, backbones, experiment)?,
             };
             require_neighbours(path, model, &rows)?;
-            Ok(Checked { rows: wiring.readings(&rows), warnings })
+            let wired = wiring.readings(&rows);
+            match rows.len() {
+                all if all > 0 && wired.is_empty() => {
+                    let shift = wiring.index_shift;
+                    let message = format!(
+                        "index_shift = {shift} under [wiring] leaves none of the log's {all} rows; it is the number of rows by which the log is ahead"
+                    );
+                    Err(Error::content(&experiment.path, message))
+                }
+                _ => Ok(Checked { rows: wired, warnings }),
+            }
         }
         Some(EncoderLog::Joints(joints)) => {
             let Matched { readings, warnings } = read_joints(joints, &experiment.stamps_s()?, backbones)?;
@@ -172,6 +205,35 @@ pub fn encoders_of(experiment: &Experiment, model: &Model) -> Result<Checked<Enc
         }
         None => Ok(Checked { rows: Vec::new(), warnings: Vec::new() }),
     }
+}
+
+/// A log above this size is not kept whole, bytes. Convention: a resource limit, about a million rows.
+const LARGE_LOG_BYTES: u64 = 32 << 20;
+/// How far from a frame's index rows of a large log are kept. Derived: a multiple of the few rows that the check of the wiring looks at.
+const KEPT_AROUND: u64 = 64;
+
+/// The readings in an experiment's log; of a large one those near its frames, so that memory does not grow with the rest.
+fn readings_near_frames(path: &Path, backbones: usize, experiment: &Experiment) -> Result<Checked<EncoderReading>> {
+    let is_large = std::fs::metadata(path).is_ok_and(|file| file.len() > LARGE_LOG_BYTES);
+    match is_large.then(|| frame_indices(experiment)).flatten() {
+        None => read_encoders(path, backbones),
+        Some(indices) => read_encoders_kept(path, backbones, |index| {
+            let (from, to) = (index.saturating_sub(KEPT_AROUND), index.saturating_add(KEPT_AROUND));
+            indices.range(from..=to).next().is_some()
+        }),
+    }
+}
+
+/// The indices of an experiment's frames; `None` where only reading them would tell, or where poses of trackers have indices of their own.
+fn frame_indices(experiment: &Experiment) -> Option<BTreeSet<u64>> {
+    let mut indices = BTreeSet::new();
+    for view in &experiment.views {
+        match view.open_frames(experiment.folder()).ok()? {
+            FrameSource::Pictures(files) => indices.extend(files.iter().map(|file| file.index)),
+            source => indices.extend(0..source.count().ok()?? as u64),
+        }
+    }
+    (experiment.trackers.is_empty() && !indices.is_empty()).then_some(indices)
 }
 
 /// The extension that most pictures of a folder have, as it is written there, and how many have it.

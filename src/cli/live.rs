@@ -2,7 +2,7 @@
 
 use super::console::Console;
 use super::estimator::EstimatorArgs;
-use super::inputs::{encoders_of, files_read, maker, model_of, rows};
+use super::inputs::{encoders_of, files_read, maker, model_of, model_that_may_be_used, rows};
 use super::verdict::{VerdictArgs, verdict_text};
 use super::views::rig_of;
 use crate::camera::{CaptureSettings, CaptureTarget, FourCc, FrameSource};
@@ -13,7 +13,7 @@ use crate::live::{
     Setup, SharedState, Source, State, StemStatus, View, tui,
 };
 use crate::measure::{Eye, Rig, RigOptions};
-use crate::record::{self, Experiment, OutputFolder, RigSource, read_model};
+use crate::record::{self, Experiment, OutputFolder, RigSource};
 use crate::robot::Robot;
 use crate::verdict::Verdict;
 use crate::{Error, Result};
@@ -245,7 +245,7 @@ impl Args {
         let view = self.chosen_view(experiment)?;
         let mut model = model_of(experiment)?;
         if let Some(path) = &self.model {
-            model = read_model(path)?;
+            model = model_that_may_be_used(path)?;
         }
         if model.neighbours() > 0 {
             return Err(Failure::Usage(

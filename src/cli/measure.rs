@@ -77,7 +77,7 @@ impl Args {
         let mut explained = Vec::new();
         for view in views {
             for source in view.source().frames()?.filter(|frame| frame.index == index) {
-                explained.push(self.explain_one(view, index, &source.read()?)?);
+                explained.push(self.explain_one(view, index, &source.read_for(view.eye().lens())?)?);
             }
         }
         if explained.is_empty() {

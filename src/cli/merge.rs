@@ -9,6 +9,7 @@ use super::measuring::Summary;
 use super::origin::{Done, Origin, SHARD};
 use super::run::{Inputs, OUTPUTS, finish};
 use super::verdict::VerdictArgs;
+use super::views::reasons_of_sheets_again;
 use crate::cli::failure::Failure;
 use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::record::{
@@ -60,7 +61,8 @@ impl Args {
         };
         self.copy_overlays()?;
         let inputs = Inputs::read(console, &experiment)?;
-        let summary = finish(&experiment, &inputs, settings, &self.output, None)?;
+        let sheets = reasons_of_sheets_again(&experiment, inputs.robot(), &self.output);
+        let summary = finish(&experiment, &inputs, sheets, settings, &self.output, None)?;
         console.result(&summary, || summary.text());
         summary.require_table(&experiment)?;
         self.verdict.check(&summary.verdict)

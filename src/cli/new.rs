@@ -74,7 +74,7 @@ impl Args {
         let mut written = Vec::new();
         let files = [
             ("robot.toml", answers.robot_toml()),
-            ("README.md", readme(&found)),
+            ("README.md", answers.readme(&found)),
             ("experiment.toml", answers.experiment_toml(&found)),
         ];
         for (name, text) in files {
@@ -194,7 +194,7 @@ const NO_LOG: &str = r#"# Which columns of the log mean what, where its header i
 # index = "frame"             # without it rows are matched to frames by time
 # time = "timestamp_ms"
 # time_unit = "ms"            # s, ms, us, ns
-# q = ["m1", "m2", "m3"]      # a column for each backbone
+# q = Q_NAMES      # a column for each backbone
 # unit = "mm"                 # mm, m, um, inch; deg or rad with drum_radius_mm; counts with counts_per_unit
 "#;
 
@@ -205,20 +205,25 @@ const LOG_SEEN: &str = "# Which columns of the log mean what, as its header look
 impl Answers {
     fn experiment_toml(&self, found: &Found) -> String {
         let Found { camera, straight, frames, encoders, log } = found;
-        let log = log.as_ref().map_or_else(|| NO_LOG.to_owned(), |log| format!("{LOG_SEEN}{}", log.toml()));
+        let (columns, numbers) = (self.columns(), self.each(|k| k.to_string()));
+        let (signs, names) = (self.each(|_| "1".to_owned()), self.each(|k| format!("\"m{k}\"")));
+        let log = log.as_ref().map_or_else(
+            || NO_LOG.replace("Q_NAMES", &format!("[{names}]")),
+            |log| format!("{LOG_SEEN}{}", log.toml()),
+        );
         let (pitch, standoff) = (self.grid_pitch_mm, self.standoff_mm);
         format!(
             r#"# One experiment. Paths are relative to this file; `snakeloop check` says what is missing or does not fit.
 
 robot = "robot.toml"          # the robot's constants
 # model = "model.toml"        # what an earlier run learned of it, to start from
-encoders = "{encoders}"     # index,time_s,q1_mm,q2_mm,q3_mm: what the encoders read at each frame
+encoders = "{encoders}"     # {columns}: what the encoders read at each frame
 
 {log}
 # How the log's columns hold the backbones, where that is not as they are named; `check` and `run` say what to write.
 # [wiring]
-# columns = [1, 2, 3]         # backbone i is in column columns[i]
-# signs = [1, 1, 1]           # -1 where an encoder counts the other way
+# columns = [{numbers}]         # backbone i is in column columns[i]
+# signs = [{signs}]           # -1 where an encoder counts the other way
 # scale = 1.0                 # mm for one unit of the log
 # index_shift = 0             # frame k's reading stands in row k + index_shift
 
@@ -240,6 +245,36 @@ standoff_mm = {standoff:?}            # from the snake's axis back to the grid t
         )
     }
 
+    /// Something of each backbone, counted from 1, side by side.
+    fn each(&self, of: impl Fn(u8) -> String) -> String {
+        (1..=self.backbones).map(of).collect::<Vec<_>>().join(", ")
+    }
+
+    /// The header of the encoder log.
+    fn columns(&self) -> String {
+        let backbones = (1..=self.backbones).map(|k| format!(",q{k}_mm"));
+        std::iter::once("index,time_s".to_owned()).chain(backbones).collect()
+    }
+
+    /// The README of the folder.
+    fn readme(&self, found: &Found) -> String {
+        let columns = self.columns();
+        let Found { camera, straight, frames, encoders, .. } = found;
+        format!(
+            "# An experiment for snakeloop\n\n\
+             | file | what it is |\n| --- | --- |\n\
+             | experiment.toml | which files belong to the experiment; each key has a comment |\n\
+             | robot.toml | the robot's constants: correct what is not as in the paper |\n\
+             | {camera} | the lens: `snakeloop print chessboard`, take pictures of it, `snakeloop calibrate camera boards/*.jpg --corners 9x6 -o {camera}` |\n\
+             | {straight} | the unbent snake before the grid target (`snakeloop print grid`) |\n\
+             | {frames} | a picture at each pose; the number in the name is the frame's index |\n\
+             | {encoders} | one row a frame: `{columns}`, a column for each backbone, mm |\n\n\
+             Then, from the folder above:\n\n\
+             ```sh\nsnakeloop check THIS_FOLDER            # seconds: what is missing, does not fit, or will be learned\n\
+             snakeloop run THIS_FOLDER -o out       # θ and δ of every frame, η and λ, what to command, out/report.html\n```\n"
+        )
+    }
+
     /// The paper's robot.toml with these figures.
     fn robot_toml(&self) -> String {
         let line = |line: &str| {
@@ -258,23 +293,6 @@ standoff_mm = {standoff:?}            # from the snake's axis back to the grid t
         let keys = ROBOT.lines().skip_while(|line| line.starts_with('#')).map(line);
         keys.fold(head.to_owned(), |text, line| text + &line + "\n")
     }
-}
-
-fn readme(found: &Found) -> String {
-    let Found { camera, straight, frames, encoders, .. } = found;
-    format!(
-        "# An experiment for snakeloop\n\n\
-         | file | what it is |\n| --- | --- |\n\
-         | experiment.toml | which files belong to the experiment; each key has a comment |\n\
-         | robot.toml | the robot's constants: correct what is not as in the paper |\n\
-         | {camera} | the lens: `snakeloop print chessboard`, take pictures of it, `snakeloop calibrate camera boards/*.jpg --corners 9x6 -o {camera}` |\n\
-         | {straight} | the unbent snake before the grid target (`snakeloop print grid`) |\n\
-         | {frames} | a picture at each pose; the number in the name is the frame's index |\n\
-         | {encoders} | one row a frame: `index,time_s,q1_mm,q2_mm,q3_mm`, a column for each backbone, mm |\n\n\
-         Then, from the folder above:\n\n\
-         ```sh\nsnakeloop check THIS_FOLDER            # seconds: what is missing, does not fit, or will be learned\n\
-         snakeloop run THIS_FOLDER -o out       # θ and δ of every frame, η and λ, what to command, out/report.html\n```\n"
-    )
 }
 
 impl Summary {
@@ -323,6 +341,9 @@ mod tests {
         assert_eq!(experiment.trackers[0].base_mm, Some([0.0; 3]));
         let robot = read_model(&folder.path().join("robot.toml")).unwrap().robot;
         assert_eq!((robot.length_mm, robot.backbone_count(), robot.body.disk_diameter_mm), (35.0, 4, 5.6));
+        for text in [answers.readme(&found), answers.experiment_toml(&found)] {
+            assert!(text.contains("index,time_s,q1_mm,q2_mm,q3_mm,q4_mm"), "{text}");
+        }
         assert_eq!(found.frames, "frames/*.png");
         assert_eq!(found.missing(folder.path()), ["camera.yaml", "straight.png", "encoders.csv"]);
     }

@@ -5,7 +5,7 @@ use super::inputs::rows;
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::record::{read_model, read_truth};
-use crate::simulate::{FrameFormat, Scene, write_experiment};
+use crate::simulate::{FrameFormat, Scene, out_of_picture, write_experiment};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -58,6 +58,14 @@ impl Args {
         let bar = console.progress(Some(poses.len()), "rendering");
         write_experiment(&self.output, &scene, &poses, format, self.seed, &|| bar.inc(1))?;
         bar.finish_and_clear();
+        let out = out_of_picture(&scene, &poses);
+        console.warn(out.first().map(|first| {
+            format!(
+                "the snake leaves the picture in {} of {} frames, frame {first} first: move the camera in scene.toml",
+                out.len(),
+                poses.len()
+            )
+        }));
         let summary = Summary { frames: poses.len(), output: self.output.clone() };
         console.result(&summary, || format!("{} frames\n{}", summary.frames, summary.output.display()));
         Ok(())

@@ -6,11 +6,11 @@ use super::flow::{MeasuredFrames, Throughput};
 use super::inputs::{encoders_of, files_read, maker, model_of};
 use super::measuring::{self, Count, Measured, MeasuringArgs};
 use super::origin::Settings;
-use super::overlays::{self, Overlays, closeup, draw, pictures};
+use super::overlays::{self, Overlays, closeup, draw, jpeg, pictures};
 use super::table::largest_correction_mm;
 use super::trackers::open_trackers;
 use super::verdict::{VerdictArgs, doubt_of_times, reasons_of_files, subject, verdict_text};
-use super::views::open_views;
+use super::views::{open_views, reasons_of_sheets, rig_picture_name};
 use crate::cli::failure::Failure;
 use crate::estimate::gap::{Gap, gap_of};
 use crate::estimate::{estimate_each, or_one_gain};
@@ -22,7 +22,7 @@ use crate::record::{
 };
 use crate::report::run_history::RunHistory;
 use crate::report::run_page::Report;
-use crate::robot::Model;
+use crate::robot::{Model, Robot};
 use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
@@ -114,7 +114,8 @@ impl Args {
                 console.result(&summary, || summary.text());
             }
             Measured::Whole(journal, throughput) => {
-                let summary = finish(&experiment, &inputs, self.settings, &self.output, Some(throughput))?;
+                let sheets = reasons_of_sheets(&views).collect();
+                let summary = finish(&experiment, &inputs, sheets, self.settings, &self.output, Some(throughput))?;
                 journal.remove()?;
                 console.result(&summary, || summary.text());
                 summary.require_table(&experiment)?;
@@ -133,6 +134,11 @@ pub struct Inputs {
 }
 
 impl Inputs {
+    /// The robot.
+    pub fn robot(&self) -> &Robot {
+        &self.start.robot
+    }
+
     /// Reads starting model and encoder log, and shows what was passed over in the log.
     pub fn read(console: &Console, experiment: &Experiment) -> Result<Self> {
         if experiment.encoders.is_none() {
@@ -147,10 +153,11 @@ impl Inputs {
 }
 
 /// All that a run makes of the measurements.csv in its folder: estimate, model, table and report. The rows are gone through on the
-/// disk, so that memory does not grow with them.
+/// disk, so that memory does not grow with them. `sheets` are what the views' sheets say against it.
 pub fn finish(
     experiment: &Experiment,
     inputs: &Inputs,
+    sheets: Vec<Reason>,
     settings: Settings,
     output: &Path,
     throughput: Option<Throughput>,
@@ -169,7 +176,7 @@ pub fn finish(
     let verdict = Subject { used_and_rejected, replaced, ..judged }.verdict(rows()?, encoders)?;
     let doubts =
         reasons_of_files(experiment, warnings)?.into_iter().chain(doubt_of_times(rows()?, encoders, Some(experiment))?);
-    let verdict = beside_former(output, doubts.fold(verdict, Verdict::and))?;
+    let verdict = beside_former(output, doubts.chain(sheets).fold(verdict, Verdict::and))?;
     let table = written_table(output, &model, &verdict)?;
     // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
     if table.is_some() || !output.join("model.toml").exists() {
@@ -261,12 +268,30 @@ fn page(
         model: Some(model).filter(|model| model.estimate.is_some()),
         readings,
         history,
+        rigs: rig_pictures(experiment, &summary.output)?,
         closeup,
         pictures,
         warnings: warnings.iter().map(ToString::to_string).collect(),
         provenance: provenance(experiment),
     };
     Ok(report.html())
+}
+
+/// Longer side, px, of the straight picture in the report, and its quality. Convention: display choices.
+const RIG_PICTURE_PX: u32 = 1000;
+const RIG_PICTURE_QUALITY: u8 = 80;
+
+/// What the calibration of each view's rig saw, with the view's name.
+fn rig_pictures(experiment: &Experiment, output: &Path) -> Result<Vec<(String, Vec<u8>)>> {
+    let drawn = experiment.views.iter().map(|view| (view, output.join(rig_picture_name(view, experiment))));
+    drawn
+        .filter(|(_, path)| path.is_file())
+        .map(|(view, path)| {
+            let picture = image::open(&path).map_err(|error| Error::content(&path, error.to_string()))?;
+            let small = picture.thumbnail(RIG_PICTURE_PX, RIG_PICTURE_PX).to_rgb8();
+            Ok((format!("View {}", view.name), jpeg(&small, RIG_PICTURE_QUALITY)?))
+        })
+        .collect()
 }
 
 /// Writes the model and its table, unless there is no estimate or an earlier run's are to stay.

@@ -3,19 +3,21 @@
 use super::checksum::Checksum;
 use super::console::Console;
 use super::overlays::jpeg;
+use super::verdict::sheet_reason;
 use crate::bag::Topic;
-use crate::camera::{Frame, FrameSource, Lens, PictureFile, SourceFrame, read_frame};
+use crate::camera::{Frame, FrameSource, Lens, PictureFile, SourceFrame, read_frame_for};
 use crate::input::{PICTURE_BYTES, read_bytes};
-use crate::measure::{Explanation, Eye, Rig, RigOptions, sketched_rig};
+use crate::measure::{Explanation, Eye, Rig, RigError, RigOptions, sketched_rig};
 use crate::record::{Experiment, RigSource, View, write_atomically};
 use crate::report::decimation;
 use crate::report::overlay::Shape;
 use crate::report::rig_picture::{draw_straight, rig_picture};
 use crate::robot::{BendProfile, Robot};
+use crate::verdict::Reason;
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Quality of the picture of what a calibration saw. Convention: a display choice.
 const RIG_PICTURE_QUALITY: u8 = 85;
@@ -38,6 +40,22 @@ pub fn open_views(console: &Console, experiment: &Experiment, robot: &Robot, fol
     let small = |view: &OpenView| Some(format!("view {}: {}", view.name, view.eye.small_picture()?));
     console.warn(views.iter().filter_map(small));
     Ok(views)
+}
+
+/// What views' sheets say against a result.
+pub fn reasons_of_sheets(views: &[OpenView]) -> impl Iterator<Item = Reason> {
+    views.iter().filter_map(|view| sheet_reason(&view.name, view.eye.rig()))
+}
+
+/// What the sheets of an experiment's views say against a result, each drawn anew into a folder; views whose rig cannot be calibrated any more say
+/// nothing.
+pub fn reasons_of_sheets_again(experiment: &Experiment, robot: &Robot, folder: &Path) -> Vec<Reason> {
+    let of_view = |view: &View| {
+        let drawn = folder.join(rig_picture_name(view, experiment));
+        let rig = rig_of(view, &view.lens().ok()?, robot, Some(&drawn)).ok()?;
+        sheet_reason(&view.name, &rig)
+    };
+    experiment.views.iter().filter_map(of_view).collect()
 }
 
 /// The name of the picture of what a view's calibration saw.
@@ -66,7 +84,7 @@ pub fn calibrated(
     options: &RigOptions,
     drawn: Option<&Path>,
 ) -> Result<Rig> {
-    let frame = read_frame(picture)?;
+    let frame = read_frame_for(picture, lens)?;
     let (rig, sketch) = sketched_rig(&frame, lens, robot, options);
     let said = match &rig {
         Ok(rig) => format!("the rig was found: {}", sheet_text(rig)),
@@ -80,9 +98,29 @@ pub fn calibrated(
         write_atomically(path, &jpeg(&picture, RIG_PICTURE_QUALITY)?)?;
     }
     rig.map_err(|error| {
-        let shown = drawn.map(|path| format!("; {} shows what was seen", path.display())).unwrap_or_default();
-        Error::rig(picture)(format!("{error}{shown}"))
+        Error::rig(picture)(RigRefused { error, seen: sketch.text(), shown: drawn.map(Path::to_owned) })
     })
+}
+
+/// A straight picture that gives no rig, and where what was seen in it is drawn.
+#[derive(Debug, thiserror::Error)]
+#[error("{error}{}", self.sight())]
+pub struct RigRefused {
+    /// Why.
+    pub error: RigError,
+    seen: String,
+    shown: Option<PathBuf>,
+}
+
+impl RigRefused {
+    /// What was seen, and where it is drawn.
+    fn sight(&self) -> String {
+        let seen = if self.seen.is_empty() { String::new() } else { format!(". Seen were: {}", self.seen) };
+        match &self.shown {
+            Some(path) => format!("{seen}; {} shows what was seen", path.display()),
+            None => seen,
+        }
+    }
 }
 
 /// What the sheet of a rig is like, in words.
@@ -104,8 +142,9 @@ impl OpenView {
         let lens = view.lens()?;
         let rig = rig_of(view, &lens, robot, Some(drawn))?;
         // In order, so that sums over them are the same in every run.
-        let sample = refining_frames(&frames)?.into_par_iter().filter_map(|frame| frame.read().ok());
-        let eye = Eye::new(lens, rig, robot.clone()).refined(sample);
+        let eye = Eye::new(lens, rig, robot.clone());
+        let sample = refining_frames(&frames)?.into_par_iter().filter_map(|frame| frame.read_for(eye.lens()).ok());
+        let eye = eye.clone().refined(sample);
         Ok(Self { name: view.name.clone(), eye, frames, checksum })
     }
 

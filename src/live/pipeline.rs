@@ -128,6 +128,8 @@ struct Progress {
     calibrating: Beside,
     /// When it was last looked whether the folder is still there.
     looked: Instant,
+    /// Why the folder cannot be written to, as it was last told.
+    unwritable: Option<String>,
     silence: Silence,
 }
 
@@ -148,6 +150,7 @@ impl Pipeline {
             saving: Beside::default(),
             calibrating: Beside::default(),
             looked: now,
+            unwritable: None,
             silence: Silence::new(now),
         };
         while !self.is_over(&progress) {
@@ -293,6 +296,9 @@ impl Pipeline {
         let restored = self.journal.restore();
         let restored =
             restored.and_then(|restored| if restored { self.folder.restore().map(|()| true) } else { Ok(false) });
+        let why = restored.as_ref().err().map(ToString::to_string);
+        let is_told = why.is_some() && why == progress.unwritable;
+        progress.unwritable = why;
         let mut shared = self.shared.lock();
         match restored {
             Ok(false) => {}
@@ -304,6 +310,7 @@ impl Pipeline {
                 ));
             }
             // The journal stays open, wherever it was moved to, and takes what is measured.
+            Err(_) if is_told => {}
             Err(error) => shared.notice(format!(
                 "{} cannot be written to, and nothing but the loop goes on; it is tried again every second: {error}",
                 self.output.display()

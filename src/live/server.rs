@@ -16,7 +16,7 @@ use crate::record::model_json;
 use crate::robot::{MAX_THETA, TableRow};
 use axum::body::Body;
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{DefaultBodyLimit, FromRef, Path, Query, State};
+use axum::extract::{DefaultBodyLimit, FromRef, Path, Query, Request, State};
 use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONNECTION, CONTENT_TYPE, RETRY_AFTER};
 use axum::response::sse::{Event, KeepAlive, Sse};
@@ -29,12 +29,15 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use serde::Deserialize;
 use serde_json::json;
+use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::net::SocketAddr;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::task::AbortHandle;
 use tokio_io_timeout::TimeoutStream;
 
 /// Connections at a time; further ones are refused. Convention: a resource limit.
@@ -49,6 +52,10 @@ const NO_ROOM: &[u8] =
 ///
 /// Convention: a timeout; so long can connections that send nothing keep others out.
 const HEADER_TIMEOUT: Duration = Duration::from_secs(2);
+/// Time that a connection takes to make room for another.
+///
+/// Convention: a timeout.
+const MAKE_ROOM: Duration = Duration::from_millis(20);
 /// So is one that does not take what it asked for. Convention.
 ///
 /// Convention: a timeout.
@@ -142,23 +149,52 @@ impl Server {
     }
 }
 
+/// Serves whoever connects. Where there is no more room, the connection that has asked for nothing for the longest time makes some: connections
+/// that only keep others out lose theirs first.
 async fn accept(listener: TcpListener, router: Router) {
+    let mut waiting = VecDeque::<Waiting>::new();
     let permits = Arc::new(Semaphore::new(MAX_CONNECTIONS));
     loop {
         let Ok((stream, _)) = listener.accept().await else {
             tokio::time::sleep(ACCEPT_RETRY).await;
             continue;
         };
-        let Ok(permit) = Arc::clone(&permits).try_acquire_owned() else {
+        waiting.retain(Waiting::is_waiting);
+        if permits.available_permits() == 0
+            && let Some(longest) = waiting.pop_front()
+        {
+            longest.task.abort();
+        }
+        let permit = tokio::time::timeout(MAKE_ROOM, Arc::clone(&permits).acquire_owned()).await;
+        let Ok(Ok(permit)) = permit else {
             // Not waited for: what the system does not take at once is not sent.
             let _ = stream.try_write(NO_ROOM);
             continue;
         };
-        let router = router.clone();
-        tokio::spawn(async move {
+        let has_asked = Arc::new(AtomicBool::new(false));
+        let asks = Arc::clone(&has_asked);
+        let router = router.clone().layer(middleware::map_request(move |request: Request| {
+            asks.store(true, Ordering::Relaxed);
+            async { request }
+        }));
+        let task = tokio::spawn(async move {
             serve(stream, router).await;
             drop(permit);
         });
+        waiting.push_back(Waiting { task: task.abort_handle(), has_asked });
+    }
+}
+
+/// A connection, and whether it has asked for something yet.
+struct Waiting {
+    task: AbortHandle,
+    has_asked: Arc<AtomicBool>,
+}
+
+impl Waiting {
+    /// Whether it is open and has not asked for anything.
+    fn is_waiting(&self) -> bool {
+        !self.task.is_finished() && !self.has_asked.load(Ordering::Relaxed)
     }
 }
 

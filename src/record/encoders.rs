@@ -25,9 +25,22 @@ impl Indexed for EncoderReading {
 /// # Errors
 /// A file that cannot be read, lacks a column, has a column of a further backbone or no usable row. A bad row is a warning.
 pub fn read_encoders(path: &Path, backbones: usize) -> Result<Checked<EncoderReading>> {
+    read_encoders_kept(path, backbones, |_| true)
+}
+
+/// [`read_encoders`], of which only readings with some indices are kept: memory grows with these alone.
+///
+/// # Errors
+/// Those of [`read_encoders`].
+pub fn read_encoders_kept(
+    path: &Path,
+    backbones: usize,
+    is_kept: impl Fn(u64) -> bool,
+) -> Result<Checked<EncoderReading>> {
     let columns = columns(backbones);
     let required: Vec<&str> = columns.iter().map(String::as_str).collect();
-    table::read_where(path, &required, |header| fits(header, backbones), reading_of(&columns))
+    let fits = |header: &[String]| fits(header, backbones);
+    table::read_kept(path, &required, fits, reading_of(&columns), |reading| is_kept(reading.index))
 }
 
 /// A row whose columns are these: index, time and the backbones'.

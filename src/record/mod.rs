@@ -33,7 +33,7 @@ pub use c_header::compensation_c_header;
 pub use columns::csv_of;
 pub use compensation::{Worth, compensation_csv, compensation_json, write_compensation, write_compensation_rows};
 pub use effect_table::read_effects;
-pub use encoders::{encoders_csv, read_encoders};
+pub use encoders::{encoders_csv, read_encoders, read_encoders_kept};
 pub use estimates::{estimate_line, estimates_csv, estimates_header};
 pub(crate) use experiment::line_at;
 pub use experiment::{Experiment, RigSource, Tracker, View};

@@ -219,8 +219,19 @@ pub(super) fn read_where<T: Indexed>(
     fits: impl Fn(&[String]) -> RowResult<()>,
     parse: impl Fn(&Row) -> RowResult<T>,
 ) -> Result<Checked<T>> {
+    read_kept(path, required, fits, parse, |_| true)
+}
+
+/// [`read_where`], of which only some rows are kept; memory grows with these alone.
+pub(super) fn read_kept<T: Indexed>(
+    path: &Path,
+    required: &[&str],
+    fits: impl Fn(&[String]) -> RowResult<()>,
+    parse: impl Fn(&Row) -> RowResult<T>,
+    is_kept: impl Fn(&T) -> bool,
+) -> Result<Checked<T>> {
     let bytes = read_bytes(path, TABLE_BYTES)?;
-    let (numbered, mut warnings) = parsed_rows(path, &bytes, &[], required, fits, parse)?;
+    let (numbered, mut warnings) = parsed_rows(path, &bytes, &[], required, fits, parse, is_kept)?;
     let rows = in_order_once(numbered, &mut warnings);
     checked(path, rows, warnings)
 }
@@ -233,7 +244,7 @@ pub(super) fn read_renamed<'a, T>(
     fits: impl Fn(&[String]) -> RowResult<()>,
     parse: impl Fn(&Row) -> RowResult<T>,
 ) -> Result<(Vec<(u64, T)>, Warnings<'a>)> {
-    parsed_rows(path, &read_bytes(path, TABLE_BYTES)?, names, required, fits, parse)
+    parsed_rows(path, &read_bytes(path, TABLE_BYTES)?, names, required, fits, parse, |_| true)
 }
 
 /// What can be used of a file's rows.
@@ -261,6 +272,7 @@ fn parsed_rows<'a, T>(
     required: &[&str],
     fits: impl Fn(&[String]) -> RowResult<()>,
     parse: impl Fn(&Row) -> RowResult<T>,
+    is_kept: impl Fn(&T) -> bool,
 ) -> Result<(Vec<(u64, T)>, Warnings<'a>)> {
     let text = text_of(path, bytes)?;
     let renamed: Vec<&str> = names.iter().map(|name| name.from.as_str()).collect();
@@ -272,7 +284,8 @@ fn parsed_rows<'a, T>(
     for (number, fields) in sheet.rows() {
         let row = usable_row(&columns, &sheet, fields);
         match row.and_then(|row| parse(&row)) {
-            Ok(value) => numbered.push((number, value)),
+            Ok(value) if is_kept(&value) => numbered.push((number, value)),
+            Ok(_) => {}
             Err(why) => warnings.push(number, format!("{why}; row skipped")),
         }
     }

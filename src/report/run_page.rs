@@ -60,6 +60,8 @@ pub struct Report<'a> {
     pub readings: &'a [EncoderReading],
     /// The rows that are shown.
     pub history: &'a RunHistory,
+    /// What the calibration of each view's rig saw, each with a caption: JPEG.
+    pub rigs: Vec<(String, Vec<u8>)>,
     /// One frame at the largest bend, cut to the snake, as a JPEG file, and what stands below it.
     pub closeup: Option<(String, Vec<u8>)>,
     /// Frames with the model drawn on them.
@@ -190,6 +192,13 @@ impl Report<'_> {
 
     fn pictures(&self) -> Markup {
         html! {
+            @if !self.rigs.is_empty() {
+                h2 { "The straight picture" }
+                p { (STRAIGHT_PICTURE) }
+                @for (caption, jpeg) in &self.rigs {
+                    figure.closeup { (embedded(jpeg, caption)) figcaption { (caption) } }
+                }
+            }
             @if !self.pictures.is_empty() {
                 h2 { "Frames" }
                 p { (DRAWN) " Choose one to see it in full." }
@@ -210,6 +219,9 @@ const GLOSSARY: &str = "θ is the snake's bend from straight, δ the direction t
 /// What the colours on pictures mean.
 const DRAWN: &str =
     "The model as it was fitted: centre line (orange) from base (green) to tip (magenta), outline (cyan).";
+
+/// What is drawn on the straight picture.
+const STRAIGHT_PICTURE: &str = "What the calibration of the rig saw: the part of the picture that shows the sheet, its lines, and the straight snake with its holder.";
 
 /// A picture within the page.
 fn embedded(jpeg: &[u8], alt: &str) -> Markup {
@@ -320,6 +332,7 @@ mod tests {
             history: &history,
             model: Some(&Model::default()),
             readings: &[],
+            rigs: vec![("View side".into(), vec![0xff, 0xd8])],
             closeup: Some(("frame 3".into(), vec![0xff, 0xd8])),
             pictures: vec![Picture {
                 caption: "frame 1".into(),
@@ -361,6 +374,7 @@ mod tests {
             history: &history,
             model: None,
             readings: &[],
+            rigs: vec![],
             closeup: None,
             pictures: vec![],
             warnings: vec![],

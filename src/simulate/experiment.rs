@@ -5,10 +5,13 @@ use super::scene::Scene;
 use crate::camera::CameraFormat;
 use crate::error::{Error, Result};
 use crate::geometry::Configuration;
+use crate::measure::{BodyPoint, Projection};
 use crate::observation::Truth;
-use crate::record::{truth_csv, write_atomically};
+use crate::record::{truth_csv, write_atomically, write_model};
+use crate::robot::{Model, Robot};
 use image::codecs::jpeg::JpegEncoder;
 use image::{ImageError, ImageFormat, RgbImage};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::io::Cursor;
 use std::path::Path;
@@ -41,7 +44,7 @@ impl FrameFormat {
 }
 
 /// Renders one frame for each row of `truths` into a folder, beside everything that an experiment with one view needs:
-/// the straight picture, camera.yaml and experiment.toml. truth.csv, rig_truth.json and scene.toml say what is in them.
+/// the straight picture, camera.yaml, experiment.toml, and robot.toml if the robot is not the paper's. truth.csv, rig_truth.json and scene.toml say what is in them.
 /// An encoders.csv that lies there already becomes the experiment's.
 ///
 /// Frames are numbered by their index; the same seed gives the same files. `drawn` is called after each frame.
@@ -76,16 +79,42 @@ pub fn write_experiment(
         let name = format!("frames/{:05}", truth.index);
         draw(&name, truth.configuration, seed.wrapping_add(1 + truth.index)).inspect(|()| drawn())
     })?;
+    if has_own_robot(scene) {
+        write_model(&folder.join("robot.toml"), &Model { robot: scene.robot.clone(), ..Model::default() })?;
+    }
     write("experiment.toml", &experiment)
 }
+
+/// Whether the robot is another than the paper's, so that the experiment must name it.
+fn has_own_robot(scene: &Scene) -> bool {
+    scene.robot != Robot::default()
+}
+
+/// The indices of poses at which a part of the snake's middle line leaves the picture.
+pub fn out_of_picture(scene: &Scene, truths: &[Truth]) -> Vec<u64> {
+    let view = Projection { lens: &scene.lens, camera_from_base: scene.view.camera_from_base(), robot: &scene.robot };
+    let places = |share: f64| BodyPoint { s_mm: share * scene.robot.length_mm, local: Vector3::zeros() };
+    let is_out = |truth: &&Truth| {
+        let curve = view.curve(truth.configuration);
+        (0..=PLACES).any(|k| {
+            let pixel = view.pixel(&curve, &places(f64::from(k) / f64::from(PLACES)));
+            !scene.lens.contains(&pixel, view.diameter_px() / 2.0)
+        })
+    };
+    truths.iter().filter(is_out).map(|truth| truth.index).collect()
+}
+
+/// Places along the snake that are looked at. Convention: closer to each other than the disks.
+const PLACES: u32 = 20;
 
 fn experiment_toml(scene: &Scene, format: FrameFormat, with_encoders: bool) -> Result<String> {
     let pitch = scene.grid_pitch_mm()?;
     let encoders = if with_encoders { "encoders = \"encoders.csv\"\n\n" } else { "" };
+    let robot = if has_own_robot(scene) { "robot = \"robot.toml\"\n" } else { "" };
     let extension = format.extension();
     let standoff = scene.paper.standoff_mm;
     Ok(format!(
-        "{encoders}[[view]]\nname = \"side\"\ncamera = \"camera.yaml\"\nframes = \"frames/*.{extension}\"\n\
+        "{robot}{encoders}[[view]]\nname = \"side\"\ncamera = \"camera.yaml\"\nframes = \"frames/*.{extension}\"\n\
          straight = \"straight.{extension}\"\ngrid_pitch_mm = {pitch:?}\nstandoff_mm = {standoff:?}\n"
     ))
 }

@@ -8,7 +8,7 @@ pub mod scene;
 pub mod sealed;
 pub mod trajectory;
 
-pub use experiment::{FrameFormat, write_experiment};
+pub use experiment::{FrameFormat, out_of_picture, write_experiment};
 pub use plant::{Plant, Sample, SimulatedEye};
 pub use render::{coverage, hidden_fraction, render};
 pub use scene::Scene;

@@ -54,6 +54,8 @@ pub enum Code {
     TimeUnit,
     /// The camera or the base moved since the straight picture.
     RigDrift,
+    /// The printed sheet bows, waves or is stretched by more than paper and printers do.
+    SheetNotFlat,
     /// The gap has the form that a wrong camera file gives it.
     CameraLens,
     /// Frames could not be measured, more than disturbances account for.
@@ -74,7 +76,7 @@ pub enum Code {
 
 impl Code {
     /// Every kind of reason.
-    pub const ALL: [Self; 19] = [
+    pub const ALL: [Self; 20] = [
         Self::Files,
         Self::NothingToJudge,
         Self::RecordingDamaged,
@@ -86,6 +88,7 @@ impl Code {
         Self::Clock,
         Self::TimeUnit,
         Self::RigDrift,
+        Self::SheetNotFlat,
         Self::CameraLens,
         Self::ManyNotMeasured,
         Self::ParameterOutOfRange,

@@ -7,7 +7,7 @@ use super::wiring::{Mistake, WiringCheck};
 use crate::geometry::wrap_angle;
 use crate::observation::Wiring;
 use crate::robot::LIBRARY;
-use std::f64::consts::PI;
+use std::f64::consts::{PI, TAU};
 
 /// A turn of a view is told by its usual cause where it agrees with that to so much, rad. Convention: 3°, as well as a camera is
 /// turned by hand.
@@ -121,6 +121,19 @@ fn largest_misalignment() -> f64 {
     physics.map_or(0.0, |physics| physics.parameters_on(3)[0].range.1.to_radians())
 }
 
+/// Columns that hold the backbones so many places on. A camera that looks from there shows the same, but nothing puts a camera at that very
+/// angle.
+fn moved_on(subject: &Subject, places: usize, offset_deg: f64, misfits: &str) -> Reason {
+    let backbones = subject.wiring.columns.len();
+    let columns = (0..backbones).map(|i| (i + backbones - places) % backbones + 1).collect();
+    let reason = log(subject, &Wiring { columns, ..Wiring::straight(backbones) }, None, misfits);
+    let remedy = format!(
+        "{}; if the camera was moved round the robot instead: delta_offset_deg = {offset_deg:.1}",
+        reason.remedy
+    );
+    Reason { remedy, ..reason }
+}
+
 /// The azimuth of a view. A small turn is physics (`plane_misalignment`) and none of this check's business.
 fn azimuth(subject: &Subject, view: &Option<String>, turn: f64, mirrored: bool, misfits: &str) -> Option<Reason> {
     let known = subject.views.iter().find(|known| Some(&known.name) == view.as_ref() || subject.views.len() == 1);
@@ -128,6 +141,11 @@ fn azimuth(subject: &Subject, view: &Option<String>, turn: f64, mirrored: bool, 
     let named = view.as_ref().map_or("the view".to_owned(), |name| format!("view {name:?}"));
     let offset = offset_deg.unwrap_or(0.0).to_radians();
     let is = |expected: f64| wrap_angle(turn - expected).abs() < SAME_TURN;
+    let backbones = subject.wiring.columns.len();
+    let places = (1..backbones).find(|places| is(*places as f64 * TAU / backbones as f64));
+    if let Some(places) = places.filter(|_| !mirrored && subject.views.len() < 2) {
+        return Some(moved_on(subject, places, wrap_angle(offset + turn).to_degrees(), misfits));
+    }
     let pictures_mirrored = mirrored && is(PI + 2.0 * offset);
     let right = wrap_angle(offset + turn).to_degrees();
     let (what, remedy) = if pictures_mirrored {

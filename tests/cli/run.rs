@@ -41,7 +41,7 @@ fn the_bundled_experiment_gives_its_hidden_parameters_back() {
     assert!(json(&sandbox.read("out/compensation.json"))["model"]["estimate"]["eta"].is_f64());
     assert_eq!(fs::read_dir(sandbox.join("out/overlays")).unwrap().count(), 17);
     let report = sandbox.read("out/report.html");
-    assert!(!report.contains("http") && report.matches("<svg").count() == 11 && report.matches("<img").count() == 19);
+    assert!(!report.contains("http") && report.matches("<svg").count() == 11 && report.matches("<img").count() == 20);
     sandbox.succeed("table --model out/model.toml -o table");
 }
 

@@ -47,6 +47,10 @@ pub fn frames_remedy(experiment: &Experiment, view: &View, why: &Error) -> Strin
             return "use a build with OpenCV (the default), or take the pictures out: ffmpeg -i VIDEO frames/%05d.png"
                 .to_owned();
         }
+        Error::Content { message, .. } if message.starts_with("no number") => {
+            return "number the frames' files as their rows of the log: frames/00001.png, …; or name one video, whose frames are counted"
+                .to_owned();
+        }
         Error::Content { path, .. } | Error::Io { path, .. } if path != experiment.folder() => {
             return format!("look at that file, or correct `frames` of view {}", view.name);
         }
@@ -56,6 +60,10 @@ pub fn frames_remedy(experiment: &Experiment, view: &View, why: &Error) -> Strin
         Source::Files(pattern) => pattern,
         Source::Topic(_) => return "name a topic of pictures that the recording has".to_owned(),
     };
+    if pattern.contains('\\') {
+        let slashes = pattern.replace('\\', "/");
+        return format!("a backslash separates no folders here: write frames = \"{slashes}\" under view {}", view.name);
+    }
     let folder = experiment.folder().join(pattern);
     let folder = folder.parent().unwrap_or(Path::new(""));
     match commonest_picture(folder) {

@@ -10,9 +10,9 @@ mod files;
 use super::console::Console;
 use super::inputs::{encoders_of, model_of};
 use super::trackers::{OpenTracker, open_tracker};
-use super::verdict::{VerdictArgs, doubt_of_times, reasons_of_files, subject, verdict_text};
+use super::verdict::{VerdictArgs, doubt_of_times, reasons_of_files, rig_reason, sheet_reason, subject, verdict_text};
 use super::views::{rig_of, rig_picture_name};
-use crate::camera::{FrameSource, picture_size};
+use crate::camera::{FrameSource, picture_size_for};
 use crate::cli::failure::Failure;
 use crate::estimate::{Options, estimate, or_one_gain};
 use crate::measure::Eye;
@@ -80,7 +80,10 @@ impl Args {
             .iter()
             .find(|reason| reason.code == Code::Files && reason.level == Level::DoNotUse)
         {
-            Some(reason) => Err(Failure::Work(Error::content(&experiment.path, reason.text.clone()))),
+            Some(_) => Err(Failure::Work(Error::content(
+                &experiment.path,
+                "cannot be used as it stands; the verdict says why",
+            ))),
             None => self.verdict.check(&summary.verdict),
         }
     }
@@ -189,7 +192,7 @@ impl Inspection {
             };
             let mut sizes = BTreeMap::<(u32, u32), (usize, String)>::new();
             for path in pictures(experiment, view) {
-                if let Some(size) = picture_size(&path) {
+                if let Some(size) = picture_size_for(&path, &lens) {
                     let name = name_in(experiment, &path);
                     sizes.entry(size).or_insert((0, name)).0 += 1;
                 }
@@ -309,11 +312,11 @@ impl Inspection {
         let rig = match rig_of(view, &lens, &model.robot, drawn.as_deref()) {
             Ok(rig) => rig,
             Err(error) => {
-                let remedy = "`check -o FOLDER` draws what was seen into FOLDER/rig.jpg; see \"Take the straight picture\" in the book";
-                self.fault(Code::Files, Level::DoNotUse, error.to_string(), remedy);
+                self.reasons.push(rig_reason(&error));
                 return Ok(Vec::new());
             }
         };
+        self.reasons.extend(sheet_reason(&view.name, &rig));
         let eye = Eye::new(lens, rig, model.robot.clone());
         let source = view.open_frames(experiment.folder())?;
         let count = source.count()?.unwrap_or(MEASURED);
@@ -323,7 +326,7 @@ impl Inspection {
             .into_par_iter()
             .map(|frame| {
                 let (index, own_s) = (frame.index, frame.time_s);
-                let found = eye.measure(&frame.read()?);
+                let found = eye.measure(&frame.read_for(eye.lens())?);
                 let logged = || log.binary_search_by_key(&index, |row| row.index).ok().map(|row| log[row].time_s);
                 let time_s = own_s.or_else(logged);
                 let view = Some(view.name.clone());
@@ -350,7 +353,7 @@ impl Inspection {
         let seen =
             format!("{}: {ok} of {all} looked at were measured, the snake {length_px:.0} px long{sigma}", view.name);
         self.saw("frames", seen);
-        if let Some(remark) = source.remark()? {
+        if let Some(remark) = source.remark(eye.lens())? {
             self.saw("frames", format!("{}: {remark}", view.name));
         }
         if let Some(small) = eye.small_picture() {

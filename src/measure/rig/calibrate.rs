@@ -6,10 +6,10 @@ use super::error::{CalibrationStep, RigError};
 use super::parameters::{Rig, RigOptions};
 use super::scale::{contradiction, pattern_of};
 use super::sketch::RigSketch;
-use super::snake_search::{BodyTemplate, SheetRegion, SnakeStart, search_everywhere, search_nearby};
+use super::snake_search::{BodyTemplate, SnakeStart, search_everywhere, search_nearby};
 use crate::camera::Lens;
-use crate::measure::target::{Grid, SheetHypothesis, SheetSearch};
-use nalgebra::Point2;
+use crate::measure::target::{Grid, PictureRegion, SheetHypothesis, SheetSearch};
+use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -27,7 +27,7 @@ const MOST_WIDTH: f64 = 0.35;
 /// How many rulings are taken for the stated one, and how many places of the snake before each, until one fits.
 ///
 /// Convention: limits of time; in every picture that is accepted it was the first or second of either.
-const MOST_RULINGS: usize = 5;
+const MOST_RULINGS: usize = 3;
 const MOST_STARTS: usize = 2;
 /// Snakes whose widths differ by less than this share are searched for once.
 ///
@@ -83,17 +83,25 @@ pub fn find_rig(picture: StraightPicture, sketch: &mut RigSketch) -> Result<Rig,
             Err(error) => refused = Some(error.or_further(refused)),
         }
     }
+    let best = rulings.first();
     match refused {
         Some(error) if error.step() < CalibrationStep::Scale => {
-            let best = rulings.first().map_or(0.0, Ruling::gain);
-            Err(tries.contradiction(best, sketch).unwrap_or(error))
+            let contradiction = tries.contradiction(best.map_or(0.0, Ruling::gain), sketch);
+            let no_snake = || match best {
+                _ if !search.is_print => RigError::NoSheet,
+                Some(best) if !best.explains_most() => {
+                    RigError::NoForm { explained: best.explained(), source: Box::new(error) }
+                }
+                _ => error,
+            };
+            Err(contradiction.unwrap_or_else(no_snake))
         }
         error => Err(error.unwrap_or(RigError::NoSheet)),
     }
 }
 
 /// The part of the picture that shows the sheet: the hull of the windows that saw it, and half of their reach around.
-pub(super) fn region_of(search: &SheetSearch, lens: &Lens) -> SheetRegion {
+pub(super) fn region_of(search: &SheetSearch, lens: &Lens) -> PictureRegion {
     let reach_px = search.reach_px;
     let corners = search.seen.iter().flat_map(|at| {
         [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| {
@@ -101,14 +109,14 @@ pub(super) fn region_of(search: &SheetSearch, lens: &Lens) -> SheetRegion {
             [inside(at.x + x * reach_px, lens.width), inside(at.y + y * reach_px, lens.height)]
         })
     });
-    SheetRegion::around(corners.map(Into::into))
+    PictureRegion::around(corners.map(Into::into))
 }
 
 /// What is tried with one picture.
 struct Tries<'a> {
     picture: StraightPicture<'a>,
     search: &'a SheetSearch,
-    region: &'a SheetRegion,
+    region: &'a PictureRegion,
     template: BodyTemplate,
 }
 
@@ -123,7 +131,12 @@ struct Ruling {
 impl Ruling {
     /// Whether a snake of this size explains most of what is seen of it and around it.
     fn explains_most(&self) -> bool {
-        self.found.first().is_some_and(|start| start.explained > 0.5)
+        self.explained() > 0.5
+    }
+
+    /// The share of what is seen of it and around it that a snake of this size explains.
+    fn explained(&self) -> f64 {
+        self.found.first().map_or(0.0, |start| start.explained)
     }
 
     /// How well a snake of this size explains the picture.
@@ -160,18 +173,17 @@ impl Tries<'_> {
 
     /// The rig if this ruling is the one of the stated pitch.
     fn rig(&self, ruling: &mut Ruling, sketch: &mut RigSketch) -> Result<Rig, RigError> {
-        let StraightPicture { frame, lens, .. } = self.picture;
+        let StraightPicture { frame, .. } = self.picture;
         ruling.is_tried = true;
         let Ruling { hypothesis, width_px, found, .. } = ruling;
         let starts = search_nearby(frame, &self.template, *width_px, self.region, found);
         if sketch.bodies.is_empty() {
             sketch.see_snake(hypothesis.lines_px(), self.strips(&starts, *width_px));
         }
-        let pitch_px = hypothesis.pitch_px;
-        let grid = self.search.refined(lens, hypothesis).ok_or(RigError::SheetNotMeasured { pitch_px })?;
+        let rough = hypothesis.rough_grid();
         let mut refused = None;
         for start in starts.iter().take(MOST_STARTS) {
-            match fit_at(self.picture, start, &grid).and_then(|rig| self.as_stated(&grid, rig)) {
+            match fit_along(self.picture, start, &rough).and_then(|start| self.rig_at(hypothesis, &start, *width_px)) {
                 Ok(rig) => {
                     sketch.see_snake(hypothesis.lines_px(), self.strips(std::slice::from_ref(start), *width_px));
                     return Ok(rig);
@@ -179,7 +191,20 @@ impl Tries<'_> {
                 Err(error) => refused = refused.or(Some(error)),
             }
         }
+        let pitch_px = hypothesis.pitch_px;
         Err(refused.unwrap_or(RigError::NoSnake { pitch_px, width_px: *width_px }))
+    }
+
+    /// The rig of a snake that edges confirmed before a ruling: the sheet is measured anew without what the snake hides of it.
+    fn rig_at(&self, hypothesis: &SheetHypothesis, start: &SnakeStart, width_px: f64) -> Result<Rig, RigError> {
+        let StraightPicture { lens, robot, options, .. } = self.picture;
+        let (body, pitch_px) = (self.template.covered(start, width_px), hypothesis.pitch_px);
+        let grid = self.search.refined(lens, hypothesis, Some(&body)).ok_or(RigError::SheetNotMeasured { pitch_px })?;
+        let rig = fit_base(self.picture, start, &grid)?;
+        if (rig.standoff_mm() - options.standoff_mm).abs() > FAR_OFF_SIGMAS * STANDOFF_SIGMA_MM {
+            return Err(contradiction(robot, options, &rig));
+        }
+        self.as_stated(&grid, Rig { pattern: pattern_of(self.picture, &grid), ..rig })
     }
 
     /// The rig, unless its lines are not as far apart as was stated: every other one is missing, or there are as many between. The scale is right
@@ -223,24 +248,24 @@ impl Tries<'_> {
             return None;
         }
         let other = RigOptions { grid_pitch_mm: factor * options.grid_pitch_mm, ..*options };
-        let grid = self.search.refined(lens, clearest)?.with_pitch_times(factor);
+        let body = self.template.covered(&start, width_px);
+        let grid = self.search.refined(lens, clearest, Some(&body))?.with_pitch_times(factor);
         let rig = fit_base(StraightPicture { options: &other, ..self.picture }, &start, &grid).ok()?;
         sketch.see_snake(hypothesis.lines_px(), self.strips(&[start], width_px));
         Some(contradiction(robot, options, &rig))
     }
 }
 
-/// Fits the snake from where it lies best along its axis near a start, and checks the scale.
-fn fit_at(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Result<Rig, RigError> {
-    let StraightPicture { robot, options, .. } = picture;
-    let fits: Vec<_> =
-        aligned_starts(picture, start, grid).par_iter().map(|start| fit_base(picture, start, grid)).collect();
-    let rig = fits
-        .into_iter()
-        .reduce(|best, other| best.or_else(|error| other.map_err(|_| error)))
-        .unwrap_or(Err(RigError::NoContrast))?;
-    if (rig.standoff_mm() - options.standoff_mm).abs() > FAR_OFF_SIGMAS * STANDOFF_SIGMA_MM {
-        return Err(contradiction(robot, options, &rig));
-    }
-    Ok(Rig { pattern: pattern_of(picture, grid), ..rig })
+/// Where the snake lies best along its axis near a start, if its edges confirm it before a sheet that is known roughly.
+fn fit_along(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Result<SnakeStart, RigError> {
+    let fitted = |start: SnakeStart| {
+        let rig = fit_base(picture, &start, grid)?;
+        let on_axis = |z_mm: f64| picture.lens.project(&(rig.camera_from_base * Point3::new(0.0, 0.0, z_mm)));
+        let (base, tip) = (on_axis(0.0), on_axis(picture.robot.length_mm));
+        Ok(SnakeStart { base, axis: (tip - base).normalize(), ..start })
+    };
+    let fits: Vec<_> = aligned_starts(picture, start, grid).into_par_iter().map(fitted).collect();
+    fits.into_iter()
+        .reduce(|best: Result<SnakeStart, RigError>, other| best.or_else(|error| other.map_err(|_| error)))
+        .unwrap_or(Err(RigError::NoContrast))
 }

@@ -57,6 +57,18 @@ pub enum RigError {
         /// The lines' distances, px, across and along.
         pitch_px: [f64; 2],
     },
+    /// Nothing before the sheet has the form of a snake.
+    #[error(
+        "no snake stands out before the grid: where one is likeliest, its form explains {:.0} % of what is seen, and a snake's explains more than half. \
+         There {source}",
+        100.0 * explained
+    )]
+    NoForm {
+        /// The share of what is seen at the likeliest place that the snake's form explains.
+        explained: f64,
+        /// Why it is none.
+        source: Box<RigError>,
+    },
     /// The sheet leaves its own direction open.
     #[error(
         "the sheet tells its direction no better than to {sigma_deg:.1}° (1σ, at most {most_deg:.1}°): it bows by {bow_mm:.2} mm and is wavy by \
@@ -236,6 +248,7 @@ impl RigError {
             Self::WrongSize { .. } => CalibrationStep::Input,
             Self::NoSheet => CalibrationStep::Sheet,
             Self::BehindCamera { .. } | Self::NoSnake { .. } | Self::SheetNotMeasured { .. } => CalibrationStep::Search,
+            Self::NoForm { source, .. } => source.step(),
             Self::NoContrast
             | Self::TooFewEdges { .. }
             | Self::Undetermined

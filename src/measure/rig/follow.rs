@@ -139,7 +139,7 @@ impl RigFollower<'_> {
         hypothesis: &SheetHypothesis,
     ) -> Option<Vec<Rig>> {
         let Self { lens, robot, .. } = self;
-        let grid = search.refined(lens, hypothesis)?;
+        let grid = search.refined(lens, hypothesis, None)?;
         let grid_from_base = rig.camera_from_grid.inverse() * rig.camera_from_base;
         let base_mm = grid_from_base.translation.vector;
         let region = region_of(search, lens);

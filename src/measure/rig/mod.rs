@@ -28,6 +28,7 @@ mod refine;
 mod scale;
 mod sketch;
 mod snake_search;
+mod unlike;
 
 pub use base_fit::STRAIGHT;
 pub(super) use base_fit::StraightPicture;

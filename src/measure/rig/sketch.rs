@@ -14,6 +14,21 @@ pub struct RigSketch {
 }
 
 impl RigSketch {
+    /// What was seen and where, in words: the sheet, its lines, and what is likeliest the snake.
+    pub fn text(&self) -> String {
+        let boxed = |corners: &[Point2<f64>]| {
+            let first = corners.first()?;
+            let (low, high) = corners.iter().fold((*first, *first), |(low, high), p| (low.inf(p), high.sup(p)));
+            Some(format!("from ({:.0}, {:.0}) to ({:.0}, {:.0}) px", low.x, low.y, high.x, high.y))
+        };
+        let sheet = boxed(&self.sheet).map(|place| format!("a sheet {place}"));
+        let lines = self.lines_px.map(|[across, along]| {
+            format!("lines {:.1} px apart across and {:.1} px along", across.norm(), along.norm())
+        });
+        let body = self.bodies.first().and_then(|body| boxed(body)).map(|place| format!("the likeliest snake {place}"));
+        [sheet, lines, body].into_iter().flatten().collect::<Vec<_>>().join(", ")
+    }
+
     /// Notes what may be the snake before a ruling.
     pub(super) fn see_snake(&mut self, lines_px: [Vector2<f64>; 2], bodies: Vec<[Point2<f64>; 4]>) {
         self.lines_px = Some(lines_px);

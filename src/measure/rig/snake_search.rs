@@ -7,14 +7,14 @@
 //! Below the base the silhouette has a piece of the holder, and nothing is asked of what lies further down.
 
 use super::base_fit::STRAIGHT;
+use super::unlike::Unlike;
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::image::plane::Plane;
+use crate::measure::target::PictureRegion;
 use crate::robot::Robot;
-use crate::statistics::order::{mad_scale, median};
-use crate::statistics::robust::{Irls, Loss};
-use nalgebra::{DMatrix, DVector, Matrix3, Point2, UnitQuaternion, Vector2, Vector3, Vector6};
+use nalgebra::{Point2, UnitQuaternion, Vector2, Vector3};
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -33,6 +33,10 @@ const DIRECTIONS: usize = 60;
 const HALF_WIDTH: f64 = 1.1;
 const BELOW: f64 = 1.2;
 const BEYOND: f64 = 0.7;
+/// What is covered on either side of the body's axis and beyond its tip, in widths.
+///
+/// Convention: half of its width, and a fifth of that more for blur.
+const COVERED: f64 = 0.6;
 /// The same of a snake that may be bent, above and below the base.
 ///
 /// Convention: one disk's distance, and as much holder as most pictures show.
@@ -58,35 +62,10 @@ const SAME_WIDTHS: f64 = 0.2;
 const TURNS: (f64, i32) = (0.07, 5);
 const ALONG_WIDTHS: (f64, i32) = (1.0, 12);
 const ACROSS_WIDTHS: (f64, i32) = (0.42, 5);
-/// A cell's squared distance from the sheet's colours from which on it is unlike the sheet, and the multiple of the median distance
-/// beyond which a cell is not asked what the sheet's colours are.
-///
-/// Derived: a χ² of three degrees of freedom exceeds 9 in 3 of 100 cells, and 6 times its median in 3 of 1000.
-const UNLIKE_CHI2: f64 = 9.0;
-const MOST_MEDIANS: f64 = 6.0;
-/// The share of the sheet that a snake and its holder cover.
-///
-/// Convention: in the pictures of the book 3 to 10 %.
-const BODY_SHARE: f64 = 0.06;
-/// Least variance of a channel about the sheet's colours, grey levels².
-///
-/// Derived: that of rounding to whole levels, and as much noise of a mean over a cell.
-const LEAST_VARIANCE: f64 = 0.2;
-/// What deviates from the surface of a channel's brightness by more than this many standard deviations is not asked for it, the least standard
-/// deviation (grey levels), and the rounds of its fit.
-///
-/// Convention: 2.5 keeps 98.8 % of normal errors.
-const SURFACE_LIMIT: f64 = 2.5;
-const LEAST_SURFACE_SCALE: f64 = 0.2;
-const SURFACE_ROUNDS: usize = 6;
 /// The least variance of how unlike the sheet the cells of a strip are.
 ///
 /// Convention: a tenth of the range, squared; a blank sheet's cells scatter by less, and show nothing.
 const LEAST_SCATTER: f64 = 0.01;
-/// Rounds in which the cells that are the sheet's and its colours follow each other.
-///
-/// Convention: a cap; they settle sooner.
-const COLOUR_ROUNDS: usize = 4;
 /// Width of the body in the drawing from which its silhouette is taken, px, and how far away the drawing's camera is, in widths.
 ///
 /// Convention: fine beside the fine cells; far enough that perspective does not matter.
@@ -104,36 +83,6 @@ pub struct SnakeStart {
     pub gain: f64,
     /// The share of the cells' variance that two levels explain: r².
     pub explained: f64,
-}
-
-/// The part of a picture that shows the sheet: inside of a convex polygon.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SheetRegion(pub Vec<Point2<f64>>);
-
-impl SheetRegion {
-    /// The convex hull of some pixels.
-    pub fn around(pixels: impl IntoIterator<Item = Point2<f64>>) -> Self {
-        let rounded: Vec<_> =
-            pixels.into_iter().map(|p| imageproc::point::Point::new(p.x.round() as i32, p.y.round() as i32)).collect();
-        let hull = if rounded.is_empty() { Vec::new() } else { imageproc::geometry::convex_hull(rounded.as_slice()) };
-        Self(hull.into_iter().map(|corner| Point2::new(f64::from(corner.x), f64::from(corner.y))).collect())
-    }
-
-    /// The middle of the rectangle around it, px.
-    pub fn middle(&self) -> Point2<f64> {
-        let Some(first) = self.0.first() else { return Point2::origin() };
-        let (low, high) = self.0.iter().fold((*first, *first), |(low, high), p| (low.inf(p), high.sup(p)));
-        nalgebra::center(&low, &high)
-    }
-
-    /// Whether a pixel lies in it.
-    pub fn contains(&self, pixel: &Point2<f64>) -> bool {
-        let corners = self.0.iter().zip(self.0.iter().cycle().skip(1));
-        let sides = corners.map(|(from, to)| (to - from).perp(&(pixel - from)));
-        let (mut left, mut right) = (false, false);
-        sides.for_each(|side| (left, right) = (left || side > 0.0, right || side < 0.0));
-        !(left && right)
-    }
 }
 
 /// The straight body's silhouette in units of its width.
@@ -161,6 +110,14 @@ impl BodyTemplate {
         let corner = |along: f64, side: f64| start.base + (start.axis * along + across * (side * 0.5)) * width_px;
         let tip = self.length_widths;
         [corner(-BELOW, -1.0), corner(-BELOW, 1.0), corner(tip, 1.0), corner(tip, -1.0)]
+    }
+
+    /// What a body that is so many px wide covers at most: its strip and a little around it, and the holder below for as far as it may go.
+    pub fn covered(&self, start: &SnakeStart, width_px: f64) -> PictureRegion {
+        let across = Vector2::new(-start.axis.y, start.axis.x);
+        let corner = |along: f64, side: f64| start.base + (start.axis * along + across * (side * COVERED)) * width_px;
+        let tip = self.length_widths + COVERED;
+        PictureRegion::around([corner(-tip, -1.0), corner(-tip, 1.0), corner(tip, 1.0), corner(tip, -1.0)])
     }
 
     /// The silhouette of a robot's holder and of the first of its snake, which hardly bends there.
@@ -218,127 +175,6 @@ impl BodyTemplate {
     }
 }
 
-/// How unlike the sheet the cells of a picture are, 0 to 1.
-struct Unlike {
-    cell_px: f64,
-    width: usize,
-    height: usize,
-    /// 1 where a cell shows the sheet's part of the picture, and there how unlike the sheet it is, and its square; 0 elsewhere.
-    moments: [Vec<f32>; 3],
-}
-
-impl Unlike {
-    /// Looks at a picture in cells of this side.
-    fn of(frame: &Frame, cell_px: f64, region: &SheetRegion) -> Self {
-        let channels = (0..frame.channels).map(|channel| cell_means(frame, channel, cell_px)).collect::<Vec<_>>();
-        let (width, height) = (channels[0].width, channels[0].height);
-        let middle = |k: usize| {
-            Point2::new(((k % width) as f64 + 0.5) * cell_px - 0.5, ((k / width) as f64 + 0.5) * cell_px - 0.5)
-        };
-        let sheet: Vec<usize> = (0..width * height).filter(|&k| region.contains(&middle(k))).collect();
-        let residuals: Vec<Vec<f64>> = channels.par_iter().map(|plane| minus_surface(plane, &sheet)).collect();
-        let distances = distances(&residuals, &sheet);
-        let middle_chi2 = middle_chi2(&distances);
-        let mut moments: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; width * height]);
-        for (&k, distance) in sheet.iter().zip(&distances) {
-            let unlike = (distance / (distance + middle_chi2)) as f32;
-            [1.0, unlike, unlike * unlike].into_iter().zip(&mut moments).for_each(|(value, moment)| moment[k] = value);
-        }
-        Self { cell_px, width, height, moments }
-    }
-
-    /// The moments at a pixel.
-    fn at(&self, pixel: &Point2<f64>) -> [f32; 3] {
-        let (x, y) = (((pixel.x + 0.5) / self.cell_px).floor(), ((pixel.y + 0.5) / self.cell_px).floor());
-        let is_inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
-        if is_inside {
-            self.moments.each_ref().map(|moment| moment[y as usize * self.width + x as usize])
-        } else {
-            [0.0; 3]
-        }
-    }
-}
-
-/// The mean over the cells of one channel.
-fn cell_means(frame: &Frame, channel: usize, cell_px: f64) -> Plane {
-    let count = |length: u32| ((f64::from(length) / cell_px) as usize).max(1);
-    let (width, height) = (count(frame.width), count(frame.height));
-    let part = |k: usize| {
-        (k as f64 * cell_px) as u32..(((k + 1) as f64 * cell_px) as u32).max((k as f64 * cell_px) as u32 + 1)
-    };
-    let mean = |k: usize| {
-        let (columns, rows) = (part(k % width), part(k / width));
-        let (mut sum, mut pixels) = (0.0, 0.0);
-        for y in rows.filter(|y| *y < frame.height) {
-            for x in columns.clone().filter(|x| *x < frame.width) {
-                sum += frame.get(x, y, channel);
-                pixels += 1.0;
-            }
-        }
-        sum / f32::max(pixels, 1.0)
-    };
-    Plane::new(width, height, (0..width * height).into_par_iter().map(mean).collect())
-}
-
-/// What some cells of a channel leave of a quadratic surface, fitted to the majority of them.
-fn minus_surface(plane: &Plane, cells: &[usize]) -> Vec<f64> {
-    let level = f64::from(median(&mut cells.iter().map(|&k| plane.data[k]).collect::<Vec<f32>>()));
-    let terms = |k: usize| {
-        let along = |at: usize, length: usize| at as f64 / length as f64 - 0.5;
-        let (x, y) = (along(k % plane.width, plane.width), along(k / plane.width, plane.height));
-        Vector6::new(1.0, x, y, x * x, x * y, y * y)
-    };
-    let stride = (cells.len() / 2000).max(1);
-    let used: Vec<usize> = cells.iter().copied().step_by(stride).collect();
-    let design = DMatrix::from_fn(used.len(), 6, |row, column| terms(used[row])[column]);
-    let offset = DVector::from_iterator(used.len(), used.iter().map(|&k| level - f64::from(plane.data[k])));
-    let irls = Irls {
-        loss: Loss::Talwar(SURFACE_LIMIT),
-        least_scale: LEAST_SURFACE_SCALE,
-        rounds: SURFACE_ROUNDS,
-        tolerance: 0.0,
-    };
-    let surface = irls.fit(&design, &offset, used.len()).map(|fit| fit.parameters);
-    let at = |k: usize| {
-        surface.as_ref().map_or(0.0, |surface| surface.dot(&DVector::from_column_slice(terms(k).as_slice())))
-    };
-    cells.iter().map(|&k| f64::from(plane.data[k]) - level - at(k)).collect()
-}
-
-/// Squared distances of cells from the sheet's colours, in units of the covariance of those that are the sheet's.
-fn distances(residuals: &[Vec<f64>], cells: &[usize]) -> Vec<f64> {
-    // A colour has up to three channels; what a picture lacks of them is zero in all cells.
-    let colour = |k: usize| Vector3::from_fn(|c, _| residuals.get(c).map_or(0.0, |channel| channel[k]));
-    let least = Matrix3::from_diagonal_element(LEAST_VARIANCE);
-    let scales = Vector3::from_fn(|c, _| residuals.get(c).map_or(0.0, |r| mad_scale(r.iter().copied()).powi(2)));
-    let mut covariance = Matrix3::from_diagonal(&scales) + least;
-    let mut mean = Vector3::zeros();
-    let mut distances = vec![0.0; cells.len()];
-    for _ in 0..COLOUR_ROUNDS {
-        let Some(information) = covariance.try_inverse() else { break };
-        for (k, distance) in distances.iter_mut().enumerate() {
-            let off = colour(k) - mean;
-            *distance = off.dot(&(information * off));
-        }
-        let limit = MOST_MEDIANS * median(&mut distances.clone());
-        let kept: Vec<Vector3<f64>> = (0..cells.len()).filter(|&k| distances[k] < limit).map(colour).collect();
-        let count = (kept.len() as f64).max(1.0);
-        mean = kept.iter().sum::<Vector3<f64>>() / count;
-        covariance = kept.iter().map(|c| (c - mean) * (c - mean).transpose()).sum::<Matrix3<f64>>() / count + least;
-    }
-    distances
-}
-
-/// The squared distance at which a cell is half unlike the sheet: half of what the least alike cells have, so that a shadow is less so than the
-/// body that throws it.
-fn middle_chi2(distances: &[f64]) -> f64 {
-    let mut sorted = distances.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let least_alike = &sorted[((1.0 - BODY_SHARE) * sorted.len() as f64) as usize..];
-    let mean = least_alike.iter().sum::<f64>() / (least_alike.len() as f64).max(1.0);
-    UNLIKE_CHI2.max(0.25 * mean)
-}
-
 /// Sums over the cells of a strip that show the sheet's part of the picture, from which the correlation of silhouette and picture follows:
 /// of one, of the body's share and its square, of how unlike the sheet they are and its square, and of the product of both.
 type Sums = [f32; 6];
@@ -362,7 +198,7 @@ pub fn search_everywhere(
     frame: &Frame,
     template: &BodyTemplate,
     width_px: f64,
-    region: &SheetRegion,
+    region: &PictureRegion,
     is_asked: impl Fn(&Vector2<f64>) -> bool + Sync,
 ) -> Vec<SnakeStart> {
     let unlike = Unlike::of(frame, width_px / COARSE_CELLS, region);
@@ -382,7 +218,7 @@ pub fn search_nearby(
     frame: &Frame,
     template: &BodyTemplate,
     width_px: f64,
-    region: &SheetRegion,
+    region: &PictureRegion,
     found: &[SnakeStart],
 ) -> Vec<SnakeStart> {
     let unlike = Unlike::of(frame, width_px / FINE_CELLS, region);
@@ -540,7 +376,7 @@ mod tests {
         let robot = Robot::default();
         let template = BodyTemplate::of(&robot);
         let whole = [(-1.0, -1.0), (640.0, -1.0), (640.0, 480.0), (-1.0, 480.0)];
-        let region = SheetRegion::around(whole.map(|(x, y)| Point2::new(x, y)));
+        let region = PictureRegion::around(whole.map(|(x, y)| Point2::new(x, y)));
         for (direction_deg, base) in [(0.0, Point2::new(330.0, 360.0)), (14.0, Point2::new(280.0, 350.0))] {
             let frame = picture(&robot, 40.0, base, direction_deg);
             let found = search_everywhere(&frame, &template, 40.0, &region, |_| true);
@@ -550,14 +386,5 @@ mod tests {
             assert!(start.axis.angle(&Vector2::new(sin, -cos)).to_degrees() < 1.5, "{start:?}");
             assert!(start.explained > 0.5, "{start:?}");
         }
-    }
-
-    #[test]
-    fn a_convex_region_has_its_own_pixels_and_no_others() {
-        let region = SheetRegion::around(
-            [(0.0, 0.0), (10.0, 0.0), (10.0, 6.0), (0.0, 6.0), (5.0, 3.0)].map(|(x, y)| Point2::new(x, y)),
-        );
-        assert_eq!(region.middle(), Point2::new(5.0, 3.0));
-        assert!(region.contains(&Point2::new(1.0, 5.0)) && !region.contains(&Point2::new(11.0, 3.0)));
     }
 }

@@ -72,6 +72,8 @@ struct Window {
     centre: Point2<f64>,
     /// Counted phases of the two waves, cycles; `None` where they are not seen.
     phases: Option<Vector2<f64>>,
+    /// Whether both waves are as strong here as on the target.
+    is_strong: bool,
 }
 
 /// A window whose phases are counted, the clearest of which is gone on from first.
@@ -107,7 +109,7 @@ impl<'a> Windows<'a> {
             return None;
         }
         let place = |x: i64, y: i64| Point2::new(radius + 1.0 + x as f64 * step, radius + 1.0 + y as f64 * step);
-        let window = |k: i64| Window { centre: place(k % columns, k / columns), phases: None };
+        let window = |k: i64| Window { centre: place(k % columns, k / columns), phases: None, is_strong: false };
         let windows: Vec<Window> = (0..rows * columns).map(window).collect();
         let taper = Taper::new(radius);
         let seen: Vec<[(f64, f64); 2]> =
@@ -149,13 +151,23 @@ impl<'a> Windows<'a> {
     /// Measures the phases of all windows again, with the waves and the cycles that a sheet predicts.
     pub fn measure_again(&mut self, lens: &Lens, pitch_mm: f64, sheet: &Sheet) {
         let again = |window: &Window| {
-            let (place_mm, gradient) = sheet.at(lens, &window.centre)?;
+            let Some((place_mm, gradient)) = sheet.at(lens, &window.centre) else {
+                return Window { phases: None, is_strong: false, ..*window };
+            };
             let waves = self.kind.waves(gradient / pitch_mm);
             let seen = phases_at(self.plane, &window.centre, waves, &self.taper);
-            self.counted(&seen, self.kind.phases(place_mm.coords / pitch_mm))
+            let phases = self.counted(&seen, self.kind.phases(place_mm.coords / pitch_mm));
+            Window { phases, is_strong: self.are_strong(&seen), ..*window }
         };
-        let measured: Vec<_> = self.windows.par_iter().map(again).collect();
-        self.windows.iter_mut().zip(measured).for_each(|(window, phases)| window.phases = phases);
+        self.windows = self.windows.par_iter().map(again).collect();
+    }
+
+    /// The share of the windows with waves as strong as the target's in which they are where a sheet predicted them, when phases were measured
+    /// again.
+    pub fn agreeing(&self) -> f64 {
+        let strong = self.windows.iter().filter(|window| window.is_strong);
+        let (all, seen) = strong.fold((0, 0), |(all, seen), w| (all + 1, seen + usize::from(w.phases.is_some())));
+        f64::from(seen as u32) / f64::from(all.max(1))
     }
 
     /// The places of the target that were seen.
@@ -177,14 +189,19 @@ impl<'a> Windows<'a> {
     /// The phases that were seen, counted by predicted ones; `None` where a wave is too weak or too far from there.
     fn counted(&self, seen: &[(f64, f64); 2], predicted: Vector2<f64>) -> Option<Vector2<f64>> {
         let mut phases = Vector2::zeros();
-        for (wave, &(phase, amplitude)) in seen.iter().enumerate() {
+        for (wave, &(phase, _)) in seen.iter().enumerate() {
             let deviation = wrap_cycles(phase - predicted[wave]);
-            if amplitude < self.enough[wave] || deviation.abs() > MOST_DEVIATION_CYCLES {
+            if deviation.abs() > MOST_DEVIATION_CYCLES {
                 return None;
             }
             phases[wave] = predicted[wave] + deviation;
         }
-        Some(phases)
+        self.are_strong(seen).then_some(phases)
+    }
+
+    /// Whether both waves are as strong as on the target.
+    fn are_strong(&self, seen: &[(f64, f64); 2]) -> bool {
+        seen.iter().zip(self.enough).all(|((_, amplitude), enough)| *amplitude >= enough)
     }
 }
 

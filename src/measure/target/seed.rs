@@ -34,6 +34,10 @@ const MOST_CONTRAST: f32 = 4.0;
 ///
 /// Convention: a third of what is usual.
 const LEAST_CONTRAST: f32 = 0.3;
+/// The least share of a neighbourhood that is shown, of which a mean is taken; of less there is none.
+///
+/// Convention: a thousandth; keeps what is hidden all around finite.
+const LEAST_SHOWN: f32 = 1e-3;
 /// The largest and the least side of the squares of the picture that are transformed, px.
 ///
 /// Convention: 146 px for the longest wave, and half of a picture that is 1000 px high; a picture of less than the least shows nothing.
@@ -121,14 +125,27 @@ pub(super) fn strongest_mix(frame: &Frame) -> Plane {
 
 /// The picture with its local mean taken away, and its contrast made even.
 pub(super) fn evened(plane: &Plane) -> Plane {
+    evened_without(plane, &Plane::new(plane.width, plane.height, vec![1.0; plane.data.len()]))
+}
+
+/// The same of a picture of which a part is hidden, where `shown` is 0 and not 1: neither mean nor contrast know what is seen there, and it
+/// becomes the mean.
+pub(super) fn evened_without(plane: &Plane, shown: &Plane) -> Plane {
     let reach = ((MEAN_SHARE * plane.width.max(plane.height) as f64) as usize).max(BLOCK_PX as usize);
-    let mean = box_mean(plane, reach);
-    let mut data: Vec<f32> = plane.data.iter().zip(&mean.data).map(|(value, mean)| value - mean).collect();
+    let mean_of_shown = |data: Vec<f32>, reach: usize| -> Vec<f32> {
+        let sums = box_mean(&Plane::new(plane.width, plane.height, data), reach).data;
+        let shares = box_mean(shown, reach).data;
+        sums.iter().zip(&shares).map(|(sum, share)| sum / share.max(LEAST_SHOWN)).collect()
+    };
+    let masked = plane.data.iter().zip(&shown.data).map(|(value, shown)| value * shown).collect();
+    let mean = mean_of_shown(masked, reach);
+    let values = plane.data.iter().zip(&mean).zip(&shown.data);
+    let mut data: Vec<f32> = values.map(|((value, mean), shown)| (value - mean) * shown).collect();
     let scale =
         mad_scale(data.iter().step_by(BLOCK_PX as usize - 1).map(|v| f64::from(*v))).max(f64::MIN_POSITIVE) as f32;
     let squares = data.iter().map(|v| v.powi(2).min((MOST_CONTRAST * scale).powi(2))).collect();
-    let contrast = box_mean(&Plane::new(plane.width, plane.height, squares), CONTRAST_REACH * reach);
-    for (value, square) in data.iter_mut().zip(&contrast.data) {
+    let contrast = mean_of_shown(squares, CONTRAST_REACH * reach);
+    for (value, square) in data.iter_mut().zip(&contrast) {
         let contrast = square.sqrt() + LEAST_CONTRAST * scale;
         *value = (*value / contrast).clamp(-MOST_DEVIATION, MOST_DEVIATION);
     }

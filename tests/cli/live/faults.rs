@@ -70,6 +70,18 @@ fn a_folder_in_use_crowds_and_a_removed_folder_cost_nothing() {
     assert!(live.get("/api/state")["measurements"].is_u64());
     drop(crowd);
 
+    // Connections that ask for nothing make room for those that do.
+    let silent = |_| {
+        let mut stream = TcpStream::connect(live.address).unwrap();
+        let _ = stream.write_all(b"GET /api");
+        stream
+    };
+    let idle: Vec<TcpStream> = (0..150).map(silent).collect();
+    for _ in 0..10 {
+        assert!(live.get("/api/state")["measurements"].is_u64());
+    }
+    drop(idle);
+
     // The folder is removed: the journal is back within seconds, with all that it had.
     let before = entries(&output);
     fs::remove_dir_all(&output).unwrap();
@@ -79,6 +91,21 @@ fn a_folder_in_use_crowds_and_a_removed_folder_cost_nothing() {
         std::thread::sleep(Duration::from_millis(50));
     }
     live.until("the notice", |state| state["notices"].to_string().contains("was removed"));
+
+    // A file stands in its place: that is told once, and the folder is back when it can be.
+    let aside = sandbox.join("aside");
+    fs::rename(&output, &aside).unwrap();
+    fs::write(&output, "").unwrap();
+    let state = live.until("the notice", |state| state["notices"].to_string().contains("cannot be written to"));
+    std::thread::sleep(Duration::from_millis(2500));
+    let told = |state: &serde_json::Value| state["notices"].to_string().matches("cannot be written to").count();
+    assert_eq!((told(&state), told(&live.get("/api/state"))), (1, 1));
+    fs::remove_file(&output).unwrap();
+    let deadline = Instant::now() + Duration::from_secs(5);
+    while entries(&output) < before {
+        assert!(Instant::now() < deadline, "{} of {before} entries", entries(&output));
+        std::thread::sleep(Duration::from_millis(50));
+    }
     assert!(sandbox.fail(&again, 1).contains("another call of snakeloop is at work"));
     end(live);
 
