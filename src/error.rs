@@ -222,7 +222,7 @@ pub enum ArgumentError {
         what: &'static str,
     },
     /// A model without friction where the friction is what tells.
-    #[error("friction.mu = {mu}: a line without friction does not show its angle")]
+    #[error("friction.mu = {mu}: the angle of a line without friction cannot be found")]
     NoFriction {
         /// The coefficient of friction.
         mu: f64,

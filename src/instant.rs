@@ -76,9 +76,37 @@ pub fn days_since_1970(date: &str) -> Option<f64> {
     Some((era * 146_097 + of_era - 719_468) as f64)
 }
 
+/// A Unix time as date and time of day in UTC, such as `2026-11-26T02:35:28Z`.
+///
+/// Source: H. Hinnant, "chrono-Compatible Low-Level Date Algorithms", `civil_from_days`.
+pub fn utc(unix_s: u64) -> String {
+    let (days, of_day) = (unix_s / 86_400 + 719_468, unix_s % 86_400);
+    let (era, of_era) = (days / 146_097, days % 146_097);
+    let year_of_era = (of_era - of_era / 1_460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let from_march = (5 * of_year + 2) / 153;
+    let day = of_year - (153 * from_march + 2) / 5 + 1;
+    let month = (from_march + 2) % 12 + 1;
+    let year = year_of_era + 400 * era + u64::from(month <= 2);
+    let (hour, minute, second) = (of_day / 3_600, of_day / 60 % 60, of_day % 60);
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_unix_time_is_a_date_and_back() {
+        for (unix_s, date) in [
+            (0, "1970-01-01T00:00:00Z"),
+            (951_782_400, "2000-02-29T00:00:00Z"),
+            (1_795_660_528, "2026-11-26T02:35:28Z"),
+        ] {
+            assert_eq!(utc(unix_s), date);
+            assert_eq!(seconds_of(date), Some(unix_s as f64));
+        }
+    }
 
     #[test]
     fn dates_and_spans_are_seconds() {

@@ -1,9 +1,9 @@
-//! Closes the loop between a camera and a snake-like surgical robot.
+//! Measures a bending robot section in pictures, and corrects the motion that it loses between motors and tip.
 //!
-//! The robot is the Ø4.2 mm multi-backbone snake of Xu & Simaan, "Actuation Compensation for Flexible Surgical
-//! Snake-like Robots with Redundant Remote Actuation" (ICRA 2006), called *the paper* throughout; "Eq. n" is an
-//! equation of it. The library measures the snake's bend in pictures ([`measure`]), learns from the bend and the
-//! encoders how much motion the actuation line takes up ([`estimate`]) and tells what to command instead ([`robot`]).
+//! A section has three to eight backbones or tendons and any size. The model is that of Xu & Simaan, "Actuation Compensation for Flexible
+//! Surgical Snake-like Robots with Redundant Remote Actuation" (ICRA 2006), called *the paper* throughout; "Eq. n" is an equation of it, and
+//! its snake of Ø 4.2 mm is the default robot. The library measures the bend in pictures ([`measure`]), learns from the bends and the
+//! encoders how much motion the actuation line takes up ([`estimate`]), and says what to command instead ([`robot`]).
 //!
 //! # Conventions
 //!
@@ -20,13 +20,13 @@
 //! | [`bag`] | ROS 2 recordings |
 //! | [`robot`], [`camera`] | the snake: kinematics, statics, friction, ε; lenses and sources of frames |
 //! | [`observation`] | measurements of frames and encoder readings, as plain values |
-//! | [`measure`], [`estimate`] | frames → θ, δ; measurements → η, λ |
+//! | [`measure`], [`estimate`] | frames → bend θ and azimuth δ; measurements → force scale η and backlash λ |
 //! | [`verdict`] | whether a result can be relied on, and what to do if not |
 //! | [`record`] | the files of an experiment: read, check, write |
-//! | [`simulate`] | the other way round, for tests |
+//! | [`simulate`] | simulated robots and rendered frames |
 //! | [`discover`] | which effect the model lacks |
 //! | [`reproduce`] | the paper's tables and figures |
-//! | [`closed_loop`] | controller and robot played together, through rendered frames |
+//! | [`closed_loop`] | controller and robot simulated together, through rendered frames |
 //! | `report` (feature `report`) | overlays, plots, the HTML page |
 //! | `live` (feature `live`) | the loop while the robot moves, with its dashboard |
 #![doc = ""]
@@ -47,6 +47,8 @@ mod instant;
 pub mod live;
 pub mod measure;
 pub mod observation;
+#[cfg(feature = "report")]
+mod quantity;
 pub mod record;
 #[cfg(feature = "report")]
 pub mod report;

@@ -101,11 +101,11 @@ impl Status {
             Self::Ok => ("the frame was measured", "nothing"),
             Self::NoSnake => (
                 "nothing in the picture looks like the snake",
-                "look whether the frame is of this view, and the light as in the straight picture",
+                "check that the frame is of this view, and that the light is that of the straight picture",
             ),
             Self::Occluded => (
                 "too much of the snake's outline is hidden or disturbed",
-                "keep hands, tools and wires from before the snake; a second view sees what this one does not",
+                "keep hands, tools and wires out of the view; a second view sees what this one does not",
             ),
             Self::Ambiguous => (
                 "two bends explain the picture equally well",
@@ -113,10 +113,10 @@ impl Status {
             ),
             Self::UnknownShape => (
                 "the outline contradicts what is known of the snake's shape, and no other shape explains all of it, or more than one does",
-                "measure a sequence of three frames or more, which tells the shape; else look at the frame by `measure --explain`: contact along the body, or something that touches the outline; check robot.toml",
+                "measure a sequence of three frames or more, from which the shape is learned; if that does not help, look at the frame with `measure --explain` for contact along the body or something that touches the outline, and check robot.toml",
             ),
             Self::Blurred => (
-                "the outline is too soft to place its edges",
+                "the outline is too blurred to place its edges",
                 "let the snake rest while the frame is taken, expose for a shorter time, and focus on the snake",
             ),
             Self::Saturated => ("the picture is almost entirely black or white", "correct exposure or light"),
@@ -126,21 +126,23 @@ impl Status {
             ),
             Self::CameraMoved => (
                 "the grid target is not where the straight picture shows it: the camera or the target moved",
-                "take a new straight picture; or `--follow`, where the camera is meant to move",
+                "take a new straight picture; if the camera is meant to move, use `--follow`",
             ),
             Self::BaseMoved => (
                 "the base is not where the straight picture shows it, though the grid target is",
                 "clamp the holder, and take a new straight picture",
             ),
             Self::GridLost => (
-                "the camera was to be followed, and neither grid target nor base tells where it is",
+                "the camera was to be followed, but neither grid target nor base shows where it is",
                 "keep more of the grid target in the picture",
             ),
             Self::ViewsDisagree => (
                 "the views of one moment contradict each other",
                 "trigger the cameras together; check `delta_offset_deg` of each view and its straight picture",
             ),
-            Self::Unreadable => ("the picture could not be read", "look whether the file is whole; write it anew"),
+            Self::Unreadable => {
+                ("the picture could not be read", "check whether the file is complete, and write it again")
+            }
             Self::WrongSize => (
                 "the picture has another size than the camera file says",
                 "calibrate the camera at the size of the frames; `snakeloop check` names the pictures",
@@ -150,8 +152,8 @@ impl Status {
                 "keep the sensor within the tracker's reach, and metal away from both",
             ),
             Self::TrackerJump => (
-                "the tracker's position lies off all that the snake's tip can reach, by more than noise",
-                "look for metal or another disturbance at that moment; after a sensor slipped take a new straight pose",
+                "the tracker's position is farther from all points that the tip can reach than noise accounts for",
+                "look for metal or another disturbance at that moment; if the sensor slipped, take a new straight pose",
             ),
             Self::Other(_) => ("a reason that this version does not know", "see the program that wrote the file"),
         }

@@ -11,6 +11,7 @@ use snakeloop::discover::{Data, FewSamples, Localisation, discover as search, di
 use snakeloop::estimate::Options;
 use snakeloop::estimate::gap::gap;
 use snakeloop::observation::{EncoderReading, Measurement};
+use snakeloop::record::Provenance;
 use snakeloop::report::discovery::{Page, few_samples_lines, few_samples_page, lines};
 use snakeloop::report::verdict::verdict_page;
 use snakeloop::robot::Model;
@@ -67,20 +68,20 @@ fn discovered(
         let verdict = Verdict::of(vec![mistake]);
         let remarks = answer.map_or_else(|few| few.remarks, |data| data.remarks);
         let json = nothing_named(&gap(&model, measurements, readings), &verdict, &remarks);
-        let text = format!("unexplained: no physics is named of these data\n{}", verdict.lines().join("\n"));
-        return Ok(PyDiscovery { json, text, page: verdict_page("snakeloop: discover", &verdict), model });
+        let text = format!("unexplained: no effect is named from these data\n{}", verdict.lines().join("\n"));
+        return Ok(PyDiscovery { json, text, page: verdict_page("snakeloop: discover", &verdict, &Provenance::new("discover")), model });
     }
     let data = match answer {
         Ok(data) => data,
         Err(few) => {
-            let (json, text, page) = (few.json(), few_samples_lines(&few), few_samples_page(&few));
+            let (json, text, page) = (few.json(), few_samples_lines(&few), few_samples_page(&few, &Provenance::new("discover")));
             return Ok(PyDiscovery { json, text, page, model: few.model });
         }
     };
     let from_frames = measurements.iter().any(|measurement| measurement.quality.is_some());
     let found = if from_frames { discover_in_frames(model, &data, &|_| ()) } else { search(&model, &data) };
     let localised = Localisation::new(&found, &data);
-    let page = Page { found: &found, data: &data, gap: localised.as_ref(), correction: None, next: None }.html();
+    let page = Page { found: &found, data: &data, gap: localised.as_ref(), correction: None, next: None, made_from: &Provenance::new("discover") }.html();
     Ok(PyDiscovery { json: found.json(), text: lines(&found), page, model: found.model })
 }
 

@@ -263,14 +263,4 @@ mod tests {
         let message = calibrate_camera(&["no/such.png".into()], &board).unwrap_err().to_string();
         assert!(message.contains("0 pictures show the whole board") && message.contains("no/such.png"), "{message}");
     }
-
-    #[cfg(not(feature = "opencv"))]
-    #[test]
-    fn a_build_without_opencv_says_so() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("1.png");
-        image::GrayImage::new(8, 8).save(&path).unwrap();
-        let error = calibrate_camera(&[path], &Board::new(9, 6, 25.0).unwrap()).unwrap_err();
-        assert!(matches!(error, Error::NoOpenCv { .. }), "{error}");
-    }
 }

@@ -176,7 +176,7 @@ fn without_alpha<T: Copy>(samples: &[T], channels: usize) -> Vec<T> {
 /// sensor's own rows and columns; see [`read_frame_for`]. What follows the end of a JPEG picture, such as a phone's clip, is no part of it.
 ///
 /// # Errors
-/// What is no file (a pipe is not waited at), cannot be read, is none of these formats, is damaged or cut short, has more than 100
+/// Something that is no file (a pipe is not waited for), cannot be read, has another format, is damaged or cut short, has more than 100
 /// megapixels or 65,535 px in a row or column, or would take more memory than such a picture does.
 pub fn read_frame(path: &Path) -> Result<Frame> {
     if !std::fs::metadata(path).map_err(Error::io(path, "read"))?.is_file() {
@@ -228,7 +228,7 @@ pub fn decode_frame(bytes: &[u8]) -> std::result::Result<Frame, String> {
         Ok(ImageFormat::Tiff) => match stack::pages(&mut Cursor::new(bytes)) {
             Ok(pages) if pages.len() > 1 => {
                 return Err(format!(
-                    "a stack of {} pages, expected one picture; name the stack alone as `frames`, whose pages are then the frames",
+                    "a stack of {} pages, expected one picture; if its pages are the frames, name it alone as `frames`",
                     pages.len()
                 ));
             }
@@ -285,8 +285,7 @@ pub(super) fn decoded(mut decoder: impl ImageDecoder) -> std::result::Result<Fra
     decoder.set_limits(limits).map_err(unreadable)?;
     let colour: ColorType = decoder.color_type();
     let image = DynamicImage::from_decoder(decoder).map_err(unreadable)?;
-    let other =
-        || format!("{colour:?} pixels, of which nothing says what is white; write 8 or 16 bits, grey or colour");
+    let other = || format!("{colour:?} pixels, whose white is not defined; write 8 or 16 bits, grey or colour");
     Frame::from_image(image).ok_or_else(other)
 }
 
@@ -440,7 +439,7 @@ mod tests {
         let (bmp, png) = (encoded(&picture, ImageFormat::Bmp), encoded(&picture, ImageFormat::Png));
         assert_eq!(decode_frame(&bmp).unwrap(), decode_frame(&png).unwrap());
         let float = DynamicImage::ImageRgb32F(picture.to_rgb32f());
-        assert!(decode_frame(&encoded(&float, ImageFormat::Tiff)).unwrap_err().contains("nothing says what is white"));
+        assert!(decode_frame(&encoded(&float, ImageFormat::Tiff)).unwrap_err().contains("whose white is not defined"));
     }
 
     #[test]

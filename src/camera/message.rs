@@ -47,8 +47,8 @@ impl Lens {
         let fits = |axis: usize| u64::from(offset[axis]) + u64::from(size[axis]) <= u64::from(whole[axis]);
         if !fits(0) || !fits(1) || size[0] < binning[0] || size[1] < binning[1] {
             return Err(format!(
-                "the window (roi) of {}×{} px from ({}, {}) on, binned {}×{}, does not fit the sensor of {}×{} px, so that nothing tells of which \
-                 of them the camera matrix is; calibrate with pictures of the window, and give that camera file",
+                "the window (roi) of {}×{} px from ({}, {}) on, binned {}×{}, does not fit the sensor of {}×{} px, so that it is not known whether the camera matrix \
+                 is that of the window or of the sensor; calibrate with pictures of the window, and give that camera file",
                 size[0], size[1], offset[0], offset[1], binning[0], binning[1], whole[0], whole[1]
             ));
         }

@@ -9,13 +9,14 @@ pub mod lens;
 mod message;
 #[cfg(feature = "opencv")]
 mod opencv;
-#[cfg(not(feature = "opencv"))]
-#[path = "without_opencv.rs"]
-mod opencv;
 pub mod source;
 mod stack;
 mod stamps;
 mod video_mark;
+// Beside OpenCV it is there for its tests alone.
+#[cfg(any(test, not(feature = "opencv")))]
+#[cfg_attr(feature = "opencv", allow(dead_code))]
+mod without_opencv;
 pub use board::Board;
 pub use calibrate::{CameraCalibration, calibrate_camera};
 pub use capture::{CaptureSettings, CaptureTarget, FourCc};
@@ -24,3 +25,5 @@ pub use frame::{Frame, Sample, Samples, decode_frame, picture_size_for, read_fra
 pub use lens::Lens;
 pub use opencv::Capture;
 pub use source::{FrameSource, PictureFile, SourceFrame};
+#[cfg(not(feature = "opencv"))]
+use without_opencv as opencv;

@@ -54,7 +54,7 @@ impl Form {
     }
 }
 
-/// Where the directories of a TIFF file's pages are; reduced copies of a page (previews) are none.
+/// The positions of the directories of a TIFF file's pages, without those of reduced copies (previews).
 ///
 /// # Errors
 /// A file that is no TIFF file, or ends within a directory.

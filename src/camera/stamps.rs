@@ -5,7 +5,7 @@ use std::path::Path;
 
 /// Unix times that a name may hold, s: from 2001 to 2128.
 ///
-/// Convention: numbers of ten digits with all that a camera's clock may show, so that a count of frames is none.
+/// Convention: numbers of ten digits, with all that a camera's clock may show; a count of frames is smaller.
 const UNIX_S: std::ops::Range<f64> = 1e9..5e9;
 
 /// The time in a file's name.

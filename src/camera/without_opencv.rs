@@ -1,4 +1,4 @@
-//! What stands in for OpenCV in a build without it: everything is refused.
+//! A build without OpenCV: videos, camera devices and lens calibration are refused.
 
 use super::capture::{CaptureSettings, CaptureTarget};
 use super::{Board, Frame, Lens};
@@ -62,4 +62,28 @@ pub fn find_corners(_: &Frame, _: &Board) -> Result<Option<Vec<Point2<f64>>>> {
 
 pub fn calibrate(_: &Board, _: &[&[Point2<f64>]], _: (u32, u32)) -> Result<(Lens, Vec<Pose>)> {
     Err(Error::NoOpenCv { what: "calibrating a lens".into() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_build_without_opencv_says_so() {
+        let frame = Frame::from_image(image::DynamicImage::new_luma8(8, 8)).unwrap();
+        let board = Board::new(9, 6, 25.0).unwrap();
+        let device = CaptureTarget::Device(0);
+        let stream = CaptureTarget::Stream("rtsp://camera".to_owned());
+        let settings = CaptureSettings::default();
+        for (error, what) in [
+            (Video::open(Path::new("run.MP4")).err(), "run.MP4: reading a video needs OpenCV"),
+            (Capture::open(&device, &settings).err(), "camera 0 needs OpenCV"),
+            (Capture::open(&stream, &settings).err(), "the stream rtsp://camera needs OpenCV"),
+            (find_corners(&frame, &board).err(), "finding chessboards needs OpenCV"),
+            (calibrate(&board, &[], (8, 8)).err(), "calibrating a lens needs OpenCV"),
+        ] {
+            let told = error.map(|error| error.to_string()).unwrap_or_default();
+            assert!(told.starts_with(what), "{told}");
+        }
+    }
 }

@@ -31,7 +31,7 @@ impl Args {
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop manual -o ~/.local/share/man/man1")]
 pub struct ManualArgs {
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
 }

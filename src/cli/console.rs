@@ -16,7 +16,7 @@ const TICK: Duration = Duration::from_millis(150);
 /// The two switches that every command has.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct Console {
-    /// Say nothing but errors and, with --json, the result
+    /// Print only errors and, with --json, the result
     #[arg(long, global = true)]
     quiet: bool,
     /// Print the result as JSON on standard output instead of text
@@ -32,6 +32,13 @@ impl Console {
             print(&(serde_json::to_string_pretty(value).unwrap_or_default() + "\n"));
         } else if !self.quiet {
             print(&(text().trim_end().to_owned() + "\n"));
+        }
+    }
+
+    /// Says below a result what to do next, where it is printed for people.
+    pub fn next(&self, step: impl Display) {
+        if self.may_ask() {
+            print(&format!("next: {step}\n"));
         }
     }
 

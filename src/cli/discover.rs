@@ -17,8 +17,8 @@ use crate::estimate::gap::{Gap, gap};
 use crate::estimate::{Options, Verdict as GateVerdict, estimate};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, Experiment, OutputFolder, measurements_csv, read_effects, read_measurements, read_model, trajectory_csv,
-    write_atomically, write_model,
+    Checked, Experiment, OutputFolder, Provenance, measurements_csv, read_effects, read_measurements, read_model,
+    trajectory_csv, write_atomically, write_learned_model,
 };
 use crate::report::discovery::{Page, few_samples_lines, few_samples_page, lines};
 use crate::report::verdict::verdict_page;
@@ -26,6 +26,7 @@ use crate::robot::{DataRange, Model};
 use crate::verdict::{Reason, Subject, Verdict};
 use crate::{Error, Result};
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::path::PathBuf;
 
@@ -40,7 +41,7 @@ pub struct Args {
     /// The experiment: a folder with an experiment.toml, or that file; its frames are measured first
     #[arg(required_unless_present = "measurements", conflicts_with_all = ["measurements", "encoders"])]
     experiment: Option<PathBuf>,
-    /// What the eye measured (measurements.csv)
+    /// The measurements (measurements.csv)
     #[arg(long, value_name = "CSV", requires = "encoders")]
     measurements: Option<PathBuf>,
     /// The encoder log (encoders.csv)
@@ -53,7 +54,7 @@ pub struct Args {
     /// the library
     #[arg(long, value_name = "TOML")]
     effects: Option<PathBuf>,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Standard deviation of an encoder reading, mm
@@ -66,12 +67,14 @@ pub struct Args {
     /// The most poses of that experiment, 24 or more, which a search needs
     #[arg(long, value_name = "N", requires = "next")]
     poses: Option<usize>,
-    /// Where the verdict is `unexplained` or `partly`, propose a law: a short formula of bend, load, direction, play, speed and time that
+    /// If the verdict is `unexplained` or `partly`, propose a law: a short formula of bend, load, direction, play, speed and time that
     /// takes more of the gap away on sweeps left out; it is added to model.toml as `proposed_law`
     #[arg(long)]
     correction: bool,
 }
 
+/// The angles that were measured in an experiment's frames.
+const MEASUREMENTS: &str = "measurements.csv";
 /// The trajectory that --next writes.
 const NEXT: &str = "next.csv";
 
@@ -176,6 +179,7 @@ impl Args {
         let json = self.write_answer(&answer, inputs, &data)?;
         console.warn(&answer.found.remarks);
         console.result(&json, || self.in_words(&answer, inputs));
+        console.next(self.next_step(answer.found.verdict));
         Ok(())
     }
 
@@ -192,8 +196,16 @@ impl Args {
             json["next"] = next.as_ref().map(|next| next.json(NEXT)).into();
         }
         let corrected = correction.as_ref().and_then(|correction| correction.model.as_ref());
-        let page = Page { found, data, gap: localised.as_ref(), correction: correction.as_ref(), next: next.as_ref() };
-        self.write_all(&json, &inputs.with_range(corrected.unwrap_or(&found.model)), &page.html())?;
+        let made_from = self.made_from()?;
+        let page = Page {
+            found,
+            data,
+            gap: localised.as_ref(),
+            correction: correction.as_ref(),
+            next: next.as_ref(),
+            made_from: &made_from,
+        };
+        self.write_all(&json, &inputs.with_range(corrected.unwrap_or(&found.model)), &page.html(), &made_from)?;
         Ok(json)
     }
 
@@ -214,7 +226,8 @@ impl Args {
             return Ok(self.name_nothing(console, inputs, mistake, &found.remarks)?);
         }
         let json = found.json();
-        self.write_all(&json, &inputs.with_range(&found.model), &few_samples_page(&found))?;
+        let made_from = self.made_from()?;
+        self.write_all(&json, &inputs.with_range(&found.model), &few_samples_page(&found, &made_from), &made_from)?;
         console.warn(&found.remarks);
         console.result(&json, || few_samples_lines(&found));
         Ok(())
@@ -237,29 +250,62 @@ impl Args {
         let Inputs { model, measurements, readings, .. } = inputs;
         let verdict = Verdict::of(vec![mistake]);
         let json = nothing_named(&gap(model, measurements, readings), &verdict, remarks);
-        self.write_all(&json, &inputs.with_range(model), &verdict_page("snakeloop: discover", &verdict))?;
+        let made_from = self.made_from()?;
+        self.write_all(
+            &json,
+            &inputs.with_range(model),
+            &verdict_page("snakeloop: discover", &verdict, &made_from),
+            &made_from,
+        )?;
         console.warn(remarks);
         console.result(&json, || {
-            format!("unexplained: no physics is named of these data\n{}", verdict.lines().join("\n"))
+            format!("unexplained: no effect is named from these data\n{}", verdict.lines().join("\n"))
         });
         Ok(())
     }
 
     /// The three files that every answer has.
-    fn write_all(&self, json: &Value, model: &Model, page: &str) -> Result<()> {
+    fn write_all(&self, json: &Value, model: &Model, page: &str, made_from: &Provenance) -> Result<()> {
         self.write("discrepancy.json", &format!("{json:#}\n"))?;
-        write_model(&self.output.join("model.toml"), model)?;
+        write_learned_model(&self.output.join("model.toml"), model, None, made_from)?;
         self.write("report.html", page)
+    }
+
+    /// The files that the call names.
+    fn named(&self) -> [Option<&PathBuf>; 4] {
+        [self.measurements.as_ref(), self.encoders.as_ref(), self.model.as_ref(), self.effects.as_ref()]
+    }
+
+    fn made_from(&self) -> Result<Provenance> {
+        let options = [("encoder_sd_mm", self.encoder_sd)];
+        let made_from = Provenance::new("discover").with_options(&BTreeMap::from(options))?;
+        let made_from = match &self.experiment {
+            Some(experiment) => made_from
+                .with_inputs(Experiment::read(experiment)?.files())?
+                .with_input(MEASUREMENTS, &self.output.join(MEASUREMENTS))?,
+            None => made_from,
+        };
+        made_from.with_inputs(self.named().into_iter().flatten())
+    }
+
+    /// What to do next.
+    fn next_step(&self, verdict: Found) -> String {
+        let model = self.output.join("model.toml");
+        match verdict {
+            Found::Named | Found::Partly => format!("snakeloop table --model {} -o table", model.display()),
+            Found::None => "command by the model as it is: nothing is missing".to_owned(),
+            Found::Unexplained => {
+                "add --correction for a law, or --next for the experiment that would tell more".to_owned()
+            }
+        }
     }
 
     /// Takes the folder to write to.
     fn claim(&self) -> Result<OutputFolder> {
-        const OUTPUTS: [&str; 6] =
-            ["measurements.csv", "discrepancy.json", NEXT, "model.toml", "report.html", "rig.jpg"];
-        let named = [self.measurements.as_ref(), self.encoders.as_ref(), self.model.as_ref(), self.effects.as_ref()];
+        const OUTPUTS: [&str; 6] = [MEASUREMENTS, "discrepancy.json", NEXT, "model.toml", "report.html", "rig.jpg"];
         let (inputs, outputs) = match &self.experiment {
-            Some(experiment) => (files_read(&Experiment::read(experiment)?, &named), &OUTPUTS[..]),
-            None => (named.into_iter().flatten().cloned().collect(), &OUTPUTS[1..]),
+            Some(experiment) => (files_read(&Experiment::read(experiment)?, &self.named()), &OUTPUTS[..]),
+            None => (self.named().into_iter().flatten().cloned().collect(), &OUTPUTS[1..]),
         };
         let mut out = OutputFolder::claim(&self.output, outputs, &inputs)?;
         out.made_by("discover", outputs)?;
@@ -277,7 +323,7 @@ impl Args {
     fn next_in_words(&self, next: Option<&NextExperiment>) -> String {
         match next {
             None if !self.next => String::new(),
-            None => "\nno trajectory of those tried would decide anything that is still open".to_owned(),
+            None => "\nnone of the trajectories tried would decide what is still open".to_owned(),
             Some(next) => format!("\n{}\n{}", next.sentence(), self.output.join(NEXT).display()),
         }
     }
@@ -316,8 +362,8 @@ impl Args {
                         Ok(())
                     },
                 )?;
-                self.write("measurements.csv", &measurements_csv(&measurements))?;
-                Count::of(&self.output.join("measurements.csv"))?.require_some_measured(&experiment)?;
+                self.write(MEASUREMENTS, &measurements_csv(&measurements))?;
+                Count::of(&self.output.join(MEASUREMENTS))?.require_some_measured(&experiment)?;
                 Ok(Inputs::new(model, measurements, readings, Some(&experiment)))
             }
             (None, Some(measurements), Some(encoders)) => {
@@ -335,7 +381,7 @@ impl Args {
     }
 }
 
-/// What the gap is without some outliers, in words; nothing where there are none.
+/// The gap without the outliers, in words; empty without outliers.
 fn without(outliers: &[&Measurement], found: &Discovery, Inputs { measurements, readings, .. }: &Inputs) -> String {
     let Some(first) = outliers.first() else { return String::new() };
     let rest: Vec<Measurement> = measurements.iter().filter(|m| outliers.iter().all(|o| *o != *m)).cloned().collect();

@@ -7,7 +7,8 @@ use super::verdict::{VerdictArgs, doubt_of_times, verdict_text};
 use crate::cli::failure::Failure;
 use crate::estimate::{EstimateRow, Verdict as RowVerdict, estimate, estimate_stem, or_one_gain};
 use crate::observation::{EncoderReading, Measurement};
-use crate::record::{OutputFolder, estimates_csv, stems_csv, write_atomically, write_judged_model, write_model};
+use crate::quantity::with_sd;
+use crate::record::{OutputFolder, Provenance, estimates_csv, stems_csv, write_atomically, write_learned_model};
 use crate::robot::{Effect, Estimate, ForceLimits, Model};
 use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};
@@ -21,19 +22,19 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "Example:\n  snakeloop estimate --measurements out/measurements.csv \
                   --encoders fixtures/bending/encoders.csv -o out")]
 pub struct Args {
-    /// What the eye measured (measurements.csv)
+    /// The measurements (measurements.csv)
     #[arg(long, value_name = "CSV")]
     measurements: PathBuf,
     /// The encoder log (encoders.csv)
     #[arg(long, value_name = "CSV")]
     encoders: PathBuf,
-    /// The model whose robot and friction are taken (model.toml); without it the paper's, with Table I
+    /// The model that gives robot and friction (model.toml); by default the paper's, with Table I
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// An effect that acts besides those of the model, such as tip_load:fx_n=0.2,fy_n=0,fz_n=0; may be given again
+    /// An effect in addition to those of the model, such as tip_load:fx_n=0.2,fy_n=0,fz_n=0; may be repeated
     #[arg(long, value_name = "NAME:PARAMETER=VALUE,...", value_parser = Effect::parse)]
     effect: Vec<Effect>,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// The robot was commanded by a table with these force limits (`table --force-limits`): the force that the backbones share then moves what
@@ -102,11 +103,18 @@ impl Parameters {
 }
 
 impl Args {
+    /// The files that are read.
+    fn files(&self) -> Vec<PathBuf> {
+        [Some(&self.measurements), Some(&self.encoders), self.model.as_ref()].into_iter().flatten().cloned().collect()
+    }
+
+    fn made_from(&self) -> Result<Provenance> {
+        Provenance::new("estimate").with_options(&self.estimator)?.with_inputs(self.files())
+    }
+
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
-        let inputs =
-            [Some(&self.measurements), Some(&self.encoders), self.model.as_ref()].into_iter().flatten().cloned();
         const OUTPUTS: [&str; 3] = ["model.toml", "estimate.csv", "stem.csv"];
-        let _out = OutputFolder::claim(&self.output, &OUTPUTS, &inputs.collect::<Vec<_>>())?;
+        let _out = OutputFolder::claim(&self.output, &OUTPUTS, &self.files())?;
         let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
         let model = with_effects(model, &self.effect)?;
         let (measurements, encoders) =
@@ -131,7 +139,7 @@ impl Args {
         let verdict = doubt.into_iter().fold(verdict, Verdict::and);
         let verdict = do_not_use.as_deref().map(bad_start).into_iter().fold(verdict, Verdict::and);
         if model.estimate.is_some() {
-            write_judged_model(&self.output.join("model.toml"), &model, &verdict)?;
+            write_learned_model(&self.output.join("model.toml"), &model, Some(&verdict), &self.made_from()?)?;
         }
         // The rows stand beside the model that they led to, and not beside an earlier one.
         if model.estimate.is_some() || !self.output.join("model.toml").exists() {
@@ -140,6 +148,15 @@ impl Args {
         }
         let summary = Summary { verdict, estimated };
         console.result(&summary, || verdict_text(&summary.verdict) + &summary.estimated.text());
+        console.next(match summary.verdict.level {
+            Level::DoNotUse => "do what stands below the first reason, then estimate again".to_owned(),
+            _ if summary.verdict.has(Code::GapAboveNoise) => {
+                "snakeloop discover with the same files says what the model lacks".to_owned()
+            }
+            Level::Good | Level::Look => {
+                format!("snakeloop table --model {} -o table", self.output.join("model.toml").display())
+            }
+        });
         summary.estimated.require_parameters(&self.measurements)?;
         self.verdict.check(&summary.verdict)
     }
@@ -178,10 +195,8 @@ impl Args {
         let output = self.output.join("stem.csv");
         write_atomically(&output, stems_csv(&rows).as_bytes())?;
         let path = self.output.join("model.toml");
-        match do_not_use {
-            Some(why) => write_judged_model(&path, &model, &Verdict::of(vec![bad_start(why)]))?,
-            None => write_model(&path, &model)?,
-        }
+        let verdict = do_not_use.map(|why| Verdict::of(vec![bad_start(why)]));
+        write_learned_model(&path, &model, verdict.as_ref(), &self.made_from()?)?;
         let followed = Followed {
             phi_deg: last.phi.to_degrees(),
             sd_phi_deg: last.sd_phi.to_degrees(),
@@ -191,9 +206,8 @@ impl Args {
         };
         console.result(&followed, || {
             format!(
-                "Φ at the end  {:.1} ± {:.1}°\nmeasurements  {used} used, {} skipped\n{}",
-                followed.phi_deg,
-                followed.sd_phi_deg,
+                "Φ at the end  {}°\nmeasurements  {used} used, {} skipped\n{}",
+                with_sd(followed.phi_deg, followed.sd_phi_deg),
                 followed.skipped,
                 followed.output.display()
             )
@@ -204,7 +218,7 @@ impl Args {
 
 /// The reason that a start with a model that must not be used makes.
 fn bad_start(why: &str) -> Reason {
-    let text = format!("the model that this was started with must not be used: {why}");
+    let text = format!("the starting model must not be used: {why}");
     Reason::new(Code::Files, Level::DoNotUse, text, "start with a model that can be used (--model)")
 }
 
@@ -264,7 +278,7 @@ impl Estimated {
     /// Lines for people.
     pub fn text(&self) -> String {
         let lines = self.parameters.map(|Parameters { eta, sd_eta, lambda_mm, sd_lambda_mm }| {
-            format!("η             {eta:.4} ± {sd_eta:.4}\nλ             {lambda_mm:.4} ± {sd_lambda_mm:.4} mm\n")
+            format!("η             {}\nλ             {} mm\n", with_sd(eta, sd_eta), with_sd(lambda_mm, sd_lambda_mm))
         });
         format!("{}measurements  {}\n", lines.unwrap_or_default(), self.counts())
     }

@@ -14,7 +14,7 @@ use serde::Serialize;
 use std::convert::Infallible;
 use std::path::PathBuf;
 
-/// Tell how well a model explains measurements, or how close measurements are to a known truth
+/// Show how well a model explains measurements, or how close measurements are to a known truth
 ///
 /// The model's gap is the rms of what it leaves of ε over all backbones (mm), beside what the measurements' own noise
 /// would leave, and the rms of measured θ and δ less those that it predicts from the encoders (degrees). δ counts where
@@ -23,10 +23,10 @@ use std::path::PathBuf;
 #[command(after_help = "Example:\n  snakeloop evaluate --model out/model.toml --measurements out/measurements.csv \
                   --encoders fixtures/bending/encoders.csv --json")]
 pub struct Args {
-    /// The model (model.toml); without it the paper's, with Table I
+    /// The model (model.toml); by default the paper's, with Table I
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// What the eye measured (measurements.csv)
+    /// The measurements (measurements.csv)
     #[arg(long, value_name = "CSV")]
     measurements: PathBuf,
     /// The encoder log (encoders.csv)
@@ -94,6 +94,9 @@ impl Args {
         };
         let evaluation = Evaluation { verdict, gap, accuracy };
         console.result(&evaluation, || evaluation.text());
+        if evaluation.verdict.has(Code::GapAboveNoise) {
+            console.next("snakeloop discover with the same files says what the model lacks");
+        }
         self.verdict.check(&evaluation.verdict)
     }
 }

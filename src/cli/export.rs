@@ -43,6 +43,7 @@ impl Args {
             let lines = recorded.messages.iter().map(|(topic, messages)| format!("{topic:<20} {messages} messages\n"));
             lines.collect::<String>() + &self.output.display().to_string()
         });
+        console.next(format_args!("open {} in Foxglove", self.output.display()));
         Ok(())
     }
 }

@@ -12,7 +12,7 @@ pub enum Failure {
     #[error("do not use (--strict): {0}")]
     Verdict(String),
     /// The model must not be used, and the call did not ask for it all the same.
-    #[error("{0}; put it right and learn anew, or take it all the same with --even-if-bad")]
+    #[error("{0}; correct that and learn again, or use the model with --even-if-bad")]
     BadModel(String),
     /// The work failed.
     #[error(transparent)]

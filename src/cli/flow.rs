@@ -35,7 +35,7 @@ pub struct Flow<'a> {
     pub views: &'a [OpenView],
     /// The trackers, whose poses are measured already.
     pub trackers: &'a [OpenTracker],
-    /// The encoder log in order of its index, which tells times that the frames do not; empty where there is none.
+    /// The encoder log in order of its index, which gives times to frames that have none of their own; empty without a log.
     pub encoders: &'a [EncoderReading],
     /// The model by which a reading tells about which bend to expect.
     pub model: &'a Model,
@@ -95,7 +95,7 @@ impl Flow<'_> {
             if !wanted {
                 bar.inc(1);
             }
-            // Where a camera is followed to hangs on all frames before.
+            // The position of a followed camera depends on all frames before.
             let prepared = (wanted || self.follow).then(|| self.prepare(&mut eyes, frames, (&clocks, &unreadable)));
             prepared.filter(|_| wanted).map(|prepared| (rank, index, prepared))
         });

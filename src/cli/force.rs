@@ -5,14 +5,15 @@ use super::inputs::measurements_and_readings;
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::estimate::{Options, tip_force};
+use crate::quantity::with_sd;
 use crate::record::{forces_csv, read_model, write_atomically};
 use serde::Serialize;
 use std::path::PathBuf;
 
 /// Find the force on the tip that explains measured deflections: writes OUT/force.csv
 ///
-/// Each measurement alone sees two directions of three and names the one that it cannot see. Printed is the one force that explains
-/// all of them together.
+/// Each measurement alone shows two of three directions, and names the one that it cannot show. The printed force explains all
+/// measurements together.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop force --model out/model.toml --measurements loaded/measurements.csv \
                   --encoders loaded/encoders.csv -o loaded")]
@@ -20,13 +21,13 @@ pub struct Args {
     /// The model with the η and λ of the unloaded snake (model.toml)
     #[arg(long, value_name = "MODEL")]
     model: PathBuf,
-    /// What the eye measured (measurements.csv)
+    /// The measurements (measurements.csv)
     #[arg(long, value_name = "CSV")]
     measurements: PathBuf,
     /// The encoder log (encoders.csv)
     #[arg(long, value_name = "CSV")]
     encoders: PathBuf,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Standard deviation of an encoder reading, mm
@@ -61,7 +62,7 @@ impl Args {
         };
         console.result(&found, || {
             let sd = force.covariance_n2.diagonal().map(|variance| variance.max(0.0).sqrt());
-            let part = |name: &str, k: usize| format!("{name}  {:+.3} ± {:.3} N\n", force.force_n[k], sd[k]);
+            let part = |name: &str, k: usize| format!("{name}  {} N\n", with_sd(force.force_n[k], sd[k]));
             let unseen = force.unseen.iter().map(|u| format!("unseen along ({:+.2}, {:+.2}, {:+.2})\n", u.x, u.y, u.z));
             part("Fx", 0)
                 + &part("Fy", 1)

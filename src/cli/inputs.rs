@@ -175,7 +175,7 @@ pub fn files_read(experiment: &Experiment, others: &[Option<&PathBuf>]) -> Vec<P
     experiment.files().into_iter().chain(experiment.frames()).chain(others).collect()
 }
 
-/// An experiment's encoder log, of the model's robot, read by the experiment's wiring; empty where it has none.
+/// An experiment's encoder log for the model's robot, read by the experiment's wiring; empty if the experiment names no log.
 pub fn encoders_of(experiment: &Experiment, model: &Model) -> Result<Checked<EncoderReading>> {
     let backbones = model.robot.backbone_count();
     let wiring = experiment.wiring(backbones)?;

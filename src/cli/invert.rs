@@ -6,6 +6,7 @@ use crate::Result;
 use crate::cli::failure::Failure;
 use crate::error::NoSolution;
 use crate::geometry::Configuration;
+use crate::quantity::{decimal, with_sd};
 use crate::robot::{Effect, MAX_THETA, Model, PerBackbone, TableRow};
 use nalgebra::Vector2;
 use serde_json::{Map, Value};
@@ -17,10 +18,10 @@ use std::path::PathBuf;
 #[command(after_help = "Example:\n  snakeloop invert --model out/model.toml --theta-deg 30 --delta-deg 45\n  \
                   snakeloop invert --model out/model.toml --qc-mm=-0.72,0.61,0.68")]
 pub struct Args {
-    /// The model (model.toml); without it the paper's, with Table I
+    /// The model (model.toml); by default the paper's, with Table I
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// An effect that acts besides those of the model, such as tip_load:fx_n=0.2,fy_n=0,fz_n=0; may be given again
+    /// An effect in addition to those of the model, such as tip_load:fx_n=0.2,fy_n=0,fz_n=0; may be repeated
     #[arg(long, value_name = "NAME:PARAMETER=VALUE,...", value_parser = Effect::parse)]
     effect: Vec<Effect>,
     /// The wanted bend from straight, degrees
@@ -161,9 +162,9 @@ impl Pose {
     }
 
     fn text(&self) -> String {
-        let with_sd = |value: f64, sd: Option<f64>, places: usize| match sd {
-            Some(sd) => format!("{value:.places$} ± {sd:.places$}"),
-            None => format!("{value:.places$}"),
+        let shown = |value: f64, sd: Option<f64>, places: usize| match sd {
+            Some(sd) => with_sd(value, sd),
+            None => decimal(value, places),
         };
         let (sd_command, sd_pose) = match &self.sd {
             Some(Sd::CommandMm(sd)) => (Some(sd), None),
@@ -172,11 +173,11 @@ impl Pose {
         };
         let mut text = format!(
             "theta    {}°\ndelta    {}°\n\nbackbone   desired q (mm)   command q̃ (mm)\n",
-            with_sd(self.theta_deg, sd_pose.map(|sd| sd.x), 3),
-            with_sd(self.delta_deg, sd_pose.map(|sd| sd.y), 3)
+            shown(self.theta_deg, sd_pose.map(|sd| sd.x), 3),
+            shown(self.delta_deg, sd_pose.map(|sd| sd.y), 3)
         );
         for i in 0..self.q_mm.len() {
-            let command = with_sd(self.qc_mm[i], sd_command.map(|sd| sd[i]), 5);
+            let command = shown(self.qc_mm[i], sd_command.map(|sd| sd[i]), 5);
             text += &format!("{:>8}   {:>14.5}   {command}\n", i + 1, self.q_mm[i]);
         }
         if self.extrapolated {

@@ -26,7 +26,7 @@ use std::time::Duration;
 
 /// Run the loop while the robot moves: camera and encoders in; η, λ, a fresh table and a dashboard out
 ///
-/// The experiment tells camera, rig and model. Frames come from its own files, or from a camera, a video or a stream.
+/// The experiment gives camera, rig and model. Frames come from its own files, or from a camera, a video or a stream.
 /// Writes OUT/journal.jsonl with every measurement, OUT/model.toml and OUT/compensation.csv every few seconds, and at the end
 /// OUT/measurements.csv and OUT/encoders.csv. Ctrl-C ends it.
 #[derive(Debug, clap::Args)]
@@ -37,10 +37,10 @@ use std::time::Duration;
 pub struct Args {
     /// The experiment: a folder with an experiment.toml, or that file
     experiment: PathBuf,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
-    /// The view that the camera has; the first where the experiment has several
+    /// The view that the camera shows; by default the first of the experiment
     #[arg(long, value_name = "NAME")]
     view: Option<String>,
     /// Take frames from this camera of the machine: its number, or its device, such as /dev/v4l/by-id/…
@@ -55,7 +55,7 @@ pub struct Args {
     /// Frames per second to ask the camera for, or to play pictures or a video at [default: 30 for pictures, a video's own]
     #[arg(long, visible_alias = "fps", value_name = "FPS", value_parser = positive)]
     rate: Option<f64>,
-    /// How the camera is to pack its pictures, four letters such as MJPG; many reach their full rate so only
+    /// How the camera is to pack its pictures, four letters such as MJPG; many reach their full rate only with it
     #[arg(long, value_name = "FOURCC")]
     fourcc: Option<FourCc>,
     /// Exposure to ask the camera for, in its own unit; switches automatic exposure off
@@ -68,28 +68,28 @@ pub struct Args {
     /// file that grows. Without it the experiment's own log, matched by index, where frames come from files
     #[arg(long, value_name = "FROM")]
     encoders: Option<EncoderSource>,
-    /// Seconds to add to the encoders' times to have the frames'; estimated without it
+    /// Seconds to add to the encoders' times to get those of the frames; estimated by default
     #[arg(long, value_name = "SECONDS", allow_hyphen_values = true, requires = "encoders")]
     encoder_offset: Option<f64>,
     /// The model to start from (model.toml); its effects are obeyed. Without it the experiment's, or the paper's
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// How often model and table are written
+    /// Time between two writings of model and table
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = positive)]
     save_every: f64,
-    /// Serve the dashboard and the machine interface at this address; goes on when a recording has ended, until Ctrl-C
+    /// Serve the dashboard and the machine interface at this address; continues after the end of a recording, until Ctrl-C
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
     serve: Option<SocketAddr>,
-    /// A file with the token that visitors must know; needed where other machines can reach the address
+    /// A file with the token that visitors must know; needed if other machines can reach the address
     #[arg(long, value_name = "FILE", requires = "serve")]
     token_file: Option<PathBuf>,
-    /// A host name that the dashboard may be called by, besides addresses and localhost; may be given again
+    /// A host name that the dashboard may be called by, besides addresses and localhost; may be repeated
     #[arg(long, value_name = "NAME", requires = "serve")]
     allow_host: Vec<String>,
     /// Show the figures in the terminal
     #[arg(long)]
     tui: bool,
-    /// Go on with the run that OUT holds, with all its measurements
+    /// Continue the run in OUT, with all its measurements
     #[arg(long)]
     resume: bool,
     /// Follow the total bending angle of a flexible stem instead, with η and λ of the model known: its angle and sigma with every

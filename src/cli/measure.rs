@@ -19,13 +19,13 @@ use std::path::PathBuf;
 
 /// Measure θ and δ in every frame of an experiment: writes OUT/measurements.csv
 ///
-/// A frame that cannot be measured has its row too, with the reason as its status.
+/// A frame that cannot be measured has a row too, with the reason as its status.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop measure fixtures/bending -o out")]
 pub struct Args {
     /// The experiment: a folder with an experiment.toml, or that file
     experiment: PathBuf,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Only draw every stage of measuring this frame (its index) into OUT/explain-FRAME-VIEW/, to see why it failed
@@ -68,7 +68,7 @@ impl Args {
             }
         };
         let summary = Summary::of(&self.output, throughput)?;
-        console.result(&summary, || summary.text());
+        summary.tell(console, &experiment);
         Ok(())
     }
 

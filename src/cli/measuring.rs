@@ -19,16 +19,16 @@ use std::path::{Path, PathBuf};
 /// How frames are gone through.
 #[derive(Debug, clap::Args)]
 pub struct MeasuringArgs {
-    /// Follow a camera that moves: find it anew in every frame by grid and holder
+    /// Follow a moving camera: find its position in every frame by grid and holder
     #[arg(long)]
     follow: bool,
-    /// Go on with a run that was cut off: what it measured stands in OUT/measurements.journal
+    /// Continue an interrupted run: its measurements are in OUT/measurements.journal
     #[arg(long)]
     pub resume: bool,
-    /// Threads to work with [default: one a core]
+    /// Number of threads [default: one per core]
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..))]
     jobs: Option<u16>,
-    /// Measure only the I-th of N parts of the frames: every N-th, from the I-th on. `merge` puts the parts together
+    /// Measure only the I-th of N parts of the frames: every N-th, from the I-th on. `merge` joins the parts
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
 }
@@ -166,6 +166,14 @@ impl Summary {
         let measurements = output.join("measurements.csv");
         let Count { frames, statuses } = Count::of(&measurements)?;
         Ok(Self { frames, statuses, throughput, measurements })
+    }
+
+    /// Prints the result, and what to do next.
+    pub fn tell(&self, console: &Console, experiment: &Experiment) {
+        console.result(self, || self.text());
+        let log = experiment.encoders.as_ref().map_or("encoders.csv".into(), |log| log.path().display().to_string());
+        let measurements = self.measurements.display();
+        console.next(format_args!("snakeloop estimate --measurements {measurements} --encoders {log} -o estimated"));
     }
 
     /// Lines for people.

@@ -22,7 +22,7 @@ use std::io::Write;
 use std::iter::Peekable;
 use std::path::{Path, PathBuf};
 
-/// Put the shards of a run together: writes into OUT the same files, byte by byte, as one run over all frames
+/// Join the shards of a run: writes into OUT the same files, byte by byte but for the date, as one run over all frames
 ///
 /// Every shard is a folder that `run --shard I/N` or `measure --shard I/N` wrote. Call it from the folder in which the shards were
 /// called: the experiment is found where it was then.
@@ -33,7 +33,7 @@ pub struct Args {
     /// The shards' folders, all of them, in any order
     #[arg(required = true, value_name = "SHARD_DIR")]
     shards: Vec<PathBuf>,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     #[command(flatten)]
@@ -56,14 +56,14 @@ impl Args {
         self.join_rows()?;
         let Some(settings) = origin.run else {
             let summary = Summary::of(&self.output, None)?;
-            console.result(&summary, || summary.text());
+            summary.tell(console, &experiment);
             return Ok(());
         };
         self.copy_overlays()?;
         let inputs = Inputs::read(console, &experiment)?;
         let sheets = reasons_of_sheets_again(&experiment, inputs.robot(), &self.output);
         let summary = finish(&experiment, &inputs, sheets, settings, &self.output, None)?;
-        console.result(&summary, || summary.text());
+        summary.tell(console, &experiment);
         summary.require_table(&experiment)?;
         self.verdict.check(&summary.verdict)
     }
@@ -147,7 +147,7 @@ impl Args {
 fn finished(folder: &Path) -> Result<(Origin, Done)> {
     let path = folder.join(SHARD);
     if folder.is_dir() && !path.exists() {
-        let message = format!("no {SHARD}: the shard is not done; call it again with --resume");
+        let message = format!("no {SHARD}: the shard is not done; call the shard again with --resume");
         return Err(Error::content(folder, message));
     }
     let origin = Origin::read(&path)?;

@@ -45,7 +45,7 @@ use std::process::ExitCode;
 #[derive(Debug, Parser)]
 #[command(
     name = "snakeloop",
-    version,
+    version = env!("SNAKELOOP_VERSION"),
     after_help = "Example:\n  snakeloop run fixtures/bending -o out\n\n\
                   Angles: theta is the bend from straight (theta_0 − theta_L in the paper), delta the azimuth that the \
                   tip leans towards. Exit code: 0 done, 1 the work failed, 2 wrong usage."

@@ -20,7 +20,7 @@ const ROBOT: &str = include_str!("../../calib/robot.toml");
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop new lab --grid-pitch 1 --standoff 25")]
 pub struct Args {
-    /// The folder; created where it is missing
+    /// The folder; created if it is missing
     folder: PathBuf,
     /// Distance between neighbouring thin lines of the grid target, mm [default: 1]
     #[arg(long, value_name = "MM")]
@@ -65,7 +65,7 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let experiment = self.folder.join("experiment.toml");
         if experiment.exists() {
-            let message = "is there already and is not replaced; `snakeloop check` says what it lacks";
+            let message = "exists already and is not replaced; `snakeloop check` says what is missing";
             return Err(Error::content(&experiment, message).into());
         }
         let answers = self.answers(std::io::stdin().is_terminal() && console.may_ask())?;
@@ -86,6 +86,7 @@ impl Args {
         }
         let summary = Summary { folder: self.folder.clone(), written, missing: found.missing(&self.folder) };
         console.result(&summary, || summary.text());
+        console.next(summary.next());
         Ok(())
     }
 
@@ -189,9 +190,9 @@ fn log_in(folder: &Path, backbones: usize) -> String {
 }
 
 /// What stands in experiment.toml where the log's header says all.
-const NO_LOG: &str = r#"# Which columns of the log mean what, where its header is another.
+const NO_LOG: &str = r#"# Meaning of the log's columns, if its header is not the one above.
 # [log]
-# index = "frame"             # without it rows are matched to frames by time
+# index = "frame"             # if it is left out, rows are matched to frames by time
 # time = "timestamp_ms"
 # time_unit = "ms"            # s, ms, us, ns
 # q = Q_NAMES      # a column for each backbone
@@ -199,7 +200,7 @@ const NO_LOG: &str = r#"# Which columns of the log mean what, where its header i
 "#;
 
 /// What stands above the keys that were read off a log's header.
-const LOG_SEEN: &str = "# Which columns of the log mean what, as its header looks: check it. unit is mm, m, um, inch, deg, rad (both with drum_radius_mm) or counts\n\
+const LOG_SEEN: &str = "# Meaning of the log's columns, guessed from its header: check it. unit is mm, m, um, inch, deg, rad (both with drum_radius_mm) or counts\n\
      # (with counts_per_unit).\n";
 
 impl Answers {
@@ -216,31 +217,31 @@ impl Answers {
             r#"# One experiment. Paths are relative to this file; `snakeloop check` says what is missing or does not fit.
 
 robot = "robot.toml"          # the robot's constants
-# model = "model.toml"        # what an earlier run learned of it, to start from
+# model = "model.toml"        # a model that an earlier run learned, to start from
 encoders = "{encoders}"     # {columns}: what the encoders read at each frame
 
 {log}
-# How the log's columns hold the backbones, where that is not as they are named; `check` and `run` say what to write.
+# Which column holds which backbone, if the header is wrong; `check` and `run` say what to write.
 # [wiring]
 # columns = [{numbers}]         # backbone i is in column columns[i]
-# signs = [{signs}]           # -1 where an encoder counts the other way
+# signs = [{signs}]           # -1 if an encoder counts the other way
 # scale = 1.0                 # mm for one unit of the log
-# index_shift = 0             # frame k's reading stands in row k + index_shift
+# index_shift = 0             # frame k's reading is in row k + index_shift
 
 [[view]]                      # one camera; a second camera is a second [[view]]
 name = "side"
 camera = "{camera}"        # lens, from `snakeloop calibrate camera`, OpenCV or ROS
 frames = "{frames}"       # the number in a frame's name is its index
-straight = "{straight}"     # the unbent snake before the same grid target, camera and robot where they are in the frames
+straight = "{straight}"     # the unbent snake before the same grid target, camera and robot at the place that they have in the frames
 grid_pitch_mm = {pitch:?}           # distance between the grid target's thin lines: measure it on the print
 standoff_mm = {standoff:?}            # from the snake's axis back to the grid target, to half a millimetre
 # delta_offset_deg = 0.0      # azimuth in the base frame that points to this view's image right
 
-# [[tracker]]                 # poses of a sensor on the tip, in place of pictures or beside them
+# [[tracker]]                 # poses of a sensor on the tip, instead of pictures, or in addition to them
 # name = "em"
 # poses = "tip.csv"           # index,time_s,x_mm,y_mm,z_mm[,qw,qx,qy,qz]
 # straight = 0                # index of a pose in which the snake is unbent
-# base_mm = [0.0, 0.0, 0.0]   # the middle of the base disk's top face in the tracker's frame, where a pointer tells it
+# base_mm = [0.0, 0.0, 0.0]   # the middle of the base disk's top face in the tracker's frame, if a pointer was used to find it
 "#
         )
     }
@@ -264,7 +265,7 @@ standoff_mm = {standoff:?}            # from the snake's axis back to the grid t
             "# An experiment for snakeloop\n\n\
              | file | what it is |\n| --- | --- |\n\
              | experiment.toml | which files belong to the experiment; each key has a comment |\n\
-             | robot.toml | the robot's constants: correct what is not as in the paper |\n\
+             | robot.toml | the robot's constants: correct what differs from the paper |\n\
              | {camera} | the lens: `snakeloop print chessboard`, take pictures of it, `snakeloop calibrate camera boards/*.jpg --corners 9x6 -o {camera}` |\n\
              | {straight} | the unbent snake before the grid target (`snakeloop print grid`) |\n\
              | {frames} | a picture at each pose; the number in the name is the frame's index |\n\
@@ -289,7 +290,7 @@ standoff_mm = {standoff:?}            # from the snake's axis back to the grid t
             let comment = line.find('#').map_or("", |at| &line[at..]);
             format!("{:<33} {comment}", format!("{key} = {value}")).trim_end().to_owned()
         };
-        let head = "# The robot: measure it, and correct what is not as it stands here. The figures that nobody gave are the paper's.\n";
+        let head = "# The robot: measure it, and correct these figures. Those that were not given are the paper's.\n";
         let keys = ROBOT.lines().skip_while(|line| line.starts_with('#')).map(line);
         keys.fold(head.to_owned(), |text, line| text + &line + "\n")
     }
@@ -297,13 +298,15 @@ standoff_mm = {standoff:?}            # from the snake's axis back to the grid t
 
 impl Summary {
     fn text(&self) -> String {
-        let mut text: String = self.written.iter().map(|path| format!("{}\n", path.display())).collect();
+        self.written.iter().map(|path| format!("{}\n", path.display())).collect()
+    }
+
+    fn next(&self) -> String {
         let folder = self.folder.display();
-        text += &match &self.missing[..] {
-            [] => format!("next: snakeloop check {folder}"),
-            missing => format!("next: put {} there, then snakeloop check {folder}", missing.join(", ")),
-        };
-        text
+        match &self.missing[..] {
+            [] => format!("snakeloop check {folder}"),
+            missing => format!("put {} there, then snakeloop check {folder}", missing.join(", ")),
+        }
     }
 }
 

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 /// What the rows of a finished shard are made from, and how many they are; its presence says that the shard is whole.
 pub const SHARD: &str = "shard.toml";
 
-/// What of the call the results hang on, besides the measuring.
+/// The options of the call on which the results depend, besides those of the measuring.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, clap::Args)]
 pub struct Settings {
     /// Which frames to draw with the model on them
@@ -25,7 +25,7 @@ pub struct Settings {
     pub estimator: EstimatorArgs,
 }
 
-/// All that the rows of measurements.csv, and what is made of them, hang on.
+/// Everything on which the rows of measurements.csv, and what is made of them, depend.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Origin {
     /// The program's version.
@@ -83,12 +83,12 @@ impl Origin {
     /// That of a finished shard.
     ///
     /// # Errors
-    /// A file that cannot be read or is none of this version's.
+    /// A file that cannot be read, or that another version wrote.
     pub fn read(path: &Path) -> Result<Self> {
         toml::from_str(&read_text(path)?).map_err(|e| Error::content(path, e.message()))
     }
 
-    /// In words, the first thing in which two differ; whether they are done is none.
+    /// In words, the first thing in which two differ, apart from whether they are done.
     ///
     /// # Errors
     /// A number that TOML cannot hold.

@@ -21,7 +21,7 @@ enum What {
     Chessboard(ChessboardArgs),
 }
 
-/// The grid target that stands behind the snake: lines at an even distance, heavier ones every 5 and 10
+/// The grid target behind the snake: evenly spaced lines, heavier ones every 5 and 10
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop print grid --paper a4 -o grid.pdf")]
 pub struct GridArgs {

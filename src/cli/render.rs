@@ -23,10 +23,10 @@ pub struct Args {
     /// Whose robot is drawn (model.toml); without it the scene's, or the paper's
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// Camera, paper, light and faults of the picture (scene.toml); without it a clean picture
+    /// Camera, grid target, light and faults of the picture (scene.toml); by default a clean picture
     #[arg(long, value_name = "SCENE")]
     scene: Option<PathBuf>,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Write JPEG files of this quality, 1 to 100, instead of PNG
@@ -68,6 +68,7 @@ impl Args {
         }));
         let summary = Summary { frames: poses.len(), output: self.output.clone() };
         console.result(&summary, || format!("{} frames\n{}", summary.frames, summary.output.display()));
+        console.next(format_args!("snakeloop measure {} -o measured", summary.output.display()));
         Ok(())
     }
 }

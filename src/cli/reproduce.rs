@@ -16,7 +16,7 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop reproduce -o reproduced")]
 pub struct Args {
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Seed of the simulated noise: the same seed gives the same files
@@ -48,6 +48,7 @@ impl Args {
             [header].into_iter().chain(lines).collect::<Vec<_>>().join("\n")
                 + &format!("\n{}", summary.output.display())
         });
+        console.next(format_args!("open {} in a browser", summary.output.display()));
         Ok(())
     }
 }

@@ -16,9 +16,10 @@ use crate::estimate::gap::{Gap, gap_of};
 use crate::estimate::{estimate_each, or_one_gain};
 use crate::input::read_text;
 use crate::observation::EncoderReading;
+use crate::quantity::with_sd;
 use crate::record::{
-    Checked, Experiment, MeasurementRows, OutputFolder, PendingFile, Warning, Worth, estimate_line, estimates_header,
-    mark_stale, write_atomically, write_compensation, write_judged_model,
+    Checked, Experiment, MeasurementRows, OutputFolder, PendingFile, Provenance, Warning, Worth, estimate_line,
+    estimates_header, mark_stale, write_atomically, write_compensation, write_learned_model,
 };
 use crate::report::run_history::RunHistory;
 use crate::report::run_page::Report;
@@ -39,7 +40,7 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// The experiment: a folder with an experiment.toml, or that file
     experiment: PathBuf,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     #[command(flatten)]
@@ -112,12 +113,13 @@ impl Args {
             Measured::Shard(throughput) => {
                 let summary = measuring::Summary::of(&self.output, throughput)?;
                 console.result(&summary, || summary.text());
+                console.next(format_args!("when all shards are done, snakeloop merge with all of their folders"));
             }
             Measured::Whole(journal, throughput) => {
                 let sheets = reasons_of_sheets(&views).collect();
                 let summary = finish(&experiment, &inputs, sheets, self.settings, &self.output, Some(throughput))?;
                 journal.remove()?;
-                console.result(&summary, || summary.text());
+                summary.tell(console, &experiment);
                 summary.require_table(&experiment)?;
                 self.verdict.check(&summary.verdict)?;
             }
@@ -177,7 +179,8 @@ pub fn finish(
     let doubts =
         reasons_of_files(experiment, warnings)?.into_iter().chain(doubt_of_times(rows()?, encoders, Some(experiment))?);
     let verdict = beside_former(output, doubts.chain(sheets).fold(verdict, Verdict::and))?;
-    let table = written_table(output, &model, &verdict)?;
+    let made_from = provenance(experiment, settings, output)?;
+    let table = written_table(output, &model, &verdict, &made_from)?;
     // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
     if table.is_some() || !output.join("model.toml").exists() {
         estimates.commit()?;
@@ -194,7 +197,7 @@ pub fn finish(
         output: output.to_owned(),
         verdict,
     };
-    let page = page(experiment, &summary, (&model, encoders), &history, (settings, warnings))?;
+    let page = page(experiment, &summary, (&model, encoders), &history, (settings, warnings, &made_from))?;
     write_atomically(&output.join("report.html"), page.as_bytes())?;
     Ok(summary)
 }
@@ -252,7 +255,7 @@ fn page(
     summary: &Summary,
     (model, readings): (&Model, &[EncoderReading]),
     history: &RunHistory,
-    (settings, warnings): (Settings, &[Warning]),
+    (settings, warnings, made_from): (Settings, &[Warning], &Provenance),
 ) -> Result<String> {
     let drawn = summary.output.join("overlays");
     let (pictures, closeup) = match settings.overlays {
@@ -272,13 +275,14 @@ fn page(
         closeup,
         pictures,
         warnings: warnings.iter().map(ToString::to_string).collect(),
-        provenance: provenance(experiment),
+        made_from: made_from.clone(),
     };
     Ok(report.html())
 }
 
-/// Longer side, px, of the straight picture in the report, and its quality. Convention: display choices.
+/// Longer side of the straight picture in the report, px. Convention: a display choice.
 const RIG_PICTURE_PX: u32 = 1000;
+/// Its quality as a JPEG. Convention: a display choice.
 const RIG_PICTURE_QUALITY: u8 = 80;
 
 /// What the calibration of each view's rig saw, with the view's name.
@@ -295,11 +299,11 @@ fn rig_pictures(experiment: &Experiment, output: &Path) -> Result<Vec<(String, V
 }
 
 /// Writes the model and its table, unless there is no estimate or an earlier run's are to stay.
-fn written_table(output: &Path, model: &Model, verdict: &Verdict) -> Result<Option<Table>> {
+fn written_table(output: &Path, model: &Model, verdict: &Verdict, made_from: &Provenance) -> Result<Option<Table>> {
     if model.estimate.is_none() || verdict.has(Code::Stale) {
         return Ok(None);
     }
-    write_judged_model(&output.join("model.toml"), model, verdict)?;
+    write_learned_model(&output.join("model.toml"), model, Some(verdict), made_from)?;
     let table = write_compensation(output, model, "model.toml", Worth::of(verdict))?;
     Ok(Some(Table { poses: table.len(), largest_correction_mm: largest_correction_mm(&table) }))
 }
@@ -310,8 +314,8 @@ fn former_to_keep(output: &Path, verdict: &Verdict) -> Option<Reason> {
     let table: serde_json::Value = serde_json::from_str(&table).ok()?;
     let was_usable = matches!(table["verdict"]["level"].as_str()?, "good" | "look");
     (was_usable && verdict.level == Level::DoNotUse && output.join("model.toml").exists()).then(|| {
-        let text = "model.toml and the tables are an earlier run's and stay, since this one's must not be used; they are stale";
-        Reason::new(Code::Stale, Level::Look, text, "put right what is named above, or write to another folder")
+        let text = "model.toml and the tables of an earlier run stay and are marked as stale, because those of this run must not be used";
+        Reason::new(Code::Stale, Level::Look, text, "correct what is named above, or write to another folder")
     })
 }
 
@@ -322,24 +326,10 @@ fn name_of(experiment: &Experiment) -> String {
     full.file_name().map_or_else(|| full.display().to_string(), |name| name.to_string_lossy().into_owned())
 }
 
-/// What a run was made from.
-fn provenance(experiment: &Experiment) -> Vec<(String, String)> {
-    let shown = |path: &Path| path.display().to_string();
-    let or_paper = |path: &Option<PathBuf>| path.as_deref().map_or("the paper's".to_owned(), shown);
-    let mut lines = vec![
-        ("program".to_owned(), format!("snakeloop {}", env!("CARGO_PKG_VERSION"))),
-        ("experiment".to_owned(), shown(&experiment.path)),
-        ("robot".to_owned(), or_paper(&experiment.robot)),
-        ("starting model".to_owned(), or_paper(&experiment.model)),
-    ];
-    lines.extend(experiment.encoders.as_ref().map(|log| ("encoders".to_owned(), shown(log.path()))));
-    for view in &experiment.views {
-        lines.push((format!("view {}", view.name), format!("{} through {}", view.frames, view.camera)));
-    }
-    for tracker in &experiment.trackers {
-        lines.push((format!("tracker {}", tracker.name), tracker.poses.to_string()));
-    }
-    lines
+/// What a run was made from: the files of the experiment, and the measurements that its frames gave.
+fn provenance(experiment: &Experiment, settings: Settings, output: &Path) -> Result<Provenance> {
+    let made_from = Provenance::new("run").with_options(&settings)?.with_inputs(experiment.files())?;
+    made_from.with_input("measurements.csv", &output.join("measurements.csv"))
 }
 
 impl Summary {
@@ -359,17 +349,20 @@ impl Summary {
             ("measurements", estimated.counts()),
         ];
         if let Some(Parameters { eta, sd_eta, lambda_mm, sd_lambda_mm }) = estimated.parameters {
-            lines.push(("force scale η", format!("{eta:.4} ± {sd_eta:.4}")));
-            lines.push(("backlash λ", format!("{lambda_mm:.4} ± {sd_lambda_mm:.4} mm")));
+            lines.push(("force scale η", with_sd(eta, sd_eta)));
+            lines.push(("backlash λ", format!("{} mm", with_sd(lambda_mm, sd_lambda_mm))));
         }
         if gap.samples > 0 {
-            lines.push(("ε left (rms)", format!("{:.4} mm, noise alone {:.4} mm", gap.rms_eps_mm, gap.noise_floor_mm)));
             lines.push((
-                "θ left (rms)",
+                "ε missed (rms)",
+                format!("{:.4} mm, noise alone {:.4} mm", gap.rms_eps_mm, gap.noise_floor_mm),
+            ));
+            lines.push((
+                "θ missed (rms)",
                 format!("{:.3}°, before learning {:.3}°", gap.rms_theta_deg, naive.rms_theta_deg),
             ));
             lines.push((
-                "δ left (rms)",
+                "δ missed (rms)",
                 format!("{:.3}°, before learning {:.3}°", gap.rms_delta_deg, naive.rms_delta_deg),
             ));
         }
@@ -390,8 +383,28 @@ impl Summary {
         self.estimated.require_parameters(&experiment.path)
     }
 
+    /// Prints the result, and what to do next.
+    pub fn tell(&self, console: &Console, experiment: &Experiment) {
+        console.result(self, || self.text());
+        console.next(self.next(experiment));
+    }
+
+    /// What to do next.
+    fn next(&self, experiment: &Experiment) -> String {
+        let out = self.output.display();
+        match self.verdict.level {
+            Level::DoNotUse => "do what stands below the first reason, then run again".to_owned(),
+            _ if self.verdict.has(Code::GapAboveNoise) => {
+                format!("snakeloop discover {} -o found says what the model lacks", experiment.folder().display())
+            }
+            Level::Good | Level::Look => format!(
+                "command from {out}/compensation.csv; snakeloop invert --model {out}/model.toml --theta-deg 30 --delta-deg 45 answers one pose"
+            ),
+        }
+    }
+
     /// Lines for people.
-    pub fn text(&self) -> String {
+    fn text(&self) -> String {
         // A tracker's poses are no frames, and take no time.
         let timed = self.throughput.filter(|throughput| throughput.frames_per_second > 0.0);
         let speed = timed.map(|Throughput { frames_per_second, decoding_share, .. }| {

@@ -7,6 +7,7 @@ use crate::Result;
 use crate::cli::failure::Failure;
 use crate::closed_loop::ClosedLoop;
 use crate::observation::Waypoint;
+use crate::quantity::with_sd;
 use crate::record::{
     Worth, csv_of, encoders_csv, measurements_csv, read_trajectory, truth_csv, write_atomically, write_compensation,
     write_model,
@@ -29,10 +30,10 @@ pub struct Args {
     /// paper's, 1.221 and 0.1765 mm, which are hidden from the controller
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// An effect that the snake obeys besides, such as load_directed_backlash:play_mm=0.08; may be given again
+    /// An effect that the snake obeys besides, such as load_directed_backlash:play_mm=0.08; may be repeated
     #[arg(long, value_name = "NAME:PARAMETER=VALUE,...", value_parser = Effect::parse)]
     effect: Vec<Effect>,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Poses and times to lead it along instead (index,time_s,theta_deg,delta_deg); n1_q1_mm and so on are what a neighbouring section's
@@ -52,7 +53,7 @@ pub struct Args {
     /// θ of the round, degrees
     #[arg(long, value_name = "DEGREES", default_value_t = BendingExperiment::default().round_theta_deg)]
     round_theta: f64,
-    /// Poses of the round; 0 leaves it out
+    /// Poses of the round; 0 for no round
     #[arg(long, value_name = "COUNT", default_value_t = BendingExperiment::default().round_poses)]
     round_poses: usize,
     /// Standard deviation by which the poses miss their nominal angles, degrees
@@ -61,7 +62,7 @@ pub struct Args {
     /// Standard deviation of an encoder reading, mm
     #[arg(long, value_name = "MM", default_value_t = 0.0015)]
     encoder_sd: f64,
-    /// Also write what an eye with typical noise would measure, to OUT/measurements.csv
+    /// Also write what a camera with typical noise would measure, to OUT/measurements.csv
     #[arg(long)]
     observe: bool,
     /// Play controller and robot: command the poses through the table of what was learned so far, render and measure where the
@@ -69,7 +70,7 @@ pub struct Args {
     /// so that a closed loop cannot learn it: its σ in model.toml says so
     #[arg(long, conflicts_with = "observe")]
     closed_loop: bool,
-    /// With --closed-loop: camera, paper and light (scene.toml); without it a clean picture
+    /// With --closed-loop: camera, grid target and light (scene.toml); by default a clean picture
     #[arg(long, value_name = "SCENE", requires = "closed_loop")]
     scene: Option<PathBuf>,
     /// Seed of all noise: the same seed gives the same files
@@ -147,6 +148,12 @@ impl Args {
         console.result(&summary, || {
             format!("{} poses in {:.1} s\n{}", summary.poses, summary.seconds, summary.output.display())
         });
+        if self.observe {
+            let out = self.output.display();
+            console.next(format_args!(
+                "snakeloop estimate --measurements {out}/measurements.csv --encoders {out}/encoders.csv -o estimated"
+            ));
+        }
         Ok(())
     }
 
@@ -221,9 +228,12 @@ impl Closed {
         text += &match learned {
             None => "η was not learned: too few frames were measured\n".to_owned(),
             Some(Parameters { eta, sd_eta, lambda_mm, sd_lambda_mm }) => format!(
-                "η {eta:.4} ± {sd_eta:.4} learned, {:.4} hidden\n\
-                 λ {lambda_mm:.2} ± {sd_lambda_mm:.2} mm, {:.4} mm hidden: it moves no bend, and a closed loop cannot see it\n",
-                hidden.eta, hidden.lambda_mm
+                "η {} learned, {:.4} hidden\n\
+                 λ {} mm, {:.4} mm hidden: it moves no bend, and a closed loop cannot see it\n",
+                with_sd(*eta, *sd_eta),
+                hidden.eta,
+                with_sd(*lambda_mm, *sd_lambda_mm),
+                hidden.lambda_mm
             ),
         };
         text + &output.display().to_string()

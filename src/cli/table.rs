@@ -15,19 +15,19 @@ use std::path::PathBuf;
     after_help = "Example:\n  snakeloop table --model out/model.toml --theta-deg 0:90:2 --delta-deg=-170:180:10 -o out"
 )]
 pub struct Args {
-    /// The model (model.toml); without it the paper's, with Table I
+    /// The model (model.toml); by default the paper's, with Table I
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// An effect that acts besides those of the model, such as tip_load:fx_n=0.2,fy_n=0,fz_n=0; may be given again
+    /// An effect in addition to those of the model, such as tip_load:fx_n=0.2,fy_n=0,fz_n=0; may be repeated
     #[arg(long, value_name = "NAME:PARAMETER=VALUE,...", value_parser = Effect::parse)]
     effect: Vec<Effect>,
-    /// The folder to write to; created where it is missing
+    /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// The grid's bends θ, degrees [default: 0:90:5, or as far as the bends that the model was learned on]
     #[arg(long, value_name = "START:STOP:STEP")]
     theta_deg: Option<GridAxis>,
-    /// The grid's azimuths δ, degrees; a direction that comes again, such as 180 after -180, is left out
+    /// The grid's azimuths δ, degrees; a direction that repeats, such as 180 after -180, is left out
     #[arg(long, value_name = "START:STOP:STEP", allow_hyphen_values = true, default_value_t = Grid::default().delta)]
     delta_deg: GridAxis,
     /// What the actuation unit can exert on a backbone, N: its largest pull (negative) and push. The backbones then share the load
@@ -91,6 +91,7 @@ impl Args {
                 summary.output.display()
             )
         });
+        console.next(format_args!("command qc1_mm … of {}", self.output.join("compensation.csv").display()));
         Ok(())
     }
 }
@@ -109,7 +110,7 @@ impl Summary {
                 range.directions_deg().iter().map(|delta| format!("{delta:.0}°")).collect::<Vec<_>>().join(", ")
             )),
             None if model.estimate.is_some() => Some(
-                "the model does not say on which bends it was learned ([learned]): no pose is marked as extrapolated"
+                "the model has no [learned], which says on which bends it was learned: no pose is marked as extrapolated"
                     .to_owned(),
             ),
             _ => None,

@@ -29,7 +29,7 @@ fn every_command_has_an_example_and_every_flag_a_help_text() {
 /// docs/src/reference/commands.md as it must be: what --help says of every command.
 fn reference() -> String {
     let mut text =
-        "# Commands\n\nWhat `--help` says of each. Exit code 0 means done, 1 that the work failed, 2 wrong usage.\n"
+        "# Commands\n\nThe `--help` text of each command. Exit code 0 means done, 1 that the work failed, 2 wrong usage.\n"
             .to_owned();
     let mut root = Cli::command().term_width(100);
     root.build();
@@ -83,10 +83,10 @@ fn shown_by(physics: &Physics) -> &'static str {
 
 /// docs/src/reference/effects.md as it must be: what the library says of every effect.
 fn catalogue() -> String {
-    let mut text = "# The effects\n\nPhysics that the paper's model leaves out and `discover` searches for: what each means, its equation, its parameters, \
-                    what data show it, and what it is confounded with by its equation (`discover` finds out what a given experiment confounds \
-                    besides). Forms are one physics written down in different ways. `--effect NAME:PARAMETER=VALUE,...` switches one on in \
-                    `simulate`, `table`, `invert` and `estimate`. This page is written by the library itself.\n"
+    let mut text = "# The effects\n\n`discover` searches for physics that the paper's model leaves out. For each effect this page gives its meaning, its equation, its \
+                    parameters, the data that show it, and the effects that are confounded with it by their equations (a given experiment may \
+                    confound more; `discover` finds out which). Forms are different equations of one effect. `--effect NAME:PARAMETER=VALUE,...` \
+                    switches an effect on in `simulate`, `table`, `invert` and `estimate`. The library itself writes this page.\n"
         .to_owned();
     let mut last = "";
     let mut names: Vec<&str> = Vec::new();

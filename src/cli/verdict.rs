@@ -12,7 +12,7 @@ use crate::verdict::{Code, Level, Reason, Subject, Verdict, ViewOffset, doubts_o
 /// What a command does with its verdict.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct VerdictArgs {
-    /// End with exit code 1 where the verdict is "do not use"; the files are written all the same
+    /// End with exit code 1 if the verdict is "do not use"; the files are written all the same
     #[arg(long)]
     strict: bool,
 }
@@ -91,7 +91,8 @@ pub fn reasons_of(warnings: &[Warning]) -> Vec<Reason> {
     let contradictions = of(Fault::Contradiction).next().map(|first| {
         let others = of(Fault::Contradiction).count() - 1;
         let more = if others > 0 { format!(" (and {others} more)") } else { String::new() };
-        let remedy = "find out what writes the second one, and leave it out; `joints`, or a topic of its own, names the one that counts";
+        let remedy =
+            "find out what writes the second one, and remove it; `joints`, or a separate topic, says which one counts";
         Reason::new(Code::ContradictoryReadings, Level::Look, format!("{first}{more}"), remedy)
     });
     let clock = of(Fault::Clock).map(|warning| {
@@ -103,8 +104,7 @@ pub fn reasons_of(warnings: &[Warning]) -> Vec<Reason> {
 }
 
 fn damaged(text: String) -> Reason {
-    let remedy =
-        "copy the recording again; `mcap doctor` and `mcap recover` tell and mend what can be; what was read is used";
+    let remedy = "copy the recording again; `mcap doctor` and `mcap recover` show and repair the damage; the part that could be read was used";
     Reason::new(Code::RecordingDamaged, Level::Look, text, remedy)
 }
 

@@ -115,7 +115,7 @@ pub struct RigRefused {
 impl RigRefused {
     /// What was seen, and where it is drawn.
     fn sight(&self) -> String {
-        let seen = if self.seen.is_empty() { String::new() } else { format!(". Seen were: {}", self.seen) };
+        let seen = if self.seen.is_empty() { String::new() } else { format!(" (seen: {})", self.seen) };
         match &self.shown {
             Some(path) => format!("{seen}; {} shows what was seen", path.display()),
             None => seen,
@@ -201,7 +201,7 @@ fn checksum_of(source: &FrameSource) -> Result<String> {
                 checksum.add(path.file_name().unwrap_or_default().as_encoded_bytes());
             }
             for frame in refining_frames(source)? {
-                // One that cannot be read is none that is refined from.
+                // A frame that cannot be read does not refine the rig, and counts as empty.
                 let is_file = frame.path.is_file();
                 let content = if is_file { read_bytes(&frame.path, PICTURE_BYTES) } else { Ok(Vec::new()) };
                 checksum.add(&content.unwrap_or_default());

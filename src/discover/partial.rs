@@ -89,7 +89,7 @@ const RESTARTS: usize = 2;
 /// Convention: 0.06 is 1° of 16°.
 const LEAST_GAP: f64 = 0.06;
 
-/// An answer takes at least this share of the gap beyond noise away, held out. What takes less is the trace of something else.
+/// An answer takes at least this share of the gap beyond noise away. What takes less is the trace of something else.
 ///
 /// Convention: a ninth less of the rms.
 const LEAST_REMOVED: f64 = 0.2;
@@ -217,8 +217,9 @@ impl<'a> Search<'a> {
             best = self.under_its_own_discrepancy(better);
         }
         best = self.settled(best);
-        let removed = (bare.squares - best.squares) / (bare.squares - self.judged.noise_squares(&self.problem));
-        if !best.is_better_than(&bare) || removed < LEAST_REMOVED {
+        let [before, after] = [&bare, &best].map(|structure| bend_squares(&self.problem, &structure.fit));
+        let noise = 2.0 * self.problem.data.len() as f64 * self.problem.bend_noise_rad2();
+        if !best.is_better_than(&bare) || before - after < LEAST_REMOVED * (before - noise) {
             return nothing;
         }
         let named = (self.given()..best.fit.model.effects.len()).map(|k| self.describe(&best, &bare, k)).collect();

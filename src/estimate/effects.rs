@@ -10,7 +10,7 @@ pub type Pair = (Measurement, Option<EncoderReading>);
 
 /// Measurements, each with its reading, as they would have been without a model's effects.
 ///
-/// A model without effects lets them through one by one. What effects do hangs on the whole path, which is then held in memory.
+/// If the model has no effects, the measurements pass through one by one. Effects depend on the whole path, which is then held in memory.
 ///
 /// # Errors
 /// What `measurements` gives.

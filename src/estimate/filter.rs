@@ -8,7 +8,7 @@ use super::LinearisedMeasurement;
 use crate::statistics::information::SquareRootInformation;
 use nalgebra::{Matrix2, Matrix2x6, Vector2};
 
-/// The largest standard deviation of η, and of λ in mm, that counts as knowing them: an estimate with more is none.
+/// The largest standard deviation of η, and of λ in mm, with which they count as known; an estimate with a larger one is not given.
 ///
 /// Convention: as wide as the range in which any robot's η (about 1) and λ (below 1 mm) are looked for.
 pub(super) const KNOWN_SD: f64 = 1.0;

@@ -14,7 +14,7 @@ use std::collections::VecDeque;
 
 /// Measurements over which the gate takes its typical distance.
 ///
-/// Fitted: chosen with the estimator on the simulated experiments of `tests/estimator.rs`; not judged elsewhere. The median of 51 squared
+/// Fitted: chosen with the estimator on the simulated experiments of `tests/library/estimator.rs`; not judged elsewhere. The median of 51 squared
 /// distances is known to 20 %, and 25 outliers among them do not spoil it.
 const RECENT: usize = 51;
 /// How far the model is trusted in the part common to all backbones when outliers are sought, mm.

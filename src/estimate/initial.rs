@@ -12,7 +12,7 @@ use nalgebra::{Matrix2, Vector2};
 
 /// The most measurements that are taken together.
 ///
-/// Fitted: chosen on the simulated experiments of `tests/estimator.rs`, whose first two measurements are outliers; not judged elsewhere. Least
+/// Fitted: chosen on the simulated experiments of `tests/library/estimator.rs`, whose first two measurements are outliers; not judged elsewhere. Least
 /// trimmed squares of eight bears three outliers.
 pub(super) const MOST: usize = 8;
 /// How many of [`MOST`] must agree with each other for an estimate that replaces a running one.
@@ -48,7 +48,7 @@ impl Sample {
 
 /// What a few measurements say together, and which of them are outliers.
 pub(super) struct InitialEstimate {
-    /// Of those that are none.
+    /// The information of the measurements that are no outliers.
     pub filter: InformationFilter,
     pub x: Vector2<f64>,
     pub covariance: Matrix2<f64>,

@@ -1,11 +1,12 @@
-//! From measurements to η and λ: the recursive estimator of Eq. 19–22, with an outlier gate and a forgetting factor; and how well a
-//! model explains measurements.
+//! From measurements to the force scale η and the backlash λ: the recursive estimator of Eq. 19–22, with an outlier gate and a forgetting
+//! factor. The module also tells how well a model explains measurements.
 //!
-//! One measurement is one [`LinearisedMeasurement`]: what it says about x = (η, λ), and how well. An [`InformationFilter`] holds what
-//! all measurements so far say, in square-root form. [`Consistency`] compares what the residuals scatter with what they promise, and
-//! makes the reported standard deviations honest. The [`Estimator`] brings them together; [`estimate`] takes a whole sequence
-//! through it. [`mod@gap`] is what a model leaves unexplained of measurements, and [`mod@accuracy`] how far measurements are from a known
-//! truth. Where η and λ are known, [`Stem`] finds how far a flexible stem is bent, and [`tip_force`] which force on the tip explains a
+//! Each measurement becomes a [`LinearisedMeasurement`]: linear equations for x = (η, λ) with their covariance. An [`InformationFilter`] in
+//! square-root form holds the sum of their information. [`Consistency`] compares the scatter of the residuals with their covariance, and
+//! scales the reported standard deviations accordingly. The [`Estimator`] combines these; [`estimate`] takes a whole sequence through it.
+//!
+//! [`mod@gap`] is the part of the measurements that a model leaves unexplained, [`mod@accuracy`] the error of measurements against a known
+//! truth. If η and λ are known, [`Stem`] finds the bending angle of a flexible stem, and [`tip_force`] the force on the tip that explains a
 //! deflection.
 
 pub mod accuracy;

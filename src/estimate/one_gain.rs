@@ -47,8 +47,8 @@ pub struct Replaced {
     pub of: usize,
 }
 
-/// The model with one gain for all bends in place of its estimate, where it has none or one whose σ of η is above 1, unless that estimate
-/// predicts more bends better (sign test over poses); else the model as it is.
+/// The model, with its estimate replaced by one gain for all bends if the estimate is missing or its σ of η is above 1. An estimate that
+/// predicts more bends better than the gain (sign test over poses) is kept.
 ///
 /// # Errors
 /// What `measurements` gives.

@@ -49,7 +49,7 @@ pub fn estimate_each<I: Iterator<Item = Result<Measurement>>>(
 ) -> Result<Model> {
     let mut start = model.clone();
     if start.estimate.is_none() && !start.effects.is_empty() {
-        // What effects do hangs on η, which is known only once they are taken off.
+        // The effects depend on η, and η is known only after they are subtracted: iterate.
         for _ in 0..ROUNDS {
             start.estimate = one_round(&start, options, measurements()?, readings, |_| Ok(()))?.estimate;
         }

@@ -9,7 +9,9 @@ use super::recent_bends::RecentBends;
 use super::shared_state::{Commanding, SharedState};
 use super::status::{PublicationState, PublicationStatus};
 use crate::error::{DataError, Error, Result};
-use crate::record::{Worth, mark_stale, unmark_stale, write_atomically, write_compensation, write_judged_model};
+use crate::record::{
+    Provenance, Worth, mark_stale, unmark_stale, write_atomically, write_compensation, write_learned_model,
+};
 use crate::robot::PerBackbone;
 use nalgebra::Vector2;
 use std::fs::OpenOptions;
@@ -137,7 +139,7 @@ pub fn save(shared: &SharedState, output: &Path) -> Result<std::result::Result<(
             return Err(DataError::NoEstimateYet.into());
         }
         let path = output.join("model.toml");
-        write_judged_model(&path, &model, &verdict)?;
+        write_learned_model(&path, &model, Some(&verdict), &Provenance::new("live"))?;
         write_compensation(output, &model, &path.display().to_string(), Worth::of(&verdict))?;
         let mut shared = shared.lock();
         shared.state.saved_at_s = Some(unix_time_s());

@@ -90,7 +90,7 @@ impl<'a> Sheet<'a> {
         self.separator != ','
     }
 
-    /// The rows with their lines' numbers; a row of units below the header is none, see [`units`](Self::units).
+    /// The rows with their lines' numbers, without a row of units below the header (see [`units`](Self::units)).
     pub fn rows(&self) -> impl Iterator<Item = (u64, csv::StringRecord)> {
         let units = self.units().map(|(line, _)| line);
         self.lines_below().filter(move |(line, _)| Some(*line) != units)

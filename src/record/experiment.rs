@@ -58,7 +58,7 @@ pub struct View {
     pub delta_offset_deg: f64,
 }
 
-/// A tracker's part of an experiment: poses of a sensor on the snake's tip, in place of pictures or beside them.
+/// A tracker's part of an experiment: poses of a sensor on the snake's tip, instead of pictures, or in addition to them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tracker {
     /// Its name, unique among views and trackers.
@@ -231,7 +231,7 @@ impl Experiment {
             trackers.push(tracker);
         }
         if file.log.is_some() && !matches!(file.encoders, Some(EncoderLog::File(_))) {
-            let message = "[log] says how a table is read, and `encoders` is none; remove it";
+            let message = "[log] says how a table is read, but `encoders` names no table; remove it";
             return Err(Error::content(path, message));
         }
         if views.is_empty() && trackers.is_empty() {

@@ -66,7 +66,7 @@ impl Matched {
             warnings.push(warning(
                 format!(
                     "the stamps of {what} go from {first:.3} to {last:.3} s{}, those of frames and poses from {from:.3} to {to:.3} s{}: \
-                     they are of two clocks, and no frame has a reading",
+                     they come from two clocks, so that no frame has a reading",
                     unset(first, last),
                     unset(from, to)
                 ),
@@ -127,8 +127,8 @@ impl Contradictions {
         let (time_s, one, other) = self.first?;
         let Self { count, all, .. } = self;
         Some(format!(
-            "{what} says two things of {count} of {all} moments (at {time_s:.3} s {one} and {other}), as when two programs send it; neither \
-             is used"
+            "{what} has two different values for {count} of {all} moments (at {time_s:.3} s {one} and {other}), as if two programs \
+             sent it; neither is used"
         ))
     }
 }
@@ -246,7 +246,10 @@ mod tests {
         log.extend(log[1..99].iter().map(|(time_s, _)| (*time_s, -9.0)).collect::<Vec<_>>());
         let found = matched(log, &[2.0, 4.05]);
         assert!(found.readings.is_empty(), "{found:?}");
-        assert!(found.warnings[0].message.contains("/joint_states says two things of 98 of 100 moments"), "{found:?}");
+        assert!(
+            found.warnings[0].message.contains("/joint_states has two different values for 98 of 100 moments"),
+            "{found:?}"
+        );
     }
 
     #[test]

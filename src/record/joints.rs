@@ -40,7 +40,7 @@ impl Experiment {
             let poses = super::read_tracker_poses(tracker.poses.path())?.rows;
             return Ok(poses.iter().map(|pose| (pose.index, pose.time_s)).collect());
         }
-        let message = "the encoder readings are to be matched by time, and nothing tells when the frames were taken: give an encoders.csv \
+        let message = "the encoder readings are to be matched by time, but nothing says when the frames were taken: give an encoders.csv \
                        with each frame's index (under [log] `index` names its column), a video or a recording, or name the pictures by \
                        their stamps (frame_1738133057.457880.png)";
         Err(Error::content(&self.path, message))

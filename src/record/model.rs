@@ -22,6 +22,7 @@
 //! [covariance]         # of all parameters, where effects were estimated with them
 //! of = ["eta", "lambda_mm", "load_directed_backlash.play_mm"]
 //! matrix = [[1.6e-5, 2e-7, 1e-7], [2e-7, 3.6e-7, 2e-8], [1e-7, 2e-8, 1.6e-7]]
+//! [provenance]         # program, date, command, options, and inputs: the files read with their SHA-256
 //! ```
 //!
 //! The matrix is symmetric, and its diagonal holds the squares of the sds. Files written before there was one matrix have its rows with
@@ -33,6 +34,7 @@
 use super::covariance::{CovarianceTable, Known};
 use super::effect_table::EffectTable;
 use super::experiment::line_at;
+use super::provenance::Provenance;
 use super::write::write_atomically;
 use crate::error::{Error, Result};
 use crate::input::read_text;
@@ -59,6 +61,9 @@ pub(super) struct ModelFile {
     effect: Vec<toml::Spanned<EffectTable>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     covariance: Option<toml::Spanned<CovarianceTable>>,
+    /// What the file was made from, for people; nothing is computed from it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    provenance: Option<toml::Table>,
 }
 
 /// An estimate as files show it: sds and correlation rather than covariances.
@@ -96,7 +101,7 @@ impl From<LearnedTable> for DataRange {
 }
 
 impl ModelFile {
-    /// The first number that neither the model nor its squares would show: a negative σ, a range that is none.
+    /// The first number out of range that the model itself would not show, because it holds squares: a negative σ, an impossible range.
     fn out_of_range(&self) -> Option<OutOfRange> {
         let mut numbers = Vec::new();
         if let Some(EstimateTable { sd_eta, sd_lambda_mm, .. }) = self.estimate {
@@ -126,6 +131,7 @@ impl From<&Model> for ModelFile {
             learned: model.learned.filter(|_| model.estimate.is_some()).map(LearnedTable::from),
             effect: (0..model.effects.len()).map(effect).collect(),
             covariance: CovarianceTable::of(model).map(|table| toml::Spanned::new(0..0, table)),
+            provenance: None,
         }
     }
 }
@@ -165,13 +171,20 @@ pub fn read_model(path: &Path) -> Result<Model> {
     parse(path, &text)
 }
 
-/// Writes a model.toml with its verdict as a comment above it, whole or not at all.
+/// Writes a model.toml with its verdict, if it has one, as a comment above it, and with what it was made from; whole or not at all.
 ///
 /// # Errors
 /// Those of [`write_model`].
-pub fn write_judged_model(path: &Path, model: &Model, verdict: &Verdict) -> Result<()> {
-    let comment: String = verdict.lines().iter().map(|line| format!("# {line}\n")).collect();
-    write_atomically(path, (comment + "\n" + &model_toml(model)?).as_bytes())
+pub fn write_learned_model(
+    path: &Path,
+    model: &Model,
+    verdict: Option<&Verdict>,
+    made_from: &Provenance,
+) -> Result<()> {
+    let comment =
+        |verdict: &Verdict| verdict.lines().iter().map(|line| format!("# {line}\n")).collect::<String>() + "\n";
+    let text = verdict.map(comment).unwrap_or_default() + &text_of(model, Some(made_from.table()?))?;
+    write_atomically(path, text.as_bytes())
 }
 
 /// Writes a model.toml, whole or not at all.
@@ -187,10 +200,14 @@ pub fn write_model(path: &Path, model: &Model) -> Result<()> {
 /// # Errors
 /// A number that is not finite or out of its physical range, by its key.
 pub fn model_toml(model: &Model) -> Result<String> {
+    text_of(model, None)
+}
+
+fn text_of(model: &Model, provenance: Option<toml::Table>) -> Result<String> {
     if let Some(fault) = model.out_of_range() {
         return Err(Error::encode("the model")(fault));
     }
-    toml::to_string(&ModelFile::from(model)).map_err(Error::encode("the model"))
+    toml::to_string(&ModelFile { provenance, ..ModelFile::from(model) }).map_err(Error::encode("the model"))
 }
 
 /// A model as JSON with model.toml's keys.
@@ -245,7 +262,7 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
     model.out_of_range().map_or(Ok(model), |fault| Err(out_of_range(fault)))
 }
 
-/// Where in the text the key of a dotted path stands; `None` where a default stands in for it.
+/// The position in the text of the key with a dotted path; `None` if the key is left out.
 fn line_of_key(table: &DeTable, path: &str) -> Option<usize> {
     let (first, rest) = path.split_once('.').map_or((path, None), |(first, rest)| (first, Some(rest)));
     // A number of a list stands where the list does.

@@ -42,7 +42,7 @@ struct Record {
 }
 
 impl OutputFolder {
-    /// Takes a folder, which is created where it is missing, to write files (or folders) of these names into it. `inputs` are the
+    /// Takes a folder, which is created if it is missing, to write files (or folders) of these names into it. `inputs` are the
     /// files that the call reads; a pattern of file names stands for all that lie where it does. Temporary files of calls that were killed
     /// are removed.
     ///
@@ -56,7 +56,7 @@ impl OutputFolder {
         Ok(claimed)
     }
 
-    /// Takes the lock on a folder, which is created where it is missing.
+    /// Takes the lock on a folder, which is created if it is missing.
     fn lock(folder: &Path) -> Result<Self> {
         std::fs::create_dir_all(folder).map_err(Error::io(folder, "create the folder"))?;
         let path = folder.join(RECORD);
@@ -72,7 +72,7 @@ impl OutputFolder {
         }
         Err(Error::content(
             folder,
-            "another call of snakeloop is at work in this folder; wait for it, or choose another",
+            "another call of snakeloop is working in this folder; wait for it, or choose another folder",
         ))
     }
 
@@ -187,7 +187,7 @@ mod tests {
             });
             assert_eq!(claims.iter().filter(|claim| claim.is_ok()).count(), 1);
             let refused = claims.into_iter().find_map(Result::err).unwrap().to_string();
-            assert!(refused.contains("another call of snakeloop is at work"), "{refused}");
+            assert!(refused.contains("another call of snakeloop is working"), "{refused}");
         }
         // What a call that was killed left goes with the next one, and not while one is at work.
         let left = out.join(".snakeloop-abc.tmp");

@@ -72,7 +72,7 @@ pub fn write_recording(path: &Path, folder: &Path, experiment: Option<&Experimen
         recorded.messages.insert(topic, recorder.messages(channel));
     }
     if recorded.messages.values().all(|&messages| messages == 0) {
-        let message = "no row has a time, by which a recording is ordered; measure with an encoder log, or a video";
+        let message = "no row has a time, and a recording is ordered by time; measure with an encoder log, or a video";
         return Err(Error::content(&folder.join("measurements.csv"), message));
     }
     recorder.finish()?;

@@ -110,7 +110,7 @@ impl Rig {
     ///
     /// # Errors
     ///
-    /// If the file cannot be read, is not such a file, or holds a pose that is none.
+    /// If the file cannot be read, is not such a file, or holds an impossible pose.
     pub fn read(path: &Path) -> Result<Self> {
         let text = read_text(path)?;
         let file: RigFile = toml::from_str(&text).map_err(|e| {

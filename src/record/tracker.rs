@@ -66,8 +66,8 @@ pub fn read_tracker_poses(path: &Path) -> Result<Checked<TrackerPose>> {
     })
 }
 
-/// A tracker's poses from a topic of `PoseStamped` or `TransformStamped`, in mm; a pose's index is its position, from 0. A pose with a number that
-/// is none is one that the tracker lost; a message that cannot be read, or has an orientation that is none, costs itself.
+/// A tracker's poses from a topic of `PoseStamped` or `TransformStamped`, in mm; a pose's index is its position, from 0. A pose with a NaN counts as
+/// lost by the tracker. A message that cannot be read, or whose orientation is no rotation, is left out.
 ///
 /// # Errors
 /// A recording that cannot be read, has no such topic, or no pose in it.
@@ -105,7 +105,7 @@ fn pose_of(index: u64, pose: &StampedPose) -> RowResult<TrackerPose> {
     Ok(TrackerPose { index, time_s: pose.stamp_s, position_mm, orientation, sigma_mm: None })
 }
 
-/// Whether a position is what programs write where there is none: one number three times.
+/// Whether a position is what programs write for a missing one: one number three times.
 fn is_lost(position: &Point3<f64>) -> bool {
     position.x == position.y && position.y == position.z
 }

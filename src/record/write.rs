@@ -20,7 +20,7 @@ pub struct PendingFile {
 }
 
 impl PendingFile {
-    /// Starts the file that will stand at `path`; its folder is created where it is missing.
+    /// Starts the file that will stand at `path`; its folder is created if it is missing.
     ///
     /// # Errors
     /// [`Error::Io`] where the folder or the temporary file cannot be created.

@@ -2,6 +2,7 @@
 
 use super::plot::{GRID, INK};
 use crate::geometry::Configuration;
+use crate::quantity::decimal;
 use crate::statistics::order::quantile;
 use maud::{Markup, html};
 use std::f64::consts::FRAC_1_SQRT_2;
@@ -84,8 +85,8 @@ fn circle_label(theta_deg: f64, px_per_deg: f64) -> Markup {
 
 /// The dot of one value.
 fn dot(psi: &Configuration, value: f64, strongest: f64, px_per_deg: f64, unit: &str) -> Markup {
-    let says = format!("θ {:.1}°, δ {:.1}°: {}", psi.theta_deg(), psi.delta_deg(), with_unit(value, 4, unit))
-        .replace('-', "−");
+    let angles = [psi.theta_deg(), psi.delta_deg()].map(|angle_deg| decimal(angle_deg, 1));
+    let says = format!("θ {}°, δ {}°: {}", angles[0], angles[1], with_unit(value, 4, unit));
     let bend_px = psi.bend_vector().map(f64::to_degrees) * px_per_deg;
     let strength = if strongest > 0.0 { (value.abs() / strongest).min(1.0) } else { 0.0 };
     html! {
@@ -114,7 +115,7 @@ fn text(x: f64, y: f64, anchor: &str, text: &str) -> Markup {
 
 /// A value with its unit; degrees stand without a space.
 fn with_unit(value: f64, places: usize, unit: &str) -> String {
-    format!("{value:.places$}{}{unit}", if unit == "°" { "" } else { " " })
+    format!("{}{}{unit}", decimal(value, places), if unit == "°" { "" } else { " " })
 }
 
 /// A length in px as it is written.

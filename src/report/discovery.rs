@@ -1,12 +1,14 @@
 //! report.html of `discover`: the gap, where it is, what explains it, before and after.
 
 use super::bend_map::{bend_map, strongest};
-use super::page::{definitions, document, figure, list, table};
+use super::page::{definitions, document, figure, list, made_from, table};
 use super::plot::{Plot, Point, Series, Style};
 use crate::discover::{
     Candidate, Data, Discovery, EffectTrace, FewSamples, Gap, Localisation, Named, NextExperiment, ProposedLaw,
     Verdict, effect_traces,
 };
+use crate::quantity::with_sd;
+use crate::record::Provenance;
 use crate::robot::effects::REST_BEND;
 use maud::{Markup, html};
 use nalgebra::Vector2;
@@ -43,6 +45,8 @@ pub struct Page<'a> {
     pub correction: Option<&'a ProposedLaw>,
     /// The next experiment, where it was asked for and something is open.
     pub next: Option<&'a NextExperiment>,
+    /// What the answer was made from.
+    pub made_from: &'a Provenance,
 }
 
 impl Page<'_> {
@@ -70,7 +74,8 @@ impl Page<'_> {
                 p { (capitalised(&correction.words)) }
             }
             @if let Some(next) = self.next { (proposal(next)) }
-            (list("Remarks", "What was passed over, or could not be decided.", &found.remarks))
+            (list("Remarks", "Rows that were left out, and questions that stay open.", &found.remarks))
+            (made_from(self.made_from))
         };
         document("snakeloop: discover", STYLE, &content)
     }
@@ -115,7 +120,7 @@ impl Page<'_> {
             x_label: x_label.to_owned(),
             y_label: y_label.to_owned(),
             series,
-            y_shown: Vec::new(),
+            y_shown: if y_label.contains("missed") || y_label.contains("gap") { vec![0.0] } else { Vec::new() },
         };
         let command = format!("q̃ of backbone {backbone} (mm)");
         let bends = [("measured", measured_deg), ("by the model", &modelled_deg[1])];
@@ -173,9 +178,17 @@ impl Page<'_> {
         Plot {
             x_label: what.into(),
             y_label: "gap of ε (mm)".into(),
-            series: series.collect(),
-            y_shown: vec![all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max)],
+            series: std::iter::once(self.noise(x)).chain(series).collect(),
+            y_shown: vec![all().fold(f64::INFINITY, f64::min), 0.0, all().fold(f64::NEG_INFINITY, f64::max)],
         }
+    }
+
+    /// The gap that noise alone would leave, as a band over these places.
+    fn noise(&self, x: &[f64]) -> Series {
+        let ends =
+            [x.iter().copied().fold(f64::INFINITY, f64::min), x.iter().copied().fold(f64::NEG_INFINITY, f64::max)];
+        let points = ends.map(|x| Point { x, y: 0.0, sd: self.found.noise_floor_mm }).to_vec();
+        Series { name: "noise alone".to_owned(), style: Style::Band, points }
     }
 
     /// One of so many samples is drawn, so that a page of any experiment opens.
@@ -202,7 +215,7 @@ fn proposal(next: &NextExperiment) -> Markup {
         h2 { "The next experiment" }
         p { (next.sentence()) }
         (table("Trajectories compared", header, &rows))
-        (list("Beyond reach", "Open as well, and not decided by this trajectory.", &next.beyond_reach))
+        (list("Beyond reach", "Questions that this trajectory does not decide.", &next.beyond_reach))
     }
 }
 
@@ -219,13 +232,14 @@ fn heading(found: &Discovery) -> String {
 }
 
 /// The page of an answer without a search.
-pub fn few_samples_page(found: &FewSamples) -> String {
+pub fn few_samples_page(found: &FewSamples, from: &Provenance) -> String {
     let content = html! {
         h1 { "What the model lacks: not looked for" }
         p.verdict { (found.sentence()) }
         (definitions("summary", &summary(found.verdict, found.samples, &found.before, Some(&found.after), found.noise_floor_mm)))
         p { (GLOSSARY) }
-        (list("Remarks", "What was passed over, or could not be decided.", &found.remarks))
+        (list("Remarks", "Rows that were left out, and questions that stay open.", &found.remarks))
+        (made_from(from))
     };
     document("snakeloop: discover", STYLE, &content)
 }
@@ -253,9 +267,7 @@ fn gap_lines(before: &Gap, after: &Gap, noise_floor_mm: f64) -> String {
 /// The verdict in a sentence.
 pub fn sentence(found: &Discovery) -> String {
     match found.verdict {
-        Verdict::None => {
-            "Nothing is missing that these data could show: the gap is the measurements' own noise.".into()
-        }
+        Verdict::None => "These data show nothing that the model lacks: the gap is the measurements' noise.".into(),
         Verdict::Unexplained => {
             let most = found.structure_after.follows.first();
             let follows = most.map(|(what, _)| format!(" It follows {what} most.")).unwrap_or_default();
@@ -337,14 +349,12 @@ fn parameters(found: &Discovery, name: &str) -> Vec<(String, String)> {
             "deg" => "°".to_owned(),
             unit => format!(" {unit}"),
         };
-        let digits = if sd > 0.0 { (1.0 - sd.log10().floor()).clamp(0.0, 7.0) as usize } else { 4 };
-        let number = format!("{value:.digits$} ± {sd:.digits$}").replace('-', "−");
-        (spec.name.to_owned(), format!("{number}{unit}"))
+        (spec.name.to_owned(), format!("{}{unit}", with_sd(*value, sd)))
     });
     written.collect()
 }
 
-/// The figures at the head of the page; without a gap after, where that is none but the gap before.
+/// The figures at the head of the page; `after` is `None` if nothing was found that changes the gap.
 fn summary(
     verdict: Verdict,
     samples: usize,
@@ -373,7 +383,7 @@ fn considered(found: &Discovery) -> Markup {
         @if found.verdict == Verdict::Unexplained {
             h2 { "What was considered" }
             p {
-                "Every effect of the library, alone and together with others; none takes enough of the gap away on held-out sweeps."
+                "Every effect of the library was tried, alone and together with others. None removes enough of the gap on held-out sweeps."
             }
         }
     }
@@ -428,7 +438,7 @@ fn effect(found: &Discovery, named: &Named) -> Markup {
             (table(&title, ["effect", "worse by (information criterion)"], &alternatives))
             p {
                 "The Bayesian information criterion is the sum of the squared residuals in units of the noise, and a charge for \
-                 each parameter. Less is better; what is worse by more than 6 is ruled out."
+                 each parameter. Less is better; effects that are worse by more than 6 are ruled out."
             }
         }
     }

@@ -202,7 +202,7 @@ fn meaning(status: &Status) -> &'static str {
         }
         Status::GridLost => "The camera was to be followed, but neither the grid nor the holder tells where it is.",
         Status::ViewsDisagree => {
-            "The views contradict each other: did one camera move, or are its frames of another time?"
+            "The views contradict each other: did one camera move, or were its frames taken at another time?"
         }
         Status::Unreadable => "The picture could not be read.",
         Status::WrongSize => "The picture is not of the size that the camera file says.",

@@ -1,4 +1,4 @@
-//! What a person looks at: overlays on frames, plots, the HTML page.
+//! Pages and pictures for people: overlays on frames, plots, HTML reports, sheets to print.
 
 mod axis;
 pub mod bend_map;

@@ -3,6 +3,7 @@
 use crate::camera::Frame;
 use crate::measure::{Outline, Projection};
 use crate::observation::{Measured, Measurement, Status};
+use crate::quantity::with_sd;
 use crate::robot::BendProfile;
 use ab_glyph::{FontRef, PxScale};
 use image::{Rgb, RgbImage};
@@ -108,7 +109,7 @@ pub fn paint_for_test(picture: &mut RgbImage, columns: Range<u32>, rows: Range<u
     }
 }
 
-/// What stands in the corner of the picture: the frame, then θ ± σ and δ ± σ, or why there are none.
+/// The text in the picture's corner: the frame, then θ ± σ and δ ± σ, or the reason why they are missing.
 fn caption(measurement: &Measurement) -> Vec<String> {
     let mut lines = vec![format!("frame {}", measurement.index)];
     if let Some(view) = &measurement.view {
@@ -130,20 +131,10 @@ pub fn angles(measured: &Measured) -> (String, String) {
     (plus_minus(psi.theta_deg(), measured.sigma_theta), plus_minus(psi.delta_deg(), measured.sigma_delta))
 }
 
-/// An angle with its σ, with as many decimals as leave σ one or two digits.
+/// An angle with its σ.
 fn plus_minus(angle_deg: f64, sigma: f64) -> String {
     let sigma_deg = sigma.to_degrees();
-    if sigma_deg > UNKNOWN_DEG {
-        return "unknown".to_owned();
-    }
-    let places = if sigma_deg < 0.095 {
-        3
-    } else if sigma_deg < 9.5 {
-        2
-    } else {
-        0
-    };
-    format!("{angle_deg:.places$} ± {sigma_deg:.places$}°").replace('-', "−")
+    if sigma_deg > UNKNOWN_DEG { "unknown".to_owned() } else { with_sd(angle_deg, sigma_deg) + "°" }
 }
 
 pub(super) fn rgb(frame: &Frame) -> RgbImage {

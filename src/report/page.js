@@ -26,6 +26,28 @@ function say(event) {
   said.style.left = Math.max(8, Math.min(event.clientX + 12, right)) + "px";
   said.style.top = event.clientY + 16 + "px";
 }
+// A click on a column's name sorts the rows by it, a second one the other way round; numbers by their size, with empty cells last.
+function sort(header) {
+  const rows = [...header.closest("table").rows].slice(1);
+  const column = header.cellIndex;
+  const down = header.ariaSort === "ascending";
+  for (const other of header.parentElement.cells) other.ariaSort = null;
+  header.ariaSort = down ? "descending" : "ascending";
+  const value = (row) => row.cells[column].textContent.replace("−", "-");
+  const compare = (a, b) => {
+    const [x, y] = [parseFloat(a), parseFloat(b)];
+    return Number.isFinite(x) && Number.isFinite(y) ? x - y : a.localeCompare(b);
+  };
+  const empty = (row) => !value(row);
+  rows.sort((a, b) => empty(a) - empty(b) || (down ? -1 : 1) * compare(value(a), value(b)));
+  header.closest("tbody").append(...rows);
+}
+for (const header of document.querySelectorAll(".sortable th")) {
+  header.tabIndex = 0;
+  header.title = "sort by this column";
+  header.addEventListener("click", () => sort(header));
+  header.addEventListener("keydown", (event) => { if (event.key === "Enter") sort(header); });
+}
 addEventListener("pointermove", say);
 addEventListener("pointerdown", say);
 addEventListener("scroll", () => { said.hidden = true; });

@@ -1,6 +1,7 @@
 //! What all report pages share. A page holds its style, plots and pictures itself and asks no other address for anything.
 
 use super::plot::Plot;
+use crate::record::Provenance;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 /// The style of all pages.
@@ -37,12 +38,17 @@ pub(super) fn definitions(class: &str, pairs: &[(String, String)]) -> Markup {
     }
 }
 
-/// A section with a table; the heading tells the number of rows.
+/// What the page was made from, as its last section.
+pub(super) fn made_from(made_from: &Provenance) -> Markup {
+    html! { h2 { "Made from" } (definitions("provenance", &made_from.lines())) }
+}
+
+/// A section with a table, which a click on a column's name sorts; the heading tells the number of rows.
 pub(super) fn table<const N: usize>(title: &str, header: [&str; N], rows: &[[String; N]]) -> Markup {
     html! {
         h2 { (title) " (" (rows.len()) ")" }
         .wide {
-            table {
+            table.sortable {
                 tr { @for name in header { th { (name) } } }
                 @for row in rows {
                     tr { @for cell in row { td { (cell) } } }

@@ -55,7 +55,7 @@ const MEANT: [(&str, usize); 7] = [
 /// Colour of what stands beside the thing itself for comparison. Convention: a display choice.
 const FAINT: RGBColor = RGBColor(140, 146, 156);
 /// Names of such series.
-const FAINT_NAMES: [&str; 3] = ["rejected", "naive", "as asked for"];
+const FAINT_NAMES: [&str; 3] = ["rejected", "naive", "noise alone"];
 /// Points of a series that answer a hover at most. Convention: more are closer than a finger, and make pages heavy.
 const MOST_TIPS: usize = 400;
 /// A band this many times as wide as the values and the later bands reach is not shown whole. Convention: a display choice.
@@ -101,7 +101,7 @@ pub struct Plot {
     pub y_label: String,
     /// The series, each in its own colour.
     pub series: Vec<Series>,
-    /// Values that the y axis shows at least, so that plots beside each other compare.
+    /// Values that the y axis shows at least, so that plots beside each other compare. Where 0 is one of them, it has a line of its own.
     pub y_shown: Vec<f64>,
 }
 
@@ -199,6 +199,10 @@ impl Plot {
                 Axis { range: bottom..top, ticks: y_ticks },
             )?;
         self.draw_axes(&mut chart, steps, y_text)?;
+        if self.y_shown.contains(&0.0) {
+            let zero = [(left, 0.0), (right, 0.0)];
+            chart.draw_series(LineSeries::new(zero, INK_RGB.stroke_width(UNITS_PER_PX as u32)))?;
+        }
         let mut tips = String::new();
         for (place, series) in self.series.iter().enumerate() {
             let points: Vec<Point> =

@@ -1,8 +1,9 @@
 //! report.html of `reproduce`: each of the paper's results beside this program's.
 
-use super::page::{definitions, document, figure};
+use super::page::{document, figure, made_from};
 use super::plot::{Plot, Point, Series, Style};
 use super::verdict::with_code;
+use crate::record::Provenance;
 use crate::reproduce::{BendingError, Comparison, Compensation, RecursionStep, Reproduction, SimulatedRobot};
 use maud::{Markup, html};
 
@@ -27,7 +28,7 @@ td.why { min-width: 18rem; color: var(--soft); }
 ";
 
 const LEAD: &str = "Every number and picture of the paper that can be computed, beside what this program gives. Where the two \
-    differ the last column says why. Where the paper measured its robot, a simulated one stands in: it obeys Eq. 18 with the \
+    differ the last column says why. Where the paper measured its robot, a simulated one is measured here: it obeys Eq. 18 with the \
     paper's η = 1.221 and λ = 0.1765 mm, and in a second form has play of ± 0.0875 mm that each backbone's load takes up, the \
     middle of what the paper's dial indicator found. Naive is compensation by the model alone, with η = 1 and λ = 0.";
 
@@ -37,7 +38,6 @@ pub fn page(all: &Reproduction) -> String {
     let mut angles_by_delta = bending(&all.by_delta, "desired δ (°)", |row| row.delta_deg, Angle::Theta);
     angles_by_delta.extend(bending(&all.by_delta, "desired δ (°)", |row| row.delta_deg, Angle::Delta));
     let section = |title: &str, places: &[&str], figures: &[Figure]| section(title, &all.comparisons, places, figures);
-    let program = format!("snakeloop {} reproduce", env!("CARGO_PKG_VERSION"));
     let content = html! {
         h1 { "The paper, reproduced" }
         p { (LEAD) }
@@ -52,8 +52,7 @@ pub fn page(all: &Reproduction) -> String {
         (section("Table III: ten measurements", &["Table III"], &recursion(all)))
         (table_iii(all))
         (section("Jacobian and statics: Eq. 5, 9, 26", &["Eq. 5", "Eq. 9", "Eq. 26"], &jacobian(all)))
-        h2 { "Made from" }
-        (definitions("provenance", &[("program".into(), program)]))
+        (made_from(&Provenance::new("reproduce")))
     };
     document("snakeloop: the paper, reproduced", STYLE, &content)
 }
@@ -89,7 +88,7 @@ fn section(title: &str, comparisons: &[Comparison], places: &[&str], figures: &[
     }
 }
 
-/// A number with four decimals; in exponential form where they would all be zeros, without decimals where it has none. The limits
+/// A number with four decimals; in exponential form if they would all be zeros, and without decimals if it is a whole number. The limits
 /// are display choices.
 fn number(value: f64) -> String {
     let text = match value.abs() {

@@ -41,13 +41,13 @@ pub fn course(history: &RunHistory) -> Vec<Titled> {
     vec![
         axis.plot("Force scale η", "η", estimate(|e| (e.eta, e.sd_eta)), ESTIMATE),
         axis.plot("Backlash λ", "λ (mm)", estimate(|e| (e.lambda_mm, e.sd_lambda_mm)), ESTIMATE),
-        axis.plot(
+        axis.plot_with_zero(
             "Reprojection residuals",
             "rms (px)",
             one(Style::Dots, &|m, _| Some((m.quality?.rms_px, 0.0))),
             "Root mean square distance of the edges in each frame from the fitted outline.",
         ),
-        axis.plot(
+        axis.plot_with_zero(
             "Residuals of ε",
             "residual (mm)",
             (0..backbones).map(residual).collect(),
@@ -99,6 +99,12 @@ impl Axis {
     fn plot(&self, title: &'static str, y_label: &str, series: Vec<Series>, caption: &str) -> Titled {
         let plot = Plot { x_label: self.label().into(), y_label: y_label.into(), series, y_shown: vec![] };
         Titled { title, caption: caption.to_owned(), plot }
+    }
+
+    /// The same with a line at zero.
+    fn plot_with_zero(&self, title: &'static str, y_label: &str, series: Vec<Series>, caption: &str) -> Titled {
+        let Titled { title, caption, plot } = self.plot(title, y_label, series, caption);
+        Titled { title, caption, plot: Plot { y_shown: vec![0.0], ..plot } }
     }
 
     fn label(&self) -> &'static str {

@@ -2,13 +2,16 @@
 
 use super::bend_map::{bend_map, strongest};
 use super::overlay::angles;
-use super::page::{definitions, document, figure, list, table};
+use super::page::{definitions, document, figure, list, made_from, table};
 use super::run_course::{angles_over_time, course};
 use super::run_history::RunHistory;
 use super::run_plots::{Sampled, Titled, command_over_theta, corrections_mm};
 use super::verdict::verdict_box;
+use crate::estimate::EstimateRow;
 use crate::geometry::Configuration;
-use crate::observation::{EncoderReading, Measurement};
+use crate::observation::{EncoderReading, Measured, Measurement};
+use crate::quantity::decimal;
+use crate::record::Provenance;
 use crate::robot::{Model, TableRow};
 use crate::verdict::Verdict as RunVerdict;
 use base64::prelude::{BASE64_STANDARD, Engine};
@@ -68,8 +71,8 @@ pub struct Report<'a> {
     pub pictures: Vec<Picture>,
     /// What was passed over in the input.
     pub warnings: Vec<String>,
-    /// What the run was made from: program, files, settings.
-    pub provenance: Vec<(String, String)>,
+    /// What the run was made from.
+    pub made_from: Provenance,
 }
 
 impl Report<'_> {
@@ -83,12 +86,12 @@ impl Report<'_> {
             (self.measured())
             (self.learned())
             (self.course())
+            (self.all_frames())
             (self.frames_not_measured())
             (self.measurements_not_used())
-            (list("Warnings", "What was passed over in the input files.", &self.warnings))
+            (list("Warnings", "Rows of the input files that were left out.", &self.warnings))
             (self.pictures())
-            h2 { "Made from" }
-            (definitions("provenance", &self.provenance))
+            (made_from(&self.made_from))
         };
         document(&self.title, "", &content)
     }
@@ -129,8 +132,9 @@ impl Report<'_> {
             "The largest |q̃ − q| of a backbone at each bend: how much more than the geometry says is to be commanded.";
         html! {
             h2 { "What was learned" }
-            .plots {
-                (titled(&sampled.reached_over_desired()))
+            .plots.pairs {
+                (titled(&sampled.missed_before()))
+                (titled(&sampled.missed_after()))
                 (titled(&sampled.epsilon_over_tau()))
                 (map("Poses, and what the model misses of them", &sampled.misses_deg(), "°", coverage))
             }
@@ -153,6 +157,39 @@ impl Report<'_> {
                 }
             }
         }
+    }
+
+    /// Every row that is plotted, with what became of it.
+    fn all_frames(&self) -> Markup {
+        let row = |(m, row): &(Measurement, EstimateRow)| {
+            let angles = m.measured.as_ref().map(|measured| {
+                let Measured { configuration, sigma_theta, sigma_delta, .. } = measured;
+                [(configuration.theta_deg(), sigma_theta), (configuration.delta_deg(), sigma_delta)]
+                    .map(|(angle_deg, sigma)| [decimal(angle_deg, 3), decimal(sigma.to_degrees(), 3)])
+            });
+            let [[theta, sd_theta], [delta, sd_delta]] = angles.unwrap_or_default();
+            let time = m.time_s.map_or(String::new(), |time_s| decimal(time_s, 3));
+            let rms = m.quality.map_or(String::new(), |quality| decimal(quality.rms_px, 2));
+            let estimator = match row.reason.as_str() {
+                "" => row.verdict.to_string(),
+                reason => format!("{}: {}", row.verdict, reason.replace('_', " ")),
+            };
+            let status = m.status.to_string();
+            [frame_name(m.index, &m.view), time, status, theta, sd_theta, delta, sd_delta, rms, estimator]
+        };
+        let rows: Vec<_> = self.history.plotted.iter().map(row).collect();
+        let header = [
+            "frame",
+            "time (s)",
+            "status",
+            "θ (°)",
+            "σ of θ (°)",
+            "δ (°)",
+            "σ of δ (°)",
+            "edges, rms (px)",
+            "for η and λ",
+        ];
+        html! { .scroll { (table("Frame by frame", header, &rows)) } }
     }
 
     fn frames_not_measured(&self) -> Markup {
@@ -212,9 +249,10 @@ impl Report<'_> {
 }
 
 /// The words of the page.
-const GLOSSARY: &str = "θ is the snake's bend from straight, δ the direction that it leans towards. η scales the forces that bend it, λ is the play that all actuators \
-     share. q is what a backbone is to move in the snake for a bend, q̃ what to command, and ε = q̃ − q what the actuation line takes up. \
-     Left is what the model misses (root mean square). Values stand with one standard deviation σ (±).";
+const GLOSSARY: &str = "θ is the snake's bend from straight, δ the direction that it leans towards. The force scale η multiplies the forces that the \
+     ideal model expects; λ is the backlash that all actuators share. q is how far a backbone must move in the snake for a bend, q̃ what to command, \
+     and ε = q̃ − q the part that the actuation line takes up. Missed is the difference between measurement and model (root mean square). \
+     ± is one standard deviation σ.";
 
 /// What the colours on pictures mean.
 const DRAWN: &str =
@@ -254,7 +292,6 @@ fn thumbnail(Picture { caption, jpeg, file, snake }: &Picture) -> Markup {
 fn short_table(model: &Model) -> Markup {
     let poses = [30.0, 60.0, 90.0].into_iter().flat_map(|t| [-90.0, 0.0, 90.0, 180.0].map(|d| (t, d)));
     let rows: Vec<TableRow> = poses.map(|(t, d)| TableRow::new(model, Configuration::from_degrees(t, d))).collect();
-    let number = |value: f64, places: usize| format!("{value:.places$}").replace('-', "−");
     html! {
         .wide {
             table {
@@ -265,9 +302,9 @@ fn short_table(model: &Model) -> Markup {
                 }
                 @for row in &rows {
                     tr {
-                        td.number { (number(row.configuration.theta_deg(), 0)) }
-                        td.number { (number(row.configuration.delta_deg(), 0)) }
-                        @for q in &row.command_mm { td.number { (number(*q, 3)) } }
+                        td.number { (decimal(row.configuration.theta_deg(), 0)) }
+                        td.number { (decimal(row.configuration.delta_deg(), 0)) }
+                        @for q in &row.command_mm { td.number { (decimal(*q, 3)) } }
                     }
                 }
             }
@@ -292,7 +329,7 @@ fn frame_name(index: u64, view: &Option<String>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::{EstimateRow, EtaLambda, Verdict};
+    use crate::estimate::{EtaLambda, Verdict};
     use crate::geometry::Configuration;
     use crate::observation::{Measured, Status};
     use crate::robot::PerBackbone;
@@ -341,7 +378,7 @@ mod tests {
                 snake: Part { left: 0.25, top: 0.5, width: 0.5, height: 0.5 },
             }],
             warnings: vec!["a.csv:3: row skipped".into()],
-            provenance: vec![("encoders".into(), "a & b.csv".into())],
+            made_from: Provenance::new("a & b"),
         }
         .html();
         for expected in [
@@ -352,7 +389,7 @@ mod tests {
             "href=\"overlays/side_00001.jpg\"",
             "rejected: outlier",
             "a.csv:3: row skipped",
-            "a &amp; b.csv",
+            "a &amp; b",
             "data:image/jpeg;base64,/9g=",
         ] {
             assert!(page.contains(expected), "{expected}");
@@ -378,7 +415,7 @@ mod tests {
             closeup: None,
             pictures: vec![],
             warnings: vec![],
-            provenance: vec![],
+            made_from: Provenance::new("run"),
         }
         .html();
         assert!(page.contains("unreadable") && !page.contains("<svg"));

@@ -49,37 +49,44 @@ impl<'a> Sampled<'a> {
         self.samples.iter().filter_map(expected).collect()
     }
 
-    /// Reached bend over desired bend, as the naive table would have commanded it and as the learned one does.
-    pub fn reached_over_desired(&self) -> Titled {
-        let naive = Model { estimate: None, ..self.model.clone() };
-        let points = |model: &Model| -> Vec<Point> {
-            let both = self.expected(model).into_iter();
-            let mut points: Vec<Point> =
-                both.map(|(to, at)| Point { x: to.theta_deg(), y: at.theta_deg(), sd: 0.0 }).collect();
-            points.sort_by(|a, b| a.x.total_cmp(&b.x));
-            points
-        };
-        let (before, after) = (points(&naive), points(self.model));
-        let largest = before.iter().chain(&after).map(|p| p.x.max(p.y)).fold(0.0, f64::max);
-        let asked = [0.0, largest].map(|x| Point { x, y: x, sd: 0.0 });
-        let asked = asked.into_iter().filter(|_| largest > 0.0).collect();
-        let series = |name: &str, style, points| Series { name: name.into(), style, points };
+    /// What the learned table misses: reached less desired bend over the desired one, with the noise of the measurements.
+    pub fn missed_after(&self) -> Titled {
         Titled {
-            title: "Desired and reached bend",
-            caption: "A command that the table of the naive model (η = 1, λ = 0, nothing learned) gives for a desired bend, and one that the \
-                      learned table gives, and the bend that was measured under it. On the line the snake goes where it was sent."
+            title: "Reached − desired bend, after learning",
+            caption: "The same for the learned model alone, with bars of ±1σ of the measurement. At zero the snake goes where it is sent."
                 .into(),
-            plot: Plot {
-                x_label: "desired θ (°)".into(),
-                y_label: "reached θ (°)".into(),
-                series: vec![
-                    series("as asked for", Style::Band, asked),
-                    series("before compensation", Style::Dots, before),
-                    series("after compensation", Style::Dots, after),
-                ],
-                y_shown: vec![0.0],
-            },
+            plot: self.missed_plot(vec![self.missed_by("after compensation", self.model)]),
         }
+    }
+
+    /// The same for the naive table, beside the learned one.
+    pub fn missed_before(&self) -> Titled {
+        let naive = Model { estimate: None, ..self.model.clone() };
+        let both = [self.missed_by("before compensation", &naive), self.missed_by("after compensation", self.model)];
+        Titled {
+            title: "Reached − desired bend, before and after",
+            caption: "Measured bend less the bend that a model expects of the same command: by the naive model (η = 1, λ = 0, nothing learned) and by \
+                      the learned one."
+                .into(),
+            plot: self.missed_plot(both.into()),
+        }
+    }
+
+    /// Reached less desired θ of every sample, with the measurement's σ, by the bend that a model expects.
+    fn missed_by(&self, name: &str, model: &Model) -> Series {
+        let point = |(measured, q_mm): &(Measured, PerBackbone)| {
+            let desired_deg = model.forward(q_mm).ok()?.configuration.theta_deg();
+            let y = measured.configuration.theta_deg() - desired_deg;
+            Some(Point { x: desired_deg, y, sd: measured.sigma_theta.to_degrees() })
+        };
+        let mut points: Vec<Point> = self.samples.iter().filter_map(point).collect();
+        points.sort_by(|a, b| a.x.total_cmp(&b.x));
+        Series { name: name.into(), style: Style::Dots, points }
+    }
+
+    fn missed_plot(&self, series: Vec<Series>) -> Plot {
+        let (x_label, y_label) = ("desired θ (°)".into(), "reached − desired θ (°)".into());
+        Plot { x_label, y_label, series, y_shown: vec![0.0] }
     }
 
     /// ε over τ: what the line takes up, and the law that was found.
@@ -105,8 +112,8 @@ impl<'a> Sampled<'a> {
         let law = Series { name: "Eq. 18 as learned".into(), style: Style::Band, points: law };
         Titled {
             title: "Compensation ε over force τ",
-            caption: "ε = q̃ − q is what the actuation line takes up of a command; τ is the force that the model says the bent snake needs of a \
-                      backbone. The slope tells η, the height λ."
+            caption: "ε = q̃ − q is the part of a command that the actuation line takes up; τ is the force that the bent snake needs of a backbone by the \
+                      model. The slope is η times the line's compliance; the height at τ = 0 is λ and the part of the friction f_s."
                 .into(),
             plot: Plot {
                 x_label: "τ (N)".into(),
@@ -188,9 +195,10 @@ mod tests {
             readings.push(EncoderReading::new(index, index as f64, model.command(configuration)));
         }
         let sampled = Sampled::of(&model, &history, &readings);
-        let [_, before, after] = &sampled.reached_over_desired().plot.series[..] else { panic!("three series") };
-        assert!(after.points.iter().all(|p| (p.x - p.y).abs() < 1e-6));
-        assert!(before.points.last().is_some_and(|p| p.x - p.y > 3.0), "the naive table falls short");
+        let [before, after] = &sampled.missed_before().plot.series[..] else { panic!("two series") };
+        assert!(after.points.iter().all(|p| p.y.abs() < 1e-6));
+        assert!(before.points.last().is_some_and(|p| p.y < -3.0), "the naive table falls short");
+        assert_eq!(&sampled.missed_after().plot.series[..], std::slice::from_ref(after));
         let plot = sampled.epsilon_over_tau().plot;
         let law = &plot.series[0].points;
         for p in plot.series[1..].iter().flat_map(|series| &series.points) {

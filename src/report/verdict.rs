@@ -1,12 +1,13 @@
 //! The verdict as a box on top of a page, in its colour and in words.
 
-use super::page::document;
+use super::page::{document, made_from};
+use crate::record::Provenance;
 use crate::verdict::{Level, Reason, Verdict};
 use maud::{Markup, html};
 
 /// A page that tells why there is nothing else to show.
-pub fn verdict_page(title: &str, verdict: &Verdict) -> String {
-    document(title, "", &html! { h1 { (title) } (verdict_box(verdict)) })
+pub fn verdict_page(title: &str, verdict: &Verdict, from: &Provenance) -> String {
+    document(title, "", &html! { h1 { (title) } (verdict_box(verdict)) (made_from(from)) })
 }
 
 /// The box.

@@ -3,7 +3,7 @@
 //! Every [`Comparison`] holds one figure of the paper, the program's own, and why they differ where they do. The figures' data are
 //! kept as plain rows, one structure a file ([`Reproduction::files`]), so that anybody can draw them again.
 //!
-//! What the paper measured on its robot is here measured on a simulated one ([`bending`]): it obeys Eq. 18 with the paper's η and
+//! Where the paper measured its robot, a simulated one is measured here ([`bending`]). It obeys Eq. 18 with the paper's η and
 //! λ, and in a second form has the play that the paper's dial indicator found, taken up by each backbone in the direction of its load.
 
 pub mod bending;
@@ -63,7 +63,7 @@ impl Reproduction {
     /// The CSV files: name and content, one a figure or table.
     ///
     /// # Errors
-    /// [`Error::Encode`](crate::Error::Encode) for a row that cannot be written as CSV; there is none.
+    /// [`Error::Encode`](crate::Error::Encode) for a row that cannot be written as CSV, which does not occur.
     pub fn files(&self) -> Result<Vec<(&'static str, String)>> {
         Ok(vec![
             ("comparisons.csv", csv_of(&self.comparisons)?),

@@ -1,4 +1,4 @@
-//! The other way round, for tests and for whoever has no robot: encoders and pictures of a snake whose bend is known.
+//! Simulated robots: encoder readings and rendered pictures of a snake whose bend is known, for tests and for those who have no robot.
 
 mod body;
 pub mod experiment;

@@ -414,6 +414,18 @@ mod tests {
     }
 
     #[test]
+    fn the_book_has_the_default_scene_and_all_that_may_be_added_to_it() {
+        let page = include_str!("../../docs/src/reference/scene.md");
+        let mut blocks = page.split("```toml\n").skip(1).map(|rest| rest.split("```").next().unwrap());
+        let (whole, added) = (blocks.next().unwrap(), blocks.next().unwrap());
+        assert_eq!(toml::from_str::<Scene>(whole).unwrap(), Scene::default());
+        let (shape, tables) = added.split_once("\n[[").unwrap();
+        let scene: Scene = toml::from_str(&format!("{shape}\n{whole}\n[[{tables}")).unwrap();
+        scene.check().unwrap();
+        assert_eq!((scene.paper.stains.len(), scene.wires.len()), (1, 1));
+    }
+
+    #[test]
     fn a_wrong_scene_file_is_told_apart() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scene.toml");

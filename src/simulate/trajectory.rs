@@ -19,7 +19,7 @@ pub struct BendingExperiment {
     pub sweep_poses: usize,
     /// θ of the round, degrees.
     pub round_theta_deg: f64,
-    /// Poses of the round; 0 leaves it out.
+    /// Poses of the round; 0 for no round.
     pub round_poses: usize,
     /// Mean time from one pose to the next, s. The pace is uneven, by ± 40 %, so that what depends on speed can be told
     /// from what depends on time.

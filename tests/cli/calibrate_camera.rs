@@ -71,7 +71,8 @@ fn everything_that_was_found_out_is_said() {
 
     let output = pictures.call(ALL);
     let [told, warned] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
-    for part in ["corners in", "fx_px", "±", "an angle on the snake", "two halves differ", "worst px", "stands out"] {
+    for part in ["corners in", "fx_px", "±", "an angle on the snake", "two halves differ", "worst px", "is an outlier"]
+    {
         assert!(told.contains(part), "{part}: {told}");
     }
     for part in ["8.png: not used", "5.png: rms", "two halves of the pictures differ"] {

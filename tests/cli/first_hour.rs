@@ -21,7 +21,7 @@ fn a_new_folder_is_an_experiment_that_check_says_is_empty() {
         assert!(texts.iter().any(|text| text.contains(missing)), "{missing}: {texts:?}");
     }
     assert!(reasons.iter().all(|reason| reason["code"] == "files" && reason["remedy"].as_str().unwrap().len() > 20));
-    assert!(sandbox.fail("new lab", 1).contains("is there already"));
+    assert!(sandbox.fail("new lab", 1).contains("exists already"));
 }
 
 #[test]

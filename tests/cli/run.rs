@@ -41,7 +41,17 @@ fn the_bundled_experiment_gives_its_hidden_parameters_back() {
     assert!(json(&sandbox.read("out/compensation.json"))["model"]["estimate"]["eta"].is_f64());
     assert_eq!(fs::read_dir(sandbox.join("out/overlays")).unwrap().count(), 17);
     let report = sandbox.read("out/report.html");
-    assert!(!report.contains("http") && report.matches("<svg").count() == 11 && report.matches("<img").count() == 20);
+    assert!(!report.contains("http") && report.matches("<svg").count() == 12 && report.matches("<img").count() == 20);
+    // What the model was made from stands in both.
+    let model: toml::Table = toml::from_str(&sandbox.read("out/model.toml")).unwrap();
+    let inputs = model["provenance"]["inputs"].as_table().unwrap();
+    assert!(
+        ["bending/encoders.csv", "bending/straight.jpg", "measurements.csv"]
+            .iter()
+            .all(|name| inputs.contains_key(*name))
+    );
+    assert!(inputs.values().all(|sum| report.contains(sum.as_str().unwrap())), "{inputs}");
+    assert!(report.contains("2026-11-26T02:35:28Z"), "the harness's date");
     sandbox.succeed("table --model out/model.toml -o table");
 }
 

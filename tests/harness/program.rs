@@ -52,7 +52,8 @@ impl Sandbox {
     /// The program with the arguments of this line, which are separated by spaces.
     pub fn command(&self, line: &str) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_snakeloop"));
-        command.current_dir(self.path()).args(line.split_whitespace());
+        // One date for all results, so that the bytes of two runs compare.
+        command.current_dir(self.path()).args(line.split_whitespace()).env("SOURCE_DATE_EPOCH", "1795660528");
         command
     }
 

@@ -1,4 +1,4 @@
-//! Rules that the sources keep: every constant says where its number comes from.
+//! Rules that the sources keep: every constant says where its number comes from, and a test that it cites is there.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -8,16 +8,20 @@ use std::path::{Path, PathBuf};
 /// judged, or that it is a format, a unit, a limit or a display choice on which no accuracy hangs.
 const REASONS: [&str; 4] = ["Derived:", "Source:", "Fitted:", "Convention:"];
 
+/// Folders of `src` in which some constants have no reason yet, or cite tests that are gone. The test lists them and passes over them.
+const OPEN: [&str; 5] = ["discover", "live", "measure", "robot", "verdict"];
+
 /// A constant of a number.
 struct Constant {
     file: String,
     line: usize,
     name: String,
     reason: Option<&'static str>,
+    /// The tests that its comment cites and that are not there.
+    gone: Vec<String>,
 }
 
 #[test]
-#[ignore = "some constants have no reason yet: cargo test --test library every_number -- --ignored lists them"]
 fn every_number_says_where_it_comes_from() {
     let constants = constants();
     assert!(constants.len() > 50, "only {} constants found: is src where it was?", constants.len());
@@ -29,11 +33,17 @@ fn every_number_says_where_it_comes_from() {
     for (room, constants) in rooms {
         let with = |reason: &str| constants.iter().filter(|constant| constant.reason == Some(reason)).count();
         let counts = REASONS.map(|reason| format!("{reason} {}", with(reason)));
-        let offenders: Vec<_> = constants.iter().filter(|constant| constant.reason.is_none()).collect();
-        println!("{room}: {} constants; {}; without a reason {}", constants.len(), counts.join(", "), offenders.len());
-        without.extend(offenders.iter().map(|c| format!("src/{}:{}: {}", c.file, c.line, c.name)));
+        let offenders = constants.iter().filter(|constant| constant.reason.is_none() || !constant.gone.is_empty());
+        let offenders: Vec<_> =
+            offenders.map(|c| format!("src/{}:{}: {} {}", c.file, c.line, c.name, c.gone.join(", "))).collect();
+        println!("{room}: {} constants; {}; offenders {}", constants.len(), counts.join(", "), offenders.len());
+        if OPEN.contains(&room) {
+            println!("{}", offenders.join("\n"));
+        } else {
+            without.extend(offenders);
+        }
     }
-    assert!(without.is_empty(), "{} constants without a reason:\n{}", without.len(), without.join("\n"));
+    assert!(without.is_empty(), "{} constants without a reason that holds:\n{}", without.len(), without.join("\n"));
 }
 
 /// The constants of the sources, those of tests left out.
@@ -80,11 +90,22 @@ fn constants_of(file: &str, text: &str) -> Vec<Constant> {
     let mut found = Vec::new();
     for (index, line) in lines[..end.unwrap_or(lines.len())].iter().enumerate() {
         if let Some(name) = number_constant(line) {
-            let reason = REASONS.into_iter().find(|reason| comment_above(&lines[..index]).contains(reason));
-            found.push(Constant { file: file.to_owned(), line: index + 1, name: name.to_owned(), reason });
+            let comment = comment_above(&lines[..index]);
+            let reason = REASONS.into_iter().find(|reason| comment.contains(reason));
+            let gone = gone(&comment);
+            found.push(Constant { file: file.to_owned(), line: index + 1, name: name.to_owned(), reason, gone });
         }
     }
     found
+}
+
+/// The paths below `tests/` that a comment names and where there is neither a file nor a folder.
+fn gone(comment: &str) -> Vec<String> {
+    let is_of_path = |c: char| c.is_ascii_alphanumeric() || "/_.".contains(c);
+    let words = comment.split(|c: char| !is_of_path(c)).map(|word| word.trim_end_matches('.'));
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let is_gone = |path: &&str| !root.join(path).exists() && !root.join(format!("{path}.rs")).exists();
+    words.filter(|word| word.starts_with("tests/")).filter(is_gone).map(str::to_owned).collect()
 }
 
 /// The name of the constant that this line declares, if it is a number, several numbers or a time.

@@ -85,6 +85,12 @@ impl Args {
         let calibrated = Calibrated::from(calibration);
         console.warn(calibrated.warnings());
         console.result(&calibrated, || calibrated.text());
+        if let Some(path) = &self.output {
+            console.next(format_args!(
+                "name {} as `camera` of the view in experiment.toml, and leave the focus as it is",
+                path.display()
+            ));
+        }
         Ok(())
     }
 
@@ -122,7 +128,7 @@ impl Calibrated {
         let skipped = self.skipped.iter().map(|s| format!("{}: not used: {}", s.path.display(), s.why));
         let outliers = self.pictures.iter().filter(|p| p.outlier).map(|p| {
             format!(
-                "{}: rms {:.2} px stands out; look at it, and leave it out if it is bad",
+                "{}: rms {:.2} px is an outlier; look at the picture, and leave it out if it is bad",
                 p.path.display(),
                 p.rms_px
             )
@@ -130,12 +136,12 @@ impl Calibrated {
         let parallel = self.pictures.iter().all(|p| p.tilt_deg < 10.0);
         let tilt = parallel.then(|| "no board is tilted by more than 10°: the focal length is uncertain".to_owned());
         let bare = (self.coverage < 0.5).then(|| {
-            format!("the boards reach {:.0} % of the picture: its borders are guessed", 100.0 * self.coverage)
+            format!("the boards reach {:.0} % of the picture: nothing is known of its borders", 100.0 * self.coverage)
         });
         let halves = self.halves.as_ref().filter(|halves| halves.disagree).map(|halves| {
             format!(
                 "two halves of the pictures differ by {:.3}° at the snake, {:.3}° would be expected: is the board flat, \
-                 and did the lens stay as it was?",
+                 and was the lens left alone?",
                 halves.halves.rms_deg, halves.halves.expected_deg
             )
         });
@@ -162,7 +168,7 @@ impl Calibrated {
         text += "\nrms px  worst px  tilt   picture\n";
         for picture in &self.pictures {
             let BoardView { path, rms_px, worst_px, tilt_deg, outlier } = picture;
-            let mark = if *outlier { "  stands out" } else { "" };
+            let mark = if *outlier { "  is an outlier" } else { "" };
             text += &format!("{rms_px:6.3}  {worst_px:8.3}  {tilt_deg:4.1}°  {}{mark}\n", path.display());
         }
         text
@@ -182,7 +188,7 @@ fn several_cameras<'a>(pictures: impl Iterator<Item = &'a Path>) -> Option<Strin
     let named: Vec<String> = counts.iter().map(|(name, count)| format!("{count} of {name}*")).collect();
     (named.len() > 1).then(|| {
         format!(
-            "the pictures are of {} series ({}); one lens is fitted to all: if they are of different cameras, calibrate each by itself",
+            "the pictures are of {} series ({}); one lens is fitted to all of them; if they are of different cameras, calibrate each camera separately",
             named.len(),
             named.join(", ")
         )

@@ -23,7 +23,7 @@ const PAPER_LOAD_G: f64 = 800.0;
 pub struct Args {
     /// The weighings (index,tau_g,tau_limit_g,tau_tilde_g,tau_tilde_limit_g); without it the paper's Table II
     weighings: Option<PathBuf>,
-    /// The model whose robot and cone angle are taken (model.toml); without it the paper's
+    /// The model that gives robot and cone angle (model.toml); by default the paper's
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
     /// Write the model with the fitted friction there (model.toml)

@@ -27,7 +27,7 @@ pub struct Args {
     /// The picture of the unbent snake
     #[arg(long, value_name = "PICTURE")]
     straight: PathBuf,
-    /// The model whose robot is in the picture (model.toml); without it the paper's
+    /// The model of the robot in the picture (model.toml); by default the paper's
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
     /// The file to write
@@ -82,6 +82,8 @@ impl Args {
                 summary.rig.display()
             )
         });
+        let rig = summary.rig.display();
+        console.next(format_args!("write rig = \"{rig}\" under [[view]] of experiment.toml, in place of `straight`"));
         Ok(())
     }
 }

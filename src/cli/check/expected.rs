@@ -33,7 +33,7 @@ impl Expected {
     }
 }
 
-/// Where the snake goes by the model, at the readings that have a frame.
+/// The poses to which the model says the readings lead, for readings that have a frame.
 pub fn poses_of(
     model: &Model,
     log: &[EncoderReading],

@@ -29,7 +29,7 @@ pub fn files_with_remedies(experiment: &Experiment) -> Vec<(PathBuf, String)> {
             }
             RigSource::Straight { picture, .. } => {
                 let remedy =
-                    "take a picture of the unbent snake before the grid target, the camera where it is in the frames";
+                    "take a picture of the unbent snake before the grid target, with the camera at the place that it has in the frames";
                 (picture.clone(), remedy.to_owned())
             }
         });

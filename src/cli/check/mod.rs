@@ -34,9 +34,9 @@ use std::path::PathBuf;
 /// Frames of a view that are measured. Convention: what takes a second or two, and shows all sweeps of an experiment.
 const MEASURED: usize = 36;
 
-/// Look whether an experiment is fit for a run: files, sizes, indices, clocks, wiring, coverage, and the σ of η and λ to expect
+/// Check whether an experiment is ready for a run: files, sizes, indices, clocks, wiring, coverage, and the σ of η and λ to expect
 ///
-/// Takes seconds, writes nothing but what `-o` asks for, and says what to do about each thing that is not as it should be. Exit code 1 where a run could not begin.
+/// Takes seconds, writes only what `-o` asks for, and says what to do about each fault. Exit code 1 if a run could not begin.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop check fixtures/bending")]
 pub struct Args {
@@ -74,6 +74,10 @@ impl Args {
         let summary =
             if inspection.reasons.is_empty() { inspection.with_data(console, &experiment)? } else { inspection.end() };
         console.result(&summary, || summary.text());
+        console.next(match summary.verdict.level {
+            Level::DoNotUse => "do what stands below the first reason, then check again".to_owned(),
+            Level::Good | Level::Look => format!("snakeloop run {} -o out", self.experiment.display()),
+        });
         match summary
             .verdict
             .reasons
@@ -162,7 +166,7 @@ impl Inspection {
                 Code::Files,
                 Level::Look,
                 warning.to_string(),
-                "mend the row, or leave it: it costs its frame only",
+                "correct the row, or leave it: only its frame is lost",
             );
         }
         let trackers = self.trackers(console, experiment, &model, &log);
@@ -282,7 +286,7 @@ impl Inspection {
         if without > 0 && !both.is_empty() {
             let first = frames.difference(&read).next().copied().unwrap_or_default();
             let text = format!("{without} of {} frames have no reading, frame {first} first", frames.len());
-            let remedy = "the index of a row is the number in its frame's file name; frames without a reading are measured and not learned from";
+            let remedy = "the index of a row is the number in its frame's file name; frames without a reading are measured, but nothing is learned from them";
             self.fault(Code::Files, Level::Look, text, remedy);
         }
         Ok(both)

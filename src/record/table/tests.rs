@@ -13,7 +13,7 @@ impl Indexed for Reading {
 fn parse(text: &[u8]) -> Result<Checked<Reading>> {
     let path = Path::new("a.csv");
     let reading = |row: &Row| Ok(Reading(row.index("index")?, row.number("x_mm")?));
-    let (numbered, mut warnings) = parsed_rows(path, text, &[], &["index", "x_mm"], |_| Ok(()), reading)?;
+    let (numbered, mut warnings) = parsed_rows(path, text, &[], &["index", "x_mm"], |_| Ok(()), reading, |_| true)?;
     let rows = in_order_once(numbered, &mut warnings);
     checked(path, rows, warnings)
 }

@@ -1,4 +1,4 @@
-//! Measurements of a real robot (fixtures/README.md): what the README's third command names there holds on directions that it has not
+//! Measurements of a real robot (fixtures/README.md): what `discover` names there, as the book shows, holds on directions that it has not
 //! seen.
 
 use crate::program::{Sandbox, number};

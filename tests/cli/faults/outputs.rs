@@ -57,7 +57,7 @@ fn of_two_runs_started_together_one_gets_in() {
             command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
         };
         let both = [start(), start()].map(|child| all_said(&child.wait_with_output().unwrap()));
-        let refused = both.iter().filter(|said| said.contains("another call of snakeloop is at work")).count();
+        let refused = both.iter().filter(|said| said.contains("another call of snakeloop is working")).count();
         assert_eq!(refused, 1, "{both:?}");
     }
     // One frame gives no estimate: nothing that looks like one stands beside what an earlier run left.

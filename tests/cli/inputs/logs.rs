@@ -232,7 +232,7 @@ fn a_log_that_cannot_be_meant_is_told() {
                 logged("t,q1_mm,q2_mm,q3_mm", "time = \"t\"", |f| {
                     format!("{},{},{},{}", f[1] - 1.7e9, f[2], f[3], f[4])
                 }),
-                Told(&["nothing_to_judge", "they are of two clocks", "clock"]),
+                Told(&["nothing_to_judge", "they come from two clocks", "clock"]),
             ),
             case(
                 "a log of other frames",

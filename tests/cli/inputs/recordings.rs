@@ -223,7 +223,7 @@ fn a_recording_that_cannot_be_meant_is_told() {
             case(
                 "two nodes that say other things of one moment",
                 beside(|message| of_joints(message, message.time_ns, &["b1", "b2", "b3"], &[0.0; 3])),
-                Told(&["contradictory_readings", "/joint_states says two things", "nothing_to_judge"]),
+                Told(&["contradictory_readings", "/joint_states has two different values", "nothing_to_judge"]),
             ),
             case(
                 "stamps that are all zero",

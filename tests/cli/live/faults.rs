@@ -36,7 +36,7 @@ fn a_folder_in_use_crowds_and_a_removed_folder_cost_nothing() {
     live.until("measurements", |state| state["measurements"].as_u64() >= Some(2));
 
     let again = format!("live {} -o out --resume", text(experiment()));
-    assert!(sandbox.fail(&again, 1).contains("another call of snakeloop is at work"));
+    assert!(sandbox.fail(&again, 1).contains("another call of snakeloop is working"));
 
     // One calibration at a time; the others are told to wait.
     let (said, answers) = std::sync::mpsc::channel();
@@ -106,7 +106,7 @@ fn a_folder_in_use_crowds_and_a_removed_folder_cost_nothing() {
         assert!(Instant::now() < deadline, "{} of {before} entries", entries(&output));
         std::thread::sleep(Duration::from_millis(50));
     }
-    assert!(sandbox.fail(&again, 1).contains("another call of snakeloop is at work"));
+    assert!(sandbox.fail(&again, 1).contains("another call of snakeloop is working"));
     end(live);
 
     let other = sandbox.fail("live bending -o out --resume", 1);
