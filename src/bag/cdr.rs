@@ -158,6 +158,11 @@ impl CdrWriter {
         self.bytes.extend(number);
     }
 
+    /// A byte.
+    pub fn u8(&mut self, value: u8) {
+        self.bytes.push(value);
+    }
+
     /// A number of 32 bits.
     pub fn u32(&mut self, value: u32) {
         self.aligned(value.to_le_bytes());
@@ -179,7 +184,7 @@ impl CdrWriter {
     }
 
     /// How many values a sequence has, of which CDR counts 32 bits: a picture or a line of text has fewer.
-    fn length(&mut self, length: usize) {
+    pub fn length(&mut self, length: usize) {
         self.u32(length as u32);
     }
 

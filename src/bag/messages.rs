@@ -1,7 +1,8 @@
-//! The messages that an experiment is made of: joint states, compressed pictures, a camera's lens, poses. Raw pictures are `camera`'s.
+//! The messages that an experiment is made of: joint states, compressed pictures, a camera's lens, poses; and those that `live` publishes.
+//! Raw pictures are `camera`'s.
 //! Those that recordings are written of have their [`Definition`] and their encoding beside.
 //!
-//! Source: the definitions of ROS 2's packages `sensor_msgs` and `geometry_msgs`.
+//! Source: the definitions of ROS 2's packages `sensor_msgs`, `geometry_msgs`, `std_msgs` and `diagnostic_msgs`.
 
 use super::cdr::{Cdr, CdrResult, CdrWriter};
 use nalgebra::{Quaternion, Vector3};
@@ -85,6 +86,11 @@ pub fn begun(time_ns: u64, frame_id: &str) -> CdrWriter {
 /// The time of a message's header, s.
 pub fn stamp_s(bytes: &[u8]) -> Option<f64> {
     header(&mut Cdr::new(bytes).ok()?).ok()
+}
+
+/// The time and frame of reference of a message, s, below 2^31 s. What begins with a header is dated so.
+pub fn begun_s(time_s: f64, frame_id: &str) -> CdrWriter {
+    begun((time_s.max(0.0) * 1e9).round() as u64, frame_id)
 }
 
 /// `sensor_msgs/JointState`.
@@ -211,5 +217,112 @@ impl Stamped for StampedPose {
         }
         let ([x, y, z], [i, j, k, w]) = (cdr.f64s()?, cdr.f64s()?);
         Ok(Self { stamp_s, position_m: Vector3::new(x, y, z), orientation: Quaternion::new(w, i, j, k) })
+    }
+}
+
+/// `geometry_msgs/Vector3Stamped`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StampedVector {
+    /// s.
+    pub stamp_s: f64,
+    /// In the unit that the topic says.
+    pub vector: [f64; 3],
+}
+
+impl StampedVector {
+    /// The type of ROS.
+    pub const KIND: &'static str = "geometry_msgs/Vector3Stamped";
+
+    /// The message, with the frame of reference that it is in.
+    pub fn encoded(&self, frame_id: &str) -> Vec<u8> {
+        let mut cdr = begun_s(self.stamp_s, frame_id);
+        self.vector.into_iter().for_each(|value| cdr.f64(value));
+        cdr.into_bytes()
+    }
+}
+
+impl Stamped for StampedVector {
+    const KINDS: &'static [&'static str] = &[Self::KIND];
+
+    fn body(stamp_s: f64, _: &str, cdr: &mut Cdr) -> CdrResult<Self> {
+        Ok(Self { stamp_s, vector: cdr.f64s()? })
+    }
+}
+
+/// `std_msgs/Float64MultiArray` of one dimension, whose label names its numbers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Numbers<'a> {
+    /// What the numbers are, as the head of a table: names with commas between.
+    pub label: &'a str,
+    /// The numbers.
+    pub values: &'a [f64],
+}
+
+impl Numbers<'_> {
+    /// The type of ROS.
+    pub const KIND: &'static str = "std_msgs/Float64MultiArray";
+
+    /// The message. It has no header.
+    pub fn encoded(&self) -> Vec<u8> {
+        let mut cdr = CdrWriter::begin();
+        // One dimension: its label, size and stride.
+        cdr.length(1);
+        cdr.text(self.label);
+        cdr.length(self.values.len());
+        cdr.length(self.values.len());
+        // The data begin at once.
+        cdr.u32(0);
+        cdr.f64_sequence(self.values);
+        cdr.into_bytes()
+    }
+}
+
+/// How a component is, by `diagnostic_msgs/DiagnosticStatus`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DiagnosticLevel {
+    /// All is well.
+    Ok = 0,
+    /// Something is to be looked at.
+    Warn = 1,
+    /// It must not be used.
+    Error = 2,
+    /// Nothing is known yet.
+    Stale = 3,
+}
+
+/// `diagnostic_msgs/DiagnosticArray` of one status.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Diagnostic<'a> {
+    /// s.
+    pub stamp_s: f64,
+    /// How it is.
+    pub level: DiagnosticLevel,
+    /// What it is about.
+    pub name: &'a str,
+    /// How it is, in a sentence.
+    pub message: &'a str,
+    /// Further values by their names.
+    pub values: &'a [(String, String)],
+}
+
+impl Diagnostic<'_> {
+    /// The type of ROS.
+    pub const KIND: &'static str = "diagnostic_msgs/DiagnosticArray";
+
+    /// The message.
+    pub fn encoded(&self) -> Vec<u8> {
+        let mut cdr = begun_s(self.stamp_s, "");
+        cdr.length(1);
+        cdr.u8(self.level as u8);
+        cdr.text(self.name);
+        cdr.text(self.message);
+        // The hardware has no name.
+        cdr.text("");
+        cdr.length(self.values.len());
+        for (key, value) in self.values {
+            cdr.text(key);
+            cdr.text(value);
+        }
+        cdr.into_bytes()
     }
 }

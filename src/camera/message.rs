@@ -15,22 +15,25 @@ impl Lens {
     /// # Errors
     /// A recording that cannot be read or has no such topic; a camera of another model.
     pub fn of_topic(topic: &Topic) -> Result<Self> {
-        let info: CameraInfo = topic.first()?;
+        Self::of_info(&topic.first()?).map_err(|why| topic.error(why))
+    }
+
+    /// The lens that a `sensor_msgs/CameraInfo` tells.
+    ///
+    /// # Errors
+    /// A camera that was not calibrated, or one of another model: in words.
+    pub fn of_info(info: &CameraInfo) -> std::result::Result<Self, String> {
         let model = info.distortion_model.as_str();
         let is_fisheye = FISHEYES.contains(&model);
         if !is_fisheye && !["", "plumb_bob", "rational_polynomial"].contains(&model) {
-            let expected = "expected plumb_bob, rational_polynomial or equidistant";
-            return Err(topic.error(format!("distortion_model {model:?}, {expected}")));
+            return Err(format!("distortion_model {model:?}, expected plumb_bob, rational_polynomial or equidistant"));
         }
-        let lens =
-            Self::of_parts((info.width, info.height), info.matrix, &info.distortion, is_fisheye).map_err(|part| {
-                match part {
-                    WrongPart::Matrix(why) => topic.error(format!("k: {why}; calibrate the camera")),
-                    WrongPart::Distortion(why) => topic.error(format!("d: {why}")),
-                }
-            })?;
-        let window = Window { binning: info.binning, offset: info.offset, size: info.window };
-        lens.windowed(&window).map_err(|why| topic.error(why))
+        let lens = Self::of_parts((info.width, info.height), info.matrix, &info.distortion, is_fisheye);
+        let lens = lens.map_err(|part| match part {
+            WrongPart::Matrix(why) => format!("k: {why}; calibrate the camera"),
+            WrongPart::Distortion(why) => format!("d: {why}"),
+        })?;
+        lens.windowed(&Window { binning: info.binning, offset: info.offset, size: info.window })
     }
 
     /// The lens of pictures that show a window of the sensor, or several pixels as one, from that of the whole sensor.

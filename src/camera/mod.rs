@@ -23,6 +23,8 @@ pub use capture::{CaptureSettings, CaptureTarget, FourCc};
 pub use file::{CameraFormat, CameraNumbers};
 pub use frame::{Frame, Sample, Samples, decode_frame, picture_size_for, read_frame, read_frame_for};
 pub use lens::Lens;
+#[cfg(feature = "live")]
+pub(crate) use message::Picture;
 pub use opencv::Capture;
 pub use source::{FrameSource, PictureFile, SourceFrame};
 #[cfg(not(feature = "opencv"))]

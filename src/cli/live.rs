@@ -3,18 +3,20 @@
 use super::console::Console;
 use super::estimator::EstimatorArgs;
 use super::inputs::{encoders_of, files_read, maker, model_of, model_that_may_be_used, rows};
+use super::topics::TopicArgs;
 use super::verdict::{VerdictArgs, verdict_text};
 use super::views::rig_of;
-use crate::camera::{CaptureSettings, CaptureTarget, FourCc, FrameSource};
+use crate::camera::{CaptureSettings, CaptureTarget, FourCc, FrameSource, Lens};
 use crate::cli::failure::Failure;
+use crate::live::ros2::{Node, Sink};
 use crate::live::server::{AppState, Server};
 use crate::live::{
     AccessControl, EncoderInput, EncoderSource, EncoderStatus, Histogram, Live, PublicationState, PublicationStatus,
     Setup, SharedState, Source, State, StemStatus, View, tui,
 };
 use crate::measure::{Eye, Rig, RigOptions};
-use crate::record::{self, Experiment, OutputFolder, RigSource};
-use crate::robot::Robot;
+use crate::record::{self, CameraSource, Experiment, OutputFolder, RigSource};
+use crate::robot::{Model, Robot};
 use crate::verdict::Verdict;
 use crate::{Error, Result};
 use serde::Serialize;
@@ -32,7 +34,9 @@ use std::time::Duration;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  snakeloop live EXPERIMENT --camera 0 --size 1280x720 --encoders tcp://robot:5000 -o out\n  \
-                  snakeloop live fixtures/bending --rate 2 --serve -o live"
+                  snakeloop live fixtures/bending --rate 2 --serve -o live\n  \
+                  snakeloop live EXPERIMENT --ros2 --image-topic /camera/image_raw --joint-topic /joint_states --joints b1,b2,b3 -o out",
+    group(clap::ArgGroup::new("readings").args(["encoders", "joint_topic"]))
 )]
 pub struct Args {
     /// The experiment: a folder with an experiment.toml, or that file
@@ -69,7 +73,7 @@ pub struct Args {
     #[arg(long, value_name = "FROM")]
     encoders: Option<EncoderSource>,
     /// Seconds to add to the encoders' times to get those of the frames; estimated by default
-    #[arg(long, value_name = "SECONDS", allow_hyphen_values = true, requires = "encoders")]
+    #[arg(long, value_name = "SECONDS", allow_hyphen_values = true, requires = "readings")]
     encoder_offset: Option<f64>,
     /// The model to start from (model.toml); its effects are obeyed. Without it the experiment's, or the paper's
     #[arg(long, value_name = "MODEL")]
@@ -96,6 +100,8 @@ pub struct Args {
     /// measurement, a table for the stem as it is, and at the end OUT/stem.csv
     #[arg(long, conflicts_with_all = ["flat_sigma", "gate"])]
     stem: bool,
+    #[command(flatten)]
+    topics: TopicArgs,
     #[command(flatten)]
     estimator: EstimatorArgs,
     #[command(flatten)]
@@ -137,7 +143,8 @@ fn size(text: &str) -> std::result::Result<(u32, u32), String> {
     parts.filter(|&(width, height)| width > 0 && height > 0).ok_or_else(|| "expected a size such as 1280x720".into())
 }
 
-fn positive(text: &str) -> std::result::Result<f64, String> {
+/// A number above 0.
+pub fn positive(text: &str) -> std::result::Result<f64, String> {
     let value = text.parse::<f64>().ok().filter(|value| *value > 0.0 && *value < LARGEST);
     value.ok_or_else(|| "expected a number above 0".into())
 }
@@ -167,12 +174,15 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         // Address and folder before the long work of calibrating the rig.
         let server = self.access_control()?.map(Server::bind).transpose().map_err(Failure::of_call)?;
+        let node = self.topics.domain()?.map(Node::join).transpose().map_err(Failure::of_call)?;
         let experiment = Experiment::read(&self.experiment)?;
         let folder = self.claim(&experiment)?;
-        let live = Live::start(self.setup(console, &experiment, folder)?)?;
+        let live = Live::start(self.setup(console, &experiment, folder, node.as_ref())?)?;
+        let shown = || (Arc::clone(&live.shared), Arc::clone(&live.video));
+        let sink = node.as_ref().map(|node| Sink::start(node, shown().0, shown().1)).transpose()?;
         if let Some(server) = server {
             let has_token = self.token_file.is_some();
-            let (shared, video) = (Arc::clone(&live.shared), Arc::clone(&live.video));
+            let (shared, video) = shown();
             let address = server.start(AppState { shared, video, commands: live.commands() });
             if !self.tui {
                 console.say(format!("dashboard: http://{address}/{}", if has_token { "?token=TOKEN" } else { "" }));
@@ -181,7 +191,9 @@ impl Args {
         self.wait(console, &live)?;
         live.stop();
         let shared = Arc::clone(&live.shared);
-        let latencies = live.finish()?;
+        let latencies = live.finish();
+        sink.into_iter().for_each(Sink::finish);
+        let latencies = latencies?;
         let summary = Summary::new(&shared.state(), &latencies, self.output.clone());
         console.result(&summary, || summary.text());
         self.verdict.check(&summary.verdict)
@@ -241,7 +253,13 @@ impl Args {
         Ok(out)
     }
 
-    fn setup(&self, console: &Console, experiment: &Experiment, folder: OutputFolder) -> Result<Setup, Failure> {
+    fn setup(
+        &self,
+        console: &Console,
+        experiment: &Experiment,
+        folder: OutputFolder,
+        node: Option<&Node>,
+    ) -> Result<Setup, Failure> {
         let view = self.chosen_view(experiment)?;
         let mut model = model_of(experiment)?;
         if let Some(path) = &self.model {
@@ -253,20 +271,11 @@ impl Args {
                     .into(),
             ));
         }
-        let (source, source_name) = self.source(experiment, view)?;
-        let encoders = match &self.encoders {
-            Some(from) => EncoderInput::Lines {
-                source: from.clone(),
-                offset_s: self.encoder_offset,
-                wiring: experiment.wiring(model.robot.backbone_count())?,
-            },
-            None if source.is_recording() && experiment.encoders.is_some() => {
-                EncoderInput::Log(rows(console, encoders_of(experiment, &model)?))
-            }
-            None => EncoderInput::None,
-        };
+        let lens = self.lens(view, node)?;
+        let (source, source_name) = self.source(experiment, view, node)?;
+        let encoders = self.encoder_input(console, experiment, &model, &source, node)?;
         Ok(Setup {
-            view: self.open(view, &model.robot)?,
+            view: self.open(view, lens, &model.robot)?,
             source,
             source_name,
             encoders,
@@ -277,6 +286,37 @@ impl Args {
             resume: self.resume,
             save_every: Duration::from_secs_f64(self.save_every),
         })
+    }
+
+    /// The view's lens: by the experiment, or, where that names none, by the camera itself.
+    fn lens(&self, view: &record::View, node: Option<&Node>) -> Result<Lens, Failure> {
+        match (node, &self.topics.image_topic, &view.camera) {
+            (Some(node), Some(topic), CameraSource::Untold) => Ok(node.lens_beside(topic)?),
+            _ => Ok(view.lens()?),
+        }
+    }
+
+    /// Where encoder readings come from.
+    fn encoder_input(
+        &self,
+        console: &Console,
+        experiment: &Experiment,
+        model: &Model,
+        source: &Source,
+        node: Option<&Node>,
+    ) -> Result<EncoderInput, Failure> {
+        let backbones = model.robot.backbone_count();
+        let offset_s = self.encoder_offset;
+        if let Some(from) = &self.encoders {
+            return Ok(EncoderInput::Lines { source: from.clone(), offset_s, wiring: experiment.wiring(backbones)? });
+        }
+        if let Some(stream) = node.map(|node| self.topics.joints(node, backbones)).transpose()?.flatten() {
+            return Ok(EncoderInput::Stream { stream, offset_s, wiring: experiment.wiring(backbones)? });
+        }
+        match source.is_recording() && experiment.encoders.is_some() {
+            true => Ok(EncoderInput::Log(rows(console, encoders_of(experiment, model)?))),
+            false => Ok(EncoderInput::None),
+        }
     }
 
     fn chosen_view<'a>(&self, experiment: &'a Experiment) -> Result<&'a record::View, Failure> {
@@ -292,7 +332,12 @@ impl Args {
     }
 
     /// Where frames come from, and that in words.
-    fn source(&self, experiment: &Experiment, view: &record::View) -> Result<(Source, String), Failure> {
+    fn source(
+        &self,
+        experiment: &Experiment,
+        view: &record::View,
+        node: Option<&Node>,
+    ) -> Result<(Source, String), Failure> {
         let settings = CaptureSettings {
             size: self.size,
             rate_fps: self.rate,
@@ -308,6 +353,9 @@ impl Args {
         }
         if self.size.is_some() || self.fourcc.is_some() || self.exposure.is_some() || self.focus.is_some() {
             return Err(Failure::Usage("--size, --fourcc, --exposure and --focus are for --camera".into()));
+        }
+        if let (Some(node), Some(topic)) = (node, &self.topics.image_topic) {
+            return Ok((Source::Stream(node.pictures(topic)?), format!("ROS 2 topic {topic}")));
         }
         match &self.source {
             Some(address) if address.contains("://") => {
@@ -326,8 +374,7 @@ impl Args {
     }
 
     /// The view's eye, by the rig of an earlier run where that is gone on with.
-    fn open(&self, view: &record::View, robot: &Robot) -> Result<View> {
-        let lens = view.lens()?;
+    fn open(&self, view: &record::View, lens: Lens, robot: &Robot) -> Result<View> {
         let retaken = self.output.join("rig.toml");
         let rig =
             if self.resume && retaken.exists() { Rig::read(&retaken)? } else { rig_of(view, &lens, robot, None)? };

@@ -31,6 +31,7 @@ mod run;
 mod shard;
 mod simulate;
 mod table;
+mod topics;
 mod trackers;
 mod verdict;
 mod views;
@@ -62,7 +63,7 @@ enum Command {
     New(new::Args),
     Check(check::Args),
     Run(run::Args),
-    Live(live::Args),
+    Live(Box<live::Args>),
     Measure(measure::Args),
     Merge(merge::Args),
     Estimate(estimate::Args),

@@ -10,6 +10,10 @@ use super::status::ClockState;
 /// A clock difference below this is taken for the delay of the line, s. Convention: longer than any line delays a reading, shorter
 /// than two clocks that nobody has set to each other differ.
 const SHARED_WITHIN_S: f64 = 0.25;
+/// The same of messages with a header, whose times a network takes for those of one clock, s. Convention: longer than pictures are delayed, even
+/// the first one on a busy machine; what such clocks differ by shows in the motion. A clock of its own, as one that counts from its
+/// start, differs by more.
+pub const ONE_NETWORK_WITHIN_S: f64 = 5.0;
 /// The least difference is taken over this time, s. Convention: long enough to meet a line that was not delayed, short enough that
 /// clocks which drift apart by 100 ppm differ by a millisecond.
 const WINDOW_S: f64 = 10.0;
@@ -22,6 +26,8 @@ const MAX_CATCH_UP_S: f64 = 0.5;
 #[derive(Debug)]
 pub struct ClockOffset {
     given: Option<f64>,
+    /// A difference below this is a delay, s.
+    shared_within_s: f64,
     current: Option<Window>,
     last: Option<Window>,
 }
@@ -47,12 +53,17 @@ impl Window {
 impl ClockOffset {
     /// An offset that the user gave, s; without one it is estimated.
     pub fn new(given: Option<f64>) -> Self {
-        Self { given, current: None, last: None }
+        Self { given, shared_within_s: SHARED_WITHIN_S, current: None, last: None }
+    }
+
+    /// The same of the times of a network's messages.
+    pub fn of_messages(given: Option<f64>) -> Self {
+        Self { shared_within_s: ONE_NETWORK_WITHIN_S, ..Self::new(given) }
     }
 
     /// The encoders' clock was set anew: what was seen of it before means nothing.
     pub fn restart(&mut self) {
-        *self = Self::new(self.given);
+        (self.current, self.last) = (None, None);
     }
 
     /// A line with this stamp arrived at this time of the frames' clock.
@@ -83,7 +94,7 @@ impl ClockOffset {
         let live = [self.current.filter(Window::is_live), self.last];
         let least = live.iter().flatten().map(|window| window.least_s).reduce(f64::min);
         match (least, self.current) {
-            (Some(least), _) if least.abs() > SHARED_WITHIN_S => (ClockState::Foreign, least),
+            (Some(least), _) if least.abs() > self.shared_within_s => (ClockState::Foreign, least),
             (_, Some(_)) => (ClockState::Shared, 0.0),
             (_, None) => (ClockState::Unknown, 0.0),
         }

@@ -4,16 +4,19 @@
 
 use super::frame_timing::Lateness;
 use super::status::{SourceState, SourceStatus};
+use super::stream::Packed;
 use crate::camera::Frame;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Frames that may wait to be measured; of a stream of JPEGs as many may wait undecoded. Convention: 67 ms at 60 frames/s, less than
+/// Frames that may wait to be measured; of a stream as many may wait undecoded. Convention: 67 ms at 60 frames/s, less than
 /// makes a frame old.
 const MAX_WAITING: usize = 4;
-/// Decoded frames of a stream of JPEGs that may wait. Convention: one in hand and one ready.
+/// Decoded frames of a stream that may wait. Convention: one in hand and one ready.
 const MAX_DECODED: usize = 2;
+/// Remarks on a source that are kept. Convention: a resource limit.
+const MAX_REMARKS: usize = 20;
 /// Frames over which the rate is averaged. Convention: a display choice.
 const RATE_SMOOTHING: f64 = 20.0;
 /// Shortest time between two frames that the rate counts, s. Convention: a guard against division by zero.
@@ -63,8 +66,8 @@ pub struct FrameQueue {
     /// Whether the reader is to stop.
     pub stop: bool,
     waiting: VecDeque<Captured>,
-    /// JPEGs before they are decoded.
-    undecoded: VecDeque<(Arrival, Vec<u8>)>,
+    /// Frames of a stream before they are decoded.
+    undecoded: VecDeque<(Arrival, Packed)>,
     last_at: Option<Instant>,
     lateness: Lateness,
     /// The number of the next frame of a camera or stream.
@@ -138,6 +141,19 @@ impl FrameQueue {
         Arrival { index, time_s, at, late_s: self.lateness.arrived(at) }
     }
 
+    /// The same of a frame that says when it was taken, s: however late it comes, its time is certain.
+    pub fn stamped_arrival(&mut self, at: Instant, stamp_s: f64) -> Arrival {
+        Arrival { late_s: 0.0, ..self.arrival(at, stamp_s) }
+    }
+
+    /// Notes something that the user is to know of the source, once.
+    pub fn remark(&mut self, text: String) {
+        let remarks = &mut self.status.remarks;
+        if remarks.len() < MAX_REMARKS && !remarks.contains(&text) {
+            remarks.push(text);
+        }
+    }
+
     /// Adds a frame; where as many wait as may, it takes their place.
     pub fn push(&mut self, captured: Captured) {
         if self.waiting.len() == MAX_WAITING {
@@ -147,13 +163,13 @@ impl FrameQueue {
         self.waiting.push_back(captured);
     }
 
-    /// The same for a JPEG that is still to be decoded.
-    pub fn push_undecoded(&mut self, arrival: Arrival, jpeg: Vec<u8>) {
+    /// The same for a frame that is still to be decoded.
+    pub fn push_undecoded(&mut self, arrival: Arrival, packed: Packed) {
         if self.undecoded.len() == MAX_WAITING {
             self.status.dropped += MAX_WAITING as u64;
             self.undecoded.clear();
         }
-        self.undecoded.push_back((arrival, jpeg));
+        self.undecoded.push_back((arrival, packed));
     }
 
     /// The next frame to measure.
@@ -161,12 +177,12 @@ impl FrameQueue {
         self.waiting.pop_front()
     }
 
-    /// The next JPEG to decode, once there is room for its picture.
-    pub fn pop_undecoded(&mut self) -> Option<(Arrival, Vec<u8>)> {
+    /// The next frame to decode, once there is room for its picture.
+    pub fn pop_undecoded(&mut self) -> Option<(Arrival, Packed)> {
         if self.waiting.len() < MAX_DECODED { self.undecoded.pop_front() } else { None }
     }
 
-    /// Whether no JPEG waits to be decoded.
+    /// Whether no frame waits to be decoded.
     pub fn is_decoded(&self) -> bool {
         self.undecoded.is_empty()
     }
@@ -205,7 +221,7 @@ mod tests {
         let mut queue = FrameQueue::new(0);
         for _ in 0..3 {
             let arrival = queue.arrival(Instant::now(), 0.0);
-            queue.push_undecoded(arrival, vec![1]);
+            queue.push_undecoded(arrival, Packed::File(vec![1]));
         }
         for _ in 0..2 {
             let (arrival, _) = queue.pop_undecoded().unwrap();

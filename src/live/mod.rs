@@ -6,9 +6,11 @@
 //! encoders ─ by time ──────┘      └→ annotated_video                      └→ autosave, discovery_worker → bank_worker
 //! ```
 //!
+//! In a ROS 2 network (feature `ros2`) topics are such a source, such encoders, and one more reader of the shared state: [`ros2`].
+//!
 //! What must not hold up another has a thread of its own. The threads share [`SharedState`], which is locked for moments only, and hand
 //! on the newest value there is, never a queue that grows. Whatever decides something is apart from the threads and does no input or
-//! output, so that it can be tested by itself: `frame_queue`, `frame_timing`, `multipart`, the parser and readings of `encoders`,
+//! output, so that it can be tested by itself: `frame_queue`, `frame_timing`, `frame_stamps`, `multipart`, the parser and readings of `encoders`,
 //! `clock_offset`, `motion_lag`, `cusum` and `gap_monitor`.
 
 mod access_control;
@@ -23,6 +25,7 @@ mod discovery_worker;
 mod encoders;
 mod final_tables;
 mod frame_queue;
+mod frame_stamps;
 mod frame_timing;
 mod gap_monitor;
 pub mod journal;
@@ -36,6 +39,11 @@ mod online_estimator;
 mod pipeline;
 mod publication;
 mod recent_bends;
+#[cfg(feature = "ros2")]
+pub mod ros2;
+#[cfg(not(feature = "ros2"))]
+#[path = "without_ros2.rs"]
+pub mod ros2;
 mod sample_buffer;
 pub mod server;
 mod session;
@@ -46,6 +54,7 @@ mod source;
 mod standstill;
 mod status;
 mod straight_reference;
+mod stream;
 pub mod tui;
 mod verdict_worker;
 
@@ -64,3 +73,4 @@ pub use status::{
     GapStatus, Lag, LatencyStatus, PublicationState, PublicationStatus, Row, SourceState, SourceStatus, State,
     StemStatus,
 };
+pub use stream::{Came, FrameStream, Packed, ReadingStream, SentFrame, SentReading};

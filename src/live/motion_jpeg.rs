@@ -4,6 +4,7 @@
 //! arrival is that of the picture's last byte, before it is decoded.
 
 use super::multipart::{CONTENT_KIND, MultipartParser, Part};
+use super::stream::{Came, FrameStream, Packed, SentFrame};
 use crate::error::{Error, Result};
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -101,6 +102,16 @@ impl MotionJpeg {
             }
         }
         None
+    }
+}
+
+impl FrameStream for MotionJpeg {
+    fn next(&mut self, goes_on: &dyn Fn() -> bool) -> Option<Came<SentFrame>> {
+        self.read(goes_on).map(|jpeg| Came::One(SentFrame { packed: Packed::File(jpeg), stamp_s: None }))
+    }
+
+    fn trouble(&self) -> String {
+        "no more frames come; trying again".into()
     }
 }
 

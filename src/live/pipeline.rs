@@ -328,8 +328,9 @@ impl Pipeline {
         if timing.state != FrameTimingState::Fresh && timing.state != shared.state.timing.state {
             shared.notice(timing.sentence.clone().unwrap_or_default());
         }
-        let is_new = |remark: &&String| !shared.state.source.remarks.contains(remark);
-        let remarks: Vec<String> = source.remarks.iter().filter(is_new).cloned().collect();
+        let known = [&shared.state.source.remarks, &shared.state.encoders.remarks];
+        let is_new = |remark: &&String| !known.iter().any(|known| known.contains(remark));
+        let remarks: Vec<String> = source.remarks.iter().chain(&encoders.remarks).filter(is_new).cloned().collect();
         remarks.into_iter().for_each(|remark| shared.notice(remark));
         shared.state.timing = timing;
         shared.state.elapsed_s = progress.began.elapsed().as_secs_f64();

@@ -307,14 +307,7 @@ async fn model(State(app): State<AppState>) -> Response {
 
 /// The model to command by, and why it is stale, if it is; a refusal where there is none.
 fn to_command_by(app: &AppState) -> std::result::Result<(Commanding, Option<String>), Refusal> {
-    let (commanding, decided) = app.shared.model_to_command_by();
-    let stale = decided.err().map(|why| why.text);
-    let why = || format!("nothing may be commanded by: {}", stale.as_deref().unwrap_or_default());
-    let commanding = commanding.ok_or_else(|| Refusal(StatusCode::CONFLICT, why()))?;
-    if commanding.model.estimate.is_none() {
-        return Err(Refusal(StatusCode::CONFLICT, "nothing may be commanded by: η and λ are not known yet".into()));
-    }
-    Ok((commanding, stale))
+    app.shared.to_command_by().map_err(|why| Refusal(StatusCode::CONFLICT, why))
 }
 
 #[derive(Deserialize)]

@@ -3,6 +3,7 @@
 use super::clock::FrameClock;
 use super::encoders::{EncoderSource, Encoders};
 use super::source::Source;
+use super::stream::ReadingStream;
 use crate::camera::Lens;
 use crate::estimate::{Options, StemOptions};
 use crate::measure::{Eye, RigOptions};
@@ -68,6 +69,15 @@ pub enum EncoderInput {
         /// How their columns hold the readings.
         wiring: Wiring,
     },
+    /// From a stream that is there already.
+    Stream {
+        /// The stream.
+        stream: Box<dyn ReadingStream>,
+        /// What to add to a time stamp to get the frames' time, s; estimated where it is not given.
+        offset_s: Option<f64>,
+        /// How its columns hold the readings.
+        wiring: Wiring,
+    },
 }
 
 impl EncoderInput {
@@ -77,6 +87,7 @@ impl EncoderInput {
             Self::None => Encoders::None,
             Self::Log(readings) => Encoders::log(readings),
             Self::Lines { source, offset_s, wiring } => Encoders::lines(source, wiring, clock, offset_s),
+            Self::Stream { stream, offset_s, wiring } => Encoders::stream(stream, wiring, clock, offset_s),
         }
     }
 }

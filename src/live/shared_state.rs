@@ -129,6 +129,21 @@ impl SharedState {
         (commanding, decided)
     }
 
+    /// The model to command by, with what was learned, and why it is stale, if it is.
+    ///
+    /// # Errors
+    /// Why nothing may be commanded by, in words.
+    pub fn to_command_by(&self) -> Result<(Commanding, Option<String>), String> {
+        let (commanding, decided) = self.model_to_command_by();
+        let stale = decided.err().map(|why| why.text);
+        let why = || format!("nothing may be commanded by: {}", stale.as_deref().unwrap_or_default());
+        let commanding = commanding.ok_or_else(why)?;
+        if commanding.model.estimate.is_none() {
+            return Err("nothing may be commanded by: η and λ are not known yet".into());
+        }
+        Ok((commanding, stale))
+    }
+
     /// A copy of what `GET /api/state` gives.
     pub fn state(&self) -> State {
         self.lock().state.clone()

@@ -3,15 +3,18 @@
 //! Recordings (picture sequences and videos) are played at their rate, as a camera would deliver them; their clock is the recording's
 //! own, from 0. Cameras and streams are read as fast as they deliver, so that no old frame waits in a buffer before this one, and are
 //! opened again when they fall silent; their clock is Unix time. A few frames may wait, so that one which takes longer to measure
-//! costs none. Where they pile up, all but the newest are dropped and counted. The frames of a stream of JPEGs wait undecoded: one
-//! thread notes when each arrived, another decodes those that are wanted.
+//! costs none. Where they pile up, all but the newest are dropped and counted. The frames of a stream that sends them packed (JPEGs, or
+//! messages of ROS 2) wait undecoded: one thread notes when each arrived, another decodes those that are wanted. Where a stream says when
+//! its frames were taken, their clock is the stream's.
 
 use super::clock::{FrameClock, unix_time_s};
 use super::frame_queue::{Arrival, Captured, FrameQueue};
+use super::frame_stamps::FrameStamps;
 use super::motion_jpeg::MotionJpeg;
 use super::status::SourceStatus;
+use super::stream::{Came, FrameStream, Packed, SentFrame};
 use crate::Result;
-use crate::camera::{Capture, CaptureSettings, CaptureTarget, FrameSource, decode_frame};
+use crate::camera::{Capture, CaptureSettings, CaptureTarget, FrameSource};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -34,6 +37,8 @@ pub enum Source {
         /// What to ask it for.
         settings: CaptureSettings,
     },
+    /// A stream that is there already.
+    Stream(Box<dyn FrameStream>),
 }
 
 impl Source {
@@ -93,6 +98,7 @@ impl FrameReader {
         let thread = std::thread::spawn(move || match source {
             Source::Recording { frames, rate_fps } => of_thread.play(&frames, rate_fps, first_index),
             Source::Device { target, settings } => of_thread.capture(&target, &settings),
+            Source::Stream(stream) => of_thread.listen(stream),
         });
         Ok(Self { shared, thread: Some(thread) })
     }
@@ -201,7 +207,7 @@ impl SharedQueue {
                         queue.status.remarks = remarks.unwrap_or_default();
                     });
                     match opened {
-                        Opened::Jpegs(stream) => self.read_jpegs(*stream),
+                        Opened::Jpegs(mut stream) => self.read_stream(&mut *stream, &mut FrameStamps::default()),
                         Opened::Capture(capture) => self.read_pictures(capture),
                     }
                     "no more frames come; trying again".to_owned()
@@ -229,34 +235,71 @@ impl SharedQueue {
         }
     }
 
-    /// Reads a stream of JPEGs on one thread and decodes them on this one, so that decoding delays no arrival.
-    fn read_jpegs(&self, mut stream: MotionJpeg) {
+    /// Reads a stream that is there, however long it is silent. Its clock is known once a frame came.
+    fn listen(&self, mut stream: Box<dyn FrameStream>) {
+        let mut stamps = FrameStamps::default();
+        while self.update(|queue| queue.opened()) {
+            self.read_stream(&mut *stream, &mut stamps);
+            let trouble = stream.trouble();
+            self.update(|queue| queue.lost(trouble));
+        }
+    }
+
+    /// Reads a stream on one thread and decodes its frames on this one, so that decoding delays no arrival.
+    fn read_stream(&self, stream: &mut dyn FrameStream, stamps: &mut FrameStamps) {
         let over = AtomicBool::new(false);
         std::thread::scope(|scope| {
             scope.spawn(|| {
-                while let Some(jpeg) = stream.read(|| !self.lock().stop)
-                    && self.update(|queue| {
-                        let arrival = queue.arrival(Instant::now(), unix_time_s());
-                        queue.push_undecoded(arrival, jpeg);
-                    })
+                while let Some(came) = stream.next(&|| !self.lock().stop)
+                    && self.arrived(came, stamps)
                 {}
                 self.update(|_| over.store(true, Ordering::Relaxed));
             });
-            while let Some((arrival, jpeg)) = self.next_undecoded(&over) {
-                let frame = decode_frame(&jpeg).ok();
+            while let Some((arrival, packed)) = self.next_undecoded(&over) {
+                let frame = packed.frame();
                 self.update(|queue| {
-                    if let (None, Some(frame)) = (queue.status.settings, &frame) {
+                    if let (None, Ok(frame)) = (queue.status.settings, &frame) {
                         let size = Some((frame.width, frame.height));
                         queue.status.settings = Some(CaptureSettings { size, ..CaptureSettings::default() });
                     }
-                    queue.push(arrival.with(frame));
+                    if let (Packed::Message { .. }, Err(why)) = (&packed, &frame) {
+                        queue.remark(format!("a picture cannot be read: {why}"));
+                    }
+                    queue.push(arrival.with(frame.ok()));
                 });
             }
         });
     }
 
-    /// The next JPEG to decode, waited for; `None` where none will come.
-    fn next_undecoded(&self, over: &AtomicBool) -> Option<(Arrival, Vec<u8>)> {
+    /// Takes what came on a stream; says whether to go on.
+    fn arrived(&self, came: Came<SentFrame>, stamps: &mut FrameStamps) -> bool {
+        let (at, unix_s) = (Instant::now(), unix_time_s());
+        let sent = match came {
+            Came::Remark(text) => return self.update(|queue| queue.remark(text)),
+            Came::One(sent) => sent,
+        };
+        let Some(stamp_s) = sent.stamp_s else {
+            return self.update(|queue| {
+                let arrival = queue.arrival(at, unix_s);
+                queue.push_undecoded(arrival, sent.packed);
+            });
+        };
+        match stamps.take(stamp_s, unix_s) {
+            Err(why) => self.update(|queue| queue.remark(why)),
+            Ok(remark) => {
+                // By the latest frame: a simulated clock need not run at the pace of this machine's.
+                self.clock.set(stamp_s);
+                self.update(|queue| {
+                    remark.into_iter().for_each(|remark| queue.remark(remark));
+                    let arrival = queue.stamped_arrival(at, stamp_s);
+                    queue.push_undecoded(arrival, sent.packed);
+                })
+            }
+        }
+    }
+
+    /// The next frame to decode, waited for; `None` where none will come.
+    fn next_undecoded(&self, over: &AtomicBool) -> Option<(Arrival, Packed)> {
         let mut queue = self.lock();
         loop {
             if queue.stop || (over.load(Ordering::Relaxed) && queue.is_decoded()) {

@@ -5,10 +5,11 @@
 
 use crate::camera::CaptureSettings;
 use crate::discover::Followed;
-use crate::estimate::{StemAngle, Verdict};
+use crate::estimate::{StemAngle, Verdict, bend_covariance};
 use crate::observation::Measurement;
 use crate::robot::{Model, PerBackbone};
 use crate::verdict::{Code, Level, Reason, Verdict as RunVerdict};
+use nalgebra::Matrix2;
 use serde::Serialize;
 
 /// Everything at one moment, as `GET /api/state` gives it.
@@ -93,6 +94,8 @@ pub struct Row {
     pub sigma_theta_deg: Option<f64>,
     /// Standard deviation of δ, degrees.
     pub sigma_delta_deg: Option<f64>,
+    /// Standard deviation of the bend vector θ (cos δ, sin δ) where it is least certain, degrees.
+    pub sigma_bend_deg: Option<f64>,
     /// Encoder readings q̃, mm.
     pub q_measured_mm: Option<PerBackbone>,
     /// The same, under the name of earlier versions.
@@ -127,10 +130,16 @@ impl Row {
             delta_deg: measured.map(|m| m.configuration.delta_deg()),
             sigma_theta_deg: measured.map(|m| m.sigma_theta.to_degrees()),
             sigma_delta_deg: measured.map(|m| m.sigma_delta.to_degrees()),
+            sigma_bend_deg: measured.map(|m| largest_sigma(&bend_covariance(&m, m.configuration)).to_degrees()),
             verdict: Verdict::Skipped.to_string(),
             ..Self::default()
         }
     }
+}
+
+/// The square root of a covariance's largest eigenvalue: the standard deviation in the direction that is least certain.
+fn largest_sigma(covariance: &Matrix2<f64>) -> f64 {
+    covariance.symmetric_eigenvalues().max().max(0.0).sqrt()
 }
 
 /// η and λ with their standard deviations.
@@ -208,7 +217,7 @@ pub struct SourceStatus {
     pub rate_fps: f64,
     /// The settings that a camera or stream reports.
     pub settings: Option<CaptureSettings>,
-    /// What of them is not as it was asked for, or moves the lens, in sentences.
+    /// What of them is not as it was asked for, or moves the lens, and what is wrong with who sends the frames, in sentences.
     pub remarks: Vec<String>,
 }
 
@@ -255,6 +264,8 @@ pub struct EncoderStatus {
     pub offset_s: f64,
     /// By how much the picture is behind the encoders, estimated from the motion.
     pub lag: Option<Lag>,
+    /// What is wrong with who sends them, in sentences.
+    pub remarks: Vec<String>,
 }
 
 impl EncoderStatus {

@@ -119,7 +119,7 @@ struct TrackerTable {
 #[serde(deny_unknown_fields)]
 struct ViewTable {
     name: String,
-    camera: CameraSource,
+    camera: Option<CameraSource>,
     frames: Source<String>,
     rig: Option<PathBuf>,
     straight: Option<PathBuf>,
@@ -265,12 +265,17 @@ impl View {
     /// The view's lens.
     ///
     /// # Errors
-    /// As [`Lens::read`], [`Lens::of_topic`] and [`Lens::of_numbers`].
+    /// As [`Lens::read`], [`Lens::of_topic`] and [`Lens::of_numbers`]; a view that names no camera.
     pub fn lens(&self) -> Result<Lens> {
         match &self.camera {
             CameraSource::File(path) => Lens::read(path),
             CameraSource::Topic(topic) => Lens::of_topic(topic),
             CameraSource::Numbers(numbers) => Lens::of_numbers(numbers),
+            CameraSource::Untold => Err(Error::Unavailable {
+                what: format!("the lens of view {:?}", self.name),
+                message: "experiment.toml names no camera file, which only `live --ros2 --image-topic` does without; add camera = \"camera.yaml\""
+                    .into(),
+            }),
         }
     }
 
@@ -300,7 +305,8 @@ impl View {
             }
         };
         check_azimuth(&name, delta_offset_deg)?;
-        Ok(Self { name, camera: camera.within(folder), frames, rig, delta_offset_deg })
+        let camera = camera.map_or(CameraSource::Untold, |camera| camera.within(folder));
+        Ok(Self { name, camera, frames, rig, delta_offset_deg })
     }
 }
 
@@ -453,11 +459,18 @@ standoff_mm = 25
     }
 
     #[test]
+    fn a_view_that_names_no_camera_has_a_lens_only_from_ros_2() {
+        let experiment = parse(&GOOD.replace("camera = \"camera.yaml\"\n", "")).unwrap();
+        assert_eq!(experiment.views[0].camera, CameraSource::Untold);
+        let message = experiment.views[0].lens().unwrap_err().to_string();
+        assert!(message.contains("the lens of view \"side\": experiment.toml names no camera file"), "{message}");
+    }
+
+    #[test]
     fn faults_are_named_with_their_line() {
         for (from, to, message) in [
             ("standoff_mm = 25", "stand_off_mm = 25", "lab/experiment.toml:9: unknown field `stand_off_mm`"),
             ("encoders =", "encoder =", "lab/experiment.toml:1: unknown field `encoder`"),
-            ("camera = \"camera.yaml\"\n", "", "lab/experiment.toml:3: missing field `camera`"),
             ("grid_pitch_mm = 1.0", "grid_pitch_mm = \"1\"", "lab/experiment.toml:8: invalid type"),
             ("grid_pitch_mm = 1.0", "grid_pitch_mm = nan", "grid_pitch_mm = NaN, expected 0.05 to 100"),
             ("standoff_mm = 25", "", "lab/experiment.toml:3: view \"side\": standoff_mm is missing"),

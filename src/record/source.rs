@@ -57,6 +57,9 @@ pub enum CameraSource {
     Topic(Topic),
     /// The numbers themselves.
     Numbers(CameraNumbers),
+    /// Nothing is named: only a camera that tells its lens itself can be used, as those of ROS 2 do.
+    #[serde(skip)]
+    Untold,
 }
 
 impl CameraSource {
@@ -65,7 +68,7 @@ impl CameraSource {
         match self {
             Self::File(path) => Some(path),
             Self::Topic(topic) => Some(topic.bag.path()),
-            Self::Numbers(_) => None,
+            Self::Numbers(_) | Self::Untold => None,
         }
     }
 
@@ -73,7 +76,7 @@ impl CameraSource {
         match self {
             Self::File(path) => Self::File(folder.join(path)),
             Self::Topic(topic) => Self::Topic(topic.within(folder)),
-            Self::Numbers(numbers) => Self::Numbers(numbers),
+            Self::Numbers(_) | Self::Untold => self,
         }
     }
 }
@@ -84,6 +87,7 @@ impl fmt::Display for CameraSource {
             Self::File(path) => path.display().fmt(f),
             Self::Topic(topic) => topic.fmt(f),
             Self::Numbers(_) => f.write_str("the numbers in experiment.toml"),
+            Self::Untold => f.write_str("no camera file"),
         }
     }
 }

@@ -10,11 +10,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// What a command contains that is not run here, and why it is not.
-const NOT_RUN: [(&str, &str); 5] = [
+const NOT_RUN: [(&str, &str); 6] = [
     ("docker ", "needs Docker"),
     ("--camera 0", "needs a camera"),
     ("$SLURM", "needs a cluster; tools/cluster runs it on a Slurm of one machine"),
     ("parallel snakeloop", "needs GNU parallel; tools/cluster runs it"),
+    ("--ros2", "needs a build with ROS 2, and topics; tests/cli/live/ros2.rs runs it"),
     ("calibrate camera boards", "needs OpenCV and pictures; tests/cli/calibrate_camera runs it"),
 ];
 /// What a command contains that takes long: the test of these is ignored.

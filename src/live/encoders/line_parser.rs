@@ -64,8 +64,7 @@ impl LineParser {
         }
         let values = if line.starts_with('{') { self.json(line)? } else { self.csv(line)? };
         let Some((time_s, q_mm)) = values else { return Ok(None) };
-        // NaN fails both comparisons.
-        if !(time_s.is_finite() && q_mm.iter().all(|q| q.abs() <= MAX_Q_MM)) {
+        if !is_reading(time_s, &q_mm) {
             return Err(format!("{}: not a reading in mm", start_of(line)));
         }
         Ok(Some((time_s, q_mm)))
@@ -116,6 +115,12 @@ impl LineParser {
             _ => Err(wrong(format!("expected q_mm of {backbones} numbers, or q1_mm to q{backbones}_mm"))),
         }
     }
+}
+
+/// Whether numbers can be a reading: a time, s, and positions, mm.
+pub fn is_reading(time_s: f64, q_mm: &PerBackbone) -> bool {
+    // NaN fails both comparisons.
+    time_s.is_finite() && q_mm.iter().all(|q| q.abs() <= MAX_Q_MM)
 }
 
 /// The beginning of a line, quoted.

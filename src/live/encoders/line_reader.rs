@@ -1,9 +1,11 @@
-//! A thread that reads encoder lines from standard input, a socket or a growing file, and connects again when they are gone.
+//! A thread that reads encoder lines from standard input, a socket or a growing file, and connects again when they are gone; or readings
+//! from a stream.
 
 use super::line_buffer::LineBuffer;
 use super::readings::{Readings, SILENCE};
 use crate::error::{ArgumentError, Error, Result};
 use crate::live::clock::{FrameClock, unix_time_s};
+use crate::live::stream::ReadingStream;
 use std::fmt;
 use std::fs::File;
 use std::io::{ErrorKind, Read, Seek};
@@ -84,6 +86,14 @@ struct SharedReadings {
 }
 
 impl LineReader {
+    /// The same of a stream that is there already.
+    pub fn listen(mut stream: Box<dyn ReadingStream>, readings: Readings, clock: Arc<FrameClock>) -> Self {
+        let shared = Arc::new(SharedReadings { readings: Mutex::new(readings), clock, stop: AtomicBool::new(false) });
+        let of_thread = Arc::clone(&shared);
+        std::thread::spawn(move || of_thread.hear(&mut *stream));
+        Self { shared }
+    }
+
     /// Starts to read. A source that is not there yet is waited for.
     pub fn start(source: EncoderSource, readings: Readings, clock: Arc<FrameClock>) -> Self {
         let shared = Arc::new(SharedReadings { readings: Mutex::new(readings), clock, stop: AtomicBool::new(false) });
@@ -128,6 +138,16 @@ impl SharedReadings {
                 return;
             }
             std::thread::sleep(RETRY);
+        }
+    }
+
+    /// Takes readings from a stream, however long it is silent.
+    fn hear(&self, stream: &mut dyn ReadingStream) {
+        while !self.is_stopped() {
+            match stream.next(&|| !self.is_stopped()) {
+                Some(came) => self.lock().take_sent(came, self.clock.now_s(), unix_time_s()),
+                None => self.lock().disconnected(stream.trouble()),
+            }
         }
     }
 

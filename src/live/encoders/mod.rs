@@ -1,4 +1,4 @@
-//! Encoder readings: none, a finished log matched to the frames by index, or lines as they come, matched to the frames by time.
+//! Encoder readings: none, a finished log matched to the frames by index, or lines or messages as they come, matched to the frames by time.
 //!
 //! Bytes go from [`line_reader`] (the only one that does input) through [`line_buffer`] and [`line_parser`] into [`readings`].
 
@@ -10,12 +10,15 @@ mod readings;
 pub use line_parser::{LineParser, Parsed};
 pub use line_reader::EncoderSource;
 pub use readings::Lookup;
+#[cfg(feature = "ros2")]
+pub use readings::SILENCE;
 
 use self::line_reader::LineReader;
 use self::readings::{Readings, interpolate};
 use super::clock::{FrameClock, unix_time_s};
 use super::motion_lag::motion_lag;
 use super::status::EncoderStatus;
+use super::stream::ReadingStream;
 use crate::observation::{EncoderReading, Wiring};
 use crate::robot::PerBackbone;
 use nalgebra::Vector2;
@@ -29,7 +32,7 @@ pub enum Encoders {
     None,
     /// A finished log, matched by the frames' index.
     Log(HashMap<u64, EncoderReading>),
-    /// Lines as they come.
+    /// Lines or messages as they come.
     Lines(LineReader),
 }
 
@@ -44,6 +47,17 @@ impl Encoders {
     pub fn lines(source: EncoderSource, wiring: Wiring, clock: Arc<FrameClock>, offset_s: Option<f64>) -> Self {
         let readings = Readings::new(wiring.columns.len(), offset_s).wired(wiring);
         Self::Lines(LineReader::start(source, readings, clock))
+    }
+
+    /// Starts to take readings from a stream, in the same way.
+    pub fn stream(
+        stream: Box<dyn ReadingStream>,
+        wiring: Wiring,
+        clock: Arc<FrameClock>,
+        offset_s: Option<f64>,
+    ) -> Self {
+        let readings = Readings::new(wiring.columns.len(), offset_s).wired(wiring).of_messages(offset_s);
+        Self::Lines(LineReader::listen(stream, readings, clock))
     }
 
     /// The reading of a frame.

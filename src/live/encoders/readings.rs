@@ -1,8 +1,9 @@
 //! The encoder readings so far, by the encoders' own time stamps. Looks at no clock itself: the caller says what time it is.
 
-use super::line_parser::{LineParser, Parsed};
+use super::line_parser::{LineParser, Parsed, is_reading};
 use crate::live::clock_offset::ClockOffset;
 use crate::live::status::{EncoderStatus, Lag};
+use crate::live::stream::{Came, SentReading};
 use crate::observation::{EncoderReading, Wiring};
 use crate::robot::PerBackbone;
 use std::collections::VecDeque;
@@ -22,6 +23,8 @@ const MAX_READINGS: usize = 120_000;
 ///
 /// Convention: a step of a clock, not a jitter.
 const CLOCK_SET_BACK_S: f64 = 0.25;
+/// Remarks on the encoders that are kept. Convention: a resource limit.
+const MAX_REMARKS: usize = 20;
 /// Readings this long before the first bend and after the last are given to the estimation of the lag, s. Convention: longer than the
 /// longest lag that is tried.
 const AROUND_S: f64 = 1.0;
@@ -50,6 +53,7 @@ pub struct Readings {
     bad_lines: u64,
     last_bad: Option<String>,
     trouble: Option<String>,
+    remarks: Vec<String>,
     last_unix_s: Option<f64>,
 }
 
@@ -66,6 +70,7 @@ impl Readings {
             bad_lines: 0,
             last_bad: None,
             trouble: None,
+            remarks: Vec::new(),
             last_unix_s: None,
         }
     }
@@ -73,6 +78,11 @@ impl Readings {
     /// The same of lines whose columns, signs and unit a wiring tells; rows have no numbers here, so that its shift means nothing.
     pub fn wired(self, wiring: Wiring) -> Self {
         Self { wiring, ..self }
+    }
+
+    /// The same of messages, whose times are mostly the frames'.
+    pub fn of_messages(self, given_offset_s: Option<f64>) -> Self {
+        Self { offset: ClockOffset::of_messages(given_offset_s), ..self }
     }
 
     /// Takes a line that arrived at `arrival_s` of the frames' clock (`None` before that runs) and at a Unix time.
@@ -83,8 +93,44 @@ impl Readings {
             None => Ok(()),
         });
         if let Err(why) = added {
-            self.bad_lines += 1;
-            self.last_bad = Some(why);
+            self.refuse(why);
+        }
+    }
+
+    /// Takes what came on a stream at `arrival_s` of the frames' clock (`None` before that runs) and at a Unix time.
+    pub fn take_sent(&mut self, came: Came<SentReading>, arrival_s: Option<f64>, unix_s: f64) {
+        match came {
+            Came::Remark(text) => self.remark(text),
+            Came::One(SentReading::Bad(why)) => self.refuse(why),
+            Came::One(SentReading::Contradicted { stamp_s, why }) => {
+                if self.stamped.back().is_some_and(|&(last_s, _)| last_s == stamp_s) {
+                    self.stamped.pop_back();
+                }
+                self.remark(why.clone());
+                self.refuse(why);
+            }
+            Came::One(SentReading::Reading { stamp_s, q_mm }) => {
+                let q_mm = self.wiring.q_mm(&q_mm);
+                let added = match is_reading(stamp_s, &q_mm) {
+                    true => self.add(stamp_s, q_mm, arrival_s, unix_s),
+                    false => Err(format!("{:?} at {stamp_s} s: not a reading in mm", &q_mm[..])),
+                };
+                if let Err(why) = added {
+                    self.refuse(why);
+                }
+            }
+        }
+    }
+
+    fn refuse(&mut self, why: String) {
+        self.bad_lines += 1;
+        self.last_bad = Some(why);
+    }
+
+    /// Notes something that the user is to know of the encoders, once.
+    fn remark(&mut self, text: String) {
+        if self.remarks.len() < MAX_REMARKS && !self.remarks.contains(&text) {
+            self.remarks.push(text);
         }
     }
 
@@ -173,6 +219,7 @@ impl Readings {
             clock,
             offset_s,
             lag: self.lag,
+            remarks: self.remarks.clone(),
         }
     }
 }
@@ -184,11 +231,15 @@ pub fn interpolate(readings: &[(f64, PerBackbone)], time_s: f64) -> Option<PerBa
 }
 
 fn between(earlier: (f64, PerBackbone), later: (f64, PerBackbone), time_s: f64) -> Option<PerBackbone> {
+    if later.0 == time_s {
+        // To the last digit, however far the one before is.
+        return Some(later.1);
+    }
     let step = later.0 - earlier.0;
     if step > MAX_GAP_S || later.0 < time_s || earlier.0 > time_s {
         return None;
     }
-    let share = if step > 0.0 { (time_s - earlier.0) / step } else { 1.0 };
+    let share = (time_s - earlier.0) / step;
     Some(earlier.1 + (later.1 - earlier.1) * share)
 }
 

@@ -5,6 +5,7 @@ mod fixture;
 mod kills;
 #[cfg(feature = "opencv")]
 mod page;
+mod ros2;
 mod rtsp;
 mod sequence;
 mod streams;
