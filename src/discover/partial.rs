@@ -217,7 +217,9 @@ impl<'a> Search<'a> {
             best = self.under_its_own_discrepancy(better);
         }
         best = self.settled(best);
-        let [before, after] = [&bare, &best].map(|structure| bend_squares(&self.problem, &structure.fit));
+        // Anew, since the noise that both were whitened by is not the same.
+        let anew = |fit: &Fit| self.problem.evaluated(&fit.model, Some(&fit.path));
+        let [before, after] = [&bare, &best].map(|structure| bend_squares(&self.problem, &anew(&structure.fit)));
         let noise = 2.0 * self.problem.data.len() as f64 * self.problem.bend_noise_rad2();
         if !best.is_better_than(&bare) || before - after < LEAST_REMOVED * (before - noise) {
             return nothing;
