@@ -10,8 +10,8 @@ use super::verdict::doubt_of_times;
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::discover::{
-    Data, Discovery, FewSamples, Localisation, NextExperiment, ProposedLaw, Verdict as Found, discover_in_frames,
-    discover_telling, next_experiment, nothing_named, propose_law,
+    Data, Discovery, FewSamples, LEAST_SAMPLES, Localisation, NextExperiment, ProposedLaw, Verdict as Found,
+    discover_in_frames, discover_telling, next_experiment, nothing_named, propose_law,
 };
 use crate::estimate::gap::{Gap, gap};
 use crate::estimate::{Options, Verdict as GateVerdict, estimate};
@@ -64,6 +64,9 @@ pub struct Args {
     /// `simulate --trajectory` takes (index,time_s,theta_deg,delta_deg) with the q̃ to command (qc1_mm,qc2_mm,qc3_mm)
     #[arg(long)]
     next: bool,
+    /// The most poses of that experiment, 24 or more, which a search needs
+    #[arg(long, value_name = "N", requires = "next")]
+    poses: Option<usize>,
     /// If the verdict is `unexplained` or `partly`, propose a law: a short formula of bend, load, direction, play, speed and time that
     /// takes more of the gap away on sweeps left out; it is added to model.toml as `proposed_law`
     #[arg(long)]
@@ -126,6 +129,11 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         if !(self.encoder_sd > 0.0 && self.encoder_sd <= 1.0) {
             return Err(Failure::Usage(format!("--encoder-sd {}: expected more than 0, to 1 mm", self.encoder_sd)));
+        }
+        if let Some(poses) = self.poses.filter(|&poses| poses < LEAST_SAMPLES) {
+            return Err(Failure::Usage(format!(
+                "--poses {poses}: expected {LEAST_SAMPLES} or more, which a search needs"
+            )));
         }
         let _out = self.claim()?;
         let inputs = self.inputs(console)?;
@@ -305,7 +313,7 @@ impl Args {
     }
 
     fn propose(&self, found: &Discovery, data: &Data) -> Result<Option<NextExperiment>> {
-        let next = next_experiment(found, data);
+        let next = next_experiment(found, data, self.poses);
         if let Some(next) = &next {
             self.write(NEXT, &trajectory_csv(&next.waypoints, &next.commands_mm))?;
         }

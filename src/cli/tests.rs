@@ -3,7 +3,7 @@
 use super::*;
 use crate::observation::Status;
 use crate::robot::BACKBONES;
-use crate::robot::effects::{COUPLINGS, Changes, LIBRARY, Physics, Poses};
+use crate::robot::effects::{Changes, Physics, Poses, all};
 use crate::verdict::Code;
 use clap::CommandFactory;
 
@@ -74,6 +74,7 @@ fn shown_by(physics: &Physics) -> &'static str {
         _ if physics.history.is_some() && physics.in_time => "time stamps, and the same bends reached from both sides",
         _ if physics.history.is_some() => "the same bends reached from both sides: up and down again",
         _ if physics.in_time => "time stamps, slow and fast motion, and bends returned to after a while",
+        Changes::Drive(_) => "the elastic part that all backbones share; hardly anything tells it from η",
         Changes::Encoders(_) => "many poses along each backbone's travel",
         Changes::Eye(_) | Changes::Snake(_) => "large bends in at least three directions of δ",
         Changes::Line(_) | Changes::Formula(_) => "bends up to the largest, in at least two planes",
@@ -88,7 +89,13 @@ fn catalogue() -> String {
                     switches an effect on in `simulate`, `table`, `invert` and `estimate`. The library itself writes this page.\n"
         .to_owned();
     let mut last = "";
-    for physics in LIBRARY.into_iter().chain(COUPLINGS) {
+    let mut names: Vec<&str> = Vec::new();
+    for physics in all() {
+        if !names.contains(&physics.name) {
+            names.push(physics.name);
+        }
+    }
+    for physics in names.into_iter().flat_map(|name| all().filter(move |physics| physics.name == name)) {
         if physics.name != last {
             let reading = physics.reading;
             text += &format!("\n## {}\n\nThe data show {reading}.\n", physics.name);

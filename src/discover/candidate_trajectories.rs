@@ -152,6 +152,14 @@ pub fn repeated(waypoints: &[Waypoint], times: usize) -> Vec<Waypoint> {
     (0..times).flat_map(round).collect()
 }
 
+/// So many of its poses at most, evenly chosen with the first and the last.
+pub fn thinned(waypoints: &[Waypoint], most: usize) -> Vec<Waypoint> {
+    if waypoints.len() <= most {
+        return waypoints.to_vec();
+    }
+    (0..most).map(|k| waypoints[k * (waypoints.len() - 1) / (most - 1).max(1)]).collect()
+}
+
 /// Up and down in one plane, in four stretches each way with a pace of their own.
 fn sweep(delta_deg: f64, largest_deg: f64, pace: impl Fn(usize) -> f64) -> Vec<Leg> {
     let at = |share: f64| LEAST_THETA_DEG + share * (largest_deg - LEAST_THETA_DEG);
@@ -245,6 +253,15 @@ mod tests {
         let slow = poses(&legs, 0.5, 1.0);
         assert!((POSES.start() / 1.1..POSES.end() * 1.1).contains(&(slow.len() as f64)), "{}", slow.len());
         assert!(slow.windows(2).all(|pair| (pair[1].time_s - pair[0].time_s - 0.5).abs() < 1e-9));
+    }
+
+    #[test]
+    fn fewer_poses_keep_both_ends_and_their_order() {
+        let all = poses(&[Leg::To(5.0, 0.0, 1.0), Leg::To(80.0, 0.0, 1.0)], 0.5, 1.0);
+        let few = thinned(&all, 24);
+        assert!(few.len() == 24 && few.windows(2).all(|pair| pair[1].time_s > pair[0].time_s));
+        assert_eq!([few[0].time_s, few[23].time_s], [all[0].time_s, all[all.len() - 1].time_s]);
+        assert_eq!(thinned(&few, 30).len(), 24);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use super::{clock, sweeps};
 use crate::error::{DataError, Result};
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measured, Measurement, Status};
-use crate::robot::{COUPLINGS, LIBRARY, MAX_THETA, Model, NEIGHBOURS, Neighbours, PerBackbone, Physics};
+use crate::robot::{COUPLINGS, DRIVE, LIBRARY, MAX_THETA, Model, NEIGHBOURS, Neighbours, PerBackbone, Physics};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -136,7 +136,7 @@ impl Data {
             "all bends lie in one plane: effects that differ from one azimuth to another cannot be told apart".into()
         }));
         remarks.extend(about_motion(&pairs, &thetas));
-        let library = LIBRARY.into_iter().chain(log.couplings()).collect();
+        let library = LIBRARY.into_iter().chain(DRIVE).chain(log.couplings()).collect();
         Ok(Self {
             indices: pairs.iter().map(|(reading, _)| reading.index).collect(),
             times_s: log.samples.iter().map(|&at| log.times_s[at]).collect(),

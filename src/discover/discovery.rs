@@ -10,7 +10,7 @@ use super::null_distribution::largest_gain_of_noise;
 use super::partial::Partial;
 use super::posterior::{Candidate, covariance_between, posterior};
 use super::residuals::Problem;
-use super::search::{Named, explained, named, search, with_one_more};
+use super::search::{Named, explained, is_beside_noise, named, search, with_one_more};
 use super::structure::Structure;
 use super::tangent_spaces::{TangentSpace, tangent_spaces};
 use super::verdict::Verdict;
@@ -25,7 +25,7 @@ const UNDETERMINED_SIZES: f64 = 10.0;
 /// So many samples are searched before all are.
 ///
 /// Convention: a bound on computing time; the usual experiments are searched whole at once.
-const SEARCHED_FIRST: usize = 1000;
+const SEARCHED_FIRST: usize = 400;
 
 /// How often the noise is learned and the search done with it.
 ///
@@ -37,7 +37,7 @@ const MOST_SEARCHES: usize = 3;
 pub struct Discovery {
     /// The answer.
     pub verdict: Verdict,
-    /// The effects, where the verdict is named or partly; those that explain most where it is unexplained, as evidence only.
+    /// The effects, where the verdict is named or partly.
     pub named: Vec<Named>,
     /// The gain in the information criterion that is asked of an effect.
     pub least_bic_gain: f64,
@@ -204,7 +204,7 @@ impl<'a> Searched<'a> {
     fn new(data: &'a Data, noise: &Noise, rough: &Fit) -> Self {
         let problem = Problem::new(data, noise, &rough.model);
         let before = problem.fit(&rough.model, Some(&rough.path), None);
-        let first = first_steps(&problem, &before, |_| true);
+        let first = first_steps(&problem, &before, is_beside_noise);
         let spaces = tangent_spaces(&problem, &before, &first);
         let least_bic_gain = largest_gain_of_noise(&spaces);
         let after = search(&problem, &before, &first, least_bic_gain);
@@ -296,7 +296,6 @@ impl Answer {
 }
 
 /// The answer where the library does not account for the gap: what helps all the same, or nothing; and the held-out residuals before.
-/// Where nothing helps, the effects that explain most are evidence only.
 fn partly_answered(
     searched: &Searched,
     (given, data): (&Model, &Data),
@@ -315,9 +314,9 @@ fn partly_answered(
     }
     let before = HeldOutResiduals::new(&partial.problem, &partial.before);
     let held_out = HeldOutResiduals::new(&partial.problem, &partial.after);
-    let helps = !partial.named.is_empty() && held_out.gap.eps_mm < before.gap.eps_mm;
+    let helps = !partial.named.is_empty() && held_out.gap.theta_deg < before.gap.theta_deg;
     let (verdict, named) =
-        if helps { (Verdict::Partly, partial.named.clone()) } else { (Verdict::Unexplained, searched.named().0) };
+        if helps { (Verdict::Partly, partial.named.clone()) } else { (Verdict::Unexplained, Vec::new()) };
     let fit = if helps { &partial.after } else { &partial.before };
     let answer = Answer {
         model: partial.model(fit),

@@ -19,8 +19,6 @@ impl Discovery {
         let given = self.given_effects();
         let effects: Vec<Value> =
             self.named.iter().enumerate().map(|(k, named)| self.effect_json(named, given + k)).collect();
-        let (effects, considered) =
-            if self.verdict.has_effects() { (effects, Vec::new()) } else { (Vec::new(), effects) };
         let x = self.model.parameters();
         let structure = &self.structure_after;
         let follows: Vec<_> =
@@ -29,7 +27,6 @@ impl Discovery {
         json!({
             "verdict": self.verdict.word(),
             "effects": effects,
-            "considered": considered,
             "structures": structures,
             "gap": gap_json(&self.before, &self.after, self.noise_floor_mm),
             "eta": x.x,

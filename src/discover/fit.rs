@@ -2,6 +2,8 @@
 
 use super::residuals::{Prediction, Problem, Residual, stacked};
 use crate::robot::Model;
+use crate::robot::effects::COMMAND_GAIN;
+use crate::robot::model::ETA;
 use crate::statistics::cluster::clustered_covariance;
 use crate::statistics::least_squares::{self, Options};
 use crate::statistics::normal_equations::normal_equations as weighted_normal_equations;
@@ -34,6 +36,12 @@ const CONVERGED_SHARE: f64 = 1e-4;
 ///
 /// Convention: a numerical guard.
 const LEAST_INFORMATION: f64 = 1e-4;
+
+/// Beside a free gain of the command η is known beforehand to lie about 1, as of a line that stretches by its compliance; this is the standard
+/// deviation. The two are nearly one gain, and what of it is η hardly any data tell.
+///
+/// Source: Xu and Simaan 2006, whose robot has η = 1.22.
+const SD_ETA_BESIDE_GAIN: f64 = 0.25;
 
 /// A model fitted to the samples.
 #[derive(Debug, Clone)]
@@ -74,6 +82,19 @@ pub fn normal_equations(jacobian: &DMatrix<f64>, residuals: &[Residual]) -> (DMa
     weighted_normal_equations(jacobian, &residuals, &residuals.map(|r| LOSS.weight(r)))
 }
 
+/// The residual of what is known beforehand of η, and its derivative by η over its scale; none where no gain stands beside η.
+fn prior_of_eta(model: &Model) -> Option<(f64, f64)> {
+    let has_gain = model.effects.iter().any(|effect| effect.physics.name == COMMAND_GAIN);
+    has_gain.then(|| ((model.parameters().x - 1.0) / SD_ETA_BESIDE_GAIN, ETA.typical / SD_ETA_BESIDE_GAIN))
+}
+
+/// How precisely each parameter is known beforehand, in units of its scale.
+pub fn prior_precision(model: &Model) -> DVector<f64> {
+    let mut precision = DVector::repeat(model.parameter_count(), LEAST_INFORMATION);
+    precision[0] += prior_of_eta(model).map_or(0.0, |(_, slope)| slope * slope);
+    precision
+}
+
 impl Problem<'_> {
     /// Fits η, λ and all parameters of the model's effects, starting from their values and from a path near that of the model.
     /// Samples of the fold `held_out` have no part in it.
@@ -101,12 +122,17 @@ impl Problem<'_> {
             least_relative_decrease: CONVERGED_SHARE,
         };
         let x = DVector::from_vec(start.parameter_values()).component_div(&typical);
+        let has_prior = prior_of_eta(start).is_some();
+        let weights = weights.map(|weights| if has_prior { weights.push(1.0) } else { weights });
         let objective = Objective { problem: self, start, guess, typical, weights };
         match least_squares::solve(&objective, x, &options) {
             Ok(solution) => {
                 let model = objective.model(&solution.parameters);
                 let least_squares::Solution { evaluation, cost, jacobian, .. } = solution;
+                let evaluation = evaluation.0;
                 let path = evaluation.path();
+                let cost = cost - prior_of_eta(&model).map_or(0.0, |(residual, _)| LOSS.rho(residual));
+                let jacobian = jacobian.rows(0, self.data.residual_count()).into_owned();
                 Fit { model, residuals: evaluation.residuals, path, cost, jacobian }
             }
             // More parameters than residuals, or no finite numbers: the start is as good as anything.
@@ -145,8 +171,14 @@ impl Problem<'_> {
         let roots = residuals.map(|r| LOSS.weight(r).sqrt());
         let mut jacobian = fit.jacobian.clone();
         jacobian.row_iter_mut().zip(roots.iter()).for_each(|(mut row, root)| row *= *root);
-        let clusters = (0..n * data.len()).map(|row| data.sweeps[row / n]);
-        let clustered = clustered_covariance(&jacobian, &residuals.component_mul(&roots), clusters, 1.0);
+        // Beyond the clusters, what is known beforehand.
+        let count = n * data.len();
+        let priors = DMatrix::from_diagonal(&prior_precision(&fit.model).map(f64::sqrt));
+        let mut jacobian = jacobian.resize_vertically(count + priors.nrows(), 0.0);
+        jacobian.rows_mut(count, priors.nrows()).copy_from(&priors);
+        let residuals = residuals.component_mul(&roots).resize_vertically(count + priors.nrows(), 0.0);
+        let clusters = (0..count).map(|row| data.sweeps[row / n]);
+        let clustered = clustered_covariance(&jacobian, &residuals, clusters, 1.0);
         let by_sweeps = data.len() as f64 / data.sweep_count() as f64;
         match clustered.or_else(|| Some(inverse_information(fit)? * by_sweeps)) {
             Some(covariance) => self.with_given_covariance(fit, &covariance),
@@ -170,8 +202,7 @@ impl Problem<'_> {
 /// (JᵗWJ)⁻¹.
 fn inverse_information(fit: &Fit) -> Option<DMatrix<f64>> {
     let (information, _) = normal_equations(&fit.jacobian, &fit.residuals);
-    let count = information.nrows();
-    (information + DMatrix::identity(count, count) * LEAST_INFORMATION).cholesky().map(|factor| factor.inverse())
+    (information + DMatrix::from_diagonal(&prior_precision(&fit.model))).cholesky().map(|factor| factor.inverse())
 }
 
 /// The least-squares problem of one fit, in parameters that are divided by their scales.
@@ -190,19 +221,31 @@ impl Objective<'_> {
 }
 
 impl least_squares::Problem for Objective<'_> {
-    type Evaluation = Prediction;
+    /// What the model predicts, and the residual of what is known beforehand.
+    type Evaluation = (Prediction, Option<f64>);
 
-    fn evaluate(&self, x: &DVector<f64>, near: Option<&Prediction>) -> Option<Prediction> {
-        let path = near.map(Prediction::path);
-        Some(self.problem.predict(&self.model(x), path.as_deref().or(self.guess)))
+    fn evaluate(&self, x: &DVector<f64>, near: Option<&Self::Evaluation>) -> Option<Self::Evaluation> {
+        let (model, path) = (self.model(x), near.map(|near| near.0.path()));
+        let prediction = self.problem.predict(&model, path.as_deref().or(self.guess));
+        Some((prediction, prior_of_eta(&model).map(|(residual, _)| residual)))
     }
 
-    fn residuals(&self, prediction: &Prediction) -> DVector<f64> {
-        stacked(&prediction.residuals)
+    fn residuals(&self, (prediction, prior): &Self::Evaluation) -> DVector<f64> {
+        let own = stacked(&prediction.residuals);
+        match prior {
+            Some(prior) => own.push(*prior),
+            None => own,
+        }
     }
 
-    fn jacobian(&self, x: &DVector<f64>, prediction: &Prediction) -> DMatrix<f64> {
-        self.problem.jacobian(&self.model(x), prediction, 0..x.len())
+    fn jacobian(&self, x: &DVector<f64>, (prediction, _): &Self::Evaluation) -> DMatrix<f64> {
+        let model = self.model(x);
+        let own = self.problem.jacobian(&model, prediction, 0..x.len());
+        let Some((_, slope)) = prior_of_eta(&model) else { return own };
+        let rows = own.nrows();
+        let mut all = own.insert_row(rows, 0.0);
+        all[(rows, 0)] = slope;
+        all
     }
 
     fn weights(&self) -> Option<&DVector<f64>> {

@@ -14,8 +14,8 @@
 //! 8. `search`: stepwise selection over a beam of models, with exchange and backward elimination. [`posterior`](Candidate): how probable
 //!    what was found and each of its rivals is, and what the choice between them adds to the covariance.
 //! 9. `held_out`, `structure`, [`verdict`](Verdict): the gap on sweeps that the fit did not see, what the residuals still follow,
-//!    and the answer. `partial`: where more than noise is left, the effects that help all the same; `start`: whether the log begins
-//!    in a state that nobody knows. `discovery` runs the stages so far; `discrepancy` writes the answer down.
+//!    and the answer. `partial`: where more than noise is left, the effects that help all the same, compared by their
+//!    `predictive_density`, with `structure_weights` for how probable each is; `start`: whether the log begins in a state that nobody knows. `discovery` runs the stages so far; `discrepancy` writes the answer down.
 //! 10. [`localisation`](Localisation): in which backbone, at which bends and when the gap is. [`effect_trace`](EffectTrace): what each
 //!     effect found does over the motion.
 //! 11. [`law`](propose_law): a formula proposed in place of an explanation.
@@ -47,10 +47,12 @@ mod null_distribution;
 mod partial;
 mod periodogram;
 mod posterior;
+mod predictive_density;
 mod residuals;
 mod search;
 mod start;
 mod structure;
+mod structure_weights;
 mod sweep_equations;
 mod sweeps;
 mod tangent_spaces;

@@ -5,7 +5,7 @@
 //! follow, in squares of the noise, is the noncentrality of the test between them. The trajectory that decides the most questions
 //! wins, and among those the one with the largest least noncentrality per sample.
 
-use super::candidate_trajectories::{CandidateTrajectory, candidate_trajectories, repeated};
+use super::candidate_trajectories::{CandidateTrajectory, candidate_trajectories, repeated, thinned};
 use super::data::Data;
 use super::discovery::Discovery;
 use super::hypotheses::{Hypothesis, best_with};
@@ -93,16 +93,19 @@ pub struct NextExperiment {
     pub candidates: Vec<(&'static str, f64)>,
 }
 
-/// Proposes the next experiment; none where nothing is open that a candidate could decide.
-pub fn next_experiment(found: &Discovery, data: &Data) -> Option<NextExperiment> {
+/// Proposes the next experiment of so many poses at most, if that is bounded; none where nothing is open that a candidate could decide.
+pub fn next_experiment(found: &Discovery, data: &Data, poses: Option<usize>) -> Option<NextExperiment> {
     let noise = ExpectedNoise::of(data);
     let questions = questions(found, data, &noise);
-    let candidates = candidate_trajectories(data);
-    let table = Table::new(&questions, &candidates, &noise);
+    let mut candidates = candidate_trajectories(data);
+    if let Some(most) = poses {
+        candidates.iter_mut().for_each(|candidate| candidate.waypoints = thinned(&candidate.waypoints, most));
+    }
+    let table = Table::new(&questions, &candidates, poses, &noise);
     let (best, per_sample) = table.best()?;
     let CandidateTrajectory { name, words, waypoints } = &candidates[best];
     let once = per_sample * waypoints.len() as f64;
-    let repeats = ((DECISIVE / once).ceil() as usize).clamp(1, MOST_REPEATS);
+    let repeats = ((DECISIVE / once).ceil() as usize).clamp(1, table.most_repeats(best));
     let waypoints = repeated(waypoints, repeats);
     let (decided, open): (Vec<usize>, Vec<usize>) = (0..questions.len()).partition(|&q| table.decides(best, q));
     let words_of = |of: Vec<usize>| of.into_iter().map(|q| questions[q].words.clone()).collect();
@@ -120,21 +123,34 @@ pub fn next_experiment(found: &Discovery, data: &Data) -> Option<NextExperiment>
 /// The noncentrality of every question on every candidate.
 struct Table<'a> {
     candidates: &'a [CandidateTrajectory],
+    /// The most poses, if they are bounded.
+    poses: Option<usize>,
     /// By candidate, then by question.
     noncentrality: Vec<Vec<f64>>,
 }
 
 impl<'a> Table<'a> {
-    fn new(questions: &[Question], candidates: &'a [CandidateTrajectory], noise: &ExpectedNoise) -> Self {
+    fn new(
+        questions: &[Question],
+        candidates: &'a [CandidateTrajectory],
+        poses: Option<usize>,
+        noise: &ExpectedNoise,
+    ) -> Self {
         let of = |candidate: &CandidateTrajectory| {
             questions.par_iter().map(|question| noise.noncentrality(question, &candidate.waypoints)).collect()
         };
-        Self { candidates, noncentrality: candidates.par_iter().map(of).collect() }
+        Self { candidates, poses, noncentrality: candidates.par_iter().map(of).collect() }
+    }
+
+    /// The most times that a candidate may be repeated.
+    fn most_repeats(&self, candidate: usize) -> usize {
+        let own = self.candidates[candidate].waypoints.len().max(1);
+        self.poses.map_or(MOST_REPEATS, |most| (most / own).clamp(1, MOST_REPEATS))
     }
 
     /// Whether a candidate decides a question, repeated if need be.
     fn decides(&self, candidate: usize, question: usize) -> bool {
-        self.noncentrality[candidate][question] * MOST_REPEATS as f64 >= DECISIVE
+        self.noncentrality[candidate][question] * self.most_repeats(candidate) as f64 >= DECISIVE
     }
 
     /// Each candidate with the number of questions that it decides and the least noncentrality per sample among those (0 where it

@@ -225,9 +225,18 @@ impl<'a> Problem<'a> {
 
     /// The residual of the bend at sample k before whitening, rad.
     fn bend_residual(&self, residuals: &[Residual], k: usize) -> Vector2<f64> {
-        let r = residuals[k];
+        self.bend_unit(k) * Vector2::new(residuals[k][0], residuals[k][1])
+    }
+
+    /// What turns whitened residuals of the bend at sample k into rad.
+    pub fn bend_unit(&self, k: usize) -> Matrix2<f64> {
         let SampleNoise { weight, whitening, .. } = &self.samples[k];
-        whitening.try_inverse().unwrap_or_else(Matrix2::zeros) * Vector2::new(r[0], r[1]) / *weight
+        whitening.try_inverse().unwrap_or_else(Matrix2::zeros) / *weight
+    }
+
+    /// The covariance of the bend at sample k under a noise, rad².
+    pub fn bend_covariance(&self, k: usize, noise: &Noise) -> Matrix2<f64> {
+        covariance(&self.samples[k].eye, &self.samples[k].line, noise)
     }
 
     /// The residuals of sample k from its gap of the bend, rad, and the part of q̃ that the model does not explain, mm.

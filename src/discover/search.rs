@@ -94,7 +94,13 @@ pub fn with_one_more(problem: &Problem, fit: &Fit, first: &[FirstStep], least_bi
 
 /// The model with whatever effects lower the cost, none of them judged against noise.
 pub fn explained(problem: &Problem, before: &Fit) -> Fit {
-    Search::new(problem, before, &first_steps(problem, before, |_| true), 0.0).forward(1)
+    Search::new(problem, before, &first_steps(problem, before, is_beside_noise), 0.0).forward(1)
+}
+
+/// Whether it is looked for where noise alone is expected beside it. The drive is looked for where a discrepancy is: a plant that is near its model
+/// shows no row within a backlash, and says of it what `motion_directed_backlash` says; its gain is another name of η.
+pub fn is_beside_noise(physics: &Physics) -> bool {
+    !matches!(physics.changes, Changes::Drive(_))
 }
 
 struct Search<'a> {

@@ -9,7 +9,9 @@ use crate::discover::{
 };
 use crate::quantity::with_sd;
 use crate::record::Provenance;
+use crate::robot::effects::REST_BEND;
 use maud::{Markup, html};
+use nalgebra::Vector2;
 
 /// The most dots of one series.
 ///
@@ -292,13 +294,18 @@ pub fn sentence(found: &Discovery) -> String {
                         others => format!(" (these data cannot tell it from {})", others.join(", ")),
                     };
                     let size = size.collect::<Vec<_>>().join(", ");
-                    let percent = 100.0 * named.probability();
-                    format!("{} ({}: {size}; {percent:.0} %){or}", named.physics.reading, named.physics.name)
+                    let percent = percent(named.probability());
+                    format!("{} ({}: {size}; {percent} %){or}", named.physics.reading, named.physics.name)
                 })
                 .collect();
             format!("The data show {}.", readings.join(", and "))
         }
     }
+}
+
+/// A probability in whole percent; nothing that data say is certain.
+fn percent(probability: f64) -> u32 {
+    (100.0 * probability).round().min(99.0) as u32
 }
 
 /// "play at the bend, 0.31 ± 0.02 mm (97 %), removes 59 % of the gap".
@@ -312,18 +319,29 @@ fn partial_reading(found: &Discovery, named: &Named) -> String {
         others => format!(" (these data cannot tell it from {})", others.join(", ")),
     };
     format!(
-        "{}, {sizes} ({:.0} %), removes {:.0} % of the gap{or}",
+        "{}, {sizes} ({} %), removes {:.0} % of the gap{or}",
         named.physics.name.replace('_', " "),
-        100.0 * named.probability(),
+        percent(named.probability()),
         100.0 * named.removes
     )
 }
 
-/// Each parameter's name and "0.110 ± 0.001 mm", with two digits of its standard deviation.
+/// "15.6 ± 0.1° towards −97°", of the components of a bend and their standard deviations, degrees.
+fn rest_bend(values: &[f64], sds: &[f64]) -> String {
+    let (bend, sd) = (Vector2::new(values[0], values[1]), Vector2::new(sds[0], sds[1]));
+    let along = bend.component_mul(&sd).norm() / bend.norm().max(f64::MIN_POSITIVE);
+    let towards = bend.y.atan2(bend.x).to_degrees();
+    format!("{:.1} ± {along:.1}° towards {towards:.0}°", bend.norm()).replace('-', "−")
+}
+
+/// Each parameter's name and "0.110 ± 0.001 mm", with two digits of its standard deviation; a bend at rest as its size and direction.
 fn parameters(found: &Discovery, name: &str) -> Vec<(String, String)> {
     let effects = &found.model.effects;
     let Some(k) = effects.iter().position(|effect| effect.physics.name == name) else { return Vec::new() };
     let sds = found.model.effect_sds(k);
+    if effects[k].physics.name == REST_BEND {
+        return vec![("bend".to_owned(), rest_bend(&effects[k].values, &sds))];
+    }
     let values = effects[k].parameters().iter().zip(effects[k].values.iter().zip(sds));
     let written = values.map(|(spec, (value, sd))| {
         let unit = match spec.unit {
@@ -361,15 +379,12 @@ fn summary(
 
 /// What to make of effects that stand under the verdict `unexplained`.
 fn considered(found: &Discovery) -> Markup {
-    let words = if found.named.is_empty() {
-        "Every effect of the library was tried, alone and together with others. None removes enough of the gap on held-out sweeps."
-    } else {
-        "Each of these removes part of the gap, but more than noise is left. This is evidence, not an answer."
-    };
     html! {
         @if found.verdict == Verdict::Unexplained {
             h2 { "What was considered" }
-            p { (words) }
+            p {
+                "Every effect of the library was tried, alone and together with others. None removes enough of the gap on held-out sweeps."
+            }
         }
     }
 }
@@ -378,7 +393,7 @@ fn considered(found: &Discovery) -> Markup {
 fn structures(found: &Discovery) -> Markup {
     let row = |candidate: &Candidate| {
         let effects = if candidate.effects.is_empty() { "none".to_owned() } else { candidate.effects.join(", ") };
-        [effects, format!("{:.0} %", 100.0 * candidate.probability)]
+        [effects, format!("{} %", percent(candidate.probability))]
     };
     let rows: Vec<[String; 2]> = found.structures.iter().map(row).collect();
     html! {
@@ -397,16 +412,17 @@ fn effect(found: &Discovery, named: &Named) -> Markup {
     let alternatives: Vec<[String; 2]> =
         alternatives.map(|(name, worse)| [(*name).to_owned(), format!("{worse:.1}")]).collect();
     let evidence = &named.evidence;
-    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let mut facts = parameters(found, named.physics.name);
     facts.extend([
         (
             format!("Gain in the information criterion ({:.1} is asked)", found.least_bic_gain),
             format!("{:.1}", evidence.bic_gain),
         ),
-        ("Share of the held-out gap beyond noise that it removes".to_owned(), percent(named.removes)),
-        ("Probability".to_owned(), percent(named.probability())),
-        ("Selected in bootstrap resamples of the sweeps".to_owned(), percent(evidence.inclusion)),
+        (
+            "Share of the held-out gap beyond noise that it removes".to_owned(),
+            format!("{:.1} %", 100.0 * named.removes),
+        ),
+        ("Probability".to_owned(), format!("{} %", percent(named.probability()))),
     ]);
     if !named.indistinguishable_from.is_empty() {
         facts.push(("These data cannot tell it from".to_owned(), named.indistinguishable_from.join(", ")));
@@ -432,4 +448,15 @@ fn effect(found: &Discovery, named: &Named) -> Markup {
 fn capitalised(text: &str) -> String {
     let mut letters = text.chars();
     letters.next().map_or_else(String::new, |first| format!("{}{}.", first.to_uppercase(), letters.as_str()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bend_at_rest_is_told_by_its_size_and_direction() {
+        // √(1.9² + 15.4²) = 15.52, at 180° − atan(15.4 / 1.9) = 97.0° clockwise; across the bend the first component tells nothing.
+        assert_eq!(rest_bend(&[-1.9, -15.4], &[0.4, 0.1]), "15.5 ± 0.1° towards −97°");
+    }
 }

@@ -72,7 +72,7 @@ impl Model {
     /// ∂ε/∂b at a bend vector, mm per rad.
     pub fn epsilon_by_bend(&self, bend: Vector2<f64>) -> PerBackbone<Vector2<f64>> {
         let mechanics = Mechanics::new(self);
-        mechanics.line_by_bend(bend, mechanics.pose(bend)) - self.robot.displacement_by_bend()
+        mechanics.reading_by_bend(bend) - self.robot.displacement_by_bend()
     }
 
     /// Eq. 18: ε = q̃ − q at a bend vector, mm.
@@ -105,6 +105,7 @@ impl Model {
             .bend_by_line(&mechanics.line_by_bend(bend, mechanics.pose(bend)))
             .ok_or_else(|| NoSolution::Singular { theta_deg: bend.norm().to_degrees(), eta: self.parameters().x })?;
         let by_reading = mechanics.travel_by_reading(&mechanics.command(bend, None));
+        let by_line = mechanics.behind_the_drive(bend, &by_line);
         Ok(by_line.zip_map(&by_reading, |column, by_reading| column * by_reading))
     }
 

@@ -102,7 +102,7 @@ impl Mechanics<'_> {
 
     /// Damped Newton under a given past.
     fn newton(&self, q_tilde: &PerBackbone, past: Past, start: Vector2<f64>) -> ForwardSolution {
-        let target = *q_tilde - self.encoder_errors(q_tilde);
+        let target = self.line_of(q_tilde, past);
         let at = |bend: Vector2<f64>| {
             let travel = self.travel(bend, past);
             (bend, travel, self.bend_by_q.tr_mul(&(travel - target)))

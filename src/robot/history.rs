@@ -20,6 +20,8 @@ pub struct Motion {
     pub crept_load_n: PerBackbone,
     /// Time since the first reading, s.
     pub elapsed_s: f64,
+    /// By how much the reading, less the encoders' own errors, is ahead of the lines, mm: what the drive holds back.
+    pub ahead_mm: PerBackbone,
 }
 
 /// Where q and the bend stand in the hystereses that they have to cross at a reversal; 0 is the middle of each.
@@ -79,6 +81,7 @@ impl Motion {
             before: Before::at_rest(backbones),
             crept_load_n: zero,
             elapsed_s: 0.0,
+            ahead_mm: zero,
         }
     }
 }
@@ -102,6 +105,8 @@ pub struct History {
     pub speed: bool,
     /// Whether the direction of the motion matters.
     pub direction: bool,
+    /// Whether the [drive](super::drive) has a memory.
+    pub drive: bool,
 }
 
 /// Plays of one model: that in the actuators, that in the sheaths, those of a distributed friction, and those of up to

@@ -11,6 +11,7 @@
 //! [`path`](super::path).
 
 use super::directions::LEAST_MOVE_MM;
+use super::drive::Drive;
 use super::effects::{Changes, Effect, Instant, Variable};
 use super::history::{Before, History, Hysteresis, Motion, Play, PlayOf, bouc_wen_after};
 use super::line::Line;
@@ -62,19 +63,22 @@ pub struct Mechanics<'a> {
     pub(super) effects_on_line: bool,
     /// Whether an effect adds to what the encoders read.
     pub(super) effects_on_encoders: bool,
+    /// What lies between the readings and the lines, unless that is rigid.
+    pub(super) drive: Option<Drive>,
 }
 
 impl<'a> Mechanics<'a> {
     /// Makes a model ready.
     pub fn new(model: &'a Model) -> Self {
         let robot = &model.robot;
-        let (mut snake, mut history) = (Snake::of(robot), History::default());
+        let (mut snake, mut history, mut drive) = (Snake::of(robot), History::default(), Drive::default());
         let (mut effects_on_line, mut effects_on_encoders) = (false, false);
         for effect in &model.effects {
             match effect.physics.changes {
                 Changes::Snake(change) => change(&mut snake, &effect.values),
                 Changes::Line(_) | Changes::Formula(_) => effects_on_line = true,
                 Changes::Encoders(_) => effects_on_encoders = true,
+                Changes::Drive(change) => change(&mut drive, &effect.values),
                 Changes::Eye(_) | Changes::Exposure(_) | Changes::Neighbours(_) => {}
             }
             effect.physics.note_history(&mut history, &effect.values);
@@ -88,6 +92,7 @@ impl<'a> Mechanics<'a> {
             bend_by_q: robot.bend_by_displacement(),
             effects_on_line,
             effects_on_encoders,
+            drive: Some(drive).filter(|drive| !drive.is_rigid()),
         }
     }
 
@@ -220,7 +225,8 @@ impl<'a> Mechanics<'a> {
 
     /// Eq. 23: q̃ of a bend, mm; without a motion, that of a single pose.
     pub fn command(&self, bend: Vector2<f64>, motion: Option<&Motion>) -> PerBackbone {
-        let travel = self.travel(bend, motion.map_or_else(|| self.pose(bend), Past::Path));
+        let line_mm = self.travel(bend, motion.map_or_else(|| self.pose(bend), Past::Path));
+        let travel = self.reading_of(&line_mm, motion);
         let mut q_tilde = travel;
         if self.effects_on_encoders {
             for _ in 0..ENCODER_STEPS {

@@ -3,7 +3,7 @@
 use super::PerBackbone;
 use super::effects::Changes;
 use super::history::{Before, Motion};
-use super::mechanics::Mechanics;
+use super::mechanics::{Mechanics, Past};
 use super::without_effects::Observation;
 use crate::geometry::Configuration;
 use nalgebra::Vector2;
@@ -11,7 +11,15 @@ use nalgebra::Vector2;
 impl Mechanics<'_> {
     /// The motion along a known path of bends at these times.
     pub fn motions(&self, times_s: &[f64], bends: &[Vector2<f64>]) -> Vec<Motion> {
-        self.motions_of(times_s, bends, None)
+        let mut motions = self.motions_of(times_s, bends, None);
+        if self.drive.is_some() {
+            let mut state = self.drive_at_rest();
+            for (motion, &bend) in motions.iter_mut().zip(bends) {
+                let line_mm = self.travel(bend, Past::Path(motion));
+                motion.ahead_mm = self.driving(&mut state, &line_mm) - line_mm;
+            }
+        }
+        motions
     }
 
     /// The motion along a path that readings imply.
@@ -25,7 +33,11 @@ impl Mechanics<'_> {
         q_tilde: &[PerBackbone],
     ) -> Vec<Motion> {
         let travels: Vec<_> = q_tilde.iter().map(|q| *q - self.encoder_errors(q)).collect();
-        self.motions_of(times_s, bends, Some(&travels))
+        let mut motions = self.motions_of(times_s, bends, Some(&travels));
+        for (motion, ahead_mm) in motions.iter_mut().zip(self.ahead_along(q_tilde).into_iter().flatten()) {
+            motion.ahead_mm = ahead_mm;
+        }
+        motions
     }
 
     fn motions_of(&self, times_s: &[f64], bends: &[Vector2<f64>], travels: Option<&[PerBackbone]>) -> Vec<Motion> {

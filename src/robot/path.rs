@@ -77,7 +77,7 @@ impl Mechanics<'_> {
     /// The motions along a path, as far as the effects depend on them: of the time alone where there is no history.
     fn motions_that_matter(&self, times_s: &[f64], bends: &[Vector2<f64>], q_tilde: &[PerBackbone]) -> Vec<Motion> {
         let history = &self.history;
-        if history.direction || history.is_long() || history.has_hysteresis() {
+        if history.direction || history.is_long() || history.has_hysteresis() || self.drive.is_some() {
             return self.motions_from_readings(times_s, bends, q_tilde);
         }
         let none = Motion::none(self.statics.robot().backbone_count());
@@ -143,6 +143,7 @@ impl Mechanics<'_> {
             motion.direction = known.direction;
         }
         let history = history.as_deref().unwrap_or(motions);
+        let ahead_mm = changed.ahead_along(q_tilde);
         let mut q_mm = changed.q_along(bends.iter());
         let mut next: Vec<ForwardSolution> = Vec::with_capacity(path.len());
         for _ in 0..if changed.history.speed { FEEDBACK_PASSES } else { 1 } {
@@ -151,9 +152,14 @@ impl Mechanics<'_> {
             for k in 0..path.len() {
                 let mut motion = &history[k];
                 let mut moved;
-                if changed.history.speed || changed.history.has_hysteresis() {
+                if changed.history.speed
+                    || changed.history.has_hysteresis()
+                    || ahead_mm.is_some()
+                    || self.drive.is_some()
+                {
                     // A hysteresis is crossed from where the changed path left it.
-                    moved = Motion { before: behind.unwrap_or(motion.before), ..*motion };
+                    let ahead_mm = ahead_mm.as_ref().map_or(q_tilde[k] * 0.0, |ahead_mm| ahead_mm[k]);
+                    moved = Motion { before: behind.unwrap_or(motion.before), ahead_mm, ..*motion };
                     if changed.history.speed {
                         moved.set_speeds(times_s, &q_mm, k);
                     }
@@ -192,7 +198,7 @@ impl Mechanics<'_> {
         near: &ForwardSolution,
         jacobian: &LineJacobian,
     ) -> ForwardSolution {
-        let misfit = *q_tilde - self.encoder_errors(q_tilde) - self.travel(near.bend, Past::Path(motion));
+        let misfit = self.line_of(q_tilde, Past::Path(motion)) - self.travel(near.bend, Past::Path(motion));
         let step = jacobian.bend_by_line.tr_mul(&misfit);
         let residual = (misfit - jacobian.line_by_bend * step).component_div(&self.travel_by_reading(q_tilde));
         ForwardSolution {

@@ -28,7 +28,10 @@ const MOVED_SDS: f64 = 4.5;
 /// Derived: two errors of their own are so near once in 80,000 steps (1 − exp(−0.005²/2)); where the rig's share of σ is ten times the frames' own,
 /// as a snake's that rests in its play, once in 800, and [`LEAST_FROZEN`] steps in a row by no chance. The same picture gives the same bend to 1e-6°.
 const SAME_SDS: f64 = 0.005;
-/// So many steps in which the bend moved and no reading changed at all. Convention: one could be a single wrong measurement.
+/// So many steps in a row in which the bend moved and no reading changed at all.
+///
+/// Convention: one could be a single wrong measurement. Two apart from each other are a loop that comes back to one command at another pose,
+/// which is hysteresis.
 const LEAST_FROZEN: usize = 2;
 
 /// What is wrong with the encoders.
@@ -111,13 +114,14 @@ pub(super) fn camera_stuck(robot: &Robot, samples: &[Sample]) -> Option<Reason> 
     })
 }
 
-/// Readings that do not change at all while the bend moves.
+/// Readings that do not change at all, in steps that follow each other, while the bend moves.
 fn frozen(samples: &[Sample]) -> Option<String> {
     let moved = |a: &Sample, b: &Sample| step_sds(a, b).is_some_and(|sds| sds > MOVED_SDS);
-    let is_frozen = |pair: &&[Sample]| pair[0].q_mm == pair[1].q_mm && moved(&pair[0], &pair[1]);
-    let steps: Vec<&[Sample]> = samples.windows(2).filter(is_frozen).collect();
+    let is_frozen = |pair: &[Sample]| pair[0].q_mm == pair[1].q_mm && moved(&pair[0], &pair[1]);
+    let steps: Vec<&[Sample]> = samples.windows(2).filter(|pair| is_frozen(pair)).collect();
+    let in_a_row = samples.windows(LEAST_FROZEN + 1).any(|row| row.windows(2).all(is_frozen));
     let (first, last) = (steps.first()?, steps.last()?);
-    (steps.len() >= LEAST_FROZEN).then(|| {
+    in_a_row.then(|| {
         format!(
             "all readings stand still in {} steps between frames {} and {} while the snake moves",
             steps.len(),

@@ -93,14 +93,6 @@ fn unneeded(found: &Discovery, reason: &str) -> ProposedLaw {
     ProposedLaw { model: None, before_mm: found.after.eps_mm, after_mm: found.after.eps_mm, words }
 }
 
-/// The rms of the gap of ε that laws leave of blocks of sweeps without which they were chosen and fitted, mm; none where no law helps on
-/// every block.
-pub fn left_mm(problem: &Problem, fit: &Fit) -> Option<f64> {
-    let candidates = Candidates::new(problem, fit);
-    let judged = Judged::new(&candidates, &candidates.cells());
-    judged.helps().then(|| judged.rms_mm(1))
-}
-
 fn proposed(found: &Discovery, data: &Data) -> ProposedLaw {
     let problem = Problem::new(data, &found.noise, &found.model);
     let fit = problem.fit(&found.model, None, None);

@@ -1,10 +1,11 @@
 //! The eye: where the camera's answer differs from the snake's bend.
 
-use super::physics::{Changes, LINEAR, ParameterSpec, Physics};
+use super::physics::{Changes, FREQUENT, LINEAR, OPEN, ParameterSpec, Physics};
 use nalgebra::Rotation2;
 
 /// The grid's or the camera's axis is turned about the snake's.
 pub(super) static PLANE_MISALIGNMENT: Physics = Physics {
+    log_prior: OPEN,
     name: "plane_misalignment",
     equation: "measured δ = δ + a",
     reading: "a camera or grid that is turned about the snake's axis, so that every δ is off by the same angle",
@@ -15,6 +16,7 @@ pub(super) static PLANE_MISALIGNMENT: Physics = Physics {
 
 /// The straight reference was not straight.
 pub(super) static BEND_OFFSET: Physics = Physics {
+    log_prior: FREQUENT,
     name: "bend_offset",
     equation: "measured θ = θ + a",
     reading: "a measured bend that is off by the same angle everywhere, as when the straight picture was not straight",
@@ -31,6 +33,7 @@ pub(super) static BEND_OFFSET: Physics = Physics {
 /// With θ and δ alone a curvature that varies along the snake leaves q as it is (Eq. 1 needs no circle) and scales the elastic
 /// energy, which η does already. What is left is the eye that fits a circle to it: it is off by more than in proportion.
 pub(super) static NON_CIRCULAR_SHAPE: Physics = Physics {
+    log_prior: FREQUENT,
     name: "non_circular_shape",
     equation: "measured θ = θ + k θ²",
     reading: "a snake whose curvature varies along it, so that the circle that the eye fits bends otherwise than its tip",

@@ -5,7 +5,7 @@
 //! run.
 
 use super::definition::{Definition, HALF_GAP, kept};
-use super::physics::{Changes, Instant, LINEAR, ParameterSpec, Physics, Starts};
+use super::physics::{Changes, Instant, LINEAR, ParameterSpec, Physics, Starts, USUAL};
 use super::variables::{Variable, known_variables};
 use crate::error::ArgumentError;
 use crate::robot::{BACKBONES, PerBackbone};
@@ -159,6 +159,7 @@ impl Formula {
             starts: Starts::At(Box::leak(starts.into_boxed_slice())),
             in_time: self.has(Variable::Time),
             changes: Changes::Formula(Box::leak(Box::new(self))),
+            log_prior: USUAL,
             ..LINEAR
         }
     }

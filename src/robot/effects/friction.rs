@@ -1,6 +1,6 @@
 //! Play and friction: what depends on the load's direction or the motion's.
 
-use super::physics::{Changes, Instant, LINEAR, ParameterSpec, Physics, Role, Starts, per_backbone};
+use super::physics::{Changes, FREQUENT, Instant, LINEAR, ParameterSpec, Physics, Role, Starts, per_backbone};
 use crate::robot::PerBackbone;
 use crate::robot::history::{BendPlayOf, Play, PlayOf};
 use std::f64::consts::FRAC_2_PI;
@@ -26,6 +26,7 @@ const WIDTH: ParameterSpec = ParameterSpec {
 
 /// Play that the load takes up: each backbone's line sits at the end of its play that its force presses it to.
 const LOAD_DIRECTED: Physics = Physics {
+    log_prior: FREQUENT,
     name: "load_directed_backlash",
     equation: "ε_i += a tanh(τ_i / 0.3 N)",
     reading: "play in the actuators that is taken up in the direction of each backbone's load",
@@ -59,6 +60,7 @@ pub(super) static LOAD_DIRECTED_GRADUAL: Physics = Physics {
 
 /// Play that the motion takes up. s_i is the direction in which q_i last moved.
 const MOTION_DIRECTED: Physics = Physics {
+    log_prior: FREQUENT,
     name: "motion_directed_backlash",
     equation: "ε_i += a s_i, s_i = ±1 the direction in which q_i last moved",
     reading: "play in the actuators that is crossed whenever a backbone reverses; half the gap at a reversal",
@@ -93,6 +95,7 @@ const GAPS: Starts = Starts::At(&[&[0.06], &[0.25], &[1.0], &[4.0]]);
 
 /// Play between the lines and the bend as a whole, which the bend vector has to cross whichever way it turns.
 pub(super) static PLAY_AT_BEND: Physics = Physics {
+    log_prior: FREQUENT,
     name: "play_at_bend",
     equation: "ε += Q x, x follows the bend vector within a disk of radius a / r",
     reading: "play between the lines and the bend, which the bend lags behind by whenever it turns",
@@ -105,6 +108,7 @@ pub(super) static PLAY_AT_BEND: Physics = Physics {
 
 /// Play that grows with the load: what friction along a bent sheath holds back, by the capstan's law, is a share of the force.
 pub(super) static CAPSTAN_PLAY: Physics = Physics {
+    log_prior: FREQUENT,
     name: "capstan_play",
     equation: "ε_i += x_i, x_i follows q_i between −w_i and w_i, w_i = b |τ_i|",
     reading: "sheath friction: a play that a backbone has to travel through whenever it reverses, and that grows with its load",
@@ -131,6 +135,7 @@ static DEAD_BANDS: [ParameterSpec; 8] = per_backbone!(slack, "dead_band_", "_mm"
 
 /// Lines that only pull: the first part of each pull takes up slack.
 pub(super) static TENDON_SLACK: Physics = Physics {
+    log_prior: FREQUENT,
     name: "tendon_slack",
     equation: "ε_i −= s_i (1 − tanh(q_i / 0.05 mm)) / 2",
     reading: "slack in the lines, which the first part of a pull takes up without effect",
@@ -143,6 +148,7 @@ pub(super) static TENDON_SLACK: Physics = Physics {
 
 /// A part of the travel on either side of rest that moves nothing.
 pub(super) static DEAD_BAND: Physics = Physics {
+    log_prior: FREQUENT,
     name: "dead_band",
     equation: "ε_i += d_i tanh(q_i / 0.05 mm)",
     reading: "a dead band in each actuator on either side of rest, in which its travel moves nothing",
@@ -153,6 +159,7 @@ pub(super) static DEAD_BAND: Physics = Physics {
 
 /// Friction in the disks' holes: a share of the backbone's own force, against the motion.
 pub(super) static DISC_FRICTION: Physics = Physics {
+    log_prior: FREQUENT,
     name: "disc_friction",
     equation: "ε_i += κ c |τ_i| s_i",
     reading: "friction between backbones and disks: a share of each backbone's force, always against its motion",
@@ -166,6 +173,7 @@ pub(super) static DISC_FRICTION: Physics = Physics {
 
 /// What the forms have in common.
 const CONE: Physics = Physics {
+    log_prior: FREQUENT,
     name: "cone_friction_reversal",
     reading: "friction in the snake cone that turns round with the motion instead of always adding (w = 1: all of it)",
     parameters: |_| const { &[ParameterSpec::positive("share", "1", (-10.0, 20.0), 0.5)] },

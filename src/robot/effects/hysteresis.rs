@@ -4,7 +4,7 @@
 //! (Bouc and Wen) are two descriptions of it: after a reversal the first follows a parabola and comes to an end, the second an
 //! exponential that never quite does. Both act either on the bend as a whole or on each backbone by itself.
 
-use super::physics::{Changes, Instant, LINEAR, ParameterSpec, Physics, Role, Starts};
+use super::physics::{Changes, FREQUENT, Instant, LINEAR, ParameterSpec, Physics, Role, Starts};
 use crate::robot::PerBackbone;
 use crate::robot::history::{BendPlayOf, DISTRIBUTED_PLAYS, Play, PlayOf, distributed_half_widths_mm};
 use nalgebra::Vector2;
@@ -29,6 +29,7 @@ fn share(p: &[f64]) -> f64 {
 
 /// What the forms have in common.
 const DISTRIBUTED: Physics = Physics {
+    log_prior: FREQUENT,
     name: "distributed_friction",
     reading: "friction that is spread along the lines: after a reversal one part after another slides the other way",
     parameters: |_| const { &[HALF_GAP, travel("widest_mm")] },
@@ -68,6 +69,7 @@ pub(super) static DISTRIBUTED_PER_BACKBONE: Physics = Physics {
 
 /// What the forms have in common.
 const RATE_EQUATION: Physics = Physics {
+    log_prior: FREQUENT,
     name: "bouc_wen",
     reading: "friction that turns round gradually after a reversal, the more slowly the further it has turned",
     parameters: |_| const { &[HALF_GAP, travel("travel_mm")] },

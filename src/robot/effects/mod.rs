@@ -3,13 +3,14 @@
 //! Each effect is one [`Physics`], which says all that the program knows of it: a name, an equation, a reading in words, parameters
 //! with units and ranges, where a search for them starts, the one function by which it acts, what it must know of the path, what it
 //! is confounded with. A [`Model`](super::Model) holds a list of [`Effect`]s, and everything that predicts obeys them through
-//! [`mechanics`](super::mechanics). They act in six places:
+//! [`mechanics`](super::mechanics). They act in these places:
 //!
 //! | where | what it is given | what it changes |
 //! | --- | --- | --- |
 //! | [`Changes::Line`] | the bend, τ, how the snake got there | a summand of ε, mm |
 //! | [`Changes::Formula`] | the same | the same, as a user's formula says |
 //! | [`Changes::Encoders`] | q̃ | what the encoders read beyond the lines' motion, mm |
+//! | [`Changes::Drive`] | q̃ and what was read before | the travel of the lines that a reading leads to |
 //! | [`Changes::Snake`] | the snake's constants | geometry, stiffness or load, and so q and τ |
 //! | [`Changes::Eye`] | the bend | the bend that is measured |
 //! | [`Changes::Exposure`] | nothing | the time at which a frame was exposed |
@@ -23,6 +24,7 @@
 
 mod actuator;
 mod definition;
+mod drive;
 mod eye;
 mod formula;
 mod friction;
@@ -41,6 +43,12 @@ pub use formula::Formula;
 pub use physics::{Changes, Confounded, Instant, ParameterSpec, Phases, Physics, Poses, Role, Starts};
 pub use rig::RIG_ERROR;
 pub use variables::Variable;
+
+/// The name of a bend at rest.
+pub const REST_BEND: &str = "rest_bend";
+
+/// The name of the gain of a command, beside which η is told by what is known of it beforehand.
+pub const COMMAND_GAIN: &str = "command_gain";
 
 use super::BACKBONES;
 use crate::error::{ArgumentError, Result};
@@ -101,9 +109,24 @@ pub static LIBRARY: [&Physics; 48] = [
 pub static COUPLINGS: [&Physics; 3] =
     [&section::SECTION_COUPLING, &section::SECTION_COUPLING_SECOND, &section::SECTION_COUPLING_BOTH];
 
+/// What the drive does between the readings and the lines, which `discover` searches for as well.
+pub static DRIVE: [&Physics; 6] = [
+    &drive::BACKLASH,
+    &drive::BACKLASH_PER_BACKBONE,
+    &drive::BACKLASH_GROWING,
+    &drive::BACKLASH_SPREAD,
+    &drive::FRICTION_OF_THE_COMMAND,
+    &drive::COMMAND_GAIN,
+];
+
+/// Every effect of the library: those of a section alone, of its drive and of its neighbours.
+pub fn all() -> impl Iterator<Item = &'static Physics> {
+    LIBRARY.into_iter().chain(DRIVE).chain(COUPLINGS)
+}
+
 /// Every physics of this name, the first form first; those that `discover` does not search for come last.
 pub fn forms(name: &str) -> impl Iterator<Item = &'static Physics> {
-    LIBRARY.into_iter().chain(COUPLINGS).chain([&snake::TIP_WRENCH]).filter(move |physics| physics.name == name)
+    all().chain([&snake::TIP_WRENCH]).filter(move |physics| physics.name == name)
 }
 
 /// The first form of the physics of this name.
@@ -145,7 +168,7 @@ impl Effect {
                 && specs.iter().all(|spec| parameters.iter().any(|(name, _)| name == spec.name))
         };
         let Some(first) = physics(name) else {
-            let mut known: Vec<_> = LIBRARY.iter().chain(&COUPLINGS).map(|physics| physics.name.to_owned()).collect();
+            let mut known: Vec<_> = all().map(|physics| physics.name.to_owned()).collect();
             known.dedup();
             return Err(ArgumentError::Unknown { what: "effect".into(), name: name.into(), known }.into());
         };

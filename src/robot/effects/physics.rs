@@ -2,6 +2,7 @@
 
 use super::formula::Formula;
 use super::variables::Variable;
+use crate::robot::drive::Drive;
 use crate::robot::history::{History, Hysteresis, Motion};
 use crate::robot::line::Line;
 use crate::robot::statics::Snake;
@@ -103,6 +104,8 @@ pub enum Changes {
     Formula(&'static Formula),
     /// What the encoders read beyond the lines' motion, mm, from q̃.
     Encoders(fn(&PerBackbone, &[f64]) -> PerBackbone),
+    /// What lies between the readings and the travel of the lines.
+    Drive(fn(&mut Drive, &[f64])),
     /// The snake's constants: geometry, stiffness or load, and so q and τ.
     Snake(fn(&mut Snake, &[f64])),
     /// The bend vector that the eye measures, from the true one, rad.
@@ -181,11 +184,38 @@ pub struct Physics {
     pub largest_size: Option<fn(&[f64]) -> f64>,
     /// What it must gain in Schwarz's criterion beyond the price of its parameters before it is believed.
     pub prior_penalty: f64,
+    /// The logarithm of the odds beforehand that any machine with cable or rod drives has it, where a discrepancy beside it is expected.
+    pub log_prior: f64,
     /// Effects that are named in its place where the data do not decide: physics makes them likelier.
     pub yields_to: &'static [&'static str],
     /// What it is confounded with by its equation; a search finds out what a given experiment confounds besides.
     pub confounded_with: &'static [Confounded],
 }
+
+/// The logarithm of the prior odds of a bend at rest: no machine is quite straight.
+///
+/// Convention: a prior is a choice; e¹.
+pub(super) const EXPECTED: f64 = 1.0;
+
+/// That of a gain, and of a frame that is turned.
+///
+/// Convention: as [`EXPECTED`]; there as likely as not.
+pub(super) const OPEN: f64 = 0.0;
+
+/// That of a backlash.
+///
+/// Convention: as [`EXPECTED`]; e⁻¹.
+pub(super) const USUAL: f64 = -1.0;
+
+/// That of what many machines have: friction, a stiffness that is not constant, a load, slack.
+///
+/// Convention: as [`EXPECTED`]; e⁻³.
+pub(super) const FREQUENT: f64 = -3.0;
+
+/// That of all else: drags, drifts, clocks, errors of single parts.
+///
+/// Convention: as [`EXPECTED`]; e⁻⁶.
+pub(super) const UNUSUAL: f64 = -6.0;
 
 /// What most effects have in common: one form, a nearly linear fit that starts at zero, no history.
 pub(super) const LINEAR: Physics = Physics {
@@ -201,6 +231,7 @@ pub(super) const LINEAR: Physics = Physics {
     follows_neighbour: [false; NEIGHBOURS],
     largest_size: None,
     prior_penalty: 0.0,
+    log_prior: UNUSUAL,
     yields_to: &[],
     confounded_with: &[],
 };
@@ -238,7 +269,7 @@ impl Physics {
         if let (Some(needs), false) = (self.history, self.in_time) {
             needs(&mut history, &self.example(*BACKBONES.start()));
         }
-        (history.direction || history.has_hysteresis()) && !history.is_long()
+        (history.direction || history.drive || history.has_hysteresis()) && !history.is_long()
     }
 
     /// Says to a history what it must know of the path.

@@ -1,6 +1,6 @@
 //! Neighbouring sections: what their motion does to this section's lines.
 
-use super::physics::{Changes, LINEAR, ParameterSpec, Physics};
+use super::physics::{Changes, FREQUENT, LINEAR, ParameterSpec, Physics};
 use nalgebra::Vector2;
 
 const fn share(name: &'static str) -> ParameterSpec {
@@ -20,6 +20,7 @@ fn led(bend_mm: Vector2<f64>, shares: &[f64]) -> Vector2<f64> {
 /// that there is one form of it for each neighbour. The map of the bends is a scaled rotation, the only one that prefers no azimuth: the
 /// rotation is the angle between the sections' first backbones, and a twist.
 pub(super) static SECTION_COUPLING: Physics = Physics {
+    log_prior: FREQUENT,
     name: "section_coupling",
     equation: "q̃_i −= (c u + d ẑ × u)·(cos a_i, sin a_i), u = −(2/n) Σ_j q̃_j (cos a_j, sin a_j) of the neighbour's n backbones",
     reading: "lines that are led along where a neighbouring section bends",

@@ -1,7 +1,7 @@
 //! The snake itself: its geometry, its stiffness, what hangs on it.
 
 use super::actuator::summing_to_zero;
-use super::physics::{Changes, Confounded, LINEAR, ParameterSpec, Physics, Poses, per_backbone};
+use super::physics::{Changes, Confounded, EXPECTED, FREQUENT, LINEAR, ParameterSpec, Physics, Poses, per_backbone};
 use crate::robot::PerBackbone;
 use nalgebra::{Vector2, Vector3, Vector6};
 
@@ -30,6 +30,7 @@ const fn radius(name: &'static str) -> ParameterSpec {
 
 /// Super-elastic NiTi softens as its strain, and so θ, grows.
 pub(super) static SUPERELASTIC_SOFTENING: Physics = Physics {
+    log_prior: FREQUENT,
     name: "superelastic_softening",
     equation: "∇E → (1 − k θ²) ∇E",
     reading: "backbones that soften as they bend, as super-elastic NiTi does",
@@ -40,6 +41,7 @@ pub(super) static SUPERELASTIC_SOFTENING: Physics = Physics {
 
 /// The opposite of softening: the snake grows stiffer as it bends.
 pub(super) static CUBIC_STIFFNESS: Physics = Physics {
+    log_prior: FREQUENT,
     name: "cubic_stiffness",
     equation: "∇E → (1 + k θ²) ∇E",
     reading: "a snake that grows stiffer as it bends",
@@ -68,6 +70,7 @@ const fn rest(name: &'static str) -> ParameterSpec {
 
 /// The snake is bent where its lines are at zero.
 pub(super) static REST_BEND: Physics = Physics {
+    log_prior: EXPECTED,
     name: "rest_bend",
     equation: "q = Q (b − b_0), ∇E = ∇E(b − b_0)",
     reading: "a snake that is bent at rest",
@@ -82,6 +85,7 @@ const fn weight(name: &'static str) -> ParameterSpec {
 
 /// The weight of the snake, or another load of fixed direction that is spread along it.
 pub(super) static DEAD_WEIGHT: Physics = Physics {
+    log_prior: FREQUENT,
     name: "dead_weight",
     equation: "Qᵗτ = ∇E − (1/L) ∫ J_xb(s)ᵗ (W, 0) ds",
     reading: "a weight of constant direction that is spread along the snake",
@@ -94,6 +98,7 @@ pub(super) static DEAD_WEIGHT: Physics = Physics {
 
 /// The central backbone gives way lengthwise to what the lines pull, and a shorter snake bends further.
 pub(super) static BACKBONE_SHORTENING: Physics = Physics {
+    log_prior: FREQUENT,
     name: "backbone_shortening",
     equation: "q̃_i −= k q̃_i Σ_j max(−q̃_j, 0)",
     reading: "a central backbone that shortens as the pulls add up, so that the same travel bends it further",
@@ -104,6 +109,7 @@ pub(super) static BACKBONE_SHORTENING: Physics = Physics {
 
 /// A dead force on the tip, constant in {b}.
 pub(super) static TIP_LOAD: Physics = Physics {
+    log_prior: FREQUENT,
     name: "tip_load",
     equation: "Qᵗτ = ∇E − J_xbᵗ (F, 0)",
     reading: "a force of constant size and direction that pulls at the tip",

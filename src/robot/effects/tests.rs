@@ -35,6 +35,7 @@ fn moving() -> Motion {
         before: crate::robot::history::Before::at_rest(3),
         crept_load_n: PerBackbone::from([3.0, -2.0, 1.0]),
         elapsed_s: 7.0,
+        ahead_mm: PerBackbone::repeat(3, 0.0),
     }
 }
 

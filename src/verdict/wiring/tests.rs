@@ -264,6 +264,12 @@ fn a_late_clock_is_told_and_dead_encoders_are() {
     }
     let verdict = frozen.verdict();
     assert!(verdict.reasons[0].text.contains("stand still in"), "{verdict:#?}");
+    // Runs that each begin at the command at which the one before ended, and at another pose.
+    let mut runs = Lab::new(9);
+    for k in (10..runs.log.len()).step_by(10) {
+        runs.log[k].q_mm = runs.log[k - 1].q_mm;
+    }
+    assert!(!runs.verdict().has(Code::EncoderStuck), "{:#?}", runs.verdict());
 }
 
 #[test]
