@@ -39,10 +39,13 @@ pub fn subject<'a>(model: &'a Model, experiment: &Experiment, wiring: Wiring, sd
     Subject { wiring, views: experiment.views.iter().map(offset).collect(), ..Subject::new(model, sd_encoder_mm) }
 }
 
-/// The most by which the sheet may bow, mm (rms), and by which its pitches may differ, as a share.
+/// The most by which the sheet may bow, mm (rms).
 ///
-/// Derived: what is known of paper and printers before a sheet is seen, 1 mm over 40 mm to either side, and twice the 2 % of a printer.
+/// Derived: what is known of paper before a sheet is seen, 1 mm over 40 mm to either side.
 const MOST_BOW_MM: f64 = 1.0;
+/// The most by which its two pitches may differ, as a share.
+///
+/// Derived: twice the 2 % of a printer.
 const MOST_STRETCH: f64 = 0.04;
 
 /// A sheet that is further from flat and square than paper and printers are: measured, but doubtful.
