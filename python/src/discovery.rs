@@ -69,19 +69,33 @@ fn discovered(
         let remarks = answer.map_or_else(|few| few.remarks, |data| data.remarks);
         let json = nothing_named(&gap(&model, measurements, readings), &verdict, &remarks);
         let text = format!("unexplained: no effect is named from these data\n{}", verdict.lines().join("\n"));
-        return Ok(PyDiscovery { json, text, page: verdict_page("snakeloop: discover", &verdict, &Provenance::new("discover")), model });
+        return Ok(PyDiscovery {
+            json,
+            text,
+            page: verdict_page("snakeloop: discover", &verdict, &Provenance::new("discover")),
+            model,
+        });
     }
     let data = match answer {
         Ok(data) => data,
         Err(few) => {
-            let (json, text, page) = (few.json(), few_samples_lines(&few), few_samples_page(&few, &Provenance::new("discover")));
+            let (json, text, page) =
+                (few.json(), few_samples_lines(&few), few_samples_page(&few, &Provenance::new("discover")));
             return Ok(PyDiscovery { json, text, page, model: few.model });
         }
     };
     let from_frames = measurements.iter().any(|measurement| measurement.quality.is_some());
     let found = if from_frames { discover_in_frames(model, &data, &|_| ()) } else { search(&model, &data) };
     let localised = Localisation::new(&found, &data);
-    let page = Page { found: &found, data: &data, gap: localised.as_ref(), correction: None, next: None, made_from: &Provenance::new("discover") }.html();
+    let page = Page {
+        found: &found,
+        data: &data,
+        gap: localised.as_ref(),
+        correction: None,
+        next: None,
+        made_from: &Provenance::new("discover"),
+    }
+    .html();
     Ok(PyDiscovery { json: found.json(), text: lines(&found), page, model: found.model })
 }
 
