@@ -10,8 +10,6 @@ mod readings;
 pub use line_parser::{LineParser, Parsed};
 pub use line_reader::EncoderSource;
 pub use readings::Lookup;
-#[cfg(feature = "ros2")]
-pub use readings::SILENCE;
 
 use self::line_reader::LineReader;
 use self::readings::{Readings, interpolate};
