@@ -91,7 +91,7 @@ impl Topic {
         }
     }
 
-    /// What a file's summary says of the topic; `None` where there is none that can be read.
+    /// How many messages of the topic a file's summary counts; `None` if the file has no readable summary.
     fn counted_by_summary(&self, file: &Path) -> Option<usize> {
         let mut file = File::open(file).ok()?;
         let length = file.metadata().ok()?.len();

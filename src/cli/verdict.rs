@@ -1,9 +1,7 @@
 //! The verdict as commands print it and end by it.
 
 use super::failure::Failure;
-use super::views::{RigRefused, sheet_text};
 use crate::Result;
-use crate::measure::{Rig, RigError};
 use crate::observation::{EncoderReading, Measurement, Wiring};
 use crate::record::{Experiment, Fault, Warning};
 use crate::robot::Model;
@@ -38,36 +36,6 @@ pub fn subject<'a>(model: &'a Model, experiment: &Experiment, wiring: Wiring, sd
         |view: &crate::record::View| ViewOffset { name: view.name.clone(), delta_offset_deg: view.delta_offset_deg };
     Subject { wiring, views: experiment.views.iter().map(offset).collect(), ..Subject::new(model, sd_encoder_mm) }
 }
-
-/// The most by which the sheet may bow, mm (rms).
-///
-/// Derived: what is known of paper before a sheet is seen, 1 mm over 40 mm to either side.
-const MOST_BOW_MM: f64 = 1.0;
-/// The most by which its two pitches may differ, as a share.
-///
-/// Derived: twice the 2 % of a printer.
-const MOST_STRETCH: f64 = 0.04;
-
-/// A sheet that is further from flat and square than paper and printers are: measured, but doubtful.
-pub fn sheet_reason(view: &str, rig: &Rig) -> Option<Reason> {
-    let shape = &rig.sheet_shape;
-    (shape.rms_mm() > MOST_BOW_MM || shape.anisotropy.abs() > MOST_STRETCH).then(|| {
-        let text = format!("view {view}: {}", sheet_text(rig));
-        Reason::new(Code::SheetNotFlat, Level::Look, text, FLATTEN)
-    })
-}
-
-/// The reason that a view's straight picture gives no rig.
-pub fn rig_reason(error: &crate::Error) -> Reason {
-    let is_of_the_sheet = matches!(error, crate::Error::Rig { source, .. }
-        if matches!(source.downcast_ref(), Some(RigRefused { error: RigError::SheetNotFlat { .. }, .. })));
-    let (code, remedy) = if is_of_the_sheet { (Code::SheetNotFlat, FLATTEN) } else { (Code::Files, LOOK_AT_THE_RIG) };
-    Reason::new(code, Level::DoNotUse, error.to_string(), remedy)
-}
-
-const FLATTEN: &str = "lay the sheet flat, on a plate or held by tape all around, and print it at 100 %; see \"Take the straight picture\" in the book";
-const LOOK_AT_THE_RIG: &str =
-    "`check -o FOLDER` draws what was seen into FOLDER/rig.jpg; see \"Take the straight picture\" in the book";
 
 /// Rows by which the unit of the times is told. Convention: a resource limit, far beyond what is needed.
 const TIMED: usize = 2000;

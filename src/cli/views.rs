@@ -3,7 +3,6 @@
 use super::checksum::Checksum;
 use super::console::Console;
 use super::overlays::jpeg;
-use super::verdict::sheet_reason;
 use crate::bag::Topic;
 use crate::camera::{Frame, FrameSource, Lens, PictureFile, SourceFrame, read_frame_for};
 use crate::input::{PICTURE_BYTES, read_bytes};
@@ -13,7 +12,7 @@ use crate::report::decimation;
 use crate::report::overlay::Shape;
 use crate::report::rig_picture::{draw_straight, rig_picture};
 use crate::robot::{BendProfile, Robot};
-use crate::verdict::Reason;
+use crate::verdict::{Code, Level, Reason};
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::fs;
@@ -21,6 +20,21 @@ use std::path::{Path, PathBuf};
 
 /// Quality of the picture of what a calibration saw. Convention: a display choice.
 const RIG_PICTURE_QUALITY: u8 = 85;
+
+/// The most by which the sheet may bow, mm (rms).
+///
+/// Derived: what is known of paper before a sheet is seen, 1 mm over 40 mm to either side.
+const MOST_BOW_MM: f64 = 1.0;
+/// The most by which its two pitches may differ, as a share.
+///
+/// Derived: twice the 2 % of a printer.
+const MOST_STRETCH: f64 = 0.04;
+
+/// What helps against a sheet that is not flat.
+const FLATTEN: &str = "lay the sheet flat, on a plate or held by tape all around, and print it at 100 %; see \"Take the straight picture\" in the book";
+/// What helps where the calibration says no more.
+const LOOK_AT_THE_RIG: &str =
+    "`check -o FOLDER` draws what was seen into FOLDER/rig.jpg; see \"Take the straight picture\" in the book";
 
 /// One view: where its frames are and the eye that measures them.
 pub struct OpenView {
@@ -132,6 +146,23 @@ pub fn sheet_text(rig: &Rig) -> String {
         90.0 - shape.shear.to_degrees(),
         shape.rms_mm()
     )
+}
+
+/// A sheet that is further from flat and square than paper and printers are: measured, but doubtful.
+pub fn sheet_reason(view: &str, rig: &Rig) -> Option<Reason> {
+    let shape = &rig.sheet_shape;
+    (shape.rms_mm() > MOST_BOW_MM || shape.anisotropy.abs() > MOST_STRETCH).then(|| {
+        let text = format!("view {view}: {}", sheet_text(rig));
+        Reason::new(Code::SheetNotFlat, Level::Look, text, FLATTEN)
+    })
+}
+
+/// The reason that a view's straight picture gives no rig.
+pub fn rig_reason(error: &Error) -> Reason {
+    let is_of_the_sheet = matches!(error, Error::Rig { source, .. }
+        if matches!(source.downcast_ref(), Some(RigRefused { error: RigError::SheetNotFlat { .. }, .. })));
+    let (code, remedy) = if is_of_the_sheet { (Code::SheetNotFlat, FLATTEN) } else { (Code::Files, LOOK_AT_THE_RIG) };
+    Reason::new(code, Level::DoNotUse, error.to_string(), remedy)
 }
 
 impl OpenView {

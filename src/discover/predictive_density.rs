@@ -41,8 +41,8 @@ const INDEPENDENT: [f64; 5] = [1.0, 0.3, 0.1, 0.03, 0.01];
 /// Convention: the usual choice for a robust error model (Lange, Little and Taylor 1989, J. Am. Stat. Assoc. 84:881, estimate 4 in several sets).
 const DEGREES_OF_FREEDOM: f64 = 4.0;
 
-/// What a structure may claim at the least to leave, as a share of the noise's variance. A component of the bend of which the model as given
-/// leaves less is not judged: nothing is to be explained in it.
+/// The least variance that a structure may claim to leave, as a share of the noise's. If the model as given leaves less of a component of the
+/// bend, that component is not judged, because nothing is to be explained in it.
 ///
 /// Convention: half the sigma; noise is learned before, and no structure may claim that there is hardly any.
 const LEAST_VARIANCE: f64 = 0.25;

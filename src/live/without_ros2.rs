@@ -1,4 +1,4 @@
-//! What stands in for ROS 2 in a build without it: everything is refused.
+//! ROS 2 in a build without it: everything is refused.
 
 use super::annotated_video::AnnotatedVideo;
 use super::shared_state::SharedState;

@@ -133,6 +133,41 @@ impl Contradictions {
     }
 }
 
+/// The values of a series before and after a time, s; both the same one if it has that very time.
+pub(crate) struct Neighbouring {
+    earlier: (f64, f64),
+    later: (f64, f64),
+}
+
+impl Neighbouring {
+    /// Those around a time of a series of times and values in order, given by its elements and the position of the first that is not before
+    /// that time; `None` beyond its ends.
+    pub fn of(after: usize, get: impl Fn(usize) -> Option<(f64, f64)>, time_s: f64) -> Option<Self> {
+        let later = get(after)?;
+        let earlier = if later.0 == time_s { later } else { get(after.checked_sub(1)?)? };
+        Some(Self { earlier, later })
+    }
+
+    /// The time between them, s.
+    pub fn gap_s(&self) -> f64 {
+        self.later.0 - self.earlier.0
+    }
+
+    /// By how much they differ.
+    fn difference(&self) -> f64 {
+        (self.later.1 - self.earlier.1).abs()
+    }
+
+    /// The value on the line through both, at that time.
+    pub fn at(&self, time_s: f64) -> f64 {
+        if self.later.0 == time_s {
+            return self.later.1;
+        }
+        let share = (time_s - self.earlier.0) / self.gap_s();
+        self.earlier.1 * (1.0 - share) + self.later.1 * share
+    }
+}
+
 /// One backbone's readings in order of time.
 struct Backbone {
     series: Vec<(f64, f64)>,
@@ -154,14 +189,8 @@ impl Backbone {
     /// The reading at a time.
     fn at(&mut self, time_s: f64) -> Option<f64> {
         let after = self.series.partition_point(|(stamp_s, _)| *stamp_s < time_s);
-        let (later_s, later) = *self.series.get(after)?;
-        if later_s == time_s {
-            return Some(later);
-        }
-        let (earlier_s, earlier) = *self.series.get(after.checked_sub(1)?)?;
-        let share = (time_s - earlier_s) / (later_s - earlier_s);
-        let agree = (later - earlier).abs() <= self.tolerance;
-        (agree || self.is_bridged(later_s - earlier_s)).then_some(earlier * (1.0 - share) + later * share)
+        let around = Neighbouring::of(after, |k| self.series.get(k).copied(), time_s)?;
+        (around.difference() <= self.tolerance || self.is_bridged(around.gap_s())).then(|| around.at(time_s))
     }
 
     /// Whether the line over a gap of this length is as good as the readings.

@@ -41,6 +41,8 @@ pub use experiment::{Experiment, RigSource, Tracker, View};
 pub use force::forces_csv;
 pub use friction::read_friction;
 pub use interpolation::Matched;
+#[cfg(feature = "ros2")]
+pub(crate) use interpolation::Neighbouring;
 pub use joints::read_joints;
 pub use journal::{JOURNAL, MeasurementJournal, difference};
 pub use log::{LogKeys, LogProposal, ReadingUnit, TimeUnit, read_log};

@@ -6,6 +6,7 @@
 use super::super::stream::SentReading;
 use super::sole_publisher::{Heard, SolePublisher};
 use crate::bag::messages::JointState;
+use crate::record::Neighbouring;
 use crate::robot::PerBackbone;
 use rustdds::GUID;
 use std::collections::{BTreeSet, VecDeque};
@@ -165,13 +166,8 @@ impl Joint {
     /// The position at a time, s, interpolated linearly between its neighbours.
     fn at(&self, time_s: f64) -> Option<f64> {
         let after = self.series.partition_point(|(stamp_s, _)| *stamp_s < time_s);
-        let (later_s, later) = *self.series.get(after)?;
-        if later_s == time_s {
-            return Some(later);
-        }
-        let (earlier_s, earlier) = *self.series.get(after.checked_sub(1)?)?;
-        let share = (time_s - earlier_s) / (later_s - earlier_s);
-        (later_s - earlier_s <= MAX_GAP_S).then_some(earlier * (1.0 - share) + later * share)
+        let around = Neighbouring::of(after, |k| self.series.get(k).copied(), time_s)?;
+        (around.gap_s() <= MAX_GAP_S).then(|| around.at(time_s))
     }
 
     /// Forgets what no later moment, s, needs.

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 /// Pictures that may wait for the thread that reads them. Convention: as many as may wait to be decoded; more would only be older.
 const DEPTH: i32 = 4;
-/// Messages of which the lost ones are counted. Convention: a few seconds of a camera.
+/// Lost messages are counted over so many. Convention: a few seconds of a camera.
 const COUNTED: i64 = 100;
 /// Losses of more than this share are told. Convention: as for frames that are dropped.
 const MANY_LOST: f64 = 0.1;

@@ -84,9 +84,9 @@ const SIDE_MODE_PX: f64 = 0.0245;
 /// Standard deviation at the base and at the tip of each mode of the sides that changes from one to the other, px: a shadow, or what lies
 /// behind, turns a whole snake in the picture.
 ///
-/// Fitted: to the turns in the picture of refined photo-real rigs, of which the seventeen of even number and eight of laboratories ask for one half
-/// of it by maximum likelihood; the wider value, for the errors have long tails. Judged by the thirteen of odd number: the square of error over σ
-/// is 2.1 in the mean, and was 6.6 without it.
+/// Fitted: by hand to the turns in the picture of refined photo-real rigs. The likelihood of the seventeen rigs of even number and of eight rigs of
+/// laboratories is largest at about half of it. The errors have long tails, so that the wider value is taken. The thirteen rigs of odd number judge:
+/// the square of error over σ is 2.1 in the mean, and was 6.6 without this mode.
 const SIDE_TAPER_PX: f64 = 0.049;
 /// The scatter of the edges at which the modes are as large as that, px.
 ///

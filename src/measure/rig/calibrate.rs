@@ -17,17 +17,25 @@ use std::ops::Range;
 ///
 /// Convention: a wrong millimetre of the standoff is the fit's to find (1.5 mm), a wrong pitch is the user's.
 const FAR_OFF_SIGMAS: f64 = 15.0;
-/// How wide a snake may be: px, and as shares of the picture's longer side.
+/// The least width of a snake, px.
 ///
-/// Convention: twelve cells across are looked at, of one pixel and more; a snake of an eightieth of the picture is a twelfth as long as it, and one wider
-/// than a third of it is not seen whole.
+/// Convention: twelve cells across are looked at, of one pixel and more.
 const LEAST_WIDTH_PX: f64 = 12.0;
-const LEAST_WIDTH: f64 = 1.0 / 80.0;
-const MOST_WIDTH: f64 = 0.35;
-/// How many rulings are taken for the stated one, and how many places of the snake before each, until one fits.
+/// The least width of a snake, as a share of the picture's longer side.
 ///
-/// Convention: limits of time; in every picture that is accepted it was the first or second of either.
+/// Convention: a snake of an eightieth of the picture is a twelfth as long as it.
+const LEAST_WIDTH: f64 = 1.0 / 80.0;
+/// The largest width of a snake, as a share of the picture's longer side.
+///
+/// Convention: a snake that is wider than a third of the picture is not seen whole.
+const MOST_WIDTH: f64 = 0.35;
+/// How many rulings are taken for the stated one, until one fits.
+///
+/// Convention: a limit of time; in every picture that is accepted it was the first or the second.
 const MOST_RULINGS: usize = 3;
+/// How many places of the snake are tried before each ruling.
+///
+/// Convention: a limit of time; in every picture that is accepted it was the first or the second.
 const MOST_STARTS: usize = 2;
 /// Snakes whose widths differ by less than this share are searched for once.
 ///

@@ -18,39 +18,57 @@ use nalgebra::{Point2, UnitQuaternion, Vector2, Vector3};
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// Cells across the snake's width in the search everywhere, and in the refinement of what it finds.
+/// Cells across the snake's width in the search everywhere.
 ///
-/// Derived: the disks of the paper's robot are 0.9 widths apart; four cells show them as waves, twelve show each.
+/// Derived: the disks of the paper's robot are 0.9 widths apart; four cells show them as waves.
 const COARSE_CELLS: f64 = 4.0;
+/// Cells across the snake's width in the refinement of what that search finds.
+///
+/// Derived: the disks of the paper's robot are 0.9 widths apart; twelve cells show each.
 const FINE_CELLS: f64 = 12.0;
 /// Directions that are searched.
 ///
 /// Derived: 6° apart; half of that moves the tip, six widths away, by 0.3 widths.
 const DIRECTIONS: usize = 60;
-/// The parts of the strip around the body, in widths: beside its axis, below the base, beyond the tip.
+/// How far the strip around the body goes beside its axis, in widths.
 ///
-/// Convention: half a width of sheet on all sides, and as much holder as the user is asked to show, and as much again.
+/// Convention: half a width of sheet on either side.
 const HALF_WIDTH: f64 = 1.1;
+/// How far it goes below the base, in widths.
+///
+/// Convention: as much holder as the user is asked to show, and a fifth more.
 const BELOW: f64 = 1.2;
+/// How far it goes beyond the tip, in widths.
+///
+/// Convention: more than half a width of sheet.
 const BEYOND: f64 = 0.7;
 /// What is covered on either side of the body's axis and beyond its tip, in widths.
 ///
 /// Convention: half of its width, and a fifth of that more for blur.
 const COVERED: f64 = 0.6;
-/// The same of a snake that may be bent, above and below the base.
+/// How far the strip around a snake that may be bent goes above the base, in widths.
 ///
-/// Convention: one disk's distance, and as much holder as most pictures show.
+/// Convention: one disk's distance.
 const HELD_ABOVE: f64 = 0.9;
+/// How far that strip goes below the base, in widths.
+///
+/// Convention: as much holder as most pictures show.
 const HELD_BELOW: f64 = 2.0;
 /// The least share of the strip that must be in the picture, on the sheet.
 ///
 /// Convention: a majority.
 const LEAST_SEEN: f64 = 0.55;
-/// How many findings are refined, and how far apart they are: in widths, and rad.
+/// How many findings are refined.
 ///
-/// Convention: a limit of time; closer ones lead to the same refinement.
+/// Convention: a limit of time.
 const MOST_FOUND: usize = 8;
+/// The least distance between two findings of nearly one direction, in widths.
+///
+/// Convention: closer ones lead to the same refinement.
 const APART_WIDTHS: f64 = 0.75;
+/// The angle up to which two findings have nearly one direction, rad.
+///
+/// Convention: three and a third of the steps in which directions are searched; closer ones lead to the same refinement.
 const APART_RAD: f64 = 0.35;
 /// Refined findings closer than this, in widths, are one.
 ///
@@ -66,10 +84,13 @@ const ACROSS_WIDTHS: (f64, i32) = (0.42, 5);
 ///
 /// Convention: a tenth of the range, squared; a blank sheet's cells scatter by less, and show nothing.
 const LEAST_SCATTER: f64 = 0.01;
-/// Width of the body in the drawing from which its silhouette is taken, px, and how far away the drawing's camera is, in widths.
+/// Width of the body in the drawing from which its silhouette is taken, px.
 ///
-/// Convention: fine beside the fine cells; far enough that perspective does not matter.
+/// Convention: fine beside the fine cells.
 const DRAWN_WIDTH_PX: f64 = 36.0;
+/// How far away the drawing's camera is, in widths.
+///
+/// Convention: far enough that perspective does not matter.
 const DRAWN_FROM_WIDTHS: f64 = 60.0;
 
 /// Where a straight snake was found.

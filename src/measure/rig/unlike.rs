@@ -11,11 +11,13 @@ use crate::statistics::robust::{Irls, Loss};
 use nalgebra::{DMatrix, DVector, Matrix3, Point2, Vector3, Vector6};
 use rayon::prelude::*;
 
-/// A cell's squared distance from the sheet's colours from which on it is unlike the sheet, and the multiple of the median distance
-/// beyond which a cell is not asked what the sheet's colours are.
+/// The squared distance from the sheet's colours from which on a cell is unlike the sheet.
 ///
-/// Derived: a χ² of three degrees of freedom exceeds 9 in 3 of 100 cells, and 6 times its median in 3 of 1000.
+/// Derived: a χ² of three degrees of freedom exceeds 9 in 3 of 100 cells.
 const UNLIKE_CHI2: f64 = 9.0;
+/// The multiple of the median squared distance beyond which a cell is not asked what the sheet's colours are.
+///
+/// Derived: a χ² of three degrees of freedom exceeds 6 times its median in 3 of 1000 cells.
 const MOST_MEDIANS: f64 = 6.0;
 /// The share of the sheet that a snake and its holder cover.
 ///

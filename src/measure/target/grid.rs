@@ -155,8 +155,7 @@ impl SheetSearch {
     pub fn new(frame: &Frame, lens: &Lens, pitch_mm: f64) -> Self {
         let mix = strongest_mix(frame);
         if mix.data.is_empty() {
-            let (evened, hypotheses, seen) = (mix.clone(), Vec::new(), Vec::new());
-            return Self { mix, evened, pitch_mm, clearest: None, hypotheses, seen, reach_px: 0.0, is_print: false };
+            return Self::nothing(mix.clone(), mix, pitch_mm);
         }
         let evened = evened(&mix);
         let seeds = find_seeds(&evened);
@@ -169,16 +168,7 @@ impl SheetSearch {
             is_ruling.then_some((seed, kind, points, fit, agreeing))
         });
         let Some((seed, kind, points, fit, agreeing)) = clearest else {
-            return Self {
-                mix,
-                evened,
-                pitch_mm,
-                clearest: None,
-                hypotheses: Vec::new(),
-                seen: Vec::new(),
-                reach_px: 0.0,
-                is_print: false,
-            };
+            return Self::nothing(evened, mix, pitch_mm);
         };
         Self {
             pitch_mm,
@@ -192,16 +182,23 @@ impl SheetSearch {
         }
     }
 
+    /// A picture in which no sheet was found.
+    fn nothing(evened: Plane, mix: Plane, pitch_mm: f64) -> Self {
+        let (hypotheses, seen) = (Vec::new(), Vec::new());
+        Self { mix, evened, pitch_mm, clearest: None, hypotheses, seen, reach_px: 0.0, is_print: false }
+    }
+
     /// The sheet of a hypothesis, measured by its own waves and lines beside the body that hides a part of it, if that is known; `None`
     /// where they are not seen well enough.
     pub fn refined(&self, lens: &Lens, hypothesis: &SheetHypothesis, body: Option<&PictureRegion>) -> Option<Grid> {
         let kind = hypothesis.kind;
         let waves = ordered(hypothesis.waves[0], hypothesis.waves[1], kind);
         let is_clearest = |of: &PatternKind, seen: &[Vector2<f64>; 2]| *of == kind && *seen == hypothesis.waves;
+        let measured = |plane: &Plane| Some(sheet_by_windows(plane, lens, kind, self.pitch_mm, waves)?.1);
         let fit = match (&self.clearest, body) {
             (Some((of, seen, fit)), None) if is_clearest(of, seen) => fit.clone(),
-            (_, None) => sheet_by_windows(&self.evened, lens, kind, self.pitch_mm, waves)?.1,
-            (_, Some(body)) => sheet_by_windows(&self.evened_beside(body), lens, kind, self.pitch_mm, waves)?.1,
+            (_, None) => measured(&self.evened)?,
+            (_, Some(body)) => measured(&self.evened_beside(body))?,
         };
         // Lines that are washed out tell less than the waves do.
         let by_lines = match kind {

@@ -30,7 +30,7 @@ const HALF_WIDTH: f64 = 0.1;
 const LEAST_HALF_WIDTH_PX: f64 = 2.0;
 /// Every other line is missing where it is less dark, on the mean, than this share of the ones beside.
 ///
-/// Convention: between chance, of which the mean over hundreds of places is some hundredths, and equal lines.
+/// Convention: it lies between chance and equal lines. By chance a mean over hundreds of places is some hundredths.
 const MISSING: f64 = 0.2;
 /// There are further lines where what lies half way between lines is darker than this share of them.
 ///
