@@ -65,7 +65,7 @@ impl PyEstimator {
     /// The model with the estimate as it stands.
     #[getter]
     fn model(&self) -> PyModel {
-        PyModel(self.estimator.model().clone())
+        PyModel(self.estimator.model())
     }
 }
 
