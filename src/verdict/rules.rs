@@ -8,11 +8,11 @@ use super::reason::{Code, Level, Reason, Verdict};
 use super::scale::{PLAUSIBLE_ETA, angles_are_radians};
 use super::wiring::{self, Mistake, WiringCheck};
 use super::words;
-use crate::estimate::{NEW_POSE, Replaced};
+use crate::estimate::{NewPoses, Replaced};
 use crate::observation::{EncoderReading, Status, Wiring};
 use crate::robot::Model;
 use crate::statistics::binomial;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Matrix2;
 use std::f64::consts::PI;
 
 /// The probability with which each rule speaks although all is in order.
@@ -117,15 +117,8 @@ fn more_often(times: usize, of: usize, p: f64) -> bool {
 
 /// Samples whose bend has moved on since the last one taken.
 pub(super) fn new_poses(samples: &[Sample]) -> impl Iterator<Item = &Sample> {
-    let mut last: Option<Vector2<f64>> = None;
-    samples.iter().filter(move |sample| {
-        let bend = sample.measured.configuration.bend_vector();
-        let is_new = last.is_none_or(|last| (bend - last).norm() >= NEW_POSE);
-        if is_new {
-            last = Some(bend);
-        }
-        is_new
-    })
+    let mut poses = NewPoses::default();
+    samples.iter().filter(move |sample| poses.is_new(sample.measured.configuration.bend_vector()))
 }
 
 /// Angles in radians in columns of degrees.
