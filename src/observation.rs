@@ -5,6 +5,7 @@ use crate::geometry::Configuration;
 use crate::robot::{BendProfile, Model, Neighbours, PerBackbone};
 use nalgebra::{Matrix2, Matrix2x6, Point3, Rotation2, UnitQuaternion};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::f64::consts::PI;
 use std::fmt;
@@ -159,6 +160,15 @@ impl Status {
             Self::Other(_) => ("a reason that this version does not know", "see the program that wrote the file"),
         }
     }
+}
+
+/// What the commonest of some reasons means, and what to do about it, where it is a status without angles.
+pub fn commonest_status(counts: &BTreeMap<String, usize>) -> Option<String> {
+    let without_angles = counts.iter().filter(|(word, _)| *word != "ok");
+    let (word, _) = without_angles.max_by_key(|(_, count)| **count)?;
+    let status: Status = word.parse().unwrap_or_else(|never| match never {});
+    let (meaning, remedy) = status.explained();
+    (!matches!(status, Status::Other(_))).then(|| format!("{word}: {meaning}; {remedy}"))
 }
 
 impl FromStr for Status {
