@@ -220,6 +220,8 @@ impl Args {
             self.tell(console, &live.shared, &mut told);
             std::thread::sleep(POLL);
         }
+        // What came with the last frames.
+        self.tell(console, &live.shared, &mut told);
         Ok(())
     }
 

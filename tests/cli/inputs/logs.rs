@@ -106,7 +106,9 @@ fn a_log_is_read_however_it_is_written() {
                 fields(|k, field| match k {
                     1 => {
                         let since_s = field.parse::<f64>().unwrap() - 1.7e9;
-                        format!("2026-11-26T12:{:02.0}:{:06.3}Z", (since_s / 60.0).floor(), since_s % 60.0)
+                        // 1.7e9 s are 2023-11-14 22:13:20.
+                        let minutes = (since_s + 20.0).div_euclid(60.0);
+                        format!("2023-11-14T22:{:02.0}:{:06.3}Z", 13.0 + minutes, since_s + 20.0 - 60.0 * minutes)
                     }
                     _ => field.into(),
                 }),

@@ -278,6 +278,7 @@ fn files_are_played_and_lines_read_by_the_rules_of_run() {
     }
 
     // Frames of another size, and no readings: neither is blamed on the other.
+    sandbox.write("bending/experiment.toml", &settings);
     image::open(sandbox.join("bending/straight.jpg"))
         .unwrap()
         .thumbnail(640, 360)
