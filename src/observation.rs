@@ -3,9 +3,10 @@
 
 use crate::geometry::Configuration;
 use crate::robot::{BendProfile, Model, Neighbours, PerBackbone};
-use nalgebra::{Matrix2, Matrix2x6, Point3, UnitQuaternion};
+use nalgebra::{Matrix2, Matrix2x6, Point3, Rotation2, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 use std::convert::Infallible;
+use std::f64::consts::PI;
 use std::fmt;
 use std::str::FromStr;
 
@@ -206,6 +207,19 @@ impl Measured {
     /// A measurement whose errors are all its own.
     pub fn independent(configuration: Configuration, sigma_theta: f64, sigma_delta: f64, correlation: f64) -> Self {
         Self { configuration, sigma_theta, sigma_delta, correlation, by_rig: Matrix2x6::zeros() }
+    }
+
+    /// Covariance of the bend vector, rad²: that of (θ, δ) by moments to second order at a bend `at`.
+    ///
+    /// It is σ_θ² + θ²σ_δ⁴/2 along the bend and (θ² + σ_θ²) σ_δ² across it: what first order leaves out matters where δ is hardly
+    /// known, near straight and where the camera looks along the bend. δ is never worse than wholly unknown, π/√3.
+    pub fn bend_covariance(&self, at: Configuration) -> Matrix2<f64> {
+        let sigma_delta = self.sigma_delta.min(PI / 3f64.sqrt());
+        let along = self.sigma_theta.powi(2) + at.theta.powi(2) * sigma_delta.powi(4) / 2.0;
+        let across = (at.theta.powi(2) + self.sigma_theta.powi(2)) * sigma_delta.powi(2);
+        let cross = self.correlation * self.sigma_theta * at.theta * sigma_delta;
+        let turn = Rotation2::new(at.delta);
+        turn * Matrix2::new(along, cross, cross, across) * turn.inverse()
     }
 
     /// Covariance of (θ, δ), rad².

@@ -31,8 +31,7 @@
 use crate::geometry::Configuration;
 use crate::observation::Measured;
 use crate::robot::{Model, PerBackbone};
-use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix3x6, Rotation2, Vector2, Vector3};
-use std::f64::consts::PI;
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix3x6, Vector2, Vector3};
 
 /// How measurements are weighted against each other.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -137,17 +136,9 @@ fn smoothed(
     Some((if bent { mean } else { Vector2::zeros() }, bend_covariance))
 }
 
-/// Covariance of the measured bend vector, rad², from that of (θ, δ) by moments to second order at a bend `at`.
-///
-/// Along the bend σ_θ² + θ²σ_δ⁴/2, across it (θ² + σ_θ²) σ_δ²: what first order leaves out matters where δ is hardly
-/// known, near straight and where the camera looks along the bend. δ is never worse than wholly unknown, π/√3.
+/// [`Measured::bend_covariance`].
 pub(crate) fn bend_covariance(measured: &Measured, at: Configuration) -> Matrix2<f64> {
-    let sigma_delta = measured.sigma_delta.min(PI / 3f64.sqrt());
-    let along = measured.sigma_theta.powi(2) + at.theta.powi(2) * sigma_delta.powi(4) / 2.0;
-    let across = (at.theta.powi(2) + measured.sigma_theta.powi(2)) * sigma_delta.powi(2);
-    let cross = measured.correlation * measured.sigma_theta * at.theta * sigma_delta;
-    let turn = Rotation2::new(at.delta);
-    turn * Matrix2::new(along, cross, cross, across) * turn.inverse()
+    measured.bend_covariance(at)
 }
 
 #[cfg(test)]
