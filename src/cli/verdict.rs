@@ -5,7 +5,7 @@ use crate::Result;
 use crate::observation::{EncoderReading, Measurement, Wiring};
 use crate::record::{Experiment, Fault, Warning};
 use crate::robot::Model;
-use crate::verdict::{Code, Level, Reason, Subject, Verdict, ViewOffset, doubts_of_times};
+use crate::verdict::{Code, Level, Reason, Subject, TIMED, Verdict, ViewOffset, doubts_of_times};
 
 /// What a command does with its verdict.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -36,9 +36,6 @@ pub fn subject<'a>(model: &'a Model, experiment: &Experiment, wiring: Wiring, sd
         |view: &crate::record::View| ViewOffset { name: view.name.clone(), delta_offset_deg: view.delta_offset_deg };
     Subject { wiring, views: experiment.views.iter().map(offset).collect(), ..Subject::new(model, sd_encoder_mm) }
 }
-
-/// Rows by which the unit of the times is told. Convention: a resource limit, far beyond what is needed.
-const TIMED: usize = 2000;
 
 /// What the files themselves say against a result: recordings that break off, readings that contradict each other, clocks that do not meet.
 ///
