@@ -101,16 +101,9 @@ impl ClosedLoop {
             let noise = command.map(|_| StandardNormal.sample(&mut random)) * self.sd_encoder_mm;
             let reading = EncoderReading::new(index, index as f64, command + noise);
             let seen = eye.measure(&frame(&self.scene, reached, self.seed.wrapping_add(1 + index))?);
-            let measurement = Measurement {
-                index,
-                time_s: Some(reading.time_s),
-                status: seen.status,
-                measured: seen.measured,
-                quality: seen.quality,
-                view: None,
-            };
+            let measurement = seen.row(index, Some(reading.time_s), None);
             estimator.update(&measurement, Some(&reading));
-            controller = without_lambda(estimator.model());
+            controller = without_lambda(&estimator.model());
             cycles.push(cycle(desired, reached, &measurement, controller.estimate, self.table_error_deg(&controller)?));
             done();
         }

@@ -198,6 +198,8 @@ pub struct Measured {
     pub sigma_delta: f64,
     /// Correlation of the errors of θ and δ, in (−1, 1).
     pub correlation: f64,
+    /// Covariance of the bend vector θ (cos δ, sin δ) as the fit gave it, rad²; `None` where only the errors of θ and δ are known.
+    pub fitted_covariance: Option<Matrix2<f64>>,
     /// The part of the errors that all measurements before one rig share: what six independent unit errors of the rig do to the bend vector
     /// θ (cos δ, sin δ), rad. The sigmas hold it; zero where nobody knows it, so that all errors count as the measurement's own.
     pub by_rig: Matrix2x6<f64>,
@@ -206,14 +208,18 @@ pub struct Measured {
 impl Measured {
     /// A measurement whose errors are all its own.
     pub fn independent(configuration: Configuration, sigma_theta: f64, sigma_delta: f64, correlation: f64) -> Self {
-        Self { configuration, sigma_theta, sigma_delta, correlation, by_rig: Matrix2x6::zeros() }
+        let by_rig = Matrix2x6::zeros();
+        Self { configuration, sigma_theta, sigma_delta, correlation, fitted_covariance: None, by_rig }
     }
 
-    /// Covariance of the bend vector, rad²: that of (θ, δ) by moments to second order at a bend `at`.
+    /// Covariance of the bend vector, rad²: the fit's, else that of (θ, δ) by moments to second order at a bend `at`.
     ///
-    /// It is σ_θ² + θ²σ_δ⁴/2 along the bend and (θ² + σ_θ²) σ_δ² across it: what first order leaves out matters where δ is hardly
+    /// The latter is σ_θ² + θ²σ_δ⁴/2 along the bend and (θ² + σ_θ²) σ_δ² across it: what first order leaves out matters where δ is hardly
     /// known, near straight and where the camera looks along the bend. δ is never worse than wholly unknown, π/√3.
     pub fn bend_covariance(&self, at: Configuration) -> Matrix2<f64> {
+        if let Some(fitted) = self.fitted_covariance {
+            return fitted;
+        }
         let sigma_delta = self.sigma_delta.min(PI / 3f64.sqrt());
         let along = self.sigma_theta.powi(2) + at.theta.powi(2) * sigma_delta.powi(4) / 2.0;
         let across = (at.theta.powi(2) + self.sigma_theta.powi(2)) * sigma_delta.powi(2);
@@ -431,6 +437,32 @@ impl Waypoint {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector2;
+    use rand::SeedableRng;
+    use rand::rngs::StdRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    #[test]
+    fn the_bend_vectors_covariance_is_that_of_drawn_measurements() {
+        let mut random = StdRng::seed_from_u64(3);
+        for (theta_deg, sigma_delta_deg, rho) in [(40.0, 0.4, 0.5), (2.0, 8.0, -0.3), (30.0, 12.0, 0.0)] {
+            let psi = Configuration::from_degrees(theta_deg, 50.0);
+            let mean = Measured::independent(psi, 0.3f64.to_radians(), f64::to_radians(sigma_delta_deg), rho);
+            let draws: Vec<Vector2<f64>> = (0..20_000)
+                .map(|_| {
+                    let (a, b): (f64, f64) = (StandardNormal.sample(&mut random), StandardNormal.sample(&mut random));
+                    let theta = mean.configuration.theta + mean.sigma_theta * a;
+                    let delta = mean.configuration.delta + mean.sigma_delta * (rho * a + (1.0 - rho * rho).sqrt() * b);
+                    theta * Vector2::new(delta.cos(), delta.sin()) - mean.configuration.bend_vector()
+                })
+                .collect();
+            let count = draws.len() as f64;
+            let centre = draws.iter().sum::<Vector2<f64>>() / count;
+            let scatter = draws.iter().map(|d| (d - centre) * (d - centre).transpose()).sum::<Matrix2<f64>>() / count;
+            let predicted = mean.bend_covariance(psi);
+            assert!((scatter - predicted).norm() < 0.06 * predicted.norm(), "{scatter} {predicted}");
+        }
+    }
 
     #[test]
     fn a_wiring_puts_columns_signs_unit_and_rows_right() {

@@ -7,8 +7,7 @@ use crate::model::{PyModel, tell_of_neighbours};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use snakeloop::estimate::{Estimator, Options, Step};
-use snakeloop::measure::FrameMeasurement;
-use snakeloop::observation::{EncoderReading, Measurement};
+use snakeloop::observation::EncoderReading;
 use snakeloop::robot::Model;
 
 /// The recursive estimator of η and λ (Eq. 19).
@@ -40,8 +39,7 @@ impl PyEstimator {
         };
         let index = self.updates;
         self.updates += 1;
-        let FrameMeasurement { status, measured, .. } = measurement.0.clone();
-        let measurement = Measurement { index, time_s: None, status, measured, quality: None, view: None };
+        let measurement = measurement.0.clone().row(index, None, None);
         Ok(PyStep(self.estimator.update(&measurement, Some(&EncoderReading::new(index, index as f64, q_mm)))))
     }
 
@@ -66,7 +64,7 @@ impl PyEstimator {
     /// The model with the estimate as it stands.
     #[getter]
     fn model(&self) -> PyModel {
-        self.estimator.model().clone().into()
+        self.estimator.model().into()
     }
 }
 

@@ -226,8 +226,7 @@ impl PyMeasurement {
 
     /// Its row of measurements.csv, as the first.
     fn row(&self) -> Measurement {
-        let FrameMeasurement { status, measured, quality, .. } = self.0.clone();
-        Measurement { index: 0, time_s: None, status, measured, quality, view: None }
+        self.0.clone().row(0, None, None)
     }
 }
 

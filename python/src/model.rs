@@ -18,6 +18,9 @@ use snakeloop::robot::{Grid, Mechanics, Model, PerBackbone, TableRow};
 use snakeloop::verdict::{Code, Level, Reason, Verdict};
 use std::path::PathBuf;
 
+/// θ and δ of each pose.
+type Angles<'py> = (Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<f64>>);
+
 /// A robot, its friction, and what was learned of its actuation lines.
 #[pyclass(name = "Model", module = "snakeloop", frozen, eq)]
 #[derive(Clone)]
@@ -170,11 +173,7 @@ impl PyModel {
     ///
     /// q_mm has a column for each backbone, mm. NaN where the model has no answer: a q̃ that is not finite, or that bends the
     /// snake beyond 120°.
-    fn forward<'py>(
-        &self,
-        py: Python<'py>,
-        q_mm: &Bound<'py, PyAny>,
-    ) -> PyResult<(Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<f64>>)> {
+    fn forward<'py>(&self, py: Python<'py>, q_mm: &Bound<'py, PyAny>) -> PyResult<Angles<'py>> {
         tell_of_neighbours(py, &self.model)?;
         let (shape, readings) = readings_of(q_mm, self.model.robot.backbone_count())?;
         let (mut theta_deg, mut delta_deg) = (vec![f64::NAN; readings.len()], vec![f64::NAN; readings.len()]);

@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use snakeloop::geometry::Configuration;
 use snakeloop::observation::{EncoderReading, Measured, Measurement, Quality};
-use snakeloop::record::{Checked, read_encoders, read_measurements};
+use snakeloop::record::{Checked, fitted_covariance, read_encoders, read_measurements};
 use snakeloop::robot::{BACKBONES, Model, NEIGHBOURS, Neighbours, PerBackbone};
 use std::collections::HashSet;
 use std::ffi::CString;
@@ -47,37 +47,42 @@ pub fn measurements_of(source: &Bound<'_, PyAny>) -> PyResult<Vec<Measurement>> 
     let (inliers, rms_px) = (table.optional_numbers("inlier_fraction")?, table.optional_numbers("rms_px")?);
     let statuses = table.words("status")?;
     let views = if source.contains("view")? { table.words("view")? } else { Vec::new() };
-    let by_rig: Vec<Vec<f64>> = BY_RIG
-        .iter()
-        .flat_map(|k| ["x", "y"].map(|axis| format!("bend_{axis}_by_rig{k}_deg")))
-        .map(|name| table.optional_numbers(&name))
-        .collect::<PyResult<_>>()?;
-    Ok((0..table.indices.len())
-        .map(|k| {
-            let measured = (theta[k].is_finite() && delta[k].is_finite()).then(|| {
-                let correlation = if correlation[k].is_nan() { 0.0 } else { correlation[k] };
-                let configuration = Configuration::from_degrees(theta[k], delta[k]);
-                let (sigma_theta, sigma_delta) = (sigma_theta[k].to_radians(), sigma_delta[k].to_radians());
-                let known = |column: &Vec<f64>| if column[k].is_nan() { 0.0 } else { column[k].to_radians() };
-                let by_rig = Matrix2x6::from_iterator(by_rig.iter().map(known));
-                Measured { by_rig, ..Measured::independent(configuration, sigma_theta, sigma_delta, correlation) }
-            });
-            // Its presence tells that the measurement comes from a frame.
-            let quality = (inliers[k].is_finite() && rms_px[k].is_finite()).then(|| Quality {
-                inlier_fraction: inliers[k],
-                rms_px: rms_px[k],
-                ..Quality::default()
-            });
-            Measurement {
-                index: table.indices[k],
-                time_s: Some(times_s[k]).filter(|time_s| time_s.is_finite()),
-                status: statuses[k].parse().unwrap_or_else(|never| match never {}),
-                measured,
-                quality,
-                view: views.get(k).filter(|name| !name.is_empty()).cloned(),
-            }
+    let columns =
+        |names: Vec<String>| names.iter().map(|name| table.optional_numbers(name)).collect::<PyResult<Vec<_>>>();
+    let variances: Vec<Vec<f64>> = columns(["var_xx", "var_xy", "var_yy"].map(str::to_owned).to_vec())?;
+    let axes = |k: &usize| ["x", "y"].map(|axis| format!("bend_{axis}_by_rig{k}_deg"));
+    let by_rig: Vec<Vec<f64>> = columns(BY_RIG.iter().flat_map(axes).collect())?;
+    let measured = |k: usize| -> PyResult<Option<Measured>> {
+        if !(theta[k].is_finite() && delta[k].is_finite()) {
+            return Ok(None);
+        }
+        let or_zero = |number: f64| if number.is_nan() { 0.0 } else { number };
+        let configuration = Configuration::from_degrees(theta[k], delta[k]);
+        let (sigma_theta, sigma_delta) = (sigma_theta[k].to_radians(), sigma_delta[k].to_radians());
+        let measured = Measured::independent(configuration, sigma_theta, sigma_delta, or_zero(correlation[k]));
+        let of_bend = [&variances[0], &variances[1], &variances[2]].map(|column| column[k]);
+        let fitted = of_bend.iter().all(|part| part.is_finite()).then(|| fitted_covariance(&measured, of_bend));
+        let broken = |why: String| wrong(format!("measurements: index {}: {why}", table.indices[k]));
+        let by_rig = Matrix2x6::from_iterator(by_rig.iter().map(|column| or_zero(column[k]).to_radians()));
+        Ok(Some(Measured { fitted_covariance: fitted.transpose().map_err(broken)?, by_rig, ..measured }))
+    };
+    let measurement = |k: usize| {
+        // Its presence tells that the measurement comes from a frame.
+        let quality = (inliers[k].is_finite() && rms_px[k].is_finite()).then(|| Quality {
+            inlier_fraction: inliers[k],
+            rms_px: rms_px[k],
+            ..Quality::default()
+        });
+        Ok(Measurement {
+            index: table.indices[k],
+            time_s: Some(times_s[k]).filter(|time_s| time_s.is_finite()),
+            status: statuses[k].parse().unwrap_or_else(|never| match never {}),
+            measured: measured(k)?,
+            quality,
+            view: views.get(k).filter(|name| !name.is_empty()).cloned(),
         })
-        .collect())
+    };
+    (0..table.indices.len()).map(measurement).collect()
 }
 
 /// Encoder readings of a model's robot; see encoders.csv for the columns.

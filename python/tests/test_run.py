@@ -133,3 +133,9 @@ def test_the_table_is_that_of_the_command(run):
     assert list(table["extrapolated"][-2:]) == [1, 1] and (table["sd_qc1_mm"] > 0).all()
     with pytest.raises(snakeloop.SnakeloopError, match="outside the workspace"):
         run.model.table(theta_deg=[130], delta_deg=[0])
+
+
+def test_sigmas_that_contradict_the_covariance_beside_them_are_refused(run):
+    widened = run.measurements | {"sigma_theta_deg": 3 * run.measurements["sigma_theta_deg"]}
+    with pytest.raises(snakeloop.SnakeloopError, match="index 1: var_xx, var_xy, var_yy contradict"):
+        snakeloop.estimate(widened, BENDING / "encoders.csv")

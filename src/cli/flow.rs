@@ -195,14 +195,15 @@ impl Flow<'_> {
         let of_trackers = tracked.iter().map(|(tracker, _, measurement)| (tracker.name.as_str(), *measurement));
         let all: Vec<(&str, &FrameMeasurement)> = of_views.chain(of_trackers).collect();
         let measurements: Vec<FrameMeasurement> = all.iter().map(|(_, measurement)| (*measurement).clone()).collect();
-        let FrameMeasurement { status, measured, quality, .. } = fused(&measurements);
+        let fused = fused(&measurements);
         let answered =
-            |(_, measurement): &&(&str, &FrameMeasurement)| measured.is_none() || measurement.measured.is_some();
+            |(_, measurement): &&(&str, &FrameMeasurement)| fused.measured.is_none() || measurement.measured.is_some();
         let names: Vec<&str> = all.iter().filter(answered).map(|(name, _)| *name).collect();
         let logged = || Some(self.reading(index)?.time_s);
         let told = seen.iter().find_map(|s| s.time_s).or_else(|| tracked.first().map(|(_, time_s, _)| *time_s));
         let time_s = told.or_else(logged);
-        Measurement { index, time_s, status, measured, quality, view: Some(names.join("+")) }
+        let view = Some(names.join("+"));
+        fused.row(index, time_s, view)
     }
 }
 

@@ -274,13 +274,10 @@ fn learn(
     let mut write = |line: String| writeln!(estimates, "{line}").map_err(Error::io(&path, "write"));
     let backbones = start.robot.backbone_count();
     write(estimates_header(backbones))?;
-    let mut measured = rows()?;
-    let model = estimate_each(start, settings.estimator.options(1.0), &rows, encoders, |row| {
+    let model = estimate_each(start, settings.estimator.options(1.0), rows()?, encoders, |measurement, row| {
         write(estimate_line(&row, backbones))?;
         verdicts.add(&row);
-        if let Some(measurement) = measured.next() {
-            history.add(&measurement?, &row);
-        }
+        history.add(&measurement, &row);
         Ok(())
     })?;
     Ok(Learned { model, verdicts, history, estimates })

@@ -24,14 +24,10 @@ impl OpenTracker {
 
     /// Its poses as rows of measurements.
     pub fn rows(&self) -> impl Iterator<Item = Measurement> + '_ {
-        self.measurements.iter().map(|(index, time_s, found)| Measurement {
-            index: *index,
-            time_s: Some(*time_s),
-            status: found.status.clone(),
-            measured: found.measured,
-            quality: found.quality,
-            view: Some(self.name.clone()),
-        })
+        let row = |(index, time_s, found): &(u64, f64, FrameMeasurement)| {
+            found.clone().row(*index, Some(*time_s), Some(self.name.clone()))
+        };
+        self.measurements.iter().map(row)
     }
 
     /// Its pose of an index: the tracker, the time in s and the measurement.

@@ -11,11 +11,10 @@
 
 use super::data::Data;
 use super::noise::Noise;
-use crate::observation::Measured;
-use crate::robot::{ForwardSolution, LineJacobian, Mechanics, Model, Motion, PerBackbone};
+use crate::geometry::Configuration;
+use crate::robot::{ForwardSolution, LineJacobian, Mechanics, Model, PathPoint, PerBackbone};
 use crate::statistics::moments::mean;
 use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2};
-use std::f64::consts::PI;
 use std::ops::Range;
 
 /// The step of a difference quotient, in units of each parameter's scale.
@@ -71,8 +70,7 @@ pub struct Problem<'a> {
 #[derive(Debug, Clone)]
 pub struct Prediction {
     /// At every reading.
-    forward: Vec<ForwardSolution>,
-    motions: Vec<Motion>,
+    points: Vec<PathPoint>,
     /// The whitened residuals of each sample.
     pub residuals: Vec<Residual>,
 }
@@ -80,7 +78,7 @@ pub struct Prediction {
 impl Prediction {
     /// The bends that the encoders imply at every reading, rad.
     pub fn path(&self) -> Vec<Vector2<f64>> {
-        self.forward.iter().map(|solution| solution.bend).collect()
+        self.points.iter().map(|point| point.solution.bend).collect()
     }
 }
 
@@ -94,14 +92,12 @@ impl<'a> Problem<'a> {
     pub fn new(data: &'a Data, noise: &Noise, model: &Model) -> Self {
         let (mechanics, log) = (Mechanics::new(model).with_reading_noise(noise.sd_encoder_mm), &data.log);
         let q_mm = log.own_q_mm(model);
-        let start: Vec<_> =
-            mechanics.solve_path(&log.times_s, &q_mm, None).iter().map(|solution| solution.bend).collect();
-        let motions = mechanics.motions_from_readings(&log.times_s, &start, &q_mm);
+        let path = mechanics.solve_path(&log.times_s, &q_mm, None, None);
         let samples = data.measured.iter().zip(&log.samples).enumerate().map(|(k, (measured, &at))| {
             let weight = if k < noise.unknown_start { NO_WEIGHT } else { 1.0 };
-            let bend = start[at];
-            let line = mechanics.line_jacobian(bend, &motions[at]);
-            let eye = bend_covariance(measured, bend);
+            let bend = path[at].solution.bend;
+            let line = mechanics.line_jacobian(bend, &path[at].motion);
+            let eye = measured.bend_covariance(Configuration::from_bend_vector(bend));
             let seen = eye * noise.eye_factor.powi(2);
             let floor = line.line_by_bend.map(|by| by.dot(&(seen * by))).mean() + noise.sd_encoder_mm.powi(2);
             SampleNoise { eye, weight, whitening: whitening(&eye, &line, noise), line, floor_mm2: floor }
@@ -112,7 +108,7 @@ impl<'a> Problem<'a> {
             samples: samples.collect(),
             sd_internal_mm: noise.sd_encoder_mm.hypot(noise.discrepancy_mm).max(LEAST_SD_INTERNAL_MM),
             internal: model.robot.internal_parts().collect(),
-            start,
+            start: path.iter().map(|point| point.solution.bend).collect(),
         }
     }
 
@@ -127,21 +123,18 @@ impl<'a> Problem<'a> {
         // What the eye saw at the first reading, if it saw anything.
         let first = (log.samples[0] == 0).then(|| self.data.measured[0].configuration.bend_vector());
         let guess = guess.unwrap_or(&self.start);
-        let (forward, motions) = mechanics.solve_path_near(&log.times_s, &log.own_q_mm(model), guess, first);
-        let residuals = self.whitened(&mechanics, &forward);
-        Prediction { forward, motions, residuals }
+        let points = mechanics.solve_path(&log.times_s, &log.own_q_mm(model), Some(guess), first);
+        let residuals = self.whitened(&mechanics, points.iter().map(|point| &point.solution));
+        Prediction { points, residuals }
     }
 
     /// ∂(residuals)/∂(parameter / its scale) by forward differences: a row for each component of each sample, a column for each of some of
     /// the model's parameters.
     pub fn jacobian(&self, model: &Model, prediction: &Prediction, parameters: Range<usize>) -> DMatrix<f64> {
         let mechanics = self.mechanics(model);
-        let Prediction { forward, motions, residuals } = prediction;
-        let lines: Vec<LineJacobian> = forward
-            .iter()
-            .zip(motions)
-            .map(|(solution, motion)| mechanics.line_jacobian(solution.bend, motion))
-            .collect();
+        let Prediction { points, residuals } = prediction;
+        let lines: Vec<LineJacobian> =
+            points.iter().map(|point| mechanics.line_jacobian(point.solution.bend, &point.motion)).collect();
         let log = &self.data.log;
         let x = model.parameter_values();
         let n = self.data.backbones();
@@ -157,8 +150,8 @@ impl<'a> Problem<'a> {
             let nudged = model.with_parameter_values(&nudged);
             let changed = self.mechanics(&nudged);
             let q_mm = log.own_q_mm(&nudged);
-            let moved = mechanics.perturbed_path(&changed, (&log.times_s, &q_mm), (forward, motions, &lines));
-            for (k, (after, before)) in self.whitened(&changed, &moved).iter().zip(residuals).enumerate() {
+            let moved = Mechanics::perturbed_path(&changed, (&log.times_s, &q_mm), (points, &lines));
+            for (k, (after, before)) in self.whitened(&changed, moved.iter()).iter().zip(residuals).enumerate() {
                 for c in 0..n {
                     jacobian[(n * k + c, column)] = (after[c] - before[c]) / h;
                 }
@@ -248,13 +241,18 @@ impl<'a> Problem<'a> {
     }
 
     /// The whitened residuals of forward solutions.
-    fn whitened(&self, mechanics: &Mechanics, forward: &[ForwardSolution]) -> Vec<Residual> {
-        let path: Vec<_> = forward.iter().map(|solution| solution.bend).collect();
+    fn whitened<'f>(
+        &self,
+        mechanics: &Mechanics,
+        forward: impl Iterator<Item = &'f ForwardSolution> + Clone,
+    ) -> Vec<Residual> {
+        let path: Vec<_> = forward.clone().map(|solution| solution.bend).collect();
+        let unexplained_mm: Vec<_> = forward.map(|solution| solution.residual_mm).collect();
         let log = &self.data.log;
         let exposed = mechanics.exposed_bends(&log.times_s, &path);
         let residuals = self.data.measured.iter().zip(&log.samples).enumerate().map(|(k, (measured, &at))| {
             let gap = measured.configuration.bend_vector() - mechanics.apparent_bend(exposed[at]);
-            self.residual(k, gap, &forward[at].residual_mm)
+            self.residual(k, gap, &unexplained_mm[at])
         });
         residuals.collect()
     }
@@ -270,21 +268,6 @@ fn covariance(eye: &Matrix2<f64>, line: &LineJacobian, noise: &Noise) -> Matrix2
 fn whitening(eye: &Matrix2<f64>, line: &LineJacobian, noise: &Noise) -> Matrix2<f64> {
     let inverse = covariance(eye, line, noise).cholesky().and_then(|factor| factor.l().try_inverse());
     inverse.unwrap_or_else(Matrix2::zeros)
-}
-
-/// Covariance of the measured bend vector θ (cos δ, sin δ) at a bend, rad²: σ_θ along it, θ σ_δ across it.
-///
-/// σ_δ is not above π/√3, that of a uniform angle. Near straight neither θ nor σ_δ is well known, while their product is; so the
-/// measured θ is taken with them, and the second-order terms of the polar map are added (var of θ cos Δδ along, of θ sin Δδ with
-/// E θ² = θ² + σ_θ² across).
-fn bend_covariance(measured: &Measured, bend: Vector2<f64>) -> Matrix2<f64> {
-    let sigma_delta = measured.sigma_delta.min(PI / 3f64.sqrt());
-    let theta = measured.configuration.theta;
-    let along = measured.sigma_theta.powi(2) + theta.powi(2) * sigma_delta.powi(4) / 2.0;
-    let across = (theta.powi(2) + measured.sigma_theta.powi(2)) * sigma_delta.powi(2);
-    let cross = measured.correlation * measured.sigma_theta * theta * sigma_delta;
-    let turn = Rotation2::new(bend.y.atan2(bend.x));
-    turn * Matrix2::new(along, cross, cross, across) * turn.inverse()
 }
 
 #[cfg(test)]

@@ -211,11 +211,13 @@ fn orthonormal(columns: DMatrix<f64>) -> DMatrix<f64> {
 /// The families, evaluated at every so many samples of a fit.
 fn families(data: &Data, fit: &Fit, stride: usize) -> Vec<Family> {
     let log = &data.log;
-    let motions = Mechanics::new(&fit.model).motions_from_readings(&log.times_s, &fit.path, &log.own_q_mm(&fit.model));
+    let mechanics = Mechanics::new(&fit.model);
+    let list = |of: &PerBackbone| of.iter().copied().collect::<Vec<f64>>();
+    let motions = mechanics.motions_from_readings(&log.times_s, &fit.path, &log.own_q_mm(&fit.model));
     let (bend, motion) = (|k: usize| fit.path[log.samples[k]], |k: usize| &motions[log.samples[k]]);
+    let speed = |k: usize| mechanics.instant(bend(k), motion(k), |at| list(&at.arrival.speed_mm_per_s));
     let first_s = data.times_s[0];
     let duration_s = data.times_s[data.len() - 1] - first_s;
-    let list = |of: &PerBackbone| of.iter().copied().collect::<Vec<f64>>();
     let theta = |k: usize| {
         let theta = bend(k).norm();
         vec![theta, theta.powi(2), theta.powi(3)]
@@ -237,7 +239,7 @@ fn families(data: &Data, fit: &Fit, stride: usize) -> Vec<Family> {
         family("the bend θ", &theta),
         family("the azimuth δ", &delta),
         family("the direction of motion", &|k| list(&motion(k).direction)),
-        family("the speed", &|k| list(&motion(k).speed_mm_per_s)),
+        family("the speed", &speed),
         family("time", &time),
         family("q̃", &q_tilde),
     ]

@@ -20,12 +20,12 @@
 use super::consistency::Whitened;
 use super::friction::friction_covariance;
 use super::gate::{Gate, squared_distances};
-use super::initial::{AGREEING, InitialEstimate, MOST, Sample};
-use super::usable::usable;
-use super::{Consistency, InformationFilter, LinearisedMeasurement, Options, Reason, Verdict};
+use super::initial::{AGREEING, InitialEstimate, MOST, Undecided};
+use super::sample::Follower;
+use super::{Consistency, InformationFilter, LinearisedMeasurement, Options, Reason, Sample, Verdict};
 use crate::error::Result;
 use crate::observation::{EncoderReading, Measurement};
-use crate::robot::{DataRange, Estimate, Model, PerBackbone};
+use crate::robot::{DataRange, Estimate, Mechanics, Model, PerBackbone};
 
 /// A verdict on an earlier measurement that a later one overturned.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,33 +59,43 @@ pub struct Step {
 /// The recursive estimator of η and λ.
 #[derive(Debug, Clone)]
 pub struct Estimator {
-    /// The model, with the estimate as it stands and the bends that it was learned on.
+    /// The model that was given, with what was known of its effects.
+    given: Model,
+    /// The same, with the estimate as it stands and the bends that it was learned on.
     model: Model,
+    /// What the effects remember.
+    follower: Follower,
     options: Options,
     updates: usize,
     /// `None` until the first measurements are judged for good.
     running: Option<(InformationFilter, Consistency)>,
     /// Measurements whose verdict may still change: the first ones, or those rejected in a row since the last one used.
-    undecided: Vec<Sample>,
+    undecided: Vec<Undecided>,
     gate: Gate,
 }
 
 impl Estimator {
-    /// Starts with nothing known of η and λ; an estimate that the model already has is not used, since it may come from
-    /// the very measurements to follow.
+    /// Starts with nothing known of η and λ: an estimate that the model already has is not used, since it may come from
+    /// the very measurements to follow. The model's effects are obeyed as they are given.
     ///
     /// # Errors
     /// [`ArgumentError::OutOfRange`](crate::error::ArgumentError::OutOfRange) for an option out of its range.
     pub fn new(model: &Model, options: Options) -> Result<Self> {
         options.check()?;
+        let given = model.clone();
         let model = Model { estimate: None, learned: None, ..model.clone() };
-        let gate = Gate::new(options.gate);
-        Ok(Self { model, options, updates: 0, running: None, undecided: Vec::new(), gate })
+        let (follower, gate) = (Follower::default(), Gate::new(options.gate));
+        Ok(Self { given, model, follower, options, updates: 0, running: None, undecided: Vec::new(), gate })
     }
 
-    /// The model with the estimate as it stands.
-    pub fn model(&self) -> &Model {
-        &self.model
+    /// The model with the estimate as it stands. What is uncertain in its effects makes the estimate uncertain besides.
+    pub fn model(&self) -> Model {
+        Model { learned: self.model.learned, ..self.given.with_estimate(self.model.estimate) }
+    }
+
+    /// The estimate as it stands, its effects being what they are given as.
+    pub fn estimate(&self) -> Option<Estimate> {
+        self.model.estimate
     }
 
     /// How residuals compare with their promised covariances; `None` while the first measurements are being judged.
@@ -98,8 +108,31 @@ impl Estimator {
         self.undecided.first().map_or(self.updates, |sample| sample.update)
     }
 
+    /// Takes a reading whose frame was not measured, or for which none was taken: it drives the effects that have a memory.
+    pub fn pass(&mut self, reading: &EncoderReading) {
+        self.follower.pass(&self.model, reading);
+    }
+
     /// Takes one measurement and the encoder reading of the same index.
     pub fn update(&mut self, measurement: &Measurement, reading: Option<&EncoderReading>) -> Step {
+        let sample = self.take(measurement, reading);
+        self.learn(sample)
+    }
+
+    /// What of a measurement and its reading can be used; they are not learned from yet.
+    ///
+    /// # Errors
+    /// Why nothing of it can be used.
+    pub(crate) fn take(
+        &mut self,
+        measurement: &Measurement,
+        reading: Option<&EncoderReading>,
+    ) -> std::result::Result<Sample, Reason> {
+        self.follower.take(&self.model, measurement, reading)
+    }
+
+    /// Learns from what [`take`](Self::take) gave.
+    pub(crate) fn learn(&mut self, sample: std::result::Result<Sample, Reason>) -> Step {
         let number = self.updates;
         self.updates += 1;
         let mut step = Step {
@@ -111,18 +144,16 @@ impl Estimator {
             revisions: Vec::new(),
             restarted: false,
         };
-        match usable(self.model.robot.backbone_count(), measurement, reading) {
-            Ok((measured, q_tilde)) => {
-                self.judge(Sample { update: number, measured, q_tilde, reported_used: true }, &mut step);
-            }
+        match sample {
+            Ok(sample) => self.judge(Undecided { update: number, sample, reported_used: true }, &mut step),
             Err(reason) => step.reason = Some(reason),
         }
         step
     }
 
-    fn judge(&mut self, sample: Sample, step: &mut Step) {
+    fn judge(&mut self, sample: Undecided, step: &mut Step) {
         let linearised = sample.linearised(&self.model, &self.options);
-        step.residual_mm = self.model.estimate.map(|_| self.residual_mm(&sample, &linearised));
+        step.residual_mm = self.model.estimate.map(|_| self.residual_mm(&sample.sample, &linearised));
         step.reason = match self.running {
             None => self.first_measurement(sample, step),
             Some((filter, consistency)) => self.next_measurement(filter, consistency, sample, &linearised, step),
@@ -132,7 +163,7 @@ impl Estimator {
     }
 
     /// One of the first measurements: all of them are judged anew, and for good once there are enough.
-    fn first_measurement(&mut self, sample: Sample, step: &mut Step) -> Option<Reason> {
+    fn first_measurement(&mut self, sample: Undecided, step: &mut Step) -> Option<Reason> {
         self.hold(sample);
         let initial = InitialEstimate::of(&self.undecided, &self.model, &self.options)?;
         step.revisions = self.revise(&initial);
@@ -152,7 +183,7 @@ impl Estimator {
         &mut self,
         mut filter: InformationFilter,
         mut consistency: Consistency,
-        sample: Sample,
+        sample: Undecided,
         linearised: &LinearisedMeasurement,
         step: &mut Step,
     ) -> Option<Reason> {
@@ -174,7 +205,7 @@ impl Estimator {
         }
         filter.absorb(linearised);
         consistency.add(&whitened);
-        let measured = sample.measured;
+        let measured = sample.sample.measured;
         self.model.learned.get_or_insert_default().add(measured.configuration, measured.sigma_delta);
         self.publish(&filter, &consistency);
         self.running = Some((filter, consistency));
@@ -182,8 +213,8 @@ impl Estimator {
     }
 
     /// Rejects a measurement, or starts afresh where those rejected in a row agree with each other.
-    fn reject(&mut self, sample: Sample, outlier: Reason, step: &mut Step) -> Option<Reason> {
-        self.hold(Sample { reported_used: false, ..sample });
+    fn reject(&mut self, sample: Undecided, outlier: Reason, step: &mut Step) -> Option<Reason> {
+        self.hold(Undecided { reported_used: false, ..sample });
         if self.undecided.len() < MOST {
             return Some(outlier);
         }
@@ -199,7 +230,7 @@ impl Estimator {
     }
 
     /// Holds a measurement among the undecided; where there are enough the earliest makes room.
-    fn hold(&mut self, sample: Sample) {
+    fn hold(&mut self, sample: Undecided) {
         if self.undecided.len() == MOST {
             self.undecided.remove(0);
         }
@@ -222,7 +253,8 @@ impl Estimator {
     fn range_of(&self, initial: &InitialEstimate) -> DataRange {
         let mut range = DataRange::default();
         for (sample, _) in self.undecided.iter().zip(&initial.outliers).filter(|(_, outlier)| outlier.is_none()) {
-            range.add(sample.measured.configuration, sample.measured.sigma_delta);
+            let measured = sample.sample.measured;
+            range.add(measured.configuration, measured.sigma_delta);
         }
         range
     }
@@ -241,8 +273,13 @@ impl Estimator {
     fn residual_mm(&self, sample: &Sample, linearised: &LinearisedMeasurement) -> PerBackbone {
         let robot = &self.model.robot;
         let told = linearised.residual(&self.model.parameters());
-        // What the linearised measurement leaves out of the readings, and what it says of them.
-        robot.from_bend_and_common(&(told - robot.bend_and_common(&sample.q_tilde))) + sample.q_tilde
+        // What the linearised measurement leaves out of the readings: the parts that neither bend nor are common to all.
+        let mechanics = Mechanics::new(&self.model);
+        let left = match &sample.came {
+            Some(came) => mechanics.misfit_mm(&sample.q_tilde, came.solution.bend, &came.motion),
+            None => sample.q_tilde,
+        };
+        robot.from_bend_and_common(&(told - robot.bend_and_common(&left))) + left
     }
 
     /// Makes a filter's estimate the model's, with its honest covariance.

@@ -51,19 +51,19 @@ pub fn gap_of<E>(
     measurements: impl Iterator<Item = std::result::Result<Measurement, E>>,
     encoders: &[EncoderReading],
 ) -> std::result::Result<Gap, E> {
-    let pairs = pairs_without_effects(model, measurements, encoders)?;
-    let model = &model.plain();
+    let pairs = pairs_without_effects(model, measurements, encoders);
+    let plain = &model.plain();
     let [mut eps, mut noise, mut theta, mut delta] = [RunningSquares::default(); 4];
     let (mut samples, mut unpredicted) = (0, 0);
     for pair in pairs {
         let (Measurement { measured: Some(measured), .. }, Some(reading)) = pair? else { continue };
         let psi = measured.configuration;
         samples += 1;
-        (reading.q_mm - model.command(psi)).iter().for_each(|&left| eps.add(left));
-        let command_by_angles = command_by_configuration(model, psi);
+        (reading.q_mm - plain.command(psi)).iter().for_each(|&left| eps.add(left));
+        let command_by_angles = command_by_configuration(plain, psi);
         let covariance = measured.covariance();
         command_by_angles.iter().for_each(|by| noise.add(by.dot(&(covariance * by)).max(0.0).sqrt()));
-        match model.forward(&reading.q_mm) {
+        match plain.forward(&reading.q_mm) {
             Ok(response) => {
                 let predicted = response.configuration;
                 theta.add(psi.theta - predicted.theta);

@@ -4,9 +4,8 @@
 //! majority's estimate join it. With two measurements there is one pair: the paper's first estimate.
 
 use super::gate::{self, SquaredDistances, squared_distances, trusted};
-use super::{InformationFilter, LinearisedMeasurement, Options, Reason};
-use crate::observation::Measured;
-use crate::robot::{Estimate, Model, PerBackbone};
+use super::{InformationFilter, LinearisedMeasurement, Options, Reason, Sample};
+use crate::robot::{Estimate, Model};
 use crate::statistics::trimmed::{least_trimmed_squares, majority, subsets};
 use nalgebra::{Matrix2, Vector2};
 
@@ -28,21 +27,20 @@ const CONCENTRATION_STEPS: usize = 2;
 /// Convention: once for the majority's estimate, once for that of all who joined.
 const GATE_ROUNDS: usize = 2;
 
-/// A measurement that can be used.
+/// A measurement whose verdict may still change.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sample {
+pub(super) struct Undecided {
     /// Counted in updates of the estimator from 0.
     pub update: usize,
-    pub measured: Measured,
-    pub q_tilde: PerBackbone,
+    pub sample: Sample,
     /// Whether it was last reported as used.
     pub reported_used: bool,
 }
 
-impl Sample {
+impl Undecided {
     /// Linearised under a model with the estimate so far, if there is one.
     pub fn linearised(&self, model: &Model, options: &Options) -> LinearisedMeasurement {
-        LinearisedMeasurement::new(model, options.weighting, options.sd_encoder_mm, &self.measured, &self.q_tilde)
+        LinearisedMeasurement::new(model, options.weighting, options.sd_encoder_mm, &self.sample)
     }
 }
 
@@ -60,7 +58,7 @@ pub(super) struct InitialEstimate {
 
 impl InitialEstimate {
     /// Of these samples, on the robot and the friction of `model`; `None` while they do not pin both parameters.
-    pub fn of(samples: &[Sample], model: &Model, options: &Options) -> Option<Self> {
+    pub fn of(samples: &[Undecided], model: &Model, options: &Options) -> Option<Self> {
         let linearised_under = |model: &Model| samples.iter().map(|sample| sample.linearised(model, options)).collect();
         // Weights need an η; that of the naive model does for a first estimate, that of the first for the second.
         let naive = Model { estimate: None, ..model.clone() };
@@ -132,7 +130,7 @@ mod tests {
     use crate::observation::Measured;
 
     /// Exact measurements of a robot with η = 1.221 and λ = 0.1765 mm; those in `wrong` are of a bend 10° off.
-    fn samples(count: usize, wrong: &[usize]) -> Vec<Sample> {
+    fn samples(count: usize, wrong: &[usize]) -> Vec<Undecided> {
         let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
         let robot = Model { estimate: Some(estimate), ..Model::default() };
         (0..count)
@@ -142,7 +140,8 @@ mod tests {
                 let configuration = Configuration::from_degrees(psi.theta_deg() + off, psi.delta_deg());
                 let sigma = 0.1f64.to_radians();
                 let measured = Measured::independent(configuration, sigma, sigma, 0.0);
-                Sample { update, measured, q_tilde: robot.command(psi), reported_used: true }
+                let sample = Sample { measured, q_tilde: robot.command(psi), came: None };
+                Undecided { update, sample, reported_used: true }
             })
             .collect()
     }

@@ -25,12 +25,15 @@
 //! tell b too, by the forward problem, and far better than the camera along what η does not change. b* is the weighted
 //! mean of both, so H soon depends on the quiet encoders alone, and the bias dies away with the number of measurements.
 //!
+//! **Effects.** The travel of the lines, its slope A and its derivatives by x are those of the model with its effects, along the path that led to
+//! the reading ([`Mechanics::step`]). Nothing is taken off the data.
+//!
 //! **Standing straight.** A bend that cannot be told from none has an H that is noise alone, and a long time of that would,
 //! with forgetting, pull η to where the noise is. Such a measurement takes b* = 0, where H says nothing of η and λ alone is learnt.
 
+use super::Sample;
 use crate::geometry::Configuration;
-use crate::observation::Measured;
-use crate::robot::{Model, PerBackbone};
+use crate::robot::{MAX_THETA, Mechanics, Model, Motion, PerBackbone};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix3x6, Vector2, Vector3};
 
 /// How measurements are weighted against each other.
@@ -56,7 +59,7 @@ pub struct LinearisedMeasurement {
     /// Covariance of the noise, mm².
     pub covariance: Matrix3<f64>,
     /// The part of the noise that the other measurements before the same rig share, mm, for each of its six unit errors; `covariance` holds
-    /// it. See [`Measured::by_rig`].
+    /// it. See [`Measured::by_rig`](crate::observation::Measured::by_rig).
     pub by_rig: Matrix3x6<f64>,
 }
 
@@ -66,44 +69,40 @@ impl LinearisedMeasurement {
         self.z - self.h * x
     }
 
-    /// Linearises one measurement; `model` carries the estimate so far, if there is one.
-    pub(crate) fn new(
-        model: &Model,
-        weighting: Weighting,
-        sd_encoder_mm: f64,
-        measured: &Measured,
-        q_tilde: &PerBackbone,
-    ) -> Self {
-        let bend = measured.configuration.bend_vector();
-        let q = model.robot.displacement_by_bend();
+    /// Linearises one measurement; `model` carries the estimate so far, if there is one, and the effects that it came by.
+    pub(crate) fn new(model: &Model, weighting: Weighting, sd_encoder_mm: f64, sample: &Sample) -> Self {
+        let mechanics = Mechanics::new(model);
+        let still = Motion::none(model.robot.backbone_count());
+        let motion = sample.came.as_ref().map_or(&still, |came| &came.motion);
+        let bend = sample.true_bend(&mechanics);
+        let measured = &sample.measured;
+        let (at, noise) = match weighting {
+            Weighting::Flat { .. } => (bend, None),
+            Weighting::Measured => {
+                let (at, covariance) = smoothed(model, &mechanics, sd_encoder_mm, (sample, motion), bend)
+                    .unwrap_or_else(|| (bend, measured.bend_covariance(measured.configuration)));
+                (at, Some(covariance))
+            }
+        };
         let parts = |q_mm: PerBackbone| model.robot.bend_and_common(&q_mm);
-        if let Weighting::Flat { sigma_deg } = weighting {
-            let sigma = model.robot.backbone_circle_radius_mm * sigma_deg.to_radians();
-            return Self {
-                z: parts(*q_tilde - q * bend - model.epsilon_fixed()),
-                h: by_parameters(model, bend),
-                covariance: Matrix3::identity() * sigma.powi(2),
-                by_rig: Matrix3x6::zeros(),
-            };
-        }
-        let (at, bend_covariance) = smoothed(model, sd_encoder_mm, measured, q_tilde)
-            .unwrap_or_else(|| (bend, bend_covariance(measured, measured.configuration)));
-        let slope = q + model.epsilon_by_bend(at);
-        let z = parts(*q_tilde - q * at - slope * (bend - at) - model.epsilon_fixed());
-        let slope = Matrix3x2::from_columns(&[0, 1].map(|axis| parts(slope.column(axis))));
-        Self {
-            z,
-            h: by_parameters(model, at),
-            covariance: slope * bend_covariance * slope.transpose() + Matrix3::identity() * sd_encoder_mm.powi(2),
-            by_rig: slope * measured.by_rig,
-        }
+        let columns =
+            |by: &PerBackbone<Vector2<f64>>| Matrix3x2::from_columns(&[0, 1].map(|axis| parts(by.column(axis))));
+        let slope = mechanics.line_jacobian(at, motion).line_by_bend;
+        let h = columns(&mechanics.travel_by_parameters(at, motion));
+        let z = parts(mechanics.misfit_mm(&sample.q_tilde, at, motion) - slope * (bend - at)) + h * model.parameters();
+        let slope = columns(&slope);
+        let (covariance, by_rig) = match (weighting, noise) {
+            (Weighting::Flat { sigma_deg }, _) => {
+                let sigma_mm = model.robot.backbone_circle_radius_mm * sigma_deg.to_radians();
+                (Matrix3::identity() * sigma_mm.powi(2), Matrix3x6::zeros())
+            }
+            (Weighting::Measured, noise) => {
+                let of_eye = slope * noise.unwrap_or_default() * slope.transpose();
+                (of_eye + Matrix3::identity() * sd_encoder_mm.powi(2), slope * measured.by_rig)
+            }
+        };
+        Self { z, h, covariance, by_rig }
     }
-}
-
-/// H at a bend.
-pub(super) fn by_parameters(model: &Model, bend: Vector2<f64>) -> Matrix3x2<f64> {
-    let h = model.epsilon_by_parameters(bend);
-    Matrix3x2::from_columns(&[0, 1].map(|axis| model.robot.bend_and_common(&h.column(axis))))
 }
 
 /// A bend of fewer standard deviations than this counts as straight.
@@ -116,38 +115,38 @@ const TOLD_FROM_STRAIGHT_SD: f64 = 10.0;
 /// the first estimate.
 fn smoothed(
     model: &Model,
+    mechanics: &Mechanics,
     sd_encoder_mm: f64,
-    measured: &Measured,
-    q_tilde: &PerBackbone,
+    (sample, motion): (&Sample, &Motion),
+    bend: Vector2<f64>,
 ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     model.estimate?;
-    let implied = model.forward_bend(q_tilde).ok()?;
-    let by_encoders = model.updated_jacobian_bend(implied).ok()?;
-    let by_parameters = by_encoders.cross_gram(&model.epsilon_by_parameters(implied));
+    let near = sample.came.map_or(bend, |came| came.solution.bend);
+    let solution = mechanics.solve(&sample.q_tilde, Some(motion), near);
+    let implied = solution.bend;
+    if !solution.converged || implied.norm() > MAX_THETA {
+        return None;
+    }
+    let by_line = mechanics.line_jacobian(implied, motion).bend_by_line;
+    let by_parameters = by_line.cross_gram(&mechanics.travel_by_parameters(implied, motion));
     let implied_covariance = by_parameters * model.parameter_covariance() * by_parameters.transpose()
-        + by_encoders.cross_gram(&by_encoders) * sd_encoder_mm.powi(2);
+        + by_line.cross_gram(&by_line) * sd_encoder_mm.powi(2);
     // Taken at the implied bend, too: weights that followed the noise would favour one sign of it.
-    let bend_covariance = bend_covariance(measured, Configuration::from_bend_vector(implied));
+    let bend_covariance = sample.measured.bend_covariance(Configuration::from_bend_vector(implied));
     let gain = implied_covariance * (implied_covariance + bend_covariance).try_inverse()?;
-    let mean = implied + gain * (measured.configuration.bend_vector() - implied);
+    let mean = implied + gain * (bend - implied);
     let mean_covariance = implied_covariance - gain * implied_covariance;
     let squared_distance = mean.dot(&(mean_covariance.try_inverse()? * mean));
     let bent = squared_distance >= TOLD_FROM_STRAIGHT_SD.powi(2);
     Some((if bent { mean } else { Vector2::zeros() }, bend_covariance))
 }
 
-/// [`Measured::bend_covariance`].
-pub(crate) fn bend_covariance(measured: &Measured, at: Configuration) -> Matrix2<f64> {
-    measured.bend_covariance(at)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::observation::Measured;
     use crate::robot::Estimate;
     use proptest::prelude::*;
-    use rand::SeedableRng;
-    use rand_distr::{Distribution, StandardNormal};
 
     fn measured(
         theta_deg: f64,
@@ -164,25 +163,9 @@ mod tests {
         )
     }
 
-    #[test]
-    fn the_bend_vectors_covariance_is_that_of_drawn_measurements() {
-        let mut random = rand::rngs::StdRng::seed_from_u64(3);
-        for (theta_deg, sigma_delta_deg, rho) in [(40.0, 0.4, 0.5), (2.0, 8.0, -0.3), (30.0, 12.0, 0.0)] {
-            let mean = measured(theta_deg, 50.0, 0.3, sigma_delta_deg, rho);
-            let draws: Vec<Vector2<f64>> = (0..20_000)
-                .map(|_| {
-                    let (a, b): (f64, f64) = (StandardNormal.sample(&mut random), StandardNormal.sample(&mut random));
-                    let theta = mean.configuration.theta + mean.sigma_theta * a;
-                    let delta = mean.configuration.delta + mean.sigma_delta * (rho * a + (1.0 - rho * rho).sqrt() * b);
-                    theta * Vector2::new(delta.cos(), delta.sin()) - mean.configuration.bend_vector()
-                })
-                .collect();
-            let count = draws.len() as f64;
-            let centre = draws.iter().sum::<Vector2<f64>>() / count;
-            let scatter = draws.iter().map(|d| (d - centre) * (d - centre).transpose()).sum::<Matrix2<f64>>() / count;
-            let predicted = bend_covariance(&mean, mean.configuration);
-            assert!((scatter - predicted).norm() < 0.06 * predicted.norm(), "{scatter} {predicted}");
-        }
+    /// A measurement of a model without effects.
+    fn of_plain(measured: Measured, q_tilde: PerBackbone) -> Sample {
+        Sample { measured, q_tilde, came: None }
     }
 
     proptest! {
@@ -196,7 +179,7 @@ mod tests {
             let estimate = Estimate { eta: 1.1, lambda_mm: 0.1, covariance: Matrix2::identity() * 1e-4, samples: 3 };
             for estimate in [None, Some(estimate)] {
                 let model = Model { estimate, ..Model::default() };
-                let linearised = LinearisedMeasurement::new(&model, Weighting::Measured, 1.5e-3, &measured, &q_tilde);
+                let linearised = LinearisedMeasurement::new(&model, Weighting::Measured, 1.5e-3, &of_plain(measured, q_tilde));
                 prop_assert!(linearised.covariance.cholesky().is_some());
                 prop_assert!(linearised.h.iter().chain(linearised.z.iter()).all(|v| v.is_finite()));
             }
@@ -209,7 +192,7 @@ mod tests {
             let measured = measured(theta_deg, delta_deg, 0.1, 0.2, 0.0);
             let q_tilde = model.command(measured.configuration);
             for weighting in [Weighting::Measured, Weighting::Flat { sigma_deg: 1.0 }] {
-                let linearised = LinearisedMeasurement::new(&model, weighting, 1.5e-3, &measured, &q_tilde);
+                let linearised = LinearisedMeasurement::new(&model, weighting, 1.5e-3, &of_plain(measured, q_tilde));
                 // A bend that counts as straight is linearised there: at 0.3° its third order is 7e-10 mm.
                 prop_assert!(linearised.residual(&model.parameters()).norm() < 1e-9);
             }
@@ -221,7 +204,7 @@ mod tests {
         let measured = measured(50.0, 20.0, 2.0, 3.0, 0.2);
         let q_tilde = Model::default().command(measured.configuration);
         let linearised =
-            LinearisedMeasurement::new(&Model::default(), Weighting::Measured, 1.5e-3, &measured, &q_tilde);
+            LinearisedMeasurement::new(&Model::default(), Weighting::Measured, 1.5e-3, &of_plain(measured, q_tilde));
         assert!((linearised.covariance[(2, 2)] - 1.5e-3f64.powi(2)).abs() < 1e-15);
         assert!(linearised.covariance.fixed_view::<2, 1>(0, 2).norm() < 1e-15);
     }

@@ -16,16 +16,14 @@
 //! force have different blind directions and together see all three. A direction along which the force would be known to no
 //! better than [`BLIND_SD_N`] counts as unseen; the force has no part along it, and its covariance says nothing there.
 
-use super::linearised::{bend_covariance, by_parameters};
+use super::Sample;
 use super::options::check_sd_encoder;
-use super::usable::usable;
-use super::without_effects;
+use super::sample::{Follower, Log};
 use crate::error::{ArgumentError, DataError, Result};
 use crate::geometry::Configuration;
-use crate::observation::{EncoderReading, Measured, Measurement};
-use crate::robot::{Model, PerBackbone};
+use crate::observation::{EncoderReading, Measurement};
+use crate::robot::{Mechanics, Model, Motion, PerBackbone};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
-use std::collections::HashMap;
 
 /// The standard deviation, N, from which a direction counts as unseen.
 ///
@@ -84,19 +82,23 @@ impl NormalEquations {
     }
 
     /// Adds one measurement; one whose covariance is not positive definite says nothing.
-    fn add(&mut self, model: &Model, sd_encoder_mm: f64, measured: &Measured, q_tilde: &PerBackbone) {
-        let psi = measured.configuration;
-        let bend = psi.bend_vector();
-        let slope = model.robot.displacement_by_bend() + model.epsilon_by_bend(bend);
+    fn add(&mut self, model: &Model, sd_encoder_mm: f64, sample: &Sample) {
+        let mechanics = Mechanics::new(model);
+        let still = Motion::none(model.robot.backbone_count());
+        let motion = sample.came.as_ref().map_or(&still, |came| &came.motion);
+        let psi = sample.measured.configuration;
+        let bend = sample.true_bend(&mechanics);
         // The bend and the common part hold all that there is.
         let parts = |q_mm: PerBackbone| model.robot.bend_and_common(&q_mm);
-        let slope = Matrix3x2::from_columns(&[0, 1].map(|axis| parts(slope.column(axis))));
-        let covariance =
-            slope * bend_covariance(measured, psi) * slope.transpose() + Matrix3::identity() * sd_encoder_mm.powi(2);
+        let columns =
+            |by: PerBackbone<Vector2<f64>>| Matrix3x2::from_columns(&[0, 1].map(|axis| parts(by.column(axis))));
+        let slope = columns(mechanics.line_jacobian(bend, motion).line_by_bend);
+        let covariance = slope * sample.measured.bend_covariance(psi) * slope.transpose()
+            + Matrix3::identity() * sd_encoder_mm.powi(2);
         let Some(weight) = covariance.try_inverse() else { return };
         let by_force = by_force(model, psi);
-        let by_parameters = by_parameters(model, bend);
-        let residual = parts(*q_tilde - model.command(psi));
+        let by_parameters = columns(mechanics.travel_by_parameters(bend, motion));
+        let residual = parts(mechanics.misfit_mm(&sample.q_tilde, bend, motion));
         self.force.0 += by_force.transpose() * weight * by_force;
         self.force.1 += by_force.transpose() * weight * residual;
         self.parameters.0 += by_parameters.transpose() * weight * by_parameters;
@@ -136,7 +138,7 @@ fn by_force(model: &Model, psi: Configuration) -> Matrix3<f64> {
 
 /// The force that explains each measurement, as the rows of force.csv, and the one force that explains all of them together.
 ///
-/// What the model's effects do is taken off first, a `tip_load` in it among them: the force found is what comes on top.
+/// The model's effects are obeyed, a `tip_load` among them: the force found is what comes on top.
 ///
 /// # Errors
 /// [`ArgumentError`] for a model without η and λ or encoder noise that is not above 0; [`DataError::NoMeasurement`] where no measurement can be used.
@@ -150,21 +152,20 @@ pub fn tip_force(
         return Err(ArgumentError::NoEstimate { what: "a force" }.into());
     }
     check_sd_encoder(sd_encoder_mm)?;
-    let (measurements, readings) = without_effects(model, measurements, readings);
-    let plain = model.plain();
-    let known = plain.parameter_covariance().try_inverse().is_none();
-    let readings: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
-    let mut all = NormalEquations::new(&plain);
+    let known = model.parameter_covariance().try_inverse().is_none();
+    let (mut log, mut follower) = (Log::new(model, readings), Follower::default());
+    let mut all = NormalEquations::new(model);
     let mut used = 0;
     let rows = measurements
         .iter()
         .map(|measurement| {
-            let usable = usable(plain.robot.backbone_count(), measurement, readings.get(&measurement.index).copied());
-            let found = usable.map(|(measured, q_tilde)| {
+            let (before, reading) = log.until(measurement.index);
+            before.iter().for_each(|reading| follower.pass(model, reading));
+            let found = follower.take(model, measurement, reading).map(|sample| {
                 used += 1;
-                all.add(&plain, sd_encoder_mm, &measured, &q_tilde);
-                let mut alone = NormalEquations::new(&plain);
-                alone.add(&plain, sd_encoder_mm, &measured, &q_tilde);
+                all.add(model, sd_encoder_mm, &sample);
+                let mut alone = NormalEquations::new(model);
+                alone.add(model, sd_encoder_mm, &sample);
                 alone.solved(known)
             });
             ForceRow {

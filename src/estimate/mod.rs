@@ -11,7 +11,6 @@
 
 pub mod accuracy;
 mod consistency;
-mod effects;
 mod estimator;
 mod filter;
 mod friction;
@@ -23,22 +22,23 @@ mod linearised;
 mod load;
 mod one_gain;
 mod options;
+mod sample;
 mod sequence;
 mod sigmas;
 mod stem;
 mod usable;
 
 pub use consistency::{Consistency, Whitened};
-pub use effects::{Pair, pairs_without_effects, without_effects};
 pub use estimator::{Estimator, Revision, Step};
 pub use filter::InformationFilter;
 pub use history::{EstimateRow, EtaLambda, Verdict};
-pub(crate) use linearised::bend_covariance;
 pub use linearised::{LinearisedMeasurement, Weighting};
 pub use load::{BLIND_SD_N, ForceRow, MeasuredForce, TipForce, tip_force};
 pub(crate) use one_gain::{NEW_POSE, line_share};
 pub use one_gain::{Replaced, or_one_gain};
 pub use options::Options;
+pub(crate) use sample::Sample;
+pub use sample::{Pair, pairs_without_effects};
 pub use sequence::{estimate, estimate_each};
 pub use sigmas::with_sigmas;
 pub use stem::{Stem, StemAngle, StemOptions, StemRow, estimate_stem};

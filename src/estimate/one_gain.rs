@@ -60,7 +60,7 @@ pub fn or_one_gain<E>(
     let (mut points, mut every, mut seen) = (Vec::new(), 1, 0usize);
     let mut last: Option<Vector2<f64>> = None;
     let mut learned = DataRange::default();
-    for pair in pairs_without_effects(&model, measurements, log)? {
+    for pair in pairs_without_effects(&model, measurements, log) {
         let (measurement, reading): Pair = pair?;
         let Ok((measured, q_mm)) = usable(model.robot.backbone_count(), &measurement, reading.as_ref()) else {
             continue;

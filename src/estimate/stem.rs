@@ -22,14 +22,13 @@
 
 use super::friction::parameters_by_friction;
 use super::options::{DEFAULT_SD_ENCODER_MM, check_forgetting, check_sd_encoder};
-use super::usable::usable;
-use super::{LinearisedMeasurement, Reason, Weighting, without_effects};
+use super::sample::{Follower, Log};
+use super::{LinearisedMeasurement, Reason, Sample, Weighting};
 use crate::error::{ArgumentError, Result};
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
 use crate::statistics::robust::Loss;
 use nalgebra::{Matrix2, Vector2, Vector3};
-use std::collections::HashMap;
 use std::f64::consts::PI;
 
 /// The standard deviation of Φ before the first measurement, about the model's, rad.
@@ -99,6 +98,8 @@ pub struct StemRow {
 pub struct Stem {
     /// The model, with the line bent as it was when η and λ were estimated.
     model: Model,
+    /// What its effects remember.
+    follower: Follower,
     options: StemOptions,
     /// y = e^{μΦ}.
     factor: f64,
@@ -115,8 +116,7 @@ pub struct Stem {
 }
 
 impl Stem {
-    /// Starts at the model's own line. Effects of the model are not obeyed; what they do must be taken off the measurements
-    /// ([`without_effects`]).
+    /// Starts at the model's own line.
     ///
     /// # Errors
     /// [`ArgumentError`] for a model without an estimate of η and λ, without friction, or for an option out of its range.
@@ -132,7 +132,8 @@ impl Stem {
         let factor = (model.friction.mu * model.robot.line.total_angle()).exp();
         let information = (factor * model.friction.mu * PRIOR_SD).powi(-2);
         Ok(Self {
-            model: Model { effects: Vec::new(), ..model.clone() },
+            model: model.clone(),
+            follower: Follower::default(),
             options,
             factor,
             information,
@@ -152,12 +153,37 @@ impl Stem {
         measurement: &Measurement,
         reading: Option<&EncoderReading>,
     ) -> std::result::Result<StemAngle, Reason> {
-        let (measured, q_tilde) = usable(self.model.robot.backbone_count(), measurement, reading)?;
+        let sample = self.take(measurement, reading)?;
+        self.learn(&sample)
+    }
+
+    /// Takes a reading whose frame was not measured: it drives the effects that have a memory.
+    pub fn pass(&mut self, reading: &EncoderReading) {
+        self.follower.pass(&self.model(), reading);
+    }
+
+    /// What of a measurement and its reading can be used; they are not learned from yet.
+    ///
+    /// # Errors
+    /// Why nothing of it can be used.
+    pub(crate) fn take(
+        &mut self,
+        measurement: &Measurement,
+        reading: Option<&EncoderReading>,
+    ) -> std::result::Result<Sample, Reason> {
         let bent = self.model();
-        let linearised =
-            LinearisedMeasurement::new(&bent, Weighting::Measured, self.options.sd_encoder_mm, &measured, &q_tilde);
+        self.follower.take(&bent, measurement, reading)
+    }
+
+    /// Learns from what [`take`](Self::take) gave; the angle after it.
+    ///
+    /// # Errors
+    /// The reason why the measurement says nothing; the angle stays as it was.
+    pub(crate) fn learn(&mut self, sample: &Sample) -> std::result::Result<StemAngle, Reason> {
+        let bent = self.model();
+        let linearised = LinearisedMeasurement::new(&bent, Weighting::Measured, self.options.sd_encoder_mm, sample);
         let eta = bent.parameters().x;
-        // The columns of H are κτ and 1.
+        // The columns of H are κτ and 1, and what effects make of them.
         let [stretch, ones] = [0, 1].map(|axis| linearised.h.column(axis).into_owned());
         let cone_compliance = bent.robot.cone_compliance_mm_per_n();
         let tau = stretch / bent.line_compliance_mm_per_n();
@@ -234,8 +260,7 @@ impl Stem {
     }
 }
 
-/// Follows the stem through all measurements, in order: the rows of stem.csv and the model with the stem as it was at the end. What
-/// the model's effects do is taken off first and stays in the model.
+/// Follows the stem through all measurements, in order: the rows of stem.csv and the model with the stem as it was at the end.
 ///
 /// # Errors
 /// As [`Stem::new`].
@@ -246,12 +271,13 @@ pub fn estimate_stem(
     readings: &[EncoderReading],
 ) -> Result<(Vec<StemRow>, Model)> {
     let mut stem = Stem::new(model, options)?;
-    let (measurements, readings) = without_effects(model, measurements, readings);
-    let readings: HashMap<u64, &EncoderReading> = readings.iter().map(|reading| (reading.index, reading)).collect();
+    let mut log = Log::new(model, readings);
     let rows = measurements
         .iter()
         .map(|measurement| {
-            let reason = stem.update(measurement, readings.get(&measurement.index).copied()).err();
+            let (before, reading) = log.until(measurement.index);
+            before.iter().for_each(|reading| stem.pass(reading));
+            let reason = stem.update(measurement, reading).err();
             let StemAngle { phi, sd } = stem.angle();
             StemRow {
                 index: measurement.index,
@@ -262,7 +288,7 @@ pub fn estimate_stem(
             }
         })
         .collect();
-    Ok((rows, Model { robot: stem.model().robot, ..model.clone() }))
+    Ok((rows, stem.model()))
 }
 
 #[cfg(test)]

@@ -177,14 +177,15 @@ impl Pipeline {
     /// Measures a frame, near the bend of the one before; the measurement then waits for its reading.
     fn measure(&self, Captured { index, time_s, at, late_s, frame }: Captured, progress: &mut Progress) {
         let eye = self.eye.get();
-        let FrameMeasurement { status, measured, bend, quality } = match (&frame, progress.last_bend) {
+        let found = match (&frame, progress.last_bend) {
             (Some(frame), Some(last)) => eye.track(frame, last),
             (Some(frame), None) => eye.measure(frame),
             (None, _) => FrameMeasurement { status: Status::Unreadable, measured: None, bend: None, quality: None },
         };
+        let bend = found.bend;
         progress.last_bend = bend.map(|bend| bend.vector).or(progress.last_bend);
         let view = Some(self.view.clone());
-        let measurement = Measurement { index, time_s: Some(time_s), status, measured, quality, view };
+        let measurement = found.row(index, Some(time_s), view);
         if let Some(frame) = &frame {
             self.video.offer(frame, &measurement, &eye);
         }

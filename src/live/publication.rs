@@ -9,7 +9,7 @@
 //! encoders are stuck. What was published stays then, and is marked stale.
 
 use super::status::{GapState, PublicationState, PublicationStatus};
-use crate::estimate::{NEW_POSE, bend_covariance};
+use crate::estimate::NEW_POSE;
 use crate::observation::Measured;
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::moments::{mean, standard_deviation};
@@ -195,7 +195,7 @@ impl PublicationGate {
     fn noise_square(&self, model: &Model) -> f64 {
         let by_bend = model.robot.displacement_by_bend();
         let of_eye = |sample: &Sample| {
-            let covariance = bend_covariance(&sample.measured, sample.measured.configuration);
+            let covariance = sample.measured.bend_covariance(sample.measured.configuration);
             by_bend.iter().map(|by| by.dot(&(covariance * by))).sum::<f64>()
         };
         let of_encoders = model.robot.backbone_count() as f64 * self.sd_encoder_mm.powi(2);

@@ -2,7 +2,6 @@
 
 use super::publication::Sample;
 use crate::estimate::NEW_POSE;
-use crate::estimate::bend_covariance;
 use crate::observation::Measured;
 
 /// Readings stand still that change by no more than so many standard deviations of a difference of two.
@@ -70,7 +69,7 @@ impl Standstill {
 /// Whether two bends differ by a pose, and by more than the eye's errors.
 fn has_moved(from: &Measured, to: &Measured) -> bool {
     let step = to.configuration.bend_vector() - from.configuration.bend_vector();
-    let covariance = bend_covariance(from, from.configuration) + bend_covariance(to, to.configuration);
+    let covariance = from.bend_covariance(from.configuration) + to.bend_covariance(to.configuration);
     let certain = || covariance.cholesky().is_some_and(|factor| step.dot(&factor.solve(&step)) > MOVED_SDS.powi(2));
     step.norm() >= NEW_POSE && certain()
 }

@@ -5,7 +5,7 @@
 
 use crate::camera::CaptureSettings;
 use crate::discover::Followed;
-use crate::estimate::{StemAngle, Verdict, bend_covariance};
+use crate::estimate::{StemAngle, Verdict};
 use crate::observation::Measurement;
 use crate::robot::{Model, PerBackbone};
 use crate::verdict::{Code, Level, Reason, Verdict as RunVerdict};
@@ -130,7 +130,7 @@ impl Row {
             delta_deg: measured.map(|m| m.configuration.delta_deg()),
             sigma_theta_deg: measured.map(|m| m.sigma_theta.to_degrees()),
             sigma_delta_deg: measured.map(|m| m.sigma_delta.to_degrees()),
-            sigma_bend_deg: measured.map(|m| largest_sigma(&bend_covariance(&m, m.configuration)).to_degrees()),
+            sigma_bend_deg: measured.map(|m| largest_sigma(&m.bend_covariance(m.configuration)).to_degrees()),
             verdict: Verdict::Skipped.to_string(),
             ..Self::default()
         }

@@ -1,7 +1,7 @@
 //! The measurement of one frame: the bend vector with its covariance, and the same as θ and δ.
 
 use crate::geometry::{Configuration, wrap_angle};
-use crate::observation::{Measured, Quality, Status};
+use crate::observation::{Measured, Measurement, Quality, Status};
 use nalgebra::{Matrix2, Matrix2x6, Vector2};
 use std::f64::consts::PI;
 
@@ -50,8 +50,15 @@ pub struct Bend {
 impl FrameMeasurement {
     /// The measurement of a snake with this bend.
     pub(super) fn of(bend: Bend, quality: Quality) -> Self {
-        let measured = Measured { by_rig: bend.by_rig, ..in_polar_terms(bend.vector, &bend.covariance) };
+        let fitted_covariance = Some(bend.covariance);
+        let measured =
+            Measured { fitted_covariance, by_rig: bend.by_rig, ..in_polar_terms(bend.vector, &bend.covariance) };
         Self { status: Status::Ok, measured: Some(measured), bend: Some(bend), quality: Some(quality) }
+    }
+
+    /// Its row of measurements.csv: the frame of this index and time, of a view where there are several.
+    pub fn row(self, index: u64, time_s: Option<f64>, view: Option<String>) -> Measurement {
+        Measurement { index, time_s, status: self.status, measured: self.measured, quality: self.quality, view }
     }
 
     /// A frame that could not be measured, and why.

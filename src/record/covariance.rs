@@ -133,10 +133,10 @@ mod tests {
 
     fn with_effects() -> Model {
         let mut model = estimated();
-        let values = [("drag_n_s_per_mm".to_owned(), 0.4)];
-        let drag = Effect::new("viscous_drag", Some("speed since the sample before"), &values, 3).unwrap();
+        let play =
+            Effect::new("motion_directed_backlash", Some("crossed by travel"), &[("half_gap_mm".to_owned(), 0.4)], 3);
         let creep = Effect::parse("creep:share=0.1,time_constant_s=4").unwrap();
-        model.effects = vec![drag, Effect { found: "a test".to_owned(), ..creep }];
+        model.effects = vec![play.unwrap(), Effect { found: "a test".to_owned(), ..creep }];
         model
     }
 
@@ -169,11 +169,7 @@ mod tests {
         let text = model_toml(&model).unwrap();
         let number = |a: usize, b: usize| toml::Value::from(model.covariance()[(a, b)]).to_string();
         for (from, to, what) in [
-            (
-                "form = \"speed since the sample before\"".to_owned(),
-                "form = \"sideways\"".to_owned(),
-                "form \"sideways\"",
-            ),
+            ("form = \"crossed by travel\"".to_owned(), "form = \"sideways\"".to_owned(), "form \"sideways\""),
             ("unit = \"s\"".to_owned(), "unit = \"min\"".to_owned(), "expected an sd"),
             ("\"creep.share\", ".to_owned(), String::new(), "of is"),
             (number(4, 4), "0.08".to_owned(), "expected the square of its sd"),
@@ -193,14 +189,14 @@ mod tests {
         let text = model_toml(&with_effects()).unwrap();
         let effects = text.find("[[effect]]").unwrap();
         let old = format!(
-            "{}[[effect]]\nname = \"viscous_drag\"\nform = \"speed since the sample before\"\n\
-             parameters.drag_n_s_per_mm = {{ value = 0.4, sd = 0.1, unit = \"N·s/mm\" }}\n\
-             covariance_of = [\"eta\", \"lambda_mm\", \"viscous_drag.drag_n_s_per_mm\"]\n\
+            "{}[[effect]]\nname = \"motion_directed_backlash\"\nform = \"crossed by travel\"\n\
+             parameters.half_gap_mm = {{ value = 0.4, sd = 0.1, unit = \"mm\" }}\n\
+             covariance_of = [\"eta\", \"lambda_mm\", \"motion_directed_backlash.half_gap_mm\"]\n\
              covariance = [[1e-4, -2e-5, 0.01]]\n\
              [[effect]]\nname = \"creep\"\nfound = \"a test\"\n\
              parameters.share = {{ value = 0.1, sd = 0.01, unit = \"1\" }}\n\
              parameters.time_constant_s = {{ value = 4.0, sd = 0.3, unit = \"s\" }}\n\
-             covariance_of = [\"eta\", \"lambda_mm\", \"viscous_drag.drag_n_s_per_mm\", \"creep.share\", \
+             covariance_of = [\"eta\", \"lambda_mm\", \"motion_directed_backlash.half_gap_mm\", \"creep.share\", \
              \"creep.time_constant_s\"]\n\
              covariance = [[0.0, 1e-6, 2e-4, 1e-4, 1e-3], [2.5e-4, 0.0, 3e-3, 1e-3, 0.09]]\n",
             &text[..effects]

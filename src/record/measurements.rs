@@ -6,6 +6,8 @@
 //! | `theta_deg`, `delta_deg` | bend from straight θ = θ_0 − θ_L and azimuth δ in (−180, 180]; empty where not measured |
 //! | `sigma_theta_deg`, `sigma_delta_deg` | their standard deviations (1σ); empty or left out where nobody says |
 //! | `status` | `ok`, or the reason why not |
+//! | `bend_x_deg`, `bend_y_deg` | the bend vector θ (cos δ, sin δ), which has a meaning near straight as well |
+//! | `var_xx`, `var_xy`, `var_yy` | its covariance as the fit gave it, square degrees; empty where only the errors of θ and δ are known |
 //! | `rho_theta_delta` | correlation of the errors of θ and δ |
 //! | `edges`, `inlier_fraction`, `rms_px` | the fit's quality: edge points used, their share, their rms distance |
 //! | `base_moved_px`, `grid_moved_px` | how far holder and grid were seen from where the rig says (the grid up to whole pitches); empty where unseen |
@@ -21,7 +23,7 @@ use crate::error::{Error, Result};
 use crate::geometry::Configuration;
 use crate::input::{LINE_BYTES, read_line};
 use crate::observation::{Measured, Measurement, Quality, Shape, Status};
-use nalgebra::Matrix2x6;
+use nalgebra::{Matrix2, Matrix2x6, Vector2};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -33,7 +35,12 @@ const FIXED: [&str; 7] = ["index", "time_s", "theta_deg", "delta_deg", "sigma_th
 const REQUIRED: [&str; 5] = ["index", "time_s", "theta_deg", "delta_deg", "status"];
 
 /// The further columns that this program writes.
-const FURTHER: [&str; 26] = [
+const FURTHER: [&str; 31] = [
+    "bend_x_deg",
+    "bend_y_deg",
+    "var_xx",
+    "var_xy",
+    "var_yy",
     "rho_theta_delta",
     "edges",
     "inlier_fraction",
@@ -64,7 +71,16 @@ const FURTHER: [&str; 26] = [
 /// Where those by the rig begin among [`FURTHER`]; they are in the order of a matrix of two rows, column by column.
 ///
 /// Convention: an index.
-const BY_RIG: usize = 14;
+const BY_RIG: usize = 19;
+
+/// A bend vector is that of the angles if it differs by no more, degrees. Convention: a hundred times what their decimals round.
+const SAME_BEND_DEG: f64 = 1e-4;
+/// The covariances are compared where the bend is so many of its standard deviations along and across. Derived: from there on that of (θ, δ) is right
+/// within 1 %.
+const BENT_SDS: f64 = 10.0;
+/// The two covariances are one if they differ by no more than this share. Convention: above the rounding of both; a sigma that somebody scaled differs
+/// by more.
+const SAME_COVARIANCE: f64 = 0.1;
 
 impl Indexed for Measurement {
     fn index(&self) -> u64 {
@@ -125,7 +141,45 @@ fn measured_of(row: &Row) -> RowResult<Option<Measured>> {
     }
     let configuration = Configuration::from_degrees(theta_deg, delta_deg);
     let (sigma_theta, sigma_delta) = (sigma("sigma_theta_deg")?, sigma("sigma_delta_deg")?);
-    Ok(Some(Measured { configuration, sigma_theta, sigma_delta, correlation, by_rig: by_rig_of(row)? }))
+    let measured = Measured::independent(configuration, sigma_theta, sigma_delta, correlation);
+    let fitted_covariance = fitted_covariance_of(row, &measured)?;
+    Ok(Some(Measured { fitted_covariance, by_rig: by_rig_of(row)?, ..measured }))
+}
+
+/// The covariance of the bend vector, where the row has one, rad².
+fn fitted_covariance_of(row: &Row, measured: &Measured) -> RowResult<Option<Matrix2<f64>>> {
+    let number = |column| row.optional_number(column);
+    let bend = measured.configuration.bend_vector().map(f64::to_degrees);
+    if let (Some(x), Some(y)) = (number("bend_x_deg")?, number("bend_y_deg")?)
+        && (Vector2::new(x, y) - bend).norm() > SAME_BEND_DEG
+    {
+        let is = format!("bend_x_deg and bend_y_deg are {x} and {y}");
+        return Err(format!("{is}, but theta_deg and delta_deg say {:.4} and {:.4}", bend.x, bend.y));
+    }
+    let (Some(xx), Some(xy), Some(yy)) = (number("var_xx")?, number("var_xy")?, number("var_yy")?) else {
+        return Ok(None);
+    };
+    fitted_covariance(measured, [xx, xy, yy]).map(Some)
+}
+
+/// The covariance of the bend vector that `var_xx`, `var_xy` and `var_yy` say of a measurement whose sigmas are known, rad².
+///
+/// # Errors
+/// In words, numbers that are no covariance, or contradict the sigmas.
+pub fn fitted_covariance(measured: &Measured, [xx, xy, yy]: [f64; 3]) -> Result<Matrix2<f64>, String> {
+    if !(xx > 0.0 && yy > 0.0 && xx * yy > xy * xy) {
+        return Err(format!("var_xx, var_xy, var_yy are {xx}, {xy}, {yy}, which is no covariance"));
+    }
+    let covariance = Matrix2::new(xx, xy, xy, yy) * 1f64.to_radians().powi(2);
+    let polar = measured.bend_covariance(measured.configuration);
+    let is_bent =
+        measured.configuration.theta > BENT_SDS * measured.sigma_theta && measured.sigma_delta < BENT_SDS.recip();
+    if is_bent && (covariance - polar).norm() > SAME_COVARIANCE * polar.norm() {
+        return Err("var_xx, var_xy, var_yy contradict sigma_theta_deg, sigma_delta_deg and rho_theta_delta: change both or leave \
+                    those columns out"
+            .to_owned());
+    }
+    Ok(covariance)
 }
 
 fn by_rig_of(row: &Row) -> RowResult<Matrix2x6<f64>> {
@@ -265,6 +319,19 @@ fn fields(row: &Measurement) -> Vec<String> {
         ],
         None => Default::default(),
     };
+    let bend: [String; 2] = match &row.measured {
+        // Of the angles as the row has them, so that what is read is written as it was.
+        Some(m) => {
+            let [theta_deg, delta_deg] = [m.configuration.theta_deg(), m.configuration.delta_deg()].map(as_written);
+            let bend = Configuration::from_degrees(theta_deg, delta_deg).bend_vector();
+            bend.map(|part| decimals(part.to_degrees(), 6)).into()
+        }
+        None => Default::default(),
+    };
+    let covariance: [String; 3] = match row.measured.and_then(|m| m.fitted_covariance) {
+        Some(c) => [c.m11, c.m12, c.m22].map(|part| format!("{:.9e}", part * 1f64.to_degrees().powi(2))),
+        None => Default::default(),
+    };
     let by_rig: [String; 12] = match &row.measured {
         Some(m) if m.by_rig.amax() > 0.0 => std::array::from_fn(|k| decimals(m.by_rig[k].to_degrees(), 6)),
         _ => Default::default(),
@@ -294,13 +361,21 @@ fn fields(row: &Measurement) -> Vec<String> {
     [
         &[row.index.to_string(), decimals_or_empty(row.time_s, 4)],
         &angles[..],
-        &[row.status.to_string(), decimals_or_empty(row.measured.map(|m| m.correlation.clamp(-0.9999, 0.9999)), 4)],
+        &[row.status.to_string()],
+        &bend[..],
+        &covariance[..],
+        &[decimals_or_empty(row.measured.map(|m| m.correlation.clamp(-0.9999, 0.9999)), 4)],
         &quality[..],
         &[row.view.clone().unwrap_or_default()],
         &shape[..],
         &by_rig[..],
     ]
     .concat()
+}
+
+/// An angle in degrees as its six decimals say it.
+fn as_written(angle_deg: f64) -> f64 {
+    (angle_deg * 1e6).round() / 1e6
 }
 
 /// A sigma in degrees that stays above zero when rounded, and finite, or it could not be read back.
@@ -336,12 +411,12 @@ mod tests {
         assert_eq!(
             text,
             "index,time_s,theta_deg,delta_deg,sigma_theta_deg,sigma_delta_deg,status,\
-             rho_theta_delta,edges,inlier_fraction,rms_px,base_moved_px,grid_moved_px,view,\
+             bend_x_deg,bend_y_deg,var_xx,var_xy,var_yy,rho_theta_delta,edges,inlier_fraction,rms_px,base_moved_px,grid_moved_px,view,\
              tip_theta_deg,sigma_tip_theta_deg,shape_along_deg,sigma_shape_along_deg,shape_across_deg,\
              sigma_shape_across_deg,shape_chi2,bend_x_by_rig1_deg,bend_y_by_rig1_deg,bend_x_by_rig2_deg,\
              bend_y_by_rig2_deg,bend_x_by_rig3_deg,bend_y_by_rig3_deg,bend_x_by_rig4_deg,bend_y_by_rig4_deg,\
              bend_x_by_rig5_deg,bend_y_by_rig5_deg,bend_x_by_rig6_deg,bend_y_by_rig6_deg\n\
-             7,1.5000,,,,,no_snake,,,,,,,side,,,,,,,,,,,,,,,,,,,\n"
+             7,1.5000,,,,,no_snake,,,,,,,,,,,,side,,,,,,,,,,,,,,,,,,,\n"
         );
         assert_eq!(read_text(&text).unwrap().rows, [unmeasured]);
     }
@@ -378,6 +453,39 @@ mod tests {
             let checked = read_text(&format!("{header}\n{row}\n{good}\n")).unwrap();
             assert_eq!(checked.rows.len(), 1, "{row}");
             assert!(checked.warnings[0].message.contains(fault), "{row}: {}", checked.warnings[0]);
+        }
+    }
+
+    #[test]
+    fn the_fits_own_covariance_stands_beside_the_angles_and_must_agree_with_them() {
+        let turned = |along: f64, across: f64| {
+            let turn = nalgebra::Rotation2::new(20f64.to_radians());
+            turn * Matrix2::new(along.powi(2), 0.0, 0.0, across.powi(2)) * turn.inverse()
+        };
+        let psi = Configuration::from_degrees(30.0, 20.0);
+        let [along, across] = [0.03f64, 0.05].map(f64::to_radians);
+        let polar = Measured::independent(psi, along, across / psi.theta, 0.0);
+        let fitted = Measured { fitted_covariance: Some(turned(along, across)), ..polar };
+        let row = |measured| Measurement {
+            index: 0,
+            time_s: None,
+            status: Status::Ok,
+            measured: Some(measured),
+            quality: None,
+            view: None,
+        };
+        let text = measurements_csv(&[row(fitted)]);
+        assert!(text.contains(",ok,28.190779,10.260604,1.087") && text.lines().count() == 2, "{text}");
+        let back = read_text(&text).unwrap().rows.remove(0).measured.unwrap();
+        assert_abs_diff_eq!(back.bend_covariance(psi), turned(along, across), epsilon = 1e-15);
+        // Sigmas that somebody doubled, and a bend that somebody moved.
+        let doubled = Measured { sigma_theta: 2.0 * along, sigma_delta: 2.0 * polar.sigma_delta, ..fitted };
+        for (text, fault) in [
+            (measurements_csv(&[row(doubled), row(polar)]), "contradict sigma_theta_deg"),
+            (text.replace(",28.190779,", ",28.290779,"), "theta_deg and delta_deg say 28.1908"),
+        ] {
+            let warned = read_text(&text).map_or_else(|e| e.to_string(), |read| format!("{:?}", read.warnings));
+            assert!(warned.contains(fault), "{warned}");
         }
     }
 

@@ -3,25 +3,30 @@
 use super::PerBackbone;
 use nalgebra::Vector2;
 
-/// How the snake got to where it is.
+/// How the snake came to a reading: from where, in what time, in which directions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
     /// The direction in which each q_i last moved: −1 or 1, 0 where it never moved.
     pub direction: PerBackbone,
-    /// q̇, mm/s, at the instant.
-    pub speed_mm_per_s: PerBackbone,
-    /// q̇, mm/s, from the sample before.
-    pub speed_before_mm_per_s: PerBackbone,
-    /// Where q and the bend stand in whatever they have to cross at a reversal.
-    pub hysteresis: Hysteresis,
-    /// From where that is crossed.
+    /// Where it stood at the reading before.
     pub before: Before,
-    /// The load that a creeping line has followed so far, N: τ once the creep has ended.
-    pub crept_load_n: PerBackbone,
+    /// Time since the reading before, s; 0 at the first one.
+    pub step_s: f64,
     /// Time since the first reading, s.
     pub elapsed_s: f64,
     /// By how much the reading, less the encoders' own errors, is ahead of the lines, mm: what the drive holds back.
     pub ahead_mm: PerBackbone,
+}
+
+/// What a motion has come to at a bend: what effects with a history depend on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Arrival {
+    /// Where q and the bend stand in whatever they have to cross at a reversal.
+    pub hysteresis: Hysteresis,
+    /// q̇, mm/s: the difference from the reading before by the time since; 0 at the first reading.
+    pub speed_mm_per_s: PerBackbone,
+    /// The load that a creeping line has followed so far, N: τ once the creep has ended.
+    pub crept_load_n: PerBackbone,
 }
 
 /// Where q and the bend stand in the hystereses that they have to cross at a reversal; 0 is the middle of each.
@@ -50,7 +55,7 @@ impl Hysteresis {
     }
 }
 
-/// Where the snake stood at the reading before, as hystereses need it: they follow the bend within the step from there.
+/// Where the snake stood at the reading before: everything that effects with a history follow within the step from there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Before {
     /// q, mm.
@@ -59,13 +64,16 @@ pub struct Before {
     pub bend: Vector2<f64>,
     /// Where q and the bend stood in their hystereses.
     pub hysteresis: Hysteresis,
+    /// The load that a creeping line had followed, N; `None` if its creep has ended under whatever load it bears.
+    pub crept_load_n: Option<PerBackbone>,
 }
 
 impl Before {
-    /// A snake of so many backbones at rest.
+    /// A snake of so many backbones at rest, without a load.
     pub fn at_rest(backbones: usize) -> Self {
-        let (q_mm, hysteresis) = (PerBackbone::repeat(backbones, 0.0), Hysteresis::at_rest(backbones));
-        Self { q_mm, bend: Vector2::zeros(), hysteresis }
+        let zero = PerBackbone::repeat(backbones, 0.0);
+        let hysteresis = Hysteresis::at_rest(backbones);
+        Self { q_mm: zero, bend: Vector2::zeros(), hysteresis, crept_load_n: Some(zero) }
     }
 }
 
@@ -73,16 +81,7 @@ impl Motion {
     /// Of a snake of so many backbones that never moved and bore no load.
     pub fn none(backbones: usize) -> Self {
         let zero = PerBackbone::repeat(backbones, 0.0);
-        Self {
-            direction: zero,
-            speed_mm_per_s: zero,
-            speed_before_mm_per_s: zero,
-            hysteresis: Hysteresis::at_rest(backbones),
-            before: Before::at_rest(backbones),
-            crept_load_n: zero,
-            elapsed_s: 0.0,
-            ahead_mm: zero,
-        }
+        Self { direction: zero, before: Before::at_rest(backbones), step_s: 0.0, elapsed_s: 0.0, ahead_mm: zero }
     }
 }
 
@@ -101,7 +100,7 @@ pub struct History {
     pub bouc_wen_travel_mm: Option<f64>,
     /// The same of the bend, mm of travel at the backbones' circle.
     pub bend_bouc_wen_travel_mm: Option<f64>,
-    /// Whether the speed matters: then a path feeds back on itself.
+    /// Whether the speed matters.
     pub speed: bool,
     /// Whether the direction of the motion matters.
     pub direction: bool,
@@ -200,9 +199,14 @@ pub fn bouc_wen_after(held: Vector2<f64>, moved: Vector2<f64>, travel: f64) -> V
 }
 
 impl History {
-    /// Whether more of the path matters than the direction of the motion and the reading before.
-    pub fn is_long(&self) -> bool {
+    /// Whether what time does to the snake on its way matters: how fast it moves, how long it bears a load.
+    pub fn goes_by_time(&self) -> bool {
         self.creep_time_constant_s.is_some() || self.speed
+    }
+
+    /// Whether a reading's bend depends on the readings before it.
+    pub fn is_any(&self) -> bool {
+        self.direction || self.drive || self.goes_by_time() || self.has_hysteresis()
     }
 
     /// Gives the play of one formula more its place, if there is one left.

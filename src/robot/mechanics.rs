@@ -13,7 +13,7 @@
 use super::directions::LEAST_MOVE_MM;
 use super::drive::Drive;
 use super::effects::{Changes, Effect, Instant, Variable};
-use super::history::{Before, History, Hysteresis, Motion, Play, PlayOf, bouc_wen_after};
+use super::history::{Arrival, Before, History, Hysteresis, Motion, Play, PlayOf, bouc_wen_after};
 use super::line::Line;
 use super::statics::{Snake, Statics};
 use super::{Model, PerBackbone};
@@ -31,6 +31,10 @@ const ENCODER_STEPS: usize = 100;
 ///
 /// Convention: numerical.
 const ENCODER_TOLERANCE_MM: f64 = 1e-13;
+/// Step of differences by η and by λ, mm.
+///
+/// Convention: numerical.
+const DIFFERENCE: f64 = 1e-6;
 /// Repetitions by which the eye's errors are taken off a measured bend. They are small and smooth.
 ///
 /// Convention: of errors of a slope of 0.5, as a turn by 30° has, 1e-12 are left after as many.
@@ -106,6 +110,27 @@ impl<'a> Mechanics<'a> {
         (self.forces_n(bend) * self.line.compliance_mm_per_n).map(|elastic| Vector2::new(elastic, 1.0))
     }
 
+    /// The derivative of the lines' travel by (η, λ) at a bend of a path, mm: H, and what the effects make of it besides.
+    pub(crate) fn travel_by_parameters(&self, bend: Vector2<f64>, motion: &Motion) -> PerBackbone<Vector2<f64>> {
+        if !self.effects_on_line {
+            return self.epsilon_by_parameters(bend);
+        }
+        let travel = |eta: f64, lambda_mm: f64| {
+            let (mut moved, line) = (self.clone(), &self.line);
+            (moved.line.eta, moved.line.lambda_mm) = (line.eta + eta, line.lambda_mm + lambda_mm);
+            moved.travel(bend, Past::Path(motion))
+        };
+        let here = travel(0.0, 0.0);
+        PerBackbone::from_columns(
+            [travel(DIFFERENCE, 0.0), travel(0.0, DIFFERENCE)].map(|there| (there - here) / DIFFERENCE),
+        )
+    }
+
+    /// What a reading leaves at a bend of a path: the lines' travel by the reading less that by the bend, mm.
+    pub(crate) fn misfit_mm(&self, q_tilde: &PerBackbone, bend: Vector2<f64>, motion: &Motion) -> PerBackbone {
+        self.line_of(q_tilde, Past::Path(motion)) - self.travel(bend, Past::Path(motion))
+    }
+
     /// The same for every backbone.
     pub(super) fn alike(&self, value: f64) -> PerBackbone {
         PerBackbone::repeat(self.statics.robot().backbone_count(), value)
@@ -123,14 +148,14 @@ impl<'a> Mechanics<'a> {
         let motion = match past {
             Past::Path(motion) => motion,
             Past::Pose(direction) => {
-                of_pose = Motion { direction, crept_load_n: tau_n, ..Motion::none(q_mm.len()) };
+                let none = Motion::none(q_mm.len());
+                of_pose = Motion { direction, before: Before { crept_load_n: None, ..none.before }, ..none };
                 &of_pose
             }
         };
-        let crossed = self.history.has_hysteresis().then(|| self.crossed(&motion.before, bend, &q_mm, &tau_n));
-        let hysteresis = crossed.as_ref().unwrap_or(&motion.hysteresis);
+        let arrival = &self.arrival(motion, bend, &q_mm, &tau_n);
         let snake = self.statics.snake();
-        let mut at = Instant { snake, line: &self.line, bend, q_mm, tau_n, line_mm: paper, motion, hysteresis };
+        let mut at = Instant { snake, line: &self.line, bend, q_mm, tau_n, line_mm: paper, motion, arrival };
         let mut formula_plays = PlayOf::COUNT..;
         for effect in self.effects {
             match effect.physics.changes {
@@ -148,8 +173,24 @@ impl<'a> Mechanics<'a> {
     /// What a function gives of the snake at a bend of a path, as effects on the line see it.
     pub fn instant<T>(&self, bend: Vector2<f64>, motion: &Motion, of: impl FnOnce(&Instant) -> T) -> T {
         let (q_mm, tau_n) = (self.statics.q_mm(bend), self.forces_n(bend));
-        let (snake, hysteresis) = (self.statics.snake(), &motion.hysteresis);
-        of(&Instant { snake, line: &self.line, bend, q_mm, tau_n, line_mm: q_mm, motion, hysteresis })
+        let (snake, arrival) = (self.statics.snake(), &self.arrival(motion, bend, &q_mm, &tau_n));
+        of(&Instant { snake, line: &self.line, bend, q_mm, tau_n, line_mm: q_mm, motion, arrival })
+    }
+
+    /// What a motion has come to at a bend. `q_mm` and `tau_n` are q and τ there.
+    fn arrival(&self, motion: &Motion, bend: Vector2<f64>, q_mm: &PerBackbone, tau_n: &PerBackbone) -> Arrival {
+        let before = &motion.before;
+        let hysteresis =
+            if self.history.has_hysteresis() { self.crossed(before, bend, q_mm, tau_n) } else { before.hysteresis };
+        let speed_mm_per_s = if motion.step_s > 0.0 { (*q_mm - before.q_mm) / motion.step_s } else { self.alike(0.0) };
+        let crept_load_n = match (before.crept_load_n, self.history.creep_time_constant_s) {
+            (Some(crept), Some(time_constant_s)) => {
+                crept + (*tau_n - crept) * (1.0 - (-motion.step_s / time_constant_s).exp())
+            }
+            (Some(crept), None) => crept,
+            (None, _) => *tau_n,
+        };
+        Arrival { hysteresis, speed_mm_per_s, crept_load_n }
     }
 
     /// Whether a single pose is beyond the domain of an effect; none where no effect has a domain.
@@ -194,15 +235,11 @@ impl<'a> Mechanics<'a> {
         here
     }
 
-    /// Where a motion that has come to a bend leaves the hystereses.
-    pub(super) fn hysteresis_at(&self, motion: &Motion, bend: Vector2<f64>) -> Hysteresis {
-        self.crossed(&motion.before, bend, &self.statics.q_mm(bend), &self.forces_n(bend))
-    }
-
     /// Where a motion to a bend leaves the snake for the next reading.
     pub(super) fn behind(&self, motion: &Motion, bend: Vector2<f64>) -> Before {
-        let hysteresis = self.hysteresis_at(motion, bend);
-        Before { q_mm: self.statics.q_mm(bend), bend: self.statics.from_rest(bend), hysteresis }
+        let (q_mm, tau_n) = (self.statics.q_mm(bend), self.forces_n(bend));
+        let Arrival { hysteresis, crept_load_n, .. } = self.arrival(motion, bend, &q_mm, &tau_n);
+        Before { q_mm, bend: self.statics.from_rest(bend), hysteresis, crept_load_n: Some(crept_load_n) }
     }
 
     /// The past of a single pose: each q_i moved away from straight.

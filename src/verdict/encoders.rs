@@ -5,7 +5,7 @@
 use super::evidence::Sample;
 use super::reason::{Code, Level, Reason};
 use super::rules::REJECTED_IN_ORDER;
-use crate::estimate::{NEW_POSE, bend_covariance};
+use crate::estimate::NEW_POSE;
 use crate::robot::Robot;
 use crate::statistics::moments::standard_deviation;
 use crate::statistics::order::median;
@@ -87,7 +87,7 @@ fn robust_spread(mut values: Vec<f64>) -> f64 {
 /// How far the bend moved from one sample to another, in standard deviations.
 fn step_sds(a: &Sample, b: &Sample) -> Option<f64> {
     let [from, to] = [a, b].map(|sample| sample.measured.configuration);
-    let covariance = bend_covariance(&a.measured, from) + bend_covariance(&b.measured, to);
+    let covariance = a.measured.bend_covariance(from) + b.measured.bend_covariance(to);
     let step = to.bend_vector() - from.bend_vector();
     covariance.cholesky().map(|factor| step.dot(&factor.solve(&step)).sqrt())
 }

@@ -119,7 +119,7 @@ impl Evidence {
         let mut samples = Spread::new(MOST_SAMPLES);
         let mut with_reading = 0;
         let backbones = model.robot.backbone_count();
-        for pair in pairs_without_effects(model, seen, log)? {
+        for pair in pairs_without_effects(model, seen, log) {
             let (measurement, reading): Pair = pair?;
             if let Ok((measured, q_mm)) = usable(backbones, &measurement, reading.as_ref()) {
                 with_reading += 1;

@@ -14,7 +14,7 @@ use super::evidence::{Evidence, Sample, Subject};
 use super::reason::{Code, Level, Reason};
 use super::rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, NORMAL_QUANTILE, REJECTED_IN_ORDER, new_poses};
 use super::scale::LEAST_UNNAMED;
-use crate::estimate::{LinearisedMeasurement, Weighting, Whitened, line_share};
+use crate::estimate::{self, LinearisedMeasurement, Weighting, Whitened, line_share};
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::chi_square;
 use crate::statistics::moments::{mean, rms};
@@ -66,7 +66,8 @@ impl Innovation {
     fn of(subject: &Subject, plain: &Model, sample: &Sample) -> Option<Self> {
         let Sample { measured, q_mm, .. } = sample;
         let robot = &plain.robot;
-        let one = LinearisedMeasurement::new(plain, Weighting::Measured, subject.sd_encoder_mm, measured, q_mm);
+        let plainly = estimate::Sample { measured: *measured, q_tilde: *q_mm, came: None };
+        let one = LinearisedMeasurement::new(plain, Weighting::Measured, subject.sd_encoder_mm, &plainly);
         let residual = one.residual(&plain.parameters());
         let whitened = Whitened::new(&residual, &one.covariance)?;
         let whitener = one.covariance.fixed_view::<2, 2>(0, 0).into_owned().cholesky()?.l().try_inverse()?;

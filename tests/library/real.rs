@@ -23,10 +23,10 @@ pub fn missed_deg(model: &Model, (measurements, readings): &(Vec<Measurement>, V
     let mechanics = Mechanics::new(model);
     let times: Vec<f64> = readings.iter().map(|reading| reading.time_s).collect();
     let q: Vec<_> = readings.iter().map(|reading| reading.beside_resting_neighbours(model).q_mm).collect();
-    let path = mechanics.solve_path(&times, &q, None);
+    let path = mechanics.solve_path(&times, &q, None, None);
     let place: HashMap<u64, usize> = readings.iter().enumerate().map(|(k, reading)| (reading.index, k)).collect();
     let missed = measurements.iter().filter_map(|measurement| {
-        let bend = path[*place.get(&measurement.index)?].bend;
+        let bend = path[*place.get(&measurement.index)?].solution.bend;
         Some((mechanics.apparent_bend(bend) - measurement.measured?.configuration.bend_vector()).norm_squared())
     });
     let missed: Vec<f64> = missed.collect();

@@ -333,15 +333,7 @@ impl Inspection {
                 let found = eye.measure(&frame.read_for(eye.lens())?);
                 let logged = || log.binary_search_by_key(&index, |row| row.index).ok().map(|row| log[row].time_s);
                 let time_s = own_s.or_else(logged);
-                let view = Some(view.name.clone());
-                Ok(Measurement {
-                    index,
-                    time_s,
-                    status: found.status,
-                    measured: found.measured,
-                    quality: found.quality,
-                    view,
-                })
+                Ok(found.row(index, time_s, Some(view.name.clone())))
             })
             .collect();
         let all = measurements.len();

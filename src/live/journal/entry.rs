@@ -3,7 +3,7 @@
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measured, Measurement, Quality, Shape};
 use crate::robot::PerBackbone;
-use nalgebra::Matrix2x6;
+use nalgebra::{Matrix2, Matrix2x6};
 use serde::{Deserialize, Serialize};
 
 /// One line of the journal.
@@ -46,6 +46,9 @@ pub(super) struct Line {
     /// [`Measured::by_rig`], degrees, column by column.
     #[serde(skip_serializing_if = "Option::is_none")]
     by_rig: Option<[[f64; 2]; 6]>,
+    /// [`Measured::fitted_covariance`], square degrees: xx, xy, yy.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    bend_covariance: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     encoder_time_s: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -68,8 +71,11 @@ impl From<&Entry> for Line {
             [tip, sigma_tip, along, sigma_along, across, sigma_across, s.chi2]
         });
         let by_rig = measurement.measured.map(|m| m.by_rig.data.0.map(|column| column.map(f64::to_degrees)));
+        let square = 1f64.to_degrees().powi(2);
+        let covariance = measurement.measured.and_then(|m| m.fitted_covariance);
         Self {
             event: None,
+            bend_covariance: covariance.map(|c| [c.m11, c.m12, c.m22].map(|part| part * square)),
             by_rig: by_rig.filter(|by_rig| by_rig.as_flattened().iter().any(|value| *value != 0.0)),
             index: Some(measurement.index),
             time_s: measurement.time_s,
@@ -97,7 +103,9 @@ impl Line {
             let configuration = Configuration::from_degrees(theta, delta);
             let (sigma_theta, sigma_delta) = (sigma_theta.to_radians(), sigma_delta.to_radians());
             let by_rig = Matrix2x6::from_fn(|row, k| self.by_rig.unwrap_or_default()[k][row].to_radians());
-            Measured { configuration, sigma_theta, sigma_delta, correlation, by_rig }
+            let square = 1f64.to_radians().powi(2);
+            let fitted_covariance = self.bend_covariance.map(|[xx, xy, yy]| Matrix2::new(xx, xy, xy, yy) * square);
+            Measured { configuration, sigma_theta, sigma_delta, correlation, fitted_covariance, by_rig }
         });
         let (base_moved_px, grid_moved_px) = self.moved_px.unwrap_or_default();
         let shape = self.shape.map(|[tip, sigma_tip, along, sigma_along, across, sigma_across, chi2]| Shape {

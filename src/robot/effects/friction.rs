@@ -80,7 +80,7 @@ pub(super) static MOTION_DIRECTED_PLAY: Physics = Physics {
     reading: "play in the actuators that a backbone has to travel through whenever it reverses",
     parameters: |_| const { &[HALF_GAP] },
     starts: GAPS,
-    changes: Changes::Line(|at, _| at.hysteresis.play_mm[PlayOf::Actuator as usize]),
+    changes: Changes::Line(|at, _| at.arrival.hysteresis.play_mm[PlayOf::Actuator as usize]),
     history: Some(|history, p| {
         history.plays[PlayOf::Actuator as usize] = Some(Play { half_mm: p[0], half_mm_per_n: 0.0 });
     }),
@@ -101,7 +101,7 @@ pub(super) static PLAY_AT_BEND: Physics = Physics {
     reading: "play between the lines and the bend, which the bend lags behind by whenever it turns",
     parameters: |_| const { &[HALF_GAP] },
     starts: GAPS,
-    changes: Changes::Line(|at, _| at.snake.q_by_bend() * at.hysteresis.bend_play[BendPlayOf::Bend as usize]),
+    changes: Changes::Line(|at, _| at.snake.q_by_bend() * at.arrival.hysteresis.bend_play[BendPlayOf::Bend as usize]),
     history: Some(|history, p| history.half_bend_plays_mm[BendPlayOf::Bend as usize] = Some(p[0])),
     ..LINEAR
 };
@@ -114,7 +114,7 @@ pub(super) static CAPSTAN_PLAY: Physics = Physics {
     reading: "sheath friction: a play that a backbone has to travel through whenever it reverses, and that grows with its load",
     parameters: |_| const { &[ParameterSpec::positive("half_gap_mm_per_n", "mm/N", (0.0, 10.0), 0.01)] },
     starts: Starts::At(&[&[0.01], &[0.05], &[0.25], &[1.0]]),
-    changes: Changes::Line(|at, _| at.hysteresis.play_mm[PlayOf::Sheath as usize]),
+    changes: Changes::Line(|at, _| at.arrival.hysteresis.play_mm[PlayOf::Sheath as usize]),
     history: Some(|history, p| {
         history.plays[PlayOf::Sheath as usize] = Some(Play { half_mm: 0.0, half_mm_per_n: p[0] });
     }),

@@ -41,7 +41,7 @@ const DISTRIBUTED: Physics = Physics {
 pub(super) static DISTRIBUTED_FRICTION: Physics = Physics {
     equation: "ε += (2a/w) Q ⟨x⟩, x follows the bend vector within disks whose radii are spread evenly up to w / r (Prandtl–Ishlinskii)",
     changes: Changes::Line(|at, p| {
-        let plays = &at.hysteresis.bend_play[BendPlayOf::Distributed as usize..];
+        let plays = &at.arrival.hysteresis.bend_play[BendPlayOf::Distributed as usize..];
         at.snake.q_by_bend() * (plays.iter().sum::<Vector2<f64>>() * share(p))
     }),
     history: Some(|history, p| {
@@ -56,7 +56,7 @@ pub(super) static DISTRIBUTED_PER_BACKBONE: Physics = Physics {
     form: "per backbone",
     equation: "ε_i += (2a/w) ⟨x_i⟩, x_i follows q_i within half widths that are spread evenly up to w (Prandtl–Ishlinskii)",
     changes: Changes::Line(|at, p| {
-        let plays = &at.hysteresis.play_mm[PlayOf::Distributed as usize..][..DISTRIBUTED_PLAYS];
+        let plays = &at.arrival.hysteresis.play_mm[PlayOf::Distributed as usize..][..DISTRIBUTED_PLAYS];
         plays.iter().fold(at.q_mm * 0.0, |sum, play| sum + *play) * share(p)
     }),
     history: Some(|history, p| {
@@ -80,7 +80,9 @@ const RATE_EQUATION: Physics = Physics {
 /// On the bend as a whole.
 pub(super) static BOUC_WEN: Physics = Physics {
     equation: "ε += (a/r) Q z, u ż = r (ḃ − z |ḃ|), b the bend vector (Bouc–Wen, n = 1, β = γ)",
-    changes: Changes::Line(|at, p| at.snake.q_by_bend() * (at.hysteresis.bend_bouc_wen * (p[0] / radius_mm(at)))),
+    changes: Changes::Line(|at, p| {
+        at.snake.q_by_bend() * (at.arrival.hysteresis.bend_bouc_wen * (p[0] / radius_mm(at)))
+    }),
     history: Some(|history, p| history.bend_bouc_wen_travel_mm = Some(p[1])),
     ..RATE_EQUATION
 };
@@ -89,7 +91,7 @@ pub(super) static BOUC_WEN: Physics = Physics {
 pub(super) static BOUC_WEN_PER_BACKBONE: Physics = Physics {
     form: "per backbone",
     equation: "ε_i += a z_i, u ż_i = q̇_i − z_i |q̇_i| (Bouc–Wen, n = 1, β = γ)",
-    changes: Changes::Line(|at, p| at.hysteresis.bouc_wen * p[0]),
+    changes: Changes::Line(|at, p| at.arrival.hysteresis.bouc_wen * p[0]),
     history: Some(|history, p| history.bouc_wen_travel_mm = Some(p[1])),
     ..RATE_EQUATION
 };

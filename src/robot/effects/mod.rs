@@ -54,7 +54,7 @@ use super::BACKBONES;
 use crate::error::{ArgumentError, Result};
 
 /// Every effect that `discover` searches for, in every form; the first form of a name has none.
-pub static LIBRARY: [&Physics; 48] = [
+pub static LIBRARY: [&Physics; 47] = [
     &friction::LOAD_DIRECTED_BACKLASH,
     &friction::LOAD_DIRECTED_WIDTH,
     &friction::LOAD_DIRECTED_GRADUAL,
@@ -93,7 +93,6 @@ pub static LIBRARY: [&Physics; 48] = [
     &time::CREEP_SOFTENING,
     &time::CREEP_LOGARITHMIC,
     &time::VISCOUS_DRAG,
-    &time::VISCOUS_DRAG_BEFORE,
     &eye::CAMERA_LATENCY,
     &snake::BACKBONE_RADII,
     &snake::BACKBONE_RADIUS,
@@ -132,6 +131,15 @@ pub fn forms(name: &str) -> impl Iterator<Item = &'static Physics> {
 /// The first form of the physics of this name.
 pub fn physics(name: &str) -> Option<&'static Physics> {
     forms(name).next()
+}
+
+/// Forms that older versions wrote into models, and the form that each is now.
+const FORMER_FORMS: [(&str, &str, &str); 1] = [("viscous_drag", "speed since the sample before", "")];
+
+/// The form of an effect that is meant by one written into a model.
+fn current<'f>(name: &str, form: &'f str) -> &'f str {
+    let former = FORMER_FORMS.iter().find(|(effect, former, _)| *effect == name && *former == form);
+    former.map_or(form, |(_, _, now)| now)
 }
 
 /// An effect with the values of its parameters.
@@ -174,7 +182,7 @@ impl Effect {
         };
         let physics = match form {
             None => forms(name).find(fits).unwrap_or(first),
-            Some(form) => forms(name).find(|physics| physics.form == form).ok_or_else(|| {
+            Some(form) => forms(name).find(|physics| physics.form == current(name, form)).ok_or_else(|| {
                 let known = forms(name).map(|physics| format!("{:?}", physics.form)).collect();
                 ArgumentError::Unknown { what: format!("effect {name}: form"), name: form.into(), known }
             })?,

@@ -3,7 +3,7 @@
 use super::formula::Formula;
 use super::variables::Variable;
 use crate::robot::drive::Drive;
-use crate::robot::history::{History, Hysteresis, Motion};
+use crate::robot::history::{Arrival, History, Motion};
 use crate::robot::line::Line;
 use crate::robot::statics::Snake;
 use crate::robot::{BACKBONES, NEIGHBOURS, PerBackbone};
@@ -91,8 +91,8 @@ pub struct Instant<'a> {
     pub line_mm: PerBackbone,
     /// How the snake got there.
     pub motion: &'a Motion,
-    /// Where that left q and the bend in what they have to cross at a reversal.
-    pub hysteresis: &'a Hysteresis,
+    /// What that has come to.
+    pub arrival: &'a Arrival,
 }
 
 /// What an effect changes, and how. The parameters come in the order of [`Physics::parameters`].
@@ -269,7 +269,7 @@ impl Physics {
         if let (Some(needs), false) = (self.history, self.in_time) {
             needs(&mut history, &self.example(*BACKBONES.start()));
         }
-        (history.direction || history.drive || history.has_hysteresis()) && !history.is_long()
+        (history.direction || history.drive || history.has_hysteresis()) && !history.goes_by_time()
     }
 
     /// Says to a history what it must know of the path.

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::geometry::{Configuration, wrap_angle};
+use crate::robot::history::{Before, Hysteresis};
 use crate::robot::model::fixtures::with_example;
 use crate::robot::{Mechanics, Model, Motion, PerBackbone};
 use nalgebra::{DMatrix, DVector, Vector2, Vector6};
@@ -25,18 +26,16 @@ fn added(model: &Model, motion: &Motion) -> PerBackbone {
     Mechanics::new(model).command(bend, Some(motion)) - Mechanics::new(&plain).command(bend, Some(motion))
 }
 
-/// A motion with all that effects ask for.
+/// A motion with all that effects ask for: from another pose, in 0.1 s.
 fn moving() -> Motion {
-    Motion {
-        direction: PerBackbone::from([1.0, -1.0, -1.0]),
-        speed_mm_per_s: PerBackbone::from([0.4, -0.1, -0.3]),
-        speed_before_mm_per_s: PerBackbone::from([0.5, -0.2, -0.4]),
-        hysteresis: crate::robot::history::Hysteresis::at_rest(3),
-        before: crate::robot::history::Before::at_rest(3),
-        crept_load_n: PerBackbone::from([3.0, -2.0, 1.0]),
-        elapsed_s: 7.0,
-        ahead_mm: PerBackbone::repeat(3, 0.0),
-    }
+    let before = Before {
+        q_mm: with("thermal_drift:rate_mm_per_s=0").robot.joint_displacements(pose())
+            - PerBackbone::from([0.04, -0.01, -0.03]),
+        crept_load_n: Some(PerBackbone::from([3.0, -2.0, 1.0])),
+        ..Before::at_rest(3)
+    };
+    let direction = PerBackbone::from([1.0, -1.0, -1.0]);
+    Motion { direction, before, step_s: 0.1, elapsed_s: 7.0, ahead_mm: PerBackbone::repeat(3, 0.0) }
 }
 
 #[test]
@@ -46,14 +45,16 @@ fn summands_of_epsilon_are_what_their_equations_say() {
     let kappa = model.line_compliance_mm_per_n();
     let each = |f: &dyn Fn(f64) -> f64| tau.map(f);
     let alike = |value: f64| PerBackbone::repeat(3, value);
+    let before = PerBackbone::from([3.0, -2.0, 1.0]);
+    let crept = before + (tau - before) * (1.0 - (-0.1f64 / 3.0).exp());
     let cases = [
         ("load_directed_backlash:play_mm=0.08", each(&|tau| 0.08 * (tau / 0.3).tanh())),
         ("load_directed_backlash:play_mm=0.08,width_n=0.5", each(&|tau| 0.08 * (tau / 0.5).tanh())),
         ("motion_directed_backlash:half_gap_mm=0.06", PerBackbone::from([0.06, -0.06, -0.06])),
         ("disc_friction:coefficient=0.1", tau.map(f64::abs).component_mul(&motion.direction) * (0.1 * kappa)),
         ("thermal_drift:rate_mm_per_s=0.002", alike(0.014)),
-        ("creep:share=0.1,time_constant_s=3", motion.crept_load_n * (0.1 * kappa)),
-        ("viscous_drag:drag_n_s_per_mm=2", motion.speed_mm_per_s * (2.0 * kappa)),
+        ("creep:share=0.1,time_constant_s=3", crept * (0.1 * kappa)),
+        ("viscous_drag:drag_n_s_per_mm=2", PerBackbone::from([0.4, -0.1, -0.3]) * (2.0 * kappa)),
         ("primary_compression:compliance_mm_per_n=0.003", alike(0.003 * tau.map(f64::abs).sum())),
     ];
     for (effect, expected) in cases {
@@ -139,38 +140,49 @@ fn the_eye_errs_as_its_equations_say() {
     assert!((shaped.theta - psi.theta - 0.05 * psi.theta.powi(2)).abs() < 1e-12);
 }
 
+/// Where the hystereses stand along a path.
+fn plays(mechanics: &Mechanics, times_s: &[f64], bends: &[Vector2<f64>]) -> Vec<Hysteresis> {
+    let stands =
+        |(bend, motion): (&Vector2<f64>, &Motion)| mechanics.instant(*bend, motion, |at| at.arrival.hysteresis);
+    bends.iter().zip(&mechanics.motions(times_s, bends)).map(stands).collect()
+}
+
 #[test]
 fn what_follows_the_path_follows_its_equation_of_motion() {
     // Held at a pose: the creep's load is τ (1 − e^{−t/T}), and the other forms have their closed forms, too.
     let bend = pose().bend_vector();
     let times: Vec<f64> = (0..40).map(|k| 0.3 * f64::from(k)).collect();
     let held = vec![bend; times.len()];
-    let last = |model: &Model| {
+    let crept = |model: &Model| {
         let mechanics = Mechanics::new(model);
-        *mechanics.motions(&times, &held).last().unwrap()
+        let motion = *mechanics.motions(&times, &held).last().unwrap();
+        assert!((motion.elapsed_s - 11.7).abs() < 1e-12);
+        mechanics.instant(bend, &motion, |at| at.arrival.crept_load_n)
     };
     let tau = with("thermal_drift:rate_mm_per_s=0").robot.actuation_forces(bend, None);
     let creep = with("creep:share=0.1,time_constant_s=4");
     let expected = tau * (1.0 - (-11.7f64 / 4.0).exp());
-    assert!((last(&creep).crept_load_n - expected).amax() < 1e-9);
-    assert_eq!(last(&creep).elapsed_s, 11.7);
+    assert!((crept(&creep) - expected).amax() < 1e-9);
     let settled = form("creep", "settled before", &[("share", 0.1), ("time_constant_s", 4.0)]);
-    assert!((last(&settled).crept_load_n - tau).amax() < 1e-9);
-    // Along an even sweep of b: the drag's speed is Q ḃ, within and at the ends.
+    assert!((crept(&settled) - tau).amax() < 1e-9);
+    // Along an even sweep of b: the drag's speed is Q ḃ, from the second reading on.
     let sweep: Vec<_> = times.iter().map(|t| bend * (0.1 * t)).collect();
     let drag = with("viscous_drag:drag_n_s_per_mm=2");
     let speed = drag.robot.displacement_by_bend() * (bend * 0.1);
-    let motions = Mechanics::new(&drag).motions(&times, &sweep);
-    assert!(motions.iter().all(|motion| (motion.speed_mm_per_s - speed).amax() < 1e-9));
+    let mechanics = Mechanics::new(&drag);
+    for (k, motion) in mechanics.motions(&times, &sweep).iter().enumerate() {
+        let is = mechanics.instant(sweep[k], motion, |at| at.arrival.speed_mm_per_s);
+        assert!((is - speed * if k == 0 { 0.0 } else { 1.0 }).amax() < 1e-9, "{k}");
+    }
     // A play of half width a: taken up after a travel of 2a, and held there.
     let play = form("motion_directed_backlash", "crossed by travel", &[("half_gap_mm", 0.06)]);
     let up_and_down: Vec<_> = (0..40).map(|k| bend * (0.5 - (0.05 * f64::from(k) - 1.0).abs() * 0.4)).collect();
-    let motions = Mechanics::new(&play).motions(&times, &up_and_down);
+    let plays = plays(&Mechanics::new(&play), &times, &up_and_down);
     let q = play.robot.displacement_by_bend() * bend;
     let sign = q.map(f64::signum);
-    assert!((motions[20].hysteresis.play_mm[0] - sign * 0.06).amax() < 1e-12);
-    assert!((motions[39].hysteresis.play_mm[0] + sign * 0.06).amax() < 1e-12);
-    let back = motions[21].hysteresis.play_mm[0] - (sign * 0.06 - q * 0.02);
+    assert!((plays[20].play_mm[0] - sign * 0.06).amax() < 1e-12);
+    assert!((plays[39].play_mm[0] + sign * 0.06).amax() < 1e-12);
+    let back = plays[21].play_mm[0] - (sign * 0.06 - q * 0.02);
     assert!(back.amax() < 1e-12, "one sample after the reversal it has followed q");
 }
 
@@ -374,16 +386,16 @@ fn a_play_at_the_bend_follows_within_its_disk_and_a_sheath_holds_a_share_of_the_
     let across = (1..=10).map(|k| Vector2::new(30.0, f64::from(k)));
     let bends: Vec<_> = up.chain(across).map(|b| b.map(f64::to_radians)).collect();
     let times: Vec<f64> = (0..bends.len()).map(|k| k as f64).collect();
-    let motions = Mechanics::new(&model).motions(&times, &bends);
-    let play = |k: usize| motions[k].hysteresis.bend_play[0].map(f64::to_degrees);
+    let of_bend = plays(&Mechanics::new(&model), &times, &bends);
+    let play = |k: usize| of_bend[k].bend_play[0].map(f64::to_degrees);
     assert!((play(1) - Vector2::new(1.0, 0.0)).norm() < 1e-9 && (play(30) - Vector2::new(2.0, 0.0)).norm() < 1e-9);
     assert!((play(40).norm() - 2.0).abs() < 1e-9 && play(40).y > 1.95, "{}", play(40));
     let sheath = with("capstan_play:half_gap_mm_per_n=0.02");
     let mechanics = Mechanics::new(&sheath);
-    let motions = mechanics.motions(&times, &bends);
+    let of_backbones = plays(&mechanics, &times, &bends);
     let tau = mechanics.forces_n(bends[30]);
     let sign = mechanics.statics.q_mm(bends[30]).map(f64::signum);
-    assert!((motions[30].hysteresis.play_mm[1] - tau.map(f64::abs).component_mul(&sign) * 0.02).amax() < 1e-9);
+    assert!((of_backbones[30].play_mm[1] - tau.map(f64::abs).component_mul(&sign) * 0.02).amax() < 1e-9);
 }
 
 #[test]

@@ -42,7 +42,7 @@ fn stretch(at: &Instant, share: f64, load_n: PerBackbone) -> PerBackbone {
 /// The lines go on stretching for a while under load: a first-order lag beside the spring.
 pub(super) static CREEP: Physics = Physics {
     equation: "ε_i += κ c x_i, T ẋ_i = τ_i − x_i, x = 0 at the first reading",
-    changes: Changes::Line(|at, p| stretch(at, p[0], at.motion.crept_load_n)),
+    changes: Changes::Line(|at, p| stretch(at, p[0], at.arrival.crept_load_n)),
     history: Some(|history, p| history.creep_time_constant_s = Some(p[1])),
     ..CREEPING
 };
@@ -51,7 +51,7 @@ pub(super) static CREEP: Physics = Physics {
 pub(super) static CREEP_SETTLED: Physics = Physics {
     form: "settled before",
     equation: "ε_i += κ c x_i, T ẋ_i = τ_i − x_i, x = τ at the first reading",
-    changes: Changes::Line(|at, p| stretch(at, p[0], at.motion.crept_load_n)),
+    changes: Changes::Line(|at, p| stretch(at, p[0], at.arrival.crept_load_n)),
     history: Some(|history, p| {
         (history.creep_time_constant_s, history.creep_ended_before) = (Some(p[1]), true);
     }),
@@ -75,22 +75,12 @@ pub(super) static CREEP_LOGARITHMIC: Physics = Physics {
 };
 
 /// A drag on the backbones proportional to their speed.
-pub(super) static VISCOUS_DRAG: Physics = DRAGGING;
-
-const DRAGGING: Physics = Physics {
+pub(super) static VISCOUS_DRAG: Physics = Physics {
     name: "viscous_drag",
-    equation: "ε_i += κ c q̇_i",
+    equation: "ε_i += κ c Δq_i / Δt, from the reading before",
     reading: "a drag on the backbones that grows with their speed",
     parameters: |_| const { &[ParameterSpec::positive("drag_n_s_per_mm", "N·s/mm", (-200.0, 200.0), 0.5)] },
-    changes: Changes::Line(|at, p| stretch(at, p[0], at.motion.speed_mm_per_s)),
+    changes: Changes::Line(|at, p| stretch(at, p[0], at.arrival.speed_mm_per_s)),
     history: Some(|history, _| history.speed = true),
     ..LINEAR
-};
-
-/// The same of the speed with which the snake came, from the sample before.
-pub(super) static VISCOUS_DRAG_BEFORE: Physics = Physics {
-    form: "speed since the sample before",
-    equation: "ε_i += κ c Δq_i / Δt, from the sample before",
-    changes: Changes::Line(|at, p| stretch(at, p[0], at.motion.speed_before_mm_per_s)),
-    ..DRAGGING
 };

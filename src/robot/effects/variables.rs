@@ -1,10 +1,7 @@
 //! What a formula may speak of: the snake at one instant, as backbone i sees it.
 
 use super::physics::Instant;
-use crate::robot::history::Motion;
-use crate::robot::line::Line;
-use crate::robot::statics::{Snake, Statics};
-use crate::robot::{Friction, PerBackbone, Robot};
+use crate::robot::{Mechanics, Model, Motion, PerBackbone, Robot};
 use nalgebra::Vector2;
 
 /// A variable of a formula.
@@ -95,13 +92,13 @@ impl Variable {
             Self::Q => at.q_mm[i],
             Self::Tau => at.tau_n[i],
             Self::Direction => at.motion.direction[i],
-            Self::Speed => at.motion.speed_mm_per_s[i],
+            Self::Speed => at.arrival.speed_mm_per_s[i],
             Self::Time => at.motion.elapsed_s,
             Self::X => at.bend.x,
             Self::Y => at.bend.y,
             Self::Theta => at.bend.norm(),
             Self::Load => at.tau_n.iter().map(|tau| tau.abs()).sum(),
-            Self::Play => at.hysteresis.play_mm[play][i],
+            Self::Play => at.arrival.hysteresis.play_mm[play][i],
             Self::QOf(number) => of(&at.q_mm, number),
             Self::TauOf(number) => of(&at.tau_n, number),
             Self::On(number) => f64::from(u8::from(number == i + 1)),
@@ -110,12 +107,7 @@ impl Variable {
 
     /// What a function gives at a bend (x, y in rad) of the paper's robot with so many backbones that never moved.
     pub(super) fn at_bend<T>([x, y]: [f64; 2], backbones: usize, of: impl Fn(&Instant) -> T) -> T {
-        let robot = Robot { backbones: backbones as u8, ..Robot::default() };
-        let (bend, motion) = (Vector2::new(x, y), Motion::none(backbones));
-        let line = Line::new(&robot, &Friction::default(), Vector2::new(1.0, 0.0));
-        let statics = Statics::new(&robot, Snake::of(&robot));
-        let (q_mm, tau_n) = (statics.q_mm(bend), statics.forces_n(bend));
-        let (snake, line, hysteresis) = (statics.snake(), &line, &motion.hysteresis);
-        of(&Instant { snake, line, bend, q_mm, tau_n, line_mm: q_mm, motion: &motion, hysteresis })
+        let model = Model { robot: Robot { backbones: backbones as u8, ..Robot::default() }, ..Model::default() };
+        Mechanics::new(&model).instant(Vector2::new(x, y), &Motion::none(backbones), of)
     }
 }

@@ -2,7 +2,6 @@
 
 use super::hypotheses::Candidate;
 use super::likelihood::{Fit, Freedom, Point};
-use crate::estimate::bend_covariance;
 use crate::observation::{EncoderReading, Measured};
 use crate::robot::{PerBackbone, Robot};
 use crate::statistics::moments::{mean, standard_deviation};
@@ -55,7 +54,7 @@ impl<'a> Samples<'a> {
             .map(|row| (row.index, row))
             .collect();
         let sample = |pose: &Pose| {
-            let covariance = bend_covariance(&pose.measured, pose.measured.configuration) + by_encoders;
+            let covariance = pose.measured.bend_covariance(pose.measured.configuration) + by_encoders;
             let whitener = covariance.cholesky()?.l().try_inverse()?;
             let seen = pose.measured.configuration.bend_vector();
             let row = log.get(&pose.index).map(|row| row.q_mm);
