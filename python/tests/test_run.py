@@ -137,5 +137,5 @@ def test_the_table_is_that_of_the_command(run):
 
 def test_sigmas_that_contradict_the_covariance_beside_them_are_refused(run):
     widened = run.measurements | {"sigma_theta_deg": 3 * run.measurements["sigma_theta_deg"]}
-    with pytest.raises(snakeloop.SnakeloopError, match="index 1: var_xx, var_xy, var_yy contradict"):
+    with pytest.raises(snakeloop.SnakeloopError, match="index 0: var_xx, var_xy, var_yy contradict"):
         snakeloop.estimate(widened, BENDING / "encoders.csv")
