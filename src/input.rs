@@ -2,6 +2,7 @@
 //! must not take the machine's memory.
 
 use crate::error::{Error, Result};
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{BufRead, Read};
 use std::path::Path;
@@ -53,6 +54,30 @@ pub fn read_text(path: &Path) -> Result<String> {
         let line = 1 + whole.iter().filter(|&&byte| byte == b'\n').count();
         Error::at_line(path, line as u64, "not UTF-8 text, as this file must be")
     })
+}
+
+/// The text of a file that other programs write: UTF-8, UTF-16 or, where it is neither, Latin-1; without its mark.
+pub fn text_in(bytes: &[u8]) -> Cow<'_, str> {
+    if let Some(text) = bytes.strip_prefix(b"\xff\xfe") {
+        return utf_16(text, u16::from_le_bytes).into();
+    }
+    if let Some(text) = bytes.strip_prefix(b"\xfe\xff") {
+        return utf_16(text, u16::from_be_bytes).into();
+    }
+    // UTF-16 without its mark: every other byte of a table's letters and digits is zero, and no text in one byte a letter has any.
+    match bytes {
+        [first, 0, second, 0, ..] if *first != 0 && *second != 0 => return utf_16(bytes, u16::from_le_bytes).into(),
+        [0, first, 0, second, ..] if *first != 0 && *second != 0 => return utf_16(bytes, u16::from_be_bytes).into(),
+        _ => {}
+    }
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    // Latin-1 has the same letters under the same numbers as Unicode.
+    std::str::from_utf8(bytes).map_or_else(|_| bytes.iter().map(|&byte| char::from(byte)).collect(), Cow::from)
+}
+
+fn utf_16(bytes: &[u8], unit: fn([u8; 2]) -> u16) -> String {
+    let units: Vec<u16> = bytes.as_chunks().0.iter().map(|pair| unit(*pair)).collect();
+    String::from_utf16_lossy(&units)
 }
 
 /// A line as [`read_line`] met it.

@@ -5,6 +5,7 @@ use crate::geometry::Configuration;
 use crate::robot::{BendProfile, Model, Neighbours, PerBackbone};
 use nalgebra::{Matrix2, Matrix2x6, Point3, Rotation2, UnitQuaternion};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::f64::consts::PI;
 use std::fmt;
@@ -161,6 +162,15 @@ impl Status {
     }
 }
 
+/// What the commonest of some reasons means, and what to do about it, where it is a status without angles.
+pub fn commonest_status(counts: &BTreeMap<String, usize>) -> Option<String> {
+    let without_angles = counts.iter().filter(|(word, _)| *word != "ok");
+    let (word, _) = without_angles.max_by_key(|(_, count)| **count)?;
+    let status: Status = word.parse().unwrap_or_else(|never| match never {});
+    let (meaning, remedy) = status.explained();
+    (!matches!(status, Status::Other(_))).then(|| format!("{word}: {meaning}; {remedy}"))
+}
+
 impl FromStr for Status {
     type Err = Infallible;
 
@@ -186,6 +196,11 @@ impl FromStr for Status {
         })
     }
 }
+
+/// The bend has moved where it changed by more than so many standard deviations.
+///
+/// Derived: two normal errors of the eye exceed it once in 25,000 measurements, exp(−4.5²/2).
+pub(crate) const MOVED_SDS: f64 = 4.5;
 
 /// What a frame's pixels say about ψ.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -226,6 +241,18 @@ impl Measured {
         let cross = self.correlation * self.sigma_theta * at.theta * sigma_delta;
         let turn = Rotation2::new(at.delta);
         turn * Matrix2::new(along, cross, cross, across) * turn.inverse()
+    }
+
+    /// How far the bend moved from this measurement to another, in standard deviations; `None` if their covariances do not tell.
+    pub fn moved_sds(&self, to: &Self) -> Option<f64> {
+        let step = to.configuration.bend_vector() - self.configuration.bend_vector();
+        let covariance = self.bend_covariance(self.configuration) + to.bend_covariance(to.configuration);
+        covariance.cholesky().map(|factor| step.dot(&factor.solve(&step)).sqrt())
+    }
+
+    /// Whether the bend moved from this measurement to another by more than noise.
+    pub fn has_moved(&self, to: &Self) -> bool {
+        self.moved_sds(to).is_some_and(|sds| sds > MOVED_SDS)
     }
 
     /// Covariance of (θ, δ), rad².

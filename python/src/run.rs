@@ -14,7 +14,7 @@ use snakeloop::cli::{Caller, RunSummary, run_experiment};
 use snakeloop::estimate::{Options, with_sigmas};
 use snakeloop::record::estimates_csv;
 use snakeloop::robot::Model;
-use snakeloop::verdict::JudgedEstimate;
+use snakeloop::verdict::{JudgedEstimate, Subject};
 use std::fs::read_to_string;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -157,7 +157,11 @@ pub fn estimate(
     let readings = encoders_of(encoders, &start)?;
     let (measurements, remark) = with_sigmas(&measurements_of(measurements)?, &readings);
     remark.map_or(Ok(()), |remark| warn(py, &remark))?;
-    let learned = interruptible(py, move || JudgedEstimate::of(&start, options, &measurements, &readings))?;
+    let learned = interruptible(py, move || {
+        JudgedEstimate::of(&start, options, (&measurements, &readings), false, |model| {
+            Ok(Subject::new(model, options.sd_encoder_mm))
+        })
+    })?;
     let JudgedEstimate { rows, model, verdict } = learned.map_err(raised)?;
     let rows = columns_of_csv(py, &estimates_csv(&rows, model.robot.backbone_count()))?.unbind();
     let model = PyModel { model, verdict: Some(verdict.clone()) };

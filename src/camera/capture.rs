@@ -51,6 +51,16 @@ pub fn cameras_there() -> String {
     }
 }
 
+/// How to learn what a camera offers: OpenCV, through which cameras are read, cannot list it.
+fn what_is_offered() -> String {
+    let how = if cfg!(target_os = "linux") {
+        "`v4l2-ctl --device /dev/videoN --list-formats-ext` lists the sizes, rates and four letters that it offers"
+    } else {
+        "ask for a size and a rate that its driver offers"
+    };
+    how.to_owned()
+}
+
 /// Four letters that say how a camera packs its pictures, such as MJPG or YUYV.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FourCc(pub [u8; 4]);
@@ -96,7 +106,9 @@ impl CaptureSettings {
         let rate = other("frames a second:", self.asked_rate(asked), self.rate_fps, |rate| format!("{rate:.1}"));
         let size = other("a picture size of", asked.size, self.size, |(width, height)| format!("{width}×{height}"));
         let kind = other("pictures in", asked.fourcc, self.fourcc, |kind| kind.to_string());
-        [size, rate, kind, automatic].into_iter().flatten().collect()
+        let refused: Vec<String> = [size, rate, kind].into_iter().flatten().collect();
+        let offered = (!refused.is_empty()).then(what_is_offered);
+        refused.into_iter().chain(offered).chain(automatic).collect()
     }
 
     /// The rate asked for, unless the one reported is the same to a percent.
@@ -155,5 +167,6 @@ mod tests {
         {
             assert!(said.contains(words), "{said}");
         }
+        assert_eq!(said.matches(&what_is_offered()).count(), 1);
     }
 }

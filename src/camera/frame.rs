@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::input::{PICTURE_BYTES, read_bytes};
 use image::metadata::Orientation;
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
-use std::io::Cursor;
+use std::io::{BufRead, Cursor, Seek};
 use std::path::Path;
 
 /// The largest picture that is read, in pixels; larger ones are taken for a mistake or an attack.
@@ -210,9 +210,23 @@ pub fn picture_size_for(path: &Path, lens: &Lens) -> Option<(u32, u32)> {
 
 /// How a picture file asks to be turned (EXIF).
 pub fn rotation_mark(path: &Path) -> Orientation {
-    let open = || ImageReader::open(path).ok()?.with_guessed_format().ok()?.into_decoder().ok()?.orientation().ok();
+    let open = || ImageReader::open(path).ok().map(mark_in);
     let found = if path.is_file() { open() } else { None };
     found.unwrap_or(Orientation::NoTransforms)
+}
+
+/// How a picture asks to be turned.
+fn mark_in(reader: ImageReader<impl BufRead + Seek>) -> Orientation {
+    let read = || reader.with_guessed_format().ok()?.into_decoder().ok()?.orientation().ok();
+    read().unwrap_or(Orientation::NoTransforms)
+}
+
+/// [`decode_frame`], turned as [`read_frame_for`] turns a file.
+///
+/// # Errors
+/// Those of [`decode_frame`].
+pub fn decode_frame_for(bytes: &[u8], lens: &Lens) -> std::result::Result<Frame, String> {
+    Ok(decode_frame(bytes)?.turned_for(lens, || mark_in(ImageReader::new(Cursor::new(bytes)))))
 }
 
 /// A picture from the bytes of its file; see [`read_frame`].

@@ -286,6 +286,11 @@ fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
+/// Whether a file is one that Windows keeps in folders of pictures, and hides there.
+fn is_left_by_windows(path: &Path) -> bool {
+    ["thumbs.db", "desktop.ini"].iter().any(|name| file_name(path).eq_ignore_ascii_case(name))
+}
+
 /// All that matches a glob below the folder, hidden files excepted. A link to nowhere, a pipe or a folder in a frame's place costs its row, and
 /// is not passed over.
 fn globbed(folder: &Path, pattern: &str) -> Result<Vec<PathBuf>> {
@@ -310,6 +315,9 @@ fn globbed(folder: &Path, pattern: &str) -> Result<Vec<PathBuf>> {
             let path = e.path().to_owned();
             Error::io(&path, "read")(e.into())
         })?;
+        if is_left_by_windows(&path) {
+            continue;
+        }
         if path.is_file() || (path.extension().is_some() && last_number(&path).is_ok()) {
             paths.push(path);
         }
@@ -341,11 +349,21 @@ fn with_indices(paths: Vec<PathBuf>) -> Result<Vec<PictureFile>> {
 }
 
 /// The last run of digits in a file's name without its extension.
-fn last_number(path: &Path) -> Result<u64> {
+pub(crate) fn number_in_name(path: &Path) -> Option<u64> {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let digits = stem.split(|c: char| !c.is_ascii_digit()).rfind(|run| !run.is_empty());
-    digits.and_then(|digits| digits.parse().ok()).ok_or_else(|| {
-        Error::content(path, "no number in the file's name, expected one like 00012.png to tell the frame's index")
+    digits.and_then(|digits| digits.parse().ok())
+}
+
+/// That number, or what is wrong with the name.
+fn last_number(path: &Path) -> Result<u64> {
+    number_in_name(path).ok_or_else(|| {
+        const EXPECTED: &str = "no number in the file's name, expected one like 00012.png to tell the frame's index";
+        let other = head_of(path).and_then(|head| content::name_of(&head)).filter(|_| read_frame(path).is_err());
+        let message = other.map_or(EXPECTED.to_owned(), |found| {
+            format!("{found}, expected pictures numbered in their names, a video or a TIFF stack")
+        });
+        Error::content(path, message)
     })
 }
 
@@ -368,7 +386,10 @@ fn numbered(pattern: &str) -> Option<Numbered<'_>> {
 impl Numbered<'_> {
     fn files(&self, folder: &Path) -> Result<Vec<PictureFile>> {
         let (subfolder, before) = self.before.rsplit_once('/').unwrap_or(("", self.before));
-        let parent = folder.join(subfolder);
+        let parent = match folder.join(subfolder) {
+            here if here == Path::new("") => PathBuf::from("."),
+            there => there,
+        };
         let mut files = Vec::new();
         for entry in std::fs::read_dir(&parent).map_err(Error::io(&parent, "read"))? {
             let path = entry.map_err(Error::io(&parent, "read"))?.path();

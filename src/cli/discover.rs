@@ -2,7 +2,7 @@
 
 use super::console::Console;
 use super::flow::Flow;
-use super::inputs::{encoders_of, files_read, model_of, model_or_paper, readings, rows};
+use super::inputs::{NamedLog, encoders_of, files_read, model_of, model_or_paper, rows};
 use super::measuring::Count;
 use super::shard::Shard;
 use super::trackers::open_trackers;
@@ -44,7 +44,7 @@ pub struct Args {
     /// The measurements (measurements.csv)
     #[arg(long, value_name = "CSV", requires = "encoders")]
     measurements: Option<PathBuf>,
-    /// The encoder log (encoders.csv)
+    /// The encoder log (encoders.csv), or the experiment whose log it is, read as its [log] and [wiring] say
     #[arg(long, value_name = "CSV", requires = "measurements")]
     encoders: Option<PathBuf>,
     /// The model to start from (model.toml); its effects stay. Without it the experiment's, or the paper's with Table I
@@ -368,9 +368,10 @@ impl Args {
             }
             (None, Some(measurements), Some(encoders)) => {
                 let model = model_or_paper(console, self.model.as_deref())?;
-                let readings = readings(console, encoders, &model)?;
+                let log = NamedLog::open(encoders)?;
+                let readings = log.readings(console, &model)?;
                 let measurements = rows(console, read_measurements(measurements)?);
-                Ok(Inputs::new(model, measurements, readings, None))
+                Ok(Inputs::new(model, measurements, readings, log.experiment.as_ref()))
             }
             _ => Err(Failure::Usage("give an experiment, or --measurements and --encoders".to_owned())),
         }

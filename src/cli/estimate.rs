@@ -2,11 +2,11 @@
 
 use super::console::Console;
 use super::estimator::EstimatorArgs;
-use super::inputs::{WorthArgs, force_limits, measurements_and_readings, with_effects};
-use super::verdict::{VerdictArgs, verdict_text};
+use super::inputs::{NamedLog, WorthArgs, force_limits, measurements_and_readings, with_effects};
+use super::verdict::{VerdictArgs, unit_is_stated, verdict_text};
 use crate::cli::failure::Failure;
 use crate::estimate::{EstimateRow, Verdict as RowVerdict, estimate, estimate_stem, or_one_gain};
-use crate::observation::{EncoderReading, Measurement};
+use crate::observation::{EncoderReading, Measurement, commonest_status};
 use crate::quantity::with_sd;
 use crate::record::{OutputFolder, Provenance, estimates_csv, stems_csv, write_atomically, write_learned_model};
 use crate::robot::{Effect, Estimate, ForceLimits, Model};
@@ -25,7 +25,7 @@ pub struct Args {
     /// The measurements (measurements.csv)
     #[arg(long, value_name = "CSV")]
     measurements: PathBuf,
-    /// The encoder log (encoders.csv)
+    /// The encoder log (encoders.csv), or the experiment whose log it is, read as its [log] and [wiring] say
     #[arg(long, value_name = "CSV")]
     encoders: PathBuf,
     /// The model that gives robot and friction (model.toml); by default the paper's, with Table I
@@ -104,36 +104,47 @@ impl Parameters {
 
 impl Args {
     /// The files that are read.
-    fn files(&self) -> Vec<PathBuf> {
-        [Some(&self.measurements), Some(&self.encoders), self.model.as_ref()].into_iter().flatten().cloned().collect()
+    fn files(&self, log: &NamedLog) -> Vec<PathBuf> {
+        let others = [Some(&self.measurements), self.model.as_ref()].into_iter().flatten().cloned();
+        others.chain(log.files()).collect()
     }
 
-    fn made_from(&self) -> Result<Provenance> {
-        Provenance::new("estimate").with_options(&self.estimator)?.with_inputs(self.files())
+    fn made_from(&self, log: &NamedLog) -> Result<Provenance> {
+        Provenance::new("estimate").with_options(&self.estimator)?.with_inputs(self.files(log))
     }
 
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         const OUTPUTS: [&str; 3] = ["model.toml", "estimate.csv", "stem.csv"];
-        let _out = OutputFolder::claim(&self.output, &OUTPUTS, &self.files())?;
+        let log = NamedLog::open(&self.encoders)?;
+        let _out = OutputFolder::claim(&self.output, &OUTPUTS, &self.files(&log))?;
         let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
         let model = with_effects(model, &self.effect)?;
-        let (measurements, encoders) =
-            measurements_and_readings(console, &model, &self.measurements, Some(&self.encoders))?;
+        let (measurements, encoders) = measurements_and_readings(console, &model, &self.measurements, Some(&log))?;
         if self.stem {
-            return Ok(self.follow_stem(console, (&model, do_not_use.as_deref()), &measurements, &encoders)?);
+            let made_from = self.made_from(&log)?;
+            return Ok(self.follow_stem(
+                console,
+                (&model, do_not_use.as_deref(), made_from),
+                &measurements,
+                &encoders,
+            )?);
         }
         let encoders = match force_limits(self.force_limits.as_deref())? {
             Some(limits) => self.without_sharing(&model, &limits, &measurements, &encoders)?,
             None => encoders,
         };
+        let options = self.estimator.options(1.0);
+        let is_stated = unit_is_stated(log.experiment.as_ref());
         let JudgedEstimate { rows, model, verdict } =
-            JudgedEstimate::of(&model, self.estimator.options(1.0), &measurements, &encoders)?;
+            JudgedEstimate::of(&model, options, (&measurements, &encoders), is_stated, |model| {
+                log.subject(model, options.sd_encoder_mm)
+            })?;
         let mut verdicts = Verdicts::default();
         rows.iter().for_each(|row| verdicts.add(row));
         let estimated = Estimated::of(verdicts, model.estimate);
         let verdict = do_not_use.as_deref().map(bad_start).into_iter().fold(verdict, Verdict::and);
         if model.estimate.is_some() {
-            write_learned_model(&self.output.join("model.toml"), &model, Some(&verdict), &self.made_from()?)?;
+            write_learned_model(&self.output.join("model.toml"), &model, Some(&verdict), &self.made_from(&log)?)?;
         }
         // The rows stand beside the model that they led to, and not beside an earlier one.
         if model.estimate.is_some() || !self.output.join("model.toml").exists() {
@@ -176,7 +187,7 @@ impl Args {
     fn follow_stem(
         &self,
         console: &Console,
-        (model, do_not_use): (&Model, Option<&str>),
+        (model, do_not_use, made_from): (&Model, Option<&str>, Provenance),
         measurements: &[Measurement],
         encoders: &[EncoderReading],
     ) -> Result<()> {
@@ -190,7 +201,7 @@ impl Args {
         write_atomically(&output, stems_csv(&rows).as_bytes())?;
         let path = self.output.join("model.toml");
         let verdict = do_not_use.map(|why| Verdict::of(vec![bad_start(why)]));
-        write_learned_model(&path, &model, verdict.as_ref(), &self.made_from()?)?;
+        write_learned_model(&path, &model, verdict.as_ref(), &made_from)?;
         let followed = Followed {
             phi_deg: last.phi.to_degrees(),
             sd_phi_deg: last.sd_phi.to_degrees(),
@@ -262,9 +273,10 @@ impl Estimated {
         let why: Vec<_> = self.reasons.iter().map(|(reason, count)| format!("{reason} {count}")).collect();
         let message = format!(
             "{} measurements give no estimate of η and λ; at least two that differ in bend and have encoder readings are needed \
-             (not used: {})",
+             (not used: {}){}",
             self.used + self.rejected + self.skipped,
-            if why.is_empty() { "none".to_owned() } else { why.join(", ") }
+            if why.is_empty() { "none".to_owned() } else { why.join(", ") },
+            commonest_status(&self.reasons).map(|told| format!("; {told}")).unwrap_or_default()
         );
         Err(Error::content(source, message))
     }

@@ -1,14 +1,14 @@
 //! `evaluate`: the gap that a model leaves on data, and how far measurements are from a known truth.
 
 use super::console::Console;
-use super::inputs::{measurements_and_readings, model_or_paper, rows};
+use super::inputs::{NamedLog, measurements_and_readings, model_or_paper, rows};
 use super::verdict::{VerdictArgs, doubt_of_times, verdict_text};
 use crate::cli::failure::Failure;
 use crate::estimate::Options;
 use crate::estimate::accuracy::{Accuracy, AngleScore, accuracy};
 use crate::estimate::gap::{Gap, gap};
 use crate::record::read_truth;
-use crate::verdict::{Code, Level, Reason, Subject, Verdict};
+use crate::verdict::{Code, Level, Reason, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::convert::Infallible;
@@ -29,7 +29,7 @@ pub struct Args {
     /// The measurements (measurements.csv)
     #[arg(long, value_name = "CSV")]
     measurements: PathBuf,
-    /// The encoder log (encoders.csv)
+    /// The encoder log (encoders.csv), or the experiment whose log it is, read as its [log] and [wiring] say
     #[arg(long, value_name = "CSV", required_unless_present = "truth")]
     encoders: Option<PathBuf>,
     /// The true angles of synthetic frames (truth.csv): scores the measurements themselves
@@ -54,8 +54,8 @@ struct Evaluation {
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let model = model_or_paper(console, self.model.as_deref())?;
-        let (measurements, readings) =
-            measurements_and_readings(console, &model, &self.measurements, self.encoders.as_deref())?;
+        let log = self.encoders.as_deref().map(NamedLog::open).transpose()?;
+        let (measurements, readings) = measurements_and_readings(console, &model, &self.measurements, log.as_ref())?;
         let gap = match &self.encoders {
             None => None,
             Some(path) => {
@@ -77,12 +77,12 @@ impl Args {
                 Some(accuracy)
             }
         };
-        let subject = Subject::new(&model, self.encoder_sd);
         let rows = || measurements.iter().cloned().map(Ok::<_, Infallible>);
-        let verdict = match &self.encoders {
-            Some(_) => {
+        let verdict = match &log {
+            Some(log) => {
+                let subject = log.subject(&model, self.encoder_sd)?;
                 let (Ok(verdict), Ok(doubt)) =
-                    (subject.verdict(rows(), &readings), doubt_of_times(rows(), &readings, None));
+                    (subject.verdict(rows(), &readings), doubt_of_times(rows(), &readings, log.experiment.as_ref()));
                 doubt.into_iter().fold(verdict, Verdict::and)
             }
             None => Verdict::of(vec![Reason::new(

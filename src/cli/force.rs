@@ -1,7 +1,7 @@
 //! `force`: the tip force that explains measured deflections.
 
 use super::console::Console;
-use super::inputs::measurements_and_readings;
+use super::inputs::{NamedLog, measurements_and_readings};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::estimate::{Options, tip_force};
@@ -24,7 +24,7 @@ pub struct Args {
     /// The measurements (measurements.csv)
     #[arg(long, value_name = "CSV")]
     measurements: PathBuf,
-    /// The encoder log (encoders.csv)
+    /// The encoder log (encoders.csv), or the experiment whose log it is, read as its [log] and [wiring] say
     #[arg(long, value_name = "CSV")]
     encoders: PathBuf,
     /// The folder to write to; created if it is missing
@@ -49,7 +49,7 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let model = read_model(&self.model)?;
         let (measurements, readings) =
-            measurements_and_readings(console, &model, &self.measurements, Some(&self.encoders))?;
+            measurements_and_readings(console, &model, &self.measurements, Some(&NamedLog::open(&self.encoders)?))?;
         let (rows, force) = tip_force(&model, self.encoder_sd, &measurements, &readings)?;
         let output = self.output.join("force.csv");
         write_atomically(&output, forces_csv(&rows).as_bytes())?;

@@ -1,6 +1,7 @@
 //! Reading what several commands are told, with warnings shown.
 
 use super::console::Console;
+use super::verdict::subject;
 use crate::camera::FrameSource;
 use crate::cli::failure::Failure;
 use crate::estimate::with_sigmas;
@@ -10,6 +11,7 @@ use crate::record::{
     read_log, read_measurements, read_model, stale_mark,
 };
 use crate::robot::{Effect, ForceLimits, Model};
+use crate::verdict::Subject;
 use crate::{Error, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -94,11 +96,59 @@ pub fn rows<T>(console: &Console, checked: Checked<T>) -> Vec<T> {
     checked.rows
 }
 
-/// The encoder readings in a file, of the model's robot.
-pub fn readings(console: &Console, path: &Path, model: &Model) -> Result<Vec<EncoderReading>> {
-    let readings = rows(console, read_encoders(path, model.robot.backbone_count())?);
-    require_neighbours(path, model, &readings)?;
-    Ok(readings)
+/// What `--encoders` names: a table as encoders.csv has it, or an experiment, whose log is read as its `[log]` and `[wiring]` say.
+#[derive(Debug)]
+pub struct NamedLog {
+    path: PathBuf,
+    /// The experiment, if it is one.
+    pub experiment: Option<Experiment>,
+}
+
+impl NamedLog {
+    /// What a path names.
+    ///
+    /// # Errors
+    /// An experiment that cannot be read, or names no log.
+    pub fn open(path: &Path) -> Result<Self> {
+        let is_experiment = path.is_dir() || path.extension().is_some_and(|extension| extension == "toml");
+        let experiment = is_experiment.then(|| Experiment::read(path)).transpose()?;
+        if let Some(Experiment { path, encoders: None, .. }) = &experiment {
+            return Err(Error::content(path, "`encoders` is missing; name the log of the encoders"));
+        }
+        Ok(Self { path: path.to_owned(), experiment })
+    }
+
+    /// The files that are read.
+    pub fn files(&self) -> Vec<PathBuf> {
+        match &self.experiment {
+            None => vec![self.path.clone()],
+            Some(experiment) => {
+                let log = experiment.encoders.iter().map(|log| log.path().to_owned());
+                std::iter::once(experiment.path.clone()).chain(log).collect()
+            }
+        }
+    }
+
+    /// The readings, of the model's robot.
+    pub fn readings(&self, console: &Console, model: &Model) -> Result<Vec<EncoderReading>> {
+        if let Some(experiment) = &self.experiment {
+            return Ok(rows(console, encoders_of(experiment, model)?));
+        }
+        let readings = rows(console, read_encoders(&self.path, model.robot.backbone_count())?);
+        require_neighbours(&self.path, model, &readings)?;
+        Ok(readings)
+    }
+
+    /// What is to be judged of a model by these readings.
+    pub fn subject<'a>(&self, model: &'a Model, sd_encoder_mm: f64) -> Result<Subject<'a>> {
+        match &self.experiment {
+            None => Ok(Subject::new(model, sd_encoder_mm)),
+            Some(experiment) => {
+                let wiring = experiment.wiring(model.robot.backbone_count())?;
+                Ok(subject(model, experiment, wiring, sd_encoder_mm))
+            }
+        }
+    }
 }
 
 /// That a log has the readings of the neighbouring sections that the model's effects follow.
@@ -119,11 +169,11 @@ pub fn measurements_and_readings(
     console: &Console,
     model: &Model,
     measurements: &Path,
-    encoders: Option<&Path>,
+    encoders: Option<&NamedLog>,
 ) -> Result<(Vec<Measurement>, Vec<EncoderReading>)> {
     let measurements = rows(console, read_measurements(measurements)?);
     let readings = match encoders {
-        Some(path) => readings(console, path, model)?,
+        Some(log) => log.readings(console, model)?,
         None => Vec::new(),
     };
     let (measurements, remark) = with_sigmas(&measurements, &readings);

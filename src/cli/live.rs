@@ -11,8 +11,8 @@ use crate::cli::failure::Failure;
 use crate::live::ros2::{Node, Sink};
 use crate::live::server::{AppState, Server};
 use crate::live::{
-    AccessControl, EncoderInput, EncoderSource, EncoderStatus, Histogram, Live, PublicationState, PublicationStatus,
-    Setup, SharedState, Source, State, StemStatus, View, tui,
+    AccessControl, EncoderInput, EncoderSource, EncoderStatus, Histogram, LineParser, Live, PublicationState,
+    PublicationStatus, Setup, SharedState, Source, State, StemStatus, View, tui,
 };
 use crate::measure::{Eye, Rig, RigOptions};
 use crate::record::{self, CameraSource, Experiment, OutputFolder, RigSource};
@@ -68,8 +68,8 @@ pub struct Args {
     /// Focus to ask the camera for, in its own unit; switches autofocus off
     #[arg(long, value_name = "VALUE")]
     focus: Option<f64>,
-    /// Encoder readings, one a line (time_s,q1_mm,q2_mm,q3_mm, or JSON): - (standard input), tcp://HOST:PORT, unix:PATH, or a
-    /// file that grows. Without it the experiment's own log, matched by index, where frames come from files
+    /// Encoder readings, one a line (time_s,q1_mm,q2_mm,q3_mm, or JSON; [log] of the experiment gives other names and units): - (standard
+    /// input), tcp://HOST:PORT, unix:PATH, or a file that grows. Without it the experiment's own log, matched by index, where frames come from files
     #[arg(long, value_name = "FROM")]
     encoders: Option<EncoderSource>,
     /// Seconds to add to the encoders' times to get those of the frames; estimated by default
@@ -308,7 +308,10 @@ impl Args {
         let backbones = model.robot.backbone_count();
         let offset_s = self.encoder_offset;
         if let Some(from) = &self.encoders {
-            return Ok(EncoderInput::Lines { source: from.clone(), offset_s, wiring: experiment.wiring(backbones)? });
+            let columns = experiment.log.clone().unwrap_or_default().columns(backbones);
+            let columns = columns.map_err(|why| Error::content(&experiment.path, format!("[log] {why}")))?;
+            let (parser, wiring) = (LineParser::of_columns(columns), experiment.wiring(backbones)?);
+            return Ok(EncoderInput::Lines { source: from.clone(), parser, offset_s, wiring });
         }
         if let Some(stream) = node.map(|node| self.topics.joints(node, backbones)).transpose()?.flatten() {
             return Ok(EncoderInput::Stream { stream, offset_s, wiring: experiment.wiring(backbones)? });

@@ -7,7 +7,7 @@ use super::shard::Shard;
 use super::trackers::OpenTracker;
 use super::views::OpenView;
 use crate::cli::failure::Failure;
-use crate::observation::EncoderReading;
+use crate::observation::{EncoderReading, commonest_status};
 use crate::record::{Experiment, MeasurementJournal, MeasurementRows, remove_abandoned, write_atomically};
 use crate::robot::Model;
 use crate::{Error, Result};
@@ -139,9 +139,10 @@ impl Count {
         }
         let reasons: Vec<_> = self.statuses.iter().map(|(status, count)| format!("{status} {count}")).collect();
         let message = format!(
-            "none of the {} frames could be measured ({}); look at one beside the straight picture: same camera, same place?",
+            "none of the {} frames could be measured ({}); {}",
             self.frames,
-            reasons.join(", ")
+            reasons.join(", "),
+            commonest_status(&self.statuses).unwrap_or_else(|| "`snakeloop check` says more".to_owned())
         );
         Err(Error::content(&experiment.path, message))
     }

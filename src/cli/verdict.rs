@@ -76,6 +76,11 @@ fn damaged(text: String) -> Reason {
     Reason::new(Code::RecordingDamaged, Level::Look, text, remedy)
 }
 
+/// Whether an experiment says in which unit the times of its log are.
+pub fn unit_is_stated(experiment: Option<&Experiment>) -> bool {
+    experiment.and_then(|experiment| experiment.log.as_ref()).is_some_and(|log| log.time_unit.is_some())
+}
+
 /// A doubt of the times' unit, or of which row belongs to which frame, from some of the measurements.
 ///
 /// # Errors
@@ -86,7 +91,5 @@ pub fn doubt_of_times<E>(
     experiment: Option<&Experiment>,
 ) -> Result<Option<Reason>, E> {
     let some = measurements.take(TIMED).collect::<Result<Vec<_>, E>>()?;
-    let is_stated =
-        experiment.and_then(|experiment| experiment.log.as_ref()).is_some_and(|log| log.time_unit.is_some());
-    Ok(doubts_of_times(&some, log, is_stated))
+    Ok(doubts_of_times(&some, log, unit_is_stated(experiment)))
 }

@@ -9,7 +9,7 @@
 use super::filter::KNOWN_SD;
 use super::friction::friction_covariance;
 use super::usable::usable;
-use super::{Pair, pairs_without_effects};
+use super::{NewPoses, Pair, pairs_without_effects};
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::{DataRange, Estimate, Model, PerBackbone};
 use crate::statistics::binomial;
@@ -21,9 +21,6 @@ use std::f64::consts::PI;
 
 /// Bends that are compared and fitted; of more, as many spread over the run. Convention: a resource limit.
 const MOST: usize = 2000;
-/// The snake is at a new pose once its bend, seen or implied by its encoders, has changed by this, rad. Convention: 2°, many times the noise
-/// of either; the eye's errors at two such poses are taken for independent.
-pub(crate) const NEW_POSE: f64 = 2.0 * PI / 180.0;
 /// The probability with which an estimate that is as good as one gain is kept for better. Convention: that of the verdict's tests.
 const LEVEL: f64 = 0.001;
 /// Rounds of reweighting. Convention: each changes the gain by a share of the one before; ten are beyond its digits.
@@ -58,7 +55,7 @@ pub fn or_one_gain<E>(
     log: &[EncoderReading],
 ) -> Result<(Model, Option<Replaced>), E> {
     let (mut points, mut every, mut seen) = (Vec::new(), 1, 0usize);
-    let mut last: Option<Vector2<f64>> = None;
+    let mut poses = NewPoses::default();
     let mut learned = DataRange::default();
     for pair in pairs_without_effects(&model, measurements, log) {
         let (measurement, reading): Pair = pair?;
@@ -67,10 +64,9 @@ pub fn or_one_gain<E>(
         };
         let bend = measured.configuration.bend_vector();
         learned.add(measured.configuration, measured.sigma_delta);
-        if last.is_some_and(|last| (bend - last).norm() < NEW_POSE) {
+        if !poses.is_new(bend) {
             continue;
         }
-        last = Some(bend);
         seen += 1;
         if seen.is_multiple_of(every) {
             points.push((bend, q_mm));

@@ -66,14 +66,16 @@ impl ClockOffset {
         (self.current, self.last) = (None, None);
     }
 
-    /// A line with this stamp arrived at this time of the frames' clock.
-    pub fn observe(&mut self, stamp_s: f64, arrival_s: f64) {
+    /// A line with this stamp was read at this time of the frames' clock. One that may have waited before, since as much was there as can be read
+    /// at once, tells how fast lines come, and nothing of the offset.
+    pub fn observe(&mut self, stamp_s: f64, arrival_s: f64, may_have_waited: bool) {
+        let difference_s = if may_have_waited { f64::INFINITY } else { arrival_s - stamp_s };
         if let Some(window) = &mut self.current
             && arrival_s - window.first_arrival_s < WINDOW_S
         {
             window.arrival_s = arrival_s;
             window.stamp_s = stamp_s;
-            window.least_s = window.least_s.min(arrival_s - stamp_s);
+            window.least_s = window.least_s.min(difference_s);
             return;
         }
         self.last = self.current.filter(Window::is_live);
@@ -82,7 +84,7 @@ impl ClockOffset {
             first_stamp_s: stamp_s,
             arrival_s,
             stamp_s,
-            least_s: arrival_s - stamp_s,
+            least_s: difference_s,
         });
     }
 
@@ -92,7 +94,8 @@ impl ClockOffset {
             return (ClockState::Given, given);
         }
         let live = [self.current.filter(Window::is_live), self.last];
-        let least = live.iter().flatten().map(|window| window.least_s).reduce(f64::min);
+        let least =
+            live.iter().flatten().map(|window| window.least_s).filter(|least| least.is_finite()).reduce(f64::min);
         match (least, self.current) {
             (Some(least), _) if least.abs() > self.shared_within_s => (ClockState::Foreign, least),
             (_, Some(_)) => (ClockState::Shared, 0.0),
@@ -112,7 +115,7 @@ mod tests {
         let mut clock = ClockOffset::new(None);
         for k in 0..6000 {
             let true_s = 1000.0 + f64::from(k) / 200.0;
-            clock.observe(true_s * (1.0 + drift) - offset, true_s + random.random_range(0.001..0.03));
+            clock.observe(true_s * (1.0 + drift) - offset, true_s + random.random_range(0.001..0.03), false);
         }
         clock
     }
@@ -128,16 +131,31 @@ mod tests {
     }
 
     #[test]
+    fn a_backlog_is_not_taken_for_a_clock_and_neither_is_the_end_of_a_file() {
+        let mut clock = ClockOffset::new(None);
+        // Lines that wait longer and longer, and now and then one that was read as it came.
+        for k in 0..2000 {
+            let stamp_s = f64::from(k) / 100.0;
+            let waited_s = if k % 500 == 0 { 0.01 } else { 0.1 * stamp_s };
+            clock.observe(stamp_s, stamp_s + waited_s, waited_s > 0.1);
+        }
+        assert_eq!(clock.estimate(), (ClockState::Shared, 0.0));
+        let mut clock = ClockOffset::new(None);
+        (0..5000).for_each(|k| clock.observe(f64::from(k) / 100.0, 1.0, k < 4990));
+        assert_eq!(clock.estimate(), (ClockState::Shared, 0.0));
+    }
+
+    #[test]
     fn a_burst_of_old_lines_says_nothing_about_the_clock() {
         let mut clock = ClockOffset::new(None);
         for k in 0..10_000 {
-            clock.observe(f64::from(k) / 100.0, 5.0 + f64::from(k) * 1e-6);
+            clock.observe(f64::from(k) / 100.0, 5.0 + f64::from(k) * 1e-6, false);
         }
         assert_eq!(clock.estimate().0, ClockState::Shared);
         // What then comes as it happens does.
         for k in 10_000..14_000 {
             let stamp = f64::from(k) / 100.0;
-            clock.observe(stamp, stamp + 50.0);
+            clock.observe(stamp, stamp + 50.0, false);
         }
         let (state, found) = clock.estimate();
         assert_eq!(state, ClockState::Foreign);

@@ -154,6 +154,11 @@ impl FrameQueue {
         }
     }
 
+    /// A picture that could be read; of one that could not, the reason is noted.
+    pub fn readable<E: std::fmt::Display>(&mut self, picture: Result<Frame, E>) -> Option<Frame> {
+        picture.map_err(|why| self.remark(format!("a picture cannot be read: {why}"))).ok()
+    }
+
     /// Adds a frame; where as many wait as may, it takes their place.
     pub fn push(&mut self, captured: Captured) {
         if self.waiting.len() == MAX_WAITING {

@@ -19,7 +19,7 @@
 
 use super::cusum::{Cusum, event_log_ratio, variance_log_ratio};
 use super::status::{GapState, GapStatus};
-use crate::estimate::{Consistency, NEW_POSE, Verdict, Whitened};
+use crate::estimate::{Consistency, NewPoses, Verdict, Whitened};
 use crate::verdict::{MEAN_SQUARE_OF_NOISE, REJECTED_IN_ORDER};
 use nalgebra::Vector2;
 use std::collections::VecDeque;
@@ -41,7 +41,7 @@ pub struct GapMonitor {
     common: Cusum,
     rejections: Cusum,
     used: usize,
-    last_pose: Option<Vector2<f64>>,
+    poses: NewPoses,
     recent_rejected: VecDeque<bool>,
 }
 
@@ -53,7 +53,7 @@ impl Default for GapMonitor {
             common: cusum,
             rejections: cusum,
             used: 0,
-            last_pose: None,
+            poses: NewPoses::default(),
             recent_rejected: VecDeque::new(),
         }
     }
@@ -75,23 +75,13 @@ impl GapMonitor {
                 self.recent_rejected.pop_front();
             }
             self.recent_rejected.push_back(verdict == Verdict::Rejected);
-            if self.is_new(pose) {
+            if pose.is_some_and(|pose| self.poses.is_new(pose)) {
                 self.test(verdict, innovation);
             }
         }
         let rejected = self.recent_rejected.iter().filter(|&&rejected| rejected).count() as f64 / RECENT as f64;
         let (bending, common) = consistency.map_or((1.0, 1.0), |c| (c.bending_chi_square(), c.common_chi_square()));
         GapStatus { state: self.state(), bending, common, rejected }
-    }
-
-    /// Whether the snake has moved on since the last measurement that was tested.
-    fn is_new(&mut self, pose: Option<Vector2<f64>>) -> bool {
-        let Some(pose) = pose else { return false };
-        let moved = self.last_pose.is_none_or(|last| (pose - last).norm() >= NEW_POSE);
-        if moved {
-            self.last_pose = Some(pose);
-        }
-        moved
     }
 
     fn test(&mut self, verdict: Verdict, innovation: Option<&Whitened>) {
@@ -117,6 +107,7 @@ impl GapMonitor {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimate::NEW_POSE;
     use rand::SeedableRng;
     use rand::rngs::StdRng;
     use rand_distr::{Distribution, StandardNormal};

@@ -25,9 +25,9 @@ const RIDGE: f64 = 1e-9;
 /// The lag at which the measured bends (times in s, bend vectors in rad) are nearest to a linear function of the readings' bends.
 ///
 /// `at` interpolates the bend vector Q⁺q̃ at a time. `None` where the motion is too little or too even to tell.
-pub fn motion_lag(bends: &[(f64, Vector2<f64>)], at: impl Fn(f64) -> Option<Vector2<f64>>) -> Option<Lag> {
+pub fn motion_lag(bends: &[(f64, Vector2<f64>)], mut at: impl FnMut(f64) -> Option<Vector2<f64>>) -> Option<Lag> {
     // Only times at which every lag can be tried, so that all lags are compared on the same measurements.
-    let inside = |t: f64| at(t - MAX_LAG_S).is_some() && at(t + MAX_LAG_S).is_some();
+    let mut inside = |t: f64| at(t - MAX_LAG_S).is_some() && at(t + MAX_LAG_S).is_some();
     let bends: Vec<_> = bends.iter().copied().filter(|(t, _)| inside(*t)).collect();
     if bends.len() < MIN_BENDS {
         return None;
@@ -48,7 +48,7 @@ pub fn motion_lag(bends: &[(f64, Vector2<f64>)], at: impl Fn(f64) -> Option<Vect
 }
 
 /// What the best linear function of the readings' bends leaves of the measured ones, rad².
-fn sum_of_squares(bends: &[(f64, Vector2<f64>)], reading: impl Fn(f64) -> Option<Vector2<f64>>) -> Option<f64> {
+fn sum_of_squares(bends: &[(f64, Vector2<f64>)], mut reading: impl FnMut(f64) -> Option<Vector2<f64>>) -> Option<f64> {
     let (mut uu, mut ub, mut bb) = (Matrix3::zeros(), Matrix3x2::zeros(), 0.0);
     for (t, bend) in bends {
         let u = reading(*t)?.push(1.0);

@@ -9,7 +9,7 @@
 //! encoders are stuck. What was published stays then, and is marked stale.
 
 use super::status::{GapState, PublicationState, PublicationStatus};
-use crate::estimate::NEW_POSE;
+use crate::estimate::NewPoses;
 use crate::observation::Measured;
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::moments::{mean, standard_deviation};
@@ -17,7 +17,7 @@ use crate::verdict::{Code, Level, MEAN_SQUARE_OF_NOISE, Verdict};
 use std::collections::VecDeque;
 use std::time::Instant;
 
-/// Poses on which models are compared, each a new one ([`NEW_POSE`]) after the one before. Convention: as many as the gap monitor asks
+/// Poses on which models are compared, each a new one ([`NewPoses`]) after the one before. Convention: as many as the gap monitor asks
 /// for before it tells anything.
 const POSES: usize = 50;
 
@@ -55,6 +55,7 @@ pub struct PublicationGate {
     /// Whether η and λ are what is learned, and not the stem's angle, which the poses before do not tell.
     compares: bool,
     poses: VecDeque<Sample>,
+    new_poses: NewPoses,
     gap: GapState,
     /// Whether the encoders stand still while the snake moves.
     is_stuck: bool,
@@ -68,8 +69,8 @@ impl PublicationGate {
     /// A gate for readings of this standard deviation, mm. `compares` where η and λ are learned; `published` is what stands there.
     pub fn new(sd_encoder_mm: f64, compares: bool, published: Option<Model>) -> Self {
         let published = published.map(|model| (model, Instant::now()));
-        let (poses, gap) = (VecDeque::new(), GapState::Unknown);
-        Self { sd_encoder_mm, compares, poses, gap, is_stuck: false, verdict: None, published }
+        let (poses, new_poses, gap) = (VecDeque::new(), NewPoses::default(), GapState::Unknown);
+        Self { sd_encoder_mm, compares, poses, new_poses, gap, is_stuck: false, verdict: None, published }
     }
 
     /// Takes the verdict on what was measured so far.
@@ -96,8 +97,7 @@ impl PublicationGate {
             self.poses.retain(|pose| pose.q_mm != sample.q_mm);
             return;
         }
-        let bend = |sample: &Sample| sample.measured.configuration.bend_vector();
-        if self.poses.back().is_none_or(|last| (bend(&sample) - bend(last)).norm() >= NEW_POSE) {
+        if self.new_poses.is_new(sample.measured.configuration.bend_vector()) {
             if self.poses.len() == POSES {
                 self.poses.pop_front();
             }

@@ -55,7 +55,7 @@ impl Live {
         let shared = Arc::new(SharedState::new(State::at_start(source_name, encoders.status()), model.clone(), gate));
         let mut tables = FinalTables::begin(&output, model.robot.backbone_count(), stem.is_some())?;
         let (journal, next_index) = open_journal(&output, resume, &mut estimator, &mut tables, &shared)?;
-        let reader = FrameReader::start(source, next_index, clock)?;
+        let reader = FrameReader::start(source, next_index, clock, view.lens.clone())?;
         let bends = Arc::new(RecentBends::default());
         let autosave = AutosaveThread::start(Autosave {
             shared: Arc::clone(&shared),

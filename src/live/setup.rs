@@ -1,7 +1,7 @@
 //! What a run of `live` is started with.
 
 use super::clock::FrameClock;
-use super::encoders::{EncoderSource, Encoders};
+use super::encoders::{EncoderSource, Encoders, LineParser};
 use super::source::Source;
 use super::stream::ReadingStream;
 use crate::camera::Lens;
@@ -64,6 +64,8 @@ pub enum EncoderInput {
     Lines {
         /// Where from.
         source: EncoderSource,
+        /// What they look like.
+        parser: LineParser,
         /// What to add to a time stamp to get the frames' time, s; estimated where it is not given.
         offset_s: Option<f64>,
         /// How their columns hold the readings.
@@ -86,7 +88,9 @@ impl EncoderInput {
         match self {
             Self::None => Encoders::None,
             Self::Log(readings) => Encoders::log(readings),
-            Self::Lines { source, offset_s, wiring } => Encoders::lines(source, wiring, clock, offset_s),
+            Self::Lines { source, parser, offset_s, wiring } => {
+                Encoders::lines(source, (parser, wiring), clock, offset_s)
+            }
             Self::Stream { stream, offset_s, wiring } => Encoders::stream(stream, wiring, clock, offset_s),
         }
     }

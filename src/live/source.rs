@@ -14,7 +14,7 @@ use super::motion_jpeg::MotionJpeg;
 use super::status::SourceStatus;
 use super::stream::{Came, FrameStream, Packed, SentFrame};
 use crate::Result;
-use crate::camera::{Capture, CaptureSettings, CaptureTarget, FrameSource};
+use crate::camera::{Capture, CaptureSettings, CaptureTarget, FrameSource, Lens};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -76,16 +76,18 @@ struct SharedQueue {
     queue: Mutex<FrameQueue>,
     changed: Condvar,
     clock: Arc<FrameClock>,
+    /// The camera that the frames are read for.
+    lens: Lens,
 }
 
 impl FrameReader {
-    /// Starts to read, and sets the clock once frames have times. Frames of a camera or stream are numbered from `first_index`; of a
-    /// recording, earlier ones are passed over.
+    /// Starts to read the frames of a camera with this lens, and sets the clock once they have times. Frames of a camera or stream are numbered
+    /// from `first_index`; of a recording, earlier ones are passed over.
     ///
     /// # Errors
     /// A video that cannot be opened any more; in a build without OpenCV any camera, and any stream but one of JPEGs. A camera or
     /// stream that is not there yet is waited for.
-    pub fn start(source: Source, first_index: u64, clock: Arc<FrameClock>) -> Result<Self> {
+    pub fn start(source: Source, first_index: u64, clock: Arc<FrameClock>, lens: Lens) -> Result<Self> {
         if let Source::Device { target, settings } = &source
             && cfg!(not(feature = "opencv"))
             && !matches!(target, CaptureTarget::Stream(address) if address.starts_with("http://"))
@@ -93,7 +95,7 @@ impl FrameReader {
             Capture::open(target, settings)?;
         }
         let queue = Mutex::new(FrameQueue::new(first_index));
-        let shared = Arc::new(SharedQueue { queue, changed: Condvar::new(), clock });
+        let shared = Arc::new(SharedQueue { queue, changed: Condvar::new(), clock, lens });
         let of_thread = Arc::clone(&shared);
         let thread = std::thread::spawn(move || match source {
             Source::Recording { frames, rate_fps } => of_thread.play(&frames, rate_fps, first_index),
@@ -164,6 +166,9 @@ impl SharedQueue {
                 return;
             }
         };
+        if let Ok(Some(remark)) = source.remark(&self.lens) {
+            self.update(|queue| queue.remark(remark));
+        }
         let mut began: Option<(Instant, f64)> = None;
         for (position, frame) in frames.enumerate() {
             let by_rate = position as f64 / rate_fps.unwrap_or(DEFAULT_FPS);
@@ -173,7 +178,7 @@ impl SharedQueue {
                 continue;
             }
             // Decoded before it is due, so that decoding does not delay it.
-            let picture = frame.read().ok().map(Arc::new);
+            let picture = frame.read_for(&self.lens);
             let (start, first_s) = *began.get_or_insert_with(|| {
                 self.clock.set(time_s);
                 (Instant::now(), time_s)
@@ -183,7 +188,9 @@ impl SharedQueue {
                 && self.update(|queue| {
                     let at = Instant::now();
                     queue.count(at);
-                    queue.push(Captured { index, time_s, at, late_s: 0.0, frame: picture });
+                    let arrival = Arrival { index, time_s, at, late_s: 0.0 };
+                    let frame = queue.readable(picture);
+                    queue.push(arrival.with(frame));
                 });
             if !go_on {
                 return;
@@ -256,16 +263,14 @@ impl SharedQueue {
                 self.update(|_| over.store(true, Ordering::Relaxed));
             });
             while let Some((arrival, packed)) = self.next_undecoded(&over) {
-                let frame = packed.frame();
+                let frame = packed.frame_for(&self.lens);
                 self.update(|queue| {
                     if let (None, Ok(frame)) = (queue.status.settings, &frame) {
                         let size = Some((frame.width, frame.height));
                         queue.status.settings = Some(CaptureSettings { size, ..CaptureSettings::default() });
                     }
-                    if let (Packed::Message { .. }, Err(why)) = (&packed, &frame) {
-                        queue.remark(format!("a picture cannot be read: {why}"));
-                    }
-                    queue.push(arrival.with(frame.ok()));
+                    let frame = queue.readable(frame);
+                    queue.push(arrival.with(frame));
                 });
             }
         });

@@ -10,10 +10,6 @@ use crate::observation::Measured;
 const STILL_SDS: f64 = 6.0;
 /// The bend is looked at once the readings have stood still for this time, s. Convention: longer than a picture is behind its encoders.
 const SETTLE_S: f64 = 1.0;
-/// The bend has moved where it changed by more than so many standard deviations.
-///
-/// Derived: two normal errors of the eye exceed it once in 25,000 measurements (exp(−4.5²/2)).
-const MOVED_SDS: f64 = 4.5;
 /// Measurements that must have moved. Convention: one or two may be wrong, by a hand or a reflection in the picture.
 const LEAST_MOVED: usize = 3;
 
@@ -69,7 +65,5 @@ impl Standstill {
 /// Whether two bends differ by a pose, and by more than the eye's errors.
 fn has_moved(from: &Measured, to: &Measured) -> bool {
     let step = to.configuration.bend_vector() - from.configuration.bend_vector();
-    let covariance = from.bend_covariance(from.configuration) + to.bend_covariance(to.configuration);
-    let certain = || covariance.cholesky().is_some_and(|factor| step.dot(&factor.solve(&step)) > MOVED_SDS.powi(2));
-    step.norm() >= NEW_POSE && certain()
+    step.norm() >= NEW_POSE && from.has_moved(to)
 }

@@ -6,11 +6,12 @@
 use crate::camera::CaptureSettings;
 use crate::discover::Followed;
 use crate::estimate::{StemAngle, Verdict};
-use crate::observation::Measurement;
+use crate::observation::{Measurement, commonest_status};
 use crate::robot::{Model, PerBackbone};
 use crate::verdict::{Code, Level, Reason, Verdict as RunVerdict};
 use nalgebra::Matrix2;
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// Everything at one moment, as `GET /api/state` gives it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
@@ -65,15 +66,21 @@ pub struct State {
 impl State {
     /// Before the first frame.
     pub fn at_start(source_name: String, encoders: EncoderStatus) -> Self {
-        let verdict = nothing_judged();
+        let verdict = nothing_judged(0, None);
         Self { version: env!("CARGO_PKG_VERSION"), source_name, verdict, encoders, ..Self::default() }
     }
 }
 
-/// The verdict before anything was judged.
-pub fn nothing_judged() -> RunVerdict {
-    let text = "nothing was judged yet: no frame was measured that has an encoder reading";
-    let remedy = "see that frames and readings come, and bend the snake in at least two planes";
+/// The verdict before anything was judged, of a run that measured so many frames, the latest with this status.
+pub fn nothing_judged(measured: u64, latest: Option<&str>) -> RunVerdict {
+    let text = match measured {
+        0 => "nothing was judged yet: no frame was measured".to_owned(),
+        _ => format!("nothing was judged yet: {measured} frames were measured, and none has an encoder reading"),
+    };
+    let failed =
+        latest.filter(|_| measured == 0).and_then(|status| commonest_status(&BTreeMap::from([(status.to_owned(), 1)])));
+    let remedy = failed
+        .unwrap_or_else(|| "see that frames and readings come, and bend the snake in at least two planes".to_owned());
     RunVerdict::of(vec![Reason::new(Code::WorkspaceNotCovered, Level::Look, text, remedy)])
 }
 

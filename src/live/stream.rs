@@ -3,7 +3,7 @@
 //! A stream is read on a thread of its own and waits for nobody: what is not taken in time is lost, and the sender never notices.
 
 use crate::bag::Stamped;
-use crate::camera::{Frame, Picture, decode_frame};
+use crate::camera::{Frame, Lens, Picture, decode_frame_for};
 use crate::robot::PerBackbone;
 use std::fmt;
 
@@ -79,13 +79,13 @@ pub enum Packed {
 }
 
 impl Packed {
-    /// The picture.
+    /// The picture as the camera's file knows it, turned under the same rule as those of files.
     ///
     /// # Errors
     /// Bytes that are no picture, or one of an encoding that is not read, in words.
-    pub fn frame(&self) -> std::result::Result<Frame, String> {
+    pub fn frame_for(&self, lens: &Lens) -> std::result::Result<Frame, String> {
         match self {
-            Self::File(bytes) => decode_frame(bytes),
+            Self::File(bytes) => decode_frame_for(bytes, lens),
             Self::Message { kind, cdr } => Picture::decoded(kind, cdr).map(|picture| picture.frame),
         }
     }

@@ -2,7 +2,7 @@
 
 use super::low_priority::lower_priority;
 use super::shared_state::SharedState;
-use super::status::{PublicationState, PublicationStatus, nothing_judged};
+use super::status::{PublicationState, PublicationStatus, State, nothing_judged};
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
 use crate::verdict::{Code, Level, Reason, Subject, Verdict};
@@ -55,14 +55,15 @@ impl VerdictWorker {
 }
 
 fn judge(shared: &SharedState, sd_encoder_mm: f64, measurements: &[Measurement], readings: &[EncoderReading]) {
-    let (model, rejected, used): (Model, usize, usize) = {
+    let (model, rejected, measured, latest): (Model, usize, u64, Option<String>) = {
         let shared = shared.lock();
-        let rejected = shared.state.rejected as usize;
-        (shared.model.clone(), rejected, (shared.state.measured as usize).saturating_sub(rejected))
+        let State { rejected, measured, latest, .. } = &shared.state;
+        (shared.model.clone(), *rejected as usize, *measured, latest.as_ref().map(|row| row.status.clone()))
     };
+    let used = (measured as usize).saturating_sub(rejected);
     let subject = Subject { used_and_rejected: Some((used, rejected)), ..Subject::new(&model, sd_encoder_mm) };
     let Ok(verdict) = subject.verdict(measurements.iter().cloned().map(Ok::<_, Infallible>), readings);
-    let verdict = if measurements.is_empty() { nothing_judged() } else { verdict };
+    let verdict = if measurements.is_empty() { nothing_judged(measured, latest.as_deref()) } else { verdict };
     let mut shared = shared.lock();
     if !measurements.is_empty() {
         shared.gate.take_verdict(verdict.clone());

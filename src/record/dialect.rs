@@ -2,10 +2,11 @@
 //!
 //! Read are UTF-8, UTF-16 (as Windows' "Unicode text") and, where a text is neither, Latin-1; fields between commas, semicolons, tabs, bars or
 //! blanks, told by the header; numbers with a decimal comma where commas separate nothing; lines that begin with `#`, of which the last may be
-//! the header (as NumPy writes it); a first line `sep=;`; a row of units below the header; empty fields at the end of header or rows.
+//! the header (as NumPy writes it); lines of other things above a header that has all columns; a first line `sep=;`; a row of units below the header; empty fields at the end of header or rows.
 
 use crate::content;
 use crate::error::{Error, Result};
+use crate::input::text_in;
 use std::borrow::Cow;
 use std::path::Path;
 
@@ -32,26 +33,7 @@ pub(super) fn text_of<'a>(path: &Path, bytes: &'a [u8]) -> Result<Cow<'a, str>> 
     if let Some(found) = content::name_of(bytes.get(..content::HEAD_BYTES).unwrap_or(bytes)) {
         return Err(Error::content(path, format!("{found}, expected a table as text (CSV); export it as CSV")));
     }
-    if let Some(text) = bytes.strip_prefix(b"\xff\xfe") {
-        return Ok(utf_16(text, u16::from_le_bytes).into());
-    }
-    if let Some(text) = bytes.strip_prefix(b"\xfe\xff") {
-        return Ok(utf_16(text, u16::from_be_bytes).into());
-    }
-    // UTF-16 without its mark: every other byte of a table's letters and digits is zero, and no text in one byte a letter has any.
-    match bytes {
-        [first, 0, second, 0, ..] if *first != 0 && *second != 0 => return Ok(utf_16(bytes, u16::from_le_bytes).into()),
-        [0, first, 0, second, ..] if *first != 0 && *second != 0 => return Ok(utf_16(bytes, u16::from_be_bytes).into()),
-        _ => {}
-    }
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    // Latin-1 has the same letters under the same numbers as Unicode.
-    Ok(std::str::from_utf8(bytes).map_or_else(|_| bytes.iter().map(|&byte| char::from(byte)).collect(), Cow::from))
-}
-
-fn utf_16(bytes: &[u8], unit: fn([u8; 2]) -> u16) -> String {
-    let units: Vec<u16> = bytes.as_chunks().0.iter().map(|pair| unit(*pair)).collect();
-    String::from_utf16_lossy(&units)
+    Ok(text_in(bytes))
 }
 
 impl<'a> Sheet<'a> {
@@ -69,6 +51,11 @@ impl<'a> Sheet<'a> {
                 continue;
             }
             let plain = Header::of(content, separator, wanted);
+            if plain.found < wanted.len()
+                && let Some((at, header)) = below_a_preamble(text, line, separator, wanted)
+            {
+                return Self::below(text, header, at, at + 1);
+            }
             let commented = comment.map(|(at, commented)| (at, Header::of(commented, separator, wanted)));
             return match commented {
                 Some((at, header)) if header.found > plain.found => Self::below(text, header, at, line),
@@ -172,6 +159,15 @@ impl Header {
     }
 }
 
+/// The header below lines of other things, such as a recorder's name and settings, where it is complete: the first that has all wanted columns.
+fn below_a_preamble(text: &str, from: u64, separator: Option<char>, wanted: &[&str]) -> Option<(u64, Header)> {
+    /// Lines that stand above a header at the most. Convention: a resource limit; LabVIEW writes some twenty.
+    const LONGEST: usize = 100;
+    let below = lines(text).skip_while(|(line, _)| *line <= from).take(LONGEST);
+    let header = |(line, content)| (line, Header::of(content, separator, wanted));
+    below.map(header).find(|(_, header)| header.found == wanted.len())
+}
+
 /// The separator that a line `sep=;` names, as Excel takes it.
 fn separator_line(line: &str) -> Option<char> {
     let named = line.trim_matches('"').strip_prefix("sep=")?;
@@ -234,6 +230,7 @@ mod tests {
             b"# made by a logger\n# index x_mm\n0 1.5\n  1   2.5\n".to_vec(),
             b"# a comment, with a comma\nindex,x_mm\n# another\n[-],[mm]\n0,1.5\n1,2.5\n".to_vec(),
             b"\"index\";\"x_mm\"\n\"0\";\"1.5\"\n1;2.5\n".to_vec(),
+            b"Recorder 7, serial 12\nRate [Hz]\t100\n\nindex\tx_mm\n0\t1.5\n1\t2.5\n".to_vec(),
         ] {
             let (header, rows) = read(&bytes);
             assert_eq!(header, ["index", "x_mm"], "{}", String::from_utf8_lossy(&bytes));

@@ -15,6 +15,10 @@ use std::path::Path;
 ///
 /// Convention: half the range bends a snake to about 90°, so that this is below 2° at the worst, and mostly far below.
 const TOLERANCE: f64 = 0.02;
+/// What is harmless however small that range is, mm.
+///
+/// Convention: below a degree of bend (0.026 mm a degree with Table I); readings of a snake at rest go through their noise alone.
+const HARMLESS_MM: f64 = 0.02;
 /// The share of the errors that must be harmless.
 ///
 /// Convention: a tenth may be corners of the motion.
@@ -51,7 +55,7 @@ impl Matched {
         Self::of_series(path, what, series, stamps_s)
     }
 
-    /// The same from a series of times and values for each backbone, which need not have the same times.
+    /// The same from a series of times and values, mm, for each backbone, which need not have the same times.
     pub fn of_series(path: &Path, what: &str, series: Vec<Vec<(f64, f64)>>, stamps_s: &[(u64, f64)]) -> Self {
         let warning = |message: String, fault: Fault| Warning { path: path.to_owned(), line: None, message, fault };
         let range = |times: &mut dyn Iterator<Item = f64>| {
@@ -77,15 +81,9 @@ impl Matched {
         let mut contradictions = Contradictions::default();
         let series: Vec<Vec<(f64, f64)>> = series.into_iter().map(|one| contradictions.taken_out(one)).collect();
         warnings.extend(contradictions.told(what).map(|message| warning(message, Fault::Contradiction)));
-        let mut backbones = Backbone::all(series);
+        let mut interpolation = Interpolation::new(series);
         let reading = |&(index, time_s): &(u64, f64)| {
-            let q: Option<Vec<f64>> = backbones.iter_mut().map(|backbone| backbone.at(time_s)).collect();
-            Some(EncoderReading::new(
-                index,
-                time_s,
-                PerBackbone::from_fn(backbones.len(), |i| q.as_ref().map_or(0.0, |q| q[i])),
-            ))
-            .filter(|_| q.is_some())
+            interpolation.at(time_s).map(|q_mm| EncoderReading::new(index, time_s, q_mm))
         };
         Self { readings: stamps_s.iter().filter_map(reading).collect(), warnings }
     }
@@ -130,6 +128,32 @@ impl Contradictions {
             "{what} has two different values for {count} of {all} moments (at {time_s:.3} s {one} and {other}), as if two programs \
              sent it; neither is used"
         ))
+    }
+}
+
+/// Readings over time between which lines are drawn as far as the motion allows it.
+pub(crate) struct Interpolation {
+    backbones: Vec<Backbone>,
+}
+
+impl Interpolation {
+    /// Of the times, s, and values, mm, of each backbone, in order of time and each time once.
+    pub fn new(series: Vec<Vec<(f64, f64)>>) -> Self {
+        Self { backbones: Backbone::all(series) }
+    }
+
+    /// Of readings of all backbones at the same times.
+    #[cfg(feature = "live")]
+    pub fn of<'a>(readings: impl Iterator<Item = &'a (f64, PerBackbone)> + Clone) -> Self {
+        let backbones = readings.clone().next().map_or(0, |(_, q_mm)| q_mm.len());
+        let of = |i: usize| readings.clone().map(|(time_s, q_mm)| (*time_s, q_mm[i])).collect();
+        Self::new((0..backbones).map(of).collect())
+    }
+
+    /// The readings at a time, s; `None` beyond the ends, and in a gap in which they may have been otherwise.
+    pub fn at(&mut self, time_s: f64) -> Option<PerBackbone> {
+        let q_mm: Option<Vec<f64>> = self.backbones.iter_mut().map(|backbone| backbone.at(time_s)).collect();
+        PerBackbone::of(&q_mm?)
     }
 }
 
@@ -182,7 +206,7 @@ impl Backbone {
             let values = || one.iter().map(|(_, value)| *value);
             values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
         };
-        let tolerance = TOLERANCE * series.iter().map(range).fold(0.0, f64::max);
+        let tolerance = (TOLERANCE * series.iter().map(range).fold(0.0, f64::max)).max(HARMLESS_MM);
         series.into_iter().map(|series| Self { series, tolerance, errors: HashMap::new() }).collect()
     }
 
@@ -265,6 +289,12 @@ mod tests {
         let found = matched(with_gap(|t| motion(t.clamp(0.0, 3.0) + (t - 6.0).max(0.0))), &[2.0, 4.5, 7.0]);
         assert_eq!(found.readings.len(), 3);
         assert!((found.readings[1].q_mm[0] - motion(3.0)).abs() < 0.06);
+    }
+
+    #[test]
+    fn noise_of_a_snake_at_rest_is_no_motion() {
+        let log: Vec<(f64, f64)> = (0..100).map(|k| (0.1 * f64::from(k), 1.0 + 0.002 * f64::from(k % 2))).collect();
+        assert_eq!(matched(log, &[0.35, 4.55]).readings.len(), 2);
     }
 
     #[test]

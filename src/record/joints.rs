@@ -62,20 +62,19 @@ pub fn read_joints(joints: &JointTopic, stamps_s: &[(u64, f64)], backbones: usiz
         return Err(topic.error(format!("mm_per_unit = {unit}, expected more than 0 (1000 for joints in m)")));
     }
     let (states, faults) = topic.all::<JointState>()?;
-    let series = joints.joints.iter().map(|name| series(&topic, name, &states)).collect::<Result<Vec<_>>>()?;
+    let series = joints.joints.iter().map(|name| series(&topic, (name, unit), &states)).collect::<Result<Vec<_>>>()?;
     let path = topic.bag.path();
     let mut matched = Matched::of_series(path, &topic.topic, series, stamps_s);
-    matched.readings.iter_mut().for_each(|reading| reading.q_mm = reading.q_mm * unit);
     let damage = |message: String| Warning { path: path.to_owned(), line: None, message, fault: Fault::Damage };
     matched.warnings.extend(faults.into_iter().map(damage));
     Ok(matched)
 }
 
-/// Times and positions of one joint.
-fn series(topic: &Topic, name: &str, states: &[JointState]) -> Result<Vec<(f64, f64)>> {
+/// Times and positions, mm, of one joint, which sends so many mm as one.
+fn series(topic: &Topic, (name, mm): (&str, f64), states: &[JointState]) -> Result<Vec<(f64, f64)>> {
     let position = |state: &JointState| {
         let place = state.names.iter().position(|known| known == name)?;
-        Some((state.stamp_s, *state.positions.get(place)?))
+        Some((state.stamp_s, mm * state.positions.get(place)?))
     };
     let found: Vec<(f64, f64)> = states.iter().filter_map(position).collect();
     if found.is_empty() {

@@ -85,6 +85,20 @@ impl LogKeys {
         self.time.is_some() && self.index.is_none()
     }
 
+    /// The columns of rows that come without an index, the time's first, and then each backbone's: as the log calls them, and what one unit
+    /// of each is, s or mm.
+    ///
+    /// # Errors
+    /// A key that does not fit the robot or another key, in words.
+    pub fn columns(&self, backbones: usize) -> std::result::Result<Vec<(String, f64)>, String> {
+        let renamed = self.renamed(backbones)?;
+        let column = |name: &String| match renamed.iter().find(|column| column.to == *name) {
+            Some(Renamed { from, scale, .. }) => (from.clone(), *scale),
+            None => (name.clone(), 1.0),
+        };
+        Ok(columns(backbones)[1..].iter().map(column).collect())
+    }
+
     /// What one unit of a reading is, mm.
     ///
     /// # Errors
@@ -126,6 +140,9 @@ impl LogKeys {
         let q = self.q.as_deref().unwrap_or(&columns[2..]);
         if q.len() != backbones {
             return Err(format!("q = {q:?}, expected {backbones} columns, one for each backbone"));
+        }
+        if let Some(twice) = (1..q.len()).find(|&i| q[..i].contains(&q[i])) {
+            return Err(format!("q names the column {:?} twice, expected one for each backbone", q[twice]));
         }
         let renamed = |from: &str, to: &str, scale: f64| Renamed { from: from.to_owned(), to: to.to_owned(), scale };
         let seconds = self.time_unit.map_or(1.0, TimeUnit::seconds);

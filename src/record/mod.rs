@@ -40,6 +40,8 @@ pub(crate) use experiment::line_at;
 pub use experiment::{Experiment, RigSource, Tracker, View};
 pub use force::forces_csv;
 pub use friction::read_friction;
+#[cfg(feature = "live")]
+pub(crate) use interpolation::Interpolation;
 pub use interpolation::Matched;
 #[cfg(feature = "ros2")]
 pub(crate) use interpolation::Neighbouring;

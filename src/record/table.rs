@@ -5,6 +5,7 @@
 
 use super::columns::fields_of;
 use super::dialect::{Sheet, Unit, text_of, unit_of};
+use crate::camera::number_in_name;
 use crate::error::{Error, Result};
 use crate::input::{TABLE_BYTES, read_bytes};
 use crate::instant::seconds_of;
@@ -103,6 +104,8 @@ impl Row<'_> {
     /// A number as this file writes it.
     fn parsed(&self, text: &str) -> Option<f64> {
         let has_comma = self.has_decimal_commas && text.contains(',') && !text.contains('.');
+        // Spreadsheets and reports write the minus sign of print.
+        let text = text.replace('\u{2212}', "-");
         if has_comma { text.replacen(',', ".", 1).parse().ok() } else { text.parse().ok() }
     }
 
@@ -115,7 +118,9 @@ impl Row<'_> {
     pub fn optional_time(&self) -> RowResult<Option<f64>> {
         match seconds_of(self.text(TIME)) {
             Some(seconds) => Ok(Some(seconds)),
-            None => self.optional_number(TIME),
+            None => {
+                self.optional_number(TIME).map_err(|why| format!("{why} or a date such as 2026-11-26 02:35:28.123"))
+            }
         }
     }
 
@@ -124,7 +129,7 @@ impl Row<'_> {
         self.optional_time()?.ok_or_else(|| format!("{TIME} is empty, expected a number"))
     }
 
-    /// A whole number, not negative; `12.0` is one too, since spreadsheets write it so.
+    /// A whole number, not negative; `12.0` is one too, since spreadsheets write it so, and the name of a frame's file stands for its number.
     pub fn index(&self, column: &str) -> RowResult<u64> {
         /// Above this not every whole number has an `f64`.
         ///
@@ -136,9 +141,17 @@ impl Row<'_> {
         }
         match self.parsed(text) {
             Some(number) if number.fract() == 0.0 && (0.0..=LARGEST).contains(&number) => Ok(number as u64),
+            None if is_file_name(text) => number_in_name(Path::new(text))
+                .ok_or_else(|| format!("{column} is {}, expected a number in the file's name", quoted(text))),
             _ => Err(format!("{column} is {}, expected a whole number from 0 up", quoted(text))),
         }
     }
+}
+
+/// Whether a text is a file's name: its ending begins with a letter.
+fn is_file_name(text: &str) -> bool {
+    let ending = Path::new(text).extension().unwrap_or_default().to_string_lossy();
+    ending.starts_with(|c: char| c.is_ascii_alphabetic())
 }
 
 /// The column of times.
@@ -254,7 +267,15 @@ pub(super) fn read_renamed<'a, T>(
 pub(super) fn checked<T>(path: &Path, rows: Vec<T>, warnings: Warnings) -> Result<Checked<T>> {
     let warnings = warnings.in_order();
     if rows.is_empty() {
-        let message = match warnings.first() {
+        // One more warning says that the rows are not in order.
+        let contradicted = warnings.iter().find(|warning| warning.fault == Fault::Contradiction);
+        let others = warnings.iter().filter(|warning| warning.fault != Fault::Contradiction).count();
+        let message = match contradicted.filter(|_| others <= 1).or(warnings.first()) {
+            Some(first) if first.fault == Fault::Contradiction => format!(
+                "every index is there more than once with other values, as when two logs are in one file; keep one of them (line {}: {})",
+                first.line.unwrap_or_default(),
+                first.message
+            ),
             Some(first) => {
                 format!("no usable row; the first fault, in line {}: {}", first.line.unwrap_or_default(), first.message)
             }
@@ -321,6 +342,13 @@ fn columns_of(path: &Path, sheet: &Sheet, names: &[Renamed], required: &[&str]) 
     if missing.is_empty() {
         check_units(path, sheet, &columns, required)?;
         return Ok(columns);
+    }
+    let is_number = |name: &String| name.parse::<f64>().is_ok();
+    if header.iter().all(is_number) || header[0].starts_with(['{', '[']) {
+        let kind = if is_number(&header[0]) { "a row of numbers" } else { "JSON" };
+        let message =
+            format!("{kind} where the header should be; write {expected} above the rows, separated by commas");
+        return Err(Error::at_line(path, line, message));
     }
     let found = header.join(",");
     let message = format!("column {} is missing, expected {expected}; the header has {found}", missing.join(", "));

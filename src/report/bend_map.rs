@@ -44,7 +44,7 @@ pub fn bend_map(values: &[(Configuration, f64)], unit: &str, strongest: f64) -> 
             (axes(CIRCLE_DEG * circles, px_per_deg))
             @for (psi, value) in finite() { (dot(psi, *value, strongest, px_per_deg, unit)) }
             @for circle in 1..=circles as usize { (circle_label(CIRCLE_DEG * circle as f64, px_per_deg)) }
-            (legend(strongest, unit, [finite().any(|(_, value)| *value < 0.0), finite().any(|(_, value)| *value > 0.0)]))
+            (legend(strongest, unit, [-1.0, 1.0].map(|sign| finite().map(|(_, value)| sign * value).fold(0.0, f64::max))))
         }
     })
 }
@@ -95,14 +95,14 @@ fn dot(psi: &Configuration, value: f64, strongest: f64, px_per_deg: f64, unit: &
     }
 }
 
-/// What the strongest colours mean; those of the signs that there are.
-fn legend(strongest: f64, unit: &str, signs: [bool; 2]) -> Markup {
+/// What the strongest colours mean, where these are the largest values of either sign; those of the signs that there are.
+fn legend(strongest: f64, unit: &str, largest: [f64; 2]) -> Markup {
     let y = SIZE_PX + 14.0;
     html! {
-        @let both = [(0.22, NEGATIVE, "−"), (0.52, POSITIVE, "+")];
-        @for ((share, colour, sign), _) in both.into_iter().zip(signs).filter(|(_, is_there)| *is_there) {
+        @let both = [(0.22, NEGATIVE, "−"), (0.52, POSITIVE, if largest[0] > 0.0 { "+" } else { "" })];
+        @for ((share, colour, sign), largest) in both.into_iter().zip(largest).filter(|(_, largest)| *largest > 0.0) {
             circle cx=(px(share * SIZE_PX)) cy=(px(y - 4.0)) r="5.5" fill=(colour) fill-opacity="0.85" {}
-            (text(share * SIZE_PX + 10.0, y, "start", &format!("{}{}", if signs == [true; 2] { sign } else { "up to " }, with_unit(strongest, 3, unit))))
+            (text(share * SIZE_PX + 10.0, y, "start", &format!("{sign}{}{}", with_unit(strongest, 3, unit), if largest > strongest { " and beyond" } else { "" })))
         }
     }
 }
@@ -132,7 +132,14 @@ mod tests {
         let psi = Configuration::from_degrees(40.0, 90.0);
         let svg = bend_map(&[(psi, 0.1), (psi, -0.1), (psi, f64::NAN)], "<mm>", 0.1).unwrap().into_string();
         assert_eq!(svg.matches("fill-opacity").count(), 2 + 2, "dots and legend");
-        assert!(svg.contains("θ 60°") && svg.contains("0.100 &lt;mm&gt;") && !svg.contains("NaN"));
+        assert!(
+            svg.contains("θ 60°")
+                && svg.contains("0.100 &lt;mm&gt;")
+                && !svg.contains("NaN")
+                && !svg.contains("beyond")
+        );
+        let svg = bend_map(&[(psi, 0.1), (psi, 0.05)], "mm", 0.08).unwrap().into_string();
+        assert!(svg.contains(">0.080 mm and beyond<") && !svg.contains(">−0.080"), "{svg}");
         assert!(bend_map(&[], "mm", 1.0).is_none());
         assert!(bend_map(&[(Configuration::new(0.0, 0.0), 0.0)], "mm", 0.0).is_some());
         assert_eq!(strongest([-2.0, f64::NAN, -2.0].into_iter()), 2.0);

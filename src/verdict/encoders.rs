@@ -6,6 +6,7 @@ use super::evidence::Sample;
 use super::reason::{Code, Level, Reason};
 use super::rules::REJECTED_IN_ORDER;
 use crate::estimate::NEW_POSE;
+use crate::observation::MOVED_SDS;
 use crate::robot::Robot;
 use crate::statistics::moments::standard_deviation;
 use crate::statistics::order::median;
@@ -19,10 +20,6 @@ use nalgebra::Vector2;
 const STILL: f64 = 0.1;
 /// Fewer samples than this say nothing of spreads. Convention: see [`STILL`].
 const LEAST_SAMPLES: usize = 4;
-/// The bend has moved where it changed by more than so many standard deviations.
-///
-/// Derived: the gate's 4.5, which noise exceeds once in 20,000 steps.
-const MOVED_SDS: f64 = 4.5;
 /// A picture is the one before again if its bend differs by less than so many standard deviations.
 ///
 /// Derived: two errors of their own are so near once in 80,000 steps (1 − exp(−0.005²/2)); where the rig's share of σ is ten times the frames' own,
@@ -84,20 +81,12 @@ fn robust_spread(mut values: Vec<f64>) -> f64 {
     standard_deviation(&values)
 }
 
-/// How far the bend moved from one sample to another, in standard deviations.
-fn step_sds(a: &Sample, b: &Sample) -> Option<f64> {
-    let [from, to] = [a, b].map(|sample| sample.measured.configuration);
-    let covariance = a.measured.bend_covariance(from) + b.measured.bend_covariance(to);
-    let step = to.bend_vector() - from.bend_vector();
-    covariance.cholesky().map(|factor| step.dot(&factor.solve(&step)).sqrt())
-}
-
 /// Pictures that do not change at all while the readings ask for other poses: the same picture again and again.
 pub(super) fn camera_stuck(robot: &Robot, samples: &[Sample]) -> Option<Reason> {
     let implied = |sample: &Sample| robot.bend_by_displacement().tr_mul(&sample.q_mm);
     let is_frozen = |pair: &[Sample]| {
         (implied(&pair[1]) - implied(&pair[0])).norm() > NEW_POSE
-            && step_sds(&pair[0], &pair[1]).is_some_and(|sds| sds < SAME_SDS)
+            && pair[0].measured.moved_sds(&pair[1].measured).is_some_and(|sds| sds < SAME_SDS)
     };
     let frozen: Vec<&[Sample]> = samples.windows(2).filter(|pair| is_frozen(pair)).collect();
     let in_a_row = samples.windows(LEAST_FROZEN + 1).any(|row| row.windows(2).all(is_frozen));
@@ -116,8 +105,7 @@ pub(super) fn camera_stuck(robot: &Robot, samples: &[Sample]) -> Option<Reason> 
 
 /// Readings that do not change at all, in steps that follow each other, while the bend moves.
 fn frozen(samples: &[Sample]) -> Option<String> {
-    let moved = |a: &Sample, b: &Sample| step_sds(a, b).is_some_and(|sds| sds > MOVED_SDS);
-    let is_frozen = |pair: &[Sample]| pair[0].q_mm == pair[1].q_mm && moved(&pair[0], &pair[1]);
+    let is_frozen = |pair: &[Sample]| pair[0].q_mm == pair[1].q_mm && pair[0].measured.has_moved(&pair[1].measured);
     let steps: Vec<&[Sample]> = samples.windows(2).filter(|pair| is_frozen(pair)).collect();
     let in_a_row = samples.windows(LEAST_FROZEN + 1).any(|row| row.windows(2).all(is_frozen));
     let (first, last) = (steps.first()?, steps.last()?);

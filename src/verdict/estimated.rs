@@ -20,24 +20,26 @@ pub struct JudgedEstimate {
 }
 
 impl JudgedEstimate {
-    /// Learns from all measurements, in order, each with the reading of its index, and judges what was learned.
+    /// Learns from all measurements, in order, each with the reading of its index, and judges what was learned. `subject` says how readings
+    /// and views are wired, `unit_is_stated` that somebody wrote down the unit of the log's times.
     ///
     /// # Errors
-    /// [`ArgumentError::OutOfRange`](crate::error::ArgumentError::OutOfRange) for an option out of its range.
+    /// [`ArgumentError::OutOfRange`](crate::error::ArgumentError::OutOfRange) for an option out of its range; what `subject` says.
     pub fn of(
         start: &Model,
         options: Options,
-        measurements: &[Measurement],
-        readings: &[EncoderReading],
+        (measurements, readings): (&[Measurement], &[EncoderReading]),
+        unit_is_stated: bool,
+        subject: impl for<'a> FnOnce(&'a Model) -> Result<Subject<'a>>,
     ) -> Result<Self> {
         let (rows, model) = estimate(start, options, measurements, readings)?;
         let all = || measurements.iter().cloned().map(Ok::<_, Infallible>);
         let Ok((model, replaced)) = or_one_gain(model, all(), readings);
         let count = |verdict| rows.iter().filter(|row| row.verdict == verdict).count();
         let used_and_rejected = Some((count(estimate::Verdict::Used), count(estimate::Verdict::Rejected)));
-        let subject = Subject { used_and_rejected, replaced, ..Subject::new(&model, options.sd_encoder_mm) };
+        let subject = Subject { used_and_rejected, replaced, ..subject(&model)? };
         let Ok(verdict) = subject.verdict(all(), readings);
-        let doubt = doubts_of_times(&measurements[..measurements.len().min(TIMED)], readings, false);
+        let doubt = doubts_of_times(&measurements[..measurements.len().min(TIMED)], readings, unit_is_stated);
         let verdict = doubt.into_iter().fold(verdict, Verdict::and);
         Ok(Self { rows, model, verdict })
     }

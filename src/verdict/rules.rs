@@ -8,11 +8,11 @@ use super::reason::{Code, Level, Reason, Verdict};
 use super::scale::{PLAUSIBLE_ETA, angles_are_radians};
 use super::wiring::{self, Mistake, WiringCheck};
 use super::words;
-use crate::estimate::{NEW_POSE, Replaced};
-use crate::observation::{EncoderReading, Status, Wiring};
+use crate::estimate::{NewPoses, Replaced};
+use crate::observation::{EncoderReading, Wiring, commonest_status};
 use crate::robot::Model;
 use crate::statistics::binomial;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Matrix2;
 use std::f64::consts::PI;
 
 /// The probability with which each rule speaks although all is in order.
@@ -117,15 +117,8 @@ fn more_often(times: usize, of: usize, p: f64) -> bool {
 
 /// Samples whose bend has moved on since the last one taken.
 pub(super) fn new_poses(samples: &[Sample]) -> impl Iterator<Item = &Sample> {
-    let mut last: Option<Vector2<f64>> = None;
-    samples.iter().filter(move |sample| {
-        let bend = sample.measured.configuration.bend_vector();
-        let is_new = last.is_none_or(|last| (bend - last).norm() >= NEW_POSE);
-        if is_new {
-            last = Some(bend);
-        }
-        is_new
-    })
+    let mut poses = NewPoses::default();
+    samples.iter().filter(move |sample| poses.is_new(sample.measured.configuration.bend_vector()))
 }
 
 /// Angles in radians in columns of degrees.
@@ -150,11 +143,18 @@ fn unmatched(evidence: &Evidence, log: &[EncoderReading]) -> Option<Reason> {
             "no frame has a reading: frames {} to {} were measured, and the log has the indices {} to {}",
             from.index, to.index, first.index, last.index
         );
+        /// Indices from here on are times. Convention: Unix times have ten digits in seconds, and no camera counts so far.
+        const LEAST_TIME: u64 = 1_000_000_000;
         let shift = first.index as i64 - from.index as i64;
-        let remedy = format!(
-            "number the log as the frames are; if its first row belongs to the first frame, write index_shift = {shift} under \
-             [wiring] of experiment.toml"
-        );
+        let remedy = match from.index {
+            LEAST_TIME.. => "the frames are named by their times: match the log by time (under [log] of experiment.toml name the column of `time` \
+                             and leave `index` out), or number its rows as the frames are"
+                .to_owned(),
+            _ => format!(
+                "number the log as the frames are; if its first row belongs to the first frame, write index_shift = {shift} under \
+                 [wiring] of experiment.toml"
+            ),
+        };
         Reason::new(Code::Wiring, Level::DoNotUse, text, remedy)
     })
 }
@@ -200,12 +200,9 @@ fn not_measured(evidence: &Evidence) -> Option<Reason> {
                       every frame";
         return Some(Reason::new(Code::RigDrift, level, text, remedy));
     }
-    let commonest = statuses.iter().filter(|(word, _)| *word != "ok").max_by_key(|(_, count)| **count);
-    let remedy = commonest.map_or_else(String::new, |(word, _)| {
-        let status: Status = word.parse().unwrap_or_else(|never| match never {});
-        let (meaning, remedy) = status.explained();
-        format!("{word}: {meaning}; {remedy}. `snakeloop measure EXPERIMENT --explain INDEX -o OUT` shows why a frame failed, stage by stage")
-    });
+    let told = commonest_status(statuses).map(|told| format!("{told}. ")).unwrap_or_default();
+    let remedy =
+        format!("{told}`snakeloop measure EXPERIMENT --explain INDEX -o OUT` shows why a frame failed, stage by stage");
     Some(Reason::new(Code::ManyNotMeasured, level, text, remedy))
 }
 

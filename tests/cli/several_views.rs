@@ -54,6 +54,11 @@ fn two_views_are_one_measurement_and_either_answers_for_the_other() {
     let together = measure(&sandbox, &both);
     let names: Vec<_> = together.iter().map(|m| m.view.as_deref().unwrap()).collect();
     assert_eq!(names, ["side+front", "side+front", "side+front", "side"]);
+    // Without the azimuth of the second camera the views contradict each other, which is nothing of the encoders'.
+    sandbox
+        .write("experiment.toml", &both.replace(&format!("= {OFFSET_DEG}"), "= 0.0").replace("*.png", "0000[012].png"));
+    let told = sandbox.fail("measure . -o untold --quiet", 1);
+    assert!(told.contains("views_disagree") && told.contains("check `delta_offset_deg` of each view"), "{told}");
     let one = both.split("[[view]]").nth(1).map(|table| format!("[[view]]{table}")).unwrap();
     let alone = measure(&sandbox, &one);
 

@@ -12,7 +12,7 @@ mod yaml;
 use super::Lens;
 use crate::content;
 use crate::error::{ArgumentError, Error, Result};
-use crate::input::{SETTINGS_BYTES, read_bytes, read_text};
+use crate::input::{SETTINGS_BYTES, read_bytes, text_in};
 use nalgebra::{Point2, Vector2};
 pub(super) use names::FISHEYES;
 use names::{Camera, Found};
@@ -55,15 +55,15 @@ impl Lens {
     /// A file that cannot be read, is no text of these kinds, holds no camera or several, or one that is not of this model: a skewed or
     /// non-finite matrix, another number of coefficients, another distortion model. What is missing is told with the keys that were found.
     pub fn read(path: &Path) -> Result<Self> {
-        let head = read_bytes(path, SETTINGS_BYTES)?;
-        if let Some(found) = content::name_of(&head) {
+        let bytes = read_bytes(path, SETTINGS_BYTES)?;
+        if let Some(found) = content::name_of(&bytes) {
             let message = format!(
                 "{found}, expected a camera file as text; write the numbers into experiment.toml: camera = {{ K = [[fx, 0, cx], [0, fy, cy], \
                  [0, 0, 1]], dist = [k1, k2, p1, p2, k3], size = [width, height] }}"
             );
             return Err(Error::content(path, message));
         }
-        Self::parse(path, &read_text(path)?)
+        Self::parse(path, &text_in(&bytes))
     }
 
     /// The camera file's text; `path` is for error messages only.
@@ -82,8 +82,8 @@ impl Lens {
             _ => Err(names::Wrong::at(&key, "expected a whole number of pixels, at least 1")),
         };
         let (width, height) = (size(width)?, size(height)?);
-        let Found { key: of_matrix, value: matrix } = camera.matrix()?;
         let is_fisheye = camera.is_fisheye()?;
+        let Found { key: of_matrix, value: matrix } = camera.matrix()?;
         let Found { key: of_distortion, value: coefficients } = camera.distortion()?;
         let lens = Self::of_parts((width, height), matrix, &coefficients, is_fisheye);
         let lens = lens.map_err(|wrong| match wrong {

@@ -45,6 +45,20 @@ pub struct Found<T> {
     pub value: T,
 }
 
+impl Found<&Node> {
+    /// What is wrong with a text where numbers should be.
+    fn unread(&self) -> Option<Wrong> {
+        let Node::Text(text) = self.value else { return None };
+        let shown: String = text.split_whitespace().collect::<Vec<_>>().join(" ").chars().take(40).collect();
+        let what =
+            if ["", "null"].contains(&shown.as_str()) { "nothing".to_owned() } else { format!("the text {shown:?}") };
+        Some(Wrong::at(
+            &self.key,
+            format!("holds {what}, expected numbers in a list such as [0.0, 0.0], with decimal points"),
+        ))
+    }
+}
+
 /// What is wrong with a camera, and at which key.
 pub struct Wrong {
     key: Option<String>,
@@ -117,7 +131,14 @@ impl<'a> Camera<'a> {
         let maps = tree.maps();
         let cameras: Vec<&(String, &Node)> = maps.iter().filter(|(_, map)| matrix_of(map).is_some()).collect();
         match cameras[..] {
-            [] => Err(Wrong::missing("no camera matrix (camera_matrix, K, mtx, intrinsics, or fx, fy, cx, cy)")),
+            [] => {
+                let around = Self { own: tree, all: maps.iter().map(|(_, map)| *map).collect() };
+                around.is_fisheye()?;
+                let unread = around.get(&MATRICES).or_else(|| around.get(&["fx"])).and_then(|found| found.unread());
+                Err(unread.unwrap_or_else(|| {
+                    Wrong::missing("no camera matrix (camera_matrix, K, mtx, intrinsics, or fx, fy, cx, cy)")
+                }))
+            }
             [(place, own)] => {
                 let is_around = |other: &str| place.starts_with(other);
                 let (around, others): (Vec<_>, Vec<_>) = maps.iter().partition(|(other, _)| is_around(other));
@@ -204,7 +225,10 @@ impl<'a> Camera<'a> {
         let single = self.all.iter().find_map(|map| coefficients(map));
         let single = single.map(|value| Found { key: "k1".to_owned(), value });
         single.ok_or_else(|| {
-            Wrong::missing("no distortion coefficients (distortion_coefficients, D, dist, dist_coeffs, k1 …)")
+            let unread = self.get(&DISTORTIONS).and_then(|found| found.unread());
+            unread.unwrap_or(Wrong::missing(
+                "no distortion coefficients (distortion_coefficients, D, dist, dist_coeffs, k1 …)",
+            ))
         })
     }
 

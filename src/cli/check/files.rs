@@ -39,6 +39,15 @@ pub fn files_with_remedies(experiment: &Experiment) -> Vec<(PathBuf, String)> {
     files
 }
 
+/// A file that is there under the same name in other letters, or with another ending.
+pub fn spelled_otherwise(missing: &Path) -> Option<String> {
+    let lower = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
+    let folder = missing.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let found = entries.filter(|path| path.is_file() && lower(path) == lower(missing)).min()?;
+    Some(found.file_name()?.to_string_lossy().into_owned())
+}
+
 /// What to do where a view's frames cannot be taken, by why: of those that are not found the pattern that would match what is there, if
 /// anything is.
 pub fn frames_remedy(experiment: &Experiment, view: &View, why: &Error) -> String {
@@ -64,8 +73,21 @@ pub fn frames_remedy(experiment: &Experiment, view: &View, why: &Error) -> Strin
         let slashes = pattern.replace('\\', "/");
         return format!("a backslash separates no folders here: write frames = \"{slashes}\" under view {}", view.name);
     }
-    let folder = experiment.folder().join(pattern);
-    let folder = folder.parent().unwrap_or(Path::new(""));
+    if let Error::Content { message, .. } = why
+        && message.contains("is there twice")
+    {
+        return format!(
+            "the last number in a name counts; where another is the frame's, write %05d (or %d) in its place, as in frames/%05d_left.jpg, under \
+             view {}",
+            view.name
+        );
+    }
+    let named = experiment.folder().join(pattern);
+    if let Some((extension, _)) = named.is_dir().then(|| commonest_picture(&named)).flatten() {
+        let pattern = pattern.trim_end_matches('/');
+        return format!("that is a folder: write frames = \"{pattern}/*.{extension}\" under view {}", view.name);
+    }
+    let folder = named.parent().unwrap_or(Path::new(""));
     match commonest_picture(folder) {
         Some((extension, count)) => format!(
             "there are {count} files *.{extension} in {}: correct `frames` of view {}",

@@ -24,7 +24,7 @@ use crate::statistics::order::median;
 use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};
 use expected::{Expected, coverage, expected, poses_of};
-use files::{files_with_remedies, frames_remedy, name_in, pictures};
+use files::{files_with_remedies, frames_remedy, name_in, pictures, spelled_otherwise};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -122,6 +122,9 @@ impl Inspection {
         for (path, remedy) in files_with_remedies(experiment) {
             let name = name_in(experiment, &path);
             if !path.exists() {
+                let other = spelled_otherwise(&path);
+                let remedy =
+                    other.map_or(remedy, |other| format!("{other} is there: correct the name in experiment.toml"));
                 self.fault(Code::Files, Level::DoNotUse, format!("{name} is not there"), remedy);
             } else if !named.contains(&name) {
                 named.push(name);
@@ -207,8 +210,16 @@ impl Inspection {
                     "{count} pictures of view {} have {width}×{height} px ({name}), and the camera file says {}×{}",
                     view.name, lens.width, lens.height
                 );
-                let remedy = "calibrate the camera at the size of the frames, or take the frames at the size of the calibration; cropped or \
-                              scaled pictures need a camera file of their own";
+                let remedy = match (*height, *width) == expected {
+                    true => {
+                        "exchange the two numbers, if a list of NumPy or MATLAB gave the height first; else turn the frames as the camera was \
+                             calibrated, or calibrate it as they are"
+                    }
+                    false => {
+                        "calibrate the camera at the size of the frames, or take the frames at the size of the calibration; cropped or \
+                              scaled pictures need a camera file of their own"
+                    }
+                };
                 self.fault(Code::CameraLens, Level::DoNotUse, text, remedy);
             }
             let fitting = sizes.get(&expected).map_or(0, |(count, _)| *count);

@@ -2,13 +2,12 @@
 //!
 //! A line is `time_s,q1_mm,q2_mm,q3_mm` (a number for each backbone), with or without a header that names these columns in another order
 //! (encoders.csv is read as it is), or JSON: `{"time_s": 1.5, "q_measured_mm": [0.1, -0.2, 0.1]}` (or `q_mm`), or with `q1_mm` … `q3_mm`.
+//! Where `[log]` of experiment.toml gives the columns other names and units, these stand in place of them.
 
 use super::line_buffer::MAX_LINE;
 use crate::robot::PerBackbone;
 use csv::{StringRecord, Trim};
-use serde::Deserialize;
-use serde_json::Value;
-use std::collections::HashMap;
+use serde_json::{Map, Value};
 
 /// Larger readings are a slip of units or a broken line, mm. Convention: no actuator travels a metre.
 const MAX_Q_MM: f64 = 1e3;
@@ -20,6 +19,8 @@ const SHOWN: usize = 60;
 pub struct LineParser {
     /// The columns needed: time_s, then q1_mm, q2_mm, … for each backbone.
     names: Vec<String>,
+    /// What one unit of each is, s or mm.
+    units: Vec<f64>,
     /// The place of each in a line, from the header.
     columns: Option<Vec<usize>>,
 }
@@ -27,21 +28,17 @@ pub struct LineParser {
 /// A time stamp, s, and q̃, mm; `None` for a header, a comment or an empty line; else what is wrong with the line.
 pub type Parsed = std::result::Result<Option<(f64, PerBackbone)>, String>;
 
-#[derive(Deserialize)]
-struct JsonReading {
-    time_s: f64,
-    #[serde(alias = "q_measured_mm")]
-    q_mm: Option<PerBackbone>,
-    /// q1_mm, q2_mm, … among others.
-    #[serde(flatten)]
-    others: HashMap<String, Value>,
-}
-
 impl LineParser {
     /// A parser for a robot with so many backbones.
     pub fn new(backbones: usize) -> Self {
         let q = (1..=backbones).map(|i| format!("q{i}_mm"));
-        Self { names: ["time_s".to_owned()].into_iter().chain(q).collect(), columns: None }
+        Self::of_columns(["time_s".to_owned()].into_iter().chain(q).map(|name| (name, 1.0)).collect())
+    }
+
+    /// A parser for these columns, the time's first, and what one unit of each is, s or mm.
+    pub fn of_columns(columns: Vec<(String, f64)>) -> Self {
+        let (names, units) = columns.into_iter().unzip();
+        Self { names, units, columns: None }
     }
 
     /// Forgets the header: the lines of another connection may have another.
@@ -71,9 +68,8 @@ impl LineParser {
     }
 
     fn csv(&mut self, line: &str) -> Parsed {
-        let mut reader = csv::ReaderBuilder::new().has_headers(false).trim(Trim::All).from_reader(line.as_bytes());
         let expected = || format!("{}: expected {}", start_of(line), self.names.join(","));
-        let fields = reader.records().next().and_then(std::result::Result::ok).ok_or_else(expected)?;
+        let fields = fields_of(line).ok_or_else(expected)?;
         if fields.iter().any(|field| self.names.iter().any(|name| name == field)) {
             self.columns = Some(self.header(&fields)?);
             return Ok(None);
@@ -83,14 +79,14 @@ impl LineParser {
             return Err(expected());
         }
         let field = |i: usize| fields.get(columns.map_or(i, |columns| columns[i]));
-        let numbers = (0..self.names.len()).map(|i| field(i)?.parse::<f64>().ok());
+        let numbers = (0..self.names.len()).map(|i| Some(field(i)?.parse::<f64>().ok()? * self.units[i]));
         let values: Vec<f64> = numbers.collect::<Option<_>>().ok_or_else(expected)?;
         Ok(PerBackbone::of(&values[1..]).map(|q_mm| (values[0], q_mm)))
     }
 
     /// The places of the columns in a header.
     fn header(&self, fields: &StringRecord) -> std::result::Result<Vec<usize>, String> {
-        let further = format!("q{}_mm", self.names.len());
+        let further = self.further();
         let place = |name: &str| fields.iter().position(|field| field == name);
         let columns = self.names.iter().map(|name| place(name).ok_or_else(|| format!("the header has no {name}")));
         let columns = columns.collect::<std::result::Result<_, _>>()?;
@@ -102,18 +98,28 @@ impl LineParser {
 
     fn json(&self, line: &str) -> Parsed {
         let wrong = |why: String| format!("{}: {why}", start_of(line));
-        let JsonReading { time_s, q_mm, others } = serde_json::from_str(line).map_err(|e| wrong(e.to_string()))?;
+        let members: Map<String, Value> = serde_json::from_str(line).map_err(|e| wrong(e.to_string()))?;
         let backbones = self.names.len() - 1;
-        let single = || -> Option<PerBackbone> {
-            let numbers: Option<Vec<f64>> = self.names[1..].iter().map(|name| others.get(name)?.as_f64()).collect();
-            PerBackbone::of(&numbers?)
-        };
-        let q_mm = q_mm.or_else(single).filter(|q_mm| q_mm.len() == backbones);
-        let further = format!("q{}_mm", backbones + 1);
-        match q_mm {
-            Some(q_mm) if !others.contains_key(&further) => Ok(Some((time_s, q_mm))),
-            _ => Err(wrong(format!("expected q_mm of {backbones} numbers, or q1_mm to q{backbones}_mm"))),
+        let single = |i: usize| Some(members.get(&self.names[i])?.as_f64()? * self.units[i]);
+        let all_of = |list: &Value| list.as_array()?.iter().map(Value::as_f64).collect::<Option<Vec<f64>>>();
+        let list = members.get("q_measured_mm").or_else(|| members.get("q_mm")).and_then(all_of);
+        let q_mm = list.or_else(|| (1..=backbones).map(single).collect());
+        let q_mm = q_mm.filter(|q_mm| q_mm.len() == backbones && !members.contains_key(&self.further()));
+        // What is called time_s is in seconds, whatever [log] says of others.
+        let time_s = members.get("time_s").filter(|_| self.names[0] != "time_s").and_then(Value::as_f64);
+        match (time_s.or_else(|| single(0)), q_mm.and_then(|q_mm| PerBackbone::of(&q_mm))) {
+            (None, _) => Err(wrong(format!("{} is no number", self.names[0]))),
+            (Some(time_s), Some(q_mm)) => Ok(Some((time_s, q_mm))),
+            (_, None) => {
+                let (first, last) = (&self.names[1], &self.names[backbones]);
+                Err(wrong(format!("expected q_mm of {backbones} numbers, or {first} to {last}")))
+            }
         }
+    }
+
+    /// The column that a robot with one more backbone would have.
+    fn further(&self) -> String {
+        format!("q{}_mm", self.names.len())
     }
 }
 
@@ -121,6 +127,15 @@ impl LineParser {
 pub fn is_reading(time_s: f64, q_mm: &PerBackbone) -> bool {
     // NaN fails both comparisons.
     time_s.is_finite() && q_mm.iter().all(|q| q.abs() <= MAX_Q_MM)
+}
+
+/// The fields of a line without the spaces around them.
+fn fields_of(line: &str) -> Option<StringRecord> {
+    if !line.contains('"') {
+        return Some(line.split(',').map(str::trim).collect());
+    }
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).trim(Trim::All).from_reader(line.as_bytes());
+    reader.records().next()?.ok()
 }
 
 /// The beginning of a line, quoted.
@@ -154,6 +169,25 @@ mod tests {
         }
         for line in ["1.5,0.1", "a,b,c,d", "1.5,0.1,nan,0.3", "1.5,0.1,5000,0.3", "{\"time_s\":1}", "{", "1;2;3;4"] {
             assert!(parsed(&[line])[0].is_err(), "{line}");
+        }
+    }
+
+    #[test]
+    fn other_names_and_units_are_read_as_log_tells_them() {
+        let columns = [("t_ms", 1e-3), ("m1", 8.0), ("m2", 8.0), ("m3", 8.0)];
+        let read = |lines: &[&str]| {
+            let mut parser = LineParser::of_columns(columns.map(|(name, unit)| (name.to_owned(), unit)).into());
+            lines.iter().map(|line| parser.parse(line.as_bytes())).last().unwrap()
+        };
+        let (right_s, right_mm) = (1.5, PerBackbone::from([0.8, -1.6, 2.4]));
+        for lines in [
+            &["1500,0.1,-0.2,0.3"][..],
+            &["frame,t_ms,m1,m3,m2", "7,1500,0.1,0.3,-0.2"],
+            &[r#"{"t_ms":1500,"m1":0.1,"m2":-0.2,"m3":0.3}"#],
+            &[r#"{"time_s":1.5,"m1":0.1,"m2":-0.2,"m3":0.3}"#],
+        ] {
+            let Ok(Some((time_s, q_mm))) = read(lines) else { panic!("{lines:?}") };
+            assert!((time_s - right_s).abs() < 1e-12 && (q_mm - right_mm).norm() < 1e-12, "{lines:?}");
         }
     }
 

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Time before a missing socket or file is tried again. Convention.
 ///
@@ -24,6 +24,8 @@ const RETRY: Duration = Duration::from_millis(250);
 const POLL: Duration = Duration::from_millis(5);
 /// Looks at a file between two checks whether it was replaced or shortened, which ask the file system. Convention: about a second.
 const POLLS_BETWEEN_CHECKS: u32 = 200;
+/// Readings that waited for this time without a pause are told. Convention: what a busy machine may fall behind without harm.
+const BEHIND: Duration = Duration::from_secs(1);
 /// Bytes read at a time. Convention: a resource limit.
 const CHUNK: usize = 64 << 10;
 
@@ -183,13 +185,26 @@ impl SharedReadings {
     /// Reads lines to the end; there `goes_on` says whether more may come.
     fn read(&self, mut from: impl Read, mut goes_on: impl FnMut() -> std::io::Result<bool>) -> std::io::Result<()> {
         let (mut lines, mut chunk) = (LineBuffer::default(), vec![0; CHUNK]);
+        let mut behind_since: Option<Instant> = None;
         while !self.is_stopped() {
             let length = match from.read(&mut chunk) {
                 Err(e) if e.kind() == ErrorKind::Interrupted => continue,
                 length => length?,
             };
             let (arrival_s, unix_s) = (self.clock.now_s(), unix_time_s());
-            lines.push(&chunk[..length], |line| self.lock().take(line, arrival_s, unix_s));
+            let is_behind = length == CHUNK;
+            behind_since = behind_since.filter(|_| is_behind).or(is_behind.then(Instant::now));
+            let mut readings = self.lock();
+            readings.set_waited(is_behind);
+            lines.push(&chunk[..length], |line| readings.take(line, arrival_s, unix_s));
+            if behind_since.is_some_and(|since| since.elapsed() > BEHIND) {
+                readings.remark(
+                    "encoder readings wait to be read: they come faster than this machine takes them, or are a long file from its beginning; \
+                     until they are read, the newest frames have no reading"
+                        .into(),
+                );
+            }
+            drop(readings);
             if length == 0 && !goes_on()? {
                 break;
             }

@@ -12,12 +12,13 @@ pub use line_reader::EncoderSource;
 pub use readings::Lookup;
 
 use self::line_reader::LineReader;
-use self::readings::{Readings, interpolate};
+use self::readings::Readings;
 use super::clock::{FrameClock, unix_time_s};
 use super::motion_lag::motion_lag;
 use super::status::EncoderStatus;
 use super::stream::ReadingStream;
 use crate::observation::{EncoderReading, Wiring};
+use crate::record::Interpolation;
 use crate::robot::PerBackbone;
 use nalgebra::Vector2;
 use std::collections::HashMap;
@@ -40,10 +41,15 @@ impl Encoders {
         Self::Log(readings.into_iter().map(|reading| (reading.index, reading)).collect())
     }
 
-    /// Starts to read lines, as a wiring tells them. The offset of the encoders' clock, s, is estimated where it is not
+    /// Starts to read lines, as a parser and a wiring tell them. The offset of the encoders' clock, s, is estimated where it is not
     /// given.
-    pub fn lines(source: EncoderSource, wiring: Wiring, clock: Arc<FrameClock>, offset_s: Option<f64>) -> Self {
-        let readings = Readings::new(wiring.columns.len(), offset_s).wired(wiring);
+    pub fn lines(
+        source: EncoderSource,
+        (parser, wiring): (LineParser, Wiring),
+        clock: Arc<FrameClock>,
+        offset_s: Option<f64>,
+    ) -> Self {
+        let readings = Readings::new(wiring.columns.len(), offset_s).parsed_by(parser).wired(wiring);
         Self::Lines(LineReader::start(source, readings, clock))
     }
 
@@ -81,7 +87,8 @@ impl Encoders {
         let (Self::Lines(lines), Some(first), Some(last)) = (self, bends.first(), bends.last()) else { return };
         // Copied, so that the lock is not held while the lag is estimated.
         let readings = lines.lock().in_frames_time(first.0, last.0);
-        let lag = motion_lag(bends, |time_s| interpolate(&readings, time_s).map(|q| to_bend.tr_mul(&q)));
+        let mut interpolation = Interpolation::of(readings.iter());
+        let lag = motion_lag(bends, |time_s| interpolation.at(time_s).map(|q| to_bend.tr_mul(&q)));
         if let Some(lag) = lag {
             lines.lock().set_lag(lag);
         }
@@ -99,7 +106,7 @@ mod tests {
 
     #[test]
     fn no_part_of_a_line_is_taken_for_a_reading() {
-        let readings = format!("0.0,0,0,0\n{}1.0,7,7,7\n0.1,1,1,1\n2.0,9,9,9", "x".repeat(3 * MAX_LINE));
+        let readings = format!("0.0,0,0,0\n{}1.0,7,7,7\n0.1,0.01,0.01,0.01\n2.0,9,9,9", "x".repeat(3 * MAX_LINE));
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("encoders.csv");
         std::fs::write(&path, &readings).unwrap();
@@ -111,7 +118,7 @@ mod tests {
             if tcp {
                 listener.accept().unwrap().0.write_all(readings.as_bytes()).unwrap();
             }
-            assert_eq!(found(&encoders, 0.05)[0], 0.5);
+            assert_eq!(found(&encoders, 0.05)[0], 0.005);
             let status = encoders.status();
             assert_eq!((status.readings, status.bad_lines), (2, 1), "{status:?}");
             assert!(status.last_bad.unwrap().contains("more than 4096 bytes"));
@@ -119,7 +126,7 @@ mod tests {
     }
 
     fn lines(source: EncoderSource) -> Encoders {
-        Encoders::lines(source, Wiring::straight(3), clock(), None)
+        Encoders::lines(source, (LineParser::new(3), Wiring::straight(3)), clock(), None)
     }
 
     fn clock() -> Arc<FrameClock> {
@@ -147,12 +154,14 @@ mod tests {
         let encoders = lines(EncoderSource::File(path.clone()));
         assert_eq!(encoders.status().state, "waiting");
         let mut file = File::create(&path).unwrap();
-        file.write_all(b"time_s,q1_mm,q2_mm,q3_mm\n0.0,0,0,0\n0.2,1,2,-1\n0.3,1,").unwrap();
-        assert!((found(&encoders, 0.05) - PerBackbone::from([0.25, 0.5, -0.25])).norm() < 1e-12);
-        assert_eq!(encoders.at(0, 0.25), Lookup::NotYet);
-        file.write_all(b"3,-1\n9,0,0,0\n").unwrap();
-        assert!((found(&encoders, 0.25) - PerBackbone::from([1.0, 2.5, -1.0])).norm() < 1e-12);
-        assert_eq!(encoders.at(0, 5.0), Lookup::Never, "too far from any reading");
+        let header_and_rows =
+            b"time_s,q1_mm,q2_mm,q3_mm\n0.0,0,0,0\n0.1,1,2,-1\n0.2,2,4,-2\n0.3,3,6,-3\n0.4,4,8,-4\n0.5,5,";
+        file.write_all(header_and_rows).unwrap();
+        assert!((found(&encoders, 0.05) - PerBackbone::from([0.5, 1.0, -0.5])).norm() < 1e-12);
+        assert_eq!(encoders.at(0, 0.45), Lookup::NotYet);
+        file.write_all(b"10,-5\n9,0,0,0\n").unwrap();
+        assert!((found(&encoders, 0.45) - PerBackbone::from([4.5, 9.0, -4.5])).norm() < 1e-12);
+        assert_eq!(encoders.at(0, 5.0), Lookup::Never, "nobody knows what moved meanwhile");
         assert_eq!(encoders.status().state, "running");
     }
 
@@ -177,7 +186,7 @@ mod tests {
         let path = folder.path().join("encoders.sock");
         let listener = std::os::unix::net::UnixListener::bind(&path).unwrap();
         let source: EncoderSource = format!("unix:{}", path.display()).parse().unwrap();
-        let encoders = Encoders::lines(source, Wiring::straight(3), clock(), Some(0.5));
+        let encoders = Encoders::lines(source, (LineParser::new(3), Wiring::straight(3)), clock(), Some(0.5));
         let (mut stream, _) = listener.accept().unwrap();
         writeln!(stream, "{{\"time_s\": 1.0, \"q_mm\": [1, 2, 3]}}").unwrap();
         assert_eq!(found(&encoders, 1.5), PerBackbone::from([1.0, 2.0, 3.0]));

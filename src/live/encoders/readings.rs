@@ -5,6 +5,7 @@ use crate::live::clock_offset::ClockOffset;
 use crate::live::status::{EncoderStatus, Lag};
 use crate::live::stream::{Came, SentReading};
 use crate::observation::{EncoderReading, Wiring};
+use crate::record::Interpolation;
 use crate::robot::PerBackbone;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -13,9 +14,14 @@ use std::time::Duration;
 ///
 /// Convention: a timeout.
 pub const SILENCE: Duration = Duration::from_secs(2);
-/// Readings further apart than this are not interpolated between, s. Convention: a robot that bends at 10 °/s may have turned back
-/// over a few degrees meanwhile.
-const MAX_GAP_S: f64 = 0.5;
+/// Readings before a frame and after it by which a gap between two is judged. Convention: a resource limit, a second of a bus of 1 kHz.
+const AROUND_A_FRAME: usize = 512;
+/// Readings nearer to the last one kept than this are counted and not kept, s.
+///
+/// Convention: a resource limit: those that are kept reach back a minute at least, and nothing bends meanwhile.
+const FINEST_S: f64 = 0.5e-3;
+/// More readings a second than this are told, since most of them are not kept. Convention: twice as many as are.
+const FLOOD_PER_S: f64 = 4000.0;
 /// Readings kept: two minutes of a bus of 1 kHz. Convention: a resource limit, about 10 MB.
 const MAX_READINGS: usize = 120_000;
 /// A time stamp earlier than the last by more than this comes from a clock that was set anew, s; by less, from a line that is to be
@@ -55,6 +61,34 @@ pub struct Readings {
     trouble: Option<String>,
     remarks: Vec<String>,
     last_unix_s: Option<f64>,
+    flood: Flood,
+    /// Whether the lines that are taken may have waited to be read.
+    may_have_waited: bool,
+}
+
+/// How many readings come, counted from one second to the next.
+#[derive(Debug, Default)]
+struct Flood {
+    since_unix_s: f64,
+    count: u32,
+    told: bool,
+}
+
+impl Flood {
+    /// Counts a reading that came at a Unix time, s; gives the rate, once, where it is so high that most are not kept.
+    fn rate_to_tell(&mut self, unix_s: f64) -> Option<f64> {
+        self.count += 1;
+        let elapsed_s = unix_s - self.since_unix_s;
+        // A clock that was set back begins anew.
+        if (0.0..1.0).contains(&elapsed_s) {
+            return None;
+        }
+        let rate = f64::from(self.count) / elapsed_s;
+        (self.since_unix_s, self.count) = (unix_s, 0);
+        let is_flood = !self.told && rate > FLOOD_PER_S;
+        self.told |= is_flood;
+        is_flood.then_some(rate)
+    }
 }
 
 impl Readings {
@@ -72,7 +106,19 @@ impl Readings {
             trouble: None,
             remarks: Vec::new(),
             last_unix_s: None,
+            flood: Flood::default(),
+            may_have_waited: false,
         }
+    }
+
+    /// Whether the next lines may have waited to be read, so that nobody knows when they came.
+    pub fn set_waited(&mut self, may_have_waited: bool) {
+        self.may_have_waited = may_have_waited;
+    }
+
+    /// The same of lines that a parser of their own reads.
+    pub fn parsed_by(self, parser: LineParser) -> Self {
+        Self { parser, ..self }
     }
 
     /// The same of lines whose columns, signs and unit a wiring tells; rows have no numbers here, so that its shift means nothing.
@@ -128,7 +174,7 @@ impl Readings {
     }
 
     /// Notes something that the user is to know of the encoders, once.
-    fn remark(&mut self, text: String) {
+    pub fn remark(&mut self, text: String) {
         if self.remarks.len() < MAX_REMARKS && !self.remarks.contains(&text) {
             self.remarks.push(text);
         }
@@ -151,15 +197,25 @@ impl Readings {
             self.offset.restart();
         }
         if let Some(arrival_s) = arrival_s {
-            self.offset.observe(stamp_s, arrival_s);
+            self.offset.observe(stamp_s, arrival_s, self.may_have_waited);
+        }
+        self.count += 1;
+        self.trouble = None;
+        self.last_unix_s = Some(unix_s);
+        if let Some(rate) = self.flood.rate_to_tell(unix_s) {
+            self.remark(format!(
+                "about {:.0},000 encoder readings come a second, and one each {} ms is kept: send fewer, some hundreds are plenty",
+                rate / 1000.0,
+                1000.0 * FINEST_S
+            ));
+        }
+        if self.stamped.back().is_some_and(|&(last_s, _)| stamp_s - last_s < FINEST_S) {
+            return Ok(());
         }
         if self.stamped.len() == MAX_READINGS {
             self.stamped.pop_front();
         }
         self.stamped.push_back((stamp_s, q_mm));
-        self.count += 1;
-        self.trouble = None;
-        self.last_unix_s = Some(unix_s);
         Ok(())
     }
 
@@ -169,7 +225,7 @@ impl Readings {
         self.parser.reset();
     }
 
-    /// The reading at a frame's time, s, interpolated linearly between its neighbours.
+    /// The reading at a frame's time, s, interpolated linearly between its neighbours as far as the motion allows it, as in recordings.
     pub fn at(&self, index: u64, time_s: f64, unix_s: f64) -> Lookup {
         let stamp_s = time_s - self.offset.estimate().1;
         match self.stamped.back() {
@@ -178,8 +234,8 @@ impl Readings {
             _ => return Lookup::NotYet,
         }
         let after = self.stamped.partition_point(|&(s, _)| s < stamp_s);
-        let earlier = after.checked_sub(1).map_or(self.stamped[after], |before| self.stamped[before]);
-        match between(earlier, self.stamped[after], stamp_s) {
+        let around = after.saturating_sub(AROUND_A_FRAME)..(after + AROUND_A_FRAME).min(self.stamped.len());
+        match Interpolation::of(self.stamped.range(around)).at(stamp_s) {
             Some(q_mm) => Lookup::Found(EncoderReading::new(index, time_s, q_mm)),
             None => Lookup::Never,
         }
@@ -224,25 +280,6 @@ impl Readings {
     }
 }
 
-/// The reading at a time, s, of readings in order.
-pub fn interpolate(readings: &[(f64, PerBackbone)], time_s: f64) -> Option<PerBackbone> {
-    let after = readings.partition_point(|&(s, _)| s < time_s);
-    between(*readings.get(after.checked_sub(1)?)?, *readings.get(after)?, time_s)
-}
-
-fn between(earlier: (f64, PerBackbone), later: (f64, PerBackbone), time_s: f64) -> Option<PerBackbone> {
-    if later.0 == time_s {
-        // To the last digit, however far the one before is.
-        return Some(later.1);
-    }
-    let step = later.0 - earlier.0;
-    if step > MAX_GAP_S || later.0 < time_s || earlier.0 > time_s {
-        return None;
-    }
-    let share = (time_s - earlier.0) / step;
-    Some(earlier.1 + (later.1 - earlier.1) * share)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -264,14 +301,38 @@ mod tests {
 
     #[test]
     fn a_reading_is_interpolated_between_its_neighbours() {
-        let readings = readings(&["0.0,0,0,0", "0.2,1,2,-1", "0.3,1,3,-1", "9.0,0,0,0"]);
+        let lines = ["0.0,0,0,0", "0.1,1,2,-1", "0.2,2,4,-2", "0.3,3,6,-3", "0.4,4,8,-4", "0.5,5,10,-5", "9.0,0,0,0"];
+        let readings = readings(&lines);
         let at = |time_s| readings.at(0, time_s, 100.0);
-        assert!((found(at(0.05)) - PerBackbone::from([0.25, 0.5, -0.25])).norm() < 1e-12);
-        assert!((found(at(0.25)) - PerBackbone::from([1.0, 2.5, -1.0])).norm() < 1e-12);
-        assert_eq!(at(5.0), Lookup::Never, "too far from any reading");
+        assert!((found(at(0.05)) - PerBackbone::from([0.5, 1.0, -0.5])).norm() < 1e-12);
+        assert!((found(at(0.25)) - PerBackbone::from([2.5, 5.0, -2.5])).norm() < 1e-12);
+        assert_eq!(at(5.0), Lookup::Never, "nobody knows what moved meanwhile");
         assert_eq!(at(-1.0), Lookup::Never, "before the first");
         assert_eq!(at(9.5), Lookup::NotYet);
         assert_eq!(readings.at(0, 9.5, 103.0), Lookup::Never, "silent for longer than two seconds");
+    }
+
+    #[test]
+    fn a_sender_of_changes_only_is_bridged_while_nothing_moves() {
+        let moving = |k: u32| (0.1 * f64::from(k), f64::from(k.min(10)));
+        let line = |(time_s, q): (f64, f64)| format!("{time_s},{q},0,0");
+        let lines: Vec<String> = (0..=10).chain([28, 29]).map(moving).map(line).collect();
+        let readings = readings(&lines.iter().map(String::as_str).collect::<Vec<_>>());
+        assert_eq!(found(readings.at(0, 2.0, 100.0))[0], 10.0);
+    }
+
+    #[test]
+    fn of_a_flood_some_are_kept_and_it_is_told_once() {
+        let mut readings = Readings::new(3, None);
+        for k in 0..300_000 {
+            let time_s = f64::from(k) * 1e-5;
+            readings.take(format!("{time_s},{time_s},0,0").as_bytes(), Some(time_s), 100.0 + time_s);
+        }
+        assert!((found(readings.at(0, 2.5, 103.0))[0] - 2.5).abs() < 1e-9);
+        assert!((5800..=6100).contains(&readings.stamped.len()));
+        let status = readings.status(103.0);
+        assert_eq!((status.readings, status.bad_lines, status.remarks.len()), (300_000, 0, 1));
+        assert!(status.remarks[0].starts_with("about 100,000 encoder readings come a second"), "{status:?}");
     }
 
     #[test]

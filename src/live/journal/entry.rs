@@ -2,7 +2,7 @@
 
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measured, Measurement, Quality, Shape};
-use crate::robot::PerBackbone;
+use crate::robot::{Neighbours, PerBackbone};
 use nalgebra::{Matrix2, Matrix2x6};
 use serde::{Deserialize, Serialize};
 
@@ -43,6 +43,9 @@ pub(super) struct Line {
     shape: Option<[f64; 7]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     q_mm: Option<PerBackbone>,
+    /// What neighbouring sections' encoders read, mm, of each.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    neighbours_mm: Vec<PerBackbone>,
     /// [`Measured::by_rig`], degrees, column by column.
     #[serde(skip_serializing_if = "Option::is_none")]
     by_rig: Option<[[f64; 2]; 6]>,
@@ -86,6 +89,8 @@ impl From<&Entry> for Line {
             // JSON has no NaN; a line with one could not be read again.
             shape: shape.filter(|shape| shape.iter().all(|value| value.is_finite())),
             q_mm: reading.map(|reading| reading.q_mm),
+            neighbours_mm: reading
+                .map_or_else(Vec::new, |reading| reading.neighbours.q_mm[..reading.neighbours.count()].to_vec()),
             encoder_time_s: reading.map(|reading| reading.time_s),
             view: measurement.view.clone(),
         }
@@ -133,10 +138,12 @@ impl Line {
             }),
             view: self.view,
         };
+        let mut neighbours = Neighbours::default();
+        neighbours.q_mm.iter_mut().zip(&self.neighbours_mm).for_each(|(own, read)| *own = *read);
         let reading = self
             .q_mm
             .zip(self.encoder_time_s.or(self.time_s))
-            .map(|(q_mm, time_s)| EncoderReading::new(index, time_s, q_mm));
+            .map(|(q_mm, time_s)| EncoderReading { neighbours, ..EncoderReading::new(index, time_s, q_mm) });
         Some(Entry::Measured(measurement, reading))
     }
 }

@@ -167,11 +167,13 @@ mod tests {
     use crate::geometry::Configuration;
     use crate::observation::{EncoderReading, Measured, Measurement, Quality, Shape, Status};
     use crate::record::measurement_line;
-    use crate::robot::PerBackbone;
+    use crate::robot::{Neighbours, PerBackbone};
     use proptest::prelude::*;
 
     fn entry(index: u64, theta: f64, with_reading: bool) -> Entry {
-        let measured = Measured::independent(Configuration::new(theta, 0.3), 0.001, 0.02, 0.1);
+        let fitted_covariance = Some(nalgebra::Matrix2::new(2e-6, 1e-7, 1e-7, 3e-6));
+        let measured =
+            Measured { fitted_covariance, ..Measured::independent(Configuration::new(theta, 0.3), 0.001, 0.02, 0.1) };
         let time_s = index as f64 / 60.0;
         let measurement = Measurement {
             index,
@@ -197,7 +199,9 @@ mod tests {
             }),
             view: Some("side".into()),
         };
-        let reading = EncoderReading::new(index, time_s, PerBackbone::from([0.1, -0.2, 0.3, 0.4]));
+        let neighbours = Neighbours { q_mm: [PerBackbone::from([0.5, -0.25, -0.25]), PerBackbone::default()] };
+        let q_mm = PerBackbone::from([0.1, -0.2, 0.3, 0.4]);
+        let reading = EncoderReading { neighbours, ..EncoderReading::new(index, time_s, q_mm) };
         Entry::Measured(measurement, with_reading.then_some(reading))
     }
 

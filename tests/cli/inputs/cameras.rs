@@ -46,6 +46,22 @@ const CALIB_IO: &str = r#"{"Calibration": {"cameras": [{"model": {"polymorphic_n
   "s3": {"val": 0}, "s4": {"val": 0}, "tauX": {"val": 0}, "tauY": {"val": 0}},
   "CameraModelCRT": {"CameraModelBase": {"imageSize": {"width": 1280, "height": 720}}}}}}}]}}"#;
 
+const OPENCV_JSON: &str = r#"{"image_width": 1280, "image_height": 720,
+  "camera_matrix": {"type_id": "opencv-matrix", "rows": 3, "cols": 3, "dt": "d", "data": [F, 0.0, 639.5, 0.0, F, 359.5, 0.0, 0.0, 1.0]},
+  "distortion_coefficients": {"type_id": "opencv-matrix", "rows": 1, "cols": 5, "dt": "d", "data": [0, 0, 0, 0, 0]}}"#;
+const OPENCV_XML: &str = "<?xml version=\"1.0\"?>\n<opencv_storage><image_width>1280</image_width><image_height>720</image_height>\n<camera_matrix type_id=\"opencv-matrix\"><rows>3</rows><cols>3</cols><dt>d</dt><data>F 0. 639.5 0. F 359.5 0. 0. 1.</data></camera_matrix>\n<distortion_coefficients type_id=\"opencv-matrix\"><rows>5</rows><cols>1</cols><dt>d</dt><data>0. 0. 0. 0. 0.</data></distortion_coefficients></opencv_storage>\n";
+const VINS: &str = "%YAML:1.0\n---\nmodel_type: MODEL\ncamera_name: camera\nimage_width: 1280\nimage_height: 720\ndistortion_parameters:\n   k1: 0.0\n   k2: 0.0\n   p1: 0.0\n   p2: 0.0\nprojection_parameters:\n   fx: F\n   fy: F\n   cx: 639.5\n   cy: 359.5\n";
+
+/// The camera file in other bytes.
+fn encoded(bytes: fn(&str) -> Vec<u8>) -> impl Fn(&Sandbox) + 'static {
+    move |sandbox| fs::write(sandbox.join("lab/camera.yaml"), bytes(&sandbox.read("lab/camera.yaml"))).unwrap()
+}
+
+/// A text as Windows' programs write it.
+pub fn utf_16(text: &str) -> Vec<u8> {
+    format!("\u{feff}{text}").encode_utf16().flat_map(u16::to_le_bytes).collect()
+}
+
 #[test]
 fn cameras_are_read_whatever_program_wrote_them() {
     let with_window = ECHO.replace("height: 720\nwidth: 1280", "height: 1080\nwidth: 1920");
@@ -136,6 +152,19 @@ fn cameras_are_read_whatever_program_wrote_them() {
                 Same,
             ),
             case("a window of the sensor", file(&shifted), Same),
+            case("OpenCV's JSON", file(OPENCV_JSON), Same),
+            case("OpenCV's XML", file(OPENCV_XML), Same),
+            case("VINS", file(&VINS.replace("MODEL", "PINHOLE")), Same),
+            case("ends of lines of Windows", file(&OPENCV.replace('\n', "\r\n")), Same),
+            case("UTF-16, as PowerShell writes what a program prints", encoded(utf_16), Same),
+            case("Latin-1 in a remark", encoded(|text| [b"# 20 \xb0C\n", text.as_bytes()].concat()), Same),
+            case(
+                "numbers in quotes",
+                file(
+                    "{\"K\": [[\"F\", 0, 639.5], [0, \"F\", 359.5], [0, 0, 1]], \"dist\": [0, 0, 0, 0], \"size\": [\"1280\", \"720\"]}",
+                ),
+                Same,
+            ),
             case(
                 "a window that is not within the sensor",
                 file(&outside),
@@ -152,6 +181,43 @@ fn cameras_are_read_whatever_program_wrote_them() {
                     "cam0:\n  camera_model: pinhole\n  distortion_model: equidistant\n  distortion_coeffs: [0.0, 0.0, 0.0, 0.0]\n  intrinsics: [F, F, 639.5, 359.5]\n  resolution: [1280, 720]\n",
                 ),
                 Good("5 of 5 looked at were measured"),
+            ),
+            case(
+                "a text that Python printed",
+                file(
+                    "size: [1280, 720]\ncamera_matrix: array([[F, 0., 639.5],\n   [0., F, 359.5],\n   [0., 0., 1.]])\n",
+                ),
+                Told(&["camera_matrix: holds the text", "expected numbers in a list"]),
+            ),
+            case(
+                "coefficients as a text",
+                file("K: [[F, 0, 639.5], [0, F, 359.5], [0, 0, 1]]\ndist: 0.1 0.0 0.0 0.0\nsize: [1280, 720]\n"),
+                Told(&["dist: holds the text", "0.1 0.0 0.0 0.0"]),
+            ),
+            case(
+                "coefficients that are null",
+                file("{\"K\": [[F, 0, 639.5], [0, F, 359.5], [0, 0, 1]], \"dist\": null, \"size\": [1280, 720]}"),
+                Told(&["dist: holds nothing"]),
+            ),
+            case(
+                "decimal commas",
+                file("image_width: 1280\nimage_height: 720\nfx: 4282,34\nfy: 4282,34\ncx: 639,5\ncy: 359,5\n"),
+                Told(&["fx: holds the text", "decimal points"]),
+            ),
+            case("a mirror", file(&VINS.replace("MODEL", "MEI")), Told(&["model_type: mei, expected plumb_bob"])),
+            case(
+                "a mirror of Kalibr",
+                file(
+                    "cam0:\n  camera_model: omni\n  intrinsics: [1.1, F, F, 639.5, 359.5]\n  distortion_model: radtan\n  distortion_coeffs: [0, 0, 0, 0]\n  resolution: [1280, 720]\n",
+                ),
+                Told(&["camera_model: omni, expected plumb_bob"]),
+            ),
+            case(
+                "a size that stands height first",
+                file(
+                    "{\"mtx\": [[F, 0, 639.5], [0, F, 359.5], [0, 0, 1]], \"dist\": [0, 0, 0, 0], \"imsize\": [720, 1280]}",
+                ),
+                Told(&["1280×720 px", "720×1280", "gave the height first"]),
             ),
             case("a tilted sensor", file(&OPENCV.replace("0. ]\n", "0.01 ]\n")), Told(&["a tilted sensor"])),
             case(

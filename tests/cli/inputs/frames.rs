@@ -28,6 +28,11 @@ fn renamed(pattern: &'static str, name: impl Fn(usize, &str) -> String + 'static
     }
 }
 
+/// Frames under another pattern.
+fn named(pattern: &'static str) -> impl Fn(&Sandbox) + 'static {
+    renamed(pattern, |_, number| format!("{number}.jpg"))
+}
+
 /// Every frame in another format.
 fn converted(
     extension: &'static str,
@@ -91,6 +96,53 @@ fn frames_are_found_and_read_whatever_they_are_called() {
         bending,
         vec![
             case("what macOS keeps beside files", beside("._00000.jpg", b"\0\x05\x16\x07\0\x02"), Same),
+            case(
+                "names of Windows",
+                renamed("frames/*.jpg", |_, number| format!("image ({}).jpg", number.parse::<u64>().unwrap())),
+                Same,
+            ),
+            case(
+                "a date before the number",
+                renamed("frames/*.jpg", |_, number| format!("2026-11-26_cam1_{number}.jpg")),
+                Same,
+            ),
+            case(
+                "a number that is not the last",
+                renamed("frames/%05d_cam1.jpg", |_, number| format!("{number}_cam1.jpg")),
+                Same,
+            ),
+            case(
+                "a folder in a folder",
+                |sandbox: &Sandbox| {
+                    fs::create_dir(sandbox.join("lab/day 1")).unwrap();
+                    fs::rename(sandbox.join("lab/frames"), sandbox.join("lab/day 1/take")).unwrap();
+                    let settings = sandbox.read("lab/experiment.toml").replace("frames/*.jpg", "**/take/*.jpg");
+                    sandbox.write("lab/experiment.toml", &settings);
+                },
+                Same,
+            ),
+            case("what a recorder leaves behind the picture", first(|bytes| [bytes, vec![0; 4096]].concat()), Same),
+            case(
+                "a channel of opacity",
+                converted("png", ImageFormat::Png, |picture| DynamicImage::ImageRgba8(picture.to_rgba8())),
+                Good("5 of 5 looked at were measured"),
+            ),
+            case(
+                "grey",
+                converted("png", ImageFormat::Png, |picture| DynamicImage::ImageLuma8(picture.to_luma8())),
+                Good("5 of 5 looked at were measured"),
+            ),
+            case(
+                "what Windows keeps beside files",
+                |sandbox: &Sandbox| {
+                    for (name, bytes) in [("Thumbs.db", b"\xd0\xcf\x11\xe0"), ("desktop.ini", b"[.S]")] {
+                        fs::write(sandbox.join("lab/frames").join(name), bytes).unwrap();
+                    }
+                    let settings = sandbox.read("lab/experiment.toml").replace("frames/*.jpg", "frames/*");
+                    sandbox.write("lab/experiment.toml", &settings);
+                },
+                Same,
+            ),
             case("hidden files", beside(".00001.jpg", b"nothing"), Same),
             case(
                 "numbers without zeros",
@@ -185,6 +237,56 @@ fn frames_that_cannot_be_read_are_named_with_the_reason() {
                 "pictures of a phone",
                 all(b"\0\0\0\x18ftypheic\0\0\0\0"),
                 Told(&["5 of 5 frames", "a HEIC picture, as iPhones take, expected PNG, JPEG, TIFF or BMP"]),
+            ),
+            case(
+                "a folder in place of its pictures",
+                named("frames"),
+                Told(&["that is a folder: write frames = \\\"frames/*.jpg\\\""]),
+            ),
+            case(
+                "letters of the ending",
+                renamed("frames/*.jpg", |_, number| format!("{number}.JPG")),
+                Told(&["5 files *.JPG"]),
+            ),
+            case(
+                "the straight picture in other letters",
+                |sandbox: &Sandbox| {
+                    fs::rename(sandbox.join("lab/straight.jpg"), sandbox.join("lab/Straight.JPG")).unwrap();
+                },
+                Told(&["straight.jpg is not there", "Straight.JPG is there"]),
+            ),
+            case(
+                "pictures in motion of another kind",
+                |sandbox: &Sandbox| {
+                    fs::write(sandbox.join("lab/run.gif"), b"GIF89a\0\0\0\0").unwrap();
+                    named("run.gif")(sandbox);
+                },
+                Told(&["run.gif: a GIF picture, expected pictures numbered in their names, a video"]),
+            ),
+            case(
+                "two numbers in a name, of which the last repeats",
+                renamed("frames/*.jpg", |_, number| format!("{number}_cam1.jpg")),
+                Told(&["frame 1 is there twice", "write %05d (or %d) in its place"]),
+            ),
+            case(
+                "names that are milliseconds, and a log that counts",
+                renamed("frames/*.jpg", |k, _| format!("{}.jpg", 1_738_133_057_000 + 100 * k)),
+                Told(&["no frame has a reading", "match the log by time"]),
+            ),
+            case(
+                "pictures of half the size",
+                converted("png", ImageFormat::Png, |picture| {
+                    picture.resize(640, 360, image::imageops::FilterType::Triangle)
+                }),
+                Told(&["have 640×360 px", "the camera file says 1280×720"]),
+            ),
+            case(
+                "one picture that repeats",
+                |sandbox: &Sandbox| {
+                    let all = frames(sandbox);
+                    all.iter().for_each(|path| drop(fs::write(path, fs::read(&all[2]).unwrap())));
+                },
+                Told(&["camera_stuck", "the picture stands still"]),
             ),
             case("a page of a web server", all(b"<html>404</html>"), Told(&["no picture that is known, expected PNG"])),
             case("empty files", all(b""), Told(&["empty file, expected a picture"])),

@@ -1,9 +1,10 @@
 //! Encoder logs as loggers and spreadsheets write them.
 
 use super::Expected::{Good, Same, Told};
+use super::cameras::utf_16;
 use super::trackers::ride;
 use super::{case, hold};
-use crate::program::Sandbox;
+use crate::program::{Sandbox, number};
 use std::fs;
 
 /// The log as `change` writes its text.
@@ -14,6 +15,16 @@ fn written(change: impl Fn(&str) -> String + 'static) -> impl Fn(&Sandbox) + 'st
 /// The log as bytes.
 fn encoded(bytes: impl Fn(&str) -> Vec<u8> + 'static) -> impl Fn(&Sandbox) + 'static {
     move |sandbox| fs::write(sandbox.join("lab/encoders.csv"), bytes(&sandbox.read("lab/encoders.csv"))).unwrap()
+}
+
+/// Each field of the log's rows, by its place, as `change` writes it.
+fn fields(change: impl Fn(usize, &str) -> String + 'static) -> impl Fn(&Sandbox) + 'static {
+    written(move |text| {
+        let row =
+            |line: &str| line.split(',').enumerate().map(|(k, field)| change(k, field)).collect::<Vec<_>>().join(",");
+        let (header, rows) = text.split_once('\n').unwrap();
+        format!("{header}\n{}\n", rows.lines().map(row).collect::<Vec<_>>().join("\n"))
+    })
 }
 
 /// The log's rows, field by field, below another header; and `[log]` with these keys.
@@ -57,7 +68,6 @@ fn in_unit(per_second: f64, digits: usize) -> impl Fn(&Sandbox) + 'static {
 
 #[test]
 fn a_log_is_read_however_it_is_written() {
-    let utf_16 = |text: &str| format!("\u{feff}{text}").encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>();
     let semicolons = |text: &str| text.replace(',', ";").replace('.', ",");
     hold(
         ride,
@@ -65,6 +75,53 @@ fn a_log_is_read_however_it_is_written() {
             case("UTF-16", encoded(utf_16), Same),
             case("UTF-8 with its mark", written(|text| format!("\u{feff}{text}")), Same),
             case("tabs", written(|text| text.replace(',', "\t")), Same),
+            case(
+                "a recorder's lines above the header",
+                written(|text| format!("Recorder 7\nRate [Hz],100\n***End_of_Header***\n\n{text}")),
+                Same,
+            ),
+            case("the minus sign of print", written(|text| text.replace(",-", ",\u{2212}")), Same),
+            case(
+                "plus signs",
+                fields(|k, field| if k > 1 && !field.starts_with('-') { format!("+{field}") } else { field.into() }),
+                Same,
+            ),
+            case(
+                "frames by their files",
+                fields(|k, field| if k == 0 { format!("frames/{field}.jpg") } else { field.into() }),
+                Same,
+            ),
+            case(
+                "an index with zeros",
+                fields(|k, field| if k == 0 { format!("{field:0>6}") } else { field.into() }),
+                Same,
+            ),
+            case(
+                "an index with decimals",
+                fields(|k, field| if k == 0 { format!("{field}.0") } else { field.into() }),
+                Same,
+            ),
+            case(
+                "dates of one zone",
+                fields(|k, field| match k {
+                    1 => {
+                        let since_s = field.parse::<f64>().unwrap() - 1.7e9;
+                        format!("2026-11-26T12:{:02.0}:{:06.3}Z", (since_s / 60.0).floor(), since_s % 60.0)
+                    }
+                    _ => field.into(),
+                }),
+                Same,
+            ),
+            case(
+                "a column without a name, as pandas writes it",
+                written(|text| {
+                    text.lines()
+                        .enumerate()
+                        .map(|(k, line)| if k == 0 { format!(",{line}\n") } else { format!("{k},{line}\n") })
+                        .collect()
+                }),
+                Same,
+            ),
             case("blanks", written(|text| text.replace(',', "  ")), Same),
             case("semicolons and decimal commas", written(semicolons), Same),
             case("a line sep=;", written(move |text| format!("sep=;\n{}", semicolons(text))), Same),
@@ -171,6 +228,33 @@ fn a_log_that_cannot_be_meant_is_told() {
                 encoded(|_| b"PK\x03\x04\x14\0\x06\0".to_vec()),
                 Told(&["encoders.csv: a zip archive, such as an Excel workbook", "export it as CSV"]),
             ),
+            case(
+                "JSON",
+                written(|_| "{\"index\": 0, \"time_s\": 0.1, \"q1_mm\": 0}\n".into()),
+                Told(&["encoders.csv:1: JSON where the header should be"]),
+            ),
+            case(
+                "no header",
+                written(|text| text.split_once('\n').unwrap().1.to_owned()),
+                Told(&["encoders.csv:1: a row of numbers where the header should be", "write index,time_s"]),
+            ),
+            case(
+                "one column named twice",
+                logged("index,time_s,a,b,c", "q = [\"a\", \"a\", \"c\"]", |f| {
+                    format!("{},{},{},{},{}", f[0], f[1], f[2], f[3], f[4])
+                }),
+                Told(&["[log] q names the column \\\"a\\\" twice"]),
+            ),
+            case(
+                "dates of another order",
+                fields(|k, field| if k == 1 { format!("26.11.2026 12:00:{field}") } else { field.into() }),
+                Told(&["or a date such as 2026-11-26"]),
+            ),
+            case(
+                "exponents of Fortran",
+                fields(|k, field| if k > 1 { format!("{field}D+00") } else { field.into() }),
+                Told(&["q1_mm is", "D+00", "expected a number"]),
+            ),
             case("nothing", written(|_| String::new()), Told(&["the file is empty"])),
             case(
                 "a header alone",
@@ -220,7 +304,7 @@ fn a_log_that_cannot_be_meant_is_told() {
                         .collect();
                     format!("{text}{other}")
                 }),
-                Told(&["no usable row"]),
+                Told(&["every index is there more than once with other values", "two logs are in one file"]),
             ),
             case(
                 "three indices twice with other values",
@@ -246,4 +330,38 @@ fn a_log_that_cannot_be_meant_is_told() {
             ),
         ],
     );
+}
+
+#[test]
+fn commands_on_tables_read_the_log_of_an_experiment_as_it_says() {
+    let sandbox = Sandbox::new();
+    sandbox.write_hidden_model();
+    sandbox.simulate("lab", "--model hidden.toml");
+    let turned = |line: &str| match line.split(',').collect::<Vec<_>>()[..] {
+        ["index", ..] => "frame,t,m1,m2,m3\n".to_owned(),
+        [index, time_s, q1, q2, q3] => {
+            let [q1, q2, q3] = [q1, q2, q3].map(|q| q.parse::<f64>().unwrap() / 8.0);
+            format!("{index},{time_s},{q1:.12},{q3:.12},{q2:.12}\n")
+        }
+        _ => panic!("{line}"),
+    };
+    sandbox.write("lab/run7.csv", &sandbox.read("lab/encoders.csv").lines().map(turned).collect::<String>());
+    sandbox.write(
+        "lab/experiment.toml",
+        "encoders = \"run7.csv\"\n[log]\nindex = \"frame\"\ntime = \"t\"\nq = [\"m1\", \"m2\", \"m3\"]\nunit = \"rad\"\ndrum_radius_mm = 8.0\n\
+         [wiring]\ncolumns = [1, 3, 2]\n[[tracker]]\nname = \"em\"\nposes = \"tip.csv\"\nstraight = 0\n",
+    );
+    let by = |log: &str| sandbox.json(&format!("estimate --measurements lab/measurements.csv --encoders {log} -o out"));
+    let (table, folder) = (by("lab/encoders.csv"), by("lab"));
+    assert_eq!(
+        (&table["verdict"]["level"], &folder["verdict"]["level"]),
+        (&"good".into(), &"good".into()),
+        "{folder:#}"
+    );
+    assert!((number(&table, "eta") - number(&folder, "eta")).abs() < 1e-6);
+    let judged = sandbox
+        .json("evaluate --model out/model.toml --measurements lab/measurements.csv --encoders lab/experiment.toml");
+    assert_eq!(judged["verdict"]["level"], "good", "{judged:#}");
+    let said = sandbox.fail("estimate --measurements lab/measurements.csv --encoders lab/run7.csv -o out", 1);
+    assert!(said.contains("write into experiment.toml (which --encoders takes as well): [log]"), "{said}");
 }

@@ -1,5 +1,6 @@
 //! `live` as its users meet it. There is no camera on a test machine, so the tests bring their own.
 
+mod delay;
 mod faults;
 mod fixture;
 mod kills;

@@ -1,7 +1,7 @@
 //! A numbered sequence of pictures: what is written, what survives a kill, who is let in.
 
 use super::fixture::{self, Live, assert_learned, experiment};
-use crate::program::{Sandbox, text};
+use crate::program::{Sandbox, all_said, text};
 use snakeloop::geometry::Configuration;
 use snakeloop::record::{read_encoders, read_measurements, read_model, write_model};
 use snakeloop::robot::{Effect, Model};
@@ -236,4 +236,58 @@ fn a_flexible_stem_is_followed_with_eta_and_lambda_as_they_are() {
     assert!((last[2].parse::<f64>().unwrap() - phi).abs() < 1e-3, "{written}");
     let line = read_model(&output.join("model.toml")).unwrap().robot.line;
     assert!((line.total_angle().to_degrees() - phi).abs() < 1e-6);
+}
+
+/// The picture stored on its side, with a mark (EXIF) that asks to turn it back.
+fn on_its_side(jpeg: &[u8]) -> Vec<u8> {
+    let turned = image::load_from_memory(jpeg).unwrap().rotate270();
+    let mut stored = std::io::Cursor::new(Vec::new());
+    turned.write_with_encoder(image::codecs::jpeg::JpegEncoder::new_with_quality(&mut stored, 95)).unwrap();
+    let mark = b"\xff\xe1\0\x22Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
+    let stored = stored.into_inner();
+    [&stored[..2], mark, &stored[2..]].concat()
+}
+
+#[test]
+fn files_are_played_and_lines_read_by_the_rules_of_run() {
+    let sandbox = Sandbox::new();
+    sandbox.copy_bending(&[0, 8, 17, 26]);
+    for index in [0, 8, 17] {
+        let path = sandbox.join(&format!("bending/frames/{index:05}.jpg"));
+        fs::write(&path, on_its_side(&fs::read(&path).unwrap())).unwrap();
+    }
+    let cut = sandbox.join("bending/frames/00026.jpg");
+    let bytes = fs::read(&cut).unwrap();
+    fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
+    let log = "[log]\ntime = \"t_ms\"\ntime_unit = \"ms\"\nq = [\"m1\", \"m2\", \"m3\"]\nunit = \"rad\"\ndrum_radius_mm = 8.0\n";
+    let settings = sandbox.read("bending/experiment.toml");
+    sandbox.write("bending/experiment.toml", &settings.replacen("[[view]]", &format!("{log}[[view]]"), 1));
+    let lines: String = (0..200).map(|k| format!("{k},{},0.1,-0.2,0.3\n", 10 * k)).collect();
+    sandbox.write("lines.csv", &format!("n,t_ms,m1,m2,m3\n{lines}"));
+
+    let output = sandbox.call("live bending -o out --rate 10 --encoders lines.csv --encoder-offset 0");
+    let said = all_said(&output);
+    let measured: Vec<String> =
+        sandbox.measurements("out/measurements.csv").iter().map(|m| m.status.to_string()).collect();
+    assert_eq!(measured, ["ok", "ok", "ok", "unreadable"], "{said}");
+    for words in ["a mark that asks to turn them; they are turned so", "00026.jpg: the JPEG file is cut short"] {
+        assert!(said.contains(words), "{said}");
+    }
+    for reading in read_encoders(&sandbox.join("out/encoders.csv"), 3).unwrap().rows {
+        assert!((reading.q_mm - snakeloop::robot::PerBackbone::from([0.8, -1.6, 2.4])).norm() < 1e-6, "{reading:?}");
+    }
+
+    // Frames of another size, and no readings: neither is blamed on the other.
+    image::open(sandbox.join("bending/straight.jpg"))
+        .unwrap()
+        .thumbnail(640, 360)
+        .save(sandbox.join("small_0.png"))
+        .unwrap();
+    let said = all_said(&sandbox.call("live bending -o small --source small_%d.png"));
+    assert!(
+        said.contains("no frame was measured") && said.contains("wrong_size: the picture has another size"),
+        "{said}"
+    );
+    let said = all_said(&sandbox.call("live bending -o blind --rate 10 --encoders nothing.csv"));
+    assert!(said.contains("3 frames were measured, and none has an encoder reading"), "{said}");
 }
