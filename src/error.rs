@@ -38,10 +38,10 @@ pub enum Error {
         message: String,
     },
     /// The rig could not be calibrated from the straight picture.
-    #[error("{}: rig calibration: {source}", path.display())]
+    #[error("{}rig calibration: {source}", path.as_ref().map(|path| format!("{}: ", path.display())).unwrap_or_default())]
     Rig {
-        /// The straight picture.
-        path: PathBuf,
+        /// The straight picture, where it is a file.
+        path: Option<PathBuf>,
         /// What was not found and what to change.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
@@ -65,6 +65,9 @@ pub enum Error {
         /// Why it cannot be used.
         message: String,
     },
+    /// The program that called for the work ended it.
+    #[error("the work was ended before it was done")]
+    Ended,
     /// The work needs OpenCV and this build has none.
     #[error("{what} needs OpenCV, which this build leaves out; build with the `opencv` feature (the default)")]
     NoOpenCv {
@@ -109,7 +112,7 @@ impl Error {
     /// An error about the straight picture that a rig is calibrated from.
     pub fn rig<E: Into<Box<dyn std::error::Error + Send + Sync>>>(path: &Path) -> impl FnOnce(E) -> Self {
         let path = path.to_owned();
-        move |source| Self::Rig { path, source: source.into() }
+        move |source| Self::Rig { path: Some(path), source: source.into() }
     }
 }
 
@@ -181,6 +184,12 @@ pub enum ArgumentError {
         /// All parameters of the effect.
         takes: Vec<&'static str>,
     },
+    /// Numbers that are no camera's.
+    #[error("camera: {0}")]
+    Camera(String),
+    /// Constants of which no robot can be made.
+    #[error("robot: {0}")]
+    Robot(String),
     /// A user's own effect whose definition has a fault.
     #[error("effect {effect}: {why}")]
     Formula {
@@ -228,7 +237,9 @@ pub enum ArgumentError {
         mu: f64,
     },
     /// A server that other machines can reach, without a token.
-    #[error("--serve {address} can be reached from other machines: give a token (--token-file), or serve on 127.0.0.1")]
+    #[error(
+        "a server at {address} can be reached from other machines: it needs a token, or an address of this machine alone (127.0.0.1)"
+    )]
     OpenToAll {
         /// The address to listen at.
         address: std::net::SocketAddr,

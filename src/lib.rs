@@ -58,7 +58,7 @@ pub mod simulate;
 pub mod statistics;
 pub mod verdict;
 
-#[cfg(feature = "cli")]
+#[cfg(feature = "commands")]
 #[doc(hidden)]
 pub mod cli;
 

@@ -1,9 +1,11 @@
 //! `discover`: which effect the model lacks.
 
 use crate::error::{raised, wrong};
+use crate::json;
 use crate::model::PyModel;
 use crate::tables::{encoders_of, measurements_of};
 use crate::threads::interruptible;
+use crate::verdict::framed;
 use pyo3::prelude::*;
 use serde_json::Value;
 use snakeloop::Result;
@@ -16,6 +18,9 @@ use snakeloop::report::discovery::{Page, few_samples_lines, few_samples_page, li
 use snakeloop::report::verdict::verdict_page;
 use snakeloop::robot::Model;
 use snakeloop::verdict::{Subject, Verdict, doubts_of_times};
+
+/// How high the page is shown in a notebook, lines. Convention: a display choice.
+const PAGE_LINES: usize = 40;
 
 /// What `discover` found: verdict, effects, gap, and the model with the effects added.
 #[pyclass(name = "Discovery", module = "snakeloop", frozen)]
@@ -46,7 +51,7 @@ pub fn discover(
     if !(sd_encoder_mm > 0.0 && sd_encoder_mm <= 1.0) {
         return Err(wrong(format!("sd_encoder_mm is {sd_encoder_mm}, expected more than 0, to 1 mm")));
     }
-    let model = model.map_or_else(Model::default, |model| model.0.clone());
+    let model = model.map_or_else(Model::default, |model| model.model.clone());
     let readings = encoders_of(encoders, &model)?;
     let measurements = measurements_of(measurements)?;
     interruptible(py, move || discovered(model, &measurements, &readings, sd_encoder_mm))?.map_err(raised)
@@ -110,30 +115,30 @@ impl PyDiscovery {
     /// The effects, as in discrepancy.json: name, parameters with value, sd and unit, evidence, removes, probability.
     #[getter]
     fn effects<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        python(py, &self.json["effects"])
+        json::to_python(py, &self.json["effects"])
     }
 
     /// The gap on data that the fit did not see, as in discrepancy.json: before_mm, after_mm, noise_floor_mm …
     #[getter]
     fn gap<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        python(py, &self.json["gap"])
+        json::to_python(py, &self.json["gap"])
     }
 
     /// What was passed over or could not be decided, in sentences.
     #[getter]
     fn remarks<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        python(py, &self.json["remarks"])
+        json::to_python(py, &self.json["remarks"])
     }
 
     /// All of discrepancy.json.
     fn as_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        python(py, &self.json)
+        json::to_python(py, &self.json)
     }
 
     /// The model, with the effects where they are named.
     #[getter]
     fn model(&self) -> PyModel {
-        PyModel(self.model.clone())
+        self.model.clone().into()
     }
 
     fn __repr__(&self) -> String {
@@ -146,12 +151,6 @@ impl PyDiscovery {
 
     /// The command's report.html in a frame of its own, so that neither its style nor the notebook's reaches the other.
     fn _repr_html_(&self) -> String {
-        let escaped = self.page.replace('&', "&amp;").replace('"', "&quot;");
-        format!("<iframe srcdoc=\"{escaped}\" style=\"width: 100%; height: 40rem; border: 0\"></iframe>")
+        framed(&self.page, PAGE_LINES)
     }
-}
-
-/// JSON as Python's own values.
-fn python<'py>(py: Python<'py>, json: &Value) -> PyResult<Bound<'py, PyAny>> {
-    py.import("json")?.call_method1("loads", (json.to_string(),))
 }

@@ -16,7 +16,7 @@ create_exception!(
 /// An error of the library as an exception.
 pub fn raised(error: Error) -> PyErr {
     let (path, line) = match &error {
-        Error::Io { path, .. } | Error::Rig { path, .. } => (Some(path.clone()), None),
+        Error::Io { path, .. } | Error::Rig { path: Some(path), .. } => (Some(path.clone()), None),
         Error::Content { path, line, .. } => (Some(path.clone()), *line),
         _ => (None, None),
     };

@@ -7,7 +7,7 @@ use crate::model::{PyModel, tell_of_neighbours};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use snakeloop::estimate::{Estimator, Options, Step};
-use snakeloop::observation::{EncoderReading, Measurement};
+use snakeloop::observation::EncoderReading;
 use snakeloop::robot::Model;
 
 /// The recursive estimator of η and λ (Eq. 19).
@@ -26,7 +26,7 @@ impl PyEstimator {
     fn new(py: Python<'_>, model: Option<&PyModel>, sd_encoder_mm: Option<f64>) -> PyResult<Self> {
         let mut options = Options::default();
         options.sd_encoder_mm = sd_encoder_mm.unwrap_or(options.sd_encoder_mm);
-        let model = model.map_or_else(Model::default, |model| model.0.clone());
+        let model = model.map_or_else(Model::default, |model| model.model.clone());
         tell_of_neighbours(py, &model)?;
         Ok(Self { estimator: Estimator::new(&model, options).map_err(raised)?, updates: 0 })
     }
@@ -39,8 +39,7 @@ impl PyEstimator {
         };
         let index = self.updates;
         self.updates += 1;
-        let PyMeasurement { status, measured } = measurement.clone();
-        let measurement = Measurement { index, time_s: None, status, measured, quality: None, view: None };
+        let measurement = measurement.0.clone().row(index, None, None);
         Ok(PyStep(self.estimator.update(&measurement, Some(&EncoderReading::new(index, index as f64, q_mm)))))
     }
 
@@ -65,7 +64,7 @@ impl PyEstimator {
     /// The model with the estimate as it stands.
     #[getter]
     fn model(&self) -> PyModel {
-        PyModel(self.estimator.model())
+        self.estimator.model().into()
     }
 }
 

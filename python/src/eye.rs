@@ -1,19 +1,27 @@
 //! `Lens`, `Rig`, `Eye` and `Measurement`: pictures to θ and δ.
 
-use crate::arrays::{frame_of, matrix};
+use crate::arrays::{frame_of, matrix, numbers_of};
 use crate::error::{raised, wrong};
-use crate::model::PyModel;
+use crate::robot::robot_in;
 use crate::threads::interruptible;
-use nalgebra::Matrix2;
-use numpy::PyArray2;
+use nalgebra::{Matrix2, Vector2};
+use numpy::ndarray::{Array1, Array3};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::prelude::*;
-use snakeloop::camera::{Frame, Lens, Samples};
+use snakeloop::Error;
+use snakeloop::camera::{CameraNumbers, Frame, Lens, Samples};
 use snakeloop::geometry::Configuration;
-use snakeloop::measure::{Eye, FrameMeasurement, Rig, RigOptions, calibrate_rig};
-use snakeloop::observation::{Measured, Status};
-use snakeloop::robot::Robot;
+use snakeloop::measure::{self, Bend, Eye, FrameMeasurement, Rig, RigOptions, calibrate_rig};
+use snakeloop::observation::{Measured, Measurement};
+use snakeloop::report::overlay::{Shape, overlay_unnumbered};
+use std::f64::consts::PI;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
+
+/// A square radian, square degrees.
+///
+/// Derived: (180/π)².
+const SQUARE_DEGREES: f64 = (180.0 / PI) * (180.0 / PI);
 
 /// A camera's intrinsics and distortion.
 #[pyclass(name = "Lens", module = "snakeloop", frozen, eq)]
@@ -22,6 +30,23 @@ pub struct PyLens(Lens);
 
 #[pymethods]
 impl PyLens {
+    /// A lens from its numbers, as OpenCV's calibration gives them.
+    ///
+    /// K: the camera matrix, 3 × 3. dist: 0, 4, 5, 8, 12 or 14 distortion coefficients in OpenCV's order; the 4 of a fisheye with fisheye=True.
+    /// size: width and height of its pictures, px.
+    #[new]
+    #[pyo3(signature = (K, dist, size, *, fisheye=false))]
+    #[allow(non_snake_case, reason = "the name that OpenCV and experiment.toml have for it")]
+    fn new(K: &Bound<'_, PyAny>, dist: &Bound<'_, PyAny>, size: [u32; 2], fisheye: bool) -> PyResult<Self> {
+        let matrix = numbers_of(K)?;
+        if matrix.shape() != [3, 3] {
+            return Err(wrong(format!("K: shape {:?}, expected [3, 3]", matrix.shape())));
+        }
+        let matrix = std::array::from_fn(|row| std::array::from_fn(|column| matrix[[row, column]]));
+        let dist = numbers_of(dist)?.into_iter().collect();
+        Lens::of_numbers(&CameraNumbers { matrix, dist, size, fisheye }).map(Self).map_err(raised)
+    }
+
     /// Reads a camera file: OpenCV's FileStorage (YAML or XML) or ROS camera_info YAML.
     #[staticmethod]
     fn read(path: PathBuf) -> PyResult<Self> {
@@ -56,7 +81,7 @@ impl PyRig {
     /// Calibrates a rig from a picture of the unbent snake before the grid target.
     ///
     /// image: uint8 or uint16, (height, width) grey or (height, width, 3) RGB. grid_pitch_mm: from one thin line of the grid to
-    /// the next. standoff_mm: from the snake's axis back to the grid. robot: the Model whose robot it is; the paper's without.
+    /// the next. standoff_mm: from the snake's axis back to the grid. robot: a Robot, or the Model whose robot it is; the paper's without.
     /// delta_offset_deg: azimuth, in the base's frame, of the direction that points to the image's right.
     #[staticmethod]
     #[pyo3(signature = (image, lens, *, grid_pitch_mm, standoff_mm, robot=None, delta_offset_deg=0.0))]
@@ -66,13 +91,13 @@ impl PyRig {
         lens: &PyLens,
         grid_pitch_mm: f64,
         standoff_mm: f64,
-        robot: Option<&PyModel>,
+        robot: Option<&Bound<'_, PyAny>>,
         delta_offset_deg: f64,
     ) -> PyResult<Self> {
-        let (frame, lens, robot) = (frame_of(image, Vec::new())?, lens.0.clone(), robot_of(robot));
+        let (frame, lens, robot) = (frame_of(image, Vec::new())?, lens.0.clone(), robot_in(robot)?);
         let options = RigOptions { grid_pitch_mm, standoff_mm, delta_offset: delta_offset_deg.to_radians() };
         let rig = interruptible(py, move || calibrate_rig(&frame, &lens, &robot, &options))?;
-        rig.map(Self).map_err(|why| wrong(format!("rig calibration: {why}")))
+        rig.map(Self).map_err(|why| raised(Error::from(why)))
     }
 
     /// Reads a rig.toml.
@@ -99,30 +124,79 @@ impl PyEye {
     fn of(eye: Eye) -> Self {
         Self { eye, spare: Mutex::default() }
     }
+
+    /// What is seen of a picture, while other threads of Python run.
+    fn seen(
+        &self,
+        image: &Bound<'_, PyAny>,
+        see: impl FnOnce(&Frame) -> FrameMeasurement + Send,
+    ) -> PyResult<PyMeasurement> {
+        let spare = || self.spare.lock().unwrap_or_else(PoisonError::into_inner);
+        let frame = frame_of(image, std::mem::take(&mut *spare()))?;
+        let measurement = image.py().detach(|| see(&frame));
+        if let Samples::Bits8(samples) = frame.samples {
+            *spare() = samples;
+        }
+        image.py().check_signals()?;
+        Ok(PyMeasurement(measurement))
+    }
 }
 
 #[pymethods]
 impl PyEye {
-    /// An eye for one view. robot: the Model whose robot it sees; the paper's without.
+    /// An eye for one view. robot: a Robot, or the Model whose robot it sees; the paper's without.
     #[new]
     #[pyo3(signature = (lens, rig, robot=None))]
-    fn new(py: Python<'_>, lens: &PyLens, rig: &PyRig, robot: Option<&PyModel>) -> Self {
-        let robot = robot_of(robot);
-        py.detach(|| Self::of(Eye::new(lens.0.clone(), rig.0.clone(), robot)))
+    fn new(py: Python<'_>, lens: &PyLens, rig: &PyRig, robot: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
+        let robot = robot_in(robot)?;
+        Ok(py.detach(|| Self::of(Eye::new(lens.0.clone(), rig.0.clone(), robot))))
     }
 
     /// Measures one frame: uint8 or uint16, (height, width) grey or (height, width, 3) RGB.
     ///
     /// A frame that cannot be measured gives a Measurement whose status says why. Other threads of Python run meanwhile.
-    fn measure(&self, py: Python<'_>, image: &Bound<'_, PyAny>) -> PyResult<PyMeasurement> {
-        let spare = || self.spare.lock().unwrap_or_else(PoisonError::into_inner);
-        let frame = frame_of(image, std::mem::take(&mut *spare()))?;
-        let FrameMeasurement { status, measured, .. } = py.detach(|| self.eye.measure(&frame));
-        if let Samples::Bits8(samples) = frame.samples {
-            *spare() = samples;
-        }
-        py.check_signals()?;
-        Ok(PyMeasurement { status, measured })
+    fn measure(&self, image: &Bound<'_, PyAny>) -> PyResult<PyMeasurement> {
+        self.seen(image, |frame| self.eye.measure(frame))
+    }
+
+    /// Measures one frame of a sequence, in which the snake is near to where it was in the frame before: says the same as measure to about
+    /// a hundredth of a degree, sooner.
+    ///
+    /// near: the Measurement of the frame before, or (theta_deg, delta_deg). The snake is looked for everywhere where it is not found near
+    /// that, or where the frame before has no angles.
+    fn track(&self, image: &Bound<'_, PyAny>, near: &Bound<'_, PyAny>) -> PyResult<PyMeasurement> {
+        let last = if let Ok(measurement) = near.cast::<PyMeasurement>() {
+            measurement.get().0.bend.map(|bend| bend.vector)
+        } else if let Ok((theta_deg, delta_deg)) = near.extract::<(f64, f64)>() {
+            Some(Configuration::from_degrees(theta_deg, delta_deg).bend_vector())
+        } else {
+            let found = near.get_type();
+            return Err(wrong(format!("near: {found}, expected a Measurement or (theta_deg, delta_deg)")));
+        };
+        self.seen(image, |frame| match last {
+            Some(last) => self.eye.track(frame, last),
+            None => self.eye.measure(frame),
+        })
+    }
+
+    /// The frame with what was measured drawn on it, as the command run draws it: uint8, (height, width, 3) RGB.
+    ///
+    /// measurement: that of this frame, or of several views of this moment (fused).
+    fn overlay<'py>(
+        &self,
+        py: Python<'py>,
+        image: &Bound<'py, PyAny>,
+        measurement: &PyMeasurement,
+    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let frame = frame_of(image, Vec::new())?;
+        let measurement = measurement.row();
+        let picture = py.detach(|| {
+            let shape = measurement.profile().map(|profile| Shape::of(&self.eye.projection(), profile));
+            overlay_unnumbered(&frame, &measurement, shape.as_ref())
+        });
+        let shape = (picture.height() as usize, picture.width() as usize, 3);
+        let picture = Array3::from_shape_vec(shape, picture.into_raw()).map_err(|e| wrong(e.to_string()))?;
+        Ok(picture.into_pyarray(py))
     }
 
     /// An eye whose rig is made better with frames of the sequence that is to be measured: some twenty, bent to all sides.
@@ -141,11 +215,32 @@ impl PyEye {
 }
 
 /// What one frame says.
-#[pyclass(name = "Measurement", module = "snakeloop", frozen)]
+#[pyclass(name = "Measurement", module = "snakeloop", frozen, from_py_object)]
 #[derive(Clone)]
-pub struct PyMeasurement {
-    pub status: Status,
-    pub measured: Option<Measured>,
+pub struct PyMeasurement(pub FrameMeasurement);
+
+impl PyMeasurement {
+    fn measured(&self) -> Option<&Measured> {
+        self.0.measured.as_ref()
+    }
+
+    /// Its row of measurements.csv, as the first.
+    fn row(&self) -> Measurement {
+        self.0.clone().row(0, None, None)
+    }
+}
+
+/// What several views of one moment say together: one Measurement, weighted by how sure each view is.
+///
+/// A view without angles is left out; where none has any, the first one's reason stands. Views that contradict each other give the status
+/// "views_disagree" and no angles.
+#[pyfunction]
+pub fn fused(measurements: Vec<PyMeasurement>) -> PyResult<PyMeasurement> {
+    if measurements.is_empty() {
+        return Err(wrong("measurements: none were given, expected one of each view"));
+    }
+    let measurements: Vec<FrameMeasurement> = measurements.into_iter().map(|measurement| measurement.0).collect();
+    Ok(PyMeasurement(measure::fused(&measurements)))
 }
 
 #[pymethods]
@@ -165,50 +260,62 @@ impl PyMeasurement {
         }
         let configuration = Configuration::from_degrees(theta_deg, delta_deg);
         let (sigma_theta, sigma_delta) = (sigma_theta_deg.to_radians(), sigma_delta_deg.to_radians());
-        let measured = Measured::independent(configuration, sigma_theta, sigma_delta, 0.0);
-        Ok(Self { status: Status::Ok, measured: Some(measured) })
+        Ok(Self(Measured::independent(configuration, sigma_theta, sigma_delta, 0.0).into()))
     }
 
     /// "ok", or the reason why there are no angles, in snake_case.
     #[getter]
     fn status(&self) -> String {
-        self.status.to_string()
+        self.0.status.to_string()
     }
 
     /// The bend from straight, degrees; NaN where it was not measured.
     #[getter]
     fn theta_deg(&self) -> f64 {
-        self.measured.map_or(f64::NAN, |measured| measured.configuration.theta_deg())
+        self.measured().map_or(f64::NAN, |measured| measured.configuration.theta_deg())
     }
 
     /// The azimuth that the tip leans towards, degrees in (−180, 180]; NaN where it was not measured.
     #[getter]
     fn delta_deg(&self) -> f64 {
-        self.measured.map_or(f64::NAN, |measured| measured.configuration.delta_deg())
+        self.measured().map_or(f64::NAN, |measured| measured.configuration.delta_deg())
     }
 
     /// Standard deviation of θ, degrees.
     #[getter]
     fn sigma_theta_deg(&self) -> f64 {
-        self.measured.map_or(f64::NAN, |measured| measured.sigma_theta.to_degrees())
+        self.measured().map_or(f64::NAN, |measured| measured.sigma_theta.to_degrees())
     }
 
     /// Standard deviation of δ, degrees; large near straight.
     #[getter]
     fn sigma_delta_deg(&self) -> f64 {
-        self.measured.map_or(f64::NAN, |measured| measured.sigma_delta.to_degrees())
+        self.measured().map_or(f64::NAN, |measured| measured.sigma_delta.to_degrees())
     }
 
     /// Covariance of (θ, δ), 2 × 2, square degrees.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
-        let square_degrees = 1f64.to_degrees().powi(2);
-        let covariance = self.measured.map_or(Matrix2::repeat(f64::NAN), |measured| measured.covariance());
-        matrix(py, &(covariance * square_degrees))
+        let covariance = self.measured().map_or(Matrix2::repeat(f64::NAN), |measured| measured.covariance());
+        matrix(py, &(covariance * SQUARE_DEGREES))
+    }
+
+    /// The bend vector θ (cos δ, sin δ), degrees, which has a meaning near straight as well.
+    #[getter]
+    fn bend_deg<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let bend = self.0.bend.map_or(Vector2::repeat(f64::NAN), |Bend { vector, .. }| vector.map(f64::to_degrees));
+        Array1::from_iter(bend.iter().copied()).into_pyarray(py)
+    }
+
+    /// Its covariance, 2 × 2, square degrees.
+    #[getter]
+    fn bend_covariance<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let covariance = self.0.bend.map_or(Matrix2::repeat(f64::NAN), |Bend { covariance, .. }| covariance);
+        matrix(py, &(covariance * SQUARE_DEGREES))
     }
 
     fn __repr__(&self) -> String {
-        match &self.measured {
+        match self.measured() {
             Some(_) => format!(
                 "<Measurement θ = {:.3} ± {:.3}°, δ = {:.3} ± {:.3}°>",
                 self.theta_deg(),
@@ -216,12 +323,7 @@ impl PyMeasurement {
                 self.delta_deg(),
                 self.sigma_delta_deg()
             ),
-            None => format!("<Measurement {}>", self.status),
+            None => format!("<Measurement {}>", self.0.status),
         }
     }
-}
-
-/// The robot of a model; the paper's without.
-fn robot_of(model: Option<&PyModel>) -> Robot {
-    model.map(|model| model.0.robot.clone()).unwrap_or_default()
 }

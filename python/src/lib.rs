@@ -6,10 +6,14 @@ mod discovery;
 mod error;
 mod estimator;
 mod eye;
+mod json;
 mod model;
+mod robot;
+mod run;
 mod simulation;
 mod tables;
 mod threads;
+mod verdict;
 
 use pyo3::prelude::*;
 
@@ -22,11 +26,17 @@ mod _snakeloop {
     #[pymodule_export]
     use super::estimator::{PyEstimator, PyStep};
     #[pymodule_export]
-    use super::eye::{PyEye, PyLens, PyMeasurement, PyRig};
+    use super::eye::{PyEye, PyLens, PyMeasurement, PyRig, fused};
     #[pymodule_export]
     use super::model::PyModel;
     #[pymodule_export]
+    use super::robot::PyRobot;
+    #[pymodule_export]
+    use super::run::{PyEstimate, PyRun, estimate, run};
+    #[pymodule_export]
     use super::simulation::simulate;
+    #[pymodule_export]
+    use super::verdict::PyVerdict;
     use pyo3::prelude::*;
 
     #[pymodule_init]

@@ -34,7 +34,7 @@ pub fn simulate<'py>(
     if !(0.0..=MOST_SD_MM).contains(&sd_encoder_mm) {
         return Err(wrong(format!("sd_encoder_mm is {sd_encoder_mm}, expected 0 to {MOST_SD_MM} mm")));
     }
-    let mut model = model.map_or_else(Model::default, |model| model.0.clone());
+    let mut model = model.map_or_else(Model::default, |model| model.model.clone());
     for (name, parameters) in effects.into_iter().flatten() {
         let parameters: Vec<(String, f64)> = parameters.into_iter().collect();
         let effect = Effect::new(&name, None, &parameters, model.robot.backbone_count()).map_err(raised)?;

@@ -3,11 +3,14 @@
 
 use crate::arrays::numbers_of;
 use crate::error::{raised, wrong};
+use nalgebra::Matrix2x6;
+use numpy::IntoPyArray;
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
 use snakeloop::geometry::Configuration;
 use snakeloop::observation::{EncoderReading, Measured, Measurement, Quality};
-use snakeloop::record::{Checked, read_encoders, read_measurements};
+use snakeloop::record::{Checked, fitted_covariance, read_encoders, read_measurements};
 use snakeloop::robot::{BACKBONES, Model, NEIGHBOURS, Neighbours, PerBackbone};
 use std::collections::HashSet;
 use std::ffi::CString;
@@ -17,6 +20,16 @@ use std::path::PathBuf;
 ///
 /// Derived: 2⁵³.
 const LARGEST_INDEX: f64 = 9_007_199_254_740_992.0;
+
+/// The rig's errors of measurements.csv, by the number in their columns' names.
+///
+/// Derived: a pose has six.
+const BY_RIG: [usize; 6] = [1, 2, 3, 4, 5, 6];
+
+/// The columns of tables that hold words. All others hold numbers.
+///
+/// Convention: those of measurements.csv and estimate.csv.
+const OF_WORDS: [&str; 3] = ["status", "reason", "view"];
 
 /// Measurements; see measurements.csv for the columns.
 ///
@@ -33,34 +46,49 @@ pub fn measurements_of(source: &Bound<'_, PyAny>) -> PyResult<Vec<Measurement>> 
     let (correlation, times_s) = (table.optional_numbers("rho_theta_delta")?, table.times_s()?);
     let (inliers, rms_px) = (table.optional_numbers("inlier_fraction")?, table.optional_numbers("rms_px")?);
     let statuses = table.words("status")?;
-    Ok((0..table.indices.len())
-        .map(|k| {
-            let measured = (theta[k].is_finite() && delta[k].is_finite()).then(|| {
-                let correlation = if correlation[k].is_nan() { 0.0 } else { correlation[k] };
-                let configuration = Configuration::from_degrees(theta[k], delta[k]);
-                Measured::independent(
-                    configuration,
-                    sigma_theta[k].to_radians(),
-                    sigma_delta[k].to_radians(),
-                    correlation,
-                )
-            });
-            // Its presence tells that the measurement comes from a frame.
-            let quality = (inliers[k].is_finite() && rms_px[k].is_finite()).then(|| Quality {
-                inlier_fraction: inliers[k],
-                rms_px: rms_px[k],
-                ..Quality::default()
-            });
-            Measurement {
-                index: table.indices[k],
-                time_s: Some(times_s[k]).filter(|time_s| time_s.is_finite()),
-                status: statuses[k].parse().unwrap_or_else(|never| match never {}),
-                measured,
-                quality,
-                view: None,
+    let views = if source.contains("view")? { table.words("view")? } else { Vec::new() };
+    let columns =
+        |names: Vec<String>| names.iter().map(|name| table.optional_numbers(name)).collect::<PyResult<Vec<_>>>();
+    let of_fit: Vec<Vec<f64>> =
+        columns(["bend_x_deg", "bend_y_deg", "var_xx", "var_xy", "var_yy"].map(str::to_owned).to_vec())?;
+    let axes = |k: &usize| ["x", "y"].map(|axis| format!("bend_{axis}_by_rig{k}_deg"));
+    let by_rig: Vec<Vec<f64>> = columns(BY_RIG.iter().flat_map(axes).collect())?;
+    let measured = |k: usize| -> PyResult<Option<Measured>> {
+        if !(theta[k].is_finite() && delta[k].is_finite()) {
+            return Ok(None);
+        }
+        let or_zero = |number: f64| if number.is_nan() { 0.0 } else { number };
+        let configuration = Configuration::from_degrees(theta[k], delta[k]);
+        let (sigma_theta, sigma_delta) = (sigma_theta[k].to_radians(), sigma_delta[k].to_radians());
+        let measured = Measured::independent(configuration, sigma_theta, sigma_delta, or_zero(correlation[k]));
+        let of_bend: Vec<f64> = of_fit.iter().map(|column| column[k]).collect();
+        let fitted = match of_bend[..] {
+            [x, y, xx, xy, yy] if of_bend.iter().all(|part| part.is_finite()) => {
+                fitted_covariance(&measured, [x, y], [xx, xy, yy])
             }
+            _ => Ok(None),
+        };
+        let broken = |why: String| wrong(format!("measurements: index {}: {why}", table.indices[k]));
+        let by_rig = Matrix2x6::from_iterator(by_rig.iter().map(|column| or_zero(column[k]).to_radians()));
+        Ok(Some(Measured { fitted_covariance: fitted.map_err(broken)?, by_rig, ..measured }))
+    };
+    let measurement = |k: usize| {
+        // Its presence tells that the measurement comes from a frame.
+        let quality = (inliers[k].is_finite() && rms_px[k].is_finite()).then(|| Quality {
+            inlier_fraction: inliers[k],
+            rms_px: rms_px[k],
+            ..Quality::default()
+        });
+        Ok(Measurement {
+            index: table.indices[k],
+            time_s: Some(times_s[k]).filter(|time_s| time_s.is_finite()),
+            status: statuses[k].parse().unwrap_or_else(|never| match never {}),
+            measured: measured(k)?,
+            quality,
+            view: views.get(k).filter(|name| !name.is_empty()).cloned(),
         })
-        .collect())
+    };
+    (0..table.indices.len()).map(measurement).collect()
 }
 
 /// Encoder readings of a model's robot; see encoders.csv for the columns.
@@ -187,6 +215,33 @@ impl<'a, 'py> Table<'a, 'py> {
         }
         Err(wrong(format!("{}: column {name} has {length} rows, index has {expected}", self.what)))
     }
+}
+
+/// A CSV file of the library's as a dict of arrays; an empty field of a column of numbers is NaN.
+///
+/// # Errors
+/// What is no such file.
+pub fn columns_of_csv<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py, PyDict>> {
+    let broken = |e: &dyn std::fmt::Display| wrong(format!("a table that cannot be read: {e}"));
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let header = reader.headers().map_err(|e| broken(&e))?.clone();
+    let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().map_err(|e| broken(&e))?;
+    let array = py.import("numpy")?.getattr("array")?;
+    let columns = PyDict::new(py);
+    for (at, name) in header.iter().enumerate() {
+        let fields = rows.iter().map(|row| &row[at]);
+        if OF_WORDS.contains(&name) {
+            columns.set_item(name, array.call1((PyList::new(py, fields)?, "str"))?)?;
+        } else if name == "index" {
+            let numbers = fields.map(str::parse).collect::<Result<Vec<u64>, _>>().map_err(|e| broken(&e))?;
+            columns.set_item(name, numbers.into_pyarray(py))?;
+        } else {
+            let number = |field: &str| if field.is_empty() { Ok(f64::NAN) } else { field.parse() };
+            let numbers = fields.map(number).collect::<Result<Vec<f64>, _>>().map_err(|e| broken(&e))?;
+            columns.set_item(name, numbers.into_pyarray(py))?;
+        }
+    }
+    Ok(columns)
 }
 
 /// The rows of a file, its warnings given as Python's.

@@ -71,3 +71,72 @@ def test_a_rig_is_written_and_read_and_a_bad_picture_says_why(lens, rig, frames,
     assert one.theta_deg == pytest.approx(other.theta_deg, abs=1e-6)
     with pytest.raises(snakeloop.SnakeloopError, match="rig calibration"):
         snakeloop.Rig.calibrate(np.zeros_like(frames[0]), lens, grid_pitch_mm=1.0, standoff_mm=25.0)
+    with pytest.raises(snakeloop.SnakeloopError, match="robot: .*str.*expected a Robot or a Model"):
+        snakeloop.Eye(lens, rig, robot="mine")
+
+
+def test_a_lens_of_numbers_is_that_of_its_file(lens):
+    text = (BENDING / "camera.yaml").read_text()
+    K, dist = ([float(n) for n in block.split("]")[0].replace("\n", " ").split(",")] for block in text.split("data: [")[1:])
+    assert snakeloop.Lens(np.reshape(K, (3, 3)), dist, (lens.width, lens.height)) == lens
+    for without in ([], np.zeros(14)):
+        assert snakeloop.Lens(np.reshape(K, (3, 3)), without, [lens.width, lens.height]) == lens
+    assert snakeloop.Lens(np.reshape(K, (3, 3)), [-0.1, 0.02, 0, 0], (lens.width, lens.height)) != lens
+    for numbers, why in [
+        ((np.eye(2), [], (640, 480)), "K: shape .2, 2."),
+        ((np.zeros((3, 3)), [], (640, 480)), "camera: K"),
+        ((np.reshape(K, (3, 3)), [0.1] * 3, (640, 480)), "dist: 3 numbers"),
+        ((np.reshape(K, (3, 3)), [], (0, 480)), "size"),
+    ]:
+        with pytest.raises(snakeloop.SnakeloopError, match=why):
+            snakeloop.Lens(*numbers)
+
+
+def test_a_robot_and_its_model_are_one_to_an_eye(lens, rig, frames, measured):
+    robot = snakeloop.Robot()
+    by_robot, by_model = (snakeloop.Eye(lens, rig, robot=robot).measure(frames[5]) for robot in (robot, snakeloop.Model(robot)))
+    assert (by_robot.theta_deg, by_robot.delta_deg) == (by_model.theta_deg, by_model.delta_deg)
+    assert snakeloop.Eye(lens, rig, robot=snakeloop.Robot(length_mm=40.0)).measure(frames[5]).status != "ok"
+
+
+def test_a_sequence_is_tracked_to_the_same_angles(eye, frames, measured):
+    for frame, expected in zip(frames, measured, strict=True):
+        for near in [expected, (expected.theta_deg + 2, expected.delta_deg), (10.0, 0.0)]:
+            found = eye.track(frame, near)
+            assert found.status == "ok" and found.theta_deg == pytest.approx(expected.theta_deg, abs=0.05)
+    lost = eye.measure(np.zeros(frames[0].shape[:2], np.uint8))
+    assert eye.track(frames[3], lost).theta_deg == measured[3].theta_deg
+    with pytest.raises(snakeloop.SnakeloopError, match="near: .*expected a Measurement or"):
+        eye.track(frames[3], 30.0)
+
+
+def test_what_was_measured_is_drawn_on_the_frame(eye, frames, measured):
+    drawn = eye.overlay(frames[4], measured[4])
+    assert drawn.shape == frames[4].shape and drawn.dtype == np.uint8
+    changed = (drawn != frames[4]).any(axis=2)
+    assert 0.005 < changed.mean() < 0.3
+    grey = eye.overlay(frames[4][:, :, 0], measured[4])
+    assert grey.shape == frames[4].shape
+
+
+def test_views_of_one_moment_are_one_measurement(measured):
+    one = measured[4]
+    both = snakeloop.fused([one, one])
+    assert (both.theta_deg, both.delta_deg) == pytest.approx((one.theta_deg, one.delta_deg))
+    np.testing.assert_allclose(both.bend_covariance, one.bend_covariance / 2, rtol=1e-6)
+    known = {"delta_deg": 10.0, "sigma_theta_deg": 0.1, "sigma_delta_deg": 0.2}
+    poses = [snakeloop.Measurement(theta_deg=theta, **known) for theta in (30.0, 30.1, 40.0)]
+    assert snakeloop.fused(poses[:2]).theta_deg == pytest.approx(30.05, abs=1e-3)
+    assert snakeloop.fused(poses).status == "views_disagree"
+    with pytest.raises(snakeloop.SnakeloopError, match="none were given"):
+        snakeloop.fused([])
+
+
+def test_a_bend_vector_is_that_of_the_angles_with_its_covariance(measured):
+    for m in measured:
+        delta = np.radians(m.delta_deg)
+        direction = np.array([np.cos(delta), np.sin(delta)])
+        np.testing.assert_allclose(m.bend_deg, m.theta_deg * direction, atol=1e-9)
+        assert np.sqrt(direction @ m.bend_covariance @ direction) == pytest.approx(m.sigma_theta_deg, rel=0.02)
+    straight = snakeloop.Measurement(theta_deg=0.0, delta_deg=0.0, sigma_theta_deg=0.1, sigma_delta_deg=90.0)
+    assert (np.linalg.eigvalsh(straight.bend_covariance) > 0).all()

@@ -68,3 +68,24 @@ def test_errors_carry_file_and_line(tmp_path):
     with pytest.raises(snakeloop.SnakeloopError) as caught:
         MODEL.command()
     assert caught.value.path is None
+
+
+def test_a_robot_of_some_constants_has_the_papers_for_the_others():
+    paper = snakeloop.Robot()
+    assert paper == snakeloop.Model.default().robot and snakeloop.Model(paper) == snakeloop.Model.default()
+    assert snakeloop.Robot(**paper.constants) == paper
+    robot = snakeloop.Robot(length_mm=np.int64(35), backbones=4, secondary={"youngs_modulus_gpa": np.float32(60)})
+    assert (robot.constants["length_mm"], robot.constants["backbones"]) == (35.0, 4) and "4 backbones" in repr(robot)
+    assert robot.constants["secondary"] == paper.constants["secondary"] | {"youngs_modulus_gpa": 60.0}
+    model = snakeloop.Model(robot=robot)
+    assert model.robot == robot and model.eta == 1.0 and model.command(theta_deg=30, delta_deg=0).shape == (4,)
+    for constants, why in [
+        ({"lenght_mm": 35.0}, "lenght_mm.*`length_mm`.*`backbones`"),
+        ({"body": {"colour": "red"}}, "colour.*disk_diameter_mm"),
+        ({"length_mm": "long"}, "long"),
+        ({"length_mm": -1.0}, "robot.length_mm = -1"),
+        ({"length_mm": float("nan")}, "robot: "),
+        ({"length_mm": object()}, "robot: "),
+    ]:
+        with pytest.raises(snakeloop.SnakeloopError, match=why):
+            snakeloop.Robot(**constants)

@@ -165,7 +165,7 @@ fn squares_counted(pictures: &[PathBuf], board: &Board) -> Result<Option<(PathBu
     for path in pictures {
         if let Found::Corners(..) = find(path, &smaller)? {
             let why = format!(
-                "has {columns}×{rows} inner corners: {}×{} are the squares, so write --corners {columns}x{rows}",
+                "has {columns}×{rows} inner corners: {}×{} are the squares, so the corners are {columns}x{rows}",
                 board.columns, board.rows
             );
             return Ok(Some((path.clone(), why)));

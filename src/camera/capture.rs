@@ -101,7 +101,7 @@ impl CaptureSettings {
                 .then(|| format!("the camera has {name} {}, and was asked for {}", words(found), words(asked)))
         }
         let automatic = (self.autofocus == Some(true)).then(|| {
-            "the camera focuses by itself, which moves its lens and with it the camera file's numbers: switch that off with --focus".to_owned()
+            "the camera focuses by itself, which moves its lens and with it the camera file's numbers: set its focus by hand".to_owned()
         });
         let rate = other("frames a second:", self.asked_rate(asked), self.rate_fps, |rate| format!("{rate:.1}"));
         let size = other("a picture size of", asked.size, self.size, |(width, height)| format!("{width}×{height}"));
@@ -163,7 +163,8 @@ mod tests {
         assert!(same.remarks(&asked).is_empty());
         let other = CaptureSettings { size: Some((640, 480)), rate_fps: Some(10.0), autofocus: Some(true), ..asked };
         let said = other.remarks(&asked).join("\n");
-        for words in ["size of 640×480, and was asked for 1280×720", "10.0, and was asked for 30.0", "--focus"] {
+        for words in ["size of 640×480, and was asked for 1280×720", "10.0, and was asked for 30.0", "focus by hand"]
+        {
             assert!(said.contains(words), "{said}");
         }
         assert_eq!(said.matches(&what_is_offered()).count(), 1);

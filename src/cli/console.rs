@@ -1,10 +1,12 @@
 //! What the program says: results on standard output, everything else on standard error.
 
+use crate::{Error, Result};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use std::fmt::Display;
 use std::io::{ErrorKind, IsTerminal, Write};
-use std::sync::{OnceLock, mpsc};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
 use std::time::Duration;
 
 /// What ends sooner shows no stages. Convention: as long as one waits without asking.
@@ -14,7 +16,7 @@ const SHOWN_AFTER: Duration = Duration::from_secs(2);
 const TICK: Duration = Duration::from_millis(150);
 
 /// The two switches that every command has.
-#[derive(Debug, Clone, Copy, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct Console {
     /// Print only errors and, with --json, the result
     #[arg(long, global = true)]
@@ -22,9 +24,45 @@ pub struct Console {
     /// Print the result as JSON on standard output instead of text
     #[arg(long, global = true)]
     json: bool,
+    /// The program that called the command, where that was no shell.
+    #[arg(skip)]
+    caller: Option<Arc<Caller>>,
+}
+
+/// A program that calls a command as a function. Nothing is printed for it: it gets the warnings, and may end the work.
+#[derive(Debug, Default)]
+pub struct Caller {
+    warnings: Mutex<Vec<String>>,
+    ends: AtomicBool,
+}
+
+impl Caller {
+    /// The warnings so far, each once.
+    pub fn warnings(&self) -> Vec<String> {
+        std::mem::take(&mut self.warnings.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Ends the work at the next frame.
+    pub fn end(&self) {
+        self.ends.store(true, Ordering::Relaxed);
+    }
 }
 
 impl Console {
+    /// For a command that a program calls.
+    pub fn of_caller(caller: Arc<Caller>) -> Self {
+        Self { quiet: true, json: false, caller: Some(caller) }
+    }
+
+    /// An error where the program that called the command ended it.
+    ///
+    /// # Errors
+    /// [`Error::Ended`].
+    pub fn require_wanted(&self) -> Result<()> {
+        let ended = self.caller.as_ref().is_some_and(|caller| caller.ends.load(Ordering::Relaxed));
+        if ended { Err(Error::Ended) } else { Ok(()) }
+    }
+
     /// Prints a result: JSON where it was asked for, else text for people unless quiet.
     pub fn result(&self, value: &impl Serialize, text: impl FnOnce() -> String) {
         if self.json {
@@ -42,9 +80,12 @@ impl Console {
         }
     }
 
-    /// Prints warnings, one a line, unless quiet.
+    /// Prints warnings, one a line, unless quiet; hands them to the program that called the command.
     pub fn warn(&self, warnings: impl IntoIterator<Item = impl Display>) {
-        if !self.quiet {
+        if let Some(caller) = &self.caller {
+            let mut kept = caller.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+            kept.extend(warnings.into_iter().map(|warning| warning.to_string()));
+        } else if !self.quiet {
             for warning in warnings {
                 complain(format_args!("warning: {warning}"));
             }

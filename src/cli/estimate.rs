@@ -3,14 +3,14 @@
 use super::console::Console;
 use super::estimator::EstimatorArgs;
 use super::inputs::{NamedLog, WorthArgs, force_limits, measurements_and_readings, with_effects};
-use super::verdict::{VerdictArgs, doubt_of_times, verdict_text};
+use super::verdict::{VerdictArgs, unit_is_stated, verdict_text};
 use crate::cli::failure::Failure;
 use crate::estimate::{EstimateRow, Verdict as RowVerdict, estimate, estimate_stem, or_one_gain};
 use crate::observation::{EncoderReading, Measurement, commonest_status};
 use crate::quantity::with_sd;
 use crate::record::{OutputFolder, Provenance, estimates_csv, stems_csv, write_atomically, write_learned_model};
 use crate::robot::{Effect, Estimate, ForceLimits, Model};
-use crate::verdict::{Code, Level, Reason, Subject, Verdict};
+use crate::verdict::{Code, JudgedEstimate, Level, Reason, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -133,25 +133,22 @@ impl Args {
             Some(limits) => self.without_sharing(&model, &limits, &measurements, &encoders)?,
             None => encoders,
         };
-        let (steps, model) = estimate(&model, self.estimator.options(1.0), &measurements, &encoders)?;
+        let options = self.estimator.options(1.0);
+        let is_stated = unit_is_stated(log.experiment.as_ref());
+        let JudgedEstimate { rows, model, verdict } =
+            JudgedEstimate::of(&model, options, (&measurements, &encoders), is_stated, |model| {
+                log.subject(model, options.sd_encoder_mm)
+            })?;
         let mut verdicts = Verdicts::default();
-        steps.iter().for_each(|step| verdicts.add(step));
-        let rows = || measurements.iter().cloned().map(Ok::<_, Infallible>);
-        let Ok((model, replaced)) = or_one_gain(model, rows(), &encoders);
+        rows.iter().for_each(|row| verdicts.add(row));
         let estimated = Estimated::of(verdicts, model.estimate);
-        let used_and_rejected = Some((estimated.used, estimated.rejected));
-        let subject =
-            Subject { used_and_rejected, replaced, ..log.subject(&model, self.estimator.options(1.0).sd_encoder_mm)? };
-        let (Ok(verdict), Ok(doubt)) =
-            (subject.verdict(rows(), &encoders), doubt_of_times(rows(), &encoders, log.experiment.as_ref()));
-        let verdict = doubt.into_iter().fold(verdict, Verdict::and);
         let verdict = do_not_use.as_deref().map(bad_start).into_iter().fold(verdict, Verdict::and);
         if model.estimate.is_some() {
             write_learned_model(&self.output.join("model.toml"), &model, Some(&verdict), &self.made_from(&log)?)?;
         }
         // The rows stand beside the model that they led to, and not beside an earlier one.
         if model.estimate.is_some() || !self.output.join("model.toml").exists() {
-            let rows = estimates_csv(&steps, model.robot.backbone_count());
+            let rows = estimates_csv(&rows, model.robot.backbone_count());
             write_atomically(&self.output.join("estimate.csv"), rows.as_bytes())?;
         }
         let summary = Summary { verdict, estimated };

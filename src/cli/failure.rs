@@ -21,6 +21,7 @@ pub enum Failure {
 
 impl Failure {
     /// Work that failed because what the call named, an address or a terminal, cannot be used.
+    #[cfg(feature = "cli")]
     pub fn of_call(error: Error) -> Self {
         Self::Usage(error.to_string())
     }

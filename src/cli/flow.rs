@@ -75,7 +75,7 @@ impl Flow<'_> {
     /// A frame has the time that its source or else the encoder log tells.
     ///
     /// # Errors
-    /// A folder of frames that went away, a video that cannot be opened any more; what `draw` and `each` say.
+    /// A folder of frames that went away, a video that cannot be opened any more; what `draw` and `each` say; a caller that ended the work.
     pub fn run(
         &self,
         console: &Console,
@@ -110,6 +110,7 @@ impl Flow<'_> {
             Ok((measurement, seen.len()))
         };
         in_order(sets, work, |(measurement, frames)| {
+            console.require_wanted()?;
             measured += frames;
             bar.inc(1);
             each(measurement)

@@ -4,8 +4,6 @@ use super::console::Console;
 use super::inputs::{WorthArgs, tell_of_neighbours, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
-use crate::error::NoSolution;
-use crate::geometry::Configuration;
 use crate::quantity::{decimal, with_sd};
 use crate::robot::{Effect, MAX_THETA, Model, PerBackbone, TableRow};
 use nalgebra::Vector2;
@@ -107,11 +105,7 @@ fn looks_like_radians(theta_deg: f64, delta_deg: f64) -> Option<String> {
 
 impl Pose {
     fn wanted(model: &Model, theta_deg: f64, delta_deg: f64) -> Result<Self> {
-        let most = MAX_THETA.to_degrees();
-        if !(0.0..=most).contains(&theta_deg) || !delta_deg.is_finite() {
-            return Err(NoSolution::OutsideWorkspace { theta_deg, delta_deg, most_deg: most }.into());
-        }
-        let row = TableRow::new(model, Configuration::from_degrees(theta_deg, delta_deg));
+        let row = TableRow::asked(model, theta_deg, delta_deg)?;
         Ok(Self {
             theta_deg: row.configuration.theta_deg(),
             delta_deg: row.configuration.delta_deg(),

@@ -1,10 +1,12 @@
 //! The command line: knows every module, and no module knows it.
 //!
-//! Each command is one file: what it may be told (a clap structure) and what it does, top to bottom.
+//! Each command is one file: what it may be told (a clap structure) and what it does, top to bottom. A program carries `run` out by
+//! [`run_experiment`].
 
 mod calibrate;
 mod check;
 mod checksum;
+#[cfg(feature = "cli")]
 mod completions;
 mod console;
 mod discover;
@@ -17,6 +19,7 @@ mod flow;
 mod force;
 mod inputs;
 mod invert;
+#[cfg(feature = "cli")]
 mod live;
 mod measure;
 mod measuring;
@@ -31,6 +34,7 @@ mod run;
 mod shard;
 mod simulate;
 mod table;
+#[cfg(feature = "cli")]
 mod topics;
 mod trackers;
 mod verdict;
@@ -38,8 +42,10 @@ mod views;
 
 use crate::{Error, Result};
 use clap::{Parser, Subcommand};
+pub use console::Caller;
 use console::Console;
 use failure::Failure;
+pub use run::{Summary as RunSummary, run_experiment};
 use std::process::ExitCode;
 
 /// Measures a snake-like surgical robot in camera frames, learns its actuation losses and compensates them.
@@ -63,6 +69,7 @@ enum Command {
     New(new::Args),
     Check(check::Args),
     Run(run::Args),
+    #[cfg(feature = "cli")]
     Live(Box<live::Args>),
     Measure(measure::Args),
     Merge(merge::Args),
@@ -78,7 +85,9 @@ enum Command {
     Print(print::Args),
     Calibrate(calibrate::Args),
     Reproduce(reproduce::Args),
+    #[cfg(feature = "cli")]
     Completions(completions::Args),
+    #[cfg(feature = "cli")]
     Manual(completions::ManualArgs),
 }
 
@@ -88,6 +97,7 @@ impl Command {
             Self::New(args) => args.run(console),
             Self::Check(args) => args.run(console),
             Self::Run(args) => args.run(console),
+            #[cfg(feature = "cli")]
             Self::Live(args) => args.run(console),
             Self::Measure(args) => args.run(console),
             Self::Merge(args) => args.run(console),
@@ -103,7 +113,9 @@ impl Command {
             Self::Print(args) => args.run(console),
             Self::Calibrate(args) => args.run(console),
             Self::Reproduce(args) => args.run(console),
+            #[cfg(feature = "cli")]
             Self::Completions(args) => args.run(),
+            #[cfg(feature = "cli")]
             Self::Manual(args) => args.run(console),
         }
     }
@@ -128,5 +140,5 @@ pub fn main() -> ExitCode {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "cli"))]
 mod tests;

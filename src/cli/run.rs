@@ -1,6 +1,6 @@
 //! `run`: the main job, from frames and encoders to a compensation table and a report.
 
-use super::console::Console;
+use super::console::{Caller, Console};
 use super::estimate::{Estimated, Parameters, Verdicts};
 use super::flow::{MeasuredFrames, Throughput};
 use super::inputs::{encoders_of, files_read, maker, model_of};
@@ -26,10 +26,13 @@ use crate::report::run_page::Report;
 use crate::robot::{Model, Robot};
 use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};
+use clap::Parser;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Do the main job: measure every frame, update η and λ, write the compensation table and a report
 ///
@@ -82,6 +85,39 @@ pub struct Summary {
     #[serde(flatten)]
     throughput: Option<Throughput>,
     output: PathBuf,
+    /// The model, with its estimate if there is one.
+    #[serde(skip)]
+    pub model: Model,
+}
+
+/// What became of a call.
+enum Outcome {
+    /// Every frame is measured, and all files are written.
+    Whole(Box<Summary>),
+    /// One shard of several is measured.
+    Shard(Option<Throughput>),
+}
+
+/// Carries out `run EXPERIMENT -o OUT` for a program that calls it, and gives what the command prints.
+///
+/// # Errors
+/// Those of the command, but for the one that it ends with where the measurements give no estimate: the verdict says so.
+pub fn run_experiment(experiment: &Path, output: &Path, caller: Arc<Caller>) -> Result<Summary> {
+    #[derive(Parser)]
+    struct Call {
+        #[command(flatten)]
+        args: Args,
+    }
+    // The settings that are not given are the command's own.
+    let mut named_output = OsString::from("--output=");
+    named_output.push(output);
+    let call = [OsString::from("run"), named_output, OsString::from("--"), experiment.into()];
+    let call = Call::try_parse_from(call);
+    let Call { args } = call.map_err(|e| Error::Unavailable { what: "run".into(), message: e.to_string() })?;
+    match args.outcome(&Console::of_caller(caller), &Experiment::read(experiment)?)? {
+        Outcome::Whole(summary) => Ok(*summary),
+        Outcome::Shard(_) => Err(Error::Ended),
+    }
 }
 
 #[derive(Serialize)]
@@ -96,35 +132,45 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         self.measuring.start_threads()?;
         let experiment = Experiment::read(&self.experiment)?;
-        let mut out = OutputFolder::claim(&self.output, &OUTPUTS, &files_read(&experiment, &[]))?;
-        out.made_by(&maker("run", &experiment), &OUTPUTS)?;
-        let inputs = Inputs::read(console, &experiment)?;
-        let views = open_views(console, &experiment, &inputs.start.robot, &self.output)?;
-
-        let trackers = open_trackers(console, &experiment, &inputs.start.robot, &inputs.encoders)?;
-        let (encoders, start) = (&inputs.encoders[..], &inputs.start);
-        let sources = (self.experiment.as_path(), &experiment, &views[..], &trackers[..], encoders, start);
-        let folder = self.output.join("overlays");
-        if !self.measuring.resume {
-            overlays::remove_former(&folder)?;
-        }
-        let draw = |measured: &MeasuredFrames| draw(self.settings.overlays, &folder, measured);
-        match self.measuring.measure(console, sources, Some(self.settings), &self.output, draw)? {
-            Measured::Shard(throughput) => {
+        match self.outcome(console, &experiment)? {
+            Outcome::Shard(throughput) => {
                 let summary = measuring::Summary::of(&self.output, throughput)?;
                 console.result(&summary, || summary.text());
                 console.next(format_args!("when all shards are done, snakeloop merge with all of their folders"));
             }
-            Measured::Whole(journal, throughput) => {
-                let sheets = reasons_of_sheets(&views).collect();
-                let summary = finish(&experiment, &inputs, sheets, self.settings, &self.output, Some(throughput))?;
-                journal.remove()?;
+            Outcome::Whole(summary) => {
                 summary.tell(console, &experiment);
                 summary.require_table(&experiment)?;
                 self.verdict.check(&summary.verdict)?;
             }
         }
         Ok(())
+    }
+
+    /// Does the work, and writes all files.
+    fn outcome(&self, console: &Console, experiment: &Experiment) -> Result<Outcome> {
+        let mut out = OutputFolder::claim(&self.output, &OUTPUTS, &files_read(experiment, &[]))?;
+        out.made_by(&maker("run", experiment), &OUTPUTS)?;
+        let inputs = Inputs::read(console, experiment)?;
+        let views = open_views(console, experiment, &inputs.start.robot, &self.output)?;
+
+        let trackers = open_trackers(console, experiment, &inputs.start.robot, &inputs.encoders)?;
+        let (encoders, start) = (&inputs.encoders[..], &inputs.start);
+        let sources = (self.experiment.as_path(), experiment, &views[..], &trackers[..], encoders, start);
+        let folder = self.output.join("overlays");
+        if !self.measuring.resume {
+            overlays::remove_former(&folder)?;
+        }
+        let draw = |measured: &MeasuredFrames| draw(self.settings.overlays, &folder, measured);
+        Ok(match self.measuring.measure(console, sources, Some(self.settings), &self.output, draw)? {
+            Measured::Shard(throughput) => Outcome::Shard(throughput),
+            Measured::Whole(journal, throughput) => {
+                let sheets = reasons_of_sheets(&views).collect();
+                let summary = finish(experiment, &inputs, sheets, self.settings, &self.output, Some(throughput))?;
+                journal.remove()?;
+                Outcome::Whole(Box::new(summary))
+            }
+        })
     }
 }
 
@@ -196,8 +242,9 @@ pub fn finish(
         throughput,
         output: output.to_owned(),
         verdict,
+        model,
     };
-    let page = page(experiment, &summary, (&model, encoders), &history, (settings, warnings, &made_from))?;
+    let page = page(experiment, &summary, encoders, &history, (settings, warnings, &made_from))?;
     write_atomically(&output.join("report.html"), page.as_bytes())?;
     Ok(summary)
 }
@@ -250,7 +297,7 @@ fn beside_former(output: &Path, verdict: Verdict) -> Result<Verdict> {
 fn page(
     experiment: &Experiment,
     summary: &Summary,
-    (model, readings): (&Model, &[EncoderReading]),
+    readings: &[EncoderReading],
     history: &RunHistory,
     (settings, warnings, made_from): (Settings, &[Warning], &Provenance),
 ) -> Result<String> {
@@ -265,7 +312,7 @@ fn page(
         title: format!("snakeloop: {}", name_of(experiment)),
         verdict: summary.verdict.clone(),
         summary: summary.lines(),
-        model: Some(model).filter(|model| model.estimate.is_some()),
+        model: Some(&summary.model).filter(|model| model.estimate.is_some()),
         readings,
         history,
         rigs: rig_pictures(experiment, &summary.output)?,
@@ -401,7 +448,7 @@ impl Summary {
     }
 
     /// Lines for people.
-    fn text(&self) -> String {
+    pub fn text(&self) -> String {
         // A tracker's poses are no frames, and take no time.
         let timed = self.throughput.filter(|throughput| throughput.frames_per_second > 0.0);
         let speed = timed.map(|Throughput { frames_per_second, decoding_share, .. }| {

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::observation::{EncoderReading, Measurement, Wiring};
 use crate::record::{Experiment, Fault, Warning};
 use crate::robot::Model;
-use crate::verdict::{Code, Level, Reason, Subject, Verdict, ViewOffset, doubts_of_times};
+use crate::verdict::{Code, Level, Reason, Subject, TIMED, Verdict, ViewOffset, doubts_of_times};
 
 /// What a command does with its verdict.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -36,9 +36,6 @@ pub fn subject<'a>(model: &'a Model, experiment: &Experiment, wiring: Wiring, sd
         |view: &crate::record::View| ViewOffset { name: view.name.clone(), delta_offset_deg: view.delta_offset_deg };
     Subject { wiring, views: experiment.views.iter().map(offset).collect(), ..Subject::new(model, sd_encoder_mm) }
 }
-
-/// Rows by which the unit of the times is told. Convention: a resource limit, far beyond what is needed.
-const TIMED: usize = 2000;
 
 /// What the files themselves say against a result: recordings that break off, readings that contradict each other, clocks that do not meet.
 ///
@@ -79,6 +76,11 @@ fn damaged(text: String) -> Reason {
     Reason::new(Code::RecordingDamaged, Level::Look, text, remedy)
 }
 
+/// Whether an experiment says in which unit the times of its log are.
+pub fn unit_is_stated(experiment: Option<&Experiment>) -> bool {
+    experiment.and_then(|experiment| experiment.log.as_ref()).is_some_and(|log| log.time_unit.is_some())
+}
+
 /// A doubt of the times' unit, or of which row belongs to which frame, from some of the measurements.
 ///
 /// # Errors
@@ -89,7 +91,5 @@ pub fn doubt_of_times<E>(
     experiment: Option<&Experiment>,
 ) -> Result<Option<Reason>, E> {
     let some = measurements.take(TIMED).collect::<Result<Vec<_>, E>>()?;
-    let is_stated =
-        experiment.and_then(|experiment| experiment.log.as_ref()).is_some_and(|log| log.time_unit.is_some());
-    Ok(doubts_of_times(&some, log, is_stated))
+    Ok(doubts_of_times(&some, log, unit_is_stated(experiment)))
 }

@@ -181,15 +181,19 @@ impl Eye {
     }
 
     /// Measures a frame of a sequence whose `last` bend vector is known: fits from there, and searches everywhere only where that
-    /// does not give a snake. Says the same as [`measure`](Self::measure) to about a hundredth of a degree, sooner.
+    /// does not give a snake that agrees with nearly all of the outline. Says the same as [`measure`](Self::measure) to about a hundredth of a
+    /// degree, sooner.
     pub fn track(&self, frame: &Frame, last: Vector2<f64>) -> FrameMeasurement {
-        self.measure_near(frame, last, |_| true).unwrap_or_else(|| self.measure(frame))
+        let near = self.conclude_near(frame, last, |_| true).filter(Conclusion::is_certain);
+        near.map_or_else(|| self.measure(frame), |near| near.measurement)
     }
 
     /// Measures a snake that is taken for straight: searches everywhere only where a straight start does not lead to a bend that explains
     /// all of the outline.
     pub(super) fn measure_straight(&self, frame: &Frame) -> FrameMeasurement {
-        self.measure_near(frame, Vector2::zeros(), BendFit::explains_all).unwrap_or_else(|| self.measure(frame))
+        let near = self.conclude_near(frame, Vector2::zeros(), BendFit::explains_all);
+        let near = near.filter(|near| near.measurement.status == Status::Ok);
+        near.map_or_else(|| self.measure(frame), |near| near.measurement)
     }
 
     /// Measures one frame, whose bend may be expected, and keeps what its stages found.
@@ -212,13 +216,13 @@ impl Eye {
         MeasurementStages { candidates, fits, measurement }
     }
 
-    /// What a fit from the last bend finds, if it is enough to go by; `None` where that is not certain to be the snake.
-    fn measure_near(
+    /// What a fit from the last bend finds, if it is enough to go by and lies within the region that was looked at.
+    fn conclude_near(
         &self,
         frame: &Frame,
         last: Vector2<f64>,
         is_enough: impl Fn(&BendFit) -> bool,
-    ) -> Option<FrameMeasurement> {
+    ) -> Option<Conclusion> {
         if self.unusable(frame).is_some() {
             return None;
         }
@@ -231,9 +235,7 @@ impl Eye {
         if !region.contains(&view.image_region(near.profile, Outline::REACH_PX)) {
             return None;
         }
-        let Conclusion { measurement, .. } =
-            self.conclude(vec![near], None, frame, &fitter, &FitSchedule::TRACKED_FINE);
-        (measurement.status == Status::Ok).then_some(measurement)
+        Some(self.conclude(vec![near], None, frame, &fitter, &FitSchedule::TRACKED_FINE))
     }
 
     /// The picture of one channel in which the snake is about 1 and the background about 0, over a region of a frame, whatever its

@@ -67,6 +67,16 @@ impl FrameMeasurement {
     }
 }
 
+impl From<Measured> for FrameMeasurement {
+    /// A measurement that comes from elsewhere, such as a tracker, of which nothing but angles and errors is known.
+    fn from(measured: Measured) -> Self {
+        let Measured { configuration, by_rig, .. } = measured;
+        let covariance = measured.bend_covariance(configuration);
+        let bend = Bend { vector: configuration.bend_vector(), covariance, by_rig };
+        Self { status: Status::Ok, measured: Some(measured), bend: Some(bend), quality: Some(Quality::default()) }
+    }
+}
+
 /// θ, δ and their errors for a bend vector with a covariance (rad²).
 ///
 /// Far from straight this is the linear propagation. Near straight δ may be anything, so the errors are mean squares over the bend

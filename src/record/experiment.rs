@@ -270,10 +270,11 @@ impl View {
         match &self.camera {
             CameraSource::File(path) => Lens::read(path),
             CameraSource::Topic(topic) => Lens::of_topic(topic),
-            CameraSource::Numbers(numbers) => Lens::of_numbers(numbers),
+            CameraSource::Numbers(numbers) => Lens::of_numbers(numbers)
+                .map_err(|error| Error::content(Path::new("experiment.toml"), error.to_string())),
             CameraSource::Untold => Err(Error::Unavailable {
                 what: format!("the lens of view {:?}", self.name),
-                message: "experiment.toml names no camera file, which only `live --ros2 --image-topic` does without; add camera = \"camera.yaml\""
+                message: "experiment.toml names no camera file, which only pictures of a ROS 2 topic do without; add camera = \"camera.yaml\""
                     .into(),
             }),
         }

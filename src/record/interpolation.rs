@@ -143,6 +143,7 @@ impl Interpolation {
     }
 
     /// Of readings of all backbones at the same times.
+    #[cfg(feature = "live")]
     pub fn of<'a>(readings: impl Iterator<Item = &'a (f64, PerBackbone)> + Clone) -> Self {
         let backbones = readings.clone().next().map_or(0, |(_, q_mm)| q_mm.len());
         let of = |i: usize| readings.clone().map(|(time_s, q_mm)| (*time_s, q_mm[i])).collect();

@@ -164,7 +164,7 @@ impl<R: Read> Lines<'_, R> {
 }
 
 fn not_ours(path: &Path, why: &str) -> Error {
-    Error::content(path, format!("its head cannot be read ({why}); remove it, or start again without --resume"))
+    Error::content(path, format!("its head cannot be read ({why}); remove it, or start again without resuming"))
 }
 
 /// An error that names the first thing in which what the rows were made from differs from what they would be made from now.
@@ -175,7 +175,7 @@ fn compare(path: &Path, former: &toml::Table, now: &toml::Table) -> Result<()> {
             path,
             format!(
                 "this journal was left by another run: {difference}. To continue it, \
-                 call the command as then; to start again, leave out --resume"
+                 call the command as then; to start again, do not resume"
             ),
         )),
     }
@@ -257,7 +257,7 @@ mod tests {
         let refused = |text: &str| MeasurementJournal::resume(folder.path(), &origin(text)).unwrap_err().to_string();
         let message = refused("follow = false\n[inputs]\n'a.csv' = '13'");
         assert!(message.contains("a.csv was \"12\" then and is \"13\" now"), "{message}");
-        assert!(message.contains(JOURNAL) && message.contains("leave out --resume"), "{message}");
+        assert!(message.contains(JOURNAL) && message.contains("do not resume"), "{message}");
         assert!(refused("follow = true\n[inputs]\n'a.csv' = '12'").contains("follow was false then and is true now"));
         assert!(refused("[inputs]\n'a.csv' = '12'").contains("follow was false then and is not there now"));
         std::fs::write(folder.path().join(JOURNAL), format!("# a = = 1\n{}\n", measurements_header())).unwrap();

@@ -154,6 +154,19 @@ fn fitted_covariance_of(row: &Row, measured: &Measured) -> RowResult<Option<Matr
     else {
         return numbers.into_iter().find_map(Result::err).map_or(Ok(None), Err);
     };
+    fitted_covariance(measured, [x, y], [xx, xy, yy])
+}
+
+/// The covariance of the bend vector that `var_xx`, `var_xy` and `var_yy` say of a measurement whose sigmas are known, rad²; `None` beside angles or
+/// sigmas that are not those of `bend_x_deg`, `bend_y_deg` and the covariance.
+///
+/// # Errors
+/// In words, numbers that are no covariance.
+pub fn fitted_covariance(
+    measured: &Measured,
+    [x, y]: [f64; 2],
+    [xx, xy, yy]: [f64; 3],
+) -> Result<Option<Matrix2<f64>>, String> {
     if !(xx > 0.0 && yy > 0.0 && xx * yy > xy * xy) {
         return Err(format!("var_xx, var_xy, var_yy are {xx}, {xy}, {yy}, which is no covariance"));
     }

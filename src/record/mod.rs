@@ -48,8 +48,10 @@ pub(crate) use interpolation::Neighbouring;
 pub use joints::read_joints;
 pub use journal::{JOURNAL, MeasurementJournal, difference};
 pub use log::{LogKeys, LogProposal, ReadingUnit, TimeUnit, read_log};
-pub use measurements::{MeasurementRows, measurement_line, measurements_csv, measurements_header, read_measurements};
-pub use model::{model_json, model_toml, read_model, write_learned_model, write_model};
+pub use measurements::{
+    MeasurementRows, fitted_covariance, measurement_line, measurements_csv, measurements_header, read_measurements,
+};
+pub use model::{model_json, model_toml, read_model, robot_of, write_learned_model, write_model};
 pub use output::OutputFolder;
 pub use provenance::Provenance;
 pub use recording::{Recorded, write_recording};

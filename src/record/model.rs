@@ -36,7 +36,7 @@ use super::effect_table::EffectTable;
 use super::experiment::line_at;
 use super::provenance::Provenance;
 use super::write::write_atomically;
-use crate::error::{Error, Result};
+use crate::error::{ArgumentError, Error, Result};
 use crate::input::read_text;
 use crate::robot::{DataRange, Estimate, Friction, MAX_THETA, Model, OutOfRange, Robot};
 use crate::verdict::Verdict;
@@ -221,6 +221,31 @@ pub fn model_json(model: &Model) -> Result<serde_json::Value> {
     serde_json::to_value(ModelFile::from(model)).map_err(Error::encode("the model"))
 }
 
+/// A robot from constants under the keys of `[robot]`, as JSON; what is left out is the paper's.
+///
+/// # Errors
+/// [`ArgumentError::Robot`] for a key that there is not, beside those that there are; for what is no number, or out of its physical range.
+pub fn robot_of(constants: serde_json::Value) -> Result<Robot> {
+    let wrong = |why: String| Error::from(ArgumentError::Robot(why));
+    let mut all = serde_json::to_value(Robot::default()).map_err(|e| wrong(e.to_string()))?;
+    replace(&mut all, constants);
+    let robot: Robot = serde_json::from_value(all).map_err(|e| wrong(e.to_string()))?;
+    let model = Model { robot, ..Model::default() };
+    model.out_of_range().map_or(Ok(model.robot), |fault| Err(wrong(fault.to_string())))
+}
+
+/// Puts values in place of those under the same keys, table by table.
+fn replace(old: &mut serde_json::Value, new: serde_json::Value) {
+    match (old, new) {
+        (serde_json::Value::Object(old), serde_json::Value::Object(new)) => {
+            for (key, value) in new {
+                replace(old.entry(key).or_insert(serde_json::Value::Null), value);
+            }
+        }
+        (old, new) => *old = new,
+    }
+}
+
 fn parse(path: &Path, text: &str) -> Result<Model> {
     let at_span = |e: toml::de::Error| match e.span() {
         Some(span) => Error::at_line(path, line_at(text, span.start), e.message()),
@@ -402,6 +427,26 @@ pub(super) mod tests {
     fn an_effect_that_is_not_known_is_named() {
         let message = message("\n\n[[effect]]\nname = \"moon_phase\"\n");
         assert!(message.contains("model.toml:3") && message.contains("moon_phase"), "{message}");
+    }
+
+    #[test]
+    fn a_robot_of_some_constants_has_the_papers_for_the_others() {
+        use serde_json::json;
+        let constants = json!({"length_mm": 35, "secondary": {"youngs_modulus_gpa": 60.0}, "body": {"tool": {"length_mm": 5, "diameter_mm": 2}}});
+        let robot = robot_of(constants).unwrap();
+        let mut expected = Robot { length_mm: 35.0, ..Robot::default() };
+        expected.secondary.youngs_modulus_gpa = 60.0;
+        expected.body.tool = Some(crate::robot::Tool { length_mm: 5.0, diameter_mm: 2.0 });
+        assert_eq!(robot, expected);
+        for (wrong, parts) in [
+            (json!({"lenght_mm": 35.0}), ["lenght_mm", "length_mm, "]),
+            (json!({"line": {"cone_mm": 1.0}}), ["cone_mm", "cone_straight_mm"]),
+            (json!({"length_mm": "long"}), ["long", "f64"]),
+            (json!({"length_mm": -26.0}), ["robot.length_mm = -26", "robot: "]),
+        ] {
+            let message = robot_of(wrong).unwrap_err().to_string().replace('`', "");
+            assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+        }
     }
 
     #[test]

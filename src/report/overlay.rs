@@ -74,6 +74,15 @@ impl Shape {
 ///
 /// A frame without angles gets its status instead.
 pub fn overlay(frame: &Frame, measurement: &Measurement, shape: Option<&Shape>) -> RgbImage {
+    drawn(frame, (measurement, &caption(measurement)), shape)
+}
+
+/// The same for a picture that has no number.
+pub fn overlay_unnumbered(frame: &Frame, measurement: &Measurement, shape: Option<&Shape>) -> RgbImage {
+    drawn(frame, (measurement, &answer(measurement)), shape)
+}
+
+fn drawn(frame: &Frame, (measurement, lines): (&Measurement, &[String]), shape: Option<&Shape>) -> RgbImage {
     let mut picture = rgb(frame);
     let unit = f64::from(frame.height.min(frame.width)) / REFERENCE_SIDE_PX;
     if let Some(shape) = shape {
@@ -90,7 +99,7 @@ pub fn overlay(frame: &Frame, measurement: &Measurement, shape: Option<&Shape>) 
     // On the side where the snake is not, so that pictures cut to it are free of it.
     let middle_px = shape.and_then(|shape| Some((shape.arc.first()?.x + shape.arc.last()?.x) / 2.0));
     let at_right = middle_px.is_some_and(|x| x < f64::from(frame.width) / 2.0);
-    label(&mut picture, &caption(measurement), TEXT_PX * unit, colour, at_right);
+    label(&mut picture, lines, TEXT_PX * unit, colour, at_right);
     picture
 }
 
@@ -111,10 +120,14 @@ pub fn paint_for_test(picture: &mut RgbImage, columns: Range<u32>, rows: Range<u
 
 /// The text in the picture's corner: the frame, then θ ± σ and δ ± σ, or the reason why they are missing.
 fn caption(measurement: &Measurement) -> Vec<String> {
-    let mut lines = vec![format!("frame {}", measurement.index)];
-    if let Some(view) = &measurement.view {
-        lines[0] += &format!(", {view}");
-    }
+    let view = measurement.view.as_ref().map(|view| format!(", {view}")).unwrap_or_default();
+    let frame = format!("frame {}{view}", measurement.index);
+    std::iter::once(frame).chain(answer(measurement)).collect()
+}
+
+/// θ ± σ and δ ± σ, or the reason why they are missing.
+fn answer(measurement: &Measurement) -> Vec<String> {
+    let mut lines = Vec::new();
     if measurement.status != Status::Ok {
         lines.push(measurement.status.to_string());
     }

@@ -22,7 +22,7 @@ const LINE_GREY: f32 = 0.55;
 
 /// The paper.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[cfg_attr(feature = "commands", derive(clap::ValueEnum))]
 pub enum Paper {
     /// 210 mm × 297 mm
     A4,

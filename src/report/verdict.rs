@@ -10,6 +10,11 @@ pub fn verdict_page(title: &str, verdict: &Verdict, from: &Provenance) -> String
     document(title, "", &html! { h1 { (title) } (verdict_box(verdict)) (made_from(from)) })
 }
 
+/// A page that tells a verdict and nothing else.
+pub fn verdict_alone(verdict: &Verdict) -> String {
+    document("snakeloop: verdict", "", &verdict_box(verdict))
+}
+
 /// The box.
 pub(super) fn verdict_box(verdict: &Verdict) -> Markup {
     let (class, says) = match verdict.level {

@@ -5,7 +5,7 @@ use super::kinematics::MAX_THETA;
 use super::mechanics::Mechanics;
 use super::model::Model;
 use super::redundancy::{ForceLimits, Sharing};
-use crate::error::{ArgumentError, Error, GridError, Result};
+use crate::error::{ArgumentError, Error, GridError, NoSolution, Result};
 use crate::geometry::Configuration;
 use std::fmt;
 use std::str::FromStr;
@@ -151,6 +151,18 @@ impl TableRow {
             extrapolated: model.learned.is_some_and(|range| !range.covers(configuration)),
             sharing: None,
         }
+    }
+
+    /// The row of a pose that is asked for in degrees.
+    ///
+    /// # Errors
+    /// [`NoSolution::OutsideWorkspace`] for a θ outside 0 to 120° and angles that are not finite.
+    pub fn asked(model: &Model, theta_deg: f64, delta_deg: f64) -> Result<Self> {
+        let most_deg = MAX_THETA.to_degrees();
+        if !((0.0..=most_deg + 1e-9).contains(&theta_deg) && delta_deg.is_finite()) {
+            return Err(NoSolution::OutsideWorkspace { theta_deg, delta_deg, most_deg }.into());
+        }
+        Ok(Self::new(model, Configuration::from_degrees(theta_deg, delta_deg)))
     }
 
     /// The same pose with forces within limits.

@@ -10,6 +10,7 @@
 //! says how to write the correction down ([`Wiring`](crate::observation::Wiring)).
 
 mod encoders;
+mod estimated;
 mod evidence;
 mod health;
 mod inputs;
@@ -19,7 +20,10 @@ mod scale;
 pub mod wiring;
 mod words;
 
+pub use estimated::JudgedEstimate;
 pub use evidence::{Evidence, Subject, ViewOffset};
+#[cfg(feature = "commands")]
+pub(crate) use inputs::TIMED;
 pub use inputs::doubts_of_times;
 pub use reason::{Code, Level, Reason, Suggestion, Verdict};
 pub use rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, MOST_LAMBDA_MM, REJECTED_IN_ORDER};

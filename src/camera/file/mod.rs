@@ -11,7 +11,7 @@ mod yaml;
 
 use super::Lens;
 use crate::content;
-use crate::error::{Error, Result};
+use crate::error::{ArgumentError, Error, Result};
 use crate::input::{SETTINGS_BYTES, read_bytes, text_in};
 use nalgebra::{Point2, Vector2};
 pub(super) use names::FISHEYES;
@@ -93,15 +93,15 @@ impl Lens {
         lens.windowed(&camera.window()?).map_err(|why| names::Wrong::at("roi", why))
     }
 
-    /// A lens from the numbers that experiment.toml holds.
+    /// A lens from its numbers, as experiment.toml may hold them.
     ///
     /// # Errors
-    /// A matrix that is skewed or no camera's, another number of coefficients, a size of nothing.
+    /// [`ArgumentError::Camera`]: a matrix that is skewed or no camera's, another number of coefficients, a size of nothing.
     pub fn of_numbers(numbers: &CameraNumbers) -> Result<Self> {
         let [width, height] = numbers.size;
         let matrix = [numbers.matrix[0], numbers.matrix[1], numbers.matrix[2]].concat();
         let matrix = <[f64; 9]>::try_from(matrix).unwrap_or_default();
-        let wrong = |why: String| Error::content(Path::new("experiment.toml"), format!("camera: {why}"));
+        let wrong = |why: String| ArgumentError::Camera(why).into();
         if width == 0 || height == 0 {
             return Err(wrong(format!("size = [{width}, {height}], expected width and height in pixels")));
         }

@@ -1,5 +1,6 @@
 //! Why a rig could not be calibrated.
 
+use crate::error::Error;
 use std::fmt;
 
 /// A part of the snake that a picture must show.
@@ -23,6 +24,13 @@ impl fmt::Display for SnakePart {
             Self::EndDisk => "the end disk",
             Self::Tool => "the tool on the end disk",
         })
+    }
+}
+
+impl From<RigError> for Error {
+    /// Of a picture that is no file.
+    fn from(error: RigError) -> Self {
+        Self::Rig { path: None, source: error.into() }
     }
 }
 

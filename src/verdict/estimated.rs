@@ -1,0 +1,46 @@
+//! η and λ learned from measurements and readings, with the verdict on them: what `estimate` answers.
+
+use super::inputs::{TIMED, doubts_of_times};
+use super::{Subject, Verdict};
+use crate::error::Result;
+use crate::estimate::{self, EstimateRow, Options, estimate, or_one_gain};
+use crate::observation::{EncoderReading, Measurement};
+use crate::robot::Model;
+use std::convert::Infallible;
+
+/// What measurements and readings teach, judged.
+#[derive(Debug, Clone)]
+pub struct JudgedEstimate {
+    /// The rows of estimate.csv: what became of each measurement.
+    pub rows: Vec<EstimateRow>,
+    /// The model with its estimate, or with one gain for all bends in its place; without an estimate where the measurements do not tell it.
+    pub model: Model,
+    /// Whether it can be relied on.
+    pub verdict: Verdict,
+}
+
+impl JudgedEstimate {
+    /// Learns from all measurements, in order, each with the reading of its index, and judges what was learned. `subject` says how readings
+    /// and views are wired, `unit_is_stated` that somebody wrote down the unit of the log's times.
+    ///
+    /// # Errors
+    /// [`ArgumentError::OutOfRange`](crate::error::ArgumentError::OutOfRange) for an option out of its range; what `subject` says.
+    pub fn of(
+        start: &Model,
+        options: Options,
+        (measurements, readings): (&[Measurement], &[EncoderReading]),
+        unit_is_stated: bool,
+        subject: impl for<'a> FnOnce(&'a Model) -> Result<Subject<'a>>,
+    ) -> Result<Self> {
+        let (rows, model) = estimate(start, options, measurements, readings)?;
+        let all = || measurements.iter().cloned().map(Ok::<_, Infallible>);
+        let Ok((model, replaced)) = or_one_gain(model, all(), readings);
+        let count = |verdict| rows.iter().filter(|row| row.verdict == verdict).count();
+        let used_and_rejected = Some((count(estimate::Verdict::Used), count(estimate::Verdict::Rejected)));
+        let subject = Subject { used_and_rejected, replaced, ..subject(&model)? };
+        let Ok(verdict) = subject.verdict(all(), readings);
+        let doubt = doubts_of_times(&measurements[..measurements.len().min(TIMED)], readings, unit_is_stated);
+        let verdict = doubt.into_iter().fold(verdict, Verdict::and);
+        Ok(Self { rows, model, verdict })
+    }
+}
