@@ -8,6 +8,7 @@ use super::verdict::{VerdictArgs, verdict_text};
 use super::views::rig_of;
 use crate::camera::{CaptureSettings, CaptureTarget, FourCc, FrameSource, Lens};
 use crate::cli::failure::Failure;
+use crate::error::ArgumentError;
 use crate::live::ros2::{Node, Sink};
 use crate::live::server::{AppState, Server};
 use crate::live::{
@@ -232,13 +233,18 @@ impl Args {
         console.warn(notices);
     }
 
-    fn access_control(&self) -> Result<Option<AccessControl>> {
+    fn access_control(&self) -> Result<Option<AccessControl>, Failure> {
         let Some(address) = self.serve else { return Ok(None) };
         let token = match &self.token_file {
             Some(path) => Some(std::fs::read_to_string(path).map_err(Error::io(path, "read"))?.trim().to_owned()),
             None => None,
         };
-        AccessControl::new(address, token, self.allow_host.clone()).map(Some)
+        AccessControl::new(address, token, self.allow_host.clone()).map(Some).map_err(|error| match error {
+            Error::Argument(ArgumentError::OpenToAll { .. }) => {
+                Failure::Usage(format!("{error}; --token-file gives one"))
+            }
+            error => error.into(),
+        })
     }
 
     /// Takes the folder to write to.

@@ -110,7 +110,12 @@ impl Estimator {
 
     /// Takes a reading whose frame was not measured, or for which none was taken: it drives the effects that have a memory.
     pub fn pass(&mut self, reading: &EncoderReading) {
-        self.follower.pass(&self.model, reading);
+        self.follower.pass(Self::followed(&self.given, &self.model), reading);
+    }
+
+    /// The model that the log is followed by: the one that was given until there is an estimate, so that nothing jumps when there is one.
+    fn followed<'m>(given: &'m Model, model: &'m Model) -> &'m Model {
+        if model.estimate.is_some() { model } else { given }
     }
 
     /// Takes one measurement and the encoder reading of the same index.
@@ -128,7 +133,7 @@ impl Estimator {
         measurement: &Measurement,
         reading: Option<&EncoderReading>,
     ) -> std::result::Result<Sample, Reason> {
-        self.follower.take(&self.model, measurement, reading)
+        self.follower.take(Self::followed(&self.given, &self.model), measurement, reading)
     }
 
     /// Learns from what [`take`](Self::take) gave.
