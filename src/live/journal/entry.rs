@@ -49,9 +49,9 @@ pub(super) struct Line {
     /// [`Measured::by_rig`], degrees, column by column.
     #[serde(skip_serializing_if = "Option::is_none")]
     by_rig: Option<[[f64; 2]; 6]>,
-    /// [`Measured::fitted_covariance`], square degrees: xx, xy, yy.
+    /// [`Measured::fitted_covariance`], rad², so that it comes back as it was: xx, xy, yy.
     #[serde(skip_serializing_if = "Option::is_none")]
-    bend_covariance: Option<[f64; 3]>,
+    bend_covariance_rad2: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     encoder_time_s: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -74,11 +74,10 @@ impl From<&Entry> for Line {
             [tip, sigma_tip, along, sigma_along, across, sigma_across, s.chi2]
         });
         let by_rig = measurement.measured.map(|m| m.by_rig.data.0.map(|column| column.map(f64::to_degrees)));
-        let square = 1f64.to_degrees().powi(2);
         let covariance = measurement.measured.and_then(|m| m.fitted_covariance);
         Self {
             event: None,
-            bend_covariance: covariance.map(|c| [c.m11, c.m12, c.m22].map(|part| part * square)),
+            bend_covariance_rad2: covariance.map(|c| [c.m11, c.m12, c.m22]),
             by_rig: by_rig.filter(|by_rig| by_rig.as_flattened().iter().any(|value| *value != 0.0)),
             index: Some(measurement.index),
             time_s: measurement.time_s,
@@ -108,8 +107,7 @@ impl Line {
             let configuration = Configuration::from_degrees(theta, delta);
             let (sigma_theta, sigma_delta) = (sigma_theta.to_radians(), sigma_delta.to_radians());
             let by_rig = Matrix2x6::from_fn(|row, k| self.by_rig.unwrap_or_default()[k][row].to_radians());
-            let square = 1f64.to_radians().powi(2);
-            let fitted_covariance = self.bend_covariance.map(|[xx, xy, yy]| Matrix2::new(xx, xy, xy, yy) * square);
+            let fitted_covariance = self.bend_covariance_rad2.map(|[xx, xy, yy]| Matrix2::new(xx, xy, xy, yy));
             Measured { configuration, sigma_theta, sigma_delta, correlation, fitted_covariance, by_rig }
         });
         let (base_moved_px, grid_moved_px) = self.moved_px.unwrap_or_default();
