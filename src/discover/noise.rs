@@ -95,6 +95,15 @@ impl Noise {
         self.sd_encoder_mm < FINER * other.sd_encoder_mm || self.eye_factor < FINER * other.eye_factor
     }
 
+    /// The less of both, of encoders and eye each.
+    pub fn finer_of(&self, other: &Self) -> Self {
+        Self {
+            sd_encoder_mm: self.sd_encoder_mm.min(other.sd_encoder_mm),
+            eye_factor: self.eye_factor.min(other.eye_factor),
+            ..*self
+        }
+    }
+
     /// The same noise, and as discrepancy what a fit leaves beyond it.
     ///
     /// Of ε, what bends nothing misses at least as much as what bends: where actuators are driven to positions, their redundancy takes up

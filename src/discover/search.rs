@@ -1,49 +1,101 @@
-//! The search for missing effects: stepwise selection over a beam of models, with exchange and backward elimination.
+//! The search for the structure (set of effects) of the highest score: the logarithm of its held-out
+//! [predictive density](super::predictive_density), and what physics expects beforehand.
+//!
+//! It is made first beside noise alone, where every effect is as unlikely as any other: a machine that lies in the library is explained by one to three
+//! of them, and what they leave is noise. Where they leave more, it is made again beside a discrepancy, where some effects are expected
+//! ([`Physics::log_prior`]): no model of a machine knows its gain and its bend at rest exactly. There it begins with both.
+//!
+//! The search adds the effect that raises the score most as long as one is asked for, drops what is not asked for beside the rest, and puts another effect
+//! in the place of one where that is better. An effect is asked for where the structure with it is probably better, over a bootstrap of the stretches.
+//! Every structure whose score counts is a converged fit.
 
-use super::comparison::{Comparison, Evidence};
-use super::fit::Fit;
-use super::hypotheses::{FirstStep, Hypothesis, first_steps, promised};
+use super::fit::{Fit, normal_equations, prior_precision};
+use super::hypotheses::{Hypothesis, has, hypotheses};
+use super::posterior::Candidate;
+use super::predictive_density::{Beside, Judged};
 use super::residuals::Problem;
 use super::structure::mean_square_quantile;
-use super::sweep_equations::{RESAMPLES, SweepEquations};
-use crate::robot::effects::Changes;
-use crate::robot::{LIBRARY, Model, Physics};
+use super::structure_weights::{RESAMPLES, Weighed, weights};
+use crate::robot::effects::{COMMAND_GAIN, Changes, Effect, ParameterSpec, REST_BEND, Role, physics};
+use crate::robot::{Model, Physics};
+use nalgebra::{DMatrix, Vector2};
 use rayon::prelude::*;
 
-/// An alternative that is worse by less than this in the information criterion is not ruled out.
-///
-/// Source: Kass and Raftery 1995, Bayes Factors, J. Am. Stat. Assoc. 90:773: 2 ln B above 6 is strong evidence.
-pub const NOT_RULED_OUT: f64 = 6.0;
-
-/// An alternative that is the best in more than this share of the bootstrap resamples is not ruled out either.
-///
-/// Convention: the usual level of 5 %.
-const OFTEN_BEST: f64 = 0.05;
-
-/// The most effects that are named at once.
+/// The most effects beside noise, and beside a discrepancy.
 ///
 /// Convention: a bound on computing time.
-const MOST_EFFECTS: usize = 3;
+const MOST_EFFECTS: [usize; 2] = [3, 8];
 
-/// Models that each forward step extends.
+/// Single effects that the search beside noise goes on from.
 ///
 /// Convention: a bound on computing time.
 const BEAM_WIDTH: usize = 4;
 
-/// Hypotheses of each step that are fitted to convergence: those that a first Gauss–Newton step expects to gain most.
+/// Hypotheses of each step that are fitted to convergence.
 ///
 /// Convention: a bound on computing time.
 const FITTED: usize = 8;
 
-/// Fits of the same physics from different starts among them.
+/// Fits of one form from different starts among them.
 ///
 /// Convention: a bound on computing time.
 const FITTED_PER_FORM: usize = 2;
 
-/// An exchange must lower the information criterion by this.
+/// An effect takes the place of another where the score is higher by this.
 ///
-/// Convention: a convergence tolerance, above that of the fits.
-const LEAST_EXCHANGE_GAIN: f64 = 0.1;
+/// Convention: above what the tolerance of a fit moves it by; odds of 1.1 to 1.
+const LEAST_GAIN: f64 = 0.1;
+
+/// An effect stands where the structure with it is better than the one without with this probability; one that physics expects stands where
+/// that is likelier than not.
+///
+/// Source: that a difference exceeds one of its standard errors; the rule of one standard error of Breiman et al. 1984, Classification and
+/// Regression Trees, 3.4.3.
+const CLEARLY: f64 = 0.84;
+
+/// The logarithm of the odds beforehand of each effect beside noise alone.
+///
+/// Convention: e⁻⁶ each for some thirty effects: a model to which nothing is lacking is likelier than all with one effect more together.
+const LOG_PRIOR_BESIDE_NOISE: f64 = -6.0;
+
+/// Beside a discrepancy an effect takes at least this share of the gap beyond noise away, on stretches that it was not fitted to.
+///
+/// Convention: what takes less is written as 0 %.
+const LEAST_REMOVED: f64 = 0.005;
+
+/// What no model of a machine knows exactly.
+const FRAME: [&str; 2] = [REST_BEND, COMMAND_GAIN];
+
+/// A fit whose own next step promises this share of its cost has not converged.
+///
+/// Convention: less changes no comparison.
+const PROMISES: f64 = 0.1;
+
+/// An effect of which no size is above this share of a typical one is not there.
+///
+/// Convention: numerical; a typical size is about 0.05 mm of effect.
+const LEAST_SIZE: f64 = 0.001;
+
+/// How often a fit that has not converged goes on from where it ended.
+///
+/// Convention: an iteration cap.
+const RESTARTS: usize = 2;
+
+/// What has a smaller share of the probability of another is ruled out beside it.
+///
+/// Convention: the usual level of 5 %.
+const OPEN: f64 = 0.05;
+
+/// What speaks for an effect.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Evidence {
+    /// Twice how much lower the score of the structure without it is, on the scale of an information criterion.
+    pub bic_gain: f64,
+    /// The share of the held-out squares that it removes; negative where it makes predictions worse.
+    pub held_out_gain: f64,
+    /// The probability of all structures with it among those that were compared.
+    pub inclusion: f64,
+}
 
 /// An effect that stands in the search's answer.
 #[derive(Debug, Clone)]
@@ -56,233 +108,395 @@ pub struct Named {
     pub removes: f64,
     /// Effects that explain the data about as well in its place.
     pub indistinguishable_from: Vec<&'static str>,
-    /// Every alternative in its place, with how much larger the information criterion is; the best first.
+    /// Every alternative in its place, with by how much twice its score is lower; the best first.
     pub alternatives: Vec<(&'static str, f64)>,
 }
 
 impl Named {
-    /// The probability that it is there: the share of bootstrap resamples of the sweeps in which the model with it is the best of all
-    /// compared, by Laplace's rule of succession. In a partial answer a play or friction stands for those of
-    /// [`indistinguishable_from`](Self::indistinguishable_from) as well, which describe the same loop.
+    /// The probability that it is there, by Laplace's rule of succession over the resamples. In a partial answer a play or friction stands for
+    /// those of [`indistinguishable_from`](Self::indistinguishable_from) as well, which describe the same loop.
     pub fn probability(&self) -> f64 {
         (self.evidence.inclusion * RESAMPLES as f64 + 1.0) / (RESAMPLES as f64 + 2.0)
     }
 }
 
-/// The model with the effects found beyond those of the model at hand, `before`, which stay in it. `first` are the first steps of all
-/// hypotheses about it, and `least_bic_gain` is what the best of them gains on noise alone.
-pub fn search(problem: &Problem, before: &Fit, first: &[FirstStep], least_bic_gain: f64) -> Fit {
-    let search = Search::new(problem, before, first, least_bic_gain);
-    let exchanged = search.exchange(search.forward(BEAM_WIDTH));
-    search.prefer(search.eliminate(exchanged))
+/// What a search comes to.
+#[derive(Debug, Clone)]
+pub struct Found<'a> {
+    /// The samples, whitened by the noise and by what the answer leaves.
+    pub problem: Problem<'a>,
+    /// The model with the effects.
+    pub fit: Fit,
+    /// The effects, in the order of the model's.
+    pub named: Vec<Named>,
+    /// The structures that the data leave open, the most probable first.
+    pub structures: Vec<Candidate>,
+    /// The squares in held-out stretches, in units of the noise's: of the model as given, of the answer, and of noise.
+    pub squares: [f64; 3],
 }
 
-/// The evidence for each effect that a search from there found, in the order of the model's; and the fits of what was compared with it:
-/// the model without each effect, and with another in its place.
-pub fn named(problem: &Problem, before: &Fit, first: &[FirstStep], after: &Fit) -> (Vec<Named>, Vec<Fit>) {
-    let search = Search::new(problem, before, first, 0.0);
-    let described = (search.given..after.model.effects.len()).map(|k| search.describe(after, k));
-    let (named, rivals): (Vec<Named>, Vec<Vec<Fit>>) = described.unzip();
-    (named, rivals.into_iter().flatten().collect())
+/// A converged fit with its score.
+#[derive(Debug, Clone)]
+struct Structure {
+    fit: Fit,
+    weighed: Weighed,
+    /// The squares that the refits without each stretch leave in it, in units of the noise's.
+    squares: f64,
 }
 
-/// The fits of a model with one effect more that promise not to be [ruled out](NOT_RULED_OUT), where each effect is charged
-/// `least_bic_gain` besides; `first` as for the [search].
-pub fn with_one_more(problem: &Problem, fit: &Fit, first: &[FirstStep], least_bic_gain: f64) -> Vec<Fit> {
-    fitted_best(problem, fit, first, (FITTED, least_bic_gain - NOT_RULED_OUT))
+impl Structure {
+    fn score(&self) -> f64 {
+        self.weighed.score()
+    }
+
+    /// By how much the probability that it is better than another, of the two, exceeds the one that is asked of what it has beyond the other.
+    fn excess_over(&self, other: &Self) -> f64 {
+        let asked = if self.weighed.log_prior > other.weighed.log_prior { 0.5 } else { CLEARLY };
+        weights(&[&self.weighed, &other.weighed])[0] - asked
+    }
 }
 
-/// The model with whatever effects lower the cost, none of them judged against noise.
-pub fn explained(problem: &Problem, before: &Fit) -> Fit {
-    Search::new(problem, before, &first_steps(problem, before, is_beside_noise), 0.0).forward(1)
-}
-
-/// Whether it is looked for where noise alone is expected beside it. The drive is looked for where a discrepancy is: a plant that is near its model
-/// shows no row within a backlash, and says of it what `motion_directed_backlash` says; its gain is another name of η.
-pub fn is_beside_noise(physics: &Physics) -> bool {
-    !matches!(physics.changes, Changes::Drive(_))
+/// The structure of the highest score that a search from the model as given comes to; `before` is its fit.
+pub fn search<'a>(problem: &Problem<'a>, before: &Fit, beside: Beside) -> Found<'a> {
+    let judged = Judged::new(problem, before, beside);
+    Search { problem: problem.clone(), judged, before: before.clone(), beside, gap: 0.0, scored: Vec::new() }.found()
 }
 
 struct Search<'a> {
-    problem: &'a Problem<'a>,
-    before: &'a Fit,
-    /// The first steps from there.
-    first: &'a [FirstStep],
-    least_bic_gain: f64,
-    /// The squares of the gap beyond those of noise, before anything was added.
-    excess: f64,
-    /// The number of effects that the model had.
-    given: usize,
+    problem: Problem<'a>,
+    judged: Judged,
+    before: Fit,
+    beside: Beside,
+    /// The squares beyond noise in held-out stretches that the model as given leaves.
+    gap: f64,
+    /// Every structure that was fitted to convergence.
+    scored: Vec<Structure>,
 }
 
 impl<'a> Search<'a> {
-    fn new(problem: &'a Problem<'a>, before: &'a Fit, first: &'a [FirstStep], least_bic_gain: f64) -> Self {
-        let given = before.model.effects.len();
-        let excess = (before.cost - problem.data.residual_count() as f64).max(0.0);
-        Self { problem, before, first, least_bic_gain, excess, given }
+    fn found(mut self) -> Found<'a> {
+        let Some(bare) = self.structure(self.before.clone()) else {
+            return Found {
+                problem: self.problem,
+                fit: self.before,
+                named: Vec::new(),
+                structures: Vec::new(),
+                squares: [0.0; 3],
+            };
+        };
+        self.gap = bare.squares - self.judged.noise_squares(&self.problem);
+        let mut best = match self.beside {
+            Beside::Noise => self.best_of_beam(&bare),
+            Beside::Discrepancy => {
+                let framed = self.with_frame().unwrap_or_else(|| bare.clone());
+                self.grown(framed)
+            }
+        };
+        if self.beside == Beside::Noise {
+            best = self.with_what_is_likelier_than_a_lag(best);
+        }
+        if best.excess_over(&bare) <= 0.0 {
+            best = bare.clone();
+        }
+        let named = (self.given()..best.fit.model.effects.len()).map(|k| self.describe(&best, &bare, k)).collect();
+        let squares = [bare.squares, best.squares, self.judged.noise_squares(&self.problem)];
+        Found { structures: self.open(), problem: self.problem, fit: best.fit, named, squares }
     }
 
-    /// Adds effects one by one as long as the comparison accepts them. Where the best model leaves no more than noise, it alone is gone on
-    /// from: of the others one more effect makes at best its equal, with a parameter more.
-    fn forward(&self, width: usize) -> Fit {
-        let count = self.problem.data.residual_count() as f64;
-        let mut best = self.before.clone();
-        let mut beam = vec![self.before.clone()];
-        for _ in 0..MOST_EFFECTS {
-            let extended = by_bic(beam.iter().flat_map(|fit| self.extensions(fit, FITTED, 0.0)).collect());
-            let mut kept: Vec<Fit> = Vec::new();
-            for fit in extended {
-                if kept.len() < width && kept.iter().all(|other| !have_same_effects(&other.model, &fit.model)) {
-                    kept.push(fit);
-                }
+    /// The best of the structures that the likeliest single effects lead to. Where one of them leaves no more than noise, the others are not gone on from: they come
+    /// at best to its equal, with an effect more.
+    fn best_of_beam(&mut self, bare: &Structure) -> Structure {
+        let problem = self.problem.clone();
+        let (mut best, mut under) = (bare.clone(), problem.clone());
+        for first in self.with_one_more(bare, |_| true).into_iter().take(BEAM_WIDTH) {
+            self.problem = problem.clone();
+            let first = self.under_its_own_discrepancy(first);
+            let grown = self.grown(first);
+            if grown.score() > best.score() {
+                (best, under) = (grown, self.problem.clone());
             }
-            let Some(first) = kept.first() else { break };
-            if !self.accepts(first, &best) {
+            if best.squares
+                < self.judged.noise_squares(&under) * mean_square_quantile(self.problem.data.residual_count() as f64)
+            {
                 break;
             }
-            best = first.clone();
-            let leaves_noise = best.cost < count * mean_square_quantile(count);
-            kept.truncate(if leaves_noise { 1 } else { width });
-            beam = kept;
         }
+        self.problem = under;
         best
     }
 
-    /// Replaces each effect found by any other as long as that is better.
-    fn exchange(&self, mut best: Fit) -> Fit {
-        for _ in 0..MOST_EFFECTS {
-            if best.model.effects.len() < self.given + 2 {
-                return best;
-            }
-            let better = (self.given..best.model.effects.len())
-                .flat_map(|k| self.extensions(&self.without(&best, k), FITTED, 0.0))
-                .min_by(|a, b| a.bic().total_cmp(&b.bic()));
-            match better {
-                Some(fit) if fit.bic() < best.bic() - LEAST_EXCHANGE_GAIN => best = fit,
-                _ => return best,
-            }
+    /// A structure with what is asked for beside it, and without what is not.
+    fn grown(&mut self, mut best: Structure) -> Structure {
+        while best.fit.model.effects.len() < self.given() + MOST_EFFECTS[self.beside as usize] {
+            let Some(better) = self.with_one_more(&best, |_| true).into_iter().next() else { break };
+            best = self.under_its_own_discrepancy(better);
         }
-        best
+        self.settled(best)
     }
 
-    /// Drops effects that the others have made superfluous.
-    fn eliminate(&self, mut best: Fit) -> Fit {
-        while best.model.effects.len() > self.given {
-            let simpler = (self.given..best.model.effects.len())
-                .map(|k| self.without(&best, k))
-                .min_by(|a, b| a.bic().total_cmp(&b.bic()));
-            match simpler {
-                Some(simpler) if !self.accepts(&best, &simpler) => best = simpler,
-                _ => break,
-            }
-        }
-        best
+    /// Whether what a structure has beyond a simpler one is asked for.
+    fn asks_for(&self, structure: &Structure, simpler: &Structure) -> bool {
+        let least = if self.beside == Beside::Discrepancy { LEAST_REMOVED * self.gap } else { f64::NEG_INFINITY };
+        structure.excess_over(simpler) > 0.0 && simpler.squares - structure.squares > least
     }
 
-    /// Puts play or friction in the place of a clock's lag, where the data do not rule it out.
-    fn prefer(&self, mut best: Fit) -> Fit {
-        for k in self.given..best.model.effects.len() {
-            let Physics { changes, yields_to, .. } = best.model.effects[k].physics;
-            if !matches!(changes, Changes::Exposure(_)) {
+    /// With an unknown gain and an unknown bend at rest.
+    fn with_frame(&mut self) -> Option<Structure> {
+        let mut model = self.before.model.clone();
+        let backbones = self.problem.data.backbones();
+        for physics in FRAME.into_iter().filter_map(physics).filter(|physics| !has(&self.before.model, physics.name)) {
+            model.effects.push(Effect::of(physics, vec![0.0; physics.parameters_on(backbones).len()]));
+        }
+        let fit = self.problem.fit(&model, Some(&self.before.path), None);
+        let structure = self.structure(fit)?;
+        Some(self.under_its_own_discrepancy(structure))
+    }
+
+    /// What is not asked for beside the rest dropped, and another effect put in the place of one where that is better.
+    fn settled(&mut self, mut best: Structure) -> Structure {
+        for _ in 0..2 * MOST_EFFECTS[self.beside as usize] {
+            let effects = self.given()..best.fit.model.effects.len();
+            let simpler = effects.map(|k| (best.fit.model.without_effect(k), best.fit.path.clone())).collect();
+            let others = self.structures(simpler);
+            let not_asked = others.iter().filter(|simpler| !self.asks_for(&best, simpler));
+            if let Some(simpler) = not_asked.min_by(|a, b| best.excess_over(a).total_cmp(&best.excess_over(b))) {
+                best = self.under_its_own_discrepancy(simpler.clone());
                 continue;
             }
-            let without = self.without(&best, k);
-            let likelier = |physics: &Physics| yields_to.contains(&physics.name);
-            let others = by_bic(extensions(self.problem, &without, FITTED, f64::NEG_INFINITY, likelier));
-            if let Some(other) = others.into_iter().next().filter(|other| other.bic() < best.bic() + NOT_RULED_OUT) {
-                best = other;
+            let other = others.iter().filter_map(|without| self.exchanged(&best, without));
+            let other = other.max_by(|a, b| a.score().total_cmp(&b.score()));
+            match other.filter(|other| other.score() > best.score() + LEAST_GAIN) {
+                Some(other) => best = self.under_its_own_discrepancy(other),
+                None => break,
             }
         }
         best
     }
 
-    /// Whether a fit with one effect more is accepted.
-    fn accepts(&self, fit: &Fit, simpler: &Fit) -> bool {
-        let comparison = Comparison::new(self.problem.data, fit, simpler, &[], self.excess);
-        comparison.evidence.failed_criterion(self.least_bic_gain).is_none()
+    /// The best with another effect in the place of the one that `without` lacks of `best`: with any beside noise, and beside a discrepancy with a hysteresis
+    /// in the place of a hysteresis.
+    fn exchanged(&mut self, best: &Structure, without: &Structure) -> Option<Structure> {
+        if self.beside == Beside::Noise {
+            return self.with_one_more(without, |_| true).into_iter().next();
+        }
+        let has_hysteresis = |of: &Structure| of.fit.model.effects.iter().any(|e| e.physics.is_hysteresis());
+        let is_exchanged = has_hysteresis(best) && !has_hysteresis(without);
+        is_exchanged.then(|| self.with_one_more(without, Physics::is_hysteresis).into_iter().next()).flatten()
     }
 
-    /// The fit without effect k.
-    fn without(&self, fit: &Fit, k: usize) -> Fit {
-        let model = fit.model.without_effect(k);
-        let without = self.problem.fit(&model, Some(&fit.path), None);
-        // The same model may have been fitted better from its own start.
-        if model.effects.len() == self.given && self.before.cost < without.cost { self.before.clone() } else { without }
+    /// Play or friction in the place of a clock's lag, where the data do not rule it out.
+    fn with_what_is_likelier_than_a_lag(&mut self, best: Structure) -> Structure {
+        let yields_to = |effect: &Effect| match effect.physics.changes {
+            Changes::Exposure(_) => effect.physics.yields_to,
+            _ => &[],
+        };
+        let effects = &best.fit.model.effects;
+        let lag = effects.iter().skip(self.given()).find(|effect| !yields_to(effect).is_empty());
+        let Some(lag) = lag else { return best };
+        let is_in_its_place = |other: &&Structure| {
+            other.fit.model.effects.len() == effects.len()
+                && !other.weighed.has(lag.physics.name)
+                && yields_to(lag).iter().any(|name| other.weighed.has(name) && !best.weighed.has(name))
+                && other.score() > best.score() + OPEN.ln()
+        };
+        let other = self.scored.iter().filter(is_in_its_place).max_by(|a, b| a.score().total_cmp(&b.score()));
+        other.cloned().unwrap_or(best)
     }
 
-    /// [`extensions`] by any effect.
-    fn extensions(&self, fit: &Fit, fitted: usize, least: f64) -> Vec<Fit> {
-        fitted_best(self.problem, fit, self.first, (fitted, least))
-    }
-
-    /// The evidence for effect k of the answer; and the fits without it, and with what could stand in its place.
-    fn describe(&self, after: &Fit, k: usize) -> (Named, Vec<Fit>) {
-        let physics = after.model.effects[k].physics;
-        let without = self.without(after, k);
-        let mut alternatives: Vec<Fit> = Vec::new();
-        for fit in by_bic(self.extensions(&without, 2 * FITTED, f64::NEG_INFINITY)) {
-            let name = added(&fit).name;
-            if name != physics.name && alternatives.iter().all(|other| added(other).name != name) {
-                alternatives.push(fit);
+    /// The structures with one effect more that is asked for, of those that a linear step about its start scores highest; the best first, one for each name.
+    fn with_one_more(&mut self, best: &Structure, admits: fn(&Physics) -> bool) -> Vec<Structure> {
+        let half_mm = self.judged.half_range * self.before.model.robot.backbone_circle_radius_mm;
+        let hypotheses = hypotheses(&self.problem, &best.fit, (self.beside, half_mm), admits);
+        let promised = hypotheses.into_par_iter().filter_map(|hypothesis| {
+            let score = self.promised(&best.fit, &hypothesis)? + self.log_prior(&hypothesis.start);
+            Some((score, hypothesis))
+        });
+        let mut promised: Vec<(f64, Hypothesis)> = promised.collect();
+        promised.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut chosen: Vec<Hypothesis> = Vec::new();
+        for (_, hypothesis) in promised {
+            let of_its_form = chosen.iter().filter(|other| other.physics == hypothesis.physics).count();
+            if chosen.len() < FITTED && of_its_form < FITTED_PER_FORM {
+                chosen.push(hypothesis);
             }
         }
-        let comparison = Comparison::new(self.problem.data, after, &without, &alternatives, self.excess);
-        let worse_by = |fit: &Fit| fit.bic() - after.bic();
-        let [cost, cost_without] =
-            [after, &without].map(|fit| SweepEquations::new(self.problem.data, fit).held_out_cost());
-        let excess = cost_without - self.problem.data.residual_count() as f64;
-        let open = alternatives.iter().zip(&comparison.alternative_shares);
-        let open = open.filter(|(fit, share)| worse_by(fit) < NOT_RULED_OUT || **share > OFTEN_BEST);
-        let named = Named {
-            physics,
-            evidence: comparison.evidence,
-            removes: if excess > 0.0 { ((cost_without - cost) / excess).clamp(0.0, 1.0) } else { 0.0 },
-            indistinguishable_from: open.map(|(fit, _)| added(fit).name).collect(),
-            alternatives: alternatives.iter().map(|fit| (added(fit).name, worse_by(fit))).collect(),
-        };
-        (named, alternatives.into_iter().chain([without]).collect())
+        let starts = chosen.into_iter().map(|hypothesis| (hypothesis.start, best.fit.path.clone())).collect();
+        let mut asked = self.structures(starts);
+        asked.retain(|more| self.asks_for(more, best));
+        asked.sort_by(|a, b| b.score().total_cmp(&a.score()));
+        let mut names: Vec<&str> = Vec::new();
+        asked.retain(|more| {
+            let name = more.weighed.effects.last().map_or("", |physics| physics.name);
+            let is_new = !names.contains(&name);
+            names.push(name);
+            is_new
+        });
+        asked
     }
-}
 
-/// The fits with one effect more, of those that `admits`, that a first step expects to gain most, each to convergence. Hypotheses that
-/// are expected to gain less than `least` in the information criterion are left out.
-pub fn extensions(
-    problem: &Problem,
-    fit: &Fit,
-    fitted: usize,
-    least: f64,
-    admits: impl Fn(&Physics) -> bool,
-) -> Vec<Fit> {
-    fitted_best(problem, fit, &first_steps(problem, fit, admits), (fitted, least))
-}
+    /// The score that a linear step about the start of a hypothesis promises, but for its prior.
+    fn promised(&self, fit: &Fit, hypothesis: &Hypothesis) -> Option<f64> {
+        let (problem, own) = (&self.problem, fit.parameter_count()..hypothesis.start.parameter_count());
+        let prediction = problem.predict(&hypothesis.start, Some(&fit.path));
+        let changes_others = self.beside == Beside::Discrepancy && hypothesis.physics.is_hysteresis();
+        let jacobian = if changes_others {
+            problem.jacobian(&hypothesis.start, &prediction, 0..own.end)
+        } else {
+            let columns = problem.jacobian(&hypothesis.start, &prediction, own);
+            let mut all = DMatrix::zeros(columns.nrows(), fit.parameter_count() + columns.ncols());
+            all.columns_mut(0, fit.parameter_count()).copy_from(&fit.jacobian);
+            all.columns_mut(fit.parameter_count(), columns.ncols()).copy_from(&columns);
+            all
+        };
+        let precision = prior_precision(&hypothesis.start);
+        Some(self.judged.density(problem, &prediction.residuals, &jacobian, &precision)?.total())
+    }
 
-/// The fits to convergence of as many hypotheses about a fit as are to be fitted, those that promise to gain most, and more than `least`.
-fn fitted_best(problem: &Problem, fit: &Fit, steps: &[FirstStep], (fitted, least): (usize, f64)) -> Vec<Fit> {
-    let mut all = promised(problem, fit, steps);
-    all.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let mut chosen: Vec<Hypothesis> = Vec::new();
-    for (_, hypothesis) in all.into_iter().take_while(|(gain, _)| *gain > least) {
-        let of_its_form = chosen.iter().filter(|other| other.physics == hypothesis.physics).count();
-        if chosen.len() < fitted && of_its_form < FITTED_PER_FORM {
-            chosen.push(hypothesis);
+    /// The structures of models, each fitted from its values and from a path near its own; those whose fits do not converge are left out.
+    fn structures(&mut self, starts: Vec<(Model, Vec<Vector2<f64>>)>) -> Vec<Structure> {
+        let of_start =
+            |(model, path): (Model, Vec<Vector2<f64>>)| self.scored(self.problem.fit(&model, Some(&path), None));
+        let structures: Vec<Structure> = starts.into_par_iter().filter_map(of_start).collect();
+        self.scored.extend(structures.iter().cloned());
+        structures
+    }
+
+    /// The structure of a fit; none where it does not converge.
+    fn structure(&mut self, fit: Fit) -> Option<Structure> {
+        let structure = self.scored(fit)?;
+        self.scored.push(structure.clone());
+        Some(structure)
+    }
+
+    /// A fit with its score, gone on with until it has converged; none where it does not.
+    fn scored(&self, mut fit: Fit) -> Option<Structure> {
+        for _ in 0..RESTARTS {
+            if promises(&fit) < PROMISES {
+                break;
+            }
+            fit = self.problem.fit(&fit.model, Some(&fit.path), None);
+        }
+        let is_scored = promises(&fit) < PROMISES && self.is_inside(&fit.model);
+        let density = self.judged.of_fit(&self.problem, &fit).filter(|_| is_scored)?;
+        let effects = fit.model.effects.iter().skip(self.given()).map(|effect| effect.physics).collect();
+        let weighed = Weighed { effects, stretches: density.stretches, log_prior: self.log_prior(&fit.model) };
+        Some(Structure { fit, weighed, squares: density.squares })
+    }
+
+    /// Whether every effect beyond those that were given is there, and no parameter of one lies at the end of its range, where it is not what the
+    /// effect means.
+    fn is_inside(&self, model: &Model) -> bool {
+        model.effects.iter().skip(self.given()).all(|effect| {
+            let values = || effect.parameters().iter().zip(&effect.values);
+            let is_there = |(spec, value): (&ParameterSpec, &f64)| {
+                matches!(spec.role, Role::Size { .. }) && value.abs() > LEAST_SIZE * spec.typical
+            };
+            let is_inside = |(spec, &value): (&ParameterSpec, &f64)| value > spec.range.0 && value < spec.range.1;
+            values().any(is_there) && values().all(is_inside)
+        })
+    }
+
+    /// A structure fitted anew where its own discrepancy, which is smaller than that of the structure before, belongs to the noise.
+    fn under_its_own_discrepancy(&mut self, structure: Structure) -> Structure {
+        let noise = self.problem.noise.with_discrepancy(&self.problem, &structure.fit);
+        self.problem = Problem::new(self.problem.data, &noise, &structure.fit.model);
+        let fit = self.problem.fit(&structure.fit.model, Some(&structure.fit.path), None);
+        self.structure(fit).unwrap_or(structure)
+    }
+
+    /// The logarithm of what is expected beforehand of a model's effects beyond those that were given.
+    fn log_prior(&self, model: &Model) -> f64 {
+        let of_effect = |effect: &Effect| match self.beside {
+            Beside::Noise => LOG_PRIOR_BESIDE_NOISE - 0.5 * effect.physics.prior_penalty,
+            Beside::Discrepancy => effect.physics.log_prior - 0.5 * effect.physics.prior_penalty,
+        };
+        model.effects.iter().skip(self.given()).map(of_effect).sum()
+    }
+
+    /// The evidence for effect k of the answer, and what it removes beside the others.
+    fn describe(&mut self, best: &Structure, bare: &Structure, k: usize) -> Named {
+        let physics = best.fit.model.effects[k].physics;
+        let simpler = self.problem.fit(&best.fit.model.without_effect(k), Some(&best.fit.path), None);
+        let simpler = self.structure(simpler).unwrap_or_else(|| bare.clone());
+        let removed = simpler.squares - best.squares;
+        let weights = weights(&self.weighed());
+        let probability = |holds: &dyn Fn(&Weighed) -> bool| {
+            let own = self.scored.iter().zip(&weights).filter(|(own, _)| holds(&own.weighed));
+            own.map(|(_, weight)| weight).sum::<f64>()
+        };
+        let own = probability(&|own| own.has(physics.name));
+        let mut alike: Vec<&'static str> = Vec::new();
+        let mut alternatives: Vec<(&'static str, f64)> = Vec::new();
+        let in_its_place = |of: &Weighed, other: &str| of.has(other) && !of.has(physics.name);
+        for other in
+            self.scored.iter().filter(|other| !other.weighed.has(physics.name)).flat_map(|o| &o.weighed.effects)
+        {
+            if has(&best.fit.model, other.name) || alternatives.iter().any(|(name, _)| *name == other.name) {
+                continue;
+            }
+            let others = self.scored.iter().filter(|own| in_its_place(&own.weighed, other.name));
+            let score = others.map(Structure::score).fold(f64::NEG_INFINITY, f64::max);
+            alternatives.push((other.name, 2.0 * (best.score() - score)));
+            let may_be = self.beside == Beside::Noise || physics.is_hysteresis() && other.is_hysteresis();
+            if may_be && probability(&|own| in_its_place(own, other.name)) > OPEN * own {
+                alike.push(other.name);
+            }
+        }
+        alternatives.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let of_one_loop = |own: &Weighed| self.beside == Beside::Discrepancy && alike.iter().any(|name| own.has(name));
+        let inclusion = probability(&|own| own.has(physics.name) || of_one_loop(own));
+        Named {
+            physics,
+            evidence: Evidence {
+                bic_gain: 2.0 * (best.score() - simpler.score()),
+                held_out_gain: removed / simpler.squares,
+                inclusion,
+            },
+            removes: (removed / self.gap).clamp(0.0, 1.0),
+            indistinguishable_from: alike,
+            alternatives,
         }
     }
-    chosen.into_par_iter().map(|hypothesis| problem.fit(&hypothesis.start, Some(&fit.path), None)).collect()
+
+    /// The structures that the data leave open, the most probable first.
+    fn open(&self) -> Vec<Candidate> {
+        let weights = weights(&self.weighed());
+        let most = weights.iter().copied().fold(0.0, f64::max);
+        let open = || weights.iter().zip(&self.scored).filter(|(weight, _)| **weight > OPEN * most);
+        let sum: f64 = open().map(|(weight, _)| weight).sum();
+        let candidate = |(weight, structure): (&f64, &Structure)| Candidate {
+            effects: structure.weighed.effects.iter().map(|physics| physics.name).collect(),
+            probability: weight / sum,
+            model: structure.fit.model.clone(),
+        };
+        let mut open: Vec<Candidate> = open().map(candidate).collect();
+        open.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+        open
+    }
+
+    fn weighed(&self) -> Vec<&Weighed> {
+        self.scored.iter().map(|structure| &structure.weighed).collect()
+    }
+
+    fn given(&self) -> usize {
+        self.before.model.effects.len()
+    }
 }
 
-/// The best first.
-pub fn by_bic(mut fits: Vec<Fit>) -> Vec<Fit> {
-    fits.sort_by(|a, b| a.bic().total_cmp(&b.bic()));
-    fits
-}
-
-/// The effect that a fit was given last.
-pub fn added(fit: &Fit) -> &'static Physics {
-    fit.model.effects.last().map_or(LIBRARY[0], |effect| effect.physics)
-}
-
-/// Whether two models have effects of the same names.
-fn have_same_effects(a: &Model, b: &Model) -> bool {
-    a.effects.len() == b.effects.len()
-        && a.effects.iter().all(|effect| b.effects.iter().any(|other| other.physics.name == effect.physics.name))
+/// The share of its cost that a fit's own next step promises to take away; of parameters at the end of their range none goes on.
+fn promises(fit: &Fit) -> f64 {
+    let (information, gradient) = normal_equations(&fit.jacobian, &fit.residuals);
+    let specs = fit.model.parameter_specs();
+    let inside: Vec<usize> = (0..specs.len())
+        .filter(|&j| {
+            let (value, (least, most)) = (fit.model.parameter_values()[j], specs[j].range);
+            let slack = 1e-6 * specs[j].typical;
+            value > least + slack && value < most - slack
+        })
+        .collect();
+    let information = information.select_rows(&inside).select_columns(&inside);
+    let gradient = gradient.select_rows(&inside);
+    let precision = DMatrix::from_diagonal(&prior_precision(&fit.model).select_rows(&inside));
+    let promised = (information + precision).cholesky().map_or(0.0, |factor| gradient.dot(&factor.solve(&gradient)));
+    promised / fit.cost.max(f64::MIN_POSITIVE)
 }
