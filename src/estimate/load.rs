@@ -17,12 +17,13 @@
 //! better than [`BLIND_SD_N`] counts as unseen; the force has no part along it, and its covariance says nothing there.
 
 use super::Sample;
+use super::linearised::bend_and_common_by;
 use super::options::check_sd_encoder;
 use super::sample::{Follower, Log};
 use crate::error::{ArgumentError, DataError, Result};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measurement};
-use crate::robot::{Mechanics, Model, Motion, PerBackbone};
+use crate::robot::{Mechanics, Model};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
 
 /// The standard deviation, N, from which a direction counts as unseen.
@@ -84,21 +85,15 @@ impl NormalEquations {
     /// Adds one measurement; one whose covariance is not positive definite says nothing.
     fn add(&mut self, model: &Model, sd_encoder_mm: f64, sample: &Sample) {
         let mechanics = Mechanics::new(model);
-        let still = Motion::none(model.robot.backbone_count());
-        let motion = sample.came.as_ref().map_or(&still, |came| &came.motion);
-        let psi = sample.measured.configuration;
+        let (robot, motion, psi) = (&model.robot, &sample.motion(), sample.measured.configuration);
         let bend = sample.true_bend(&mechanics);
-        // The bend and the common part hold all that there is.
-        let parts = |q_mm: PerBackbone| model.robot.bend_and_common(&q_mm);
-        let columns =
-            |by: PerBackbone<Vector2<f64>>| Matrix3x2::from_columns(&[0, 1].map(|axis| parts(by.column(axis))));
-        let slope = columns(mechanics.line_jacobian(bend, motion).line_by_bend);
+        let slope = bend_and_common_by(robot, &mechanics.line_jacobian(bend, motion).line_by_bend);
         let covariance = slope * sample.measured.bend_covariance(psi) * slope.transpose()
             + Matrix3::identity() * sd_encoder_mm.powi(2);
         let Some(weight) = covariance.try_inverse() else { return };
         let by_force = by_force(model, psi);
-        let by_parameters = columns(mechanics.travel_by_parameters(bend, motion));
-        let residual = parts(mechanics.misfit_mm(&sample.q_tilde, bend, motion));
+        let by_parameters = bend_and_common_by(robot, &mechanics.travel_by_parameters(bend, motion));
+        let residual = robot.bend_and_common(&mechanics.misfit_mm(&sample.q_tilde, bend, motion));
         self.force.0 += by_force.transpose() * weight * by_force;
         self.force.1 += by_force.transpose() * weight * residual;
         self.parameters.0 += by_parameters.transpose() * weight * by_parameters;

@@ -1,10 +1,10 @@
 //! How soon `live` notices a fault of camera or encoders: what the book states.
 
 use super::fixture::{self, FRAMES, Live, experiment};
-use super::streams::{ROUND_S, Server};
+use super::streams::{ROUND_S, Server, begin_pictures, send_picture};
 use serde_json::Value;
 use std::fs;
-use std::io::{Cursor, Read, Write};
+use std::io::{Cursor, Write};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
@@ -87,15 +87,12 @@ fn servers(world: &Arc<World>) -> (Server, Server) {
     let moved: Vec<Vec<u8>> = pictures.iter().map(|picture| moved(picture)).collect();
     let (of_camera, of_encoders) = (Arc::clone(world), Arc::clone(world));
     let camera = Server::start("127.0.0.1:0", move |stream, stop| {
-        stream.set_nonblocking(false)?;
-        let _ = stream.read(&mut [0; 4096])?;
-        stream.write_all(
-            b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n--frame\r\n",
-        )?;
+        begin_pictures(stream)?;
+        stream.write_all(b"--frame\r\n")?;
         while !stop.load(std::sync::atomic::Ordering::Relaxed) {
             if let Some((frame, is_moved)) = of_camera.shown() {
                 let picture = &if is_moved { &moved } else { &pictures }[frame as usize];
-                stream.write_all(&[&b"Content-Type: image/jpeg\r\n\r\n"[..], picture, b"\r\n--frame\r\n"].concat())?;
+                send_picture(stream, picture)?;
             }
             std::thread::sleep(Duration::from_millis(125));
         }

@@ -1,7 +1,7 @@
 //! What goes wrong beside a running `live`: encoders that freeze, a camera that trickles, crowds of clients, folders in use or removed.
 
 use super::fixture::{self, FRAMES, Live, experiment};
-use super::streams::{Server, share};
+use super::streams::{Server, begin_pictures, send_picture, share};
 use crate::program::{Sandbox, all_said, text};
 use snakeloop::record::read_model;
 use std::fs;
@@ -127,17 +127,14 @@ fn camera_and_encoders(faults: &Arc<Faults>) -> (Server, Server) {
     let pictures: Vec<Vec<u8>> = (0..FRAMES).map(read).collect();
     let of_camera = Arc::clone(faults);
     let camera = Server::start("127.0.0.1:0", move |stream, stop| {
-        stream.set_nonblocking(false)?;
-        let _ = stream.read(&mut [0; 4096])?;
-        stream.write_all(
-            b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n--frame\r\n",
-        )?;
+        begin_pictures(stream)?;
+        stream.write_all(b"--frame\r\n")?;
         while !stop.load(Ordering::Relaxed) {
             if of_camera.trickles.load(Ordering::Relaxed) {
                 stream.write_all(b"x")?;
             } else {
                 let picture = &pictures[(share(began) * FRAMES as f64) as usize % FRAMES as usize];
-                stream.write_all(&[&b"Content-Type: image/jpeg\r\n\r\n"[..], picture, b"\r\n--frame\r\n"].concat())?;
+                send_picture(stream, picture)?;
             }
             std::thread::sleep(Duration::from_millis(100));
         }
