@@ -34,7 +34,7 @@
 use super::Sample;
 use crate::geometry::Configuration;
 use crate::robot::{MAX_THETA, Mechanics, Model, Motion, PerBackbone, Robot};
-use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix3x6, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix3x6, SMatrix, Vector2, Vector3};
 
 /// How measurements are weighted against each other.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,6 +69,12 @@ impl LinearisedMeasurement {
         self.z - self.h * x
     }
 
+    /// Columns of three rows in units of the measurement's standard deviations: L⁻¹ times them, with L Lᵗ its covariance; `None` where that is not
+    /// positive definite.
+    pub(super) fn whitened<const C: usize>(&self, columns: &SMatrix<f64, 3, C>) -> Option<SMatrix<f64, 3, C>> {
+        self.covariance.cholesky()?.l_dirty().solve_lower_triangular(columns)
+    }
+
     /// Linearises one measurement; `model` carries the estimate so far, if there is one, and the effects that it came by.
     pub(crate) fn new(model: &Model, weighting: Weighting, sd_encoder_mm: f64, sample: &Sample) -> Self {
         let mechanics = Mechanics::new(model);
@@ -101,7 +107,7 @@ impl LinearisedMeasurement {
 }
 
 /// A derivative of the lines' travel by two numbers, as that of its bend and common part, which hold all that says something of x.
-pub(super) fn bend_and_common_by(robot: &Robot, by: &PerBackbone<Vector2<f64>>) -> Matrix3x2<f64> {
+fn bend_and_common_by(robot: &Robot, by: &PerBackbone<Vector2<f64>>) -> Matrix3x2<f64> {
     Matrix3x2::from_columns(&[0, 1].map(|axis| robot.bend_and_common(&by.column(axis))))
 }
 
