@@ -437,7 +437,7 @@ impl Summary {
     fn next(&self, experiment: &Experiment) -> String {
         let out = self.output.display();
         match self.verdict.level {
-            Level::DoNotUse => "do what stands below the first reason, then run again".to_owned(),
+            Level::DoNotUse => "follow the remedy of the first reason, then run again".to_owned(),
             _ if self.verdict.has(Code::GapAboveNoise) => {
                 format!("snakeloop discover {} -o found says what the model lacks", experiment.folder().display())
             }

@@ -224,8 +224,8 @@ fn no_bend(evidence: &Evidence) -> Option<Reason> {
 /// η and λ where no robot has them: red if they are no robot's at all, amber if their σ leaves no usual value.
 fn out_of_range(model: &Model) -> Option<Reason> {
     let estimate = model.estimate?;
-    let remedy = "check units and radii in the robot's file and the unit of the log; if both are right the line gives way otherwise \
-                  than the model: `snakeloop discover`";
+    let remedy = "check units and radii in the robot's file and the unit of the log; if both are right, the line yields in another way \
+                  than the model says: `snakeloop discover`";
     if let Some(text) = estimate.implausible() {
         return Some(Reason::new(Code::ParameterOutOfRange, Level::DoNotUse, text, remedy));
     }
@@ -275,7 +275,7 @@ fn rejected(subject: &Subject) -> Option<Reason> {
     let level = if rejected > used { Level::DoNotUse } else { Level::Look };
     let text = format!("{rejected} of {} measurements contradict the others and were rejected", used + rejected);
     let remedy = "look at the frames under \"Measurements not used\" in report.html (estimate.csv has all): if the overlay follows the \
-                  snake there, the log or the model is wrong (`snakeloop discover`), else the frame";
+                  snake there, the log or the model is wrong (`snakeloop discover`), otherwise the frame is";
     Some(Reason::new(Code::ManyRejected, level, text, remedy))
 }
 
@@ -283,7 +283,7 @@ fn rejected(subject: &Subject) -> Option<Reason> {
 fn replaced(subject: &Subject) -> Option<Reason> {
     let Replaced { better, of } = subject.replaced?;
     let text = format!(
-        "the recursive estimate knows nothing of η: one gain for all bends predicts {better} of {of} better, and stands in for it"
+        "the recursive estimate does not determine η: one gain for all bends predicts {better} of {of} bends better, and is used instead"
     );
     let remedy = "`snakeloop discover` names what the model lacks; until then the table is as good as one gain can be";
     Some(Reason::new(Code::GapAboveNoise, Level::Look, text, remedy))
@@ -318,7 +318,7 @@ fn camera_lens(subject: &Subject, evidence: &Evidence, check: Option<&WiringChec
 fn not_covered(subject: &Subject, evidence: &Evidence, check: Option<&WiringCheck>) -> Option<Reason> {
     let undecided = check.and_then(|check| check.undecided.as_ref()).map(|other| {
         format!(
-            "the poses do not tell whether the log is wired as it says: columns {:?} with signs {:?} explain the bends as well",
+            "the poses do not decide whether the log's columns are in order: columns {:?} with signs {:?} explain the bends equally well",
             other.columns, other.signs
         )
     });
@@ -343,7 +343,7 @@ fn unseen_direction(samples: &[Sample]) -> Option<String> {
     let direction = least.eigenvectors.column(place);
     let delta_deg = direction.y.atan2(direction.x).to_degrees().rem_euclid(180.0);
     let text = format!(
-        "the snake hardly bent towards δ = {delta_deg:.0}° or {:.0}°: what is seen there says less than a single measurement at {:.0}°",
+        "the snake hardly bent towards δ = {delta_deg:.0}° or {:.0}°: the measurements there say less than a single one at {:.0}°",
         delta_deg - 180.0,
         largest.to_degrees()
     );
@@ -356,6 +356,6 @@ fn unknown_eta(model: &Model) -> Option<String> {
     let half_range = (PLAUSIBLE_ETA.end() - PLAUSIBLE_ETA.start()) / 2.0;
     (NORMAL_QUANTILE * estimate.sd_eta() > half_range).then(|| {
         let (eta, sd) = (estimate.eta, estimate.sd_eta());
-        format!("η = {eta:.2} ± {sd:.2} may lie anywhere where robots have it: the measurements say nothing of the line's losses")
+        format!("η = {eta:.2} ± {sd:.2} may have any value that robots have: the measurements do not determine the line's losses")
     })
 }
