@@ -27,7 +27,9 @@ use std::collections::VecDeque;
 /// Mean number of poses between two false alarms of each test. Convention: a false alarm costs one needless search of
 /// `discover`; at ten new poses a second each test gives one in 28 hours.
 const POSES_BETWEEN_FALSE_ALARMS: f64 = 1e6;
-/// Share of rejected measurements that is to be found. Convention.
+/// Share of rejected measurements that is to be found.
+///
+/// Convention: three times the share that may be rejected although all is in order.
 const REJECTED_TOO_MANY: f64 = 0.3;
 /// Measurements used before the verdict is told. Convention: twice what `discover` needs to decide anything.
 const MIN_USED: usize = 50;

@@ -32,6 +32,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
+use tracing::debug;
 
 /// Time that a measurement waits for its encoder reading. Convention: what a network delays a line, and no more.
 const READING_TIMEOUT: Duration = Duration::from_millis(250);
@@ -229,6 +230,7 @@ impl Pipeline {
         timing.measured(Instant::now(), (measured - arrived).as_secs_f64(), measured.elapsed().as_secs_f64(), late_s);
         let mut row = self.row(&measurement, time_s, reading.as_ref(), &update);
         row.latency_ms = 1000.0 * latency_s;
+        debug!(index = row.index, status = %measurement.status, update = row.verdict, latency_ms = row.latency_ms, "measured");
         if update.is_stuck {
             row.reason = "the encoders stand still while the snake moves".into();
         }

@@ -11,7 +11,7 @@ use nalgebra::Vector2;
 
 /// A move of q_i below this changes no direction, mm: twice the encoders' σ of 1.5 µm.
 ///
-/// Fitted: on the project's simulated experiments (`tests/sealed.rs`), whose encoders have that σ; not judged elsewhere.
+/// Fitted: on the project's simulated experiments (`tests/library/sealed.rs`), whose encoders have that σ; not judged elsewhere.
 pub(super) const LEAST_MOVE_MM: f64 = 0.003;
 /// The same in standard deviations of a reading.
 ///
