@@ -153,8 +153,8 @@ impl FrameTiming {
             percent => format!(", and {percent:.0} % are dropped"),
         };
         format!(
-            "frames are {:.0} ms old when they are measured{dropped}; send fewer or smaller ones, or give the machine less to \
-             do beside",
+            "frames are {:.0} ms old when they are measured{dropped}; send fewer or smaller ones, or end other programs \
+             on this machine",
             1000.0 * self.age_s
         )
     }

@@ -278,7 +278,7 @@ impl Pipeline {
     fn publish(&self, measurement: &Measurement, row: Row, update: &Update) {
         let mut shared = self.shared.lock();
         if update.gap.state == GapState::Above && shared.state.gap.state != GapState::Above {
-            shared.notice("the gap between model and measurements has left the noise: discover is asked for its name");
+            shared.notice("the gap between model and measurements has left the noise: discover looks for the cause");
         }
         if update.step.restarted {
             let index = measurement.index;
@@ -308,14 +308,14 @@ impl Pipeline {
             Ok(true) => {
                 shared.state.publication = PublicationStatus::default();
                 shared.notice(format!(
-                    "{} was removed: the journal is written anew with all that it had, the table at the next save",
+                    "{} was removed: the journal is written again in full, the table at the next save",
                     self.output.display()
                 ));
             }
             // The journal stays open, wherever it was moved to, and takes what is measured.
             Err(_) if is_told => {}
             Err(error) => shared.notice(format!(
-                "{} cannot be written to, and nothing but the loop goes on; it is tried again every second: {error}",
+                "{} cannot be written to; the loop continues, and writing is tried again every second: {error}",
                 self.output.display()
             )),
         }
