@@ -56,7 +56,8 @@ impl PyModel {
 
     /// An error where it must not be used.
     pub fn require_usable(&self) -> PyResult<()> {
-        let refused = |why| wrong(format!("model: this model must not be used: {why}; start with one that can be used"));
+        let refused =
+            |why| wrong(format!("model: this model must not be used: {why}; start with one that can be used"));
         self.must_not_be_used().map_or(Ok(()), |why| Err(refused(why)))
     }
 

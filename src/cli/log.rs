@@ -71,7 +71,9 @@ mod tests {
         assert!(wanted(0, Some("debug"), "snakeloop::live", Level::DEBUG));
         assert!(!wanted(0, Some("debug"), "rustdds", Level::ERROR));
         let named = Some("snakeloop::discover=debug");
-        assert!(wanted(0, named, "snakeloop::discover", Level::DEBUG) && !wanted(0, named, "snakeloop::cli", Level::INFO));
+        assert!(
+            wanted(0, named, "snakeloop::discover", Level::DEBUG) && !wanted(0, named, "snakeloop::cli", Level::INFO)
+        );
     }
 
     #[test]

@@ -109,9 +109,7 @@ pub fn chessboard_pdf(paper: Paper, board: &Chessboard) -> Result<Vec<u8>, Strin
         return Err("expected at least 3x3 corners and squares of 1 mm or more".to_owned());
     }
     let Some(size_mm) = [(long_mm, short_mm), (short_mm, long_mm)].into_iter().find(fits) else {
-        return Err(format!(
-            "{columns}×{rows} squares of {square_mm} mm do not fit the paper; make them smaller"
-        ));
+        return Err(format!("{columns}×{rows} squares of {square_mm} mm do not fit the paper; make them smaller"));
     };
     let (left, bottom) = ((size_mm.0 - wide_mm) / 2.0, MARGIN_MM + FOOT_MM);
     let mut content = in_millimetres();

@@ -285,7 +285,8 @@ fn replaced(subject: &Subject) -> Option<Reason> {
     let text = format!(
         "the recursive estimate does not determine η: one gain for all bends predicts {better} of {of} bends better, and is used instead"
     );
-    let remedy = "`snakeloop discover` names what the model lacks; until then the table is only as good as one gain can be";
+    let remedy =
+        "`snakeloop discover` names what the model lacks; until then the table is only as good as one gain can be";
     Some(Reason::new(Code::GapAboveNoise, Level::Look, text, remedy))
 }
 

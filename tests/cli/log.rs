@@ -62,7 +62,8 @@ fn discover_shows_its_stages_and_its_answer() {
 #[test]
 fn a_level_that_is_none_is_wrong_usage() {
     let sandbox = Sandbox::new();
-    let output = sandbox.command("invert --theta-deg 30 --delta-deg 0").env(VARIABLE, "snakeloop=loud").output().unwrap();
+    let output =
+        sandbox.command("invert --theta-deg 30 --delta-deg 0").env(VARIABLE, "snakeloop=loud").output().unwrap();
     let message = all_said(&output);
     assert_eq!(output.status.code(), Some(2), "{message}");
     assert!(message.contains("SNAKELOOP_LOG") && message.contains("info"), "{message}");

@@ -152,7 +152,7 @@ const plots = (() => {
       const indices = Array.from({ length: to - from }, (_, k) => from + k);
       return "M" + indices.map(at(high)).concat(indices.reverse().map(at(low))).join("L") + "Z";
     };
-    return `<path class="band" style="fill: var(${colour})" d="${stretches(low).map(outline).join("")}"/>`;
+    return `<path class="band" fill="var(${colour})" d="${stretches(low).map(outline).join("")}"/>`;
   }
 
   // The values nearest to the pointer, with a line through them.
