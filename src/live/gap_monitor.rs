@@ -4,7 +4,7 @@
 //! ([`Cusum`]) watch them: the mean square of the bending part (two degrees of freedom), that of the part common to all backbones
 //! (one), and the share of measurements that the gate rejects.
 //!
-//! The tests take independent values, but the eye's error hardly changes while the snake stands still. So a measurement is taken only
+//! The tests take independent values, but the error of a measured bend hardly changes while the snake stands still. So a measurement is taken only
 //! once the snake has moved on from the last one taken, and the design figures count such poses. With 10⁶ poses between false alarms
 //! by Lorden's bound (10⁷ for the bending part by Brook and Evans' Markov chain), the mean delay is
 //!

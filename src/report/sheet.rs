@@ -59,7 +59,7 @@ pub struct Chessboard {
 /// The grid target on an upright sheet, as large as it takes.
 ///
 /// # Errors
-/// A pitch that no printer can print or of which the paper holds less than ten; in words.
+/// A pitch that no printer can print, or that does not fit ten times on the paper; in words.
 pub fn grid_pdf(paper: Paper, grid: &GridTarget) -> Result<Vec<u8>, String> {
     let (width_mm, height_mm) = paper.size_mm();
     let pitch_mm = grid.pitch_mm;

@@ -34,7 +34,7 @@ const FIRST_BEND_RAD: f64 = 0.004;
 /// Fitted: as [`LEAST_MOVE_MM`].
 const FIRST_COMMON_MM: f64 = 0.01;
 
-/// Which steps of a reading tell their backbones' directions, where a move below `least_move_mm` is none.
+/// Which backbones' steps are large enough to show a direction; moves below `least_move_mm` do not count.
 fn clear_steps(step_mm: &PerBackbone, least_move_mm: f64) -> PerBackbone<bool> {
     let least = (CLEAR_STEP_IN_MOVES * least_move_mm).max(CLEAR_STEP_SHARE * step_mm.amax());
     step_mm.map(|step| step.abs() >= least)

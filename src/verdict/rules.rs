@@ -91,8 +91,8 @@ fn stuck_or_miswired(
     }
 }
 
-/// What keeps physics from being named: encoders that stand still, or a log that is wired otherwise than it is read. A lag, and a shift
-/// of rows that does not explain the bends to the noise, may be physics too, and are none.
+/// What keeps physics from being named: encoders that stand still, or a log whose wiring differs from what it is read as. A lag, and a
+/// shift of rows that does not explain the bends to the noise, may be physics as well, and are not reported.
 pub(super) fn wiring_mistake(subject: &Subject, evidence: &Evidence, log: &[EncoderReading]) -> Option<Reason> {
     let (stuck, check) = stuck_or_miswired(subject, evidence, log, no_bend(evidence).is_none());
     if stuck.is_some() {
@@ -329,9 +329,9 @@ fn not_covered(subject: &Subject, evidence: &Evidence, check: Option<&WiringChec
     Some(Reason::new(Code::WorkspaceNotCovered, Level::Look, text, remedy))
 }
 
-/// A direction in which the bends seen say less than one measurement at full bend: there the leverage of such a bend under a model whose
-/// gain hangs on the direction, θ²/Σ b_u² with b_u the bends' part in that direction, is above 1, and its prediction less certain than a
-/// measurement.
+/// A direction in which the measured bends give less information than one measurement at full bend. For a gain that depends on the direction, the
+/// leverage of a full bend θ is θ²/Σ b_u², with b_u the bends' components in that direction. If it is above 1, the prediction is less certain
+/// than a measurement.
 fn unseen_direction(samples: &[Sample]) -> Option<String> {
     let bends = || samples.iter().map(|sample| sample.measured.configuration.bend_vector());
     let information: Matrix2<f64> = bends().map(|bend| bend * bend.transpose()).sum();
