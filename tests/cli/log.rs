@@ -4,10 +4,11 @@ use crate::program::{Sandbox, all_said, data, json};
 use std::process::Output;
 
 const VARIABLE: &str = "SNAKELOOP_LOG";
+const FRAMES: [u64; 2] = [4, 8];
 
 fn bending() -> Sandbox {
     let sandbox = Sandbox::new();
-    sandbox.copy_bending(&[0, 4, 8]);
+    sandbox.copy_bending(&FRAMES);
     sandbox
 }
 
@@ -20,16 +21,11 @@ fn shown(output: &Output) -> String {
 #[test]
 fn a_run_shows_its_stages_where_that_is_asked_for_and_nothing_otherwise() {
     let sandbox = bending();
-    let call = |line: &str, variable: Option<&str>| {
-        let mut command = sandbox.command(line);
-        command.env_remove(VARIABLE);
-        variable.map(|level| command.env(VARIABLE, level));
-        command.output().unwrap()
-    };
-    let silent = shown(&call("run bending -o silent", None));
+    let call = |line: &str| sandbox.command(line).env_remove(VARIABLE).output().unwrap();
+    let silent = shown(&call("run bending -o silent"));
     assert!(!silent.contains("INFO"), "{silent}");
 
-    let output = call("run bending -o stages -v --json", None);
+    let output = call("run bending -o shown -vv --json");
     let stages = shown(&output);
     // A stage is named when it ends, with its time.
     for stage in ["calibrate_rig", "refine_rig", "measure", "learn"] {
@@ -37,15 +33,12 @@ fn a_run_shows_its_stages_where_that_is_asked_for_and_nothing_otherwise() {
         assert!(stages.lines().any(ended), "{stage}: {stages}");
     }
     assert!(stages.contains("the rig was found") && stages.contains("judged"), "{stages}");
-    assert!(!stages.contains("DEBUG"), "{stages}");
+    let of_frames = stages.lines().filter(|line| line.contains("DEBUG") && line.contains("status=ok")).count();
+    assert_eq!(of_frames, FRAMES.len(), "{stages}");
     json(&String::from_utf8(output.stdout).unwrap());
-
-    let frames = shown(&call("run bending -o frames", Some("debug")));
-    let of_frames = frames.lines().filter(|line| line.contains("DEBUG") && line.contains("status=ok")).count();
-    assert_eq!(of_frames, 3, "{frames}");
     // To be shown changes nothing of what is written.
     for name in ["measurements.csv", "estimate.csv"] {
-        assert_eq!(sandbox.read(&format!("silent/{name}")), sandbox.read(&format!("frames/{name}")), "{name}");
+        assert_eq!(sandbox.read(&format!("silent/{name}")), sandbox.read(&format!("shown/{name}")), "{name}");
     }
 }
 
@@ -60,12 +53,14 @@ fn discover_shows_its_stages_and_its_answer() {
 }
 
 #[test]
-fn a_level_that_is_none_is_wrong_usage() {
+fn the_variable_asks_as_the_flag_does_and_a_level_that_is_none_is_wrong_usage() {
     let sandbox = Sandbox::new();
-    let output =
-        sandbox.command("invert --theta-deg 30 --delta-deg 0").env(VARIABLE, "snakeloop=loud").output().unwrap();
+    let invert = "invert --theta-deg 30 --delta-deg 0";
+    let call = |level: &str| sandbox.command(invert).env(VARIABLE, level).output().unwrap();
+    assert!(shown(&call("info")).contains("INFO") && !shown(&call("off")).contains("INFO"));
+    let output = call("snakeloop=loud");
     let message = all_said(&output);
     assert_eq!(output.status.code(), Some(2), "{message}");
     assert!(message.contains("SNAKELOOP_LOG") && message.contains("info"), "{message}");
-    assert!(sandbox.fail("invert --theta-deg 30 --delta-deg 0 -v --quiet", 2).contains("--quiet"));
+    assert!(sandbox.fail(&format!("{invert} -v --quiet"), 2).contains("--quiet"));
 }
