@@ -225,7 +225,7 @@ pub enum ArgumentError {
         square_mm: f64,
     },
     /// A model without an estimate of η and λ where one is needed.
-    #[error("{what} can be told only with η and λ known; give a model that `run` or `estimate` wrote")]
+    #[error("{what} can be determined only if η and λ are known; give a model that `run` or `estimate` wrote")]
     NoEstimate {
         /// What cannot be told.
         what: &'static str,

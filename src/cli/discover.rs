@@ -64,11 +64,11 @@ pub struct Args {
     /// `simulate --trajectory` takes (index,time_s,theta_deg,delta_deg) with the q̃ to command (qc1_mm,qc2_mm,qc3_mm)
     #[arg(long)]
     next: bool,
-    /// The most poses of that experiment, 24 or more, which a search needs
+    /// Largest number of poses of that experiment; at least 24, the number that a search needs
     #[arg(long, value_name = "N", requires = "next")]
     poses: Option<usize>,
     /// If the verdict is `unexplained` or `partly`, propose a law: a short formula of bend, load, direction, play, speed and time that
-    /// takes more of the gap away on sweeps left out; it is added to model.toml as `proposed_law`
+    /// removes more of the gap on held-out sweeps; it is added to model.toml as `proposed_law`
     #[arg(long)]
     correction: bool,
 }

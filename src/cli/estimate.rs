@@ -37,12 +37,12 @@ pub struct Args {
     /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
-    /// The robot was commanded by a table with these force limits (`table --force-limits`): the force that the backbones share then moves what
-    /// all encoders read alike, and is taken off before λ is learned
+    /// Force limits of the table that commanded the robot (`table --force-limits`): the force that its backbones share changes all readings
+    /// alike, and is subtracted before λ is learned
     #[arg(long, value_name = "PULL,PUSH", value_delimiter = ',', allow_hyphen_values = true, conflicts_with = "stem")]
     force_limits: Option<Vec<f64>>,
     /// Follow the total bending angle of a flexible stem instead, with η and λ of --model known: writes OUT/stem.csv, and
-    /// OUT/model.toml with the stem as it was at the end
+    /// OUT/model.toml with the stem's last angle
     #[arg(long, requires = "model", conflicts_with_all = ["flat_sigma", "gate"])]
     stem: bool,
     #[command(flatten)]
@@ -154,7 +154,7 @@ impl Args {
         let summary = Summary { verdict, estimated };
         console.result(&summary, || verdict_text(&summary.verdict) + &summary.estimated.text());
         console.next(match summary.verdict.level {
-            Level::DoNotUse => "do what stands below the first reason, then estimate again".to_owned(),
+            Level::DoNotUse => "follow the remedy of the first reason, then estimate again".to_owned(),
             _ if summary.verdict.has(Code::GapAboveNoise) => {
                 "snakeloop discover with the same files says what the model lacks".to_owned()
             }

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 
 /// Find the force on the tip that explains measured deflections: writes OUT/force.csv
 ///
-/// Each measurement alone shows two of three directions, and names the one that it cannot show. The printed force explains all
+/// A single measurement shows two of three directions of the force, and force.csv has the one that it cannot show. The printed force explains all
 /// measurements together.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop force --model out/model.toml --measurements loaded/measurements.csv \

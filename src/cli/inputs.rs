@@ -37,7 +37,7 @@ pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
 /// What a command that predicts does with a model that must not be used.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct WorthArgs {
-    /// Take a model that must not be used all the same (its verdict is "do not use", or no robot has its η or λ); all that is written is
+    /// Use the model even if it must not be used (its verdict is "do not use", or no robot has its η or λ); everything that is written is
     /// marked
     #[arg(long)]
     even_if_bad: bool,

@@ -60,7 +60,7 @@ pub struct Args {
     /// Frames per second to ask the camera for, or to play pictures or a video at [default: 30 for pictures, a video's own]
     #[arg(long, visible_alias = "fps", value_name = "FPS", value_parser = positive)]
     rate: Option<f64>,
-    /// How the camera is to pack its pictures, four letters such as MJPG; many reach their full rate only with it
+    /// How the camera packs its pictures, four letters such as MJPG; many cameras reach their full rate only with MJPG
     #[arg(long, value_name = "FOURCC")]
     fourcc: Option<FourCc>,
     /// Exposure to ask the camera for, in its own unit; switches automatic exposure off
@@ -70,7 +70,7 @@ pub struct Args {
     #[arg(long, value_name = "VALUE")]
     focus: Option<f64>,
     /// Encoder readings, one a line (time_s,q1_mm,q2_mm,q3_mm, or JSON; [log] of the experiment gives other names and units): - (standard
-    /// input), tcp://HOST:PORT, unix:PATH, or a file that grows. Without it the experiment's own log, matched by index, where frames come from files
+    /// input), tcp://HOST:PORT, unix:PATH, or a file that grows. Without it the experiment's own log, matched by index, if the frames come from files
     #[arg(long, value_name = "FROM")]
     encoders: Option<EncoderSource>,
     /// Seconds to add to the encoders' times to get those of the frames; estimated by default
@@ -97,8 +97,8 @@ pub struct Args {
     /// Continue the run in OUT, with all its measurements
     #[arg(long)]
     resume: bool,
-    /// Follow the total bending angle of a flexible stem instead, with η and λ of the model known: its angle and sigma with every
-    /// measurement, a table for the stem as it is, and at the end OUT/stem.csv
+    /// Follow the total bending angle of a flexible stem instead, with η and λ of the model known: shows its angle and sigma with every
+    /// measurement, writes a table for the current angle, and at the end OUT/stem.csv
     #[arg(long, conflicts_with_all = ["flat_sigma", "gate"])]
     stem: bool,
     #[command(flatten)]

@@ -30,8 +30,8 @@ pub struct Args {
     /// The grid's azimuths δ, degrees; a direction that repeats, such as 180 after -180, is left out
     #[arg(long, value_name = "START:STOP:STEP", allow_hyphen_values = true, default_value_t = Grid::default().delta)]
     delta_deg: GridAxis,
-    /// What the actuation unit can exert on a backbone, N: its largest pull (negative) and push. The backbones then share the load
-    /// with least strain within these; without, with least strain of all (Eq. 11)
+    /// Largest pull (negative) and push that the actuation unit can exert on a backbone, N. The table then has the forces of least strain
+    /// within these limits; without them those of Eq. 11, the least strain of all
     #[arg(long, value_name = "PULL,PUSH", value_delimiter = ',', allow_hyphen_values = true)]
     force_limits: Option<Vec<f64>>,
     /// Also write OUT/compensation.h, the table for a controller in C, with a lookup that interpolates it

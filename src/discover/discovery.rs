@@ -16,6 +16,7 @@ use super::tangent_spaces::{TangentSpace, tangent_spaces};
 use super::verdict::Verdict;
 use crate::robot::effects::RIG_ERROR;
 use crate::robot::{Effect, Estimate, Model, PerBackbone, Physics};
+use tracing::{info, info_span};
 
 /// A parameter whose standard deviation is beyond this many typical sizes is remarked.
 ///
@@ -83,6 +84,11 @@ pub fn discover(model: &Model, data: &Data) -> Discovery {
 
 /// [`discover`], telling each stage.
 pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
+    let _stage = info_span!("discover", samples = data.len()).entered();
+    let tell: Tell = &|stage| {
+        info!("{stage}");
+        tell(stage);
+    };
     let model = with_estimate(model);
     let few = data.thinned(SEARCHED_FIRST);
     let (searched, judged) = searched_and_judged(&model, data, &few, tell);
@@ -104,6 +110,7 @@ pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
         }
     };
     let Searched { problem, least_bic_gain, .. } = &searched;
+    info!(verdict = verdict.word(), effects = ?answer.named.iter().map(|named| named.physics.name).collect::<Vec<_>>(), "answered");
 
     let fitted = with_origin(answer.model, data);
     let mut remarks = data.remarks.clone();

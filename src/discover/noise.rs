@@ -3,7 +3,7 @@
 //! What encoders and eye are said to scatter by is a prior, and residuals tell the rest: second differences of successive residuals,
 //! in which whatever changes slowly from sample to sample cancels. Residuals that are not correlated from one to the next are noise as
 //! a whole, and tell more. The parts of q̃ that bend nothing tell the encoders' noise alone; with it, the bend tells by which factor
-//! the eye's sigmas are wrong.
+//! the measurements' sigmas are wrong.
 
 use super::data::Data;
 use super::fit::Fit;
@@ -48,7 +48,7 @@ const FINER: f64 = 0.75;
 pub struct Noise {
     /// Standard deviation of an encoder reading, mm.
     pub sd_encoder_mm: f64,
-    /// What the eye's stated sigmas are multiplied with.
+    /// Factor of the measurements' stated sigmas.
     pub eye_factor: f64,
     /// Standard deviation of what the model misses of each component of the bend, rad.
     pub discrepancy_rad: f64,

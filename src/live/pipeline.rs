@@ -32,6 +32,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
+use tracing::debug;
 
 /// Time that a measurement waits for its encoder reading. Convention: what a network delays a line, and no more.
 const READING_TIMEOUT: Duration = Duration::from_millis(250);
@@ -229,6 +230,7 @@ impl Pipeline {
         timing.measured(Instant::now(), (measured - arrived).as_secs_f64(), measured.elapsed().as_secs_f64(), late_s);
         let mut row = self.row(&measurement, time_s, reading.as_ref(), &update);
         row.latency_ms = 1000.0 * latency_s;
+        debug!(index = row.index, status = %measurement.status, update = row.verdict, latency_ms = row.latency_ms, "measured");
         if update.is_stuck {
             row.reason = "the encoders stand still while the snake moves".into();
         }
@@ -276,7 +278,7 @@ impl Pipeline {
     fn publish(&self, measurement: &Measurement, row: Row, update: &Update) {
         let mut shared = self.shared.lock();
         if update.gap.state == GapState::Above && shared.state.gap.state != GapState::Above {
-            shared.notice("the gap between model and measurements has left the noise: discover is asked for its name");
+            shared.notice("the gap between model and measurements has left the noise: discover looks for the cause");
         }
         if update.step.restarted {
             let index = measurement.index;
@@ -306,14 +308,14 @@ impl Pipeline {
             Ok(true) => {
                 shared.state.publication = PublicationStatus::default();
                 shared.notice(format!(
-                    "{} was removed: the journal is written anew with all that it had, the table at the next save",
+                    "{} was removed: the journal is written again in full, the table at the next save",
                     self.output.display()
                 ));
             }
             // The journal stays open, wherever it was moved to, and takes what is measured.
             Err(_) if is_told => {}
             Err(error) => shared.notice(format!(
-                "{} cannot be written to, and nothing but the loop goes on; it is tried again every second: {error}",
+                "{} cannot be written to; the loop continues, and writing is tried again every second: {error}",
                 self.output.display()
             )),
         }

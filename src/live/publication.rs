@@ -203,8 +203,8 @@ impl PublicationGate {
     }
 }
 
-/// Whether the first squares are larger than the second, pose by pose, beyond chance: by the paired t-test. Of few poses, which give that
-/// test no power, those of which the mean is so many times larger that it would be a gap, if the second were noise.
+/// Whether the first squares are significantly larger than the second, pose by pose (paired t-test). The test has no power for few poses; then
+/// the mean of the first must also exceed that of the second by the factor that makes a gap.
 fn is_worse(squares: &[f64], than: &[f64]) -> bool {
     let [mean_square, other] = [squares, than].map(|squares| mean(squares.iter().copied()));
     let differences: Vec<f64> = squares.iter().zip(than).map(|(square, than)| square - than).collect();

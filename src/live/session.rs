@@ -27,6 +27,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
+use tracing::info;
 
 /// A running loop.
 pub struct Live {
@@ -47,6 +48,7 @@ impl Live {
     pub fn start(setup: Setup) -> Result<Self> {
         let Setup { view, source, source_name, encoders, model, options, stem, folder, resume, save_every } = setup;
         let output = folder.path().to_owned();
+        info!(view = %view.name, source = %source_name, output = %output.display(), resume, "live begins");
         let mut estimator = OnlineEstimator::new(model.clone(), options, stem)?;
         let clock = Arc::new(FrameClock::default());
         let encoders = Arc::new(encoders.open(Arc::clone(&clock)));

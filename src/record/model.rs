@@ -224,7 +224,7 @@ pub fn model_json(model: &Model) -> Result<serde_json::Value> {
 /// A robot from constants under the keys of `[robot]`, as JSON; what is left out is the paper's.
 ///
 /// # Errors
-/// [`ArgumentError::Robot`] for a key that there is not, beside those that there are; for what is no number, or out of its physical range.
+/// [`ArgumentError::Robot`] for an unknown key, with the known ones; for a value that is no number or out of its physical range.
 pub fn robot_of(constants: serde_json::Value) -> Result<Robot> {
     let wrong = |why: String| Error::from(ArgumentError::Robot(why));
     let mut all = serde_json::to_value(Robot::default()).map_err(|e| wrong(e.to_string()))?;

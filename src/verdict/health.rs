@@ -1,7 +1,7 @@
-//! What a model leaves of the measurements, in one place: the innovations, whitened by what the eye and the encoders promise.
+//! What a model leaves of the measurements, in one place: the innovations, whitened by the stated noise of measurements and encoders.
 //!
-//! A residual has a part that bends and a part common to all backbones. The bending part decides whether the table is right. Its noise is
-//! the eye's and that of an encoder reading as it is assumed. It is not learned from the common part: a jitter that all readings share, a
+//! A residual has a part that bends and a part common to all backbones. The bending part decides whether the table is right. Its noise
+//! is that of the measured bend and the assumed noise of an encoder reading. It is not learned from the common part: a jitter that all readings share, a
 //! scale of one encoder or a load that the backbones share move the common part, and say nothing of the noise of the bending part. The
 //! common part moves neither θ nor δ, so that its noise is learned from its own scatter.
 //!

@@ -10,8 +10,12 @@ use nalgebra::{
 };
 
 /// How many numbers a placement has.
+///
+/// Derived: two of the place, the turn, the height and the tilt.
 pub const PLACEMENT: usize = 5;
 /// Which of them is the tilt.
+///
+/// Convention: the order in which they are written.
 pub const TILT: usize = 4;
 /// The distance along the snake at which its direction is carried onto its plane, px.
 ///

@@ -185,7 +185,7 @@ impl BodyTemplate {
         let cell = |row: i32, column: i32| {
             let (along, across) = (f64::from(row) / per_width, f64::from(column) / per_width);
             let middle = self.base + Vector2::new(across, -along) * DRAWN_WIDTH_PX;
-            // The mean over a lattice of places in the cell.
+            // The mean over a lattice of places in the cell. Convention: finer than the picture's pixels.
             const PLACES: i32 = 6;
             let at = |k: i32| ((f64::from(k) + 0.5) / f64::from(PLACES) - 0.5) * side_px;
             let places = (0..PLACES * PLACES).map(|k| middle + Vector2::new(at(k % PLACES), at(k / PLACES)));

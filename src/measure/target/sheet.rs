@@ -46,7 +46,7 @@ impl Default for SheetShape {
 }
 
 impl SheetShape {
-    /// How many numbers describe it.
+    /// How many numbers describe it. Derived: the difference of the pitches, the shear, and three of the bow.
     pub(super) const NUMBERS: usize = 5;
     /// How far the sheet may go on beyond the middles of the outermost windows that saw it, in units of half its extent.
     ///

@@ -36,7 +36,7 @@ const FIRST_SIGMA_MM: f64 = 0.05;
 ///
 /// Convention: keeps places that fit to rounding from trimming each other.
 const ROUNDING_PX: f64 = 1e-3;
-/// How many numbers are fitted: six of the pose, and those of the shape.
+/// How many numbers are fitted. Derived: six of the pose, and those of the shape.
 const NUMBERS: usize = 6 + SheetShape::NUMBERS;
 /// Steps of central differences: rad, mm, shares, rad and mm.
 ///
