@@ -145,7 +145,7 @@ pub fn sheet_text(rig: &Rig) -> String {
     let (shape, pitch_mm) = (&rig.sheet_shape, rig.grid_pitch_mm);
     let [across_mm, along_mm] = [1.0, -1.0].map(|sign| pitch_mm * (1.0 + sign * shape.anisotropy / 2.0));
     format!(
-        "lines {across_mm:.3} mm apart across and {along_mm:.3} mm along, meeting under {:.2}°, on a sheet that bows by {:.2} mm (rms)",
+        "lines {across_mm:.3} mm apart across and {along_mm:.3} mm along, meeting at {:.2}°, on a sheet that bows by {:.2} mm (rms)",
         90.0 - shape.shear.to_degrees(),
         shape.rms_mm()
     )
