@@ -58,7 +58,7 @@ fn twenty_samples_are_searched_as_all_others_and_five_are_refused() {
         // What to measure next is proposed from few samples as well, within what is asked.
         let bounded =
             sandbox.json("discover --measurements measurements.csv --encoders encoders.csv -o next --next --poses 16");
-        assert!(bounded["next"]["poses"].as_u64().is_none_or(|poses| poses <= 16), "{bounded:#}");
+        assert!(bounded["next"]["poses"].as_u64().is_some_and(|poses| poses <= 16), "{bounded:#}");
         // Five samples say nothing.
         rewrite(sandbox, "measurements.csv", |k, row| {
             if k >= 5 {
