@@ -9,12 +9,12 @@ use crate::verdict::framed;
 use pyo3::prelude::*;
 use serde_json::Value;
 use snakeloop::Result;
-use snakeloop::discover::{Data, FewSamples, Localisation, discover as search, discover_in_frames, nothing_named};
+use snakeloop::discover::{Data, Localisation, discover as search, discover_in_frames, nothing_named};
 use snakeloop::estimate::Options;
 use snakeloop::estimate::gap::gap;
 use snakeloop::observation::{EncoderReading, Measurement};
 use snakeloop::record::Provenance;
-use snakeloop::report::discovery::{Page, few_samples_lines, few_samples_page, lines};
+use snakeloop::report::discovery::{Page, lines};
 use snakeloop::report::verdict::verdict_page;
 use snakeloop::robot::Model;
 use snakeloop::verdict::{Subject, Verdict, doubts_of_times};
@@ -64,15 +64,11 @@ fn discovered(
     readings: &[EncoderReading],
     sd_encoder_mm: f64,
 ) -> Result<PyDiscovery> {
-    let answer = match Data::new(measurements, readings, sd_encoder_mm) {
-        Ok(data) => Ok(data),
-        Err(error) => Err(FewSamples::instead_of(error, &model, measurements, readings, sd_encoder_mm)?),
-    };
+    let data = Data::new(measurements, readings, sd_encoder_mm)?;
     let mistake = Subject::new(&model, sd_encoder_mm).wiring_mistake(measurements, readings);
     if let Some(mistake) = mistake.or_else(|| doubts_of_times(measurements, readings, false)) {
         let verdict = Verdict::of(vec![mistake]);
-        let remarks = answer.map_or_else(|few| few.remarks, |data| data.remarks);
-        let json = nothing_named(&gap(&model, measurements, readings), &verdict, &remarks);
+        let json = nothing_named(&gap(&model, measurements, readings), &verdict, &data.remarks);
         let text = format!("unexplained: no effect is named from these data\n{}", verdict.lines().join("\n"));
         return Ok(PyDiscovery {
             json,
@@ -81,14 +77,6 @@ fn discovered(
             model,
         });
     }
-    let data = match answer {
-        Ok(data) => data,
-        Err(few) => {
-            let (json, text, page) =
-                (few.json(), few_samples_lines(&few), few_samples_page(&few, &Provenance::new("discover")));
-            return Ok(PyDiscovery { json, text, page, model: few.model });
-        }
-    };
     let from_frames = measurements.iter().any(|measurement| measurement.quality.is_some());
     let found = if from_frames { discover_in_frames(model, &data, &|_| ()) } else { search(&model, &data) };
     let localised = Localisation::new(&found, &data);

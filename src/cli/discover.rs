@@ -10,8 +10,8 @@ use super::verdict::doubt_of_times;
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::discover::{
-    Data, Discovery, FewSamples, LEAST_SAMPLES, Localisation, NextExperiment, ProposedLaw, Verdict as Found,
-    discover_in_frames, discover_telling, next_experiment, nothing_named, propose_law,
+    Data, Discovery, LEAST_SAMPLES, Localisation, NextExperiment, ProposedLaw, Verdict as Found, discover_in_frames,
+    discover_telling, next_experiment, nothing_named, propose_law,
 };
 use crate::estimate::gap::{Gap, gap};
 use crate::estimate::{Options, Verdict as GateVerdict, estimate};
@@ -20,7 +20,7 @@ use crate::record::{
     Checked, Experiment, OutputFolder, Provenance, measurements_csv, read_effects, read_measurements, read_model,
     trajectory_csv, write_atomically, write_learned_model,
 };
-use crate::report::discovery::{Page, few_samples_lines, few_samples_page, lines};
+use crate::report::discovery::{Page, lines};
 use crate::report::verdict::verdict_page;
 use crate::robot::{DataRange, Model};
 use crate::verdict::{Reason, Subject, Verdict};
@@ -64,7 +64,7 @@ pub struct Args {
     /// `simulate --trajectory` takes (index,time_s,theta_deg,delta_deg) with the q̃ to command (qc1_mm,qc2_mm,qc3_mm)
     #[arg(long)]
     next: bool,
-    /// Largest number of poses of that experiment; at least 24, the number that a search needs
+    /// Largest number of poses of that experiment; at least 10, the number that a search needs
     #[arg(long, value_name = "N", requires = "next")]
     poses: Option<usize>,
     /// If the verdict is `unexplained` or `partly`, propose a law: a short formula of bend, load, direction, play, speed and time that
@@ -137,12 +137,10 @@ impl Args {
         }
         let _out = self.claim()?;
         let inputs = self.inputs(console)?;
-        match Data::new(&inputs.measurements, &inputs.readings, self.encoder_sd) {
-            Ok(data) => match self.wiring_mistake(&inputs) {
-                Some(mistake) => Ok(self.name_nothing(console, &inputs, mistake, &data.remarks)?),
-                None => self.search(console, &inputs, data),
-            },
-            Err(error) => self.without_a_search(console, &inputs, error),
+        let data = Data::new(&inputs.measurements, &inputs.readings, self.encoder_sd)?;
+        match self.wiring_mistake(&inputs) {
+            Some(mistake) => Ok(self.name_nothing(console, &inputs, mistake, &data.remarks)?),
+            None => self.search(console, &inputs, data),
         }
     }
 
@@ -216,21 +214,6 @@ impl Args {
             + &localised.as_ref().map(|gap| format!("\nthe gap is {}", gap.words())).unwrap_or_default()
             + &correction.as_ref().map(|ProposedLaw { words, .. }| format!("\n{words}")).unwrap_or_default()
             + &self.next_in_words(next.as_ref())
-    }
-
-    /// The answer to samples too few for a search; the error where that is another, or they are too few for any answer.
-    fn without_a_search(&self, console: &Console, inputs: &Inputs, error: Error) -> Result<(), Failure> {
-        let Inputs { model, measurements, readings, .. } = inputs;
-        let found = FewSamples::instead_of(error, model, measurements, readings, self.encoder_sd)?;
-        if let Some(mistake) = self.wiring_mistake(inputs) {
-            return Ok(self.name_nothing(console, inputs, mistake, &found.remarks)?);
-        }
-        let json = found.json();
-        let made_from = self.made_from()?;
-        self.write_all(&json, &inputs.with_range(&found.model), &few_samples_page(&found, &made_from), &made_from)?;
-        console.warn(&found.remarks);
-        console.result(&json, || few_samples_lines(&found));
-        Ok(())
     }
 
     /// Where what is left is called noise: measurements that contradict it, as the estimator's gate tells them. They decide nothing, and the

@@ -11,8 +11,9 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// The fewest samples that are searched.
 ///
-/// Convention: an effect of one parameter beside η and λ then leaves at least 20 samples to judge it by.
-pub const LEAST_SAMPLES: usize = 24;
+/// Convention: thirty residuals beside η and λ. The criteria for an effect grow with what noise alone can do on so few, so that few samples name
+/// less.
+pub const LEAST_SAMPLES: usize = 10;
 
 /// Encoders that all move by less than this are refused, mm.
 ///

@@ -80,7 +80,7 @@ fn structure_json(candidate: &Candidate) -> Value {
 }
 
 /// The entry `gap`.
-pub(super) fn gap_json(before: &Gap, after: &Gap, noise_floor_mm: f64) -> Value {
+fn gap_json(before: &Gap, after: &Gap, noise_floor_mm: f64) -> Value {
     json!({
         "before_mm": before.eps_mm,
         "after_mm": after.eps_mm,

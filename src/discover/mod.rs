@@ -21,8 +21,6 @@
 //! 11. [`law`](propose_law): a formula proposed in place of an explanation.
 //! 12. `candidate_trajectories`, [`next_experiment`]: the trajectory that would decide what these data leave open.
 //! 13. [`bank`](Bank): how probabilities and numbers go on as samples come.
-//!
-//! Samples that are too few for all this have an answer of their own, [`few_samples`](FewSamples).
 
 mod bank;
 mod candidate_trajectories;
@@ -33,7 +31,6 @@ mod data;
 mod discovery;
 mod discrepancy;
 mod effect_trace;
-mod few_samples;
 mod fit;
 #[cfg(test)]
 mod fixture;
@@ -64,7 +61,6 @@ pub use data::{Data, LEAST_SAMPLES, Log};
 pub use discovery::{Discovery, Tell, discover, discover_in_frames, discover_telling};
 pub use discrepancy::nothing_named;
 pub use effect_trace::{EffectTrace, effect_traces};
-pub use few_samples::FewSamples;
 pub use held_out::Gap;
 pub use law::{PROPOSED_LAW, ProposedLaw, propose_law};
 pub use localisation::{Localisation, Part};

@@ -4,8 +4,8 @@ use super::bend_map::{bend_map, strongest};
 use super::page::{definitions, document, figure, list, made_from, table};
 use super::plot::{Plot, Point, Series, Style};
 use crate::discover::{
-    Candidate, Data, Discovery, EffectTrace, FewSamples, Gap, Localisation, Named, NextExperiment, ProposedLaw,
-    Verdict, effect_traces,
+    Candidate, Data, Discovery, EffectTrace, Gap, Localisation, Named, NextExperiment, ProposedLaw, Verdict,
+    effect_traces,
 };
 use crate::quantity::with_sd;
 use crate::record::Provenance;
@@ -54,11 +54,10 @@ impl Page<'_> {
     pub fn html(&self) -> String {
         let found = self.found;
         let traces = effect_traces(found, self.data);
-        let after = found.verdict.has_effects().then_some(&found.after);
         let content = html! {
             h1 { "What the model lacks: " (heading(found)) }
             p.verdict { (sentence(found)) }
-            (definitions("summary", &summary(found.verdict, found.samples, &found.before, after, found.noise_floor_mm)))
+            (definitions("summary", &summary(found)))
             p { (GLOSSARY) }
             @if let Some(gap) = self.gap { (self.localisation(gap)) }
             (considered(found))
@@ -231,36 +230,20 @@ fn heading(found: &Discovery) -> String {
     }
 }
 
-/// The page of an answer without a search.
-pub fn few_samples_page(found: &FewSamples, from: &Provenance) -> String {
-    let content = html! {
-        h1 { "What the model lacks: not looked for" }
-        p.verdict { (found.sentence()) }
-        (definitions("summary", &summary(found.verdict, found.samples, &found.before, Some(&found.after), found.noise_floor_mm)))
-        p { (GLOSSARY) }
-        (list("Remarks", "Rows that were left out, and questions that stay open.", &found.remarks))
-        (made_from(from))
-    };
-    document("snakeloop: discover", STYLE, &content)
-}
-
 /// The verdict and the gaps, in lines.
 pub fn lines(found: &Discovery) -> String {
-    let gaps = gap_lines(&found.before, &found.after, found.noise_floor_mm);
-    format!("{}: {}\n{gaps}", found.verdict.word(), sentence(found))
-}
-
-/// The same of an answer without a search.
-pub fn few_samples_lines(found: &FewSamples) -> String {
-    let gaps = gap_lines(&found.before, &found.after, found.noise_floor_mm);
-    format!("{}: {}\n{gaps}", found.verdict.word(), found.sentence())
-}
-
-fn gap_lines(before: &Gap, after: &Gap, noise_floor_mm: f64) -> String {
+    let Discovery { before, after, noise_floor_mm, .. } = found;
     format!(
-        "gap of ε   {:.4} mm before, {:.4} mm after (noise alone: {noise_floor_mm:.4} mm)\n\
+        "{}: {}\ngap of ε   {:.4} mm before, {:.4} mm after (noise alone: {noise_floor_mm:.4} mm)\n\
          gap of θ   {:.3}° before, {:.3}° after\ngap of δ   {:.3}° before, {:.3}° after",
-        before.eps_mm, after.eps_mm, before.theta_deg, after.theta_deg, before.delta_deg, after.delta_deg
+        found.verdict.word(),
+        sentence(found),
+        before.eps_mm,
+        after.eps_mm,
+        before.theta_deg,
+        after.theta_deg,
+        before.delta_deg,
+        after.delta_deg
     )
 }
 
@@ -354,14 +337,10 @@ fn parameters(found: &Discovery, name: &str) -> Vec<(String, String)> {
     written.collect()
 }
 
-/// The figures at the head of the page; `after` is `None` if nothing was found that changes the gap.
-fn summary(
-    verdict: Verdict,
-    samples: usize,
-    before: &Gap,
-    after: Option<&Gap>,
-    noise_floor_mm: f64,
-) -> Vec<(String, String)> {
+/// The figures at the head of the page; without a gap after where nothing was found that changes it.
+fn summary(found: &Discovery) -> Vec<(String, String)> {
+    let Discovery { verdict, samples, before, noise_floor_mm, .. } = found;
+    let after = verdict.has_effects().then_some(&found.after);
     let pair = |name: &str, value: String| (name.to_owned(), value);
     let sides = |of: fn(&Gap) -> f64, unit: &str, digits: usize| match after {
         Some(after) => format!("{:.digits$}{unit} before, {:.digits$}{unit} after", of(before), of(after)),
