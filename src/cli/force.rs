@@ -1,12 +1,12 @@
 //! `force`: the tip force that explains measured deflections.
 
 use super::console::Console;
-use super::inputs::{NamedLog, measurements_and_readings};
+use super::inputs::{NamedLog, measurements_and_readings, model_that_may_be_used};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::estimate::{Options, tip_force};
 use crate::quantity::with_sd;
-use crate::record::{forces_csv, read_model, write_atomically};
+use crate::record::{forces_csv, write_atomically};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -47,7 +47,7 @@ struct Found {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
-        let model = read_model(&self.model)?;
+        let model = model_that_may_be_used(&self.model)?;
         let (measurements, readings) =
             measurements_and_readings(console, &model, &self.measurements, Some(&NamedLog::open(&self.encoders)?))?;
         let (rows, force) = tip_force(&model, self.encoder_sd, &measurements, &readings)?;

@@ -125,7 +125,7 @@ impl Args {
             None => self.bending_experiment()?,
         };
         let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
-        let mut model = with_effects(model, &self.effect)?;
+        let mut model = with_effects(console, model, &self.effect)?;
         if self.closed_loop || trajectory.iter().any(|waypoint| waypoint.neighbours.count() < model.neighbours()) {
             tell_of_neighbours(console, &model);
         }
@@ -184,7 +184,7 @@ impl Args {
         }
         let model_path = self.output.join("model.toml");
         write_model(&model_path, &model)?;
-        let worth = Worth { verdict: None, do_not_use: do_not_use.as_deref() };
+        let worth = Worth { do_not_use: do_not_use.as_deref(), ..Worth::default() };
         write_compensation(&self.output, &model, &model_path.display().to_string(), worth)?;
         let summary = Closed {
             frames: cycles.len(),

@@ -285,6 +285,7 @@ impl Pipeline {
             shared.notice(format!("frame {index}: measurements agree on something new; η and λ start afresh"));
         }
         shared.state.gap = update.gap;
+        shared.gate.confirm(&measurement.status, update.sample.is_some());
         shared.gate.add(update.sample, update.gap.state, update.is_stuck);
         shared.model = self.estimator.model();
         shared.add(measurement, update.step.verdict, row);
@@ -408,6 +409,7 @@ impl Pipeline {
         self.stop.store(true, Ordering::Relaxed);
         self.learn(&mut progress)?;
         self.show(&mut progress);
+        self.shared.lock().gate.end();
         let (_, measurements, readings) = self.estimator.samples();
         self.verdict.finish(&measurements, &readings);
         let is_estimated = self.shared.lock().model.estimate.is_some();

@@ -31,6 +31,8 @@ const TRIMMED_MEAN_SQUARE: [f64; 2] = [0.744_157, 0.623_236];
 /// Convention: half of the rms, as where a lag is taken for the clock's.
 const LEFT_BY_A_SCALE: f64 = 0.25;
 
+/// A model that misses more than this share of the bends says nothing of them. Convention: half; it then explains three quarters of their variance.
+const MOST_MISSED: f64 = 0.5;
 /// The affine part of a gap is told if it moves a bend of the data by more than this, rad.
 ///
 /// Convention: half a degree, which a table is asked to be right to.
@@ -177,7 +179,7 @@ impl Health {
         (!is_noise && most > ASKED_FOR).then_some(most)
     }
 
-    /// The gap, if there is one: red if the model misses the bends by more than compensation changes them.
+    /// The gap, if there is one: red if the model misses the bends by more than compensation changes them, or by a large share of what they are.
     pub fn gap(&self) -> Option<Reason> {
         let remedy = "`snakeloop discover` names what the model lacks; where it names nothing, check camera.yaml (focal length, \
                       picture size), grid_pitch_mm, standoff_mm and the straight picture";
@@ -207,6 +209,11 @@ impl Health {
         );
         if missed_mm > compensated_mm {
             let text = format!("{text}; all that compensation changes is {compensated_mm:.3} mm");
+            return reason(Level::DoNotUse, text, remedy.to_owned());
+        }
+        let bent_deg = rms(self.innovations.iter().map(|one| one.bend.norm())).to_degrees();
+        if missed_deg > MOST_MISSED * bent_deg {
+            let text = format!("{text}; the bends themselves are {bent_deg:.1}°");
             return reason(Level::DoNotUse, text, remedy.to_owned());
         }
         let sd = self.sd_encoder_mm;
