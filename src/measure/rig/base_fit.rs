@@ -250,11 +250,11 @@ impl<'a> BaseFit<'a> {
         let covariance = covariance(edges, roots, solution, &view, edge_rms_px).ok_or(RigError::Undetermined)?;
         let visibility = PartVisibility::new(&Outline::new(&view, STRAIGHT), &learned.finder());
         let are_all_visible = visibility.are_all_faintly_visible(last_part(robot));
-        self.check_agreement(edges, agreeing, edge_rms_px, are_all_visible)?;
-        check_visibility(&visibility, robot)?;
         if is_turned(&view, &learned.plane) {
             return Err(RigError::Turned { by_deg: 180.0 / robot.backbone_count() as f64 });
         }
+        self.check_agreement(edges, agreeing, edge_rms_px, are_all_visible)?;
+        check_visibility(&visibility, robot)?;
         let sheet_sigma = (0..3).map(|axis| self.grid.turn_covariance[(axis, axis)]).fold(0.0, f64::max).sqrt();
         if sheet_sigma > MOST_TURN_SIGMA {
             let (sigma_deg, most_deg) = (sheet_sigma.to_degrees(), MOST_TURN_SIGMA.to_degrees());
