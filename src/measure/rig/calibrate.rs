@@ -197,7 +197,7 @@ impl Tries<'_> {
                     sketch.see_snake(hypothesis.lines_px(), self.strips(std::slice::from_ref(start), *width_px));
                     return Ok(rig);
                 }
-                Err(error) => refused = refused.or(Some(error)),
+                Err(error) => refused = Some(error.or_further(refused)),
             }
         }
         let pitch_px = hypothesis.pitch_px;
@@ -275,6 +275,8 @@ fn fit_along(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Resul
     };
     let fits: Vec<_> = aligned_starts(picture, start, grid).into_par_iter().map(fitted).collect();
     fits.into_iter()
-        .reduce(|best: Result<SnakeStart, RigError>, other| best.or_else(|error| other.map_err(|_| error)))
+        .reduce(|best: Result<SnakeStart, RigError>, other| {
+            best.or_else(|error| other.map_err(|other| other.or_further(Some(error))))
+        })
         .unwrap_or(Err(RigError::NoContrast))
 }
