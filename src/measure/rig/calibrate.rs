@@ -1,7 +1,8 @@
 //! Calibrates a rig from a picture of the straight snake before the grid target: first the sheet, then the snake.
 
 use super::alignment::aligned_starts;
-use super::base_fit::{STANDOFF_SIGMA_MM, StraightPicture, fit_base};
+use super::base_fit::{StraightPicture, fit_base};
+use super::base_problem::STANDOFF_SIGMA_MM;
 use super::error::{CalibrationStep, RigError};
 use super::parameters::{Rig, RigOptions};
 use super::scale::{contradiction, pattern_of};
@@ -196,7 +197,7 @@ impl Tries<'_> {
                     sketch.see_snake(hypothesis.lines_px(), self.strips(std::slice::from_ref(start), *width_px));
                     return Ok(rig);
                 }
-                Err(error) => refused = refused.or(Some(error)),
+                Err(error) => refused = Some(error.or_further(refused)),
             }
         }
         let pitch_px = hypothesis.pitch_px;
@@ -274,6 +275,8 @@ fn fit_along(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Resul
     };
     let fits: Vec<_> = aligned_starts(picture, start, grid).into_par_iter().map(fitted).collect();
     fits.into_iter()
-        .reduce(|best: Result<SnakeStart, RigError>, other| best.or_else(|error| other.map_err(|_| error)))
+        .reduce(|best: Result<SnakeStart, RigError>, other| {
+            best.or_else(|error| other.map_err(|other| other.or_further(Some(error))))
+        })
         .unwrap_or(Err(RigError::NoContrast))
 }
