@@ -1,6 +1,6 @@
 //! Single frames in every condition: the errors of θ and δ against bounds, and against the σ that come with them.
 
-use crate::scenes::{STRAIGHT, eye, eye_with, frame, frame_of, laboratory, rig, rig_options, smaller};
+use crate::scenes::{STRAIGHT, eye, eye_with, frame, laboratory, rig, rig_options, smaller};
 use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use snakeloop::camera::{Frame, Samples};
@@ -8,7 +8,6 @@ use snakeloop::geometry::{Configuration, wrap_degrees};
 use snakeloop::measure::{Eye, Rig, RigError, RigOptions, calibrate_rig};
 use snakeloop::observation::Status;
 use snakeloop::robot::{Robot, Tool};
-use snakeloop::simulate::render::render;
 use snakeloop::simulate::scene::{Pattern, Scene, Surface, Wire};
 
 /// Measures some poses and checks errors against the bounds and against the sigmas that come with them.
@@ -154,20 +153,6 @@ fn a_wrong_standoff_or_a_bent_snake_is_refused_with_a_reason() {
     assert!((agreeing_standoff_mm - scene.paper.standoff_mm).abs() < 2.0, "{agreeing_standoff_mm} mm");
     let wrong = RigOptions { grid_pitch_mm: 5.0, ..options };
     assert!(calibrate_rig(&straight, &scene.lens, &scene.robot, &wrong).is_err());
-}
-
-#[test]
-fn a_mirrored_picture_and_a_wrong_azimuth_are_told_by_the_backbones() {
-    let scene = laboratory();
-    let (straight, options) = (render(&scene, STRAIGHT, 7), rig_options(&scene));
-    let mirrored = image::imageops::flip_horizontal(&straight);
-    let mut lens = scene.lens.clone();
-    lens.centre_px.x = f64::from(lens.width) - 1.0 - lens.centre_px.x;
-    let error = calibrate_rig(&frame_of(mirrored), &lens, &scene.robot, &options).map(drop).unwrap_err();
-    assert!(matches!(error, RigError::Turned { by_deg: 60.0 }), "{error}");
-    let turned = RigOptions { delta_offset: std::f64::consts::PI, ..options };
-    let error = calibrate_rig(&frame_of(straight), &scene.lens, &scene.robot, &turned).map(drop).unwrap_err();
-    assert!(matches!(error, RigError::Turned { by_deg: 60.0 }), "{error}");
 }
 
 /// In half the picture's size the grid's lines are beside the whole outline of a straight snake.

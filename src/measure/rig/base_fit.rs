@@ -10,7 +10,6 @@ use super::parameters::{Rig, RigOptions};
 use super::placement::{PLACEMENT, Placement};
 use super::snake_search::SnakeStart;
 use super::tilt::of_its_own_tilt;
-use super::turned::is_turned;
 use crate::camera::{Frame, Lens};
 use crate::geometry::Configuration;
 use crate::measure::body::{Outline, Projection};
@@ -250,9 +249,6 @@ impl<'a> BaseFit<'a> {
         let covariance = covariance(edges, roots, solution, &view, edge_rms_px).ok_or(RigError::Undetermined)?;
         let visibility = PartVisibility::new(&Outline::new(&view, STRAIGHT), &learned.finder());
         let are_all_visible = visibility.are_all_faintly_visible(last_part(robot));
-        if is_turned(&view, &learned.plane) {
-            return Err(RigError::Turned { by_deg: 180.0 / robot.backbone_count() as f64 });
-        }
         self.check_agreement(edges, agreeing, edge_rms_px, are_all_visible)?;
         check_visibility(&visibility, robot)?;
         let sheet_sigma = (0..3).map(|axis| self.grid.turn_covariance[(axis, axis)]).fold(0.0, f64::max).sqrt();

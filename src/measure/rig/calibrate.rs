@@ -197,7 +197,7 @@ impl Tries<'_> {
                     sketch.see_snake(hypothesis.lines_px(), self.strips(std::slice::from_ref(start), *width_px));
                     return Ok(rig);
                 }
-                Err(error) => refused = Some(error.or_further(refused)),
+                Err(error) => refused = refused.or(Some(error)),
             }
         }
         let pitch_px = hypothesis.pitch_px;
@@ -275,8 +275,6 @@ fn fit_along(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Resul
     };
     let fits: Vec<_> = aligned_starts(picture, start, grid).into_par_iter().map(fitted).collect();
     fits.into_iter()
-        .reduce(|best: Result<SnakeStart, RigError>, other| {
-            best.or_else(|error| other.map_err(|other| other.or_further(Some(error))))
-        })
+        .reduce(|best: Result<SnakeStart, RigError>, other| best.or_else(|error| other.map_err(|_| error)))
         .unwrap_or(Err(RigError::NoContrast))
 }

@@ -168,15 +168,6 @@ pub enum RigError {
         /// Its standard deviation, degrees.
         sigma_deg: f64,
     },
-    /// The backbones are seen where those of a turned or mirrored snake would be.
-    #[error(
-        "the backbones are seen where they would be if the snake were turned by {by_deg:.0}° about its axis: is the picture mirrored, as that of a \
-         webcam often is, or is delta_offset_deg wrong?"
-    )]
-    Turned {
-        /// Half of the backbones' spacing, degrees.
-        by_deg: f64,
-    },
     /// A part of the snake is not where the model says.
     #[error("{0} is not where the model says; is the snake unbent, and all of it in the picture?")]
     PartNotVisible(SnakePart),
@@ -242,7 +233,7 @@ pub enum CalibrationStep {
     Search,
     /// Fitting the snake.
     Snake,
-    /// All was found, but not where scale, standoff and azimuth say.
+    /// All was found, but not where scale and standoff say.
     Scale,
 }
 
@@ -274,9 +265,7 @@ impl RigError {
             | Self::PartNotVisible(_)
             | Self::SheetNotFlat { .. }
             | Self::UncertainDirection { .. } => CalibrationStep::Snake,
-            Self::ScaleContradiction { .. } | Self::PitchContradiction { .. } | Self::Turned { .. } => {
-                CalibrationStep::Scale
-            }
+            Self::ScaleContradiction { .. } | Self::PitchContradiction { .. } => CalibrationStep::Scale,
         }
     }
 

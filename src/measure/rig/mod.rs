@@ -8,7 +8,6 @@
 //! | `alignment` | moves it along its axis to where its disks and ends are |
 //! | `sketch` | what a calibration saw, for a person to look at |
 //! | `placement`, `base_problem`, `base_fit`, `tilt`, `scale` | fit the straight snake before its grid, and check the scale that was stated |
-//! | `turned` | asks the backbones whether the picture is mirrored |
 //! | `calibrate` | the calibration from the straight picture, which calls these in order |
 //! | `base_monitor`, `drift` | whether holder and target are still where the rig says |
 //! | `refine` | the rig once more, from frames of bent snakes |
@@ -31,7 +30,6 @@ mod scale;
 mod sketch;
 mod snake_search;
 mod tilt;
-mod turned;
 mod unlike;
 
 pub use base_fit::STRAIGHT;
