@@ -5,7 +5,7 @@ use super::data::Data;
 use super::fit::Fit;
 use super::held_out::{Gap, HeldOutResiduals};
 use super::hypotheses::{FirstStep, first_steps};
-use super::noise::Noise;
+use super::noise::{Noise, ln_sd_of_learned};
 use super::null_distribution::largest_gain_of_noise;
 use super::partial::Partial;
 use super::posterior::{Candidate, covariance_between, posterior};
@@ -213,7 +213,7 @@ impl<'a> Searched<'a> {
         let before = problem.fit(&rough.model, Some(&rough.path), None);
         let first = first_steps(&problem, &before, is_beside_noise);
         let spaces = tangent_spaces(&problem, &before, &first);
-        let least_bic_gain = largest_gain_of_noise(&spaces);
+        let least_bic_gain = largest_gain_of_noise(&spaces, ln_sd_of_learned(2 * data.len()));
         let after = search(&problem, &before, &first, least_bic_gain);
         Self { problem, first, spaces, least_bic_gain, before, after }
     }
