@@ -26,7 +26,11 @@ pub fn perturbed(pose: &Pose, by: &Vector6<f64>) -> Pose {
     Pose::from_parts(Translation3::from(pose.translation.vector + shift), turn * pose.rotation)
 }
 
-/// How the turn exp(v + dv) exp(v)⁻¹ follows dv: the left Jacobian of SO(3), 1 + (1 − cos a)/a² [v]ₓ + (a − sin a)/a³ [v]ₓ² with a = |v|.
+/// How the turn exp(v + dv) exp(v)⁻¹ follows dv: the left Jacobian of SO(3),
+///
+/// ```text
+/// 1 + (1 − cos a)/a² [v]ₓ + (a − sin a)/a³ [v]ₓ²,     a = |v|
+/// ```
 ///
 /// Source: T. D. Barfoot, *State Estimation for Robotics*, Cambridge University Press 2017, section 7.1.5.
 pub fn turn_jacobian(turn: &Vector3<f64>) -> Matrix3<f64> {

@@ -127,6 +127,9 @@ impl Command {
 fn begin(console: &Console) -> Result<(), Failure> {
     #[cfg(feature = "cli")]
     log::start(console.verbosity())?;
+    // Without the program nobody listens, and the library's `main` is not called.
+    #[cfg(not(feature = "cli"))]
+    let _ = console;
     tracing::info!(version = env!("SNAKELOOP_VERSION"), "begins");
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! compensation.h: the table for a controller written in C, with a lookup that interpolates it.
 //!
 //! The lookup is the product of two cubics through the four nearest angles of the grid, δ going once round. Between the angles of the
-//! default grid it is within 2 µm of the model; a grid on which it would be off by more than [`MOST_ERROR_DEG`] of bend is refused.
+//! default grid it is within 2 µm of the model; a grid on which it would be off by more than 0.2° of bend is refused.
 
 use crate::error::{ArgumentError, GridError, Result};
 use crate::geometry::Configuration;
