@@ -436,7 +436,7 @@ mod tests {
         let (measurements, readings) = experiment((0..30).map(|_| (40.0, 10.0)));
         let refused =
             |measurements: &[Measurement]| Data::new(measurements, &readings, 0.0015).unwrap_err().to_string();
-        assert!(refused(&[]).contains("0 usable samples, and 24"));
+        assert!(refused(&[]).contains("0 usable samples, and 10"));
         assert!(refused(&measurements).contains("the encoders hardly move (less than 0.02 mm)"));
     }
 }
