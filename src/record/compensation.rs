@@ -118,7 +118,7 @@ pub fn write_compensation(folder: &Path, model: &Model, source: &str, worth: Wor
 }
 
 /// The same for a grid of one's own, whose rows were computed already, and compensation.h as well if that is asked for. A header that stands
-/// there is written anew, so that no two files of a folder command differently; if the grid is none that a header can have, it is marked as stale.
+/// there is written anew, so that no two files of a folder command differently; it is marked as stale if a header cannot have the grid.
 ///
 /// # Errors
 /// A number that JSON cannot hold, a file that cannot be written, a header that is asked for of a grid that it cannot have.
