@@ -225,7 +225,7 @@ pub enum ArgumentError {
         square_mm: f64,
     },
     /// A model without an estimate of η and λ where one is needed.
-    #[error("{what} can be told only with η and λ known; give a model that `run` or `estimate` wrote")]
+    #[error("{what} can be determined only if η and λ are known; give a model that `run` or `estimate` wrote")]
     NoEstimate {
         /// What cannot be told.
         what: &'static str,
@@ -291,6 +291,17 @@ pub enum GridError {
         theta: usize,
         /// How many azimuths there are.
         delta: usize,
+    },
+    /// Angles too far apart to interpolate between.
+    #[error(
+        "between the poses of this grid the C header's lookup would be up to {error_deg:.2}° of bend off the model, expected at most {most_deg}°; \
+         take smaller steps, such as -165:180:15 of δ and 5 of θ"
+    )]
+    TooCoarse {
+        /// The largest error between two poses, degrees of bend.
+        error_deg: f64,
+        /// The largest that is allowed, degrees.
+        most_deg: f64,
     },
     /// Azimuths that do not go once round.
     #[error("a C header needs δ once round in even steps; {grid} gives {angles} angles, try -165:180:15")]

@@ -9,7 +9,7 @@
 //!
 //! A pose is named so that it chains by eye: `camera_from_base * point_in_base` is a point in the camera's frame.
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector6};
+use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector2, Vector3, Vector6};
 use std::f64::consts::{PI, TAU};
 
 /// A rigid transform between two frames, named `a_from_b`.
@@ -24,6 +24,22 @@ pub fn perturbed(pose: &Pose, by: &Vector6<f64>) -> Pose {
     let turn = UnitQuaternion::from_scaled_axis(by.fixed_rows::<3>(0).into_owned());
     let shift = by.fixed_rows::<3>(3).into_owned();
     Pose::from_parts(Translation3::from(pose.translation.vector + shift), turn * pose.rotation)
+}
+
+/// How the turn exp(v + dv) exp(v)⁻¹ follows dv: the left Jacobian of SO(3),
+///
+/// ```text
+/// 1 + (1 − cos a)/a² [v]ₓ + (a − sin a)/a³ [v]ₓ²,     a = |v|
+/// ```
+///
+/// Source: T. D. Barfoot, *State Estimation for Robotics*, Cambridge University Press 2017, section 7.1.5.
+pub fn turn_jacobian(turn: &Vector3<f64>) -> Matrix3<f64> {
+    let angle = turn.norm();
+    let half = 0.5 * sinc(0.5 * angle).powi(2);
+    // Where the quotient would lose its digits, the term left out of its series is below them.
+    let sixth = if angle < 1e-3 { 1.0 / 6.0 - angle * angle / 120.0 } else { (1.0 - sinc(angle)) / (angle * angle) };
+    let cross = turn.cross_matrix();
+    Matrix3::identity() + cross * half + cross * cross * sixth
 }
 
 /// An angle in radians, brought into (−π, π].
@@ -96,5 +112,23 @@ impl Configuration {
     /// δ in degrees, in (−180, 180].
     pub fn delta_deg(&self) -> f64 {
         wrap_degrees(self.delta.to_degrees())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_turn_jacobian_is_that_of_differences() {
+        for turn in [Vector3::new(0.4, -0.7, 1.1), Vector3::new(3e-4, 2e-4, -5e-4), Vector3::zeros()] {
+            let turned = |by: Vector3<f64>| UnitQuaternion::from_scaled_axis(turn + by);
+            let step = 1e-5;
+            for axis in 0..3 {
+                let by = Vector3::ith(axis, step);
+                let column = (turned(by) * turned(-by).inverse()).scaled_axis() / (2.0 * step);
+                assert!((column - turn_jacobian(&turn).column(axis)).norm() < 1e-8);
+            }
+        }
     }
 }

@@ -12,7 +12,7 @@
 //!
 //! # Modules
 //!
-//! Each module uses only those above it:
+//! [`prelude`] has what most programs need. Each module uses only those above it:
 //!
 //! | module | what it is |
 //! | --- | --- |
@@ -61,5 +61,18 @@ pub mod verdict;
 #[cfg(feature = "commands")]
 #[doc(hidden)]
 pub mod cli;
+
+/// The types and functions that most programs need: `use snakeloop::prelude::*`.
+pub mod prelude {
+    pub use crate::camera::{Frame, Lens, read_frame};
+    pub use crate::discover::{Data, Discovery, discover};
+    pub use crate::estimate::Estimator;
+    pub use crate::geometry::Configuration;
+    pub use crate::measure::{Eye, FrameMeasurement, Rig, RigOptions, calibrate_rig};
+    pub use crate::observation::{EncoderReading, Measurement, Status};
+    pub use crate::record::{read_measurements, read_model, write_model};
+    pub use crate::robot::{Estimate, Grid, Model, Robot, compensation_table};
+    pub use crate::verdict::Subject;
+}
 
 pub use error::{Error, Result};

@@ -7,6 +7,7 @@ mod error;
 mod estimator;
 mod eye;
 mod json;
+mod line_and_load;
 mod model;
 mod robot;
 mod run;
@@ -27,6 +28,8 @@ mod _snakeloop {
     use super::estimator::{PyEstimator, PyStep};
     #[pymodule_export]
     use super::eye::{PyEye, PyLens, PyMeasurement, PyRig, fused};
+    #[pymodule_export]
+    use super::line_and_load::{PyStemEstimate, PyTipForce, estimate_stem_of, tip_force_of};
     #[pymodule_export]
     use super::model::PyModel;
     #[pymodule_export]

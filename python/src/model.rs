@@ -14,9 +14,13 @@ use snakeloop::geometry::Configuration;
 use snakeloop::record::{
     Provenance, do_not_use_mark, model_toml, read_model, stale_mark, write_learned_model, write_model,
 };
-use snakeloop::robot::{Grid, Mechanics, Model, PerBackbone, TableRow};
+use snakeloop::robot::{Effect, Grid, Mechanics, Model, PerBackbone, TableRow};
 use snakeloop::verdict::{Code, Level, Reason, Verdict};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
+
+/// Effects by name, the parameters of each by name.
+pub type Effects = BTreeMap<String, BTreeMap<String, f64>>;
 
 /// θ and δ of each pose.
 type Angles<'py> = (Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<f64>>);
@@ -48,6 +52,13 @@ impl PyModel {
     pub fn must_not_be_used(&self) -> Option<String> {
         let judged = self.verdict.as_ref().and_then(Verdict::why_not).map(str::to_owned);
         judged.or_else(|| self.model.estimate.and_then(|estimate| estimate.implausible()))
+    }
+
+    /// An error where it must not be used.
+    pub fn require_usable(&self) -> PyResult<()> {
+        let refused =
+            |why| wrong(format!("model: this model must not be used: {why}; start with one that can be used"));
+        self.must_not_be_used().map_or(Ok(()), |why| Err(refused(why)))
     }
 
     /// In a line.
@@ -110,6 +121,11 @@ impl PyModel {
             None => write_model(&path, &self.model),
         }
         .map_err(raised)
+    }
+
+    /// This model with further effects, as `--effect` adds them: {name: {parameter: value}}.
+    fn with_effects(&self, effects: Effects) -> PyResult<Self> {
+        Ok(Self { model: with_effects(self.model.clone(), effects)?, verdict: self.verdict.clone() })
     }
 
     /// What to command for every pose of a grid: a dict of arrays with the columns of compensation.csv, one row a pose, δ running fastest.
@@ -279,6 +295,19 @@ impl PyModel {
         }
         Ok(columns)
     }
+}
+
+/// A model with further effects.
+///
+/// # Errors
+/// An unknown effect or parameter, one that is missing, a value out of its range.
+pub fn with_effects(mut model: Model, effects: Effects) -> PyResult<Model> {
+    for (name, parameters) in effects {
+        let parameters: Vec<(String, f64)> = parameters.into_iter().collect();
+        let effect = Effect::new(&name, None, &parameters, model.robot.backbone_count()).map_err(raised)?;
+        model.effects.push(effect);
+    }
+    Ok(model)
 }
 
 /// Warns that what is answered holds while the neighbouring sections are at rest, where the model has a coupling with them.

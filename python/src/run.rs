@@ -1,7 +1,7 @@
 //! `run` and `estimate`: the commands of these names.
 
 use crate::arrays::matrix;
-use crate::error::{raised, wrong};
+use crate::error::raised;
 use crate::model::PyModel;
 use crate::tables::{columns_of_csv, encoders_of, measurements_of, warn};
 use crate::threads::interruptible;
@@ -150,9 +150,7 @@ pub fn estimate(
 ) -> PyResult<PyEstimate> {
     let mut options = Options::default();
     options.sd_encoder_mm = sd_encoder_mm.unwrap_or(options.sd_encoder_mm);
-    if let Some(why) = model.and_then(PyModel::must_not_be_used) {
-        return Err(wrong(format!("model: this model must not be used: {why}; start with one that can be used")));
-    }
+    model.map_or(Ok(()), PyModel::require_usable)?;
     let start = model.map_or_else(Model::default, |model| model.model.clone());
     let readings = encoders_of(encoders, &start)?;
     let (measurements, remark) = with_sigmas(&measurements_of(measurements)?, &readings);

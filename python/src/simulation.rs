@@ -1,16 +1,15 @@
 //! `simulate`: what encoders and an eye would say of a snake whose model is known.
 
 use crate::error::{raised, wrong};
-use crate::model::PyModel;
+use crate::model::{Effects, PyModel, with_effects};
 use crate::tables::Table;
 use numpy::IntoPyArray;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use snakeloop::geometry::Configuration;
 use snakeloop::observation::{Measured, Waypoint};
-use snakeloop::robot::{Effect, Model};
+use snakeloop::robot::Model;
 use snakeloop::simulate::{BendingExperiment, Plant, Sample, SimulatedEye};
-use std::collections::BTreeMap;
 
 /// The largest standard deviation of an encoder reading, mm.
 ///
@@ -26,7 +25,7 @@ const MOST_SD_MM: f64 = 10.0;
 pub fn simulate<'py>(
     py: Python<'py>,
     model: Option<&PyModel>,
-    effects: Option<BTreeMap<String, BTreeMap<String, f64>>>,
+    effects: Option<Effects>,
     trajectory: Option<&Bound<'py, PyAny>>,
     seed: u64,
     sd_encoder_mm: f64,
@@ -34,12 +33,8 @@ pub fn simulate<'py>(
     if !(0.0..=MOST_SD_MM).contains(&sd_encoder_mm) {
         return Err(wrong(format!("sd_encoder_mm is {sd_encoder_mm}, expected 0 to {MOST_SD_MM} mm")));
     }
-    let mut model = model.map_or_else(Model::default, |model| model.model.clone());
-    for (name, parameters) in effects.into_iter().flatten() {
-        let parameters: Vec<(String, f64)> = parameters.into_iter().collect();
-        let effect = Effect::new(&name, None, &parameters, model.robot.backbone_count()).map_err(raised)?;
-        model.effects.push(effect);
-    }
+    let model = model.map_or_else(Model::default, |model| model.model.clone());
+    let model = with_effects(model, effects.unwrap_or_default())?;
     let waypoints = match trajectory {
         Some(trajectory) => waypoints_of(trajectory)?,
         None => {

@@ -1,6 +1,7 @@
 """The Python blocks of the book and of README.md run as they stand, in a folder that has what the pages speak of."""
 
 import re
+import shutil
 
 import pytest
 from conftest import BENDING, ROOT
@@ -26,6 +27,11 @@ def folder(tmp_path_factory):
     (folder / "fixtures").symlink_to(ROOT / "fixtures")
     (folder / "EXPERIMENT").symlink_to(BENDING)
     snakeloop.run(folder / "EXPERIMENT", folder / "out")
+    (folder / "loaded").mkdir()
+    for here in ["m.csv", "loaded/measurements.csv"]:
+        shutil.copy(folder / "out/measurements.csv", folder / here)
+    for here in ["e.csv", "loaded/encoders.csv"]:
+        shutil.copy(BENDING / "encoders.csv", folder / here)
     return folder
 
 
@@ -39,4 +45,5 @@ def test_the_blocks_of_a_page_run(page, folder, monkeypatch):
 
 def test_pages_that_show_a_command_show_the_python_beside_it():
     expected = {"tutorial.md", "python.md", "discover.md", "command-from-c.md", "another-robot.md", "verdict.md", "real-robots.md"}
+    expected |= {"flexible-stem.md", "loads.md", "straight-picture.md", "choose-an-experiment.md", "logs.md"}
     assert expected <= {page.name for page in PAGES}

@@ -15,7 +15,7 @@ const SHOWN_AFTER: Duration = Duration::from_secs(2);
 /// How often a spinner turns. Convention: a display choice.
 const TICK: Duration = Duration::from_millis(150);
 
-/// The two switches that every command has.
+/// The switches that every command has.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Console {
     /// Print only errors and, with --json, the result
@@ -24,6 +24,10 @@ pub struct Console {
     /// Print the result as JSON on standard output instead of text
     #[arg(long, global = true)]
     json: bool,
+    /// Show on standard error what is done, stage by stage, with the time of each; -vv also shows single frames. The environment variable
+    /// SNAKELOOP_LOG=info or debug does the same
+    #[arg(short, long, global = true, action = clap::ArgAction::Count, conflicts_with = "quiet")]
+    verbose: u8,
     /// The program that called the command, where that was no shell.
     #[arg(skip)]
     caller: Option<Arc<Caller>>,
@@ -51,7 +55,7 @@ impl Caller {
 impl Console {
     /// For a command that a program calls.
     pub fn of_caller(caller: Arc<Caller>) -> Self {
-        Self { quiet: true, json: false, caller: Some(caller) }
+        Self { quiet: true, json: false, verbose: 0, caller: Some(caller) }
     }
 
     /// An error where the program that called the command ended it.
@@ -61,6 +65,17 @@ impl Console {
     pub fn require_wanted(&self) -> Result<()> {
         let ended = self.caller.as_ref().is_some_and(|caller| caller.ends.load(Ordering::Relaxed));
         if ended { Err(Error::Ended) } else { Ok(()) }
+    }
+
+    /// How often `-v` was given.
+    #[cfg(feature = "cli")]
+    pub fn verbosity(&self) -> u8 {
+        self.verbose
+    }
+
+    /// Whether progress is drawn: on a terminal, and not between the lines of `-v`.
+    fn is_drawn(&self) -> bool {
+        !self.quiet && self.verbose == 0 && std::io::stderr().is_terminal()
     }
 
     /// Prints a result: JSON where it was asked for, else text for people unless quiet.
@@ -106,8 +121,7 @@ impl Console {
 
     /// A progress bar over so many steps, or an unknown number; it shows only on a terminal, and not when quiet.
     pub fn progress(&self, steps: Option<usize>, doing: &'static str) -> ProgressBar {
-        let visible = !self.quiet && std::io::stderr().is_terminal();
-        let target = if visible { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        let target = if self.is_drawn() { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(steps.map(|steps| steps as u64), target).with_message(doing);
         let template = match steps {
             Some(_) => "{msg} {wide_bar} {pos}/{len}, {eta} left",
@@ -122,7 +136,7 @@ impl Console {
     /// Does what may take long in stages of which nobody knows the length; from [`SHOWN_AFTER`] on the stage's name is shown, as
     /// [`progress`](Self::progress) is.
     pub fn in_stages<T>(&self, work: impl FnOnce(&dyn Fn(&'static str)) -> T) -> T {
-        if self.quiet || !std::io::stderr().is_terminal() {
+        if !self.is_drawn() {
             return work(&|_| ());
         }
         let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());

@@ -17,13 +17,13 @@ use crate::estimate::gap::{Gap, gap};
 use crate::estimate::{Options, Verdict as GateVerdict, estimate};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, Experiment, OutputFolder, Provenance, measurements_csv, read_effects, read_measurements, read_model,
-    trajectory_csv, write_atomically, write_learned_model,
+    Checked, Experiment, OutputFolder, Provenance, mark_tables_stale, measurements_csv, read_effects,
+    read_measurements, read_model, trajectory_csv, write_atomically, write_learned_model,
 };
 use crate::report::discovery::{Page, lines};
 use crate::report::verdict::verdict_page;
 use crate::robot::{DataRange, Model};
-use crate::verdict::{Reason, Subject, Verdict};
+use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -64,11 +64,11 @@ pub struct Args {
     /// `simulate --trajectory` takes (index,time_s,theta_deg,delta_deg) with the q̃ to command (qc1_mm,qc2_mm,qc3_mm)
     #[arg(long)]
     next: bool,
-    /// The most poses of that experiment, 10 or more, which a search needs
+    /// Largest number of poses of that experiment; at least 10, the number that a search needs
     #[arg(long, value_name = "N", requires = "next")]
     poses: Option<usize>,
     /// If the verdict is `unexplained` or `partly`, propose a law: a short formula of bend, load, direction, play, speed and time that
-    /// takes more of the gap away on sweeps left out; it is added to model.toml as `proposed_law`
+    /// removes more of the gap on held-out sweeps; it is added to model.toml as `proposed_law`
     #[arg(long)]
     correction: bool,
 }
@@ -203,7 +203,8 @@ impl Args {
             next: next.as_ref(),
             made_from: &made_from,
         };
-        self.write_all(&json, &inputs.with_range(corrected.unwrap_or(&found.model)), &page.html(), &made_from)?;
+        let model = inputs.with_range(corrected.unwrap_or(&found.model));
+        self.write_all(&json, (&model, worth(found.verdict)), &page.html(), &made_from)?;
         Ok(json)
     }
 
@@ -234,12 +235,8 @@ impl Args {
         let verdict = Verdict::of(vec![mistake]);
         let json = nothing_named(&gap(model, measurements, readings), &verdict, remarks);
         let made_from = self.made_from()?;
-        self.write_all(
-            &json,
-            &inputs.with_range(model),
-            &verdict_page("snakeloop: discover", &verdict, &made_from),
-            &made_from,
-        )?;
+        let page = verdict_page("snakeloop: discover", &verdict, &made_from);
+        self.write_all(&json, (model, Some(verdict.clone())), &page, &made_from)?;
         console.warn(remarks);
         console.result(&json, || {
             format!("unexplained: no effect is named from these data\n{}", verdict.lines().join("\n"))
@@ -247,10 +244,20 @@ impl Args {
         Ok(())
     }
 
-    /// The three files that every answer has.
-    fn write_all(&self, json: &Value, model: &Model, page: &str, made_from: &Provenance) -> Result<()> {
+    /// The three files that every answer has: the model with what speaks against it, if something does.
+    fn write_all(
+        &self,
+        json: &Value,
+        (model, verdict): (&Model, Option<Verdict>),
+        page: &str,
+        made_from: &Provenance,
+    ) -> Result<()> {
         self.write("discrepancy.json", &format!("{json:#}\n"))?;
-        write_learned_model(&self.output.join("model.toml"), model, None, made_from)?;
+        write_learned_model(&self.output.join("model.toml"), model, verdict.as_ref(), made_from)?;
+        mark_tables_stale(
+            &self.output,
+            "`discover` has written model.toml beside it anew; `table` makes it of that model",
+        )?;
         self.write("report.html", page)
     }
 
@@ -352,8 +359,8 @@ impl Args {
             (None, Some(measurements), Some(encoders)) => {
                 let model = model_or_paper(console, self.model.as_deref())?;
                 let log = NamedLog::open(encoders)?;
-                let readings = log.readings(console, &model)?;
                 let measurements = rows(console, read_measurements(measurements)?);
+                let readings = log.readings(console, &model, &measurements)?;
                 Ok(Inputs::new(model, measurements, readings, log.experiment.as_ref()))
             }
             _ => Err(Failure::Usage("give an experiment, or --measurements and --encoders".to_owned())),
@@ -363,6 +370,17 @@ impl Args {
     fn write(&self, name: &str, text: &str) -> Result<()> {
         write_atomically(&self.output.join(name), text.as_bytes())
     }
+}
+
+/// What speaks against a model that leaves more than noise.
+fn worth(found: Found) -> Option<Verdict> {
+    let left = match found {
+        Found::Named | Found::None => return None,
+        Found::Partly => "the effects in this model explain a part of the gap, and more than noise is left",
+        Found::Unexplained => "no effect explains the gap that this model leaves",
+    };
+    let remedy = "`discover --next` proposes the experiment that would tell more";
+    Some(Verdict::of(vec![Reason::new(Code::GapAboveNoise, Level::Look, left, remedy)]))
 }
 
 /// The gap without the outliers, in words; empty without outliers.

@@ -8,7 +8,9 @@ use crate::cli::failure::Failure;
 use crate::estimate::{EstimateRow, Verdict as RowVerdict, estimate, estimate_stem, or_one_gain};
 use crate::observation::{EncoderReading, Measurement, commonest_status};
 use crate::quantity::with_sd;
-use crate::record::{OutputFolder, Provenance, estimates_csv, stems_csv, write_atomically, write_learned_model};
+use crate::record::{
+    OutputFolder, Provenance, estimates_csv, mark_tables_stale, stems_csv, write_atomically, write_learned_model,
+};
 use crate::robot::{Effect, Estimate, ForceLimits, Model};
 use crate::verdict::{Code, JudgedEstimate, Level, Reason, Verdict};
 use crate::{Error, Result};
@@ -37,12 +39,12 @@ pub struct Args {
     /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
-    /// The robot was commanded by a table with these force limits (`table --force-limits`): the force that the backbones share then moves what
-    /// all encoders read alike, and is taken off before λ is learned
+    /// Force limits of the table that commanded the robot (`table --force-limits`): the force that its backbones share changes all readings
+    /// alike, and is subtracted before λ is learned
     #[arg(long, value_name = "PULL,PUSH", value_delimiter = ',', allow_hyphen_values = true, conflicts_with = "stem")]
     force_limits: Option<Vec<f64>>,
     /// Follow the total bending angle of a flexible stem instead, with η and λ of --model known: writes OUT/stem.csv, and
-    /// OUT/model.toml with the stem as it was at the end
+    /// OUT/model.toml with the stem's last angle
     #[arg(long, requires = "model", conflicts_with_all = ["flat_sigma", "gate"])]
     stem: bool,
     #[command(flatten)]
@@ -118,7 +120,7 @@ impl Args {
         let log = NamedLog::open(&self.encoders)?;
         let _out = OutputFolder::claim(&self.output, &OUTPUTS, &self.files(&log))?;
         let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
-        let model = with_effects(model, &self.effect)?;
+        let model = with_effects(console, model, &self.effect)?;
         let (measurements, encoders) = measurements_and_readings(console, &model, &self.measurements, Some(&log))?;
         if self.stem {
             let made_from = self.made_from(&log)?;
@@ -145,6 +147,7 @@ impl Args {
         let verdict = do_not_use.as_deref().map(bad_start).into_iter().fold(verdict, Verdict::and);
         if model.estimate.is_some() {
             write_learned_model(&self.output.join("model.toml"), &model, Some(&verdict), &self.made_from(&log)?)?;
+            mark_tables_stale(&self.output, OTHER_MODEL)?;
         }
         // The rows stand beside the model that they led to, and not beside an earlier one.
         if model.estimate.is_some() || !self.output.join("model.toml").exists() {
@@ -154,7 +157,7 @@ impl Args {
         let summary = Summary { verdict, estimated };
         console.result(&summary, || verdict_text(&summary.verdict) + &summary.estimated.text());
         console.next(match summary.verdict.level {
-            Level::DoNotUse => "do what stands below the first reason, then estimate again".to_owned(),
+            Level::DoNotUse => "follow the remedy of the first reason, then estimate again".to_owned(),
             _ if summary.verdict.has(Code::GapAboveNoise) => {
                 "snakeloop discover with the same files says what the model lacks".to_owned()
             }
@@ -202,6 +205,7 @@ impl Args {
         let path = self.output.join("model.toml");
         let verdict = do_not_use.map(|why| Verdict::of(vec![bad_start(why)]));
         write_learned_model(&path, &model, verdict.as_ref(), &made_from)?;
+        mark_tables_stale(&self.output, OTHER_MODEL)?;
         let followed = Followed {
             phi_deg: last.phi.to_degrees(),
             sd_phi_deg: last.sd_phi.to_degrees(),
@@ -220,6 +224,9 @@ impl Args {
         Ok(())
     }
 }
+
+/// Why tables of an earlier call in the same folder are stale.
+const OTHER_MODEL: &str = "`estimate` has learned model.toml beside it anew; `table` makes it of that model";
 
 /// The reason that a start with a model that must not be used makes.
 fn bad_start(why: &str) -> Reason {

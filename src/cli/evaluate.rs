@@ -16,9 +16,9 @@ use std::path::PathBuf;
 
 /// Show how well a model explains measurements, or how close measurements are to a known truth
 ///
-/// The model's gap is the rms of what it leaves of ε over all backbones (mm), beside what the measurements' own noise
-/// would leave, and the rms of measured θ and δ less those that it predicts from the encoders (degrees). δ counts where
-/// the bend is 15° or more.
+/// The model's gap is the rms difference between measured and predicted ε over all backbones (mm), and between the measured θ and δ and
+/// those predicted from the encoders (degrees). The rms that the measurements' noise alone would give stands beside it. δ counts if the
+/// bend is 15° or more.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop evaluate --model out/model.toml --measurements out/measurements.csv \
                   --encoders fixtures/bending/encoders.csv --json")]

@@ -18,7 +18,7 @@ pub struct Args {
     /// The folder that `run`, `measure` or `live` wrote to
     #[arg(value_name = "DIR")]
     folder: PathBuf,
-    /// The experiment that the run is of: adds its encoder log, and its frames where they are PNG or JPEG files
+    /// The experiment of the run: adds its encoder log, and its frames if they are PNG or JPEG files
     #[arg(long)]
     experiment: Option<PathBuf>,
     /// The file to write

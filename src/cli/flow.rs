@@ -17,6 +17,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError, mpsc};
 use std::time::{Duration, Instant};
+use tracing::{debug, info, info_span};
 
 /// How long measuring took, and what for.
 #[derive(Debug, Clone, Copy, Serialize)]
@@ -82,6 +83,7 @@ impl Flow<'_> {
         draw: impl Fn(&MeasuredFrames) -> Result<()> + Sync,
         mut each: impl FnMut(Measurement) -> Result<()>,
     ) -> Result<Flowed> {
+        let _stage = info_span!("measure").entered();
         let (clocks, unreadable) = (Clocks::default(), Unreadable::default());
         let start = Instant::now();
         let expected = self.count()?;
@@ -113,10 +115,13 @@ impl Flow<'_> {
             console.require_wanted()?;
             measured += frames;
             bar.inc(1);
+            let theta_deg = measurement.measured.map(|measured| measured.configuration.theta_deg());
+            debug!(index = measurement.index, status = %measurement.status, theta_deg, "measured");
             each(measurement)
         })?;
         bar.finish_and_clear();
         console.warn(unreadable.told());
+        info!(frames = measured, of = count, "measured");
         Ok(Flowed { count, throughput: clocks.throughput(measured, start.elapsed()) })
     }
 

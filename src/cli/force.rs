@@ -1,18 +1,18 @@
 //! `force`: the tip force that explains measured deflections.
 
 use super::console::Console;
-use super::inputs::{NamedLog, measurements_and_readings};
+use super::inputs::{NamedLog, measurements_and_readings, model_that_may_be_used};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::estimate::{Options, tip_force};
 use crate::quantity::with_sd;
-use crate::record::{forces_csv, read_model, write_atomically};
+use crate::record::{forces_csv, write_atomically};
 use serde::Serialize;
 use std::path::PathBuf;
 
 /// Find the force on the tip that explains measured deflections: writes OUT/force.csv
 ///
-/// Each measurement alone shows two of three directions, and names the one that it cannot show. The printed force explains all
+/// A single measurement shows two of three directions of the force, and force.csv has the one that it cannot show. The printed force explains all
 /// measurements together.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop force --model out/model.toml --measurements loaded/measurements.csv \
@@ -47,7 +47,7 @@ struct Found {
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
-        let model = read_model(&self.model)?;
+        let model = model_that_may_be_used(&self.model)?;
         let (measurements, readings) =
             measurements_and_readings(console, &model, &self.measurements, Some(&NamedLog::open(&self.encoders)?))?;
         let (rows, force) = tip_force(&model, self.encoder_sd, &measurements, &readings)?;

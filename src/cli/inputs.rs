@@ -7,11 +7,11 @@ use crate::cli::failure::Failure;
 use crate::estimate::with_sigmas;
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, EncoderLog, Experiment, Matched, do_not_use_mark, read_encoders, read_encoders_kept, read_joints,
-    read_log, read_measurements, read_model, stale_mark,
+    Checked, EncoderLog, Experiment, Matched, do_not_use_mark, read_encoders_kept, read_joints, read_log,
+    read_measurements, read_model, stale_mark, verdict_mark,
 };
 use crate::robot::{Effect, ForceLimits, Model};
-use crate::verdict::Subject;
+use crate::verdict::{Level, Subject};
 use crate::{Error, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -23,8 +23,11 @@ const PICTURE_EXTENSIONS: [&str; 6] = ["bmp", "jpg", "jpeg", "png", "tif", "tiff
 pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
     match path {
         Some(path) => {
-            let stale = stale_mark(path).map(|why| format!("{}: this model is marked as stale: {why}", path.display()));
-            console.warn(stale);
+            let named = |what: &str, why: String| format!("{}: this model {what}: {why}", path.display());
+            console.warn(stale_mark(path).map(|why| named("is marked as stale", why)));
+            let amber = verdict_mark(path).filter(|(level, _)| *level == Level::Look.to_string());
+            console
+                .warn(amber.and_then(|(_, worst)| worst).map(|why| named("is to be looked at before it is used", why)));
             read_model(path)
         }
         None => {
@@ -37,7 +40,7 @@ pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
 /// What a command that predicts does with a model that must not be used.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct WorthArgs {
-    /// Take a model that must not be used all the same (its verdict is "do not use", or no robot has its η or λ); all that is written is
+    /// Use the model even if it must not be used (its verdict is "do not use", or no robot has its η or λ); everything that is written is
     /// marked
     #[arg(long)]
     even_if_bad: bool,
@@ -73,9 +76,14 @@ pub fn force_limits(numbers: Option<&[f64]>) -> Result<Option<ForceLimits>, Fail
 }
 
 /// A model with further effects, as they are given on the command line.
-pub fn with_effects(mut model: Model, effects: &[Effect]) -> Result<Model, Failure> {
+pub fn with_effects(console: &Console, mut model: Model, effects: &[Effect]) -> Result<Model, Failure> {
     let backbones = model.robot.backbone_count();
     for effect in effects {
+        let name = effect.physics.name;
+        let is_there = model.effects.iter().any(|known| known.physics.name == name);
+        console.warn(is_there.then(|| {
+            format!("--effect {name}: the model has this effect already; both count, one on top of the other")
+        }));
         let (given, expected) = (effect.parameters(), effect.physics.parameters_on(backbones));
         if given != expected {
             return Err(Failure::Usage(format!(
@@ -129,12 +137,19 @@ impl NamedLog {
         }
     }
 
-    /// The readings, of the model's robot.
-    pub fn readings(&self, console: &Console, model: &Model) -> Result<Vec<EncoderReading>> {
+    /// The readings, of the model's robot, that belong to these measurements; of a large log no others are kept.
+    pub fn readings(
+        &self,
+        console: &Console,
+        model: &Model,
+        measurements: &[Measurement],
+    ) -> Result<Vec<EncoderReading>> {
         if let Some(experiment) = &self.experiment {
             return Ok(rows(console, encoders_of(experiment, model)?));
         }
-        let readings = rows(console, read_encoders(&self.path, model.robot.backbone_count())?);
+        let near = Near::of(&self.path, || Some(measurements.iter().map(|measurement| measurement.index).collect()));
+        let readings = read_encoders_kept(&self.path, model.robot.backbone_count(), |index| near.has(index))?;
+        let readings = rows(console, readings);
         require_neighbours(&self.path, model, &readings)?;
         Ok(readings)
     }
@@ -157,6 +172,17 @@ fn require_neighbours(path: &Path, model: &Model, log: &[EncoderReading]) -> Res
     lacking.map_or(Ok(()), |message| Err(Error::content(path, message)))
 }
 
+/// Warns of a model whose answers nothing bounds: nothing was learned, or it is not known on which bends.
+pub fn tell_of_learning(console: &Console, model: &Model) {
+    console.warn(match (&model.estimate, &model.learned) {
+        (None, _) => Some("nothing was learned yet: the answer is the naive model's (η = 1, λ = 0)"),
+        (Some(_), None) => Some(
+            "the model has no [learned], which says on which bends it was learned: nothing is marked as extrapolated",
+        ),
+        (Some(_), Some(_)) => None,
+    });
+}
+
 /// Says that what is answered for single poses holds while the neighbouring sections are at rest, where the model has a coupling with them.
 pub fn tell_of_neighbours(console: &Console, model: &Model) {
     if let Some(words) = model.resting_neighbours() {
@@ -173,7 +199,7 @@ pub fn measurements_and_readings(
 ) -> Result<(Vec<Measurement>, Vec<EncoderReading>)> {
     let measurements = rows(console, read_measurements(measurements)?);
     let readings = match encoders {
-        Some(log) => log.readings(console, model)?,
+        Some(log) => log.readings(console, model, &measurements)?,
         None => Vec::new(),
     };
     let (measurements, remark) = with_sigmas(&measurements, &readings);
@@ -190,7 +216,8 @@ pub fn model_that_may_be_used(path: &Path) -> Result<Model> {
     match must_not_be_used(path, &model) {
         None => Ok(model),
         Some(why) => {
-            let remedy = "take `model` (or --model) out to learn from the start, or name one that can be used";
+            let remedy =
+                "name one that can be used; where it is only a start to learn from, take `model` (or --model) out";
             Err(Error::content(path, format!("this model must not be used: {why}; {remedy}")))
         }
     }
@@ -204,6 +231,11 @@ pub fn model_of(experiment: &Experiment) -> Result<Model> {
     let mut model = experiment.model.as_deref().map_or_else(|| Ok(Model::default()), model_that_may_be_used)?;
     if let Some(path) = &experiment.robot {
         let Model { robot, friction, .. } = read_model(path)?;
+        let (of_model, of_robot) = (model.robot.backbone_count(), robot.backbone_count());
+        if experiment.model.is_some() && of_model != of_robot {
+            let message = format!("`model` is of a robot of {of_model} backbones, and `robot` has {of_robot}");
+            return Err(Error::content(&experiment.path, message));
+        }
         model.robot = robot;
         if experiment.model.is_none() {
             model.friction = friction;
@@ -231,9 +263,10 @@ pub fn encoders_of(experiment: &Experiment, model: &Model) -> Result<Checked<Enc
     let wiring = experiment.wiring(backbones)?;
     match &experiment.encoders {
         Some(EncoderLog::File(path)) => {
+            let near = Near::of(path, || frame_indices(experiment));
             let Checked { rows, warnings } = match &experiment.log {
-                Some(keys) => read_log(path, backbones, keys, || experiment.stamps_s())?,
-                None => readings_near_frames(path, backbones, experiment)?,
+                Some(keys) => read_log(path, backbones, keys, || experiment.stamps_s(), |index| near.has(index))?,
+                None => read_encoders_kept(path, backbones, |index| near.has(index))?,
             };
             require_neighbours(path, model, &rows)?;
             let wired = wiring.readings(&rows);
@@ -262,15 +295,19 @@ const LARGE_LOG_BYTES: u64 = 32 << 20;
 /// How far from a frame's index rows of a large log are kept. Derived: a multiple of the few rows that the check of the wiring looks at.
 const KEPT_AROUND: u64 = 64;
 
-/// The readings in an experiment's log; of a large one those near its frames, so that memory does not grow with the rest.
-fn readings_near_frames(path: &Path, backbones: usize, experiment: &Experiment) -> Result<Checked<EncoderReading>> {
-    let is_large = std::fs::metadata(path).is_ok_and(|file| file.len() > LARGE_LOG_BYTES);
-    match is_large.then(|| frame_indices(experiment)).flatten() {
-        None => read_encoders(path, backbones),
-        Some(indices) => read_encoders_kept(path, backbones, |index| {
-            let (from, to) = (index.saturating_sub(KEPT_AROUND), index.saturating_add(KEPT_AROUND));
-            indices.range(from..=to).next().is_some()
-        }),
+/// Which rows of a log are kept: of a large one those near frames, so that memory does not grow with the rest.
+struct Near(Option<BTreeSet<u64>>);
+
+impl Near {
+    /// Of a log, near the frames of these indices; all of its rows if it is not large, or the indices are not known.
+    fn of(log: &Path, indices: impl FnOnce() -> Option<BTreeSet<u64>>) -> Self {
+        let is_large = std::fs::metadata(log).is_ok_and(|file| file.len() > LARGE_LOG_BYTES);
+        Self(is_large.then(indices).flatten())
+    }
+
+    fn has(&self, index: u64) -> bool {
+        let (from, to) = (index.saturating_sub(KEPT_AROUND), index.saturating_add(KEPT_AROUND));
+        self.0.as_ref().is_none_or(|indices| indices.range(from..=to).next().is_some())
     }
 }
 

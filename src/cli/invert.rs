@@ -1,10 +1,11 @@
 //! `invert`: the compensation for one pose, either way round.
 
 use super::console::Console;
-use super::inputs::{WorthArgs, tell_of_neighbours, with_effects};
+use super::inputs::{WorthArgs, tell_of_learning, tell_of_neighbours, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::quantity::{decimal, with_sd};
+use crate::record::stale_mark;
 use crate::robot::{Effect, MAX_THETA, Model, PerBackbone, TableRow};
 use nalgebra::Vector2;
 use serde_json::{Map, Value};
@@ -52,6 +53,8 @@ struct Pose {
     extrapolated: bool,
     /// Why the answer must not be used.
     do_not_use: Option<String>,
+    /// Why the model is stale.
+    stale: Option<String>,
 }
 
 /// What the uncertainty of η and λ does to the answer; nothing is known of it where nothing was estimated.
@@ -65,8 +68,11 @@ enum Sd {
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
-        let model = with_effects(model, &self.effect)?;
+        let model = with_effects(console, model, &self.effect)?;
         tell_of_neighbours(console, &model);
+        if self.model.is_some() {
+            tell_of_learning(console, &model);
+        }
         let pose = match (&self.qc_mm, self.theta_deg, self.delta_deg) {
             (Some(qc_mm), _, _) => {
                 let backbones = model.robot.backbone_count();
@@ -85,7 +91,8 @@ impl Args {
             }
             _ => return Err(Failure::Usage("give --theta-deg and --delta-deg, or --qc-mm".to_owned())),
         };
-        let pose = Pose { do_not_use, ..pose };
+        let stale = self.model.as_deref().and_then(stale_mark);
+        let pose = Pose { do_not_use, stale, ..pose };
         console.result(&pose.json(), || pose.text());
         Ok(())
     }
@@ -114,6 +121,7 @@ impl Pose {
             sd: model.estimate.map(|_| Sd::CommandMm(row.sd_command_mm)),
             extrapolated: row.extrapolated,
             do_not_use: None,
+            stale: None,
         })
     }
 
@@ -130,6 +138,7 @@ impl Pose {
             sd,
             extrapolated: model.learned.is_some_and(|range| !range.covers(psi)),
             do_not_use: None,
+            stale: None,
         })
     }
 
@@ -151,7 +160,8 @@ impl Pose {
         let rounded = |value: f64| Value::from((value * 1e9).round() / 1e9);
         let mut json: Map<_, _> = fields.into_iter().map(|(name, value)| (name, rounded(value))).collect();
         json.insert("extrapolated".to_owned(), u8::from(self.extrapolated).into());
-        json.extend(self.do_not_use.clone().map(|why| ("do_not_use".to_owned(), why.into())));
+        let marks = [("do_not_use", &self.do_not_use), ("stale", &self.stale)];
+        json.extend(marks.into_iter().filter_map(|(name, why)| Some((name.to_owned(), why.clone()?.into()))));
         json
     }
 

@@ -1,5 +1,6 @@
 //! `live`: the loop while the robot moves.
 
+use super::checksum::Checksum;
 use super::console::Console;
 use super::estimator::EstimatorArgs;
 use super::inputs::{encoders_of, files_read, maker, model_of, model_that_may_be_used, rows};
@@ -9,6 +10,7 @@ use super::views::rig_of;
 use crate::camera::{CaptureSettings, CaptureTarget, FourCc, FrameSource, Lens};
 use crate::cli::failure::Failure;
 use crate::error::ArgumentError;
+use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::live::ros2::{Node, Sink};
 use crate::live::server::{AppState, Server};
 use crate::live::{
@@ -60,7 +62,7 @@ pub struct Args {
     /// Frames per second to ask the camera for, or to play pictures or a video at [default: 30 for pictures, a video's own]
     #[arg(long, visible_alias = "fps", value_name = "FPS", value_parser = positive)]
     rate: Option<f64>,
-    /// How the camera is to pack its pictures, four letters such as MJPG; many reach their full rate only with it
+    /// How the camera packs its pictures, four letters such as MJPG; many cameras reach their full rate only with MJPG
     #[arg(long, value_name = "FOURCC")]
     fourcc: Option<FourCc>,
     /// Exposure to ask the camera for, in its own unit; switches automatic exposure off
@@ -70,7 +72,7 @@ pub struct Args {
     #[arg(long, value_name = "VALUE")]
     focus: Option<f64>,
     /// Encoder readings, one a line (time_s,q1_mm,q2_mm,q3_mm, or JSON; [log] of the experiment gives other names and units): - (standard
-    /// input), tcp://HOST:PORT, unix:PATH, or a file that grows. Without it the experiment's own log, matched by index, where frames come from files
+    /// input), tcp://HOST:PORT, unix:PATH, or a file that grows. Without it the experiment's own log, matched by index, if the frames come from files
     #[arg(long, value_name = "FROM")]
     encoders: Option<EncoderSource>,
     /// Seconds to add to the encoders' times to get those of the frames; estimated by default
@@ -97,8 +99,8 @@ pub struct Args {
     /// Continue the run in OUT, with all its measurements
     #[arg(long)]
     resume: bool,
-    /// Follow the total bending angle of a flexible stem instead, with η and λ of the model known: its angle and sigma with every
-    /// measurement, a table for the stem as it is, and at the end OUT/stem.csv
+    /// Follow the total bending angle of a flexible stem instead, with η and λ of the model known: shows its angle and sigma with every
+    /// measurement, writes a table for the current angle, and at the end OUT/stem.csv
     #[arg(long, conflicts_with_all = ["flat_sigma", "gate"])]
     stem: bool,
     #[command(flatten)]
@@ -257,7 +259,8 @@ impl Args {
         let inputs = files_read(experiment, &[self.model.as_ref(), lines, source.as_ref()]);
         let mut out = OutputFolder::claim(&self.output, &OUTPUTS, &inputs)?;
         let view = self.chosen_view(experiment)?;
-        out.made_by(&format!("{}, view {}", maker("live", experiment), view.name), &OUTPUTS)?;
+        let maker = format!("{}, view {}, of {}", maker("live", experiment), view.name, settings_of(experiment, view)?);
+        out.made_by(&maker, &OUTPUTS)?;
         Ok(out)
     }
 
@@ -402,6 +405,24 @@ impl Args {
         eye.prepare();
         Ok(View { name: view.name.clone(), lens, robot: robot.clone(), rig_options, eye })
     }
+}
+
+/// The files by which measurements and readings are made, each with its checksum: what is written by others does not go on with them.
+fn settings_of(experiment: &Experiment, view: &record::View) -> Result<String> {
+    let rig = match &view.rig {
+        RigSource::File(path) | RigSource::Straight { picture: path, .. } => path.as_path(),
+    };
+    let camera = match &view.camera {
+        CameraSource::File(path) => Some(path.as_path()),
+        CameraSource::Topic(_) | CameraSource::Numbers(_) | CameraSource::Untold => None,
+    };
+    let files = [Some(experiment.path.as_path()), experiment.robot.as_deref(), camera, Some(rig)];
+    let named = files.into_iter().flatten().map(|path| {
+        let mut checksum = Checksum::default();
+        checksum.add(&read_bytes(path, PICTURE_BYTES)?);
+        Ok(format!("{} {checksum}", path.file_name().unwrap_or_default().display()))
+    });
+    Ok(named.collect::<Result<Vec<_>>>()?.join(", "))
 }
 
 /// An address without the name and password that it may carry.

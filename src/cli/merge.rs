@@ -46,14 +46,14 @@ impl Args {
             let message = format!("{} is a shard; write to another folder", self.output.display());
             return Err(Failure::Usage(message));
         }
-        let origin = self.origin()?;
+        let (origin, rows_of) = self.origin()?;
         let experiment = Experiment::read(&origin.experiment)?;
         origin.check(&experiment)?;
         let of_shards = self.shards.iter().map(|shard| shard.join("measurements.csv"));
         let inputs = files_read(&experiment, &[]).into_iter().chain(of_shards).collect::<Vec<_>>();
         let mut out = OutputFolder::claim(&self.output, &OUTPUTS, &inputs)?;
         out.made_by(&maker("run", &experiment), &OUTPUTS)?;
-        self.join_rows()?;
+        self.join_rows(&rows_of)?;
         let Some(settings) = origin.run else {
             let summary = Summary::of(&self.output, None)?;
             summary.tell(console, &experiment);
@@ -68,11 +68,11 @@ impl Args {
         self.verdict.check(&summary.verdict)
     }
 
-    /// What all shards are made from.
+    /// What all shards are made from, and how many rows each has.
     ///
     /// # Errors
     /// A shard that is not done, is missing, is there twice, or is of another run.
-    fn origin(&self) -> Result<Origin, Failure> {
+    fn origin(&self) -> Result<(Origin, Vec<usize>), Failure> {
         let shards = self.shards.iter().map(|folder| finished(folder)).collect::<Result<Vec<_>>>()?;
         let Some((first, done)) = shards.first() else {
             return Err(Failure::Usage("give the shards' folders".to_owned()));
@@ -103,11 +103,14 @@ impl Args {
             let message = format!("the shards have {rows} rows together, expected {}; measure them again", done.of);
             return Err(Error::content(&self.shards[0].join(SHARD), message).into());
         }
-        Ok(first.clone())
+        Ok((first.clone(), shards.iter().map(|(_, done)| done.rows).collect()))
     }
 
-    /// Writes measurements.csv from those of the shards, in order of the index.
-    fn join_rows(&self) -> Result<()> {
+    /// Writes measurements.csv from those of the shards, which have so many rows, in order of the index.
+    ///
+    /// # Errors
+    /// A shard with another number of rows than it was measured with; a file that cannot be read or written.
+    fn join_rows(&self, rows_of: &[usize]) -> Result<()> {
         let open = |folder: &PathBuf| Ok(MeasurementRows::open(&folder.join("measurements.csv"))?.peekable());
         let mut shards: Vec<Peekable<MeasurementRows>> = self.shards.iter().map(open).collect::<Result<_>>()?;
         let path = self.output.join("measurements.csv");
@@ -119,11 +122,21 @@ impl Args {
             None => u64::MAX,
             Some(row) => row.as_ref().map_or(0, |row| row.index),
         };
+        let mut joined = vec![0; shards.len()];
         loop {
             let places: Vec<u64> = shards.iter_mut().map(place).collect();
             let first = (0..shards.len()).min_by_key(|&shard| places[shard]);
-            let Some(row) = first.and_then(|first| shards[first].next()) else { break };
+            let Some((first, row)) = first.and_then(|first| Some((first, shards[first].next()?))) else { break };
+            joined[first] += 1;
             write(measurement_line(&row?))?;
+        }
+        for ((folder, found), expected) in self.shards.iter().zip(joined).zip(rows_of) {
+            if found != *expected {
+                let message = format!(
+                    "{found} rows, expected {expected}: the file was cut short or changed; copy or measure the shard again"
+                );
+                return Err(Error::content(&folder.join("measurements.csv"), message));
+            }
         }
         file.commit()
     }

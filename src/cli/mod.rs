@@ -21,6 +21,8 @@ mod inputs;
 mod invert;
 #[cfg(feature = "cli")]
 mod live;
+#[cfg(feature = "cli")]
+mod log;
 mod measure;
 mod measuring;
 mod merge;
@@ -121,10 +123,21 @@ impl Command {
     }
 }
 
+/// Shows what happens from here on, if it was asked for.
+fn begin(console: &Console) -> Result<(), Failure> {
+    #[cfg(feature = "cli")]
+    log::start(console.verbosity())?;
+    // Without the program nobody listens, and the library's `main` is not called.
+    #[cfg(not(feature = "cli"))]
+    let _ = console;
+    tracing::info!(version = env!("SNAKELOOP_VERSION"), "begins");
+    Ok(())
+}
+
 /// Parses the arguments, runs the command, prints errors, gives the exit code.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    let ended = cli.command.run(&cli.console).and_then(|()| match console::lost() {
+    let ended = begin(&cli.console).and_then(|()| cli.command.run(&cli.console)).and_then(|()| match console::lost() {
         None => Ok(()),
         Some(message) => {
             let what = "standard output: the result was not written".into();

@@ -15,8 +15,8 @@ const ROBOT: &str = include_str!("../../calib/robot.toml");
 
 /// Make a folder for an experiment: a commented experiment.toml, a robot.toml, and a README that says what goes where
 ///
-/// What stands in the folder already is named as it is (frames/*.jpg or *.png, straight.*, camera.*) and never replaced. On a terminal,
-/// what no flag tells is asked.
+/// Files that are already in the folder (frames/*.jpg or *.png, straight.*, camera.*) are kept, and experiment.toml names them. On a
+/// terminal the command asks for values that no option gives.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop new lab --grid-pitch 1 --standoff 25")]
 pub struct Args {

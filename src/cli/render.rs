@@ -20,7 +20,7 @@ pub struct Args {
     /// The poses (truth.csv)
     #[arg(long, value_name = "CSV")]
     poses: PathBuf,
-    /// Whose robot is drawn (model.toml); without it the scene's, or the paper's
+    /// The model whose robot is drawn (model.toml); without it the scene's, or the paper's
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
     /// Camera, grid target, light and faults of the picture (scene.toml); by default a clean picture

@@ -9,10 +9,10 @@ use crate::reproduce::{Comparison, reproduce};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Compute the paper's tables and figures anew and set them beside what it prints: writes OUT/report.html and CSV files
+/// Compute the paper's tables and figures anew, beside the printed ones: writes OUT/report.html and CSV files
 ///
 /// Table II, Eq. 14, Fig. 8, 9, 10, 11, Table III and Eq. 26, each with the paper's figure, this program's, and why they differ.
-/// Where the paper measured its robot, a simulated one with the paper's η and λ stands in.
+/// Where the paper measured its robot, a simulated robot with the paper's η and λ is used.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop reproduce -o reproduced")]
 pub struct Args {

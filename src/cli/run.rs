@@ -33,6 +33,7 @@ use std::ffi::OsString;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use tracing::{info, info_span};
 
 /// Do the main job: measure every frame, update η and λ, write the compensation table and a report
 ///
@@ -225,6 +226,7 @@ pub fn finish(
     let doubts =
         reasons_of_files(experiment, warnings)?.into_iter().chain(doubt_of_times(rows()?, encoders, Some(experiment))?);
     let verdict = beside_former(output, doubts.chain(sheets).fold(verdict, Verdict::and))?;
+    info!(used = estimated.used, rejected = estimated.rejected, skipped = estimated.skipped, verdict = %verdict.level, "judged");
     let made_from = provenance(experiment, settings, output)?;
     let table = written_table(output, &model, &verdict, &made_from)?;
     // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
@@ -246,6 +248,7 @@ pub fn finish(
     };
     let page = page(experiment, &summary, encoders, &history, (settings, warnings, &made_from))?;
     write_atomically(&output.join("report.html"), page.as_bytes())?;
+    info!(output = %output.display(), "written");
     Ok(summary)
 }
 
@@ -267,6 +270,7 @@ fn learn(
     rows: impl Fn() -> Result<MeasurementRows>,
     output: &Path,
 ) -> Result<Learned> {
+    let _stage = info_span!("learn").entered();
     let mut history = RunHistory::new(frames);
     let mut verdicts = Verdicts::default();
     let path = output.join("estimate.csv");
@@ -437,7 +441,7 @@ impl Summary {
     fn next(&self, experiment: &Experiment) -> String {
         let out = self.output.display();
         match self.verdict.level {
-            Level::DoNotUse => "do what stands below the first reason, then run again".to_owned(),
+            Level::DoNotUse => "follow the remedy of the first reason, then run again".to_owned(),
             _ if self.verdict.has(Code::GapAboveNoise) => {
                 format!("snakeloop discover {} -o found says what the model lacks", experiment.folder().display())
             }

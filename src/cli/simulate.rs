@@ -21,23 +21,24 @@ use std::path::PathBuf;
 
 /// Simulate a bending experiment: writes OUT/encoders.csv and OUT/truth.csv
 ///
-/// With --closed-loop the whole loop is played instead. The snake is bent up and down at each δ of the sweeps, then led once round at a fixed θ. It obeys the model, whose η
-/// and λ an estimator is to find again. Or it is led along a trajectory of your own, such as `discover --next` writes.
+/// The snake bends up and down at each δ of the sweeps, then moves once round at a fixed θ; or it follows your own trajectory, such as the
+/// one that `discover --next` writes. It obeys the model, whose η and λ `estimate` should find again. With --closed-loop the whole loop is
+/// simulated instead: controller, camera and robot.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  snakeloop simulate --model hidden.toml --observe -o simulated")]
 pub struct Args {
-    /// What the snake obeys (model.toml); without it the paper's, with Table I. With --closed-loop a model without η and λ gets the
+    /// The model that the snake obeys (model.toml); without it the paper's, with Table I. With --closed-loop a model without η and λ gets the
     /// paper's, 1.221 and 0.1765 mm, which are hidden from the controller
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
-    /// An effect that the snake obeys besides, such as load_directed_backlash:play_mm=0.08; may be repeated
+    /// An effect that the snake obeys in addition, such as load_directed_backlash:play_mm=0.08; may be repeated
     #[arg(long, value_name = "NAME:PARAMETER=VALUE,...", value_parser = Effect::parse)]
     effect: Vec<Effect>,
     /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
-    /// Poses and times to lead it along instead (index,time_s,theta_deg,delta_deg); n1_q1_mm and so on are what a neighbouring section's
-    /// encoders read meanwhile
+    /// Poses and times to follow instead (index,time_s,theta_deg,delta_deg); n1_q1_mm and so on are the encoder readings of a neighbouring
+    /// section
     #[arg(long, value_name = "CSV", conflicts_with_all =
         ["sweeps", "sweep_theta", "sweep_poses", "round_theta", "round_poses", "jitter"])]
     trajectory: Option<PathBuf>,
@@ -65,8 +66,8 @@ pub struct Args {
     /// Also write what a camera with typical noise would measure, to OUT/measurements.csv
     #[arg(long)]
     observe: bool,
-    /// Play controller and robot: command the poses through the table of what was learned so far, render and measure where the
-    /// snake went, and learn from it. Writes OUT/closed_loop.csv, closed_loop.svg, model.toml and the table instead. λ moves no bend,
+    /// Simulate controller and robot: command the poses through the table learned so far, render and measure the bend that the snake
+    /// reached, and learn from it. Writes OUT/closed_loop.csv, closed_loop.svg, model.toml and the table instead. λ changes no bend,
     /// so that a closed loop cannot learn it: its σ in model.toml says so
     #[arg(long, conflicts_with = "observe")]
     closed_loop: bool,
@@ -124,7 +125,7 @@ impl Args {
             None => self.bending_experiment()?,
         };
         let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
-        let mut model = with_effects(model, &self.effect)?;
+        let mut model = with_effects(console, model, &self.effect)?;
         if self.closed_loop || trajectory.iter().any(|waypoint| waypoint.neighbours.count() < model.neighbours()) {
             tell_of_neighbours(console, &model);
         }
@@ -183,7 +184,7 @@ impl Args {
         }
         let model_path = self.output.join("model.toml");
         write_model(&model_path, &model)?;
-        let worth = Worth { verdict: None, do_not_use: do_not_use.as_deref() };
+        let worth = Worth { do_not_use: do_not_use.as_deref(), ..Worth::default() };
         write_compensation(&self.output, &model, &model_path.display().to_string(), worth)?;
         let summary = Closed {
             frames: cycles.len(),

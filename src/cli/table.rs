@@ -1,10 +1,10 @@
 //! `table`: the compensation table on any grid.
 
 use super::console::Console;
-use super::inputs::{WorthArgs, force_limits, tell_of_neighbours, with_effects};
+use super::inputs::{WorthArgs, force_limits, tell_of_learning, tell_of_neighbours, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
-use crate::record::{OutputFolder, Worth, compensation_c_header, write_atomically, write_compensation_rows};
+use crate::record::{OutputFolder, Worth, stale_mark, write_compensation_rows};
 use crate::robot::{Effect, Grid, GridAxis, Model, TableRow, compensation_table};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -30,8 +30,8 @@ pub struct Args {
     /// The grid's azimuths δ, degrees; a direction that repeats, such as 180 after -180, is left out
     #[arg(long, value_name = "START:STOP:STEP", allow_hyphen_values = true, default_value_t = Grid::default().delta)]
     delta_deg: GridAxis,
-    /// What the actuation unit can exert on a backbone, N: its largest pull (negative) and push. The backbones then share the load
-    /// with least strain within these; without, with least strain of all (Eq. 11)
+    /// Largest pull (negative) and push that the actuation unit can exert on a backbone, N. The table then has the forces of least strain
+    /// within these limits; without them those of Eq. 11, the least strain of all
     #[arg(long, value_name = "PULL,PUSH", value_delimiter = ',', allow_hyphen_values = true)]
     force_limits: Option<Vec<f64>>,
     /// Also write OUT/compensation.h, the table for a controller in C, with a lookup that interpolates it
@@ -59,7 +59,7 @@ impl Args {
         const OUTPUTS: [&str; 3] = ["compensation.csv", "compensation.json", "compensation.h"];
         let _out = OutputFolder::claim(&self.output, &OUTPUTS, self.model.as_slice())?;
         let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
-        let model = with_effects(model, &self.effect)?;
+        let model = with_effects(console, model, &self.effect)?;
         tell_of_neighbours(console, &model);
         let source = self.model.as_deref().map_or("built in".to_owned(), |path| path.display().to_string());
         let theta = self.theta_deg.unwrap_or(Grid::within_data(&model).theta);
@@ -75,14 +75,12 @@ impl Args {
             do_not_use,
             output: self.output.join("compensation.csv"),
         };
+        tell_of_learning(console, &model);
         summary.warn(console, &model, &rows);
         let do_not_use = summary.do_not_use.as_deref();
-        let worth = Worth { verdict: None, do_not_use };
-        write_compensation_rows(&self.output, (&model, &source), &grid, &rows, worth)?;
-        if self.c_header {
-            let header = compensation_c_header(&grid, &rows, &source, do_not_use)?;
-            write_atomically(&self.output.join("compensation.h"), header.as_bytes())?;
-        }
+        let stale = self.model.as_deref().and_then(stale_mark);
+        let worth = Worth { verdict: None, do_not_use, stale: stale.as_deref() };
+        write_compensation_rows(&self.output, (&model, &source), &grid, &rows, worth, self.c_header)?;
         console.result(&summary, || {
             format!(
                 "{} poses, largest correction {:.3} mm\n{}",
@@ -109,10 +107,6 @@ impl Summary {
                 range.theta_max().to_degrees(),
                 range.directions_deg().iter().map(|delta| format!("{delta:.0}°")).collect::<Vec<_>>().join(", ")
             )),
-            None if model.estimate.is_some() => Some(
-                "the model has no [learned], which says on which bends it was learned: no pose is marked as extrapolated"
-                    .to_owned(),
-            ),
             _ => None,
         };
         console.warn(range);

@@ -14,7 +14,7 @@ pub struct TopicArgs {
     /// `--features ros2`
     #[arg(long)]
     pub ros2: bool,
-    /// The topic that pictures come from: sensor_msgs/Image or CompressedImage. Where the experiment names no camera file, the lens is
+    /// The topic that pictures come from: sensor_msgs/Image or CompressedImage. If the experiment names no camera file, the lens is
     /// that of the camera_info beside it
     #[arg(long, value_name = "TOPIC", requires = "ros2", conflicts_with_all = ["camera", "source"])]
     pub image_topic: Option<String>,

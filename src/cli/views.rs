@@ -17,6 +17,7 @@ use crate::{Error, Result};
 use rayon::prelude::*;
 use std::fs;
 use std::path::{Path, PathBuf};
+use tracing::{info, info_span};
 
 /// Quality of the picture of what a calibration saw. Convention: a display choice.
 const RIG_PICTURE_QUALITY: u8 = 85;
@@ -98,12 +99,14 @@ pub fn calibrated(
     options: &RigOptions,
     drawn: Option<&Path>,
 ) -> Result<Rig> {
+    let _stage = info_span!("calibrate_rig", picture = %picture.display()).entered();
     let frame = read_frame_for(picture, lens)?;
     let (rig, sketch) = sketched_rig(&frame, lens, robot, options);
     let said = match &rig {
         Ok(rig) => format!("the rig was found: {}", sheet_text(rig)),
         Err(error) => error.to_string(),
     };
+    info!(seen = %sketch.text(), "{said}");
     if let Some(path) = drawn {
         let mut picture = rig_picture(&frame, &sketch, &said);
         if let Ok(rig) = &rig {
@@ -142,7 +145,7 @@ pub fn sheet_text(rig: &Rig) -> String {
     let (shape, pitch_mm) = (&rig.sheet_shape, rig.grid_pitch_mm);
     let [across_mm, along_mm] = [1.0, -1.0].map(|sign| pitch_mm * (1.0 + sign * shape.anisotropy / 2.0));
     format!(
-        "lines {across_mm:.3} mm apart across and {along_mm:.3} mm along, meeting under {:.2}°, on a sheet that bows by {:.2} mm (rms)",
+        "lines {across_mm:.3} mm apart across and {along_mm:.3} mm along, meeting at {:.2}°, on a sheet that bows by {:.2} mm (rms)",
         90.0 - shape.shear.to_degrees(),
         shape.rms_mm()
     )
@@ -168,12 +171,14 @@ pub fn rig_reason(error: &Error) -> Reason {
 impl OpenView {
     fn open(view: &View, experiment: &Experiment, robot: &Robot, drawn: &Path) -> Result<Self> {
         let frames = view.open_frames(experiment.folder())?;
+        let _stage = info_span!("open_view", view = %view.name).entered();
         // First of all: a frame that is changed from here on is not the one that was refined from.
         let checksum = checksum_of(&frames)?;
         let lens = view.lens()?;
         let rig = rig_of(view, &lens, robot, Some(drawn))?;
         // In order, so that sums over them are the same in every run.
         let eye = Eye::new(lens, rig, robot.clone());
+        let _stage = info_span!("refine_rig").entered();
         let sample = refining_frames(&frames)?.into_par_iter().filter_map(|frame| frame.read_for(eye.lens()).ok());
         let eye = eye.clone().refined(sample);
         Ok(Self { name: view.name.clone(), eye, frames, checksum })

@@ -11,8 +11,8 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// The fewest samples that are searched.
 ///
-/// Convention: thirty residuals beside η and λ; the criteria for an effect grow with what noise alone can do on so few, so that fewer samples
-/// name less and not otherwise.
+/// Convention: thirty residuals beside η and λ. The criteria for an effect grow with what noise alone can do on so few, so that few samples name
+/// less.
 pub const LEAST_SAMPLES: usize = 10;
 
 /// Encoders that all move by less than this are refused, mm.
@@ -436,7 +436,7 @@ mod tests {
         let (measurements, readings) = experiment((0..30).map(|_| (40.0, 10.0)));
         let refused =
             |measurements: &[Measurement]| Data::new(measurements, &readings, 0.0015).unwrap_err().to_string();
-        assert!(refused(&[]).contains("0 usable samples, and 24"));
+        assert!(refused(&[]).contains("0 usable samples, and 10"));
         assert!(refused(&measurements).contains("the encoders hardly move (less than 0.02 mm)"));
     }
 }

@@ -14,6 +14,7 @@ use super::structure::Structure;
 use super::verdict::Verdict;
 use crate::robot::effects::RIG_ERROR;
 use crate::robot::{Effect, Estimate, Model, PerBackbone, Physics};
+use tracing::{info, info_span};
 
 /// A parameter whose standard deviation is beyond this many typical sizes is remarked.
 ///
@@ -73,6 +74,11 @@ pub fn discover(model: &Model, data: &Data) -> Discovery {
 
 /// [`discover`], telling each stage.
 pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
+    let _stage = info_span!("discover", samples = data.len()).entered();
+    let tell: Tell = &|stage| {
+        info!("{stage}");
+        tell(stage);
+    };
     let model = with_estimate(model);
     let few = data.thinned(SEARCHED_FIRST);
     let searched = Searched::new(&model, (data, &few), tell);
@@ -92,6 +98,7 @@ pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
             (verdict, answer, held_out_before, Vec::new())
         }
     };
+    info!(verdict = verdict.word(), effects = ?answer.named.iter().map(|named| named.physics.name).collect::<Vec<_>>(), "answered");
     let fitted = with_origin(answer.model, data);
     let remarks = data
         .remarks

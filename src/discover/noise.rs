@@ -3,7 +3,7 @@
 //! What encoders and eye are said to scatter by is a prior, and residuals tell the rest: second differences of successive residuals,
 //! in which whatever changes slowly from sample to sample cancels. Residuals that are not correlated from one to the next are noise as
 //! a whole, and tell more. The parts of q̃ that bend nothing tell the encoders' noise alone; with it, the bend tells by which factor
-//! the eye's sigmas are wrong.
+//! the measurements' sigmas are wrong.
 
 use super::data::Data;
 use super::fit::Fit;
@@ -48,7 +48,7 @@ const FINER: f64 = 0.75;
 pub struct Noise {
     /// Standard deviation of an encoder reading, mm.
     pub sd_encoder_mm: f64,
-    /// What the eye's stated sigmas are multiplied with.
+    /// Factor of the measurements' stated sigmas.
     pub eye_factor: f64,
     /// Standard deviation of what the model misses of each component of the bend, rad.
     pub discrepancy_rad: f64,
@@ -134,6 +134,11 @@ fn noise_variance(values: &[f64]) -> f64 {
         return mad_scale(values.iter().copied()).powi(2);
     }
     mad_scale(values.windows(3).map(|v| (v[0] - 2.0 * v[1] + v[2]) / 6f64.sqrt())).powi(2)
+}
+
+/// The standard deviation of the logarithm of a standard deviation that was learned from so many values.
+pub fn ln_sd_of_learned(count: usize) -> f64 {
+    (count as f64 / LN_VARIANCE_TIMES_COUNT + LN_SD_OF_STATED.powi(-2)).sqrt().recip()
 }
 
 /// The mean of two logarithms of a standard deviation, measured and stated, weighted by what each is known to.

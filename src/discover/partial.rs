@@ -38,7 +38,7 @@ pub struct Partial<'a> {
 }
 
 impl<'a> Partial<'a> {
-    /// Of the samples under their noise; `fits` are fits of the model as given, of which the best is gone on from.
+    /// Of the samples under their noise; the search starts from the better of the two fits of the model as given.
     pub fn new(problem: &Problem<'a>, [one, other]: [&Fit; 2]) -> Self {
         let one_is_better = bend_squares(problem, one) < bend_squares(problem, other);
         let mut problem = problem.clone();

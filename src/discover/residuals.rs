@@ -2,7 +2,7 @@
 //!
 //! ε = q̃ − q(ψ) has q̃ on both sides, so that a column that holds q̃ would explain any data. The residual is therefore taken where
 //! something was measured: the forward problem leads from q̃ to a bend, and from there to the bend that the eye should have seen.
-//! The residual of the bend is the measured bend vector less that one, whitened by the eye's covariance and by the encoders'
+//! The residual of the bend is the measured bend vector less that one, whitened by its covariance and by the encoders'
 //! noise propagated through the forward problem. Its further components are the parts of q̃ that bend nothing (the null space of
 //! Q⁺), which encoders alone tell: with three backbones the mean of all, with n of them n − 2 parts. They are independent of the
 //! bend.

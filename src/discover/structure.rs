@@ -51,6 +51,8 @@ const LEAST_VARIANCE: f64 = 1e-12;
 const NORMAL_QUANTILE: f64 = 2.326_348;
 
 /// The components of a residual that belong to the bend; the others are parts of q̃ that bend nothing.
+///
+/// Derived: a bend vector has two.
 const BEND: usize = 2;
 
 /// What residuals of a fit still hold.

@@ -93,11 +93,6 @@ impl Estimator {
         Model { learned: self.model.learned, ..self.given.with_estimate(self.model.estimate) }
     }
 
-    /// The estimate as it stands, its effects being what they are given as.
-    pub fn estimate(&self) -> Option<Estimate> {
-        self.model.estimate
-    }
-
     /// How residuals compare with their promised covariances; `None` while the first measurements are being judged.
     pub fn consistency(&self) -> Option<&Consistency> {
         self.running.as_ref().map(|(_, consistency)| consistency)

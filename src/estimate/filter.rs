@@ -40,11 +40,9 @@ impl InformationFilter {
     /// Adds a measurement. One whose covariance is not positive definite, or whose numbers or their squares are not all finite,
     /// says nothing and changes nothing.
     pub fn absorb(&mut self, linearised: &LinearisedMeasurement) {
-        let Some(factor) = linearised.covariance.cholesky() else { return };
-        let h = factor.l_dirty().solve_lower_triangular(&linearised.h);
-        let z = factor.l_dirty().solve_lower_triangular(&linearised.z);
-        let (Some(h), Some(z)) = (h, z) else { return };
-        let Some(by_rig) = factor.l_dirty().solve_lower_triangular(&linearised.by_rig) else { return };
+        let LinearisedMeasurement { z, h, by_rig, .. } = linearised;
+        let whitened = (linearised.whitened(h), linearised.whitened(z), linearised.whitened(by_rig));
+        let (Some(h), Some(z), Some(by_rig)) = whitened else { return };
         if self.information.absorb(&h, &z) {
             self.measurements += 1;
             let by_rig = h.transpose() * by_rig;

@@ -120,7 +120,7 @@ fn gated(distances: &[Option<SquaredDistances>], gate_sds: f64) -> Vec<Option<Re
 /// rᵗR⁻¹r of a measurement at x, as the gate trusts it; infinite where R is not positive definite.
 fn squared_misfit(linearised: &LinearisedMeasurement, x: &Vector2<f64>) -> f64 {
     let residual = linearised.residual(x);
-    trusted(linearised).covariance.cholesky().map_or(f64::INFINITY, |factor| residual.dot(&factor.solve(&residual)))
+    trusted(linearised).whitened(&residual).map_or(f64::INFINITY, |whitened| whitened.norm_squared())
 }
 
 #[cfg(test)]

@@ -33,8 +33,8 @@
 
 use super::Sample;
 use crate::geometry::Configuration;
-use crate::robot::{MAX_THETA, Mechanics, Model, Motion, PerBackbone};
-use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix3x6, Vector2, Vector3};
+use crate::robot::{MAX_THETA, Mechanics, Model, Motion, PerBackbone, Robot};
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix3x6, SMatrix, Vector2, Vector3};
 
 /// How measurements are weighted against each other.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,40 +69,46 @@ impl LinearisedMeasurement {
         self.z - self.h * x
     }
 
+    /// Columns of three rows in units of the measurement's standard deviations: L⁻¹ times them, with L Lᵗ its covariance; `None` where that is not
+    /// positive definite.
+    pub(super) fn whitened<const C: usize>(&self, columns: &SMatrix<f64, 3, C>) -> Option<SMatrix<f64, 3, C>> {
+        self.covariance.cholesky()?.l_dirty().solve_lower_triangular(columns)
+    }
+
     /// Linearises one measurement; `model` carries the estimate so far, if there is one, and the effects that it came by.
     pub(crate) fn new(model: &Model, weighting: Weighting, sd_encoder_mm: f64, sample: &Sample) -> Self {
         let mechanics = Mechanics::new(model);
-        let still = Motion::none(model.robot.backbone_count());
-        let motion = sample.came.as_ref().map_or(&still, |came| &came.motion);
-        let bend = sample.true_bend(&mechanics);
-        let measured = &sample.measured;
-        let (at, noise) = match weighting {
-            Weighting::Flat { .. } => (bend, None),
+        let (motion, bend, measured) = (&sample.motion(), sample.true_bend(&mechanics), &sample.measured);
+        let as_measured = || (bend, measured.bend_covariance(measured.configuration));
+        let (at, of_eye) = match weighting {
+            Weighting::Flat { .. } => as_measured(),
             Weighting::Measured => {
-                let (at, covariance) = smoothed(model, &mechanics, sd_encoder_mm, (sample, motion), bend)
-                    .unwrap_or_else(|| (bend, measured.bend_covariance(measured.configuration)));
-                (at, Some(covariance))
+                smoothed(model, &mechanics, sd_encoder_mm, (sample, motion), bend).unwrap_or_else(as_measured)
             }
         };
-        let parts = |q_mm: PerBackbone| model.robot.bend_and_common(&q_mm);
-        let columns =
-            |by: &PerBackbone<Vector2<f64>>| Matrix3x2::from_columns(&[0, 1].map(|axis| parts(by.column(axis))));
+        let robot = &model.robot;
         let slope = mechanics.line_jacobian(at, motion).line_by_bend;
-        let h = columns(&mechanics.travel_by_parameters(at, motion));
-        let z = parts(mechanics.misfit_mm(&sample.q_tilde, at, motion) - slope * (bend - at)) + h * model.parameters();
-        let slope = columns(&slope);
-        let (covariance, by_rig) = match (weighting, noise) {
-            (Weighting::Flat { sigma_deg }, _) => {
-                let sigma_mm = model.robot.backbone_circle_radius_mm * sigma_deg.to_radians();
+        let h = bend_and_common_by(robot, &mechanics.travel_by_parameters(at, motion));
+        let left_mm = mechanics.misfit_mm(&sample.q_tilde, at, motion) - slope * (bend - at);
+        let z = robot.bend_and_common(&left_mm) + h * model.parameters();
+        let slope = bend_and_common_by(robot, &slope);
+        let (covariance, by_rig) = match weighting {
+            Weighting::Flat { sigma_deg } => {
+                let sigma_mm = robot.backbone_circle_radius_mm * sigma_deg.to_radians();
                 (Matrix3::identity() * sigma_mm.powi(2), Matrix3x6::zeros())
             }
-            (Weighting::Measured, noise) => {
-                let of_eye = slope * noise.unwrap_or_default() * slope.transpose();
-                (of_eye + Matrix3::identity() * sd_encoder_mm.powi(2), slope * measured.by_rig)
-            }
+            Weighting::Measured => (
+                slope * of_eye * slope.transpose() + Matrix3::identity() * sd_encoder_mm.powi(2),
+                slope * measured.by_rig,
+            ),
         };
         Self { z, h, covariance, by_rig }
     }
+}
+
+/// A derivative of the lines' travel by two numbers, as that of its bend and common part, which hold all that says something of x.
+fn bend_and_common_by(robot: &Robot, by: &PerBackbone<Vector2<f64>>) -> Matrix3x2<f64> {
+    Matrix3x2::from_columns(&[0, 1].map(|axis| robot.bend_and_common(&by.column(axis))))
 }
 
 /// A bend of fewer standard deviations than this counts as straight.

@@ -16,14 +16,15 @@
 //! force have different blind directions and together see all three. A direction along which the force would be known to no
 //! better than [`BLIND_SD_N`] counts as unseen; the force has no part along it, and its covariance says nothing there.
 
-use super::Sample;
 use super::options::check_sd_encoder;
 use super::sample::{Follower, Log};
+use super::{LinearisedMeasurement, Sample, Weighting};
 use crate::error::{ArgumentError, DataError, Result};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measurement};
-use crate::robot::{Mechanics, Model, Motion, PerBackbone};
-use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
+use crate::robot::Model;
+use crate::statistics::information::SquareRootInformation;
+use nalgebra::{Matrix2, Matrix2x5, Matrix3, Matrix3x5, Vector2, Vector3};
 
 /// The standard deviation, N, from which a direction counts as unseen.
 ///
@@ -65,63 +66,43 @@ pub struct ForceRow {
     pub reason: Option<String>,
 }
 
-/// The normal equations of one force F beside η and λ, summed over measurements: information and right-hand side of each, and the
-/// information that they share.
+/// What measurements say of one force F beside η and λ, which are known within their covariance.
+///
+/// The parameters are two independent unit errors, which the covariance's root turns into those of η and λ, and F: nothing is asked of a
+/// covariance that has no inverse, such as that of η and λ that are known exactly.
 #[derive(Debug, Clone)]
-struct NormalEquations {
-    force: (Matrix3<f64>, Vector3<f64>),
-    parameters: (Matrix2<f64>, Vector2<f64>),
-    both: Matrix3x2<f64>,
+struct ForceFilter {
+    information: SquareRootInformation<5>,
+    /// L of the covariance L Lᵗ of (η, λ).
+    root: Matrix2<f64>,
 }
 
-impl NormalEquations {
+impl ForceFilter {
     fn new(model: &Model) -> Self {
-        // η and λ that are known exactly have no covariance to invert; they are then not estimated.
-        let prior = model.parameter_covariance().try_inverse().unwrap_or_default();
-        Self { force: Default::default(), parameters: (prior, Vector2::zeros()), both: Matrix3x2::zeros() }
+        let own = model.parameter_covariance().symmetric_eigen();
+        let root = own.eigenvectors * Matrix2::from_diagonal(&own.eigenvalues.map(|value| value.max(0.0).sqrt()));
+        let mut information = SquareRootInformation::default();
+        let _ = information.absorb(&Matrix2x5::identity(), &Vector2::zeros());
+        Self { information, root }
     }
 
     /// Adds one measurement; one whose covariance is not positive definite says nothing.
     fn add(&mut self, model: &Model, sd_encoder_mm: f64, sample: &Sample) {
-        let mechanics = Mechanics::new(model);
-        let still = Motion::none(model.robot.backbone_count());
-        let motion = sample.came.as_ref().map_or(&still, |came| &came.motion);
-        let psi = sample.measured.configuration;
-        let bend = sample.true_bend(&mechanics);
-        // The bend and the common part hold all that there is.
-        let parts = |q_mm: PerBackbone| model.robot.bend_and_common(&q_mm);
-        let columns =
-            |by: PerBackbone<Vector2<f64>>| Matrix3x2::from_columns(&[0, 1].map(|axis| parts(by.column(axis))));
-        let slope = columns(mechanics.line_jacobian(bend, motion).line_by_bend);
-        let covariance = slope * sample.measured.bend_covariance(psi) * slope.transpose()
-            + Matrix3::identity() * sd_encoder_mm.powi(2);
-        let Some(weight) = covariance.try_inverse() else { return };
-        let by_force = by_force(model, psi);
-        let by_parameters = columns(mechanics.travel_by_parameters(bend, motion));
-        let residual = parts(mechanics.misfit_mm(&sample.q_tilde, bend, motion));
-        self.force.0 += by_force.transpose() * weight * by_force;
-        self.force.1 += by_force.transpose() * weight * residual;
-        self.parameters.0 += by_parameters.transpose() * weight * by_parameters;
-        self.parameters.1 += by_parameters.transpose() * weight * residual;
-        self.both += by_force.transpose() * weight * by_parameters;
+        let one = LinearisedMeasurement::new(model, Weighting::Measured, sd_encoder_mm, sample);
+        let mut h = Matrix3x5::zeros();
+        h.fixed_columns_mut::<2>(0).copy_from(&(one.h * self.root));
+        h.fixed_columns_mut::<3>(2).copy_from(&by_force(model, sample.measured.configuration));
+        let residual = one.residual(&model.parameters());
+        if let (Some(h), Some(residual)) = (one.whitened(&h), one.whitened(&residual)) {
+            // Numbers that are not finite say nothing either.
+            let _ = self.information.absorb(&h, &residual);
+        }
     }
 
     /// The force, once η and λ are let go within their covariance.
-    fn solved(&self, parameters_are_known: bool) -> TipForce {
-        let inverse = if parameters_are_known { None } else { self.parameters.0.try_inverse() };
-        let through = self.both * inverse.unwrap_or_default();
-        let information = (self.force.0 - through * self.both.transpose()).symmetric_eigen();
-        let right = self.force.1 - through * self.parameters.1;
-        let mut found = TipForce { force_n: Vector3::zeros(), covariance_n2: Matrix3::zeros(), unseen: Vec::new() };
-        for (&value, direction) in information.eigenvalues.iter().zip(information.eigenvectors.column_iter()) {
-            if value > BLIND_SD_N.powi(-2) {
-                found.force_n += direction * (direction.dot(&right) / value);
-                found.covariance_n2 += direction * direction.transpose() / value;
-            } else {
-                found.unseen.push(direction.into_owned());
-            }
-        }
-        found
+    fn force(&self) -> TipForce {
+        let (force_n, covariance_n2, unseen) = self.information.of_last::<3>().seen(BLIND_SD_N);
+        TipForce { force_n, covariance_n2, unseen }
     }
 }
 
@@ -152,9 +133,8 @@ pub fn tip_force(
         return Err(ArgumentError::NoEstimate { what: "a force" }.into());
     }
     check_sd_encoder(sd_encoder_mm)?;
-    let known = model.parameter_covariance().try_inverse().is_none();
     let (mut log, mut follower) = (Log::new(model, readings), Follower::default());
-    let mut all = NormalEquations::new(model);
+    let mut all = ForceFilter::new(model);
     let mut used = 0;
     let rows = measurements
         .iter()
@@ -164,9 +144,9 @@ pub fn tip_force(
             let found = follower.take(model, measurement, reading).map(|sample| {
                 used += 1;
                 all.add(model, sd_encoder_mm, &sample);
-                let mut alone = NormalEquations::new(model);
+                let mut alone = ForceFilter::new(model);
                 alone.add(model, sd_encoder_mm, &sample);
-                alone.solved(known)
+                alone.force()
             });
             ForceRow {
                 index: measurement.index,
@@ -183,7 +163,7 @@ pub fn tip_force(
     if used == 0 {
         return Err(DataError::NoMeasurement.into());
     }
-    Ok((rows, all.solved(known)))
+    Ok((rows, all.force()))
 }
 
 #[cfg(test)]

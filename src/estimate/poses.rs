@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 use std::f64::consts::PI;
 
 /// The snake is at another pose once its bend, seen or implied by its encoders, has changed by this, rad. Convention: 2°, many times the noise
-/// of either; the eye's errors at two such poses are taken for independent.
+/// of either; the errors of two such measurements are taken for independent.
 pub(crate) const NEW_POSE: f64 = 2.0 * PI / 180.0;
 
 /// Tells of bends that come one after the other which are other poses than the one told last.

@@ -33,6 +33,11 @@ pub(crate) struct Came {
 }
 
 impl Sample {
+    /// The motion to the reading; none for a model without effects, to which none matters.
+    pub fn motion(&self) -> Motion {
+        self.came.map_or_else(|| Motion::none(self.q_tilde.len()), |came| came.motion)
+    }
+
     /// The bend at the reading, from the measured one, rad.
     pub fn true_bend(&self, mechanics: &Mechanics) -> Vector2<f64> {
         let measured = self.measured.configuration.bend_vector();
@@ -58,7 +63,7 @@ pub(crate) struct Follower {
 impl Follower {
     /// Takes a reading whose frame was not measured: it drives whatever has a memory.
     pub fn pass(&mut self, model: &Model, reading: &EncoderReading) {
-        self.follow(model, reading, None);
+        self.follow(model, &reading.beside_resting_neighbours(model), None);
     }
 
     /// Takes a measurement and its reading.
@@ -74,17 +79,17 @@ impl Follower {
         let own = reading.map(|reading| reading.beside_resting_neighbours(model));
         let used = usable(model.robot.backbone_count(), measurement, own.as_ref());
         let seen = used.as_ref().ok().map(|(measured, _)| measured.configuration.bend_vector());
-        let came = reading.and_then(|reading| self.follow(model, reading, seen));
+        let came = own.and_then(|own| self.follow(model, &own, seen));
         used.map(|(measured, q_tilde)| Sample { measured, q_tilde, came })
     }
 
-    fn follow(&mut self, model: &Model, reading: &EncoderReading, seen: Option<Vector2<f64>>) -> Option<Came> {
-        let q_tilde = reading.beside_resting_neighbours(model).q_mm;
-        let is_one = q_tilde.len() == model.robot.backbone_count() && is_finite(reading);
+    /// Follows a reading from which what neighbouring sections added is taken off.
+    fn follow(&mut self, model: &Model, own: &EncoderReading, seen: Option<Vector2<f64>>) -> Option<Came> {
+        let is_one = own.q_mm.len() == model.robot.backbone_count() && is_finite(own);
         if model.effects.is_empty() || !is_one {
             return None;
         }
-        let predicted = self.predictor.predict(&Mechanics::new(model), reading.time_s, &q_tilde, seen);
+        let predicted = self.predictor.predict(&Mechanics::new(model), own.time_s, &own.q_mm, seen);
         let solution = predicted.point.solution;
         Some(Came { motion: predicted.point.motion, solution, since_frame: solution.bend - predicted.shown })
     }

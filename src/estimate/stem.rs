@@ -426,7 +426,7 @@ mod tests {
     #[test]
     fn what_cannot_be_told_is_said() {
         let without = Model::default();
-        assert!(Stem::new(&without, StemOptions::default()).unwrap_err().to_string().contains("η and λ known"));
+        assert!(Stem::new(&without, StemOptions::default()).unwrap_err().to_string().contains("η and λ are known"));
         let nothing_kept = StemOptions { forgetting: 0.0, ..StemOptions::default() };
         assert!(matches!(Stem::new(&exact(), nothing_kept), Err(crate::Error::Argument(_))));
         let mut stem = Stem::new(&exact(), StemOptions::default()).unwrap();

@@ -90,8 +90,8 @@ pub async fn guard(State(access): State<Arc<AccessControl>>, request: Request, n
         None => next.run(request).await,
         Some(response) => response,
     };
-    let policy = "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; \
-                  frame-ancestors 'none'; form-action 'none'; base-uri 'none'";
+    let policy =
+        "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; form-action 'none'; base-uri 'none'";
     let told = [
         ("content-security-policy", policy),
         ("x-content-type-options", "nosniff"),

@@ -21,6 +21,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use tracing::info;
 
 /// How often the journal is brought to the disk. Convention: what a loss of power may cost.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
@@ -141,6 +142,7 @@ pub fn save(shared: &SharedState, output: &Path) -> Result<std::result::Result<(
         let path = output.join("model.toml");
         write_learned_model(&path, &model, Some(&verdict), &Provenance::new("live"))?;
         write_compensation(output, &model, &path.display().to_string(), Worth::of(&verdict))?;
+        info!(path = %path.display(), verdict = %verdict.level, "model and table written");
         let mut shared = shared.lock();
         shared.state.saved_at_s = Some(unix_time_s());
         shared.gate.publish(model);

@@ -17,9 +17,13 @@ pub const ONE_NETWORK_WITHIN_S: f64 = 5.0;
 /// The least difference is taken over this time, s. Convention: long enough to meet a line that was not delayed, short enough that
 /// clocks which drift apart by 100 ppm differ by a millisecond.
 const WINDOW_S: f64 = 10.0;
-/// Lines whose stamps advance faster than this many times their arrivals come from a store, not from the robot. Convention.
+/// Lines whose stamps advance faster than this many times their arrivals come from a store, not from the robot.
+///
+/// Convention: two clocks differ by far less, and a stored log is sent many times faster.
 const MAX_REPLAY_SPEED: f64 = 1.5;
-/// What the stamps may gain at once without being taken for a replay, s: lines that a network held back. Convention.
+/// What the stamps may gain at once without being taken for a replay, s: lines that a network held back.
+///
+/// Convention: a stall of a wireless network; a longer one is taken for a replay until the stamps advance at the usual rate.
 const MAX_CATCH_UP_S: f64 = 0.5;
 
 /// Estimates by how much the encoders' clock is behind the frames'.

@@ -22,11 +22,17 @@ const WINDOW: Duration = Duration::from_secs(2);
 /// Frames over which the age is averaged. Convention: a display choice.
 const AGE_SMOOTHING: f64 = 10.0;
 
-/// Frames after which the rate is known well enough to call one late. Convention.
+/// Frames after which the rate is known well enough to call one late.
+///
+/// Convention: under a second of most cameras; until then no frame is called late.
 const FIRST_FRAMES: u32 = 20;
-/// Frames over which the period is averaged; a stall and the burst after it, which are shorter, leave the mean as it was. Convention.
+/// Frames over which the period is averaged; a stall and the burst after it, which are shorter, leave the mean as it was.
+///
+/// Convention: five seconds at 30 frames a second.
 const PERIOD_SMOOTHING: u32 = 150;
-/// Time in which lateness decays, s: frames still missing after a stall were lost, and those that follow are not late. Convention.
+/// Time in which lateness decays, s: frames still missing after a stall were lost, and those that follow are not late.
+///
+/// Convention: longer than between two frames, and short beside the time for which a late frame is told of.
 const LATENESS_DECAY_S: f64 = 0.5;
 
 /// By how much frames are late, judged by the rate at which the others arrive.
@@ -147,8 +153,8 @@ impl FrameTiming {
             percent => format!(", and {percent:.0} % are dropped"),
         };
         format!(
-            "frames are {:.0} ms old when they are measured{dropped}; send fewer or smaller ones, or give the machine less to \
-             do beside",
+            "frames are {:.0} ms old when they are measured{dropped}; send fewer or smaller ones, or end other programs \
+             on this machine",
             1000.0 * self.age_s
         )
     }
@@ -232,8 +238,8 @@ mod tests {
         let status = timing.status(began, &SourceStatus::default());
         assert_eq!(status.state, FrameTimingState::Behind);
         let sentence = status.sentence.unwrap();
-        assert!(sentence.contains("for the encoder reading") && !sentence.contains("less to do"), "{sentence}");
+        assert!(sentence.contains("for the encoder reading") && !sentence.contains("other programs"), "{sentence}");
         (0..50).for_each(|_| timing.measured(began, 0.3, 0.0, 0.0));
-        assert!(timing.status(began, &SourceStatus::default()).sentence.unwrap().contains("less to do"));
+        assert!(timing.status(began, &SourceStatus::default()).sentence.unwrap().contains("other programs"));
     }
 }

@@ -4,7 +4,7 @@
 //! ([`Cusum`]) watch them: the mean square of the bending part (two degrees of freedom), that of the part common to all backbones
 //! (one), and the share of measurements that the gate rejects.
 //!
-//! The tests take independent values, but the eye's error hardly changes while the snake stands still. So a measurement is taken only
+//! The tests take independent values, but the error of a measured bend hardly changes while the snake stands still. So a measurement is taken only
 //! once the snake has moved on from the last one taken, and the design figures count such poses. With 10⁶ poses between false alarms
 //! by Lorden's bound (10⁷ for the bending part by Brook and Evans' Markov chain), the mean delay is
 //!
@@ -27,7 +27,9 @@ use std::collections::VecDeque;
 /// Mean number of poses between two false alarms of each test. Convention: a false alarm costs one needless search of
 /// `discover`; at ten new poses a second each test gives one in 28 hours.
 const POSES_BETWEEN_FALSE_ALARMS: f64 = 1e6;
-/// Share of rejected measurements that is to be found. Convention.
+/// Share of rejected measurements that is to be found.
+///
+/// Convention: three times the share that may be rejected although all is in order.
 const REJECTED_TOO_MANY: f64 = 0.3;
 /// Measurements used before the verdict is told. Convention: twice what `discover` needs to decide anything.
 const MIN_USED: usize = 50;

@@ -20,6 +20,7 @@ mod bank_worker;
 mod clock;
 mod clock_offset;
 mod commands;
+mod confirmation;
 mod cusum;
 mod discovery_worker;
 mod encoders;

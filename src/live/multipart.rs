@@ -7,6 +7,8 @@ const MAX_PICTURE: usize = 64 << 20;
 /// Longest head of a part, bytes. Convention: a resource limit.
 const MAX_HEAD: usize = 16 << 10;
 /// What ends a part's head.
+///
+/// Source: RFC 2046, section 5.1.
 const HEAD_END: &[u8] = b"\r\n\r\n";
 
 /// The bytes that have arrived and were not taken yet.

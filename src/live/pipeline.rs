@@ -32,6 +32,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
+use tracing::debug;
 
 /// Time that a measurement waits for its encoder reading. Convention: what a network delays a line, and no more.
 const READING_TIMEOUT: Duration = Duration::from_millis(250);
@@ -229,6 +230,7 @@ impl Pipeline {
         timing.measured(Instant::now(), (measured - arrived).as_secs_f64(), measured.elapsed().as_secs_f64(), late_s);
         let mut row = self.row(&measurement, time_s, reading.as_ref(), &update);
         row.latency_ms = 1000.0 * latency_s;
+        debug!(index = row.index, status = %measurement.status, update = row.verdict, latency_ms = row.latency_ms, "measured");
         if update.is_stuck {
             row.reason = "the encoders stand still while the snake moves".into();
         }
@@ -276,13 +278,14 @@ impl Pipeline {
     fn publish(&self, measurement: &Measurement, row: Row, update: &Update) {
         let mut shared = self.shared.lock();
         if update.gap.state == GapState::Above && shared.state.gap.state != GapState::Above {
-            shared.notice("the gap between model and measurements has left the noise: discover is asked for its name");
+            shared.notice("the gap between model and measurements has left the noise: discover looks for the cause");
         }
         if update.step.restarted {
             let index = measurement.index;
             shared.notice(format!("frame {index}: measurements agree on something new; η and λ start afresh"));
         }
         shared.state.gap = update.gap;
+        shared.gate.confirm(&measurement.status, update.sample.is_some());
         shared.gate.add(update.sample, update.gap.state, update.is_stuck);
         shared.model = self.estimator.model();
         shared.add(measurement, update.step.verdict, row);
@@ -306,14 +309,14 @@ impl Pipeline {
             Ok(true) => {
                 shared.state.publication = PublicationStatus::default();
                 shared.notice(format!(
-                    "{} was removed: the journal is written anew with all that it had, the table at the next save",
+                    "{} was removed: the journal is written again in full, the table at the next save",
                     self.output.display()
                 ));
             }
             // The journal stays open, wherever it was moved to, and takes what is measured.
             Err(_) if is_told => {}
             Err(error) => shared.notice(format!(
-                "{} cannot be written to, and nothing but the loop goes on; it is tried again every second: {error}",
+                "{} cannot be written to; the loop continues, and writing is tried again every second: {error}",
                 self.output.display()
             )),
         }
@@ -406,6 +409,7 @@ impl Pipeline {
         self.stop.store(true, Ordering::Relaxed);
         self.learn(&mut progress)?;
         self.show(&mut progress);
+        self.shared.lock().gate.end();
         let (_, measurements, readings) = self.estimator.samples();
         self.verdict.finish(&measurements, &readings);
         let is_estimated = self.shared.lock().model.estimate.is_some();

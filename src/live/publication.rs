@@ -1,16 +1,18 @@
 //! The gate before what live publishes: whether the model as it stands may replace the table in the folder, and whether anything may be
 //! commanded by at all.
 //!
-//! Nothing is published before the first verdict, and nothing under a red one. Between two verdicts the gate itself watches.
+//! Nothing is published before the first verdict, and nothing under a red one. Between two verdicts the gate itself watches: the encoders, the gap,
+//! the last poses, and whether anything is measured at all.
 //!
 //! Encoders that stand still while the snake moves, a log that contradicts the picture, or a moment's wrong restart of the estimator give
 //! an η and λ that fit the last few measurements and nothing else. So the model is compared, on the last [`POSES`] poses that the snake
 //! took, with the naive one and with the one that was published last; and nothing is published while the gap is above noise or the
 //! encoders are stuck. What was published stays then, and is marked stale.
 
+use super::confirmation::Confirmation;
 use super::status::{GapState, PublicationState, PublicationStatus};
 use crate::estimate::NewPoses;
-use crate::observation::Measured;
+use crate::observation::{Measured, Status};
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::moments::{mean, standard_deviation};
 use crate::verdict::{Code, Level, MEAN_SQUARE_OF_NOISE, Verdict};
@@ -20,6 +22,12 @@ use std::time::Instant;
 /// Poses on which models are compared, each a new one ([`NewPoses`]) after the one before. Convention: as many as the gap monitor asks
 /// for before it tells anything.
 const POSES: usize = 50;
+
+/// Poses without which nothing is published.
+///
+/// Convention: three to tell whether the two numbers explain them, and two that may be wrong; a few readings of another moment at nearly one pose
+/// agree with each other on a wrong η.
+const LEAST_POSES: usize = 5;
 
 /// A model is worse than another where the difference is more than so many standard errors.
 ///
@@ -59,6 +67,8 @@ pub struct PublicationGate {
     gap: GapState,
     /// Whether the encoders stand still while the snake moves.
     is_stuck: bool,
+    /// When frames were measured.
+    confirmation: Confirmation,
     /// The last verdict, and when it was passed.
     verdict: Option<(Verdict, Instant)>,
     /// The model that was published last, and when that was.
@@ -70,7 +80,8 @@ impl PublicationGate {
     pub fn new(sd_encoder_mm: f64, compares: bool, published: Option<Model>) -> Self {
         let published = published.map(|model| (model, Instant::now()));
         let (poses, new_poses, gap) = (VecDeque::new(), NewPoses::default(), GapState::Unknown);
-        Self { sd_encoder_mm, compares, poses, new_poses, gap, is_stuck: false, verdict: None, published }
+        let confirmation = Confirmation::default();
+        Self { sd_encoder_mm, compares, poses, new_poses, gap, is_stuck: false, confirmation, verdict: None, published }
     }
 
     /// Takes the verdict on what was measured so far.
@@ -86,6 +97,16 @@ impl PublicationGate {
     /// Forgets the verdict, as where all that was learned is forgotten.
     pub fn forget_verdict(&mut self) {
         self.verdict = None;
+    }
+
+    /// Notes that a frame came now, and whether its measurement has a reading that could be used.
+    pub fn confirm(&mut self, status: &Status, is_sample: bool) {
+        self.confirmation.add(Instant::now(), status, is_sample);
+    }
+
+    /// Notes the end of the run, after which nothing is expected.
+    pub fn end(&mut self) {
+        self.confirmation.end(Instant::now());
     }
 
     /// Takes a sample, where there is one, the gap after it, and whether the encoders are stuck.
@@ -134,12 +155,19 @@ impl PublicationGate {
         if let Some(why) = model.estimate.and_then(|estimate| estimate.implausible()) {
             return red(Code::ParameterOutOfRange, why);
         }
+        if let Some((code, text)) = self.confirmation.doubt(Instant::now()) {
+            return withheld(Level::Look, code, text);
+        }
         if self.gap == GapState::Above {
             let text = "the model leaves more of the measurements than their noise";
             return withheld(Level::Look, Code::GapAboveNoise, text.into());
         }
-        if !self.compares || self.poses.is_empty() {
+        if !self.compares {
             return Ok(());
+        }
+        if self.poses.len() < LEAST_POSES {
+            let text = format!("{} poses were measured with a reading, and {LEAST_POSES} are needed", self.poses.len());
+            return withheld(Level::Look, Code::WorkspaceNotCovered, text);
         }
         let left = self.squares(model);
         let naive = self.squares(&Model { estimate: None, ..model.clone() });
@@ -203,8 +231,8 @@ impl PublicationGate {
     }
 }
 
-/// Whether the first squares are larger than the second, pose by pose, beyond chance: by the paired t-test. Of few poses, which give that
-/// test no power, those of which the mean is so many times larger that it would be a gap, if the second were noise.
+/// Whether the first squares are significantly larger than the second, pose by pose (paired t-test). The test has no power for few poses; then
+/// the mean of the first must also exceed that of the second by the factor that makes a gap.
 fn is_worse(squares: &[f64], than: &[f64]) -> bool {
     let [mean_square, other] = [squares, than].map(|squares| mean(squares.iter().copied()));
     let differences: Vec<f64> = squares.iter().zip(than).map(|(square, than)| square - than).collect();
@@ -233,6 +261,7 @@ mod tests {
     fn judged_good() -> PublicationGate {
         let mut gate = PublicationGate::new(0.0015, true, None);
         gate.take_verdict(Verdict::default());
+        gate.confirm(&Status::Ok, true);
         gate
     }
 
@@ -284,6 +313,7 @@ mod tests {
                 let q_mm = if frozen { samples[0].reading.q_mm } else { sample.reading.q_mm };
                 let reading = crate::observation::EncoderReading { q_mm, ..sample.reading };
                 let update = self.estimator.update(measurement, Some(&reading));
+                self.gate.confirm(&measurement.status, update.sample.is_some());
                 self.gate.add(update.sample, update.gap.state, update.is_stuck);
                 let model = self.estimator.model();
                 if model.estimate.is_some() {
@@ -393,7 +423,8 @@ mod tests {
 
     #[test]
     fn nothing_is_published_before_the_first_verdict_and_nothing_under_a_red_one() {
-        let bench = Bench::new(vec![]);
+        let mut bench = Bench::new(vec![]);
+        bench.go(20.0, false, |_, _, _| ());
         let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
         let model = Model { estimate: Some(estimate), ..Model::default() };
         let mut gate = PublicationGate { verdict: None, ..bench.gate };
@@ -406,6 +437,8 @@ mod tests {
         }
         gate.take_verdict(reason(Code::WorkspaceNotCovered, Level::Look));
         assert_eq!(level_and_code(&gate), Ok(()));
+        gate.poses.truncate(LEAST_POSES - 1);
+        assert_eq!(level_and_code(&gate), Err((Level::Look, Code::WorkspaceNotCovered)));
         gate.forget_verdict();
         assert!(gate.judge(&model).is_err() && gate.verdict().is_none());
     }

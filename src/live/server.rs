@@ -32,8 +32,8 @@ use serde_json::json;
 use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
@@ -46,6 +46,8 @@ const MAX_CONNECTIONS: usize = 128;
 /// limit that leaves room for answers.
 const MAX_STREAMS: usize = 64;
 /// What a connection beyond the limit is told.
+///
+/// Source: RFC 9110, sections 10.2.3 and 15.6.4.
 const NO_ROOM: &[u8] =
     b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nRetry-After: 10\r\nContent-Length: 0\r\n\r\n";
 /// A connection that has not sent its request's head by then is closed.
@@ -217,7 +219,6 @@ fn router(access: Arc<AccessControl>, app: AppState) -> Router {
         .route("/page.css", text("text/css; charset=utf-8", include_str!("page/page.css")))
         .route("/page.js", text("text/javascript; charset=utf-8", include_str!("page/page.js")))
         .route("/plots.js", text("text/javascript; charset=utf-8", include_str!("page/plots.js")))
-        .route("/plotly.js", get(plotly))
         .route("/video.mjpg", get(video))
         .route("/api/state", get(state))
         .route("/api/measurements", get(measurements))
@@ -229,20 +230,6 @@ fn router(access: Arc<AccessControl>, app: AppState) -> Router {
         .layer(DefaultBodyLimit::max(MAX_BODY))
         .layer(middleware::from_fn_with_state(access, guard))
         .with_state(Served { app, streams: Arc::new(Semaphore::new(MAX_STREAMS)) })
-}
-
-/// plotly.js, out of the script elements that its crate gives.
-static PLOTLY: LazyLock<String> = LazyLock::new(|| {
-    let scripts = plotly::Plot::offline_js_sources();
-    let script = scripts.split_once('>').map_or("", |(_, after)| after);
-    script.split_once("</script>").map_or(script, |(script, _)| script).to_owned()
-});
-
-/// Time for which browsers keep plotly.js: a day. Convention.
-const PLOTLY_CACHE: &str = "max-age=86400";
-
-async fn plotly() -> impl IntoResponse {
-    ([(CONTENT_TYPE, "text/javascript; charset=utf-8"), (CACHE_CONTROL, PLOTLY_CACHE)], PLOTLY.as_str())
 }
 
 /// An answer that is refused, and why.
@@ -430,17 +417,4 @@ async fn video(State(served): State<Served>) -> Response {
 async fn metrics(State(app): State<AppState>) -> impl IntoResponse {
     let text = metrics::text(&app.shared.lock());
     ([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_plot_library_is_taken_out_of_its_crate_whole() {
-        let head: String = PLOTLY.chars().take(400).collect();
-        assert!(head.contains("plotly.js v"), "{head}");
-        assert!(PLOTLY.len() > 3_000_000 && !PLOTLY.contains("<script"));
-        assert!(PLOTLY.trim_end().ends_with([';', '}', ')']), "cut short");
-    }
 }

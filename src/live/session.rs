@@ -20,13 +20,14 @@ use super::status::{EstimateStatus, State, StemStatus};
 use super::straight_reference::RenewableEye;
 use super::verdict_worker::VerdictWorker;
 use crate::error::{Error, Result};
-use crate::record::{read_model, verdict_mark};
+use crate::record::{mark_stale, read_model, verdict_mark};
 use crate::robot::Model;
 use crate::verdict::Level;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
+use tracing::info;
 
 /// A running loop.
 pub struct Live {
@@ -47,6 +48,9 @@ impl Live {
     pub fn start(setup: Setup) -> Result<Self> {
         let Setup { view, source, source_name, encoders, model, options, stem, folder, resume, save_every } = setup;
         let output = folder.path().to_owned();
+        info!(view = %view.name, source = %source_name, output = %output.display(), resume, "live begins");
+        // What an earlier run left is not confirmed yet.
+        mark_stale(&output, "an earlier run left it, and nothing that was measured since confirms it")?;
         let mut estimator = OnlineEstimator::new(model.clone(), options, stem)?;
         let clock = Arc::new(FrameClock::default());
         let encoders = Arc::new(encoders.open(Arc::clone(&clock)));

@@ -62,7 +62,7 @@ impl Standstill {
     }
 }
 
-/// Whether two bends differ by a pose, and by more than the eye's errors.
+/// Whether two bends differ by a pose, and by more than their errors.
 fn has_moved(from: &Measured, to: &Measured) -> bool {
     let step = to.configuration.bend_vector() - from.configuration.bend_vector();
     step.norm() >= NEW_POSE && from.has_moved(to)

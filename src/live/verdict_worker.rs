@@ -10,6 +10,7 @@ use std::convert::Infallible;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use tracing::debug;
 
 /// Time between verdicts, and until the first. Convention: what a fault may go unnoticed at the longest, where nothing else sees it; one verdict
 /// takes some tenths of a second.
@@ -64,6 +65,7 @@ fn judge(shared: &SharedState, sd_encoder_mm: f64, measurements: &[Measurement],
     let subject = Subject { used_and_rejected: Some((used, rejected)), ..Subject::new(&model, sd_encoder_mm) };
     let Ok(verdict) = subject.verdict(measurements.iter().cloned().map(Ok::<_, Infallible>), readings);
     let verdict = if measurements.is_empty() { nothing_judged(measured, latest.as_deref()) } else { verdict };
+    debug!(verdict = %verdict.level, samples = measurements.len(), "judged");
     let mut shared = shared.lock();
     if !measurements.is_empty() {
         shared.gate.take_verdict(verdict.clone());

@@ -30,7 +30,7 @@ use std::sync::{Arc, OnceLock};
 
 /// How many candidates the coarse search hands on.
 ///
-/// Fitted: by hand on renders; judged by `tests/robustness`.
+/// Fitted: by hand on renders; judged by `tests/eye/robustness`.
 const CANDIDATES: usize = 6;
 /// How far the snake's outline may move between two frames of a tracked sequence, px.
 ///
@@ -43,7 +43,7 @@ const TRACKED_MOTION_PX: f64 = 40.0;
 const SMALL_PX: f64 = 300.0;
 /// The share of the searched outline points whose edges must agree with the fit; with fewer the snake is occluded.
 ///
-/// Fitted: by hand on renders; judged by the occluded frames of `tests/robustness`.
+/// Fitted: by hand on renders; judged by the occluded frames of `tests/eye/robustness`.
 const LEAST_INLIERS: f64 = 0.45;
 /// With fewer than this there is no snake.
 ///
@@ -56,7 +56,7 @@ const LEAST_INLIERS_OF_A_SNAKE: f64 = 0.25;
 const LEAST_INLIERS_OF_ANY_SHAPE: f64 = 0.965;
 /// The share of the disks that must be visible: one may be hidden and one half hidden, though not both at the tip.
 ///
-/// Fitted: by hand; when the visibility of parts was first demanded and the mirrored solution tried, frames of `tests/robustness` that were
+/// Fitted: by hand; when the visibility of parts was first demanded and the mirrored solution tried, frames of `tests/eye/robustness` that were
 /// measured falsely went from 11 of 290 to 1 of 320.
 const LEAST_VISIBLE_DISKS: f64 = 0.6;
 /// The share of the outline outside the picture from which on the snake is out of frame.
@@ -65,7 +65,7 @@ const LEAST_VISIBLE_DISKS: f64 = 0.6;
 const OUT_OF_FRAME: f64 = 0.5;
 /// The blur from which on a frame is blurred, σ in px.
 ///
-/// Fitted: by hand on renders; judged by the blurred frames of `tests/robustness`.
+/// Fitted: by hand on renders; judged by the blurred frames of `tests/eye/robustness`.
 const BLURRED_PX: f64 = 5.0;
 
 /// The variance of a fit with any shape, in units of what its edges and priors give: the shape is chosen by the picture that it is then fitted

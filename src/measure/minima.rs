@@ -15,11 +15,11 @@ const CANDIDATES_AT_A_TIME: usize = 2;
 const CANDIDATES_FOLLOWED: usize = 2;
 /// How many coarse fits are refined.
 ///
-/// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
+/// Fitted: by hand on renders, for speed; judged by `tests/eye/robustness`.
 const REFINED: usize = 2;
 /// Coarse fits are refined if their cost is at most this many times the best one's.
 ///
-/// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
+/// Fitted: by hand on renders, for speed; judged by `tests/eye/robustness`.
 const REFINED_COST_RATIO: f64 = 3.0;
 /// Of coarse fits that end within this distance of each other, rad, only the best is refined.
 ///

@@ -1,20 +1,32 @@
 //! compensation.h: the table for a controller written in C, with a lookup that interpolates it.
 //!
 //! The lookup is the product of two cubics through the four nearest angles of the grid, δ going once round. Between the angles of the
-//! default grid it is within 2 µm of the model.
+//! default grid it is within 2 µm of the model; a grid on which it would be off by more than 0.2° of bend is refused.
 
 use crate::error::{ArgumentError, GridError, Result};
-use crate::robot::{Grid, TableRow};
+use crate::geometry::Configuration;
+use crate::robot::{Grid, Model, PerBackbone, TableRow};
+
+/// The largest error of the lookup between two poses of a table, degrees of bend.
+///
+/// Convention: a fifth of the paper's σ of a measured angle.
+const MOST_ERROR_DEG: f64 = 0.2;
 
 /// The header, with the names of what is filled in between `@`.
 const TEMPLATE: &str = include_str!("compensation.h.in");
 
-/// The header as text. `rows` are the table over `grid`, δ running fastest; `source` says where the model comes from, and `do_not_use` why the
-/// table must not be used, if that is so.
+/// The header as text. `rows` are the model's table over `grid`, δ running fastest; `source` says where the model comes from, and `do_not_use`
+/// why the table must not be used, if that is so.
 ///
 /// # Errors
-/// [`ArgumentError::Grid`] for a grid with fewer than four angles either way, or whose δ does not go once round in even steps.
-pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str, do_not_use: Option<&str>) -> Result<String> {
+/// [`ArgumentError::Grid`] for a grid with fewer than four angles either way, whose δ does not go once round in even steps, or that is too coarse.
+pub fn compensation_c_header(
+    model: &Model,
+    grid: &Grid,
+    rows: &[TableRow],
+    source: &str,
+    do_not_use: Option<&str>,
+) -> Result<String> {
     let theta: Vec<f64> = grid.theta.values_deg().collect();
     let delta: Vec<f64> = grid.azimuths_deg().collect();
     let deltas = delta.len();
@@ -24,6 +36,10 @@ pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str, do_no
     let step = delta_1 - delta_0;
     if (step * deltas as f64 - 360.0).abs() > 1e-6 {
         return Err(ArgumentError::from(GridError::NotRound { grid: grid.delta.to_string(), angles: deltas }).into());
+    }
+    let error_deg = between_poses_deg(model, (&theta, &delta), rows);
+    if error_deg > MOST_ERROR_DEG {
+        return Err(ArgumentError::from(GridError::TooCoarse { error_deg, most_deg: MOST_ERROR_DEG }).into());
     }
     let backbones = rows.first().map_or(0, |row| row.command_mm.len());
     let names: Vec<String> = (1..=backbones).map(|i| format!("q_command[{}]", i - 1)).collect();
@@ -51,6 +67,39 @@ pub fn compensation_c_header(grid: &Grid, rows: &[TableRow], source: &str, do_no
         ("@STATUSES@", statuses(rows, deltas)),
     ];
     Ok(filled_in.iter().fold(TEMPLATE.to_owned(), |text, (name, value)| text.replace(name, value)))
+}
+
+/// The largest error of the lookup in the middle between four poses, degrees of bend: what it commands bends the snake otherwise than the model
+/// says by so much. A force that the backbones share bends nothing.
+fn between_poses_deg(model: &Model, (theta, delta): (&[f64], &[f64]), rows: &[TableRow]) -> f64 {
+    let (thetas, deltas) = (theta.len(), delta.len());
+    let by_bend = model.robot.bend_by_displacement();
+    let middles = (0..thetas - 1).flat_map(|i| (0..deltas).map(move |j| (i, j)));
+    let error = |(i, j): (usize, usize)| {
+        // As the lookup does it.
+        let first = i.saturating_sub(1).min(thetas - 4);
+        let (by_theta, by_delta) = (weights((i - first) as f64 + 0.5), weights(1.5));
+        let mut q_mm = PerBackbone::repeat(model.robot.backbone_count(), 0.0);
+        for (a, weight) in by_theta.iter().enumerate() {
+            for (b, other) in by_delta.iter().enumerate() {
+                let row = (first + a) * deltas + (j + b + deltas - 1) % deltas;
+                q_mm += rows[row].command_mm * (weight * other);
+            }
+        }
+        let step = delta[1] - delta[0];
+        let pose = Configuration::from_degrees((theta[i] + theta[i + 1]) / 2.0, delta[j] + step / 2.0);
+        // The line yields, so that only a part of q̃ bends: as much of its error as of itself.
+        let wanted_mm = model.command(pose);
+        let by_mm = pose.theta / by_bend.tr_mul(&wanted_mm).norm();
+        (by_mm * by_bend.tr_mul(&(q_mm - wanted_mm)).norm()).to_degrees()
+    };
+    middles.map(error).fold(0.0, f64::max)
+}
+
+/// Weights of the cubic through values at 0, 1, 2 and 3, at x.
+fn weights(x: f64) -> [f64; 4] {
+    let [a, b, c, d] = [x, x - 1.0, x - 2.0, x - 3.0];
+    [-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0]
 }
 
 /// What the lookup returns at each pose.
@@ -119,7 +168,7 @@ mod tests {
     fn the_compiled_lookup_is_the_table_at_its_poses_and_the_model_between_them() {
         let grid = Grid::default();
         let rows = compensation_table(&model(), &grid).unwrap();
-        let header = compensation_c_header(&grid, &rows, "a */ model", None).unwrap();
+        let header = compensation_c_header(&model(), &grid, &rows, "a */ model", None).unwrap();
         let nodes: Vec<(f64, f64)> =
             rows.iter().map(|row| (row.configuration.theta_deg(), row.configuration.delta_deg())).collect();
         for (found, row) in looked_up(&header, "-std=c89", &nodes).iter().zip(&rows) {
@@ -134,19 +183,23 @@ mod tests {
             worst = (0..3).map(|k| (found.unwrap()[k] - wanted[k]).abs()).fold(worst, f64::max);
         }
         assert!(worst < 2e-3, "{worst} mm");
-        assert_eq!(looked_up(&header, "-std=c89", &[(91.0, 0.0), (-1.0, 0.0)]), [None, None]);
+        assert_eq!(looked_up(&header, "-std=c89", &[(91.0, 0.0), (-1.0, 0.0), (30.0, 1e18)]), [None, None, None]);
     }
 
     #[test]
     fn a_seam_that_is_named_twice_is_one_and_a_sector_is_refused() {
         let grid = |theta: &str, delta: &str| Grid { theta: theta.parse().unwrap(), delta: delta.parse().unwrap() };
-        let header =
-            |grid: &Grid| compensation_c_header(grid, &compensation_table(&model(), grid).unwrap(), "built in", None);
+        let header = |grid: &Grid| {
+            compensation_c_header(&model(), grid, &compensation_table(&model(), grid).unwrap(), "built in", None)
+        };
         let twice = header(&grid("0:60:20", "-180:180:30")).unwrap();
         assert!(twice.contains("#define SNAKELOOP_DELTAS 12"));
         let near = looked_up(&twice, "-std=c89", &[(40.0, 180.0), (40.0, -180.0), (40.0, 540.0)]);
         assert!(near.iter().all(|q| (q.unwrap()[0] - near[0].unwrap()[0]).abs() < 1e-9));
         assert!(matches!(header(&grid("0:60:20", "0:90:10")), Err(crate::Error::Argument(_))));
         assert!(matches!(header(&grid("0:60:60", "-180:180:30")), Err(crate::Error::Argument(_))));
+        // Cubics through four azimuths are ten degrees off between them.
+        let coarse = header(&grid("0:75:25", "-180:180:90")).unwrap_err().to_string();
+        assert!(coarse.contains("of bend off the model"), "{coarse}");
     }
 }

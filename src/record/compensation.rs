@@ -12,12 +12,16 @@
 //! | `within_limits` | with force limits: 1 where all lie within them, else 0 |
 //! | `extrapolated` | 1 where the pose is beyond the bends and directions that the model was learned on, else 0 |
 //! | `do_not_use` | only in a table of a model that must not be used: 1 in every row |
+//! | `stale` | only in a table that is marked so ([`mark_stale`](super::mark_stale)): 1 in every row |
 //!
 //! The JSON has the same rows under `rows`, the model under `model` with model.toml's keys, under `provenance` what made them,
-//! under `verdict` whether `run` or `live` found that they can be relied on, and under `do_not_use` why not, if they must not be used.
+//! under `verdict` whether `run` or `live` found that they can be relied on, and under `do_not_use` why not, if they must not be used. A C header
+//! that stands in the folder is the same table, and is written anew with it.
 
+use super::c_header::compensation_c_header;
 use super::columns::{azimuth, backbone_columns, backbone_decimals, csv_text, decimals};
 use super::model::ModelFile;
+use super::stale::{in_csv, in_header, in_json, in_one_line, mark_header};
 use super::write::write_atomically;
 use crate::error::{Error, Result};
 use crate::robot::{Grid, Model, Sharing, TableRow, compensation_table};
@@ -36,12 +40,14 @@ pub struct Worth<'a> {
     pub verdict: Option<&'a Verdict>,
     /// Why the table must not be used.
     pub do_not_use: Option<&'a str>,
+    /// Why it is stale: the model that it is made from is marked so.
+    pub stale: Option<&'a str>,
 }
 
 impl<'a> Worth<'a> {
     /// That of a model that was judged.
     pub fn of(verdict: &'a Verdict) -> Self {
-        Self { verdict: Some(verdict), do_not_use: verdict.why_not() }
+        Self { verdict: Some(verdict), do_not_use: verdict.why_not(), stale: None }
     }
 }
 
@@ -107,24 +113,43 @@ pub fn compensation_json(model: &Model, source: &str, grid: &Grid, rows: &[Table
 pub fn write_compensation(folder: &Path, model: &Model, source: &str, worth: Worth) -> Result<Vec<TableRow>> {
     let grid = Grid::within_data(model);
     let rows = compensation_table(model, &grid)?;
-    write_compensation_rows(folder, (model, source), &grid, &rows, worth)?;
+    write_compensation_rows(folder, (model, source), &grid, &rows, worth, false)?;
     Ok(rows)
 }
 
-/// The same for a grid of one's own, whose rows were computed already.
+/// The same for a grid of one's own, whose rows were computed already, and compensation.h as well if that is asked for. A header that stands
+/// there is written anew, so that no two files of a folder command differently; it is marked as stale if a header cannot have the grid.
 ///
 /// # Errors
-/// A number that JSON cannot hold, a file that cannot be written.
+/// A number that JSON cannot hold, a file that cannot be written, a header that is asked for of a grid that it cannot have.
 pub fn write_compensation_rows(
     folder: &Path,
     (model, source): (&Model, &str),
     grid: &Grid,
     rows: &[TableRow],
     worth: Worth,
+    c_header: bool,
 ) -> Result<()> {
-    write_atomically(&folder.join("compensation.csv"), compensation_csv(rows, worth).as_bytes())?;
-    let json = compensation_json(model, source, grid, rows, worth)?;
-    write_atomically(&folder.join("compensation.json"), json.as_bytes())
+    let path = folder.join("compensation.h");
+    let header = || compensation_c_header(model, grid, rows, source, worth.do_not_use);
+    let header = match (c_header, path.exists()) {
+        (true, _) => Some(header()?),
+        (false, true) => header().ok(),
+        (false, false) => None,
+    };
+    let stale = worth.stale.map(in_one_line);
+    let stale = stale.as_deref();
+    let csv = in_csv(&compensation_csv(rows, worth), stale.is_some());
+    write_atomically(&folder.join("compensation.csv"), csv.as_bytes())?;
+    let json = in_json(&compensation_json(model, source, grid, rows, worth)?, stale);
+    write_atomically(&folder.join("compensation.json"), json.as_bytes())?;
+    match header {
+        Some(header) => write_atomically(&path, in_header(&header, stale).as_bytes()),
+        None => mark_header(
+            folder,
+            Some("compensation.csv beside it was written anew, over a grid that a header cannot have"),
+        ),
+    }
 }
 
 #[derive(Serialize)]

@@ -69,7 +69,7 @@ fn fits(header: &[String], backbones: usize) -> RowResult<()> {
     {
         let header = header.join(",");
         return Err(format!(
-            "the header has {header}, expected {}; if these are the readings, write into experiment.toml (which --encoders takes as well): {proposal}",
+            "the header has {header}, expected {}; if these are the readings, write into experiment.toml, which commands take in place of the log as well: {proposal}",
             columns(backbones).join(",")
         ));
     }

@@ -154,7 +154,8 @@ impl LogKeys {
     }
 }
 
-/// Reads an encoder log as `[log]` says. Rows without an index are matched by time to `stamps_s`, the time of each frame by its index.
+/// Reads an encoder log as `[log]` says. Rows without an index are matched by time to `stamps_s`, the time of each frame by its index; of those
+/// with an index only some are kept, as in [`read_encoders_kept`](super::read_encoders_kept).
 ///
 /// # Errors
 /// As [`read_encoders`](super::read_encoders); a key that does not fit the header or the robot; frames that tell no times where they are needed.
@@ -163,18 +164,19 @@ pub fn read_log(
     backbones: usize,
     keys: &LogKeys,
     stamps_s: impl FnOnce() -> Result<Vec<(u64, f64)>>,
+    is_kept: impl Fn(u64) -> bool,
 ) -> Result<Checked<EncoderReading>> {
     let names = keys.renamed(backbones).map_err(|why| Error::content(path, format!("[log] {why}")))?;
     let columns = columns(backbones);
     let required: Vec<&str> = columns.iter().map(String::as_str).collect();
-    let any = |_: &[String]| Ok(());
     if !keys.is_by_time() {
-        let (rows, mut warnings) = table::read_renamed(path, &names, &required, any, reading_of(&columns))?;
+        let is_kept = |reading: &EncoderReading| is_kept(reading.index);
+        let (rows, mut warnings) = table::read_renamed(path, &names, &required, reading_of(&columns), is_kept)?;
         let rows = table::in_order_once(rows, &mut warnings);
         return table::checked(path, rows, warnings);
     }
     let row = |row: &Row| Ok(Stamped { time_s: row.time()?, q: displacements(row, &columns[2..])? });
-    let (rows, warnings) = table::read_renamed(path, &names, &required[1..], any, row)?;
+    let (rows, warnings) = table::read_renamed(path, &names, &required[1..], row, |_| true)?;
     let rows = rows.into_iter().map(|(_, row)| row).collect();
     let Checked { rows, warnings } = table::checked(path, rows, warnings)?;
     let matched = Matched::of(path, "the log", rows, &stamps_s()?);
@@ -303,7 +305,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log.csv");
         std::fs::write(&path, table).unwrap();
-        read_log(&path, 3, &keys(keys_text), || Ok(vec![(0, 0.1), (1, 0.25)]))
+        read_log(&path, 3, &keys(keys_text), || Ok(vec![(0, 0.1), (1, 0.25)]), |_| true)
     }
 
     #[test]

@@ -70,8 +70,8 @@ const FURTHER: [&str; 31] = [
 ];
 /// Where those by the rig begin among [`FURTHER`]; they are in the order of a matrix of two rows, column by column.
 ///
-/// Convention: an index.
-const BY_RIG: usize = 19;
+/// Derived: they are its last twelve, two for each of six unit errors.
+const BY_RIG: usize = FURTHER.len() - 2 * 6;
 
 /// A bend vector is that of the angles if it differs by no more, degrees. Convention: a hundred times what their decimals round.
 const SAME_BEND_DEG: f64 = 1e-4;
@@ -149,12 +149,12 @@ fn measured_of(row: &Row) -> RowResult<Option<Measured>> {
 /// The covariance of the bend vector, where the row has one, rad². The angles and their sigmas are what counts: beside others than those that it
 /// was written with, as where somebody changed them, it is left out.
 fn fitted_covariance_of(row: &Row, measured: &Measured) -> RowResult<Option<Matrix2<f64>>> {
-    let numbers = ["bend_x_deg", "bend_y_deg", "var_xx", "var_xy", "var_yy"].map(|column| row.optional_number(column));
-    let [Some(x), Some(y), Some(xx), Some(xy), Some(yy)] = [0, 1, 2, 3, 4].map(|k| numbers[k].clone().ok().flatten())
-    else {
-        return numbers.into_iter().find_map(Result::err).map_or(Ok(None), Err);
-    };
-    fitted_covariance(measured, [x, y], [xx, xy, yy])
+    let number = |column| row.optional_number(column);
+    let bend = (number("bend_x_deg")?, number("bend_y_deg")?);
+    match (bend, number("var_xx")?, number("var_xy")?, number("var_yy")?) {
+        ((Some(x), Some(y)), Some(xx), Some(xy), Some(yy)) => fitted_covariance(measured, [x, y], [xx, xy, yy]),
+        _ => Ok(None),
+    }
 }
 
 /// The covariance of the bend vector that `var_xx`, `var_xy` and `var_yy` say of a measurement whose sigmas are known, rad²; `None` beside angles or
@@ -316,15 +316,7 @@ fn fields(row: &Measurement) -> Vec<String> {
         ],
         None => Default::default(),
     };
-    let bend: [String; 2] = match &row.measured {
-        // Of the angles as the row has them, so that what is read is written as it was.
-        Some(m) => {
-            let [theta_deg, delta_deg] = [m.configuration.theta_deg(), m.configuration.delta_deg()].map(as_written);
-            let bend = Configuration::from_degrees(theta_deg, delta_deg).bend_vector();
-            bend.map(|part| decimals(part.to_degrees(), 6)).into()
-        }
-        None => Default::default(),
-    };
+    let bend: [String; 2] = row.measured.map(|m| bend_fields(m.configuration)).unwrap_or_default();
     let covariance: [String; 3] = match row.measured.and_then(|m| m.fitted_covariance) {
         Some(c) => [c.m11, c.m12, c.m22].map(|part| format!("{:.9e}", part * 1f64.to_degrees().powi(2))),
         None => Default::default(),
@@ -370,9 +362,12 @@ fn fields(row: &Measurement) -> Vec<String> {
     .concat()
 }
 
-/// An angle in degrees as its six decimals say it.
-fn as_written(angle_deg: f64) -> f64 {
-    (angle_deg * 1e6).round() / 1e6
+/// The bend vector of the angles as their six decimals say them, so that what is read is written as it was.
+fn bend_fields(configuration: Configuration) -> [String; 2] {
+    let as_written = |angle_deg: f64| (angle_deg * 1e6).round() / 1e6;
+    let [theta_deg, delta_deg] = [configuration.theta_deg(), configuration.delta_deg()].map(as_written);
+    let bend = Configuration::from_degrees(theta_deg, delta_deg).bend_vector();
+    bend.map(|part| decimals(part.to_degrees(), 6)).into()
 }
 
 /// A sigma in degrees that stays above zero when rounded, and finite, or it could not be read back.

@@ -56,7 +56,7 @@ pub use output::OutputFolder;
 pub use provenance::Provenance;
 pub use recording::{Recorded, write_recording};
 pub use source::{CameraSource, EncoderLog, JointTopic, Source};
-pub use stale::{do_not_use_mark, mark_stale, stale_mark, unmark_stale, verdict_mark};
+pub use stale::{do_not_use_mark, mark_stale, mark_tables_stale, stale_mark, unmark_stale, verdict_mark};
 pub use stem::stems_csv;
 pub use table::{Checked, Fault, Warning};
 pub use tracker::{read_tracker_poses, tracker_poses_of};

@@ -3,6 +3,18 @@
 //! ```toml
 //! [robot]              # backbones = 4 where there are not three; and [robot.primary], [robot.secondary], [robot.line], [robot.body]: units in the key names
 //! [friction]           # mu, static_force_n and how well they are known
+//! [learned]            # on which bends, so that what lies beyond is marked in every table
+//! theta_max_deg = 76.2
+//! delta_deg = [-30.0, 0.0, 30.0]   # the sectors of 30° in which the snake bent, by their middles
+//! [covariance]         # of all parameters, where effects were estimated with them
+//! of = ["eta", "lambda_mm", "load_directed_backlash.play_mm"]
+//! matrix = [[1.6e-5, 2e-7, 1e-7], [2e-7, 3.6e-7, 2e-8], [1e-7, 2e-8, 1.6e-7]]
+//! [[effect]]           # each effect that was found; see robot::effects
+//! name = "load_directed_backlash"
+//! found = "discover, 320 samples"
+//! form = "..."         # where it is not the first of its name
+//! parameters.play_mm = { value = 0.11, sd = 0.0004, unit = "mm" }
+//!                      # a user's own has formula, reading, domain, and parameters with a range: record::effect_table
 //! [estimate]           # absent until something was estimated
 //! eta = 1.221
 //! sd_eta = 0.004
@@ -10,20 +22,11 @@
 //! sd_lambda_mm = 0.0006
 //! correlation = 0.1    # of the errors of eta and lambda
 //! samples = 36
-//! [learned]            # on which bends, so that what lies beyond is marked in every table
-//! theta_max_deg = 76.2
-//! delta_deg = [-30.0, 0.0, 30.0]   # the sectors of 30° in which the snake bent, by their middles
-//! [[effect]]           # each effect that was found; see robot::effects
-//! name = "load_directed_backlash"
-//! found = "discover, 320 samples"
-//! form = "..."         # where it is not the first of its name
-//! parameters.play_mm = { value = 0.11, sd = 0.0004, unit = "mm" }
-//!                      # a user's own has formula, reading, domain, and parameters with a range: record::effect_table
-//! [covariance]         # of all parameters, where effects were estimated with them
-//! of = ["eta", "lambda_mm", "load_directed_backlash.play_mm"]
-//! matrix = [[1.6e-5, 2e-7, 1e-7], [2e-7, 3.6e-7, 2e-8], [1e-7, 2e-8, 1.6e-7]]
-//! [provenance]         # program, date, command, options, and inputs: the files read with their SHA-256
+//! [provenance]         # program, date, command, options, inputs: the files read with their SHA-256; and the verdict
 //! ```
+//!
+//! The estimate stands below all that it needs, so that a file that was cut short has none, and is refused or predicts by η = 1 and λ = 0; never
+//! by the estimate without an effect that it was learned with.
 //!
 //! The matrix is symmetric, and its diagonal holds the squares of the sds. Files written before there was one matrix have its rows with
 //! the effects instead (`covariance_of`, `covariance` in an `[[effect]]`), and are read as well.
@@ -45,6 +48,10 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 use toml::de::DeTable;
 
+/// The keys of `[provenance]` that hold the verdict and its worst reason.
+const VERDICT: &str = "verdict";
+const BECAUSE: &str = "because";
+
 /// The file as it is written.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -54,13 +61,13 @@ pub(super) struct ModelFile {
     #[serde(default)]
     friction: Friction,
     #[serde(skip_serializing_if = "Option::is_none")]
-    estimate: Option<EstimateTable>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     learned: Option<LearnedTable>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    covariance: Option<toml::Spanned<CovarianceTable>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     effect: Vec<toml::Spanned<EffectTable>>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    covariance: Option<toml::Spanned<CovarianceTable>>,
+    estimate: Option<EstimateTable>,
     /// What the file was made from, for people; nothing is computed from it.
     #[serde(skip_serializing_if = "Option::is_none")]
     provenance: Option<toml::Table>,
@@ -171,7 +178,7 @@ pub fn read_model(path: &Path) -> Result<Model> {
     parse(path, &text)
 }
 
-/// Writes a model.toml with its verdict, if it has one, as a comment above it, and with what it was made from; whole or not at all.
+/// Writes a model.toml with what it was made from and its verdict, if it has one, which stands as a comment above it as well; whole or not at all.
 ///
 /// # Errors
 /// Those of [`write_model`].
@@ -183,7 +190,13 @@ pub fn write_learned_model(
 ) -> Result<()> {
     let comment =
         |verdict: &Verdict| verdict.lines().iter().map(|line| format!("# {line}\n")).collect::<String>() + "\n";
-    let text = verdict.map(comment).unwrap_or_default() + &text_of(model, Some(made_from.table()?))?;
+    let mut provenance = made_from.table()?;
+    if let Some(verdict) = verdict {
+        // Programs that change the file and write it again leave comments out.
+        provenance.insert(VERDICT.to_owned(), verdict.level.to_string().into());
+        provenance.extend(verdict.reasons.first().map(|worst| (BECAUSE.to_owned(), worst.text.clone().into())));
+    }
+    let text = verdict.map(comment).unwrap_or_default() + &text_of(model, Some(provenance))?;
     write_atomically(path, text.as_bytes())
 }
 
@@ -201,6 +214,13 @@ pub fn write_model(path: &Path, model: &Model) -> Result<()> {
 /// A number that is not finite or out of its physical range, by its key.
 pub fn model_toml(model: &Model) -> Result<String> {
     text_of(model, None)
+}
+
+/// The verdict that a model's file holds among its keys, if it does: its level, and the worst reason in a sentence.
+pub(super) fn verdict_in(text: &str) -> Option<(String, Option<String>)> {
+    let file: toml::Table = toml::from_str(text).ok()?;
+    let text = |key: &str| Some(file.get("provenance")?.get(key)?.as_str()?.to_owned());
+    Some((text(VERDICT)?, text(BECAUSE)))
 }
 
 fn text_of(model: &Model, provenance: Option<toml::Table>) -> Result<String> {
@@ -224,7 +244,7 @@ pub fn model_json(model: &Model) -> Result<serde_json::Value> {
 /// A robot from constants under the keys of `[robot]`, as JSON; what is left out is the paper's.
 ///
 /// # Errors
-/// [`ArgumentError::Robot`] for a key that there is not, beside those that there are; for what is no number, or out of its physical range.
+/// [`ArgumentError::Robot`] for an unknown key, with the known ones; for a value that is no number or out of its physical range.
 pub fn robot_of(constants: serde_json::Value) -> Result<Robot> {
     let wrong = |why: String| Error::from(ArgumentError::Robot(why));
     let mut all = serde_json::to_value(Robot::default()).map_err(|e| wrong(e.to_string()))?;
@@ -259,6 +279,10 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
     };
     if let Some(fault) = file.out_of_range() {
         return Err(out_of_range(fault));
+    }
+    if file.learned.is_some() && file.estimate.is_none() {
+        let message = "[learned] without [estimate]: the file was cut short; copy it again, or take [learned] out";
+        return Err(Error::content(path, message));
     }
     let mut model = Model {
         estimate: file.estimate.map(Estimate::from),

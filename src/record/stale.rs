@@ -5,10 +5,12 @@
 //! | `model.toml` | a first line `# stale: why` |
 //! | `compensation.csv` | a last column `stale`, 1 in every row |
 //! | `compensation.json` | a first key `"stale"`: why |
+//! | `compensation.h` | a first line `#define SNAKELOOP_STALE 1`, with why in a comment |
 //!
 //! Who does not know the mark reads the files as before: comments, further columns and further keys are passed over. The numbers stay as
 //! they are, to the byte, and writing the files anew removes the mark.
 
+use super::model::verdict_in;
 use super::write::write_atomically;
 use crate::error::{Error, Result};
 use crate::input::read_text;
@@ -20,6 +22,8 @@ use std::path::Path;
 const IN_MODEL: &str = "# stale: ";
 /// How the mark of a JSON file's second line begins.
 const IN_JSON: &str = "  \"stale\": ";
+/// How the mark of a C header begins.
+const IN_HEADER: &str = "#define SNAKELOOP_STALE 1";
 /// The column of a table.
 const COLUMN: &str = ",stale";
 
@@ -39,16 +43,29 @@ pub fn unmark_stale(folder: &Path) -> Result<()> {
     set_mark(folder, None)
 }
 
+/// Marks the tables of a folder alone as stale, beside a model that was learned anew.
+///
+/// # Errors
+/// Those of [`mark_stale`].
+pub fn mark_tables_stale(folder: &Path, why: &str) -> Result<()> {
+    mark_tables(folder, Some(&in_one_line(why)))
+}
+
 /// Why the model in a file is stale, if it is marked so.
 pub fn stale_mark(model: &Path) -> Option<String> {
     let text = read_text(model).ok()?;
-    Some(text.lines().next()?.strip_prefix(IN_MODEL)?.to_owned())
+    text.lines().find_map(|line| line.strip_prefix(IN_MODEL)).map(str::to_owned)
 }
 
-/// The verdict above the keys of a model's file, if there is one: its level, and the worst reason in a sentence.
+/// The verdict in a model's file, if there is one: its level, and the worst reason in a sentence. It stands in a comment, mostly above all others,
+/// and among the keys.
 pub fn verdict_mark(model: &Path) -> Option<(String, Option<String>)> {
     let text = read_text(model).ok()?;
-    let mut comments = text.lines().take_while(|line| line.starts_with('#')).map(|line| line[1..].trim());
+    in_comments(&text).or_else(|| verdict_in(&text))
+}
+
+fn in_comments(text: &str) -> Option<(String, Option<String>)> {
+    let mut comments = text.lines().filter_map(|line| line.trim_start().strip_prefix('#')).map(str::trim);
     let level = comments.find_map(|line| line.strip_prefix("verdict: "))?;
     let worst = comments.find_map(|line| line.strip_prefix("- "));
     Some((level.to_owned(), worst.map(str::to_owned)))
@@ -61,12 +78,24 @@ pub fn do_not_use_mark(model: &Path) -> Option<String> {
 }
 
 fn set_mark(folder: &Path, why: Option<&str>) -> Result<()> {
-    // A line is one line.
-    let why = why.map(|why| why.split_whitespace().collect::<Vec<_>>().join(" "));
-    let why = why.as_deref();
-    rewrite(&folder.join("model.toml"), |text| in_model(text, why))?;
+    let why = why.map(in_one_line);
+    rewrite(&folder.join("model.toml"), |text| in_model(text, why.as_deref()))?;
+    mark_tables(folder, why.as_deref())
+}
+
+fn mark_tables(folder: &Path, why: Option<&str>) -> Result<()> {
     rewrite(&folder.join("compensation.csv"), |text| in_csv(text, why.is_some()))?;
-    rewrite(&folder.join("compensation.json"), |text| in_json(text, why))
+    rewrite(&folder.join("compensation.json"), |text| in_json(text, why))?;
+    mark_header(folder, why)
+}
+
+/// Marks the C header of a folder, if there is one, or takes the mark away.
+pub(super) fn mark_header(folder: &Path, why: Option<&str>) -> Result<()> {
+    rewrite(&folder.join("compensation.h"), |text| in_header(text, why))
+}
+
+pub(super) fn in_one_line(why: &str) -> String {
+    why.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// Writes a file with other content, if it is there and the content is another.
@@ -84,7 +113,7 @@ fn in_model(text: &str, why: Option<&str>) -> String {
     why.map_or(String::new(), |why| format!("{IN_MODEL}{why}\n")) + plain
 }
 
-fn in_csv(text: &str, is_stale: bool) -> String {
+pub(super) fn in_csv(text: &str, is_stale: bool) -> String {
     let was_stale = text.lines().next().is_some_and(|header| header.ends_with(COLUMN));
     let line = |(k, line): (usize, &str)| {
         let plain = if was_stale { line.rsplit_once(',').map_or(line, |(plain, _)| plain) } else { line };
@@ -98,11 +127,17 @@ fn in_csv(text: &str, is_stale: bool) -> String {
     text.lines().enumerate().map(line).collect()
 }
 
-fn in_json(text: &str, why: Option<&str>) -> String {
+pub(super) fn in_json(text: &str, why: Option<&str>) -> String {
     let Some(rest) = text.strip_prefix("{\n") else { return text.to_owned() };
     let plain = if rest.starts_with(IN_JSON) { rest.split_once('\n').map_or("", |(_, plain)| plain) } else { rest };
     let mark = why.map_or(String::new(), |why| format!("{IN_JSON}{},\n", serde_json::Value::from(why)));
     format!("{{\n{mark}{plain}")
+}
+
+pub(super) fn in_header(text: &str, why: Option<&str>) -> String {
+    let plain = if text.starts_with(IN_HEADER) { text.split_once('\n').map_or("", |(_, rest)| rest) } else { text };
+    // What could end the comment early does not belong there.
+    why.map_or(String::new(), |why| format!("{IN_HEADER} /* {} */\n", why.replace("*/", ""))) + plain
 }
 
 #[cfg(test)]

@@ -235,7 +235,8 @@ pub(super) fn read_where<T: Indexed>(
     read_kept(path, required, fits, parse, |_| true)
 }
 
-/// [`read_where`], of which only some rows are kept; memory grows with these alone.
+/// [`read_where`], of which only some rows are kept; memory grows with these alone. The first row and the last are kept all the same, so that it
+/// can be said what the file holds.
 pub(super) fn read_kept<T: Indexed>(
     path: &Path,
     required: &[&str],
@@ -249,15 +250,15 @@ pub(super) fn read_kept<T: Indexed>(
     checked(path, rows, warnings)
 }
 
-/// The rows of a file under other names of columns, as they stand in it, each with its line.
+/// The rows of a file under other names of columns, as they stand in it, each with its line; of which only some are kept, as in [`read_kept`].
 pub(super) fn read_renamed<'a, T>(
     path: &'a Path,
     names: &[Renamed],
     required: &[&str],
-    fits: impl Fn(&[String]) -> RowResult<()>,
     parse: impl Fn(&Row) -> RowResult<T>,
+    is_kept: impl Fn(&T) -> bool,
 ) -> Result<(Vec<(u64, T)>, Warnings<'a>)> {
-    parsed_rows(path, &read_bytes(path, TABLE_BYTES)?, names, required, fits, parse, |_| true)
+    parsed_rows(path, &read_bytes(path, TABLE_BYTES)?, names, required, |_| Ok(()), parse, is_kept)
 }
 
 /// What can be used of a file's rows.
@@ -302,14 +303,19 @@ fn parsed_rows<'a, T>(
     let columns = columns_of(path, &sheet, names, required)?;
     let mut numbered = Vec::new();
     let mut warnings = Warnings::new(path);
+    let mut passed_over = None;
     for (number, fields) in sheet.rows() {
         let row = usable_row(&columns, &sheet, fields);
         match row.and_then(|row| parse(&row)) {
-            Ok(value) if is_kept(&value) => numbered.push((number, value)),
-            Ok(_) => {}
+            Ok(value) if numbered.is_empty() || is_kept(&value) => {
+                passed_over = None;
+                numbered.push((number, value));
+            }
+            Ok(value) => passed_over = Some((number, value)),
             Err(why) => warnings.push(number, format!("{why}; row skipped")),
         }
     }
+    numbered.extend(passed_over);
     Ok((numbered, warnings))
 }
 

@@ -99,7 +99,10 @@ fn dot(psi: &Configuration, value: f64, strongest: f64, px_per_deg: f64, unit: &
 fn legend(strongest: f64, unit: &str, largest: [f64; 2]) -> Markup {
     let y = SIZE_PX + 14.0;
     html! {
-        @let both = [(0.22, NEGATIVE, "−"), (0.52, POSITIVE, if largest[0] > 0.0 { "+" } else { "" })];
+        @let has_both = largest.iter().all(|largest| *largest > 0.0);
+        // Side by side, or one alone in the middle.
+        @let shares = if has_both { [0.06, 0.54] } else { [0.33; 2] };
+        @let both = [(shares[0], NEGATIVE, "−"), (shares[1], POSITIVE, if has_both { "+" } else { "" })];
         @for ((share, colour, sign), largest) in both.into_iter().zip(largest).filter(|(_, largest)| *largest > 0.0) {
             circle cx=(px(share * SIZE_PX)) cy=(px(y - 4.0)) r="5.5" fill=(colour) fill-opacity="0.85" {}
             (text(share * SIZE_PX + 10.0, y, "start", &format!("{sign}{}{}", with_unit(strongest, 3, unit), if largest > strongest { " and beyond" } else { "" })))

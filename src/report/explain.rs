@@ -83,8 +83,8 @@ pub fn stages(
     }
     stages.push(stage(
         "3-grid.png",
-        "The grid where the rig says it is. Where these lines leave the printed ones, camera or target have moved since the \
-         rig was calibrated, or the lens is another.",
+        "The grid as the rig predicts it. If these lines are beside the printed ones, camera or target have moved since the rig \
+         was calibrated, or the lens is another one.",
         picture,
     ));
 
@@ -186,9 +186,9 @@ fn meaning(status: &Status) -> &'static str {
         }
         Status::Ambiguous => "Two bends explain the picture about equally well, so that neither is given.",
         Status::UnknownShape => {
-            "The outline is that of no arc, or of another shape than this snake had in the sequence, and the best shape (6) leaves part of it \
-             unexplained, which the edges beside the drawn outline (5) show, or another shape explains it as well. Before a rig that was refined with three frames or more of this \
-             snake its shape is known."
+            "The outline contradicts an arc, or the shape that this snake had in the sequence. Either the best shape (6) leaves part of it \
+             unexplained, as the edges beside the drawn outline (5) show, or several shapes explain it. If three frames or more of this snake \
+             refine the rig, its shape is known."
         }
         Status::Blurred => "The outline is too blurred for its edges to be placed: focus, or a shorter exposure.",
         Status::Saturated => "Nearly all of the picture is black or white: exposure.",

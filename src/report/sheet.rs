@@ -59,7 +59,7 @@ pub struct Chessboard {
 /// The grid target on an upright sheet, as large as it takes.
 ///
 /// # Errors
-/// A pitch that no printer can print or of which the paper holds less than ten; in words.
+/// A pitch that no printer can print, or that does not fit ten times on the paper; in words.
 pub fn grid_pdf(paper: Paper, grid: &GridTarget) -> Result<Vec<u8>, String> {
     let (width_mm, height_mm) = paper.size_mm();
     let pitch_mm = grid.pitch_mm;
@@ -67,7 +67,7 @@ pub fn grid_pdf(paper: Paper, grid: &GridTarget) -> Result<Vec<u8>, String> {
     let most_mm = room.0 / 10.0;
     if !(0.5..=most_mm).contains(&pitch_mm) {
         return Err(format!(
-            "--pitch {pitch_mm}: expected 0.5 to {most_mm:.1} mm, so that lines are apart and ten fit the paper"
+            "lines {pitch_mm} mm apart: expected 0.5 to {most_mm:.1} mm, so that they can be told apart and ten fit the paper"
         ));
     }
     // Whole fields of ten, so that the heavier lines frame the grid.
@@ -109,9 +109,7 @@ pub fn chessboard_pdf(paper: Paper, board: &Chessboard) -> Result<Vec<u8>, Strin
         return Err("expected at least 3x3 corners and squares of 1 mm or more".to_owned());
     }
     let Some(size_mm) = [(long_mm, short_mm), (short_mm, long_mm)].into_iter().find(fits) else {
-        return Err(format!(
-            "{columns}×{rows} squares of {square_mm} mm do not fit the paper; give a smaller --square"
-        ));
+        return Err(format!("{columns}×{rows} squares of {square_mm} mm do not fit the paper; make them smaller"));
     };
     let (left, bottom) = ((size_mm.0 - wide_mm) / 2.0, MARGIN_MM + FOOT_MM);
     let mut content = in_millimetres();
@@ -234,7 +232,7 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_refused() {
         let big = Chessboard { corners: (9, 6), square_mm: 30.0 };
-        assert!(chessboard_pdf(Paper::A4, &big).unwrap_err().contains("--square"));
+        assert!(chessboard_pdf(Paper::A4, &big).unwrap_err().contains("make them smaller"));
         for pitch_mm in [0.1, 30.0, f64::NAN] {
             assert!(grid_pdf(Paper::Letter, &GridTarget { pitch_mm }).is_err());
         }

@@ -11,7 +11,7 @@ use nalgebra::Vector2;
 
 /// A move of q_i below this changes no direction, mm: twice the encoders' σ of 1.5 µm.
 ///
-/// Fitted: on the project's simulated experiments (`tests/sealed.rs`), whose encoders have that σ; not judged elsewhere.
+/// Fitted: on the project's simulated experiments (`tests/library/sealed.rs`), whose encoders have that σ; not judged elsewhere.
 pub(super) const LEAST_MOVE_MM: f64 = 0.003;
 /// The same in standard deviations of a reading.
 ///
@@ -34,7 +34,7 @@ const FIRST_BEND_RAD: f64 = 0.004;
 /// Fitted: as [`LEAST_MOVE_MM`].
 const FIRST_COMMON_MM: f64 = 0.01;
 
-/// Which steps of a reading tell their backbones' directions, where a move below `least_move_mm` is none.
+/// Which backbones' steps are large enough to show a direction; moves below `least_move_mm` do not count.
 fn clear_steps(step_mm: &PerBackbone, least_move_mm: f64) -> PerBackbone<bool> {
     let least = (CLEAR_STEP_IN_MOVES * least_move_mm).max(CLEAR_STEP_SHARE * step_mm.amax());
     step_mm.map(|step| step.abs() >= least)

@@ -83,6 +83,7 @@ pub struct FrictionSample {
 
 /// Table II of the paper.
 pub fn table_ii() -> Vec<FrictionSample> {
+    // Source: Table II, in gram-force.
     const TAU: [f64; 10] = [0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 700.0, 1000.0, 1500.0, 1800.0];
     const TAU_TILDE: [f64; 10] = [255.0, 420.0, 525.0, 630.0, 750.0, 850.0, 1150.0, 1500.0, 2150.0, 2600.0];
     (1..)

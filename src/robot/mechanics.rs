@@ -35,7 +35,7 @@ const ENCODER_TOLERANCE_MM: f64 = 1e-13;
 ///
 /// Convention: numerical.
 const DIFFERENCE: f64 = 1e-6;
-/// Repetitions by which the eye's errors are taken off a measured bend. They are small and smooth.
+/// Iterations that remove the effects of the measurement (turn, offset) from a measured bend. They are small and smooth.
 ///
 /// Convention: of errors of a slope of 0.5, as a turn by 30° has, 1e-12 are left after as many.
 const EYE_STEPS: usize = 40;

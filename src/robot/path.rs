@@ -9,7 +9,7 @@ use super::directions::Previous;
 use super::drive::DriveState;
 use super::forward::{ForwardSolution, LineJacobian};
 use super::history::Motion;
-use super::mechanics::{Mechanics, Past};
+use super::mechanics::Mechanics;
 use nalgebra::Vector2;
 
 /// A point of a path: where a reading led and how the snake came there. The next reading depends on nothing else.
@@ -25,7 +25,7 @@ pub struct PathPoint {
     reading_mm: PerBackbone,
     /// Where the drive stands.
     drive: DriveState,
-    /// The furthest q that each backbone came to in its direction, mm.
+    /// The furthest q that each backbone came to in its direction, mm; kept only where directions matter.
     extreme_mm: PerBackbone,
 }
 
@@ -61,10 +61,13 @@ impl Mechanics<'_> {
         let near = near.unwrap_or_else(|| self.solve(q_tilde, None, Vector2::zeros()).bend);
         let mut point = self.approach(before, time_s, q_tilde);
         let motion = point.motion;
+        if !self.history.direction {
+            point.solution = self.solve(q_tilde, Some(&motion), near);
+            return point;
+        }
         let solve_with =
             |direction: PerBackbone| (self.solve(q_tilde, Some(&Motion { direction, ..motion }), near), direction);
         let (solution, direction) = match before {
-            _ if !self.history.direction => solve_with(motion.direction),
             None => self.first_direction(solve_with, self.away_from_straight(&self.statics.q_mm(near)), first),
             Some(before) => {
                 self.next_direction(solve_with, &(point.reading_mm - before.reading_mm), &before.as_previous())
@@ -130,7 +133,7 @@ impl Mechanics<'_> {
         near: &ForwardSolution,
         jacobian: &LineJacobian,
     ) -> ForwardSolution {
-        let misfit = self.line_of(q_tilde, Past::Path(motion)) - self.travel(near.bend, Past::Path(motion));
+        let misfit = self.misfit_mm(q_tilde, near.bend, motion);
         let step = jacobian.bend_by_line.tr_mul(&misfit);
         let residual = (misfit - jacobian.line_by_bend * step).component_div(&self.travel_by_reading(q_tilde));
         ForwardSolution {

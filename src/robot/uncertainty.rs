@@ -100,7 +100,7 @@ mod tests {
 
     #[test]
     fn covariances_are_those_of_redrawn_parameters() {
-        // So small that what is not linear is a millionth.
+        // So small that the nonlinear part is a millionth.
         let mut model = paper();
         model.estimate.as_mut().unwrap().covariance *= 1e-6;
         let psi = Configuration::from_degrees(70.0, -140.0);

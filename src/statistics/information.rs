@@ -65,6 +65,35 @@ impl<const N: usize> SquareRootInformation<N> {
         Some((inverse * self.y, inverse * inverse.transpose()))
     }
 
+    /// What the rows say of the last M parameters while the others are free: the triangle's last corner, y with it.
+    pub fn of_last<const M: usize>(&self) -> SquareRootInformation<M> {
+        const { assert!(M <= N) };
+        let first = N - M;
+        SquareRootInformation {
+            upper: self.upper.fixed_view::<M, M>(first, first).into_owned(),
+            y: self.y.fixed_rows::<M>(first).into_owned(),
+        }
+    }
+
+    /// x̂ within the directions that are known to better than `most_sd`, its covariance there, and unit vectors along the others, in which x̂ has no
+    /// part. U = W S Vᵗ: the standard deviation along a column of V is the inverse of its singular value.
+    pub fn seen(&self, most_sd: f64) -> (SVector<f64, N>, SMatrix<f64, N, N>, Vec<SVector<f64, N>>) {
+        let (mut x, mut covariance, mut unseen) = (SVector::zeros(), SMatrix::zeros(), Vec::new());
+        let svd = DMatrix::from_fn(N, N, |row, column| self.upper[(row, column)]).svd(true, true);
+        let (Some(w), Some(v)) = (svd.u, svd.v_t) else { return (x, covariance, unseen) };
+        for (k, value) in svd.singular_values.iter().enumerate() {
+            let direction = SVector::<f64, N>::from_fn(|row, _| v[(k, row)]);
+            if *value > most_sd.recip() {
+                let along = SVector::<f64, N>::from_fn(|row, _| w[(row, k)]).dot(&self.y) / value;
+                x += direction * along;
+                covariance += direction * direction.transpose() / (value * value);
+            } else {
+                unseen.push(direction);
+            }
+        }
+        (x, covariance, unseen)
+    }
+
     /// Multiplies all information so far by the forgetting factor, in (0, 1], except along directions of which so little is known
     /// that forgetting more would leave nothing: however long no row speaks of a direction, the largest eigenvalue of P grows to
     /// `most_sd`² and stays there, or where it was if it was above. x̂ does not move.
@@ -138,6 +167,32 @@ mod tests {
             prop_assert!((ours - x).norm() <= 1e-8 * (1.0 + x.norm()), "{ours} {x}");
             prop_assert!((p - covariance).norm() <= 1e-8 * covariance.norm());
         }
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_said_of_the_last_is_the_schur_complement(rows in any_rows()) {
+            let Some((x, covariance)) = batch(&rows, 1.0) else { return Ok(()) };
+            let (ours, p) = filter(&rows).of_last::<2>().solution().unwrap();
+            prop_assert!((ours - x.fixed_rows::<2>(1)).norm() <= 1e-8 * (1.0 + x.norm()));
+            prop_assert!((p - covariance.fixed_view::<2, 2>(1, 1)).norm() <= 1e-8 * covariance.norm());
+            // Where all is seen, what is seen is the solution.
+            let (seen, within, unseen) = filter(&rows).seen(f64::INFINITY);
+            prop_assert!((seen - x).norm() <= 1e-6 * (1.0 + x.norm()) && unseen.is_empty());
+            prop_assert!((within - covariance).norm() <= 1e-6 * covariance.norm());
+        }
+    }
+
+    #[test]
+    fn a_direction_that_no_row_speaks_of_is_not_seen() {
+        let mut filter = SquareRootInformation::<3>::default();
+        let h = SMatrix::<f64, 2, 3>::new(2.0, 0.0, 0.0, 0.0, 3.0, 4.0);
+        assert!(filter.absorb(&h, &Vector2::new(2.0, 25.0)));
+        let (x, covariance, unseen) = filter.seen(10.0);
+        assert!((x - Vector3::new(1.0, 3.0, 4.0)).norm() < 1e-12, "{x}");
+        assert_eq!(unseen.len(), 1);
+        assert!((unseen[0].dot(&Vector3::new(0.0, 0.8, -0.6)).abs() - 1.0).abs() < 1e-12);
+        assert!((covariance * unseen[0]).norm() < 1e-12 && (covariance[(0, 0)] - 0.25).abs() < 1e-12);
     }
 
     #[test]

@@ -69,7 +69,7 @@ fn columns_stuck(robot: &Robot, samples: &[Sample]) -> Option<String> {
         asked > least_asked && own <= STILL * largest * asked
     });
     let (j, i) = same.next()?;
-    Some(format!("q{} repeats q{}: the snake's motion asks for different readings", i + 1, j + 1))
+    Some(format!("q{} repeats q{}: the snake's motion implies different readings", i + 1, j + 1))
 }
 
 /// The standard deviation without the tenth of the values that is farthest from the median, one at least.
@@ -93,7 +93,7 @@ pub(super) fn camera_stuck(robot: &Robot, samples: &[Sample]) -> Option<Reason> 
     let (first, last) = (frozen.first()?, frozen.last()?);
     in_a_row.then(|| {
         let text = format!(
-            "the picture stands still in {} steps between frames {} and {} while the readings ask for other bends",
+            "the picture stands still in {} steps between frames {} and {} although the readings imply other bends",
             frozen.len(),
             first[0].index,
             last[1].index

@@ -28,7 +28,7 @@ pub struct Subject<'a> {
     pub views: Vec<ViewOffset>,
     /// How many measurements the estimator used and rejected, where there was one.
     pub used_and_rejected: Option<(usize, usize)>,
-    /// That one gain stands in for the recursion's estimate, and why.
+    /// Set if one gain replaces the recursive estimate, with the reason.
     pub replaced: Option<Replaced>,
 }
 

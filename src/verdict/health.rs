@@ -1,7 +1,7 @@
-//! What a model leaves of the measurements, in one place: the innovations, whitened by what the eye and the encoders promise.
+//! What a model leaves of the measurements, in one place: the innovations, whitened by the stated noise of measurements and encoders.
 //!
-//! A residual has a part that bends and a part common to all backbones. The bending part decides whether the table is right. Its noise is
-//! the eye's and that of an encoder reading as it is assumed. It is not learned from the common part: a jitter that all readings share, a
+//! A residual has a part that bends and a part common to all backbones. The bending part decides whether the table is right. Its noise
+//! is that of the measured bend and the assumed noise of an encoder reading. It is not learned from the common part: a jitter that all readings share, a
 //! scale of one encoder or a load that the backbones share move the common part, and say nothing of the noise of the bending part. The
 //! common part moves neither θ nor δ, so that its noise is learned from its own scatter.
 //!
@@ -16,9 +16,9 @@ use super::rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, NORMAL_QUANTILE, REJECT
 use super::scale::LEAST_UNNAMED;
 use crate::estimate::{self, LinearisedMeasurement, Weighting, Whitened, line_share};
 use crate::robot::{Model, PerBackbone};
-use crate::statistics::chi_square;
 use crate::statistics::moments::{mean, rms};
 use crate::statistics::order::mad_scale;
+use crate::statistics::{binomial, chi_square};
 use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
 use std::f64::consts::PI;
 
@@ -31,6 +31,8 @@ const TRIMMED_MEAN_SQUARE: [f64; 2] = [0.744_157, 0.623_236];
 /// Convention: half of the rms, as where a lag is taken for the clock's.
 const LEFT_BY_A_SCALE: f64 = 0.25;
 
+/// A model that misses more than this share of the bends says nothing of them. Convention: half; it then explains three quarters of their variance.
+const MOST_MISSED: f64 = 0.5;
 /// The affine part of a gap is told if it moves a bend of the data by more than this, rad.
 ///
 /// Convention: half a degree, which a table is asked to be right to.
@@ -172,11 +174,12 @@ impl Health {
             self.bend_by_mm * (x.fixed_rows::<2>(0) + (along * cos + across * sin) * farthest).norm()
         };
         let most = (0..12).map(moved).fold(0.0, f64::max);
-        let is_noise = distance < MEAN_SQUARE_OF_NOISE * chi_square::quantile(6, NORMAL_QUANTILE);
+        let before: f64 = self.innovations.iter().map(|one| one.bending.norm_squared()).sum();
+        let is_noise = chance_of_six(distance, before - slope.dot(&x), self.innovations.len()) > LEVEL_OF_TESTS;
         (!is_noise && most > ASKED_FOR).then_some(most)
     }
 
-    /// The gap, if there is one: red if the model misses the bends by more than compensation changes them.
+    /// The gap, if there is one: red if the model misses the bends by more than compensation changes them, or by a large share of what they are.
     pub fn gap(&self) -> Option<Reason> {
         let remedy = "`snakeloop discover` names what the model lacks; where it names nothing, check camera.yaml (focal length, \
                       picture size), grid_pitch_mm, standoff_mm and the straight picture";
@@ -206,6 +209,11 @@ impl Health {
         );
         if missed_mm > compensated_mm {
             let text = format!("{text}; all that compensation changes is {compensated_mm:.3} mm");
+            return reason(Level::DoNotUse, text, remedy.to_owned());
+        }
+        let bent_deg = rms(self.innovations.iter().map(|one| one.bend.norm())).to_degrees();
+        if missed_deg > MOST_MISSED * bent_deg {
+            let text = format!("{text}; the bends themselves are {bent_deg:.1}°");
             return reason(Level::DoNotUse, text, remedy.to_owned());
         }
         let sd = self.sd_encoder_mm;
@@ -270,6 +278,20 @@ fn above_noise(squares: &[f64], numbers: usize) -> Option<f64> {
     (!squares.is_empty() && squares.iter().sum::<f64>() > most).then_some(times)
 }
 
+/// The probability that six numbers fitted to so many pairs lie as far from zero, in squared standard deviations, while the pairs leave these
+/// squares: by the F test, whose noise is that of the pairs, and no less than promised.
+///
+/// For even degrees of freedom the F distribution's tail is a binomial one: F(6, 2m) > f with the probability of at least m successes in m + 2
+/// trials of p = m / (m + 3f).
+///
+/// Source: M. Abramowitz, I. A. Stegun, *Handbook of Mathematical Functions*, 1964, 26.5.24 and 26.6.
+fn chance_of_six(distance: f64, left: f64, pairs: usize) -> f64 {
+    let Some(half) = pairs.checked_sub(3).filter(|half| *half > 0) else { return 1.0 };
+    let promised = 2.0 * half as f64;
+    let left = (left / TRIMMED_MEAN_SQUARE[0]).max(promised);
+    binomial::at_least(half, half + 2, left / (left + distance))
+}
+
 /// One encoder's relative error e, fitted beside η: of what is read a share of 1 − e is moved.
 struct ScaleFit {
     backbone: usize,
@@ -312,5 +334,24 @@ impl ScaleFit {
         );
         let reason = Reason::new(Code::EncoderScale, Level::Look, text, remedy);
         Reason { backbone: Some(backbone), scale: Some((scale * 1e4).round() / 1e4), ..reason }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_chance_of_six_numbers_is_that_of_published_tables_of_f() {
+        // Upper quantiles of F(6, 2m): G. W. Snedecor, W. G. Cochran, Statistical Methods, tables A 14.
+        for (m, f, level) in [(10, 2.60, 0.05), (30, 3.12, 0.01), (5, 9.93, 0.001)] {
+            let squares = TRIMMED_MEAN_SQUARE[0] * 2.0 * f64::from(m);
+            let chance = chance_of_six(6.0 * f, squares, m as usize + 3);
+            assert!((chance / level - 1.0).abs() < 0.02, "F(6, {}): {chance} for {level}", 2 * m);
+            // Noise that is twice as large as promised asks for twice the distance.
+            let noisier = chance_of_six(12.0 * f, 2.0 * squares, m as usize + 3);
+            assert!((noisier - chance).abs() < 1e-12);
+        }
+        assert_eq!(chance_of_six(1e3, 1.0, 3), 1.0, "three pairs are met by six numbers whatever they are");
     }
 }

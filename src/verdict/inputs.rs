@@ -26,7 +26,9 @@ const UNITS: [(f64, &str, &str); 3] =
 ///
 /// Convention: a video's rate is often stated wrongly, 25 for 30 frames a second; a log of another numbering is off by more.
 const RATES: RangeInclusive<f64> = 0.5..=2.0;
-/// Fewer steps than these say nothing of a clock. Convention.
+/// Fewer steps than these say nothing of a clock.
+///
+/// Convention: a median of three bears one outlier.
 const LEAST_STEPS: usize = 3;
 
 /// That nothing was measured, or nothing read: a verdict on nothing is not good.

@@ -91,8 +91,8 @@ fn stuck_or_miswired(
     }
 }
 
-/// What keeps physics from being named: encoders that stand still, or a log that is wired otherwise than it is read. A lag, and a shift
-/// of rows that does not explain the bends to the noise, may be physics too, and are none.
+/// What keeps physics from being named: encoders that stand still, or a log whose wiring differs from what it is read as. A lag, and a
+/// shift of rows that does not explain the bends to the noise, may be physics as well, and are not reported.
 pub(super) fn wiring_mistake(subject: &Subject, evidence: &Evidence, log: &[EncoderReading]) -> Option<Reason> {
     let (stuck, check) = stuck_or_miswired(subject, evidence, log, no_bend(evidence).is_none());
     if stuck.is_some() {
@@ -224,8 +224,8 @@ fn no_bend(evidence: &Evidence) -> Option<Reason> {
 /// η and λ where no robot has them: red if they are no robot's at all, amber if their σ leaves no usual value.
 fn out_of_range(model: &Model) -> Option<Reason> {
     let estimate = model.estimate?;
-    let remedy = "check units and radii in the robot's file and the unit of the log; if both are right the line gives way otherwise \
-                  than the model: `snakeloop discover`";
+    let remedy = "check units and radii in the robot's file and the unit of the log; if both are right, the line yields in another way \
+                  than the model says: `snakeloop discover`";
     if let Some(text) = estimate.implausible() {
         return Some(Reason::new(Code::ParameterOutOfRange, Level::DoNotUse, text, remedy));
     }
@@ -275,7 +275,7 @@ fn rejected(subject: &Subject) -> Option<Reason> {
     let level = if rejected > used { Level::DoNotUse } else { Level::Look };
     let text = format!("{rejected} of {} measurements contradict the others and were rejected", used + rejected);
     let remedy = "look at the frames under \"Measurements not used\" in report.html (estimate.csv has all): if the overlay follows the \
-                  snake there, the log or the model is wrong (`snakeloop discover`), else the frame";
+                  snake there, the log or the model is wrong (`snakeloop discover`), otherwise the frame is";
     Some(Reason::new(Code::ManyRejected, level, text, remedy))
 }
 
@@ -283,9 +283,10 @@ fn rejected(subject: &Subject) -> Option<Reason> {
 fn replaced(subject: &Subject) -> Option<Reason> {
     let Replaced { better, of } = subject.replaced?;
     let text = format!(
-        "the recursive estimate knows nothing of η: one gain for all bends predicts {better} of {of} better, and stands in for it"
+        "the recursive estimate does not determine η: one gain for all bends predicts {better} of {of} bends better, and is used instead"
     );
-    let remedy = "`snakeloop discover` names what the model lacks; until then the table is as good as one gain can be";
+    let remedy =
+        "`snakeloop discover` names what the model lacks; until then the table is only as good as one gain can be";
     Some(Reason::new(Code::GapAboveNoise, Level::Look, text, remedy))
 }
 
@@ -318,7 +319,7 @@ fn camera_lens(subject: &Subject, evidence: &Evidence, check: Option<&WiringChec
 fn not_covered(subject: &Subject, evidence: &Evidence, check: Option<&WiringCheck>) -> Option<Reason> {
     let undecided = check.and_then(|check| check.undecided.as_ref()).map(|other| {
         format!(
-            "the poses do not tell whether the log is wired as it says: columns {:?} with signs {:?} explain the bends as well",
+            "the poses do not decide whether the log's columns are in order: columns {:?} with signs {:?} explain the bends equally well",
             other.columns, other.signs
         )
     });
@@ -328,9 +329,9 @@ fn not_covered(subject: &Subject, evidence: &Evidence, check: Option<&WiringChec
     Some(Reason::new(Code::WorkspaceNotCovered, Level::Look, text, remedy))
 }
 
-/// A direction in which the bends seen say less than one measurement at full bend: there the leverage of such a bend under a model whose
-/// gain hangs on the direction, θ²/Σ b_u² with b_u the bends' part in that direction, is above 1, and its prediction less certain than a
-/// measurement.
+/// A direction in which the measured bends give less information than one measurement at full bend. For a gain that depends on the direction, the
+/// leverage of a full bend θ is θ²/Σ b_u², with b_u the bends' components in that direction. If it is above 1, the prediction is less certain
+/// than a measurement.
 fn unseen_direction(samples: &[Sample]) -> Option<String> {
     let bends = || samples.iter().map(|sample| sample.measured.configuration.bend_vector());
     let information: Matrix2<f64> = bends().map(|bend| bend * bend.transpose()).sum();
@@ -343,7 +344,7 @@ fn unseen_direction(samples: &[Sample]) -> Option<String> {
     let direction = least.eigenvectors.column(place);
     let delta_deg = direction.y.atan2(direction.x).to_degrees().rem_euclid(180.0);
     let text = format!(
-        "the snake hardly bent towards δ = {delta_deg:.0}° or {:.0}°: what is seen there says less than a single measurement at {:.0}°",
+        "the snake hardly bent towards δ = {delta_deg:.0}° or {:.0}°: the measurements there say less than a single one at {:.0}°",
         delta_deg - 180.0,
         largest.to_degrees()
     );
@@ -356,6 +357,6 @@ fn unknown_eta(model: &Model) -> Option<String> {
     let half_range = (PLAUSIBLE_ETA.end() - PLAUSIBLE_ETA.start()) / 2.0;
     (NORMAL_QUANTILE * estimate.sd_eta() > half_range).then(|| {
         let (eta, sd) = (estimate.eta, estimate.sd_eta());
-        format!("η = {eta:.2} ± {sd:.2} may lie anywhere where robots have it: the measurements say nothing of the line's losses")
+        format!("η = {eta:.2} ± {sd:.2} may have any value that robots have: the measurements do not determine the line's losses")
     })
 }

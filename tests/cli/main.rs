@@ -16,6 +16,7 @@ mod faults;
 mod first_hour;
 mod inputs;
 mod live;
+mod log;
 mod recordings;
 mod run;
 mod several_views;

@@ -220,6 +220,18 @@ fn slice() {
     };
     let none: Vec<bool> = (0..6u64).into_par_iter().map(is_none).collect();
     assert!(none.iter().filter(|none| !**none).count() <= 1, "{none:?}");
+    let wrong: Vec<u64> = (0..20).into_par_iter().filter(|&seed| of_ten_samples(seed) != Verdict::None).collect();
+    assert!(wrong.len() <= 1, "{wrong:?}");
+}
+
+/// The verdict on ten samples of an experiment with nothing hidden.
+fn of_ten_samples(seed: u64) -> Verdict {
+    let mut sealed = Sealed::new(&[], 60_000 + seed).expect("a sealed experiment");
+    let stride = sealed.measurements.len() / 10;
+    sealed.measurements = sealed.measurements.into_iter().step_by(stride).take(10).collect();
+    sealed.readings = sealed.readings.into_iter().step_by(stride).take(10).collect();
+    let data = Data::new(&sealed.measurements, &sealed.readings, 0.0015).expect("enough samples");
+    discover(&Model::default(), &data).verdict
 }
 
 fn one(seeds: u64) {

@@ -20,14 +20,18 @@ __all__ = [
     "Robot",
     "Run",
     "SnakeloopError",
+    "StemEstimate",
     "Step",
+    "TipForce",
     "Verdict",
     "__version__",
     "discover",
     "estimate",
+    "estimate_stem",
     "fused",
     "run",
     "simulate",
+    "tip_force",
 ]
 
 __version__: str
@@ -106,6 +110,11 @@ class Model:
         """The paper's robot (Table I) with naive compensation: η = 1, λ = 0."""
     def write(self, path: _Path) -> None:
         """Writes a model.toml, whole or not at all; with the verdict on it, where there is one."""
+    def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> Model:
+        """This model with further effects, as --effect adds them: {name: {parameter: value}}.
+
+        A load on the tip: model.with_effects({"tip_load": {"fx_n": 0.2, "fy_n": 0.0, "fz_n": -0.1}}).
+        """
     def table(self, theta_deg: ArrayLike | None = None, delta_deg: ArrayLike | None = None) -> dict[str, NDArray[Any]]:
         """What to command for every pose of a grid: a dict of arrays with the columns of compensation.csv, one row a pose.
 
@@ -338,6 +347,67 @@ def estimate(
     measurements and encoders: paths of measurements.csv and encoders.csv, data frames, or dicts of arrays with these files'
     columns. model: the Model that gives robot, friction and effects; the paper's without. sd_encoder_mm: standard deviation of an
     encoder reading, mm; 0.0015 without.
+    """
+
+@final
+class StemEstimate:
+    """The bending angle of a flexible stem, as it was followed."""
+
+    @property
+    def phi_deg(self) -> float:
+        """Φ after the last measurement, degrees."""
+    @property
+    def sd_phi_deg(self) -> float:
+        """Its standard deviation, degrees."""
+    @property
+    def model(self) -> Model:
+        """The model with the stem bent by the last Φ."""
+    @property
+    def rows(self) -> dict[str, NDArray[Any]]:
+        """Φ after each measurement: a dict of arrays with the columns of stem.csv."""
+
+def estimate_stem(
+    measurements: _Table,
+    encoders: _Table,
+    model: Model,
+    *,
+    forgetting: float | None = None,
+    sd_encoder_mm: float | None = None,
+) -> StemEstimate:
+    """Follows the total bending angle Φ of a flexible stem, as the command `estimate --stem`.
+
+    measurements and encoders: as in estimate. model: the Model with η, λ and friction known. forgetting: share of the information
+    that is kept from one measurement to the next, 0.95 without. sd_encoder_mm: standard deviation of an encoder reading, mm; 0.0015
+    without.
+    """
+
+@final
+class TipForce:
+    """A force on the tip that explains measured deflections."""
+
+    @property
+    def force_n(self) -> _Numbers:
+        """The force that explains all measurements together, N, shape (3,), in the base frame.
+
+        It has no part along the unseen directions.
+        """
+    @property
+    def covariance_n2(self) -> _Numbers:
+        """Its covariance within the directions that are seen, N², 3 × 3."""
+    @property
+    def unseen(self) -> _Numbers:
+        """Unit vectors along which no measurement shows a force, shape (count, 3)."""
+    @property
+    def rows(self) -> dict[str, NDArray[Any]]:
+        """The force that explains each measurement: a dict of arrays with the columns of force.csv."""
+
+def tip_force(
+    measurements: _Table, encoders: _Table, model: Model, *, sd_encoder_mm: float | None = None
+) -> TipForce:
+    """Finds the force on the tip that explains measured deflections, as the command `force`.
+
+    measurements and encoders: of the loaded snake, as in estimate. model: the Model with η and λ of the unloaded snake.
+    sd_encoder_mm: standard deviation of an encoder reading, mm; 0.0015 without.
     """
 
 @final

@@ -75,7 +75,7 @@ impl Args {
             if inspection.reasons.is_empty() { inspection.with_data(console, &experiment)? } else { inspection.end() };
         console.result(&summary, || summary.text());
         console.next(match summary.verdict.level {
-            Level::DoNotUse => "do what stands below the first reason, then check again".to_owned(),
+            Level::DoNotUse => "follow the remedy of the first reason, then check again".to_owned(),
             Level::Good | Level::Look => format!("snakeloop run {} -o out", self.experiment.display()),
         });
         match summary

@@ -15,27 +15,27 @@ use std::f64::consts::{E, TAU};
 
 /// Another fit explains the picture as well only if its cost is below this many times the best one's.
 ///
-/// Fitted: by hand on renders; judged by `tests/robustness`.
+/// Fitted: by hand on renders; judged by `tests/eye/robustness`.
 const COST_RATIO: f64 = 1.5;
 /// And only if the scatter of its edges is below this many times the best one's.
 ///
-/// Fitted: on renders of snakes bent by 3°, which have a second minimum with a third more scatter; judged by `tests/robustness`.
+/// Fitted: on renders of snakes bent by 3°, which have a second minimum with a third more scatter; judged by `tests/eye/robustness`.
 const SCATTER_RATIO: f64 = 1.3;
 /// Fits this close together, rad, differ by how the disks are tilted, which does not show where they are seen edge-on.
 ///
-/// Fitted: by hand on renders; judged by `tests/robustness`.
+/// Fitted: by hand on renders; judged by `tests/eye/robustness`.
 pub(crate) const EDGE_ON_RAD: f64 = 0.1;
 /// The same in a coarse picture: so close that the rims of the tip's disk open by the same amount, px.
 ///
-/// Fitted: by hand on coarse renders; judged by `tests/robustness`.
+/// Fitted: by hand on coarse renders; judged by `tests/eye/robustness`.
 const EDGE_ON_PX: f64 = 2.0;
 /// A fit explains all of the outline only if its cost is below this.
 ///
-/// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
+/// Fitted: by hand on renders, for speed; judged by `tests/eye/robustness`.
 const EXPLAINING_COST: f64 = 0.01;
 /// And only if this share of the outline agrees with it.
 ///
-/// Fitted: by hand on renders, for speed, together with the cost; judged by `tests/robustness`.
+/// Fitted: by hand on renders, for speed, together with the cost; judged by `tests/eye/robustness`.
 const EXPLAINING_INLIERS: f64 = 0.95;
 /// A coarse fit with this share, of which every disk is visible, is worth a fit in the fine stage before others are tried, ...
 ///
@@ -50,7 +50,7 @@ const UNRIVALLED_INLIERS: f64 = 0.965;
 
 /// How far the last disk of a snake that may have any shape is turned, rad, to look for other local minima.
 ///
-/// Fitted: on lone frames of random rigs (`tests/robustness`), whose other minima were 1.4° to 3.1° from the first; starts from 1.5° to 5°
+/// Fitted: on lone frames of random rigs (`tests/eye/robustness`), whose other minima were 1.4° to 3.1° from the first; starts from 1.5° to 5°
 /// away led to the same ones.
 const TIP_TURN_RAD: f64 = 0.05;
 

@@ -19,7 +19,7 @@ use std::collections::BTreeSet;
 
 /// From this search distance on, px, the model is close enough to the picture for the redescending loss.
 ///
-/// Fitted: by hand on renders; judged by `tests/robustness`.
+/// Fitted: by hand on renders; judged by `tests/eye/robustness`.
 pub(crate) const FINE_SEARCH_PX: f64 = 4.0;
 /// The largest bend that a fit may pass through, rad. It must end within what the model answers for, [`MAX_THETA`].
 ///
@@ -31,13 +31,13 @@ const LARGEST_BEND_RAD: f64 = 2.2;
 const LEAST_MATCHED_PX: f64 = 60.0;
 /// A round that moves the bend by no more than this, rad, starts the redescending phase, and the rounds after it search within the last distance.
 ///
-/// Fitted: by hand on renders; judged by `tests/robustness`.
+/// Fitted: by hand on renders; judged by `tests/eye/robustness`.
 const REDESCENDING_RAD: f64 = 2e-3;
 /// A bend that differs by less than this, rad, leaves the border on the same points of the body, near enough for the coarse stages.
 /// The fine stage draws the outline anew in each round: which rims of disks seen edge-on are on the border depends on every hundredth
 /// of a degree.
 ///
-/// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
+/// Fitted: by hand on renders, for speed; judged by `tests/eye/robustness`.
 const REPROJECTED_RAD: f64 = 0.03;
 /// The most linearisations for the edges of one round.
 ///

@@ -8,7 +8,7 @@ use crate::measure::body::{Outline, PredictedEdge, Projection};
 /// The furthest that blur may displace an edge of the model in a sharp picture, px; in others so many times further as they are
 /// more blurred.
 ///
-/// Fitted: by hand on renders; judged by `tests/robustness`.
+/// Fitted: by hand on renders; judged by `tests/eye/robustness`.
 const PREDICTION_SEARCH_PX: f64 = 1.0;
 /// The least blur ratio of a predicted edge.
 ///

@@ -11,7 +11,7 @@ use std::ops::Range;
 
 /// By how much the picture is shrunk.
 ///
-/// Fitted: by hand on renders, for speed; judged by `tests/robustness`.
+/// Fitted: by hand on renders, for speed; judged by `tests/eye/robustness`.
 const SHRINK: usize = 4;
 /// The largest bend of the lattice, degrees.
 ///
@@ -28,7 +28,7 @@ const SPACING_DEG: f64 = 4.0;
 const APART_SPACINGS: f64 = 2.2;
 /// Distance from the outline at which it is compared what lies inside and outside, px of the shrunk picture.
 ///
-/// Fitted: by hand on renders; judged by `tests/robustness`.
+/// Fitted: by hand on renders; judged by `tests/eye/robustness`.
 const PAIR_DISTANCE_PX: f64 = 1.6;
 /// Distance between neighbouring pairs along the outline, as a share of the snake's diameter, and never less than the outline's own.
 ///
@@ -46,7 +46,7 @@ const LEAST_GAP_PX: f64 = 2.5;
 const FEWEST_PAIRS: usize = 20;
 /// One pair in so many is looked at of every bend, ...
 ///
-/// Fitted: for speed; the bends of 200 photo-real frames are the same bytes as without. Judged by `tests/robustness`.
+/// Fitted: for speed; the bends of 200 photo-real frames are the same bytes as without. Judged by `tests/eye/robustness`.
 const SIFTING_STRIDE: usize = 4;
 /// ... and the others of one bend in so many, of those with the most contrast so far.
 ///

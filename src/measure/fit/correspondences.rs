@@ -103,7 +103,7 @@ impl Correspondences {
     /// are in the order of the outline's points. Each has the standard deviation `sigma_px`.
     #[cfg(test)]
     pub fn displaced(outline: &Outline, displacements_px: &[f64], sigma_px: f64) -> Self {
-        /// The edges' blur after the filter.
+        /// The edges' blur after the filter. Convention: that of sharp pictures; for tests.
         const SPREAD_PX: f64 = 1.5;
         let mut edges = Self { all: vec![], sections_mm: vec![], section_of: vec![], searched: vec![], blur_px: 1.0 };
         let points = outline.points.iter().zip(displacements_px);

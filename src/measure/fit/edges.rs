@@ -47,7 +47,7 @@ const STEP_PX: f64 = 0.5;
 const FILTER_PX: f64 = 1.2;
 /// σ of the finest filter, px.
 ///
-/// Fitted: by hand on the rigs of `tests/uncertainty`; a finer one has too few samples of 0.5 px within its σ.
+/// Fitted: by hand on the rigs of `tests/eye/uncertainty`; a finer one has too few samples of 0.5 px within its σ.
 const FINEST_PX: f64 = 0.8;
 /// σ of the widest filter, px: a wider one would reach from one rim of a disk to the other.
 ///
@@ -76,11 +76,11 @@ const LEAST_SLOPE_SIGMAS: f64 = 5.0;
 const HALF_STEP_SLOPE: f64 = 0.15;
 /// How far around an edge its surroundings are examined, px.
 ///
-/// Fitted: by hand on renders; judged as part of the whole noise model by `tests/uncertainty`.
+/// Fitted: by hand on renders; judged as part of the whole noise model by `tests/eye/uncertainty`.
 const NEIGHBOURHOOD_PX: f64 = 5.0;
 /// How far an opposite edge as steep as the edge itself displaces it, px (1σ); less steep ones in proportion.
 ///
-/// Fitted: by hand on renders; judged as part of the whole noise model by `tests/uncertainty`.
+/// Fitted: by hand on renders; judged as part of the whole noise model by `tests/eye/uncertainty`.
 const NEIGHBOUR_PULL_PX: f64 = 1.0;
 /// The furthest that edges are searched for, px.
 ///

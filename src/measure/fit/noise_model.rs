@@ -23,7 +23,7 @@ use nalgebra::Vector2;
 
 /// The standard deviation by which each bias of the edges differs between the straight picture and a frame, px.
 ///
-/// Fitted: by hand on renders; judged as part of the whole by `tests/uncertainty`.
+/// Fitted: by hand on renders; judged as part of the whole by `tests/eye/uncertainty`.
 const FRAME_BIAS_SIGMA_PX: f64 = 0.05;
 /// What is known beforehand of [`EdgeBias::glare`]: its mean, ...
 ///
@@ -61,24 +61,24 @@ pub(super) const OWN_VARIANCE: f64 = 0.5;
 pub(crate) const POSE_VARIANCE: f64 = 1.5;
 /// The design effect of the edges against the priors: how many neighbouring edges err alike and so count as one.
 ///
-/// Fitted: by hand on renders; judged as part of the whole by `tests/uncertainty`.
+/// Fitted: by hand on renders; judged as part of the whole by `tests/eye/uncertainty`.
 pub(crate) const DESIGN_EFFECT: f64 = 10.0;
 /// Standard deviation of a single edge for other reasons than noise, px.
 ///
-/// Fitted: by hand on renders; judged as part of the whole by `tests/uncertainty`.
+/// Fitted: by hand on renders; judged as part of the whole by `tests/eye/uncertainty`.
 const EDGE_FLOOR_PX: f64 = 0.08;
 /// The same at a tube, whose brightness changes within the pixels that place an edge.
 ///
-/// Fitted: on the rigs of `tests/uncertainty`, where edges of tubes lie up to 0.5 px outside the border, by a different amount on
+/// Fitted: on the rigs of `tests/eye/uncertainty`, where edges of tubes lie up to 0.5 px outside the border, by a different amount on
 /// each side, and those of disks at most 0.1 px.
 const TUBE_FLOOR_PX: f64 = 0.3;
 /// Standard deviation of each systematic mode of the rims, px.
 ///
-/// Fitted: by hand to the covariance of the normalised errors on the rigs of `tests/uncertainty`.
+/// Fitted: by hand to the covariance of the normalised errors on the rigs of `tests/eye/uncertainty`.
 const RIM_MODE_PX: f64 = 0.0108;
 /// Standard deviation of each systematic mode of the sides, px.
 ///
-/// Fitted: to the rigs of `tests/uncertainty`, where the sides of disks and holder are displaced to the right or to the left by
+/// Fitted: to the rigs of `tests/eye/uncertainty`, where the sides of disks and holder are displaced to the right or to the left by
 /// 0.011 px in the median rig and 0.04 px in one of ten.
 const SIDE_MODE_PX: f64 = 0.0245;
 /// Standard deviation at the base and at the tip of each mode of the sides that changes from one to the other, px: a shadow, or what lies
@@ -90,7 +90,7 @@ const SIDE_MODE_PX: f64 = 0.0245;
 const SIDE_TAPER_PX: f64 = 0.049;
 /// The scatter of the edges at which the modes are as large as that, px.
 ///
-/// Fitted: the median over the rigs of `tests/uncertainty`.
+/// Fitted: the median over the rigs of `tests/eye/uncertainty`.
 const TYPICAL_SCATTER_PX: f64 = 0.14;
 /// The blur up to which the figures hold, σ in px; a picture of no more is called sharp.
 ///
@@ -98,7 +98,7 @@ const TYPICAL_SCATTER_PX: f64 = 0.14;
 pub(crate) const SHARP_PX: f64 = 1.5;
 /// A snake whose disks are narrower than this, px, is small: its parts are hardly wider than the edge filter.
 ///
-/// Fitted: by hand on the rigs of `tests/uncertainty` and `tests/robustness`.
+/// Fitted: by hand on the rigs of `tests/eye/uncertainty` and `tests/eye/robustness`.
 pub(super) const SMALL_DIAMETER_PX: f64 = 40.0;
 
 /// How many systematic modes there are.

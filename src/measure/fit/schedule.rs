@@ -9,7 +9,7 @@ use super::linearised::{COARSE_REWEIGHTING_TOLERANCE, REWEIGHTING_TOLERANCE};
 pub(crate) const CONVERGED_RAD: f64 = 1e-3;
 /// The last search distance of all fits, px.
 ///
-/// Fitted: by hand on renders, as the others; judged by `tests/robustness`.
+/// Fitted: by hand on renders, as the others; judged by `tests/eye/robustness`.
 pub(super) const LAST_SEARCH_PX: f64 = 3.0;
 
 /// How a picture is fitted: the rounds, and what is done in each.
@@ -33,7 +33,7 @@ pub(crate) struct FitSchedule {
 impl FitSchedule {
     /// The fit of a candidate, from the lattice of the coarse search.
     ///
-    /// Fitted: the search distances, by hand on renders, here and below; judged by `tests/robustness`.
+    /// Fitted: the search distances, by hand on renders, here and below; judged by `tests/eye/robustness`.
     pub const COARSE: Self = Self { searches_px: &[14.0, 8.0], rounds: 2, ..Self::REFINEMENT };
     /// The refinement of a coarse fit.
     pub const REFINEMENT: Self = Self {

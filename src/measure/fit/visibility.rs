@@ -19,7 +19,7 @@ const CLEAR_PX: f64 = 3.0;
 const SEARCH_PX: f64 = 4.0;
 /// An edge confirms the model if it lies this close to it, px, or within two of its σ.
 ///
-/// Fitted: by hand on renders, where edges scatter by 0.14 px in the median rig; judged by `tests/robustness`.
+/// Fitted: by hand on renders, where edges scatter by 0.14 px in the median rig; judged by `tests/eye/robustness`.
 const CONFIRMING_PX: f64 = 1.0;
 /// A disk with fewer searched points has no share of its own.
 ///

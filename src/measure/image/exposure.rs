@@ -16,7 +16,7 @@ const BLACK: f32 = 3.0;
 const SATURATED_SHARE: f64 = 0.98;
 /// The share of white pixels above which it is: most of it is so overexposed that edges are no longer where half of the light is.
 ///
-/// Fitted: by hand on renders; judged by `tests/robustness`.
+/// Fitted: by hand on renders; judged by `tests/eye/robustness`.
 const WHITE_SHARE: f64 = 0.5;
 /// One pixel of so many is examined.
 ///

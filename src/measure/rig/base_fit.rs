@@ -4,25 +4,26 @@
 //! round to round. While the search is wide the loss is Huber's, for a whole family of edges may be far off because the model is, and
 //! must go on pulling; then Tukey's biweight, to which what is still far off counts nothing.
 
+use super::base_problem::BaseProblem;
 use super::error::{RigError, SnakePart};
 use super::parameters::{Rig, RigOptions};
-use super::placement::{PLACEMENT, Placement, TILT};
+use super::placement::{PLACEMENT, Placement};
 use super::snake_search::SnakeStart;
+use super::tilt::of_its_own_tilt;
 use crate::camera::{Frame, Lens};
 use crate::geometry::Configuration;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    BIASES, Correspondences, DESIGN_EFFECT, EdgeBias, EdgeFinder, FINE_SEARCH_PX, GLARE, GLARE_SIGMA, PartVisibility,
-    RobustPhase, UNKNOWN_BIAS, UNKNOWN_SHAPE_RAD, fine_filter, inliers, predict_blur, systematic_covariance,
+    BIASES, Correspondences, DESIGN_EFFECT, EdgeBias, EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase,
+    UNKNOWN_BIAS, UNKNOWN_SHAPE_RAD, fine_filter, inliers, predict_blur, systematic_covariance,
 };
 use crate::measure::image::appearance::Appearance;
 use crate::measure::image::plane::Plane;
 use crate::measure::target::{Grid, GridPattern};
 use crate::robot::Robot;
 use crate::statistics::cluster::clustered_covariance;
-use crate::statistics::least_squares::{Options, Solution, minimise};
+use crate::statistics::least_squares::{Options, Solution, solve};
 use nalgebra::{DMatrix, DVector, Point2};
-use std::f64::consts::PI;
 
 /// How far from the outline edges are searched for in each round, px.
 ///
@@ -38,21 +39,6 @@ const COARSE_ITERATIONS: usize = 10;
 ///
 /// Convention: a limit of time.
 const LEARNING_ROUNDS: usize = 3;
-/// How far the standoff may be from what was stated, mm (1σ).
-///
-/// Convention: a ruler's precision.
-pub const STANDOFF_SIGMA_MM: f64 = 0.1;
-/// How far the snake may be from parallel to the grid, rad (1σ): in a jig that was made for it, and where an eye set it. Either is as likely.
-///
-/// Convention: a jig's precision, 0.05 mm over the snake's length; and half a millimetre.
-const TILT_SIGMAS: [f64; 2] = [0.1 * PI / 180.0, 1.0 * PI / 180.0];
-/// How far from its own tilt the light on the disks' faces makes a straight snake seem tilted, rad (1σ): all faces are seen at nearly the same
-/// glancing angle, so that no number of disks averages it away. Bent snakes, whose faces are seen at many angles, do not share it.
-///
-/// Fitted: by maximum likelihood to the seventeen photo-real rigs of even number, whose snakes are parallel to the grid and seemed tilted by
-/// 0.106° (rms) where edges said 0.06°; their log-likelihood grows by 12. Judged by the thirteen of odd number: it grows by 36, and is
-/// largest at the same value.
-const SEEMING_TILT_SIGMA: f64 = 0.085 * PI / 180.0;
 /// How far outside the snake's border its edges may be seen, px (1σ), and what stands for none at all: while the model is off, a bias would
 /// take the blame and carry scale and tilt away.
 ///
@@ -91,6 +77,11 @@ const MOST_TURN_SIGMA: f64 = 0.1;
 ///
 /// Convention: about the width of the border's surroundings that are then asked.
 const WELL_PLACED_PX: f64 = 5.0;
+/// How far around the snake the picture is looked at, px.
+///
+/// Derived: until it is learned anew the outline moves within three rounds' searches, 36 px at first, and an edge is searched for and its surroundings
+/// are examined 30 px further at most.
+const AROUND_PX: f64 = 70.0;
 /// What tells snake from target is asked for most where edges are placed, so near the border, px (σ of a blur of the silhouette), and so
 /// many times as much: a JPEG and many a camera keep less of the colours than of the brightness, and what looks the most unlike far from the
 /// border has the worst edges. Pixels that an edge mixes of both sides lie between the two and change nothing.
@@ -106,11 +97,6 @@ const BELOW_HOLDER: f64 = 1.0;
 ///
 /// Convention: ±1.6 σ of the blur.
 const BORDER_SHARES: std::ops::Range<f32> = 0.05..0.95;
-/// Steps of central differences: placement (mm, mm, rad, mm, rad) and edge biases (three in px, two shares).
-///
-/// Convention: far below what edges tell, far above rounding.
-const STEPS: [f64; PLACEMENT + BIASES] = [1e-4, 1e-4, 1e-5, 1e-4, 1e-5, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3];
-
 /// The bend of a straight snake.
 pub const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
 
@@ -130,14 +116,36 @@ struct Round {
     solution: Solution,
 }
 
+/// What tells snake from target, the picture around the snake seen through it, and the noise of that.
+struct Learned {
+    appearance: Appearance,
+    plane: Plane,
+    noise: f64,
+}
+
+impl Learned {
+    /// From a picture in which a view's outline tells which pixels are snake; `None` where they do not differ.
+    fn of(frame: &Frame, view: &Projection, outline: &Outline, is_well_placed: bool) -> Option<Self> {
+        let appearance = appearance_of(frame, view, outline, is_well_placed)?;
+        let region = view.image_region(STRAIGHT, AROUND_PX);
+        let plane = appearance.plane_within(frame, &region);
+        let noise = plane.noise(&region);
+        Some(Self { appearance, plane, noise })
+    }
+
+    /// Finds the picture's edges.
+    fn finder(&self) -> EdgeFinder<'_> {
+        EdgeFinder::with_noise(&self.plane, self.appearance.two_sided, self.noise)
+    }
+}
+
 /// The state of the fit between rounds.
 struct BaseFit<'a> {
     picture: StraightPicture<'a>,
     grid: &'a Grid,
     placement: Placement,
     bias: EdgeBias,
-    /// What tells snake from target, and the picture seen through it.
-    learned: Option<(Appearance, Plane)>,
+    learned: Option<Learned>,
     last: Option<Round>,
 }
 
@@ -180,12 +188,7 @@ impl<'a> BaseFit<'a> {
         let mut outline = Outline::new(&view, STRAIGHT);
         // The model's own outline tells which pixels are snake, the better the better it lies.
         if round.is_multiple_of(LEARNING_ROUNDS) || self.learned.is_none() {
-            let frame = self.picture.frame;
-            let appearance = appearance_of(frame, &view, &outline, search_px <= WELL_PLACED_PX);
-            self.learned = appearance.map(|appearance| {
-                let plane = appearance.plane(frame);
-                (appearance, plane)
-            });
+            self.learned = Learned::of(self.picture.frame, &view, &outline, search_px <= WELL_PLACED_PX);
         }
         let edges = self.edges(&view, &mut outline, search_px)?;
         let is_coarse = search_px > FINE_SEARCH_PX;
@@ -197,16 +200,14 @@ impl<'a> BaseFit<'a> {
             options.most_iterations = COARSE_ITERATIONS;
         }
         let solution = self.solve(&edges, &roots, bias_sigma_px, &options)?;
-        self.placement = Placement(solution.parameters.rows(0, PLACEMENT).into_owned());
-        self.bias = EdgeBias::default().moved(&solution.parameters.as_slice()[PLACEMENT..]);
+        (self.placement, self.bias) = BaseProblem::at(&solution.parameters);
         self.last = Some(Round { edges, roots, solution });
         Ok(())
     }
 
     /// The picture's edges near the outline, looked for with the filter that suits the blur of those found before.
     fn edges(&self, view: &Projection, outline: &mut Outline, search_px: f64) -> Result<Correspondences, RigError> {
-        let (appearance, plane) = self.learned.as_ref().ok_or(RigError::NoContrast)?;
-        let mut finder = EdgeFinder::new(plane, appearance.two_sided);
+        let mut finder = self.learned.as_ref().ok_or(RigError::NoContrast)?.finder();
         if let Some(Round { edges, .. }) = &self.last {
             if search_px > FINE_SEARCH_PX {
                 finder = finder.coarse_for_blur(edges.blur_px);
@@ -221,9 +222,7 @@ impl<'a> BaseFit<'a> {
         if is_enough { Ok(edges) } else { Err(RigError::TooFewEdges { edges: found, places }) }
     }
 
-    /// The placement and the biases that agree best with weighted edges and with what is known beforehand, which counts against as many
-    /// edges as err alike ([`DESIGN_EFFECT`]): what displaces all rims together looks like a lean. The standoff alone gives way, so that a scale
-    /// that was stated wrongly shows in it.
+    /// The placement and the biases that agree best with weighted edges and with what is known beforehand.
     fn solve(
         &self,
         edges: &Correspondences,
@@ -231,29 +230,16 @@ impl<'a> BaseFit<'a> {
         bias_sigma_px: f64,
         options: &Options,
     ) -> Result<Solution, RigError> {
-        let residuals = |x: &DVector<f64>| {
-            let placement = Placement(x.rows(0, PLACEMENT).into_owned());
-            let bias = EdgeBias::default().moved(&x.as_slice()[PLACEMENT..]);
-            let of_edges = edges.residuals(&self.view(&placement), STRAIGHT, bias);
-            let weighted = of_edges.iter().zip(roots).map(|(r, root)| r * root);
-            let [side, tube, rim, near, far] = bias.to_array();
-            let biases = [side, tube, rim].map(|bias_px| bias_px / bias_sigma_px);
-            let faces = [(near - GLARE) / GLARE_SIGMA, (far - GLARE) / GLARE_SIGMA];
-            let height = placement.height_mm() / STANDOFF_SIGMA_MM;
-            let known =
-                [placement.tilt() / TILT_SIGMAS[1].hypot(SEEMING_TILT_SIGMA)].into_iter().chain(biases).chain(faces);
-            let known = known.map(|prior| prior * DESIGN_EFFECT.sqrt()).chain([height]);
-            DVector::from_vec(weighted.chain(known).collect())
-        };
         let start = self.placement.0.iter().copied().chain(self.bias.to_array());
-        let start = DVector::from_iterator(STEPS.len(), start);
-        let steps = DVector::from_column_slice(&STEPS);
-        minimise(residuals, start, &steps, options).map_err(|_| RigError::Undetermined)
+        let start = DVector::from_iterator(PLACEMENT + BIASES, start);
+        let StraightPicture { lens, robot, options: stated, .. } = self.picture;
+        let problem = BaseProblem { lens, robot, options: stated, grid: self.grid, edges, roots, bias_sigma_px };
+        solve(&problem, start, options).map_err(|_| RigError::Undetermined)
     }
 
     /// The rig of the last round, if the picture confirms it.
     fn rig(self) -> Result<Rig, RigError> {
-        let (Some(Round { edges, roots, solution }), Some((appearance, plane))) = (&self.last, &self.learned) else {
+        let (Some(Round { edges, roots, solution }), Some(learned)) = (&self.last, &self.learned) else {
             return Err(RigError::Undetermined);
         };
         let StraightPicture { robot, options, .. } = self.picture;
@@ -261,8 +247,7 @@ impl<'a> BaseFit<'a> {
         let residuals_px = edges.in_px(&edges.residuals(&view, STRAIGHT, self.bias));
         let (agreeing, edge_rms_px) = inliers(&residuals_px, roots);
         let covariance = covariance(edges, roots, solution, &view, edge_rms_px).ok_or(RigError::Undetermined)?;
-        let finder = EdgeFinder::new(plane, appearance.two_sided);
-        let visibility = PartVisibility::new(&Outline::new(&view, STRAIGHT), &finder);
+        let visibility = PartVisibility::new(&Outline::new(&view, STRAIGHT), &learned.finder());
         let are_all_visible = visibility.are_all_faintly_visible(last_part(robot));
         self.check_agreement(edges, agreeing, edge_rms_px, are_all_visible)?;
         check_visibility(&visibility, robot)?;
@@ -286,7 +271,7 @@ impl<'a> BaseFit<'a> {
             sheet_shape: self.grid.sheet.shape,
             grid_pitch_mm: options.grid_pitch_mm,
             pattern: GridPattern::dark(self.grid.kind),
-            appearance: appearance.clone(),
+            appearance: learned.appearance.clone(),
             edge_bias: self.bias,
             mode_sigma_rad: UNKNOWN_SHAPE_RAD,
             grid_rms_px: self.grid.rms_px,
@@ -335,40 +320,6 @@ fn covariance(
     Some(clustered + systematic)
 }
 
-/// A placement whose tilt is what the edges show, and its covariance, with the tilt that the snake itself has: mean and variance of the
-/// mixture of what either jig would have, each as likely as the tilt that is shown makes it. Of what edges show a part is light's doing.
-fn of_its_own_tilt(seeming: &Placement, covariance: DMatrix<f64>) -> (Placement, DMatrix<f64>) {
-    let shown = seeming.tilt();
-    // The fit knew the wider jig's variance.
-    let known = TILT_SIGMAS[1].powi(2) + SEEMING_TILT_SIGMA.powi(2);
-    let fitted = covariance[(TILT, TILT)];
-    let (shown, noise) = if fitted < known {
-        let edges = fitted * known / (known - fitted);
-        (shown * (edges + known) / known, edges + SEEMING_TILT_SIGMA.powi(2))
-    } else {
-        (0.0, f64::INFINITY)
-    };
-    let jigs = TILT_SIGMAS.map(|sigma| {
-        let (own, all) = (sigma * sigma, sigma * sigma + noise);
-        let weight = if all.is_finite() { (-0.5 * shown * shown / all).exp() / all.sqrt() } else { 1.0 };
-        let share = if all.is_finite() { own / all } else { 0.0 };
-        (weight, share * shown, own - share * own)
-    });
-    let total: f64 = jigs.iter().map(|(weight, ..)| weight).sum();
-    let mean = jigs.iter().map(|(weight, mean, _)| weight * mean).sum::<f64>() / total;
-    let variance =
-        jigs.iter().map(|(weight, own, variance)| weight * (variance + (own - mean).powi(2))).sum::<f64>() / total;
-    // The rest of the placement goes with the tilt as it went with the one that was fitted.
-    let share = if seeming.tilt() == 0.0 { 0.0 } else { mean / seeming.tilt() };
-    let mut by_seeming = DMatrix::identity(covariance.nrows(), covariance.ncols());
-    by_seeming[(TILT, TILT)] = share;
-    let mut own = seeming.0.clone();
-    own[TILT] = mean;
-    let mut covariance = &by_seeming * covariance * &by_seeming;
-    covariance[(TILT, TILT)] = variance;
-    (Placement(own), covariance)
-}
-
 /// The number of the snake's last part: its end disk, or the tool on it.
 fn last_part(robot: &Robot) -> u8 {
     robot.body.spacer_disk_count + 1 + u8::from(robot.body.tool.is_some())
@@ -411,38 +362,4 @@ pub fn appearance_of(frame: &Frame, view: &Projection, outline: &Outline, is_wel
         (is_snake || !is_below_holder(&pixel))
             .then(|| (is_snake, if is_at_border(&pixel) { BORDER_WEIGHT } else { 1.0 }))
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Against sums over a grid of tilts: the snake's own, of either jig, light's and the edges' noise.
-    #[test]
-    fn of_a_tilt_that_edges_show_the_snakes_own_part_is_what_bayes_says() {
-        let degree = PI / 180.0;
-        let noise = 0.05 * degree;
-        for shown_deg in [-0.8, 0.05, 0.2, 0.4, 0.9] {
-            let shown = shown_deg * degree;
-            let normal = |x: f64, variance: f64| (-0.5 * x * x / variance).exp() / variance.sqrt();
-            let prior = |t: f64| TILT_SIGMAS.iter().map(|sigma| normal(t, sigma * sigma)).sum::<f64>();
-            let likelihood = |t: f64| normal(shown - t, SEEMING_TILT_SIGMA.powi(2) + noise * noise);
-            let tilts: Vec<f64> = (-4000..=4000).map(|k| f64::from(k) * 1e-3 * degree).collect();
-            let sum =
-                |value: &dyn Fn(f64) -> f64| tilts.iter().map(|&t| value(t) * prior(t) * likelihood(t)).sum::<f64>();
-            let mean = sum(&|t| t) / sum(&|_| 1.0);
-            let variance = sum(&|t| (t - mean).powi(2)) / sum(&|_| 1.0);
-            // What the fit of the seeming tilt makes of it, whose prior has the wider jig's and light's variance.
-            let known = TILT_SIGMAS[1].powi(2) + SEEMING_TILT_SIGMA.powi(2);
-            let seeming = known / (known + noise * noise);
-            let mut placement = DVector::zeros(PLACEMENT);
-            (placement[0], placement[TILT]) = (3.0, seeming * shown);
-            let mut covariance = DMatrix::zeros(PLACEMENT + BIASES, PLACEMENT + BIASES);
-            (covariance[(0, 0)], covariance[(TILT, TILT)]) = (1.0, seeming * noise * noise);
-            let (placement, covariance) = of_its_own_tilt(&Placement(placement), covariance);
-            assert!((placement.tilt() - mean).abs() < 1e-3 * degree, "{shown_deg}: {} for {mean}", placement.tilt());
-            assert!((covariance[(TILT, TILT)] / variance - 1.0).abs() < 0.02, "{shown_deg}");
-            assert_eq!((placement.0[0], covariance[(0, 0)]), (3.0, 1.0));
-        }
-    }
 }

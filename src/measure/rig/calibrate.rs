@@ -1,7 +1,8 @@
 //! Calibrates a rig from a picture of the straight snake before the grid target: first the sheet, then the snake.
 
 use super::alignment::aligned_starts;
-use super::base_fit::{STANDOFF_SIGMA_MM, StraightPicture, fit_base};
+use super::base_fit::{StraightPicture, fit_base};
+use super::base_problem::STANDOFF_SIGMA_MM;
 use super::error::{CalibrationStep, RigError};
 use super::parameters::{Rig, RigOptions};
 use super::scale::{contradiction, pattern_of};

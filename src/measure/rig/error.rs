@@ -186,8 +186,8 @@ pub enum RigError {
     #[error(
         "the scale contradicts the snake's size: with grid_pitch_mm = {grid_pitch_mm} and standoff_mm = {standoff_mm} it would be {apparent_diameter_mm:.2} mm \
          thick and {apparent_length_mm:.1} mm long, but the robot is {diameter_mm} mm and {length_mm} mm; a pitch of \
-         {agreeing_pitch_mm:.2} mm or a standoff of {agreeing_standoff_mm:.0} mm would agree. Measure the grid target and correct what is \
-         wrong; or the camera file is, or the snake is not unbent"
+         {agreeing_pitch_mm:.2} mm or a standoff of {agreeing_standoff_mm:.0} mm would agree. Measure the grid target and correct \
+         the wrong figure. The camera file may be wrong as well, or the snake bent"
     )]
     ScaleContradiction {
         /// The pitch that was stated, mm.
@@ -239,8 +239,7 @@ pub enum CalibrationStep {
 
 fn few_edges(edges: usize, places: usize) -> String {
     if places == 0 {
-        return "where the grid target and the standoff put the straight snake nothing of it would be in the picture; check standoff_mm and \
-                grid_pitch_mm"
+        return "by the grid target and the standoff the straight snake would lie outside the picture; check standoff_mm and grid_pitch_mm"
             .to_owned();
     }
     format!(

@@ -7,7 +7,7 @@
 //! | `snake_search` | finds the straight snake before a sheet whose scale is known |
 //! | `alignment` | moves it along its axis to where its disks and ends are |
 //! | `sketch` | what a calibration saw, for a person to look at |
-//! | `placement`, `base_fit`, `scale` | fit the straight snake before its grid, and check the scale that was stated |
+//! | `placement`, `base_problem`, `base_fit`, `tilt`, `scale` | fit the straight snake before its grid, and check the scale that was stated |
 //! | `calibrate` | the calibration from the straight picture, which calls these in order |
 //! | `base_monitor`, `drift` | whether holder and target are still where the rig says |
 //! | `refine` | the rig once more, from frames of bent snakes |
@@ -18,6 +18,7 @@
 mod alignment;
 mod base_fit;
 mod base_monitor;
+mod base_problem;
 mod calibrate;
 mod drift;
 mod error;
@@ -28,6 +29,7 @@ mod refine;
 mod scale;
 mod sketch;
 mod snake_search;
+mod tilt;
 mod unlike;
 
 pub use base_fit::STRAIGHT;

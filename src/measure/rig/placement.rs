@@ -10,8 +10,16 @@ use nalgebra::{
 };
 
 /// How many numbers a placement has.
+///
+/// Derived: two of the place, the turn, the height and the tilt.
 pub const PLACEMENT: usize = 5;
+/// Which of them is the height above the stated standoff.
+///
+/// Convention: the order in which they are written.
+pub const HEIGHT: usize = 3;
 /// Which of them is the tilt.
+///
+/// Convention: the order in which they are written.
 pub const TILT: usize = 4;
 /// The distance along the snake at which its direction is carried onto its plane, px.
 ///
@@ -53,7 +61,7 @@ impl Placement {
 
     /// How far the base is above the stated standoff, mm.
     pub fn height_mm(&self) -> f64 {
-        self.0[3]
+        self.0[HEIGHT]
     }
 
     /// How far the snake is from parallel to the target, rad.
@@ -80,8 +88,8 @@ impl Placement {
         grid.sheet.camera_from_grid * self.grid_from_base(options)
     }
 
-    /// The covariance of a placement as one of the camera's pose, in the terms of [`perturbed`](crate::geometry::perturbed).
-    pub fn pose_covariance(&self, covariance: &DMatrix<f64>, options: &RigOptions, grid: &Grid) -> Matrix6<f64> {
+    /// How the camera's pose moves (rows, in the terms of [`perturbed`](crate::geometry::perturbed)) with each number.
+    pub fn motions(&self, options: &RigOptions, grid: &Grid) -> DMatrix<f64> {
         let centre = self.camera_from_base(options, grid);
         let motion = |x: &DVector<f64>| {
             let moved = Self(x.clone()).camera_from_base(options, grid);
@@ -89,7 +97,12 @@ impl Placement {
             let shift = moved.translation.vector - centre.translation.vector;
             DVector::from_iterator(6, turn.iter().chain(shift.iter()).copied())
         };
-        let jacobian = central_differences(motion, &self.0, &DVector::from_element(PLACEMENT, STEP));
+        central_differences(motion, &self.0, &DVector::from_element(PLACEMENT, STEP))
+    }
+
+    /// The covariance of a placement as one of the camera's pose, in the terms of [`perturbed`](crate::geometry::perturbed).
+    pub fn pose_covariance(&self, covariance: &DMatrix<f64>, options: &RigOptions, grid: &Grid) -> Matrix6<f64> {
+        let jacobian = self.motions(options, grid);
         let placed = covariance.view((0, 0), (PLACEMENT, PLACEMENT));
         let motions = &jacobian * placed * jacobian.transpose();
         // The base is turned about its own axis as the grid is; the grid's own error adds to that of the placement on it.

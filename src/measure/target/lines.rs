@@ -4,7 +4,7 @@
 //! lines are seen everywhere, and each place of each line is a measurement of its own.
 
 use super::sheet::{Sheet, SheetShape};
-use super::sheet_fit::{SheetFit, fit_distances};
+use super::sheet_fit::{SeenPlace, SheetFit, fit_distances};
 use crate::camera::Lens;
 use crate::measure::image::plane::Plane;
 use nalgebra::{Point2, Vector2};
@@ -61,6 +61,11 @@ const DESIGN_EFFECT: f64 = 10.0;
 /// Convention: short enough that the lens does not bend it.
 const ALONG: f64 = 0.3;
 
+/// Where only means over all lines are asked for, so many places along each line are looked at.
+///
+/// Convention: a limit of time; the means are over hundreds of places.
+const SAMPLED: usize = 20;
+
 /// Looks for lines in a picture.
 pub(super) struct Lines<'a> {
     pub plane: &'a Plane,
@@ -83,13 +88,12 @@ struct LinePlace {
 impl Lines<'_> {
     /// Fits the sheet to the lines' places, looked for where a sheet that is nearly right puts them.
     pub fn fit_sheet(&self, start: &Sheet) -> Option<SheetFit> {
-        let places = of_one_kind(self.places(start)?)?;
-        let lattice_mm: Vec<Point2<f64>> = places.iter().map(|place| place.target_mm).collect();
-        let distance_px = |sheet: &Sheet, k: usize| {
-            let place: &LinePlace = &places[k];
-            place.normal.dot(&(place.seen - sheet.project(self.lens, &place.target_mm)))
+        let place = |place: &LinePlace| {
+            let along = place.normal.transpose();
+            SeenPlace { lattice_mm: place.target_mm, seen: place.seen, along }
         };
-        fit_distances(start, &lattice_mm, distance_px, DESIGN_EFFECT)
+        let places: Vec<_> = of_one_kind(self.places(start, None)?)?.iter().map(place).collect();
+        fit_distances(self.lens, &places, start, DESIGN_EFFECT)
     }
 
     /// The waves' crests are the lines if these are light, and half way between them if they are dark. Lines are the
@@ -97,7 +101,7 @@ impl Lines<'_> {
     pub fn put_origin_on_a_line(&self, sheet: &Sheet) -> Option<Sheet> {
         let shifted = |by: f64| sheet.counted_from(Vector2::new(by, by) * self.pitch_mm);
         let sharpness = |sheet: &Sheet| -> Option<f64> {
-            let places = self.places(sheet)?;
+            let places = self.places(sheet, Some(SAMPLED))?;
             Some((places.iter().map(|place| place.darkness).sum::<f64>() / places.len().max(1) as f64).abs())
         };
         let (crest, trough) = (shifted(0.0), shifted(0.5));
@@ -109,7 +113,7 @@ impl Lines<'_> {
         // Along each axis the mean of lines of even numbers and of odd ones.
         let darkness = |sheet: &Sheet| -> Option<[[f64; 2]; 2]> {
             let mut sums = [[(0.0, 0.0); 2]; 2];
-            for place in self.places(sheet)? {
+            for place in self.places(sheet, Some(SAMPLED))? {
                 let (sum, count) = &mut sums[place.axis][place.line.rem_euclid(2) as usize];
                 *sum += place.darkness;
                 *count += 1.0;
@@ -132,11 +136,13 @@ impl Lines<'_> {
         }
     }
 
-    /// Looks at every line of both directions, in the middle between the lines that cross it.
-    fn places(&self, sheet: &Sheet) -> Option<Vec<LinePlace>> {
+    /// Looks at every line of both directions, in the middle between lines that cross it: all of them, or about so many.
+    fn places(&self, sheet: &Sheet, most: Option<usize>) -> Option<Vec<LinePlace>> {
         let lines = self.lines_in_view(sheet)?;
         let of_line = |axis: usize, line: i64| {
-            lines[1 - axis].clone().filter_map(move |between| {
+            let crossing = lines[1 - axis].clone();
+            let every = most.map_or(1, |most| crossing.clone().count() / most).max(1);
+            crossing.step_by(every).filter_map(move |between| {
                 let mut target_mm = Point2::origin();
                 target_mm[axis] = line as f64 * self.pitch_mm;
                 target_mm[1 - axis] = (between as f64 + 0.5) * self.pitch_mm;

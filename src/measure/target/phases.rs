@@ -261,6 +261,7 @@ fn phases_at(plane: &Plane, centre: &Point2<f64>, waves: [Vector2<f64>; 2], tape
 /// Four sums of each, side by side: the compiler keeps the order in which floating-point numbers are added, and a single sum would wait
 /// for each of them.
 fn row_sums(row: &[f32], columns: &[Vec<Complex<f64>>; 2], weights: &[f64]) -> ([Complex<f64>; 2], f64) {
+    /// Convention: the width of the vector registers, 256 bits.
     const LANES: usize = 4;
     let mut waves = [[Complex::<f64>::ZERO; LANES]; 2];
     let mut grey = [0.0; LANES];

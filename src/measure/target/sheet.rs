@@ -15,7 +15,7 @@
 
 use crate::camera::Lens;
 use crate::geometry::Pose;
-use nalgebra::{Matrix2, Matrix3, Point2, Point3, Translation3, Vector2};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point2, Point3, SMatrix, Translation3, Vector2, Vector3};
 
 /// Rounds in which the place that a line of sight meets is moved onto the bowed surface.
 ///
@@ -46,7 +46,7 @@ impl Default for SheetShape {
 }
 
 impl SheetShape {
-    /// How many numbers describe it.
+    /// How many numbers describe it. Derived: the difference of the pitches, the shear, and three of the bow.
     pub(super) const NUMBERS: usize = 5;
     /// How far the sheet may go on beyond the middles of the outermost windows that saw it, in units of half its extent.
     ///
@@ -74,7 +74,6 @@ impl SheetShape {
     pub fn height_mm(&self, lattice_mm: &Point2<f64>) -> f64 {
         let [across, twist, along] = self.bow_mm;
         let at = (lattice_mm - self.centre_mm).component_div(&self.half_mm);
-        let legendre = |t: f64| 1.5 * t * t - 0.5;
         across * legendre(at.x) + twist * at.x * at.y + along * legendre(at.y)
     }
 
@@ -99,11 +98,29 @@ impl SheetShape {
         Point3::new(flat.x, flat.y, self.height_mm(lattice_mm))
     }
 
+    /// How the place moves with α, γ and the bow (columns), mm per unit.
+    fn place_by_shape(&self, lattice_mm: &Point2<f64>) -> SMatrix<f64, 3, { Self::NUMBERS }> {
+        let off = (lattice_mm - self.centre_mm) / 2.0;
+        let at = (lattice_mm - self.centre_mm).component_div(&self.half_mm);
+        SMatrix::from_columns(&[
+            Vector3::new(off.x, -off.y, 0.0),
+            Vector3::new(off.y, off.x, 0.0),
+            Vector3::new(0.0, 0.0, legendre(at.x)),
+            Vector3::new(0.0, 0.0, at.x * at.y),
+            Vector3::new(0.0, 0.0, legendre(at.y)),
+        ])
+    }
+
     /// The lattice coordinates of a place of the mean plane.
     fn lattice(&self, flat_mm: &Point2<f64>) -> Point2<f64> {
         let back = self.stretch().try_inverse().unwrap_or_else(Matrix2::identity);
         self.centre_mm + back * (flat_mm - self.centre_mm)
     }
+}
+
+/// P₂.
+fn legendre(t: f64) -> f64 {
+    1.5 * t * t - 0.5
 }
 
 /// A printed sheet where it lies before a camera.
@@ -124,6 +141,20 @@ impl Sheet {
     /// The pixel of lattice coordinates, mm.
     pub fn project(&self, lens: &Lens, lattice_mm: &Point2<f64>) -> Point2<f64> {
         lens.project(&(self.camera_from_grid * self.shape.place(lattice_mm)))
+    }
+
+    /// The pixel of lattice coordinates (mm), and how it moves with the arm from the grid frame's origin as the camera sees it (mm, px per mm) and
+    /// with the shape's numbers.
+    pub(super) fn project_with_jacobian(
+        &self,
+        lens: &Lens,
+        lattice_mm: &Point2<f64>,
+    ) -> (Point2<f64>, Vector3<f64>, Matrix2x3<f64>, SMatrix<f64, 2, { SheetShape::NUMBERS }>) {
+        let arm = self.camera_from_grid.rotation * self.shape.place(lattice_mm).coords;
+        let (pixel, by_point) =
+            lens.project_with_jacobian(&Point3::from(arm + self.camera_from_grid.translation.vector));
+        let turned = by_point * self.camera_from_grid.rotation.to_rotation_matrix();
+        (pixel, arm, by_point, turned * self.shape.place_by_shape(lattice_mm))
     }
 
     /// The lattice coordinates (mm) seen at a pixel, and their gradients (rows), mm per px; `None` where the line of sight leads away
@@ -182,7 +213,7 @@ mod tests {
     use super::*;
     use crate::simulate::scene::Scene;
     use approx::assert_relative_eq;
-    use nalgebra::{UnitQuaternion, Vector3};
+    use nalgebra::UnitQuaternion;
 
     fn bowed() -> Sheet {
         let shape = SheetShape {

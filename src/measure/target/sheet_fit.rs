@@ -10,10 +10,13 @@
 
 use super::sheet::{Sheet, SheetShape};
 use crate::camera::Lens;
-use crate::geometry::{Pose, perturbed};
-use crate::statistics::least_squares::{Options, Solution, minimise};
+use crate::geometry::{Pose, perturbed, turn_jacobian};
+use crate::statistics::least_squares::{Options, Problem, Solution, solve};
 use crate::statistics::order::{SD_BY_MAD, median};
-use nalgebra::{DVector, Matrix3, Point2, Point3, SVector, Translation3, UnitQuaternion, Vector2, Vector3, Vector6};
+use nalgebra::{
+    DMatrix, DVector, Matrix3, Point2, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3,
+    Vector6,
+};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Rounds of fitting and trimming.
@@ -36,12 +39,12 @@ const FIRST_SIGMA_MM: f64 = 0.05;
 ///
 /// Convention: keeps places that fit to rounding from trimming each other.
 const ROUNDING_PX: f64 = 1e-3;
-/// How many numbers are fitted: six of the pose, and those of the shape.
+/// How many numbers are fitted. Derived: six of the pose, and those of the shape.
 const NUMBERS: usize = 6 + SheetShape::NUMBERS;
-/// Steps of central differences: rad, mm, shares, rad and mm.
+/// A step that lowers the sum of squares by less than this share is the last.
 ///
-/// Convention: pixels move by about 10⁻² px, where rounding and curvature are both far below what is measured.
-const STEPS: [f64; NUMBERS] = [1e-5, 1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3];
+/// Derived: of 10⁵ residuals in units of their σ it moves no number by more than 5 thousandths of its own.
+const LEAST_DECREASE: f64 = 1e-10;
 /// What is known of a print before it is seen (1σ): anisotropy and shear (rad).
 ///
 /// Source: office printers scale one direction by 0.5 to 3 %; of photographed ECG sheets lines meet under 90° to 0.3°, and squares are up to 2.9 % off.
@@ -86,10 +89,21 @@ pub struct SheetFit {
     pub shared_px: f64,
 }
 
-/// Places of a sheet, and how far each is seen from where a sheet puts it.
-struct Seen<'a, F> {
-    lattice_mm: &'a [Point2<f64>],
-    error_px: F,
+/// A place of the lattice seen in the picture, of which D coordinates were measured.
+#[derive(Debug, Clone, Copy)]
+pub struct SeenPlace<const D: usize> {
+    /// Its lattice coordinates, mm.
+    pub lattice_mm: Point2<f64>,
+    /// Where it is seen, px.
+    pub seen: Point2<f64>,
+    /// The directions in the picture, of unit length, along which that was measured (rows).
+    pub along: SMatrix<f64, D, 2>,
+}
+
+/// Places of a sheet that are seen through a lens.
+struct Seen<'a, const D: usize> {
+    lens: &'a Lens,
+    places: &'a [SeenPlace<D>],
     /// The standard deviation of an error's components, in units of the errors' median length.
     sigma_by_median: f64,
     /// The same before the first fit, px.
@@ -98,7 +112,7 @@ struct Seen<'a, F> {
     design_effect: f64,
 }
 
-impl<const D: usize, F: Fn(&Sheet, usize) -> SVector<f64, D>> Seen<'_, F> {
+impl<const D: usize> Seen<'_, D> {
     /// The likelier of a sheet that is laid flat and printed well and of loose paper, by the evidence of the fits to either.
     fn fit(&self, start: &Sheet, is_near: bool) -> Option<SheetFit> {
         let fits = SHAPES.into_iter().filter_map(|shape| self.fit_as(start, is_near, shape));
@@ -108,12 +122,12 @@ impl<const D: usize, F: Fn(&Sheet, usize) -> SVector<f64, D>> Seen<'_, F> {
     /// Least squares over the places within a limit of their median error, the limit being found again after every fit (Talwar's
     /// loss), under the priors of the shape times a factor; and the logarithm of its evidence (Laplace's approximation).
     fn fit_as(&self, start: &Sheet, is_near: bool, shape: f64) -> Option<(f64, SheetFit)> {
-        let count = self.lattice_mm.len();
+        let count = self.places.len();
         let mut sheet = start.clone();
         let mut kept: Vec<usize> = (0..count).collect();
         let mut fit = None;
         for round in 0..ROUNDS {
-            let sizes: Vec<f64> = (0..count).map(|k| (self.error_px)(&sheet, k).norm()).collect();
+            let sizes: Vec<f64> = (0..count).map(|k| self.error_px(&sheet, k).norm()).collect();
             let seen_sigma_px = self.sigma_by_median * median(&mut sizes.clone()) + ROUNDING_PX;
             let is_placed = is_near || round > 0;
             let sigma_px = if is_placed { seen_sigma_px } else { self.first_sigma_px };
@@ -162,26 +176,79 @@ impl<const D: usize, F: Fn(&Sheet, usize) -> SVector<f64, D>> Seen<'_, F> {
         (excess.iter().sum::<f64>() / (excess.len() as f64).max(1.0)).max(0.0).sqrt()
     }
 
+    /// How far a place is seen from where a sheet puts it, px.
+    fn error_px(&self, sheet: &Sheet, k: usize) -> SVector<f64, D> {
+        let SeenPlace { lattice_mm, seen, along } = &self.places[k];
+        along * (sheet.project(self.lens, lattice_mm) - seen)
+    }
+
     /// The sheet that agrees best with some places, whose errors have this σ, and with the priors.
-    fn solve(&self, sheet: &Sheet, kept: &[usize], sigma_px: f64, shape: f64) -> Option<Solution> {
-        let unit_px = sigma_px * self.design_effect.sqrt();
+    fn solve(&self, sheet: &Sheet, kept: &[usize], sigma_px: f64, shape: f64) -> Option<Solution<Placed>> {
         let half = sheet.shape.half_mm / BOW_OVER_MM;
         let bow = [half.x * half.x, half.x * half.y, half.y * half.y].map(|share| BOW_SD_MM * share);
         let known = [STRETCH_SD[0], STRETCH_SD[1], bow[0], bow[1], bow[2]].map(|sd| shape * sd);
-        let residuals = |x: &DVector<f64>| {
-            let moved = moved(sheet, x);
-            let errors = kept.iter().flat_map(|&k| ((self.error_px)(&moved, k) / unit_px).data.0[0]);
-            let priors = moved.shape.to_array().into_iter().zip(known).map(|(value, sd)| value / sd);
-            DVector::from_vec(errors.chain(priors).collect())
-        };
-        minimise(residuals, DVector::zeros(NUMBERS), &DVector::from_column_slice(&STEPS), &Options::default()).ok()
+        let unit_px = sigma_px * self.design_effect.sqrt();
+        let options = Options { least_relative_decrease: LEAST_DECREASE, ..Options::default() };
+        solve(&SheetProblem { seen: self, sheet, kept, unit_px, known }, DVector::zeros(NUMBERS), &options).ok()
     }
 
     /// The part of the sheet in which a place lies.
     fn part(&self, sheet: &Sheet, k: usize) -> (i32, i32) {
-        let at = (self.lattice_mm[k] - sheet.shape.centre_mm).component_div(&sheet.shape.half_mm);
+        let at = (self.places[k].lattice_mm - sheet.shape.centre_mm).component_div(&sheet.shape.half_mm);
         let part = at.map(|t| (0.5 * (t + 1.0) * PARTS).floor() as i32);
         (part.x, part.y)
+    }
+}
+
+/// The least squares of a sheet's pose and shape: errors in units of their σ, then what priors say of the shape.
+struct SheetProblem<'a, const D: usize> {
+    seen: &'a Seen<'a, D>,
+    /// The sheet whose small change is looked for.
+    sheet: &'a Sheet,
+    kept: &'a [usize],
+    unit_px: f64,
+    /// What is known of the shape's numbers (1σ).
+    known: [f64; SheetShape::NUMBERS],
+}
+
+/// A sheet after a small change, and its residuals.
+struct Placed {
+    sheet: Sheet,
+    residuals: DVector<f64>,
+}
+
+impl<const D: usize> Problem for SheetProblem<'_, D> {
+    type Evaluation = Placed;
+
+    fn evaluate(&self, by: &DVector<f64>, _: Option<&Placed>) -> Option<Placed> {
+        let sheet = moved(self.sheet, by);
+        let errors = self.kept.iter().flat_map(|&k| (self.seen.error_px(&sheet, k) / self.unit_px).data.0[0]);
+        let priors = sheet.shape.to_array().into_iter().zip(self.known).map(|(value, sd)| value / sd);
+        let residuals = DVector::from_vec(errors.chain(priors).collect());
+        Some(Placed { sheet, residuals })
+    }
+
+    fn residuals(&self, placed: &Placed) -> DVector<f64> {
+        placed.residuals.clone()
+    }
+
+    fn jacobian(&self, by: &DVector<f64>, placed: &Placed) -> DMatrix<f64> {
+        let turn = turn_jacobian(&by.fixed_rows::<3>(0).into_owned());
+        let rows = D * self.kept.len();
+        let mut jacobian = DMatrix::zeros(rows + SheetShape::NUMBERS, NUMBERS);
+        for (row, &k) in self.kept.iter().enumerate() {
+            let SeenPlace { lattice_mm, along, .. } = &self.seen.places[k];
+            let (_, arm, by_point, by_shape) = placed.sheet.project_with_jacobian(self.seen.lens, lattice_mm);
+            let along = along / self.unit_px;
+            let by_point = along * by_point;
+            jacobian.fixed_view_mut::<D, 3>(D * row, 0).copy_from(&(-by_point * arm.cross_matrix() * turn));
+            jacobian.fixed_view_mut::<D, 3>(D * row, 3).copy_from(&by_point);
+            jacobian.fixed_view_mut::<D, { SheetShape::NUMBERS }>(D * row, 6).copy_from(&(along * by_shape));
+        }
+        for (k, sd) in self.known.into_iter().enumerate() {
+            jacobian[(rows + k, 6 + k)] = 1.0 / sd;
+        }
+        jacobian
     }
 }
 
@@ -211,28 +278,20 @@ fn moved(sheet: &Sheet, by: &DVector<f64>) -> Sheet {
 pub fn fit_points(lens: &Lens, points: &[TargetPoint], start: &Sheet, design_effect: f64) -> Option<SheetFit> {
     let middle = start.shape.centre_mm;
     let mm_px = (start.project(lens, &(middle + Vector2::x())) - start.project(lens, &middle)).norm();
-    let lattice_mm: Vec<Point2<f64>> = points.iter().map(|point| point.target_mm).collect();
-    let error_px = |sheet: &Sheet, k: usize| sheet.project(lens, &points[k].target_mm) - points[k].pixel;
-    Seen {
-        lattice_mm: &lattice_mm,
-        error_px,
-        sigma_by_median: SD_BY_MEDIAN_IN_PLANE,
-        first_sigma_px: FIRST_SIGMA_MM * mm_px,
-        design_effect,
-    }
-    .fit(start, false)
+    let place = |point: &TargetPoint| SeenPlace {
+        lattice_mm: point.target_mm,
+        seen: point.pixel,
+        along: SMatrix::<f64, 2, 2>::identity(),
+    };
+    let places: Vec<_> = points.iter().map(place).collect();
+    let first_sigma_px = FIRST_SIGMA_MM * mm_px;
+    Seen { lens, places: &places, sigma_by_median: SD_BY_MEDIAN_IN_PLANE, first_sigma_px, design_effect }
+        .fit(start, false)
 }
 
-/// Fits the sheet to the distances, px, of places of its lattice from where a sheet puts them, along one direction each, from a
-/// sheet that is nearly right.
-pub fn fit_distances(
-    start: &Sheet,
-    lattice_mm: &[Point2<f64>],
-    distance_px: impl Fn(&Sheet, usize) -> f64,
-    design_effect: f64,
-) -> Option<SheetFit> {
-    let error_px = |sheet: &Sheet, k: usize| SVector::<f64, 1>::new(distance_px(sheet, k));
-    Seen { lattice_mm, error_px, sigma_by_median: SD_BY_MAD, first_sigma_px: 0.0, design_effect }.fit(start, true)
+/// Fits the sheet to places of its lattice that were measured along one direction each, from a sheet that is nearly right.
+pub fn fit_distances(lens: &Lens, places: &[SeenPlace<1>], start: &Sheet, design_effect: f64) -> Option<SheetFit> {
+    Seen { lens, places, sigma_by_median: SD_BY_MAD, first_sigma_px: 0.0, design_effect }.fit(start, true)
 }
 
 /// [`fit_points`] where nothing is known of the lean: from both of the poses that look alike from afar.
@@ -275,6 +334,7 @@ pub fn square_sheet(lens: &Lens, pitch_mm: f64, gradients: [Vector2<f64>; 2], po
 mod tests {
     use super::*;
     use crate::simulate::scene::Scene;
+    use crate::statistics::least_squares::central_differences;
     use crate::statistics::moments::rms;
     use rand::{SeedableRng, rngs::StdRng};
     use rand_distr::{Distribution, Normal};
@@ -343,6 +403,26 @@ mod tests {
             let sigma = fit.turn_covariance[(axis, axis)].sqrt();
             assert!(turn[axis].abs() < 4.0 * sigma, "axis {axis}: {} σ {sigma}", turn[axis]);
         }
+    }
+
+    #[test]
+    fn the_jacobian_is_that_of_differences_also_after_a_large_turn() {
+        let lens = long_lens();
+        let sheet = leaning(250.0, 40.0, 8.0);
+        let points = seen(&lens, &sheet, 0..3, 0.5, 3);
+        let sheet = sheet.seen_at(&points);
+        let along = SMatrix::<f64, 1, 2>::new(0.6, 0.8);
+        let place = |p: &TargetPoint| SeenPlace { lattice_mm: p.target_mm, seen: p.pixel, along };
+        let places: Vec<_> = points.iter().map(place).collect();
+        let seen = Seen { lens: &lens, places: &places, sigma_by_median: 1.0, first_sigma_px: 1.0, design_effect: 1.0 };
+        let kept: Vec<usize> = (0..places.len()).step_by(2).collect();
+        let problem = SheetProblem { seen: &seen, sheet: &sheet, kept: &kept, unit_px: 0.7, known: [0.02; 5] };
+        let by = DVector::from_column_slice(&[0.3, -0.2, 0.4, 1.0, -2.0, 5.0, 0.02, -0.01, 0.5, -0.3, 0.2]);
+        let placed = problem.evaluate(&by, None).unwrap();
+        let exact = problem.jacobian(&by, &placed);
+        let residuals = |x: &DVector<f64>| problem.evaluate(x, None).unwrap().residuals;
+        let differences = central_differences(residuals, &by, &DVector::from_element(NUMBERS, 1e-5));
+        assert!((&exact - &differences).amax() < 1e-6 * exact.amax(), "{}", (&exact - &differences).amax());
     }
 
     /// A target 260 mm away through a long lens, of which only the picture's right side is seen.

@@ -32,9 +32,9 @@ use crate::statistics::robust::{HUBER_LIMIT, Loss};
 use nalgebra::{DVector, Point3, SMatrix, Translation3, UnitQuaternion, Vector3};
 use sweep::Sweep;
 
-/// Numbers of a registration: two tilts, three of the origin, three of the sensor's place, three of its turn, and the shortening.
+/// Numbers of a registration. Derived: two tilts, three of the origin, three of the sensor's place, three of its turn, and the shortening.
 pub const RIG: usize = 12;
-/// Rows of what is known beforehand: the sensor's place and turn, the shortening, and the base where it is stated.
+/// Rows of what is known beforehand. Derived: three each of the sensor's place and turn, one of the shortening, and three of the base, if it is stated.
 const PRIORS: usize = 10;
 /// How far from the middle of the end disk a sensor may be, across the snake and along it, mm (1σ), where orientations tell it.
 ///

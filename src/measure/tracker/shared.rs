@@ -9,7 +9,7 @@ use super::azimuth::Azimuth;
 use super::registration::RIG;
 use nalgebra::{Matrix2x6, SMatrix, SymmetricEigen, Vector2};
 
-/// The registration's errors and the azimuth's.
+/// The registration's errors and the azimuth's. Derived: one more than numbers of a registration.
 const ERRORS: usize = RIG + 1;
 
 /// What the poses share.

@@ -36,7 +36,7 @@ pub(super) static NON_CIRCULAR_SHAPE: Physics = Physics {
     log_prior: FREQUENT,
     name: "non_circular_shape",
     equation: "measured θ = θ + k θ²",
-    reading: "a snake whose curvature varies along it, so that the circle that the eye fits bends otherwise than its tip",
+    reading: "a snake whose curvature varies along it, so that the fitted arc bends differently from its tip",
     parameters: |_| const { &[ParameterSpec::positive("shape_per_rad", "1/rad", (-0.3, 0.3), 0.02)] },
     changes: Changes::Eye(|bend, p| bend * (1.0 + p[0] * bend.norm())),
     ..LINEAR

@@ -180,7 +180,7 @@ impl Formula {
         self.has(Variable::Play).then(|| values[place])
     }
 
-    /// Whether it hangs on how the snake got where it is.
+    /// Whether it depends on the path that led to the present bend.
     pub fn has_memory(&self) -> bool {
         [Variable::Play, Variable::Direction, Variable::Speed].into_iter().any(|variable| self.has(variable))
     }

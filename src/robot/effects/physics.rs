@@ -263,7 +263,7 @@ impl Physics {
         self.history.is_none() && !has_memory && !self.in_time
     }
 
-    /// Whether it is play or friction: what it does hangs on the path and not on how fast that is gone.
+    /// Whether it is play or friction: it depends on the path and not on the speed along it.
     pub fn is_hysteresis(&self) -> bool {
         let mut history = History::default();
         if let (Some(needs), false) = (self.history, self.in_time) {

@@ -13,7 +13,7 @@ const fn angle(name: &'static str, most_deg: f64) -> ParameterSpec {
 pub static RIG_ERROR: Physics = Physics {
     name: "rig_error",
     equation: "measured b = R(a) b + c",
-    reading: "a base that stands a little otherwise than the rig calibration says",
+    reading: "a base whose pose differs a little from the rig calibration",
     parameters: |_| const { &[angle("tilt_x_deg", 0.5), angle("tilt_y_deg", 0.5), angle("turn_deg", 0.3)] },
     changes: Changes::Eye(|bend, p| {
         Rotation2::new(p[2].to_radians()) * bend + Vector2::new(p[0], p[1]).map(f64::to_radians)

@@ -8,7 +8,7 @@
 //! evidence = (ln L_mistake − ln L_as_it_is) / D − ln(number of mistakes of its kind)
 //! ```
 //!
-//! with D the design effect of the residuals' serial correlation. Were the log right, the likelihood ratio would exceed 1/α with a
+//! with D the design effect of the residuals' serial correlation; two mistakes are compared under one D. Were the log right, the likelihood ratio would exceed 1/α with a
 //! probability of α at most (Markov's inequality, since its mean is 1 then), so a mistake is named where the evidence exceeds ln 1/α.
 //! The unit needs no hypothesis of its own: the fit leaves the gain open, and `verdict::scale` asks afterwards what gain the line
 //! can have.
@@ -101,14 +101,15 @@ pub(super) fn check(robot: &Robot, sd_encoder_mm: f64, poses: &[Pose], log: &[En
     let decisive = -LEVEL_OF_TESTS.ln();
     let mut chosen = columns_best;
     for rival in [view_best, clock_best].into_iter().flatten() {
-        if chosen.as_ref().is_none_or(|chosen| rival.evidence > chosen.evidence.max(0.0) + decisive) {
+        let is_better = |chosen: &Rival| rival.evidence() > decisive && rival.ahead_of(chosen) > decisive;
+        if chosen.as_ref().is_none_or(is_better) {
             chosen = Some(rival);
         }
     }
     let chosen = chosen?;
-    let found = chosen.evidence > decisive;
+    let found = chosen.evidence() > decisive;
     Some(WiringCheck {
-        evidence: chosen.evidence,
+        evidence: chosen.evidence(),
         misfit: as_it_is.scale,
         misfit_corrected: chosen.fit.scale,
         gain: if found { chosen.fit.gain.norm() } else { as_it_is.gain.x },
@@ -127,10 +128,29 @@ struct Rival {
     /// Spread of the readings' internal part, mm, where the log is read otherwise.
     internal_mm: f64,
     fit: Fit,
-    evidence: f64,
+    /// ln L_mistake − ln L_as_it_is.
+    gained: f64,
+    /// What the number of mistakes of its kind and its further parameters cost.
+    cost: f64,
 }
 
 impl Rival {
+    /// What tells for it against the log as it is.
+    fn evidence(&self) -> f64 {
+        self.evidence_under(self.fit.design_effect)
+    }
+
+    fn evidence_under(&self, design_effect: f64) -> f64 {
+        self.gained / design_effect.max(1.0) - self.cost
+    }
+
+    /// What tells for it against another: both under one design effect, the larger, or two fits that are alike would differ by how their residuals
+    /// happen to hang together.
+    fn ahead_of(&self, other: &Self) -> f64 {
+        let design_effect = self.fit.design_effect.max(other.fit.design_effect);
+        self.evidence_under(design_effect) - other.evidence_under(design_effect)
+    }
+
     /// Whether it says that all encoders count the other way.
     fn turns_all_signs(&self) -> bool {
         matches!(&self.mistake, Mistake::Log(wiring) if wiring.signs.iter().all(|sign| *sign < 0))
@@ -138,13 +158,13 @@ impl Rival {
 }
 
 fn best(rivals: &[Rival]) -> Option<Rival> {
-    rivals.iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence)).cloned()
+    rivals.iter().max_by(|a, b| a.evidence().total_cmp(&b.evidence())).cloned()
 }
 
 /// Of the wirings that explain the bends about as well as the best, the plainest: with the fewest turned signs, then the fewest moved columns,
 /// then the smallest shift.
 fn plainest_of_the_best(rivals: &[Rival]) -> Option<Rival> {
-    let least = best(rivals)?.evidence + LEVEL_OF_TESTS.ln();
+    let best = best(rivals)?;
     let odd = |rival: &Rival| match &rival.mistake {
         Mistake::Log(wiring) => (
             wiring.signs.iter().filter(|sign| **sign < 0).count(),
@@ -153,14 +173,8 @@ fn plainest_of_the_best(rivals: &[Rival]) -> Option<Rival> {
         ),
         _ => Default::default(),
     };
-    let as_good = rivals.iter().filter(|rival| rival.evidence >= least);
-    as_good.min_by(|a, b| odd(a).cmp(&odd(b)).then(b.evidence.total_cmp(&a.evidence))).cloned()
-}
-
-/// What tells for a fit against that of the log as it is, of so many mistakes of its kind.
-fn evidence(fit: &Fit, as_it_is: &Fit, of_kind: usize) -> f64 {
-    let gained = fit.log_likelihood - as_it_is.log_likelihood;
-    gained / fit.design_effect.max(1.0) - (of_kind.max(1) as f64).ln()
+    let as_good = rivals.iter().filter(|rival| best.ahead_of(rival) <= -LEVEL_OF_TESTS.ln());
+    as_good.min_by(|a, b| odd(a).cmp(&odd(b)).then(b.evidence().total_cmp(&a.evidence()))).cloned()
 }
 
 /// All orders and signs of the columns, each with all shifts of the rows; but for the log as it is.
@@ -179,9 +193,9 @@ fn of_the_log(samples: &Samples, poses: &[Pose], log: &[EncoderReading]) -> Vec<
             let of_kind = kinds * if is_order { orders.len() } else { 1 };
             let candidate = Candidate { columns: columns.clone(), signs: signs.clone(), shift };
             if let Some(fit) = common.fit(&candidate, Freedom::Gain).filter(|_| !wiring.is_straight()) {
-                let (evidence, internal_mm) =
-                    (evidence(&fit, &as_it_is, of_kind), common.internal_spread_mm(&candidate));
-                rivals.push(Rival { mistake: Mistake::Log(wiring), internal_mm, fit, evidence });
+                let (gained, cost) = (fit.log_likelihood - as_it_is.log_likelihood, (of_kind as f64).ln());
+                let internal_mm = common.internal_spread_mm(&candidate);
+                rivals.push(Rival { mistake: Mistake::Log(wiring), internal_mm, fit, gained, cost });
             }
         }
     }
@@ -191,7 +205,7 @@ fn of_the_log(samples: &Samples, poses: &[Pose], log: &[EncoderReading]) -> Vec<
 /// A wiring of columns and signs that the bends do not rule out, where there is one: the one that explains them best.
 fn undecided(rivals: &[Rival]) -> Option<Wiring> {
     let of_columns = rivals.iter().filter_map(|rival| match &rival.mistake {
-        Mistake::Log(wiring) if wiring.index_shift == 0 => Some((rival.evidence, wiring)),
+        Mistake::Log(wiring) if wiring.index_shift == 0 => Some((rival.evidence(), wiring)),
         _ => None,
     });
     let (evidence, wiring) = of_columns.max_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -210,11 +224,12 @@ fn of_views(samples: &Samples) -> Vec<Rival> {
             let own = if mirrored { own.mirrored() } else { own.clone() };
             let Some(fit) = own.fit(&straight, Freedom::GainAndTurn) else { continue };
             // A free parameter costs half the logarithm of the number of measurements (Schwarz 1978).
-            let evidence = evidence(&fit, &as_it_is, 2 * views.len()) - 0.5 * (own.len() as f64).ln();
+            let cost = (2.0 * views.len() as f64).ln() + 0.5 * (own.len() as f64).ln();
+            let gained = fit.log_likelihood - as_it_is.log_likelihood;
             // b = (turn of u), so that δ as seen is the true one and the turn; it is to be taken off.
             let turn = -fit.gain.y.atan2(fit.gain.x);
             let mistake = Mistake::View { view: view.clone(), turn, mirrored };
-            rivals.push(Rival { mistake, internal_mm: 0.0, fit, evidence });
+            rivals.push(Rival { mistake, internal_mm: 0.0, fit, gained, cost });
         }
     }
     rivals
@@ -229,9 +244,9 @@ fn of_the_clock(samples: &Samples, as_it_is: &Fit) -> Vec<Rival> {
         let Some((common, shifted)) = samples.at_times_later_by(age_s) else { continue };
         let fits = common.fit(&straight, Freedom::Gain).zip(shifted.fit(&straight, Freedom::Gain));
         let Some((unshifted, fit)) = fits else { continue };
-        let evidence = evidence(&fit, &unshifted, lags.len());
+        let (gained, cost) = (fit.log_likelihood - unshifted.log_likelihood, (lags.len() as f64).ln());
         if fit.scale <= LEFT_BY_A_LAG * as_it_is.scale {
-            rivals.push(Rival { mistake: Mistake::Clock { age_s }, internal_mm: 0.0, fit, evidence });
+            rivals.push(Rival { mistake: Mistake::Clock { age_s }, internal_mm: 0.0, fit, gained, cost });
         }
     }
     rivals

@@ -3,7 +3,7 @@
 use crate::estimate::{Options, estimate};
 use crate::geometry::{Configuration, wrap_angle};
 use crate::observation::{EncoderReading, Measurement, Wiring};
-use crate::robot::{Estimate, LIBRARY, Model, PerBackbone, Physics};
+use crate::robot::{Estimate, LIBRARY, Model, PerBackbone, Physics, Robot};
 use crate::simulate::{BendingExperiment, Plant, Sealed, SimulatedEye};
 use crate::verdict::{Code, Level, Subject, Verdict, ViewOffset};
 use nalgebra::{Matrix2, Vector2};
@@ -95,6 +95,20 @@ fn every_signed_order_of_the_columns_is_named() {
             row.q_mm = q;
         }
         assert_eq!(suggested(&lab), wiring);
+    }
+}
+
+#[test]
+fn orders_of_four_columns_are_named_though_a_mirrored_view_would_explain_some_as_well() {
+    // Reflections of the square, through two backbones and between them.
+    for columns in [[1, 4, 3, 2], [2, 1, 4, 3]] {
+        let robot = Robot { backbones: 4, ..Robot::default() };
+        let mut lab = Lab::with(Model { robot, ..Model::default() }, BendingExperiment::default(), 3);
+        for row in &mut lab.log {
+            let right = row.q_mm;
+            (0..4).for_each(|i| row.q_mm[columns[i] - 1] = right[i]);
+        }
+        assert_eq!(suggested(&lab), Wiring { columns: columns.to_vec(), ..Wiring::straight(4) });
     }
 }
 

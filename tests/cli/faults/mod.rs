@@ -1,6 +1,7 @@
 //! What a laboratory does to a long run: kills it, fills its disk, takes its input away, hands it half a picture. Nothing is lost
 //! but the frames in hand, and every output is whole or absent.
 
+mod calm;
 pub mod fixture;
 mod outputs;
 mod worth;

@@ -365,5 +365,8 @@ fn commands_on_tables_read_the_log_of_an_experiment_as_it_says() {
         .json("evaluate --model out/model.toml --measurements lab/measurements.csv --encoders lab/experiment.toml");
     assert_eq!(judged["verdict"]["level"], "good", "{judged:#}");
     let said = sandbox.fail("estimate --measurements lab/measurements.csv --encoders lab/run7.csv -o out", 1);
-    assert!(said.contains("write into experiment.toml (which --encoders takes as well): [log]"), "{said}");
+    assert!(
+        said.contains("write into experiment.toml, which commands take in place of the log as well: [log]"),
+        "{said}"
+    );
 }

@@ -1,7 +1,8 @@
 //! What goes wrong beside a running `live`: encoders that freeze, a camera that trickles, crowds of clients, folders in use or removed.
 
 use super::fixture::{self, FRAMES, Live, experiment};
-use super::streams::{Server, share};
+use super::streams::{Server, begin_pictures, send_picture, share};
+use crate::faults::fixture::copy_folder;
 use crate::program::{Sandbox, all_said, text};
 use snakeloop::record::read_model;
 use std::fs;
@@ -127,17 +128,14 @@ fn camera_and_encoders(faults: &Arc<Faults>) -> (Server, Server) {
     let pictures: Vec<Vec<u8>> = (0..FRAMES).map(read).collect();
     let of_camera = Arc::clone(faults);
     let camera = Server::start("127.0.0.1:0", move |stream, stop| {
-        stream.set_nonblocking(false)?;
-        let _ = stream.read(&mut [0; 4096])?;
-        stream.write_all(
-            b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n--frame\r\n",
-        )?;
+        begin_pictures(stream)?;
+        stream.write_all(b"--frame\r\n")?;
         while !stop.load(Ordering::Relaxed) {
             if of_camera.trickles.load(Ordering::Relaxed) {
                 stream.write_all(b"x")?;
             } else {
                 let picture = &pictures[(share(began) * FRAMES as f64) as usize % FRAMES as usize];
-                stream.write_all(&[&b"Content-Type: image/jpeg\r\n\r\n"[..], picture, b"\r\n--frame\r\n"].concat())?;
+                send_picture(stream, picture)?;
             }
             std::thread::sleep(Duration::from_millis(100));
         }
@@ -209,4 +207,22 @@ fn without_a_dashboard_notices_are_said_and_a_port_in_use_leaves_nothing_behind(
     assert!(said.contains(&format!("warning: no encoder readings come: {refused}")), "{said}");
     assert!(said.contains(&format!("encoders: {refused}")) && said.contains("(0 readings came"), "{said}");
     assert!(sandbox.read("out/live.log").contains("no encoder readings come"));
+}
+
+#[test]
+fn what_an_earlier_run_left_is_neither_mixed_with_nor_taken_for_confirmed() {
+    let sandbox = Sandbox::new();
+    copy_folder(experiment(), &sandbox.join("lab"));
+    sandbox.succeed("live lab -o out --rate 20");
+    assert!(!sandbox.read("out/model.toml").starts_with("# stale"));
+    // No reading comes: nothing confirms the table that stands there.
+    fs::remove_file(sandbox.join("out/journal.jsonl")).unwrap();
+    sandbox.succeed("live lab -o out --rate 20 --encoders tcp://127.0.0.1:1");
+    assert!(sandbox.read("out/model.toml").starts_with("# stale: an earlier run left it"));
+    assert!(sandbox.read("out/compensation.csv").lines().next().unwrap().ends_with(",stale"));
+    // The columns turn out to be exchanged: what was read before that was written down is not gone on with.
+    let settings = sandbox.read("lab/experiment.toml");
+    sandbox.write("lab/experiment.toml", &format!("{settings}\n[wiring]\ncolumns = [1, 3, 2]\n"));
+    let said = sandbox.fail("live lab -o out --rate 20 --resume", 1);
+    assert!(said.contains("would mix") && said.contains("experiment.toml"), "{said}");
 }

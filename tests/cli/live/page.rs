@@ -140,7 +140,7 @@ async fn visit(page: &Page) {
     page.until("measured", |text| text != first).await;
     page.until("theta", |text| text.contains('±')).await;
     page.until("eta", |text| text.starts_with("1.")).await;
-    let lines = "return document.querySelectorAll('#plot-theta .scatterlayer .trace').length";
+    let lines = "return document.querySelectorAll('#plot-theta path.line').length";
     page.until_run("the plots are drawn", lines, |count| count.as_u64() >= Some(2)).await;
     let drawn = "return document.getElementById('video').naturalWidth";
     page.until_run("the video is there", drawn, |width| *width == 640).await;

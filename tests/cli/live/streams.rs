@@ -66,16 +66,26 @@ pub fn share(began: Instant) -> f64 {
     began.elapsed().as_secs_f64() / ROUND_S
 }
 
+/// Takes a client's request for a network camera's pictures, and begins the answer.
+pub fn begin_pictures(stream: &mut TcpStream) -> std::io::Result<()> {
+    stream.set_nonblocking(false)?;
+    stream.set_read_timeout(Some(Duration::from_secs(2)))?;
+    let _ = stream.read(&mut [0; 4096])?;
+    stream.write_all(b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n")
+}
+
+/// Sends a picture without its length, and the boundary that ends it.
+pub fn send_picture(stream: &mut TcpStream, picture: &[u8]) -> std::io::Result<()> {
+    stream.write_all(&[&b"Content-Type: image/jpeg\r\n\r\n"[..], picture, b"\r\n--frame\r\n"].concat())
+}
+
 /// A network camera: the frame that shows where the snake is, so many times a second. In `held` of the seconds frames wait, and
 /// are sent all at once afterwards.
 pub fn camera(address: &str, began: Instant, fps: f64, held: fn(f64) -> bool) -> Server {
     let read = |index| std::fs::read(experiment().join(format!("frames/{index:05}.jpg"))).unwrap();
     let pictures: Vec<Vec<u8>> = (0..FRAMES).map(read).collect();
     Server::start(address, move |stream, stop| {
-        stream.set_nonblocking(false)?;
-        stream.set_read_timeout(Some(Duration::from_secs(2)))?;
-        let _ = stream.read(&mut [0; 4096])?;
-        stream.write_all(b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n")?;
+        begin_pictures(stream)?;
         let mut waiting = Vec::new();
         while !stop.load(Ordering::Relaxed) {
             // Where the path's frames lie.

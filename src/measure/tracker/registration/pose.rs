@@ -7,7 +7,7 @@ use crate::robot::MAX_THETA;
 use nalgebra::{Matrix2, Matrix3, Matrix6x2, SMatrix, SVector, Vector2, Vector3};
 use std::f64::consts::PI;
 
-/// Residuals of a pose: its position, its orientation, and the bend of the straight one.
+/// Residuals of a pose. Derived: three of its position, three of its orientation, and two of the bend of the straight one.
 pub(super) const ROWS: usize = 8;
 /// How well a snake that is called straight is, rad.
 ///
