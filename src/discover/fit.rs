@@ -2,7 +2,7 @@
 
 use super::residuals::{Prediction, Problem, Residual, stacked};
 use crate::robot::Model;
-use crate::robot::effects::COMMAND_GAIN;
+use crate::robot::effects::{COMMAND_GAIN, ParameterSpec, Role};
 use crate::robot::model::ETA;
 use crate::statistics::cluster::clustered_covariance;
 use crate::statistics::least_squares::{self, Options};
@@ -30,6 +30,11 @@ const CONVERGED: f64 = 0.02;
 ///
 /// Convention: a convergence tolerance.
 const CONVERGED_SHARE: f64 = 1e-4;
+
+/// One step changes a shape by this factor at most.
+///
+/// Convention: half of what lies between two starts of a time constant.
+const MOST_FACTOR: f64 = 2.0;
 
 /// What is added to the information, so that a parameter that the data do not determine has a standard deviation of a hundred
 /// typical sizes and not of infinity.
@@ -108,31 +113,33 @@ impl Problem<'_> {
     }
 
     fn fit_weighted(&self, start: &Model, guess: Option<&[Vector2<f64>]>, weights: Option<DVector<f64>>) -> Fit {
-        let specs = start.parameter_specs();
-        let typical = scales(start);
+        let coordinates = Coordinates::of(start);
         let bound = |of: fn(&(f64, f64)) -> f64| {
-            DVector::from_iterator(specs.len(), specs.iter().map(|spec| of(&spec.range) / spec.typical))
+            coordinates.from_values(start.parameter_specs().iter().map(|spec| of(&spec.range)))
         };
         let options = Options {
             loss: LOSS,
             bounds: Some((bound(|range| range.0), bound(|range| range.1))),
+            most_step: Some(coordinates.most_step()),
             most_iterations: MOST_STEPS.0,
             most_dampings: MOST_STEPS.1,
             least_decrease: CONVERGED,
             least_relative_decrease: CONVERGED_SHARE,
         };
-        let x = DVector::from_vec(start.parameter_values()).component_div(&typical);
+        let x = coordinates.from_values(start.parameter_values().into_iter());
         let has_prior = prior_of_eta(start).is_some();
         let weights = weights.map(|weights| if has_prior { weights.push(1.0) } else { weights });
-        let objective = Objective { problem: self, start, guess, typical, weights };
+        let objective = Objective { problem: self, start, guess, coordinates, weights };
         match least_squares::solve(&objective, x, &options) {
             Ok(solution) => {
                 let model = objective.model(&solution.parameters);
-                let least_squares::Solution { evaluation, cost, jacobian, .. } = solution;
+                let least_squares::Solution { parameters, evaluation, cost, jacobian, .. } = solution;
                 let evaluation = evaluation.0;
                 let path = evaluation.path();
                 let cost = cost - prior_of_eta(&model).map_or(0.0, |(residual, _)| LOSS.rho(residual));
-                let jacobian = jacobian.rows(0, self.data.residual_count()).into_owned();
+                let mut jacobian = jacobian.rows(0, self.data.residual_count()).into_owned();
+                let slopes = objective.coordinates.slopes(&parameters);
+                jacobian.column_iter_mut().zip(slopes.iter()).for_each(|(mut column, slope)| column /= *slope);
                 Fit { model, residuals: evaluation.residuals, path, cost, jacobian }
             }
             // More parameters than residuals, or no finite numbers: the start is as good as anything.
@@ -205,18 +212,58 @@ fn inverse_information(fit: &Fit) -> Option<DMatrix<f64>> {
     (information + DMatrix::from_diagonal(&prior_precision(&fit.model))).cholesky().map(|factor| factor.inverse())
 }
 
-/// The least-squares problem of one fit, in parameters that are divided by their scales.
+/// The coordinates in which a fit moves: parameters over their scales; of a shape that is positive, the logarithm of that. A time constant or a
+/// pitch is known to within a factor: a linear step would carry it from a hundred seconds beyond its least.
+struct Coordinates {
+    typical: DVector<f64>,
+    is_logarithm: Vec<bool>,
+}
+
+impl Coordinates {
+    fn of(model: &Model) -> Self {
+        let is_positive_shape =
+            |spec: &ParameterSpec| matches!(spec.role, Role::Shape { .. }) && spec.range.0 > 0.0;
+        Self { typical: scales(model), is_logarithm: model.parameter_specs().iter().map(is_positive_shape).collect() }
+    }
+
+    fn from_values(&self, values: impl Iterator<Item = f64>) -> DVector<f64> {
+        let all = values.zip(self.typical.iter()).zip(&self.is_logarithm);
+        let all = all.map(|((value, typical), is_logarithm)| match is_logarithm {
+            true => (value / typical).ln(),
+            false => value / typical,
+        });
+        DVector::from_iterator(self.typical.len(), all)
+    }
+
+    fn values(&self, x: &DVector<f64>) -> Vec<f64> {
+        let all = x.iter().zip(self.typical.iter()).zip(&self.is_logarithm);
+        all.map(|((x, typical), is_logarithm)| typical * if *is_logarithm { x.exp() } else { *x }).collect()
+    }
+
+    fn most_step(&self) -> DVector<f64> {
+        let all = self.is_logarithm.iter().map(|is_logarithm| if *is_logarithm { MOST_FACTOR.ln() } else { f64::INFINITY });
+        DVector::from_iterator(self.is_logarithm.len(), all)
+    }
+
+    /// The derivatives of the parameters over their scales by the coordinates.
+    fn slopes(&self, x: &DVector<f64>) -> DVector<f64> {
+        let all = x.iter().zip(&self.is_logarithm).map(|(x, is_logarithm)| if *is_logarithm { x.exp() } else { 1.0 });
+        DVector::from_iterator(x.len(), all)
+    }
+}
+
+/// The least-squares problem of one fit.
 struct Objective<'a> {
     problem: &'a Problem<'a>,
     start: &'a Model,
     guess: Option<&'a [Vector2<f64>]>,
-    typical: DVector<f64>,
+    coordinates: Coordinates,
     weights: Option<DVector<f64>>,
 }
 
 impl Objective<'_> {
     fn model(&self, x: &DVector<f64>) -> Model {
-        self.start.with_parameter_values(x.component_mul(&self.typical).as_slice())
+        self.start.with_parameter_values(&self.coordinates.values(x))
     }
 }
 
@@ -240,7 +287,9 @@ impl least_squares::Problem for Objective<'_> {
 
     fn jacobian(&self, x: &DVector<f64>, (prediction, _): &Self::Evaluation) -> DMatrix<f64> {
         let model = self.model(x);
-        let own = self.problem.jacobian(&model, prediction, 0..x.len());
+        let mut own = self.problem.jacobian(&model, prediction, 0..x.len());
+        let slopes = self.coordinates.slopes(x);
+        own.column_iter_mut().zip(slopes.iter()).for_each(|(mut column, slope)| column *= *slope);
         let Some((_, slope)) = prior_of_eta(&model) else { return own };
         let rows = own.nrows();
         let mut all = own.insert_row(rows, 0.0);

@@ -76,6 +76,11 @@ const PROMISES: f64 = 0.1;
 /// Convention: numerical; a typical size is about 0.05 mm of effect.
 const LEAST_SIZE: f64 = 0.001;
 
+/// A parameter within this share of its typical size of an end of its range lies there.
+///
+/// Convention: numerical.
+const AT_END: f64 = 1e-6;
+
 /// How often a fit that has not converged goes on from where it ended.
 ///
 /// Convention: an iteration cap.
@@ -142,6 +147,9 @@ struct Structure {
     weighed: Weighed,
     /// The squares that the refits without each stretch leave in it, in units of the noise's.
     squares: f64,
+    /// Whether a parameter lies at the end of its range, where it is not what the effect means: such a structure is no answer, but another effect
+    /// beside it may bring the parameter back.
+    is_at_end: bool,
 }
 
 impl Structure {
@@ -208,7 +216,7 @@ impl<'a> Search<'a> {
     fn best_of_beam(&mut self, bare: &Structure) -> Structure {
         let problem = self.problem.clone();
         let (mut best, mut under) = (bare.clone(), problem.clone());
-        for first in self.with_one_more(bare, |_| true).into_iter().take(BEAM_WIDTH) {
+        for first in self.with_one_more(bare, &bare.fit, |_| true).into_iter().take(BEAM_WIDTH) {
             self.problem = problem.clone();
             let first = self.under_its_own_discrepancy(first);
             let grown = self.grown(first);
@@ -228,7 +236,7 @@ impl<'a> Search<'a> {
     /// A structure with what is asked for beside it, and without what is not.
     fn grown(&mut self, mut best: Structure) -> Structure {
         while best.fit.model.effects.len() < self.given() + MOST_EFFECTS[self.beside as usize] {
-            let Some(better) = self.with_one_more(&best, |_| true).into_iter().next() else { break };
+            let Some(better) = self.with_one_more(&best, &best.fit, |_| true).into_iter().next() else { break };
             best = self.under_its_own_discrepancy(better);
         }
         self.settled(best)
@@ -237,7 +245,7 @@ impl<'a> Search<'a> {
     /// Whether what a structure has beyond a simpler one is asked for.
     fn asks_for(&self, structure: &Structure, simpler: &Structure) -> bool {
         let least = if self.beside == Beside::Discrepancy { LEAST_REMOVED * self.gap } else { f64::NEG_INFINITY };
-        structure.excess_over(simpler) > 0.0 && simpler.squares - structure.squares > least
+        !structure.is_at_end && structure.excess_over(simpler) > 0.0 && simpler.squares - structure.squares > least
     }
 
     /// With an unknown gain and an unknown bend at rest.
@@ -258,7 +266,7 @@ impl<'a> Search<'a> {
             let effects = self.given()..best.fit.model.effects.len();
             let simpler = effects.map(|k| (best.fit.model.without_effect(k), best.fit.path.clone())).collect();
             let others = self.structures(simpler);
-            let not_asked = others.iter().filter(|simpler| !self.asks_for(&best, simpler));
+            let not_asked = others.iter().filter(|simpler| !simpler.is_at_end && !self.asks_for(&best, simpler));
             if let Some(simpler) = not_asked.min_by(|a, b| best.excess_over(a).total_cmp(&best.excess_over(b))) {
                 best = self.under_its_own_discrepancy(simpler.clone());
                 continue;
@@ -267,21 +275,51 @@ impl<'a> Search<'a> {
             let other = other.max_by(|a, b| a.score().total_cmp(&b.score()));
             match other.filter(|other| other.score() > best.score() + LEAST_GAIN) {
                 Some(other) => best = self.under_its_own_discrepancy(other),
-                None => break,
+                None => match self.with_one_for_two(&best, &others) {
+                    Some(other) => best = self.under_its_own_discrepancy(other),
+                    None => break,
+                },
             }
         }
         best
     }
 
-    /// The best with another effect in the place of the one that `without` lacks of `best`: with any beside noise, and beside a discrepancy with a hysteresis
-    /// in the place of a hysteresis.
-    fn exchanged(&mut self, best: &Structure, without: &Structure) -> Option<Structure> {
-        if self.beside == Beside::Noise {
-            return self.with_one_more(without, |_| true).into_iter().next();
+    /// The best with one effect in the place of two, where these are not asked for beside it: what is nearly the right effect is put right by another.
+    /// Beside noise alone; `others` lack one effect each.
+    fn with_one_for_two(&mut self, best: &Structure, others: &[Structure]) -> Option<Structure> {
+        let least = self.given() + 3;
+        if self.beside == Beside::Discrepancy || best.fit.model.effects.len() < least {
+            return None;
         }
+        let mut models: Vec<Model> = Vec::new();
+        for without in others {
+            let effects = self.given()..without.fit.model.effects.len();
+            models.extend(effects.map(|k| without.fit.model.without_effect(k)));
+        }
+        let name = |model: &Model| model.effects.iter().map(|effect| effect.physics.name).collect::<Vec<_>>();
+        models.sort_by_key(name);
+        models.dedup_by_key(|model| name(model));
+        let starts = models.into_iter().map(|model| (model, best.fit.path.clone())).collect();
+        let simplest = self.structures(starts);
+        let with_one: Vec<Structure> =
+            simplest.iter().filter_map(|simple| self.with_one_more(simple, &simple.fit, |_| true).into_iter().next()).collect();
+        let one = with_one.into_iter().max_by(|a, b| a.score().total_cmp(&b.score()))?;
+        (!self.asks_for(best, &one)).then_some(one)
+    }
+
+    /// The best with another effect in the place of the one that `without` lacks of `best`: with any beside noise, and beside a discrepancy with a hysteresis
+    /// in the place of a hysteresis. The fits begin with the other effects as they are in `best`: without the one, they may have gone far.
+    fn exchanged(&mut self, best: &Structure, without: &Structure) -> Option<Structure> {
         let has_hysteresis = |of: &Structure| of.fit.model.effects.iter().any(|e| e.physics.is_hysteresis());
-        let is_exchanged = has_hysteresis(best) && !has_hysteresis(without);
-        is_exchanged.then(|| self.with_one_more(without, Physics::is_hysteresis).into_iter().next()).flatten()
+        let admits: fn(&Physics) -> bool = match self.beside {
+            Beside::Noise => |_| true,
+            Beside::Discrepancy if has_hysteresis(best) && !has_hysteresis(without) => Physics::is_hysteresis,
+            Beside::Discrepancy => return None,
+        };
+        let is_lacking = |&k: &usize| !without.weighed.has(best.fit.model.effects[k].physics.name);
+        let lacking = (self.given()..best.fit.model.effects.len()).find(is_lacking)?;
+        let from = self.problem.evaluated(&best.fit.model.without_effect(lacking), Some(&best.fit.path));
+        self.with_one_more(without, &from, admits).into_iter().next()
     }
 
     /// Play or friction in the place of a clock's lag, where the data do not rule it out.
@@ -303,13 +341,14 @@ impl<'a> Search<'a> {
         other.cloned().unwrap_or(best)
     }
 
-    /// The structures with one effect more that is asked for, of those that a linear step about its start scores highest; the best first, one for each name.
-    fn with_one_more(&mut self, best: &Structure, admits: fn(&Physics) -> bool) -> Vec<Structure> {
+    /// The structures with one effect more that is asked for beside `best`, of those that a linear step about a start beside the model of `from` scores highest,
+    /// and higher than `best`; the best first, one for each name.
+    fn with_one_more(&mut self, best: &Structure, from: &Fit, admits: fn(&Physics) -> bool) -> Vec<Structure> {
         let half_mm = self.judged.half_range * self.before.model.robot.backbone_circle_radius_mm;
-        let hypotheses = hypotheses(&self.problem, &best.fit, (self.beside, half_mm), admits);
+        let hypotheses = hypotheses(&self.problem, from, (self.beside, half_mm), admits);
         let promised = hypotheses.into_par_iter().filter_map(|hypothesis| {
-            let score = self.promised(&best.fit, &hypothesis)? + self.log_prior(&hypothesis.start);
-            Some((score, hypothesis))
+            let score = self.promised(from, &hypothesis)? + self.log_prior(&hypothesis.start);
+            (score > best.score()).then_some((score, hypothesis))
         });
         let mut promised: Vec<(f64, Hypothesis)> = promised.collect();
         promised.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -320,7 +359,7 @@ impl<'a> Search<'a> {
                 chosen.push(hypothesis);
             }
         }
-        let starts = chosen.into_iter().map(|hypothesis| (hypothesis.start, best.fit.path.clone())).collect();
+        let starts = chosen.into_iter().map(|hypothesis| (hypothesis.start, from.path.clone())).collect();
         let mut asked = self.structures(starts);
         asked.retain(|more| self.asks_for(more, best));
         asked.sort_by(|a, b| b.score().total_cmp(&a.score()));
@@ -357,13 +396,13 @@ impl<'a> Search<'a> {
         let of_start =
             |(model, path): (Model, Vec<Vector2<f64>>)| self.scored(self.problem.fit(&model, Some(&path), None));
         let structures: Vec<Structure> = starts.into_par_iter().filter_map(of_start).collect();
-        self.scored.extend(structures.iter().cloned());
+        self.scored.extend(structures.iter().filter(|structure| !structure.is_at_end).cloned());
         structures
     }
 
     /// The structure of a fit; none where it does not converge.
     fn structure(&mut self, fit: Fit) -> Option<Structure> {
-        let structure = self.scored(fit)?;
+        let structure = self.scored(fit).filter(|structure| !structure.is_at_end)?;
         self.scored.push(structure.clone());
         Some(structure)
     }
@@ -376,24 +415,28 @@ impl<'a> Search<'a> {
             }
             fit = self.problem.fit(&fit.model, Some(&fit.path), None);
         }
-        let is_scored = promises(&fit) < PROMISES && self.is_inside(&fit.model);
+        let is_scored = promises(&fit) < PROMISES && self.has_sizes(&fit.model);
         let density = self.judged.of_fit(&self.problem, &fit).filter(|_| is_scored)?;
         let effects = fit.model.effects.iter().skip(self.given()).map(|effect| effect.physics).collect();
         let weighed = Weighed { effects, stretches: density.stretches, log_prior: self.log_prior(&fit.model) };
-        Some(Structure { fit, weighed, squares: density.squares })
+        let is_at_end = self.is_at_end(&fit.model);
+        Some(Structure { fit, weighed, squares: density.squares, is_at_end })
     }
 
-    /// Whether every effect beyond those that were given is there, and no parameter of one lies at the end of its range, where it is not what the
-    /// effect means.
-    fn is_inside(&self, model: &Model) -> bool {
-        model.effects.iter().skip(self.given()).all(|effect| {
-            let values = || effect.parameters().iter().zip(&effect.values);
-            let is_there = |(spec, value): (&ParameterSpec, &f64)| {
-                matches!(spec.role, Role::Size { .. }) && value.abs() > LEAST_SIZE * spec.typical
-            };
-            let is_inside = |(spec, &value): (&ParameterSpec, &f64)| value > spec.range.0 && value < spec.range.1;
-            values().any(is_there) && values().all(is_inside)
-        })
+    /// Whether every effect beyond those that were given is there.
+    fn has_sizes(&self, model: &Model) -> bool {
+        let is_there = |(spec, value): (&ParameterSpec, &f64)| {
+            matches!(spec.role, Role::Size { .. }) && value.abs() > LEAST_SIZE * spec.typical
+        };
+        let has_size = |effect: &Effect| effect.parameters().iter().zip(&effect.values).any(is_there);
+        model.effects.iter().skip(self.given()).all(has_size)
+    }
+
+    /// Whether a parameter of an effect beyond those that were given lies at the end of its range.
+    fn is_at_end(&self, model: &Model) -> bool {
+        let is_at_end = |(spec, value): (&ParameterSpec, &f64)| !is_inside(spec, *value);
+        let effects = model.effects.iter().skip(self.given());
+        effects.flat_map(|effect| effect.parameters().iter().zip(&effect.values)).any(is_at_end)
     }
 
     /// A structure fitted anew where its own discrepancy, which is smaller than that of the structure before, belongs to the noise.
@@ -483,16 +526,19 @@ impl<'a> Search<'a> {
     }
 }
 
+/// Whether a parameter lies at no end of its range, but for rounding.
+fn is_inside(spec: &ParameterSpec, value: f64) -> bool {
+    let (least, most) = spec.range;
+    let slack = AT_END * spec.typical;
+    value > least + slack && value < most - slack
+}
+
 /// The share of its cost that a fit's own next step promises to take away; of parameters at the end of their range none goes on.
 fn promises(fit: &Fit) -> f64 {
     let (information, gradient) = normal_equations(&fit.jacobian, &fit.residuals);
     let specs = fit.model.parameter_specs();
     let inside: Vec<usize> = (0..specs.len())
-        .filter(|&j| {
-            let (value, (least, most)) = (fit.model.parameter_values()[j], specs[j].range);
-            let slack = 1e-6 * specs[j].typical;
-            value > least + slack && value < most - slack
-        })
+        .filter(|&j| is_inside(&specs[j], fit.model.parameter_values()[j]))
         .collect();
     let information = information.select_rows(&inside).select_columns(&inside);
     let gradient = gradient.select_rows(&inside);
