@@ -29,7 +29,7 @@ const MOST_EFFECTS: [usize; 2] = [3, 8];
 /// Single effects that the search beside noise goes on from.
 ///
 /// Convention: a bound on computing time.
-const BEAM_WIDTH: usize = 4;
+const BEAM_WIDTH: usize = 3;
 
 /// Hypotheses of each step that are fitted to convergence.
 ///
@@ -61,7 +61,7 @@ const LOG_PRIOR_BESIDE_NOISE: f64 = -6.0;
 /// Beside a discrepancy an effect takes at least this share of the gap beyond noise away, on stretches that it was not fitted to.
 ///
 /// Convention: what takes less is written as 0 %.
-const LEAST_REMOVED: f64 = 0.005;
+const LEAST_REMOVED: f64 = 0.02;
 
 /// What no model of a machine knows exactly.
 const FRAME: [&str; 2] = [REST_BEND, COMMAND_GAIN];
@@ -200,6 +200,7 @@ impl<'a> Search<'a> {
                 self.grown(framed)
             }
         };
+        best = self.settled(best);
         if self.beside == Beside::Noise {
             best = self.with_what_is_likelier_than_a_lag(best);
         }
@@ -233,13 +234,13 @@ impl<'a> Search<'a> {
         best
     }
 
-    /// A structure with what is asked for beside it, and without what is not.
+    /// A structure with what is asked for beside it.
     fn grown(&mut self, mut best: Structure) -> Structure {
         while best.fit.model.effects.len() < self.given() + MOST_EFFECTS[self.beside as usize] {
             let Some(better) = self.with_one_more(&best, &best.fit, |_| true).into_iter().next() else { break };
             best = self.under_its_own_discrepancy(better);
         }
-        self.settled(best)
+        best
     }
 
     /// Whether what a structure has beyond a simpler one is asked for.
@@ -342,13 +343,13 @@ impl<'a> Search<'a> {
     }
 
     /// The structures with one effect more that is asked for beside `best`, of those that a linear step about a start beside the model of `from` scores highest,
-    /// and higher than `best`; the best first, one for each name.
+    /// and does not rule out beside `best`; the best first, one for each name.
     fn with_one_more(&mut self, best: &Structure, from: &Fit, admits: fn(&Physics) -> bool) -> Vec<Structure> {
         let half_mm = self.judged.half_range * self.before.model.robot.backbone_circle_radius_mm;
         let hypotheses = hypotheses(&self.problem, from, (self.beside, half_mm), admits);
         let promised = hypotheses.into_par_iter().filter_map(|hypothesis| {
             let score = self.promised(from, &hypothesis)? + self.log_prior(&hypothesis.start);
-            (score > best.score()).then_some((score, hypothesis))
+            (score > best.score() + OPEN.ln()).then_some((score, hypothesis))
         });
         let mut promised: Vec<(f64, Hypothesis)> = promised.collect();
         promised.sort_by(|a, b| b.0.total_cmp(&a.0));
