@@ -31,6 +31,11 @@ const MOST_EFFECTS: [usize; 2] = [3, 8];
 /// Convention: a bound on computing time.
 const BEAM_WIDTH: usize = 3;
 
+/// Where the best of the beam leaves squares of so many times the noise's, no exchange of effects is tried beside noise.
+///
+/// Convention: a bound on computing time; an rms of thirty times the noise is no effect taken for one that looks alike.
+const HOPELESS: f64 = 1000.0;
+
 /// Hypotheses of each step that are fitted to convergence.
 ///
 /// Convention: a bound on computing time.
@@ -200,7 +205,11 @@ impl<'a> Search<'a> {
                 self.grown(framed)
             }
         };
-        best = self.settled(best);
+        let is_hopeless = self.beside == Beside::Noise
+            && best.squares > HOPELESS * self.judged.noise_squares(&self.problem);
+        if !is_hopeless {
+            best = self.settled(best);
+        }
         if self.beside == Beside::Noise {
             best = self.with_what_is_likelier_than_a_lag(best);
         }
