@@ -221,8 +221,7 @@ struct Coordinates {
 
 impl Coordinates {
     fn of(model: &Model) -> Self {
-        let is_positive_shape =
-            |spec: &ParameterSpec| matches!(spec.role, Role::Shape { .. }) && spec.range.0 > 0.0;
+        let is_positive_shape = |spec: &ParameterSpec| matches!(spec.role, Role::Shape { .. }) && spec.range.0 > 0.0;
         Self { typical: scales(model), is_logarithm: model.parameter_specs().iter().map(is_positive_shape).collect() }
     }
 
@@ -241,7 +240,8 @@ impl Coordinates {
     }
 
     fn most_step(&self) -> DVector<f64> {
-        let all = self.is_logarithm.iter().map(|is_logarithm| if *is_logarithm { MOST_FACTOR.ln() } else { f64::INFINITY });
+        let all =
+            self.is_logarithm.iter().map(|is_logarithm| if *is_logarithm { MOST_FACTOR.ln() } else { f64::INFINITY });
         DVector::from_iterator(self.is_logarithm.len(), all)
     }
 

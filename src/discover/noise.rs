@@ -136,11 +136,6 @@ fn noise_variance(values: &[f64]) -> f64 {
     mad_scale(values.windows(3).map(|v| (v[0] - 2.0 * v[1] + v[2]) / 6f64.sqrt())).powi(2)
 }
 
-/// The standard deviation of the logarithm of a standard deviation that was learned from so many values.
-pub fn ln_sd_of_learned(count: usize) -> f64 {
-    (count as f64 / LN_VARIANCE_TIMES_COUNT + LN_SD_OF_STATED.powi(-2)).sqrt().recip()
-}
-
 /// The mean of two logarithms of a standard deviation, measured and stated, weighted by what each is known to.
 fn with_prior(measured: f64, stated: f64, count: usize) -> f64 {
     let measured = measured.clamp(FACTORS.0 * stated, FACTORS.1 * stated);
