@@ -314,6 +314,7 @@ mod tests {
     use crate::discover::fixture::{experiment, truth};
     use crate::discover::noise::Noise;
     use crate::discover::sweeps::FOLDS;
+    use crate::robot::Effect;
 
     #[test]
     fn eta_and_lambda_scatter_as_their_covariance_says() {
@@ -328,6 +329,32 @@ mod tests {
         }
         // χ² of 80 degrees of freedom lies between 53.5 and 112.3 in 98 of 100 (any table).
         assert!((53.5..112.3).contains(&squares), "{squares}");
+    }
+
+    #[test]
+    fn a_positive_shape_is_fitted_by_its_logarithm() {
+        let mut model = truth();
+        model.effects.push(Effect::parse("creep:share=0.1,time_constant_s=8").unwrap());
+        let coordinates = Coordinates::of(&model);
+        let values = model.parameter_values();
+        let x = coordinates.from_values(values.iter().copied());
+        assert!(coordinates.values(&x).iter().zip(&values).all(|(a, b)| (a / b - 1.0).abs() < 1e-12));
+        // 0.5 s is the time constant's typical size.
+        assert!((x[3] - 16f64.ln()).abs() < 1e-12 && (coordinates.slopes(&x)[3] - 16.0).abs() < 1e-9, "{x}");
+        assert_eq!(coordinates.slopes(&x).iter().take(3).copied().collect::<Vec<_>>(), [1.0; 3]);
+    }
+
+    #[test]
+    fn an_effect_that_is_not_there_does_not_make_a_fit_worse_and_stays_in_its_range() {
+        let data = experiment(2);
+        let problem = Problem::new(&data, &Noise::stated(&data), &truth());
+        let mut start = truth();
+        start.effects.push(Effect::parse("creep:share=0.02,time_constant_s=0.5").unwrap());
+        let fit = problem.fit(&start, None, None);
+        // Nothing creeps: whatever the shape is, no step makes the fit worse than without.
+        assert!(fit.cost <= problem.fit(&truth(), None, None).cost + 0.1, "{}", fit.cost);
+        let bounds = fit.model.parameter_specs()[3].range;
+        assert!((bounds.0..=bounds.1).contains(&fit.model.parameter_values()[3]));
     }
 
     #[test]

@@ -50,7 +50,8 @@ const FITTED: usize = 8;
 /// Convention: a bound on computing time.
 const FITTED_PER_FORM: usize = 2;
 
-/// An effect takes the place of another where the score is higher by this.
+/// An effect takes the place of another where the score is higher by this. If they are the same, fitted from elsewhere, the fit before has to be
+/// [ruled out](OPEN).
 ///
 /// Convention: above what the tolerance of a fit moves it by; odds of 1.1 to 1.
 const LEAST_GAIN: f64 = 0.1;
@@ -198,7 +199,8 @@ impl<'a> Search<'a> {
             }
             let other = others.iter().filter_map(|without| self.exchanged(&best, without));
             let other = other.max_by(|a, b| a.score().total_cmp(&b.score()));
-            match other.filter(|other| other.score() > best.score() + LEAST_GAIN) {
+            let least = |other: &Structure| if best.has_effects_of(other) { -OPEN.ln() } else { LEAST_GAIN };
+            match other.filter(|other| other.score() > best.score() + least(other)) {
                 Some(other) => best = self.under_its_own_discrepancy(other),
                 None => match self.with_one_for_two(&best, &others) {
                     Some(other) => best = self.under_its_own_discrepancy(other),

@@ -60,6 +60,12 @@ impl Structure {
         self.weighed.score()
     }
 
+    /// Whether both have the same effects, each in the same form.
+    pub(super) fn has_effects_of(&self, other: &Self) -> bool {
+        let own = &self.weighed.effects;
+        own.len() == other.weighed.effects.len() && other.weighed.effects.iter().all(|physics| own.contains(physics))
+    }
+
     /// Whether what it has beyond another is what no model of a machine knows exactly.
     pub(super) fn adds_frame_alone(&self, other: &Self) -> bool {
         let mut more = self.weighed.effects.iter().filter(|physics| !other.weighed.has(physics.name));
@@ -178,4 +184,54 @@ fn promises(fit: &Fit) -> f64 {
     let precision = DMatrix::from_diagonal(&prior_precision(&fit.model).select_rows(&inside));
     let promised = (information + precision).cholesky().map_or(0.0, |factor| gradient.dot(&factor.solve(&gradient)));
     promised / fit.cost.max(f64::MIN_POSITIVE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::discover::fixture::{experiment, truth};
+    use crate::discover::noise::Noise;
+    use crate::robot::effects::{COMMAND_GAIN, physics};
+
+    /// The truth with these effects, of which the score is given.
+    fn structure(problem: &Problem, names: &[&str], stretch: f64, log_prior: f64) -> Structure {
+        let effects = names.iter().filter_map(|name| physics(name)).collect();
+        let weighed = Weighed { effects, stretches: [stretch; 6], log_prior };
+        Structure { fit: problem.evaluated(&truth(), None), weighed, squares: 0.0, is_at_end: false }
+    }
+
+    #[test]
+    fn what_is_expected_stands_if_it_is_likelier_than_not_and_all_else_if_it_is_clearly_better() {
+        let data = experiment(1);
+        let problem = Problem::new(&data, &Noise::stated(&data), &truth());
+        let of = |names: &[&str], stretch, log_prior| structure(&problem, names, stretch, log_prior);
+        let bare = of(&[], 0.0, 0.0);
+        // Two to one in all.
+        let stretch = 2f64.ln() / 6.0;
+        assert!(of(&[COMMAND_GAIN], stretch, 0.0).excess_over(&bare) > 0.0);
+        assert!(of(&["creep"], stretch, 0.0).excess_over(&bare) < 0.0);
+        // Ten to one.
+        assert!(of(&["creep"], 10f64.ln() / 6.0, 0.0).excess_over(&bare) > 0.0);
+        // Beside noise alone a gain is as unlikely as anything: two to one in all, after its prior.
+        assert!(of(&[COMMAND_GAIN], stretch + 1.0, -6.0).excess_over(&bare) < 0.0);
+    }
+
+    #[test]
+    fn a_parameter_lies_at_an_end_of_its_range_but_for_rounding() {
+        let spec = &physics("creep").unwrap().parameters_on(3)[1];
+        assert!(
+            is_inside(spec, 8.0) && !is_inside(spec, spec.range.1) && !is_inside(spec, spec.range.1 * (1.0 - 1e-12))
+        );
+    }
+
+    #[test]
+    fn a_converged_fit_promises_nothing_and_one_far_off_nearly_all() {
+        let data = experiment(1);
+        let problem = Problem::new(&data, &Noise::stated(&data), &truth());
+        let mut values = truth().parameter_values();
+        values[1] += 0.5;
+        let far = problem.evaluated(&truth().with_parameter_values(&values), None);
+        assert!(promises(&far) > 0.9, "{}", promises(&far));
+        assert!(promises(&problem.fit(&far.model, None, None)) < 0.01);
+    }
 }
