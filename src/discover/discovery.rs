@@ -183,21 +183,33 @@ impl<'a> Searched<'a> {
         Self { judged, ..searched }
     }
 
-    /// Under the noise that was learned of the model as given, if effects do not account for a part of it: what they do from one sample to the next
-    /// looks like noise until they are found. The search itself takes the finer of what was stated and learned; what a structure leaves is its own scale.
-    fn of(data: &'a Data, noise: &Noise, model: &Model) -> Self {
-        let problem = Problem::new(data, noise, model);
+    /// The search takes the finer of what was stated and learned: what effects do from one sample to the next looks like noise until they are found. If
+    /// what it finds leaves as much noise as was learned before, it is made again under that noise: the direction of a motion that is smaller than the noise
+    /// of its readings follows that noise.
+    fn of(data: &'a Data, learned: &Noise, model: &Model) -> Self {
+        let problem = Problem::new(data, learned, model);
         let rough = problem.fit(model, None, None);
-        let fine = noise.finer_of(&Noise::stated(data));
-        let under = Problem::new(data, &fine.with_discrepancy(&problem, &rough), &rough.model);
+        let fine = learned.finer_of(&Noise::stated(data));
+        let (searched, noise) = Self::under(&fine, learned, &problem, &rough);
+        let is_as_large = noise == *learned && fine.is_finer_than(learned);
+        if searched.judged.verdict == Verdict::Named && is_as_large {
+            return Self::under(learned, learned, &problem, &rough).0;
+        }
+        searched
+    }
+
+    /// Under one noise; what was learned before counts unless effects account for a part of it. Also the noise that counts.
+    fn under(noise: &Noise, learned: &Noise, problem: &Problem<'a>, rough: &Fit) -> (Self, Noise) {
+        let data = problem.data;
+        let under = Problem::new(data, &noise.with_discrepancy(problem, rough), &rough.model);
         let found = search(&under, &under.fit(&rough.model, Some(&rough.path), None), Beside::Noise);
         let finer = Noise::learned(&found.problem, &found.fit);
-        let noise = if finer.is_finer_than(noise) { &finer } else { noise };
-        let problem = Problem::new(data, noise, &found.fit.model);
+        let noise = if finer.is_finer_than(learned) { finer } else { *learned };
+        let problem = Problem::new(data, &noise, &found.fit.model);
         let before = problem.fit(&rough.model, Some(&rough.path), None);
         let after = problem.fit(&found.fit.model, Some(&found.fit.path), None);
         let judged = Judged::new(&problem, &before, &after);
-        Self { problem, before, found, judged }
+        (Self { problem, before, found, judged }, noise)
     }
 
     /// What was found, fitted to all samples, of which those that were searched are a part.
