@@ -73,14 +73,15 @@ pub fn weights(all: &[&Weighed]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robot::LIBRARY;
+    use crate::robot::effects::physics;
 
     fn weights_of(all: &[Weighed]) -> Vec<f64> {
         weights(&all.iter().collect::<Vec<_>>())
     }
 
     fn of(effect: usize, stretches: [f64; STRETCHES], log_prior: f64) -> Weighed {
-        Weighed { effects: vec![LIBRARY[effect]], stretches, log_prior }
+        let effects = physics(["creep", "bend_offset"][effect]).into_iter().collect();
+        Weighed { effects, stretches, log_prior }
     }
 
     #[test]

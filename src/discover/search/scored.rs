@@ -225,13 +225,13 @@ mod tests {
     }
 
     #[test]
-    fn a_converged_fit_promises_nothing_and_one_far_off_nearly_all() {
+    fn a_converged_fit_promises_nothing_and_one_far_off_much() {
         let data = experiment(1);
         let problem = Problem::new(&data, &Noise::stated(&data), &truth());
         let mut values = truth().parameter_values();
         values[1] += 0.5;
         let far = problem.evaluated(&truth().with_parameter_values(&values), None);
-        assert!(promises(&far) > 0.9, "{}", promises(&far));
+        assert!(promises(&far) > 3.0 * PROMISES, "{}", promises(&far));
         assert!(promises(&problem.fit(&far.model, None, None)) < 0.01);
     }
 }
