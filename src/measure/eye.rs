@@ -22,7 +22,7 @@ use crate::measure::fit::{
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::measurement::{Bend, FrameMeasurement};
-use crate::measure::rig::{DriftCheck, Rig, RigDriftMonitor};
+use crate::measure::rig::{DriftCheck, Rig, RigDriftMonitor, lit_region};
 use crate::observation::{Quality, Shape, Status};
 use crate::robot::{BendProfile, Robot};
 use nalgebra::{Matrix6, Vector2};
@@ -241,7 +241,7 @@ impl Eye {
     /// The picture of one channel in which the snake is about 1 and the background about 0, over a region of a frame, whatever its
     /// exposure.
     pub(super) fn plane(&self, frame: &Frame, region: &Region) -> Plane {
-        self.rig.appearance.exposed_as(frame).plane_within(frame, region)
+        self.rig.appearance.exposed_as(frame, &lit_region(&self.projection())).plane_within(frame, region)
     }
 
     /// Why a frame cannot be measured whatever it shows.

@@ -125,7 +125,8 @@ impl Rig {
             .flatten()
             .chain(&file.appearance.weights)
             .chain(&file.print.weights)
-            .chain([&file.appearance.offset]);
+            .chain([&file.appearance.offset])
+            .chain(&file.appearance.light);
         if !numbers
             .chain([&fit.edge_bias_px])
             .chain(&fit.rim_bias_px)
@@ -236,7 +237,12 @@ mod tests {
             },
             grid_pitch_mm: 1.0,
             pattern: GridPattern { kind: PatternKind::Checkerboard, weights: vec![0.5, 0.25, -0.5] },
-            appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },
+            appearance: Appearance {
+                weights: vec![-1.0, 0.5, -2.0],
+                offset: 1.25,
+                two_sided: false,
+                light: Some(-1.2),
+            },
             mode_sigma_rad: [0.01, 0.005, 0.0025],
             edge_bias: EdgeBias { side_px: -0.05, tube_px: 0.2, rim_px: 0.01, glare: [0.3, 0.2] },
             grid_rms_px: 0.1,

@@ -18,7 +18,7 @@ use crate::measure::fit::{
     UNKNOWN_BIAS, UNKNOWN_SHAPE_RAD, fine_filter, inliers, predict_blur, systematic_covariance,
 };
 use crate::measure::image::appearance::Appearance;
-use crate::measure::image::plane::Plane;
+use crate::measure::image::plane::{Plane, Region};
 use crate::measure::target::{Grid, GridPattern};
 use crate::robot::Robot;
 use crate::statistics::cluster::clustered_covariance;
@@ -97,6 +97,10 @@ const BELOW_HOLDER: f64 = 1.0;
 ///
 /// Convention: ±1.6 σ of the blur.
 const BORDER_SHARES: std::ops::Range<f32> = 0.05..0.95;
+/// How far around the straight snake the light is looked at, in its diameters.
+///
+/// Convention: twice as much sheet as snake, near enough that a small sheet fills it.
+const LIT_DIAMETERS: f64 = 1.0;
 /// The bend of a straight snake.
 pub const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
 
@@ -126,7 +130,8 @@ struct Learned {
 impl Learned {
     /// From a picture in which a view's outline tells which pixels are snake; `None` where they do not differ.
     fn of(frame: &Frame, view: &Projection, outline: &Outline, is_well_placed: bool) -> Option<Self> {
-        let appearance = appearance_of(frame, view, outline, is_well_placed)?;
+        let mut appearance = appearance_of(frame, view, outline, is_well_placed)?;
+        appearance.light = appearance.median_light(frame, &lit_region(view));
         let region = view.image_region(STRAIGHT, AROUND_PX);
         let plane = appearance.plane_within(frame, &region);
         let noise = plane.noise(&region);
@@ -334,6 +339,11 @@ fn check_visibility(visibility: &PartVisibility, robot: &Robot) -> Result<(), Ri
         Some((part, _)) if !visibility.are_all_faintly_visible(last_part(robot)) => Err(RigError::PartNotVisible(part)),
         _ => Ok(()),
     }
+}
+
+/// The part of a picture whose light tells its exposure: around the straight snake.
+pub fn lit_region(view: &Projection) -> Region {
+    view.image_region(STRAIGHT, LIT_DIAMETERS * view.diameter_px())
 }
 
 /// What tells snake from target, learned from inside and outside of the outline: of one that is well placed, at its border above all.

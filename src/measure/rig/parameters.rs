@@ -114,7 +114,7 @@ pub(super) mod tests {
             sheet_shape: SheetShape::default(),
             grid_pitch_mm: 1.0,
             pattern: GridPattern::default(),
-            appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },
+            appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false, light: None },
             edge_bias: EdgeBias { side_px: -0.05, tube_px: 0.2, rim_px: 0.01, glare: [0.3, 0.2] },
             mode_sigma_rad: [1e-3, 2e-4, 1e-4],
             grid_rms_px: 0.1,
