@@ -41,7 +41,7 @@ use super::provenance::Provenance;
 use super::write::write_atomically;
 use crate::error::{ArgumentError, Error, Result};
 use crate::input::read_text;
-use crate::robot::{DataRange, Estimate, Friction, MAX_THETA, Model, OutOfRange, Robot};
+use crate::robot::{DataRange, Effect, Estimate, Friction, MAX_THETA, Model, OutOfRange, Robot};
 use crate::verdict::Verdict;
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
@@ -296,7 +296,14 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
         let line = line_at(text, table.span().start);
         let at = |why: String| Error::at_line(path, line, why);
         let table = table.into_inner();
-        model.effects.push(table.effect(model.robot.backbone_count()).map_err(at)?);
+        let effect = table.effect(model.robot.backbone_count()).map_err(at)?;
+        let is_same =
+            |other: &Effect| (other.physics.name, other.physics.form) == (effect.physics.name, effect.physics.form);
+        if model.effects.iter().any(is_same) {
+            let name = effect.physics.name;
+            return Err(at(format!("effect {name} stands twice, and would act twice; take one of the two out")));
+        }
+        model.effects.push(effect);
         known.add(&model, &table).map_err(at)?;
     }
     let covariance = match file.covariance {

@@ -9,6 +9,7 @@ pub(super) use self::warnings::Warnings;
 pub use self::warnings::{Fault, Warning};
 use super::columns::fields_of;
 use super::dialect::{Sheet, Unit, text_of, unit_of};
+use super::torn::is_cut_in_a_number;
 use crate::camera::number_in_name;
 use crate::error::{Error, Result};
 use crate::input::{TABLE_BYTES, read_bytes};
@@ -272,7 +273,13 @@ fn parsed_rows<'a, T>(
     let mut numbered = Vec::new();
     let mut warnings = Warnings::new(path);
     let mut passed_over = None;
+    let cut_line = is_cut_in_a_number(&text).then(|| text.lines().count() as u64);
     for (number, fields) in sheet.rows() {
+        if Some(number) == cut_line {
+            let why = "the file was cut in the middle of this line: it has no line end, and its last number fewer digits than all others";
+            warnings.push(number, format!("{why}; row skipped"));
+            continue;
+        }
         let row = usable_row(&columns, &sheet, fields);
         match row.and_then(|row| parse(&row)) {
             Ok(value) if numbered.is_empty() || is_kept(&value) => {
