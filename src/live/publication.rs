@@ -14,6 +14,7 @@ use super::status::{GapState, PublicationState, PublicationStatus};
 use crate::estimate::NewPoses;
 use crate::observation::{Measured, Status};
 use crate::robot::{Model, PerBackbone};
+use crate::statistics::chi_square;
 use crate::statistics::moments::{mean, standard_deviation};
 use crate::verdict::{Code, Level, MEAN_SQUARE_OF_NOISE, Verdict};
 use std::collections::VecDeque;
@@ -71,14 +72,23 @@ pub struct PublicationGate {
     confirmation: Confirmation,
     /// The last verdict, and when it was passed.
     verdict: Option<(Verdict, Instant)>,
-    /// The model that was published last, and when that was.
-    published: Option<(Model, Instant)>,
+    /// The model that was published last.
+    published: Option<Published>,
+}
+
+/// A model that was published.
+#[derive(Debug, Clone)]
+struct Published {
+    model: Model,
+    at: Instant,
+    /// Whether a verdict has found it good since, or an earlier run left it.
+    was_good: bool,
 }
 
 impl PublicationGate {
     /// A gate for readings of this standard deviation, mm. `compares` where η and λ are learned; `published` is what stands there.
     pub fn new(sd_encoder_mm: f64, compares: bool, published: Option<Model>) -> Self {
-        let published = published.map(|model| (model, Instant::now()));
+        let published = published.map(|model| Published { model, at: Instant::now(), was_good: true });
         let (poses, new_poses, gap) = (VecDeque::new(), NewPoses::default(), GapState::Unknown);
         let confirmation = Confirmation::default();
         Self { sd_encoder_mm, compares, poses, new_poses, gap, is_stuck: false, confirmation, verdict: None, published }
@@ -86,7 +96,15 @@ impl PublicationGate {
 
     /// Takes the verdict on what was measured so far.
     pub fn take_verdict(&mut self, verdict: Verdict) {
+        if let Some(published) = &mut self.published {
+            published.was_good |= verdict.level == Level::Good;
+        }
         self.verdict = Some((verdict, Instant::now()));
+    }
+
+    /// Whether the encoders are found to stand still while the snake moves.
+    pub fn is_stuck(&self) -> bool {
+        self.is_stuck
     }
 
     /// The last verdict, and its age in seconds.
@@ -128,12 +146,18 @@ impl PublicationGate {
 
     /// The model that was published last, and how many seconds ago.
     pub fn published(&self) -> Option<(&Model, f64)> {
-        self.published.as_ref().map(|(model, at)| (model, at.elapsed().as_secs_f64()))
+        self.published.as_ref().map(|published| (&published.model, published.at.elapsed().as_secs_f64()))
+    }
+
+    /// The same, if a verdict has found it good: what was never good is not the last good one.
+    pub fn last_good(&self) -> Option<(&Model, f64)> {
+        self.published().filter(|_| self.published.as_ref().is_some_and(|published| published.was_good))
     }
 
     /// Notes that a model was published.
     pub fn publish(&mut self, model: Model) {
-        self.published = Some((model, Instant::now()));
+        let was_good = self.verdict.as_ref().is_some_and(|(verdict, _)| verdict.level == Level::Good);
+        self.published = Some(Published { model, at: Instant::now(), was_good });
     }
 
     /// Whether a model may be published; why not, if it may not.
@@ -143,12 +167,12 @@ impl PublicationGate {
     pub fn judge(&self, model: &Model) -> Result<(), Withheld> {
         let withheld = |level, code, text: String| Err(Withheld { level, code, text });
         let red = |code, text: String| withheld(Level::DoNotUse, code, text);
-        let Some((verdict, _)) = &self.verdict else {
-            return red(Code::WorkspaceNotCovered, "no verdict was passed yet".into());
-        };
         if self.is_stuck {
             return red(Code::EncoderStuck, "the encoders stand still while the snake moves".into());
         }
+        let Some((verdict, _)) = &self.verdict else {
+            return red(Code::WorkspaceNotCovered, "no verdict was passed yet".into());
+        };
         if let Some(worst) = verdict.reasons.first().filter(|worst| worst.level == Level::DoNotUse) {
             return red(worst.code, worst.text.clone());
         }
@@ -178,9 +202,14 @@ impl PublicationGate {
         if is_worse(&left, &naive) {
             return red(Code::WorseThanNaive, format!("{seen}, the naive one {}", rms(&naive)));
         }
-        if let Some((published, _)) = &self.published {
+        let noise = self.noise_square(model);
+        // Before the gap's own monitor has seen enough to speak.
+        if self.gap == GapState::Unknown && is_above_noise(&left, noise) {
+            let text = format!("{seen}, and noise {}", rms(&[noise]));
+            return withheld(Level::Look, Code::GapAboveNoise, text);
+        }
+        if let Some(Published { model: published, .. }) = &self.published {
             let before = self.squares(published);
-            let noise = self.noise_square(model);
             let [now, then] = [&left, &before].map(|squares| mean(squares.iter().copied()));
             // Two models nearly alike differ alike at every pose, which is no chance, and no harm while noise hides it: the scatter of a mean of
             // χ² of so many numbers.
@@ -221,14 +250,24 @@ impl PublicationGate {
 
     /// What the noise of eye and encoders leaves of it at a pose, in the mean, mm².
     fn noise_square(&self, model: &Model) -> f64 {
-        let by_bend = model.robot.displacement_by_bend();
+        let model = model.plain();
         let of_eye = |sample: &Sample| {
             let covariance = sample.measured.bend_covariance(sample.measured.configuration);
+            // What is commanded for a bend, the line's stretch with it.
+            let stretched = model.epsilon_by_bend(sample.measured.configuration.bend_vector());
+            let by_bend = model.robot.displacement_by_bend() + stretched;
             by_bend.iter().map(|by| by.dot(&(covariance * by))).sum::<f64>()
         };
         let of_encoders = model.robot.backbone_count() as f64 * self.sd_encoder_mm.powi(2);
         mean(self.poses.iter().map(of_eye)) + of_encoders
     }
+}
+
+/// Whether squares are larger than noise of this mean square accounts for: by the factor that makes a gap, and by chance. A bend has two numbers,
+/// and their noise is most of it.
+fn is_above_noise(squares: &[f64], noise: f64) -> bool {
+    let most = MEAN_SQUARE_OF_NOISE * chi_square::quantile(2 * squares.len(), WORSE_SDS);
+    squares.iter().sum::<f64>() > most * noise / 2.0
 }
 
 /// Whether the first squares are significantly larger than the second, pose by pose (paired t-test). The test has no power for few poses; then

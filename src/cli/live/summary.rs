@@ -73,7 +73,7 @@ impl Summary {
         let mut told: String = self.troubles.iter().map(|trouble| format!("{trouble}\n")).collect();
         if let Some(reason) = &self.publication.reason {
             told += &match self.publication.state {
-                PublicationState::Stale => format!("the table is stale, the last good one stays: {reason}\n"),
+                PublicationState::Stale => format!("the table is stale, the last one published stays: {reason}\n"),
                 _ => format!("no table was written: {reason}\n"),
             };
         }

@@ -189,6 +189,15 @@ fn nothing_is_published_before_the_first_verdict_and_nothing_under_a_red_one() {
     }
     gate.take_verdict(reason(Code::WorkspaceNotCovered, Level::Look));
     assert_eq!(level_and_code(&gate), Ok(()));
+    // What was published under an amber verdict is not the last good one until a good verdict comes.
+    gate.publish(model.clone());
+    assert!(gate.published().is_some() && gate.last_good().is_none());
+    gate.take_verdict(Verdict::default());
+    assert!(gate.last_good().is_some());
+    // Before the monitor of the gap speaks, a model that leaves more than noise is not published.
+    let off = Model { estimate: Some(Estimate { eta: 1.0, ..estimate }), ..Model::default() };
+    gate.gap = GapState::Unknown;
+    assert_eq!(gate.judge(&off).map_err(|why| (why.level, why.code)), Err((Level::Look, Code::GapAboveNoise)));
     gate.poses.truncate(LEAST_POSES - 1);
     assert_eq!(level_and_code(&gate), Err((Level::Look, Code::WorkspaceNotCovered)));
     gate.forget_verdict();
