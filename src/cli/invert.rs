@@ -77,7 +77,9 @@ impl Internal {
         let (mm, force_n) = (self.mm.amax(), self.force_n.amax());
         (mm > MOST_LAMBDA_MM).then(|| {
             format!(
-                "up to {mm:.3} mm of these commands bend nothing: they press the backbones against each other and the base with {force_n:.0} N each.                  Commands for a bend come from --theta-deg and --delta-deg; of readings, see that the encoders read 0 where the snake is straight                  and its lines are slack"
+                "up to {mm:.3} mm of these commands bend nothing: they press the backbones against each other and the base with {force_n:.0} N each. \
+                 Commands for a bend come from --theta-deg and --delta-deg; of readings, see that the encoders read 0 \
+                 where the snake is straight and its lines are slack"
             )
         })
     }

@@ -215,7 +215,10 @@ fn commands_that_bend_nothing_and_angles_beyond_once_round_are_told() {
     );
     let pushed = sandbox.call("invert --model out/model.toml --qc-mm=5,5,5");
     let said = all_said(&pushed);
-    assert!(said.contains("up to 4.8") && said.contains("bend nothing") && said.contains(" N each"), "{said}");
+    assert!(
+        said.contains("up to 4.8") && said.contains("bend nothing") && said.contains(" N each. Commands"),
+        "{said}"
+    );
     let pushed = sandbox.json("invert --model out/model.toml --qc-mm=5,5,5");
     assert!((number(&pushed, "internal1_mm") - 4.8).abs() < 0.05, "{pushed:#}");
     for delta in ["1e18", "-361", "721"] {
