@@ -9,13 +9,14 @@
 //! [sheet]                   # how the printed sheet departs from a flat and square one; files of older versions have none
 //! [print]                   # what is on it, and the colours in which it shows; files of older versions have none
 //! [appearance]              # what tells snake from grid target
+//! [lines]                   # how the printed lines look in that; files of older versions, and sheets that are not looked through, have none
 //! [fit]                     # how well the calibration fitted
 //! ```
 
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::input::read_text;
-use crate::measure::{Appearance, EdgeBias, GridPattern, Rig, SheetShape, UNKNOWN_SHAPE_RAD};
+use crate::measure::{Appearance, EdgeBias, GridPattern, PrintProfile, RESOLUTION, Rig, SheetShape, UNKNOWN_SHAPE_RAD};
 use crate::record::{line_at, write_atomically};
 use crate::robot::MODES;
 use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -32,6 +33,8 @@ struct RigFile {
     #[serde(default)]
     print: GridPattern,
     appearance: Appearance,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    lines: Option<LinesTable>,
     fit: FitTable,
 }
 
@@ -82,6 +85,37 @@ impl SheetTable {
             && shear_deg.abs() < 45.0;
         let (centre_mm, half_mm) = (centre_mm.into(), half_mm.into());
         is_sheet.then(|| SheetShape { anisotropy, shear: shear_deg.to_radians(), bow_mm, centre_mm, half_mm })
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LinesTable {
+    paper: f64,
+    across: Vec<f64>,
+    along: Vec<f64>,
+    /// The number across and along of each part of the sheet, and the contrast there.
+    contrast: Vec<(i32, i32, f64)>,
+}
+
+impl LinesTable {
+    fn of(print: &PrintProfile) -> Self {
+        let written = |value: &f32| (f64::from(*value) / RESOLUTION).round() * RESOLUTION;
+        Self {
+            paper: written(&print.paper),
+            across: print.across.iter().map(written).collect(),
+            along: print.along.iter().map(written).collect(),
+            contrast: print.contrast.iter().map(|(&(x, y), contrast)| (x, y, written(contrast))).collect(),
+        }
+    }
+
+    /// The print; `None` where a profile has not as many numbers as it must have, or one is not finite.
+    fn print(&self) -> Option<PrintProfile> {
+        let of = |values: &[f64]| values.iter().map(|value| *value as f32).collect::<Vec<f32>>();
+        let contrast = self.contrast.iter().map(|&(x, y, contrast)| ((x, y), contrast as f32)).collect();
+        let print =
+            PrintProfile { across: of(&self.across), along: of(&self.along), paper: self.paper as f32, contrast };
+        print.is_sound().then_some(print)
     }
 }
 
@@ -157,6 +191,10 @@ impl Rig {
             grid_pitch_mm: file.grid.pitch_mm,
             pattern: file.print,
             appearance: file.appearance,
+            print: match &file.lines {
+                Some(lines) => Some(lines.print().ok_or_else(|| wrong("[lines] does not describe a print"))?),
+                None => None,
+            },
             edge_bias: EdgeBias {
                 side_px: fit.edge_bias_px,
                 tube_px: fit.tube_bias_px.unwrap_or(fit.edge_bias_px),
@@ -187,6 +225,7 @@ impl Rig {
             sheet: Some(SheetTable::of(&self.sheet_shape)),
             print: self.pattern.clone(),
             appearance: self.appearance.clone(),
+            lines: self.print.as_ref().map(LinesTable::of),
             fit: FitTable {
                 edge_bias_px: self.edge_bias.side_px,
                 rim_bias_px: Some(self.edge_bias.rim_px),

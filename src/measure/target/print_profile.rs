@@ -1,14 +1,21 @@
-//! How the printed lines look in the channel that tells snake from target, so that edges of lines are told from the snake's border.
+//! How the printed lines look in the channel that tells snake from target, so that the eye can look through them.
 //!
-//! The discriminant of the lines is the sum of a profile across and one along, each periodic in ten pitches of the lattice (millimetre paper has
-//! its heavier lines every five and ten). Paper waves and print is faint in places, so that each part of the sheet has a shift and a contrast of
-//! its own.
+//! A pixel of the border mixes light of the snake and of what is behind it. With the share α of the snake and the discriminant b of the print
+//! behind, it has d = α + (1 − α) b, since the snake's own is about 1. Hence
+//!
+//! ```text
+//! α = (d − b) / (1 − b)
+//! ```
+//!
+//! is free of the lines wherever b is known. The sheet tells it: b is the paper's, and on it a profile across and one along, each periodic in ten
+//! pitches of the lattice (millimetre paper has its heavier lines every five and ten). Print that is faint in a part of the sheet, or lies elsewhere
+//! than the sheet's model says, shows there with less of its contrast, or with none.
 
 use super::sheet::{Sheet, SheetShape};
 use crate::camera::Lens;
-use crate::measure::image::plane::Plane;
-use crate::statistics::order::{SD_BY_MAD, median};
-use nalgebra::{Matrix2, Point2, Vector2};
+use crate::measure::image::plane::{Plane, Region};
+use crate::statistics::order::median;
+use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -22,64 +29,53 @@ const PERIOD: usize = 10;
 /// Derived: 0.06 mm of millimetre paper, about a pixel of a picture in which its lines are told apart well.
 const PER_PITCH: usize = 16;
 /// Values of a profile.
-const VALUES: usize = PERIOD * PER_PITCH;
-/// Lattice places are worked out at every so many pixels of every so many rows, and interpolated between.
 ///
-/// Derived: a lens with a distortion of a tenth over 600 px bends a line by 1e-3 px over that length.
+/// Derived: from the two above.
+const VALUES: usize = PERIOD * PER_PITCH;
+/// Lattice places are worked out at every so many pixels of a row, and interpolated between.
+///
+/// Derived: a lens that distorts by a tenth over 600 px bends a line by 1e-3 px over that length.
 const MESH_PX: usize = 16;
 /// A profile is learned from one pixel of so many in each direction.
 ///
 /// Convention: of a megapixel a tenth of a million is left, seven hundred for each value.
 const STRIDE: usize = 3;
-/// The fewest pixels for each value, on the average.
+/// The fewest pixels of a value that count.
 ///
-/// Convention: a median of ten is known to a third of their scatter.
-const FEWEST_PER_VALUE: usize = 10;
-/// Rounds of a profile across beside that along, and of cells laid on both.
+/// Convention: a median of five is known to half of their scatter.
+const FEWEST: usize = 5;
+/// Rounds of a profile across beside that along.
 ///
-/// Convention: lines cover a fifth of the paper, so that the first round's medians are nearly free of the other direction's already; shifts of cells
-/// make the profiles sharper in the second, and the third moves them by a hundredth of a pitch.
-const ROUNDS: usize = 3;
-/// Paper waves: the print is laid on anew in cells of so many pitches.
+/// Convention: lines cover a fifth of the paper, so that the first round's medians are nearly free of the other direction's already.
+const ROUNDS: usize = 2;
+/// The contrast is learned of parts of the sheet so many pitches wide and high.
 ///
-/// Convention: half a period, so that a cell has one heavier line of each direction.
-const CELL: f32 = 5.0;
-/// The fewest pixels that lay a cell.
+/// Convention: half a period, so that each has a heavier line of both directions.
+const PART: f32 = 5.0;
+/// The fewest pixels that tell the contrast of a part.
 ///
-/// Convention: a hundred for each of its two coordinates.
-const FEWEST_PER_CELL: usize = 200;
-/// How far the print of a cell may be from where the sheet's model has it, pitches (1σ).
+/// Convention: a slope of one number from two hundred is known to a tenth where lines stand out of the noise.
+const FEWEST_OF_PART: usize = 200;
+/// What discriminants of the sheet are rounded to.
 ///
-/// Source: photographed sheets wave by 0.02 to 0.08 pitches (rms).
-const SHIFT_SD: f32 = 0.08;
-/// Steps of Gauss and Newton that lay a cell in each round.
+/// Convention: a hundredth of the noise of a good picture.
+pub const RESOLUTION: f64 = 1e-4;
+/// Print as much like the snake as this is looked through, and up to 1, where it hides the border, less and less.
 ///
-/// Convention: an iteration cap; lines are a quarter of a pitch wide, and a shift is less.
-const STEPS: usize = 3;
-/// What differs from the print by more than so many of the usual deviations is something else.
-///
-/// Convention: the usual three.
-const MOST_DEVIATIONS: f32 = 3.0;
-/// The discriminant of the printed lines: one period of the lattice, and how it lies in the cells of the sheet.
+/// Convention: there noise is raised to twice of what it is.
+const MOST_LIKE_SNAKE: f32 = 0.5;
+
+/// The discriminant of the printed lines over one period of the lattice, and how much of it shows in each part of the sheet.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PrintProfile {
-    /// Across the sheet, as a difference from the paper: [`VALUES`] numbers.
-    across: Vec<f32>,
+    /// Across the sheet, as a difference from the paper between the lines: [`VALUES`] numbers.
+    pub across: Vec<f32>,
     /// Along it: as many.
-    along: Vec<f32>,
+    pub along: Vec<f32>,
     /// The paper between the lines.
-    paper: f32,
-    /// The cells in which the print was seen, by their number across and along from the lattice's origin.
-    cells: BTreeMap<(i32, i32), Cell>,
-}
-
-/// How the print lies in a part of the sheet.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Cell {
-    /// What is to be added to the lattice's coordinates there, pitches.
-    shift: Vector2<f32>,
-    /// By how much of its contrast the print shows there, 0 to 1.
-    contrast: f32,
+    pub paper: f32,
+    /// The contrast of each part in which it was seen, 0 to 1, by its number across and along from the lattice's origin.
+    pub contrast: BTreeMap<(i32, i32), f32>,
 }
 
 /// A pixel that shows the sheet: its place of the lattice, in pitches, and its discriminant.
@@ -98,156 +94,139 @@ impl PrintProfile {
         pitch_mm: f64,
         is_target: impl Fn(&Point2<f64>) -> bool + Sync,
     ) -> Option<Self> {
-        let lattice = LatticeMesh { lens, sheet, pitch_mm };
+        let lattice = Lattice { lens, sheet, pitch_mm };
         let of_row = |row: usize| {
             let mut own = Vec::new();
-            lattice.visit_row(plane, row, |column, place| {
-                let pixel = Point2::new(column as f64, row as f64) + plane.first;
-                if column.is_multiple_of(STRIDE) && is_target(&pixel) {
-                    own.push(Seen { place, discriminant: plane.data[row * plane.width + column] });
-                }
+            lattice.visit_row(0..plane.width, row, |run| {
+                let used = run.columns.clone().step_by(STRIDE);
+                let used = used.filter(|&column| is_target(&Point2::new(column as f64, row as f64)));
+                let discriminant = |column: usize| plane.data[row * plane.width + column];
+                own.extend(used.map(|column| Seen { place: run.at(column), discriminant: discriminant(column) }));
             });
             own
         };
-        let rows: Vec<usize> = (0..plane.height).step_by(STRIDE).collect();
-        let seen: Vec<Seen> = rows.into_par_iter().flat_map_iter(of_row).collect();
-        let mut by_cell: BTreeMap<(i32, i32), Vec<Seen>> = BTreeMap::new();
-        seen.iter().for_each(|seen| by_cell.entry(cell_of(seen.place)).or_default().push(*seen));
-        by_cell.retain(|_, seen| seen.len() >= FEWEST_PER_CELL);
-        let unmoved = Cell { shift: Vector2::zeros(), contrast: 1.0 };
-        let cells = by_cell.keys().map(|&cell| (cell, unmoved)).collect();
-        let mut print = Self { across: vec![0.0; VALUES], along: vec![0.0; VALUES], paper: 0.0, cells };
+        let rows = (0..plane.height.div_ceil(STRIDE)).into_par_iter();
+        let seen: Vec<Seen> = rows.flat_map_iter(|row| of_row(row * STRIDE)).collect();
+        let (mut across, mut along, mut paper) = (vec![0.0; VALUES], vec![0.0; VALUES], 0.0);
         for _ in 0..ROUNDS {
-            print.learn_profiles(&by_cell)?;
-            print.cells = by_cell.par_iter().map(|(&at, seen)| (at, print.laid(print.cells[&at], seen))).collect();
+            across = medians(&seen, |place| place.x, |place| value(&along, place.y))?;
+            paper = median(&mut across.clone());
+            across.iter_mut().for_each(|value| *value -= paper);
+            along = medians(&seen, |place| place.y, |place| paper + value(&across, place.x))?;
         }
+        [&mut across, &mut along].into_iter().flatten().for_each(|value| *value = rounded(*value));
+        let mut print = Self { across, along, paper: rounded(paper), contrast: BTreeMap::new() };
+        let mut parts: BTreeMap<(i32, i32), Vec<Seen>> = BTreeMap::new();
+        seen.iter().for_each(|seen| parts.entry(part_of(seen.place)).or_default().push(*seen));
+        parts.retain(|_, seen| seen.len() >= FEWEST_OF_PART);
+        print.contrast = parts.par_iter().map(|(&part, seen)| (part, rounded(print.contrast_in(seen)))).collect();
         Some(print)
     }
 
-    /// The medians of the profiles, each of what the other leaves.
-    fn learn_profiles(&mut self, by_cell: &BTreeMap<(i32, i32), Vec<Seen>>) -> Option<()> {
-        let moved = |(at, seen): (&(i32, i32), &Vec<Seen>)| {
-            let shift = self.cells[at].shift;
-            seen.iter().map(move |seen| Seen { place: seen.place + shift, ..*seen }).collect::<Vec<_>>()
-        };
-        let seen: Vec<Seen> = by_cell.iter().flat_map(moved).collect();
-        self.across = medians(&seen, |place| place.x, |place| value(&self.along, place.y))?;
-        self.paper = median(&mut self.across.clone());
-        self.across.iter_mut().for_each(|value| *value -= self.paper);
-        self.along = medians(&seen, |place| place.y, |place| self.paper + value(&self.across, place.x))?;
-        Some(())
+    /// Whether it has as many numbers as a print has, all of them finite.
+    pub fn is_sound(&self) -> bool {
+        let numbers = self.across.iter().chain(&self.along).chain(self.contrast.values()).chain([&self.paper]);
+        self.across.len() == VALUES && self.along.len() == VALUES && numbers.copied().all(f32::is_finite)
     }
 
-    /// The cell in which the print agrees best with what is seen, from where it was.
-    fn laid(&self, Cell { mut shift, .. }: Cell, seen: &[Seen]) -> Cell {
-        let left = |shift: Vector2<f32>, seen: &Seen| seen.discriminant - self.paper - self.lines(seen.place + shift);
-        let step = 0.5 / PER_PITCH as f32;
-        for _ in 0..STEPS {
-            let mut residuals: Vec<f32> = seen.iter().map(|seen| left(shift, seen)).collect();
-            let most = MOST_DEVIATIONS * deviation(&mut residuals);
-            let variance = (most / MOST_DEVIATIONS).powi(2).max(f32::MIN_POSITIVE);
-            let mut information = Matrix2::identity() / SHIFT_SD.powi(2);
-            let mut gradient = -shift / SHIFT_SD.powi(2);
-            for seen in seen {
-                let residual = left(shift, seen);
-                if residual.abs() > most {
-                    continue;
-                }
-                let at = |by: Vector2<f32>| self.lines(seen.place + shift + by);
-                let slope = Vector2::new(
-                    at(Vector2::new(step, 0.0)) - at(Vector2::new(-step, 0.0)),
-                    at(Vector2::new(0.0, step)) - at(Vector2::new(0.0, -step)),
-                ) / (2.0 * step);
-                information += slope * slope.transpose() / variance;
-                gradient += slope * residual / variance;
-            }
-            let Some(inverse) = information.try_inverse() else { break };
-            shift += inverse * gradient;
-            shift = shift.map(|own| own.clamp(-0.5, 0.5));
+    /// The share of the print's contrast that pixels of a part show: the slope of what is seen over the print, 0 to 1.
+    fn contrast_in(&self, seen: &[Seen]) -> f32 {
+        let print = |seen: &Seen| self.lines(seen.place);
+        let (mut own, mut both, mut sum, mut sum_of_print) = (0.0, 0.0, 0.0, 0.0);
+        let bound = |d: f32| d.clamp(-1.0, 1.0);
+        for pixel in seen {
+            let (b, d) = (print(pixel), bound(pixel.discriminant - self.paper));
+            own += b * b;
+            both += b * d;
+            sum += d;
+            sum_of_print += b;
         }
-        let mut residuals: Vec<f32> = seen.iter().map(|seen| left(shift, seen)).collect();
-        let most = MOST_DEVIATIONS * deviation(&mut residuals);
-        let (mut own, mut both, mut sums, mut count) = (0.0, 0.0, Vector2::zeros(), 0.0_f32);
-        for seen in seen.iter().filter(|seen| left(shift, seen).abs() <= most) {
-            let (print, d) = (self.lines(seen.place + shift), seen.discriminant - self.paper);
-            own += print * print;
-            both += print * d;
-            sums += Vector2::new(print, d);
-            count += 1.0;
-        }
-        let count = count.max(1.0);
-        let (variance, covariance) = (own - sums.x * sums.x / count, both - sums.x * sums.y / count);
-        let contrast = if variance > 0.0 { (covariance / variance).clamp(0.0, 1.0) } else { 0.0 };
-        Cell { shift, contrast }
+        let count = seen.len() as f32;
+        let variance = own - sum_of_print * sum_of_print / count;
+        if variance > 0.0 { ((both - sum * sum_of_print / count) / variance).clamp(0.0, 1.0) } else { 0.0 }
     }
 
-    /// The lines at a place of the lattice, in pitches, as a difference from the paper. Where two cross, what is printed twice counts once.
+    /// The lines at a place of the lattice, in pitches, as a difference from the paper. Where two cross, the heavier one shows.
     fn lines(&self, place: Vector2<f32>) -> f32 {
         let (across, along) = (value(&self.across, place.x), value(&self.along, place.y));
-        if across * along > 0.0 {
-            // The heavier one, and of the lighter one what a heavier leaves of it.
-            if across.abs() > along.abs() { across } else { along }
-        } else {
-            across + along
+        match across * along > 0.0 {
+            true if across.abs() > along.abs() => across,
+            true => along,
+            false => across + along,
         }
     }
 
-    /// By how much the discriminant of the print differs from the paper's at a place of the lattice, in pitches; `None` where it was not seen.
-    fn at(&self, place: Vector2<f32>) -> Option<f32> {
-        let corner = place / CELL - Vector2::repeat(0.5);
+    /// The share of the contrast at a place of the lattice, in pitches; `None` where the sheet was not seen.
+    fn contrast_at(&self, place: Vector2<f32>) -> Option<f32> {
+        let corner = place / PART - Vector2::repeat(0.5);
         let first = corner.map(f32::floor);
         let share = corner - first;
-        let (mut weights, mut shift, mut contrast) = (0.0, Vector2::zeros(), 0.0);
+        let (mut weights, mut contrast) = (0.0, 0.0);
         for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-            let Some(cell) = self.cells.get(&(first.x as i32 + dx, first.y as i32 + dy)) else { continue };
+            let Some(own) = self.contrast.get(&(first.x as i32 + dx, first.y as i32 + dy)) else { continue };
             let along = |d: i32, share: f32| if d == 0 { 1.0 - share } else { share };
             let weight = along(dx, share.x) * along(dy, share.y);
             weights += weight;
-            shift += cell.shift * weight;
-            contrast += cell.contrast * weight;
+            contrast += own * weight;
         }
-        (weights > 0.0).then(|| contrast / weights * self.lines(place + shift / weights))
+        (weights > 0.0).then(|| contrast / weights)
     }
 
-    /// By how much every pixel of a picture differs from the paper between the lines; 0 where the print was not seen.
-    pub fn picture(&self, lens: &Lens, sheet: &Sheet, pitch_mm: f64) -> Plane {
-        let (width, height) = (lens.width as usize, lens.height as usize);
-        let mut picture = Plane::new(width, height, vec![0.0; width * height]);
-        let lattice = LatticeMesh { lens, sheet, pitch_mm };
-        let bounds = Plane::new(width, height, Vec::new());
-        picture.data.par_chunks_mut(width.max(1)).enumerate().for_each(|(row, values)| {
-            lattice.visit_row(&bounds, row, |column, place| values[column] = self.at(place).unwrap_or(0.0));
+    /// What of the sheet is behind every pixel of the rectangle around a region, 0 where it was not seen.
+    pub fn picture(&self, lens: &Lens, sheet: &Sheet, pitch_mm: f64, around: &Region) -> Plane {
+        let (columns, rows) = around.bounds();
+        let (width, height) = (columns.len(), rows.len());
+        let lattice = Lattice { lens, sheet, pitch_mm };
+        let mut data = vec![0.0; width * height];
+        data.par_chunks_mut(width.max(1)).zip(rows.clone()).for_each(|(values, row)| {
+            lattice.visit_row(columns.clone(), row, |run| {
+                let ends = [run.at(run.columns.start), run.at(run.columns.end)].map(|place| self.contrast_at(place));
+                let (Some(from), Some(to)) = (ends[0].or(ends[1]), ends[1].or(ends[0])) else { return };
+                let step = (to - from) / run.columns.len() as f32;
+                for (k, column) in run.columns.clone().enumerate() {
+                    let contrast = from + step * k as f32;
+                    values[column - columns.start] = self.paper + contrast * self.lines(run.at(column));
+                }
+            });
         });
-        picture
+        Plane { width, height, first: Vector2::new(columns.start as f64, rows.start as f64), data }
     }
 }
 
-/// The number of the cell of a place.
-fn cell_of(place: Vector2<f32>) -> (i32, i32) {
-    let cell = (place / CELL).map(f32::floor);
-    (cell.x as i32, cell.y as i32)
+/// Takes away from a plane what of the sheet is behind it, of as much of the picture or more.
+pub fn look_through(plane: &mut Plane, sheet: &Plane) {
+    let offset = plane.first - sheet.first;
+    let (x, y) = (offset.x as usize, offset.y as usize);
+    let width = plane.width;
+    for (row, values) in plane.data.chunks_exact_mut(width.max(1)).enumerate() {
+        let behind = &sheet.data[(y + row) * sheet.width + x..][..width];
+        for (value, &b) in values.iter_mut().zip(behind) {
+            let b = if b > MOST_LIKE_SNAKE { (1.0 - b).max(0.0) } else { b };
+            *value = (*value - b) / (1.0 - b);
+        }
+    }
 }
 
-/// A robust standard deviation about the median.
-fn deviation(values: &mut [f32]) -> f32 {
-    let middle = median(values);
-    values.iter_mut().for_each(|value| *value = (*value - middle).abs());
-    SD_BY_MAD as f32 * median(values)
+/// A number as the rig's file has it, so that a rig that was read is the one that was written.
+fn rounded(value: f32) -> f32 {
+    ((f64::from(value) / RESOLUTION).round() * RESOLUTION) as f32
+}
+
+/// The number of the part of a place.
+fn part_of(place: Vector2<f32>) -> (i32, i32) {
+    let part = (place / PART).map(f32::floor);
+    (part.x as i32, part.y as i32)
 }
 
 /// The medians, of the pixels of each value of a profile, of what is left without the other; `None` where too little is seen.
-fn medians(
-    seen: &[Seen],
-    by: impl Fn(&Vector2<f32>) -> f32,
-    other: impl Fn(&Vector2<f32>) -> f32,
-) -> Option<Vec<f32>> {
+fn medians(seen: &[Seen], by: impl Fn(&Vector2<f32>) -> f32, other: impl Fn(&Vector2<f32>) -> f32) -> Option<Vec<f32>> {
     let mut each: Vec<Vec<f32>> = vec![Vec::new(); VALUES];
     for Seen { place, discriminant } in seen {
         let number = (by(place).rem_euclid(PERIOD as f32) * PER_PITCH as f32) as usize;
         each[number.min(VALUES - 1)].push(discriminant - other(place));
     }
     let all: Vec<Option<f32>> =
-        each.iter_mut().map(|values| (values.len() >= FEWEST_PER_VALUE / 2).then(|| median(values))).collect();
+        each.iter_mut().map(|values| (values.len() >= FEWEST).then(|| median(values))).collect();
     let mut known: Vec<f32> = all.iter().flatten().copied().collect();
     if known.len() < VALUES / 2 {
         return None;
@@ -258,7 +237,7 @@ fn medians(
 
 /// The value of a profile at a coordinate, in pitches.
 fn value(profile: &[f32], pitches: f32) -> f32 {
-    let at = pitches.rem_euclid(PERIOD as f32) * PER_PITCH as f32 - 0.5;
+    let at = pitches * PER_PITCH as f32 - 0.5;
     let before = at.floor();
     let share = at - before;
     let place = |k: i32| profile[k.rem_euclid(VALUES as i32) as usize];
@@ -266,37 +245,162 @@ fn value(profile: &[f32], pitches: f32) -> f32 {
 }
 
 /// The lattice coordinates that pixels show.
-struct LatticeMesh<'a> {
+struct Lattice<'a> {
     lens: &'a Lens,
     sheet: &'a Sheet,
     pitch_mm: f64,
 }
 
-impl LatticeMesh<'_> {
-    /// Calls with each column of a plane's row that shows the sheet, and the lattice place there, in pitches.
-    fn visit_row(&self, plane: &Plane, row: usize, mut visit: impl FnMut(usize, Vector2<f32>)) {
+/// Pixels of a row that follow each other, and the lattice there.
+struct Run {
+    columns: Range<usize>,
+    /// The place of the first, in pitches.
+    from: Vector2<f32>,
+    /// From one pixel to the next, pitches.
+    step: Vector2<f32>,
+}
+
+impl Run {
+    /// The place of a column, in pitches.
+    fn at(&self, column: usize) -> Vector2<f32> {
+        self.from + self.step * (column - self.columns.start) as f32
+    }
+}
+
+impl Lattice<'_> {
+    /// Calls with the runs of a picture's row that show the sheet.
+    fn visit_row(&self, columns: Range<usize>, row: usize, mut visit: impl FnMut(&Run)) {
         let SheetShape { centre_mm, half_mm, .. } = self.sheet.shape;
         let reach_mm = half_mm * SheetShape::BEYOND;
         let at = |column: usize| {
-            let pixel = Point2::new(column as f64, row as f64) + plane.first;
-            Some(self.sheet.at(self.lens, &pixel)?.0)
+            let (place, _) = self.sheet.at(self.lens, &Point2::new(column as f64, row as f64))?;
+            let off = (place - centre_mm).abs();
+            (off.x < reach_mm.x && off.y < reach_mm.y).then(|| place.coords / self.pitch_mm)
         };
-        let ends: Vec<Range<usize>> =
-            (0..plane.width).step_by(MESH_PX).map(|first| first..(first + MESH_PX).min(plane.width)).collect();
-        let mut start = at(0);
-        for columns in ends {
-            let end = at(columns.end);
+        let mut start = at(columns.start);
+        for first in columns.clone().step_by(MESH_PX) {
+            let run = first..(first + MESH_PX).min(columns.end);
+            let end = at(run.end);
             if let (Some(from), Some(to)) = (start, end) {
-                let step = (to - from) / columns.len() as f64;
-                for column in columns.clone() {
-                    let place = from + step * (column - columns.start) as f64;
-                    let off = (place - centre_mm).abs();
-                    if off.x < reach_mm.x && off.y < reach_mm.y {
-                        visit(column, (place.coords / self.pitch_mm).cast());
-                    }
-                }
+                let step = (to - from) / run.len() as f64;
+                visit(&Run { columns: run, from: from.cast(), step: step.cast() });
             }
             start = end;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Pose;
+    use crate::measure::fixture::Scene;
+    use crate::statistics::moments::rms;
+    use nalgebra::{Translation3, UnitQuaternion, Vector3};
+
+    /// A sheet of 60 × 44 mm, a little turned, with lines of 1 mm pitch.
+    fn sheet() -> Sheet {
+        let shape = SheetShape { half_mm: Vector2::new(30.0, 22.0), bow_mm: [0.4, 0.2, -0.3], ..SheetShape::default() };
+        let lean = UnitQuaternion::from_scaled_axis(Vector3::new(0.05, -0.04, 0.1));
+        Sheet { camera_from_grid: Pose::from_parts(Translation3::new(0.5, 0.3, 150.0), lean), shape }
+    }
+
+    /// The share of ink of lines 0.25 mm wide, every fifth twice as dark.
+    fn ink(mm: f64) -> f64 {
+        let line = mm.round();
+        let depth = if line.rem_euclid(5.0) < 0.5 { 0.4 } else { 0.2 };
+        depth * (-0.5 * ((mm - line) / 0.1).powi(2)).exp()
+    }
+
+    /// A picture of the sheet, whose lines are shifted across by so many mm, before a snake that covers the columns from 380 to 419 and mixes with
+    /// what is behind at its borders; and the share of snake alone.
+    fn picture(shift_mm: f64) -> (Plane, Plane) {
+        let (lens, sheet) = (Scene::new(Vector3::zeros()).lens, sheet());
+        let (width, height) = (lens.width as usize, lens.height as usize);
+        let share = |x: usize| match x {
+            380..420 => 1.0,
+            379 | 420 => 0.4,
+            _ => 0.0,
+        };
+        let of_pixel = |k: usize| {
+            let (x, y) = (k % width, k / width);
+            let (place, _) = sheet.at(&lens, &Point2::new(x as f64, y as f64)).unwrap();
+            let behind = ink(place.x + shift_mm).max(ink(place.y)) - 0.05;
+            (share(x) + (1.0 - share(x)) * behind) as f32
+        };
+        let alone = |k: usize| share(k % width) as f32;
+        let plane = |of: &dyn Fn(usize) -> f32| Plane::new(width, height, (0..width * height).map(of).collect());
+        (plane(&of_pixel), plane(&alone))
+    }
+
+    fn learned(seen: &Plane) -> PrintProfile {
+        let is_target = |pixel: &Point2<f64>| (pixel.x - 399.5).abs() > 25.0;
+        PrintProfile::learn(seen, &Scene::new(Vector3::zeros()).lens, &sheet(), 1.0, is_target).unwrap()
+    }
+
+    /// The root mean square of what is seen of the sheet, and of what it does to the snake's border.
+    fn left(seen: &Plane, alone: &Plane) -> (f64, f64) {
+        let at = |columns: Range<usize>| {
+            let columns = columns.collect::<Vec<_>>();
+            let pixels = (150..450).flat_map(|y| columns.iter().map(move |x| y * seen.width + x));
+            rms(pixels.map(|k| f64::from(seen.data[k] - alone.data[k])))
+        };
+        (at(430..600), at(420..421))
+    }
+
+    #[test]
+    fn lines_are_looked_through_beside_the_snake_and_at_its_border() {
+        let (mut seen, alone) = picture(0.0);
+        let print = learned(&seen);
+        let lens = Scene::new(Vector3::zeros()).lens;
+        let before = left(&seen, &alone);
+        look_through(&mut seen, &print.picture(&lens, &sheet(), 1.0, &Region::whole(lens.width, lens.height)));
+        let after = left(&seen, &alone);
+        assert!(before.0 > 0.08 && after.0 < 0.2 * before.0, "{before:?} {after:?}");
+        assert!(after.1 < 0.2 * before.1, "{before:?} {after:?}");
+    }
+
+    #[test]
+    fn lines_that_lie_elsewhere_than_the_model_says_are_not_taken_away_twice() {
+        let print = learned(&picture(0.0).0);
+        // The same profile on a sheet that shows its lines half a pitch further.
+        let (shifted, alone) = picture(0.5);
+        let lens = Scene::new(Vector3::zeros()).lens;
+        let mut own = learned(&shifted);
+        (own.across, own.along, own.paper) = (print.across.clone(), print.along.clone(), print.paper);
+        let misplaced: Vec<Seen> = (0..shifted.data.len())
+            .step_by(7)
+            .filter(|k| (430..600).contains(&(k % shifted.width)))
+            .filter_map(|k| {
+                let pixel = Point2::new((k % shifted.width) as f64, (k / shifted.width) as f64);
+                let (place, _) = sheet().at(&lens, &pixel)?;
+                Some(Seen { place: place.coords.cast(), discriminant: shifted.data[k] })
+            })
+            .collect();
+        let contrast = own.contrast_in(&misplaced);
+        own.contrast.values_mut().for_each(|own| *own = contrast);
+        let mut seen = shifted.clone();
+        look_through(&mut seen, &own.picture(&lens, &sheet(), 1.0, &Region::whole(lens.width, lens.height)));
+        assert!(left(&seen, &alone).0 < 1.05 * left(&shifted, &alone).0, "{contrast}");
+    }
+
+    #[test]
+    fn a_plane_of_a_part_of_the_picture_is_looked_through_as_the_whole_is() {
+        let (mut whole, _) = picture(0.0);
+        let print = learned(&whole);
+        let lens = Scene::new(Vector3::zeros()).lens;
+        let part = Region::along([Point2::new(300.0, 200.0)], 50.0, (lens.width, lens.height));
+        let mut cropped = whole.cropped(&part);
+        let behind = |around: &Region| print.picture(&lens, &sheet(), 1.0, around);
+        look_through(&mut cropped, &behind(&Region::whole(lens.width, lens.height)));
+        look_through(&mut whole, &behind(&Region::whole(lens.width, lens.height)));
+        assert_eq!(cropped.data, whole.cropped(&part).data);
+    }
+
+    #[test]
+    fn a_sheet_of_which_little_is_seen_is_not_learned() {
+        let (seen, _) = picture(0.0);
+        let lens = Scene::new(Vector3::zeros()).lens;
+        assert!(PrintProfile::learn(&seen, &lens, &sheet(), 1.0, |pixel| pixel.x < 30.0 && pixel.y < 60.0).is_none());
     }
 }
