@@ -262,6 +262,13 @@ mod tests {
     use super::*;
     use crate::measure::PatternKind;
 
+    /// A print with as many numbers as one must have, which are written with four places.
+    fn print() -> PrintProfile {
+        let profile = |factor: i32| (0..160).map(|k| (k * factor % 7) as f32 / 10.0).collect();
+        let contrast = [((-3, 2), 0.75), ((0, 0), 1.0)].into();
+        PrintProfile { across: profile(3), along: profile(2), paper: -0.0321, contrast }
+    }
+
     fn rig() -> Rig {
         Rig {
             camera_from_base: Pose::new(Vector3::new(1.0, 2.0, 230.0), Vector3::new(1.5, 0.1, -0.05)),
@@ -283,6 +290,7 @@ mod tests {
                 light: Some(-1.2),
             },
             mode_sigma_rad: [0.01, 0.005, 0.0025],
+            print: Some(print()),
             edge_bias: EdgeBias { side_px: -0.05, tube_px: 0.2, rim_px: 0.01, glare: [0.3, 0.2] },
             grid_rms_px: 0.1,
             edge_rms_px: 0.12,
