@@ -2,7 +2,7 @@
 //!
 //! A bend counts for as much as it tells. One that is not far above its own σ tells nothing, and a direction is learned once it was bent so far
 //! there that a robot which bends differently in this direction would have been noticed: an error that moves the largest bend by
-//! [`ASKED_FOR`] moves a small bend by less, which σ of θ must not hide.
+//! `ASKED_FOR` moves a small bend by less, which σ of θ must not hide.
 //!
 //! Within the range the measurements have confirmed the model. Beyond its largest bend θ_m a stiffness that changes with the bend shows
 //! itself, which nothing measured contradicts: the elastic part of ε is then wrong by a share κ (θ² − θ_m²). κ is not known; its standard

@@ -17,6 +17,7 @@ mod inputs;
 mod reason;
 mod rules;
 mod scale;
+#[cfg(feature = "commands")]
 mod shared_force;
 pub mod wiring;
 mod words;

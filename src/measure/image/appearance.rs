@@ -5,7 +5,6 @@ use crate::measure::image::plane::{Plane, Region};
 use crate::statistics::order::median;
 use nalgebra::{DMatrix, Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
-use std::ops::Range;
 use std::sync::LazyLock;
 
 /// Colours are learned from one pixel of so many in each direction.
@@ -183,17 +182,19 @@ impl Appearance {
         Self { weights: self.weights.iter().map(|w| w / exposure).collect(), ..self.clone() }
     }
 
-    /// The median of the weighted light of a region; `None` where it has no pixels.
+    /// The median of the weighted light of what a frame shows of a region; `None` where it shows nothing of it.
     pub fn median_light(&self, frame: &Frame, around: &Region) -> Option<f64> {
         let weights = self.weights_for(frame.channels);
-        let width = frame.width as usize;
-        let in_row =
-            |(row, columns): (usize, Range<usize>)| columns.step_by(EXPOSURE_STRIDE).map(move |x| row * width + x);
+        let (width, height) = (frame.width as usize, frame.height as usize);
+        let rows = around.rows().take_while(|(row, _)| *row < height).step_by(EXPOSURE_STRIDE);
+        let pixels = rows.flat_map(|(row, columns)| {
+            (columns.start..columns.end.min(width)).step_by(EXPOSURE_STRIDE).map(move |x| row * width + x)
+        });
         let light_of = |pixel: usize| {
             let first = pixel * frame.channels;
             weights.iter().zip(first..).map(|(w, k)| light(&frame.samples, k) * w).sum()
         };
-        let mut levels: Vec<f32> = around.rows().step_by(EXPOSURE_STRIDE).flat_map(in_row).map(light_of).collect();
+        let mut levels: Vec<f32> = pixels.map(light_of).collect();
         (!levels.is_empty()).then(|| f64::from(median(&mut levels)))
     }
 
@@ -285,6 +286,8 @@ mod tests {
         };
         let mut learned = Appearance::learn(&straight, label).unwrap();
         learned.light = learned.median_light(&straight, &around);
+        let small = Frame::from_image(DynamicImage::ImageRgb8(RgbImage::new(90, 70))).unwrap();
+        assert!(learned.median_light(&small, &around).is_some());
         for (exposure, tolerance) in [(1.0, 1e-6), (0.5, 0.02), (1.5, 0.02)] {
             let exposed = learned.exposed_as(&on_a_table(105, exposure), &around);
             let ratio = learned.weights[0] / exposed.weights[0];

@@ -60,6 +60,10 @@ const FEWEST_OF_PART: usize = 200;
 ///
 /// Convention: a hundredth of the noise of a good picture.
 pub const RESOLUTION: f64 = 1e-4;
+/// A picture that shows less of the print's contrast does not show the print.
+///
+/// Convention: the half; a snake across the sheet and noise change the slope of a picture that shows it by a tenth.
+const LEAST_CONTRAST: f32 = 0.5;
 /// Print as much like the snake as this is looked through, and up to 1, where it hides the border, less and less.
 ///
 /// Convention: there noise is raised to twice of what it is.
@@ -68,7 +72,7 @@ const MOST_LIKE_SNAKE: f32 = 0.5;
 /// The discriminant of the printed lines over one period of the lattice, and how much of it shows in each part of the sheet.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PrintProfile {
-    /// Across the sheet, as a difference from the paper between the lines: [`VALUES`] numbers.
+    /// Across the sheet, as a difference from the paper between the lines: sixteen numbers for each of ten pitches.
     pub across: Vec<f32>,
     /// Along it: as many.
     pub along: Vec<f32>,
@@ -129,21 +133,9 @@ impl PrintProfile {
         self.across.len() == VALUES && self.along.len() == VALUES && numbers.copied().all(f32::is_finite)
     }
 
-    /// The share of the print's contrast that pixels of a part show: the slope of what is seen over the print, 0 to 1.
+    /// The share of the print's contrast that pixels of a part show, 0 to 1.
     fn contrast_in(&self, seen: &[Seen]) -> f32 {
-        let print = |seen: &Seen| self.lines(seen.place);
-        let (mut own, mut both, mut sum, mut sum_of_print) = (0.0, 0.0, 0.0, 0.0);
-        let bound = |d: f32| d.clamp(-1.0, 1.0);
-        for pixel in seen {
-            let (b, d) = (print(pixel), bound(pixel.discriminant - self.paper));
-            own += b * b;
-            both += b * d;
-            sum += d;
-            sum_of_print += b;
-        }
-        let count = seen.len() as f32;
-        let variance = own - sum_of_print * sum_of_print / count;
-        if variance > 0.0 { ((both - sum * sum_of_print / count) / variance).clamp(0.0, 1.0) } else { 0.0 }
+        contrast(seen.iter().map(|seen| (self.lines(seen.place), seen.discriminant - self.paper)))
     }
 
     /// The lines at a place of the lattice, in pitches, as a difference from the paper. Where two cross, the heavier one shows.
@@ -193,18 +185,38 @@ impl PrintProfile {
     }
 }
 
-/// Takes away from a plane what of the sheet is behind it, of as much of the picture or more.
+/// Takes away from a plane what of the sheet is behind it, of as much of the picture or more; from a plane that does not show the print, as where
+/// something covers the sheet or it was moved, nothing.
 pub fn look_through(plane: &mut Plane, sheet: &Plane) {
     let offset = plane.first - sheet.first;
-    let (x, y) = (offset.x as usize, offset.y as usize);
-    let width = plane.width;
-    for (row, values) in plane.data.chunks_exact_mut(width.max(1)).enumerate() {
-        let behind = &sheet.data[(y + row) * sheet.width + x..][..width];
-        for (value, &b) in values.iter_mut().zip(behind) {
+    let (x, y, width) = (offset.x as usize, offset.y as usize, plane.width.max(1));
+    let behind = |row: usize| &sheet.data[(y + row) * sheet.width + x..][..width];
+    let rows = plane.data.chunks_exact(width).enumerate().step_by(STRIDE);
+    let sampled = rows.flat_map(|(row, values)| behind(row).iter().zip(values).step_by(STRIDE)).map(|(&b, &d)| (b, d));
+    // What was not looked at is zero, and so is what shows no sheet.
+    if contrast(sampled.filter(|(b, d)| *b != 0.0 && *d != 0.0)) < LEAST_CONTRAST {
+        return;
+    }
+    for (row, values) in plane.data.chunks_exact_mut(width).enumerate() {
+        for (value, &b) in values.iter_mut().zip(behind(row)) {
             let b = if b > MOST_LIKE_SNAKE { (1.0 - b).max(0.0) } else { b };
             *value = (*value - b) / (1.0 - b);
         }
     }
+}
+
+/// The slope of what is seen over what is printed, from pairs of print and discriminant, 0 to 1; something else than the sheet counts as a snake at
+/// most.
+fn contrast(pairs: impl Iterator<Item = (f32, f32)>) -> f32 {
+    let (mut count, mut sums, mut own, mut both) = (0.0, Vector2::zeros(), 0.0, 0.0);
+    for (b, d) in pairs.map(|(b, d)| (f64::from(b), f64::from(d.clamp(-1.0, 1.0)))) {
+        count += 1.0;
+        sums += Vector2::new(b, d);
+        own += b * b;
+        both += b * d;
+    }
+    let variance = own - sums.x * sums.x / count;
+    if variance > 0.0 { ((both - sums.x * sums.y / count) / variance).clamp(0.0, 1.0) as f32 } else { 0.0 }
 }
 
 /// A number as the rig's file has it, so that a rig that was read is the one that was written.
@@ -402,5 +414,17 @@ mod tests {
         let (seen, _) = picture(0.0);
         let lens = Scene::new(Vector3::zeros()).lens;
         assert!(PrintProfile::learn(&seen, &lens, &sheet(), 1.0, |pixel| pixel.x < 30.0 && pixel.y < 60.0).is_none());
+    }
+
+    #[test]
+    fn a_picture_without_the_print_is_left_as_it_is() {
+        let print = learned(&picture(0.0).0);
+        let lens = Scene::new(Vector3::zeros()).lens;
+        let behind = print.picture(&lens, &sheet(), 1.0, &Region::whole(lens.width, lens.height));
+        for value in [0.0, 0.3] {
+            let mut blank = Plane::new(behind.width, behind.height, vec![value; behind.data.len()]);
+            look_through(&mut blank, &behind);
+            assert!(blank.data.iter().all(|own| *own == value));
+        }
     }
 }
