@@ -23,7 +23,7 @@ use crate::measure::target::{Grid, GridPattern, PatternKind, PrintProfile, look_
 use crate::robot::Robot;
 use crate::statistics::cluster::clustered_covariance;
 use crate::statistics::least_squares::{Options, Solution, solve};
-use nalgebra::{DMatrix, DVector, Point2};
+use nalgebra::{DMatrix, DVector, Point2, Vector2};
 
 /// How far from the outline edges are searched for in each round, px.
 ///
@@ -97,6 +97,11 @@ const BELOW_HOLDER: f64 = 1.0;
 ///
 /// Convention: ±1.6 σ of the blur.
 const BORDER_SHARES: std::ops::Range<f32> = 0.05..0.95;
+/// Lines that are nearer to each other than this, px, are not looked through.
+///
+/// Derived: a line of a fifth of a pitch is then two pixels wide; a narrower one is washed out by lens and compression, and its profile is that of the
+/// pixels that it was seen by.
+const LEAST_PITCH_PX: f64 = 10.0;
 /// How far around the straight snake the light is looked at, in its diameters.
 ///
 /// Convention: twice as much sheet as snake, near enough that a small sheet fills it.
@@ -357,7 +362,7 @@ fn check_visibility(visibility: &PartVisibility, robot: &Robot) -> Result<(), Ri
     }
 }
 
-/// How the sheet looks, learned from what neither the snake nor its border hides.
+/// How the sheet looks, learned from what neither the snake nor its border hides; `None` where too little is seen of it or of its lines.
 fn print_of(
     StraightPicture { frame, options, .. }: &StraightPicture,
     grid: &Grid,
@@ -365,6 +370,11 @@ fn print_of(
     outline: &Outline,
     appearance: &Appearance,
 ) -> Option<PrintProfile> {
+    let middle_mm = grid.sheet.shape.centre_mm;
+    let seen = |mm: f64| grid.sheet.project(view.lens, &(middle_mm + Vector2::new(mm, 0.0)));
+    if (seen(options.grid_pitch_mm) - seen(0.0)).norm() < LEAST_PITCH_PX {
+        return None;
+    }
     let silhouette = outline.blurred_silhouette(BORDER_PX);
     let is_target = |pixel: &Point2<f64>| silhouette.sample(pixel) < BORDER_SHARES.start;
     PrintProfile::learn(&appearance.plane(frame), view.lens, &grid.sheet, options.grid_pitch_mm, is_target)

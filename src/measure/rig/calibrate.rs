@@ -95,10 +95,7 @@ pub fn find_rig(picture: StraightPicture, sketch: &mut RigSketch) -> Result<Rig,
     let best = rulings.first();
     match refused {
         Some(error) if error.step() < CalibrationStep::Scale => {
-            // A snake that explains most of what is seen is asked why it was refused, and no other scale.
-            let is_explained = best.is_some_and(Ruling::explains_most);
-            let as_stated = best.map_or(0.0, Ruling::gain);
-            let contradiction = (!is_explained).then(|| tries.contradiction(as_stated, sketch)).flatten();
+            let contradiction = tries.contradiction(best.map_or(0.0, Ruling::gain), sketch);
             let no_snake = || match best {
                 _ if !search.is_print => RigError::NoSheet,
                 Some(best) if !best.explains_most() => {
