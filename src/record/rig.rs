@@ -16,7 +16,7 @@
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::input::read_text;
-use crate::measure::{Appearance, EdgeBias, GridPattern, PrintProfile, RESOLUTION, Rig, SheetShape, UNKNOWN_SHAPE_RAD};
+use crate::measure::{Appearance, EdgeBias, GridPattern, PrintProfile, Rig, SheetShape, UNKNOWN_SHAPE_RAD};
 use crate::record::{line_at, write_atomically};
 use crate::robot::MODES;
 use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -91,31 +91,25 @@ impl SheetTable {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct LinesTable {
-    paper: f64,
-    across: Vec<f64>,
-    along: Vec<f64>,
+    paper: f32,
+    across: Vec<f32>,
+    along: Vec<f32>,
     /// The number across and along of each part of the sheet, and the contrast there.
-    contrast: Vec<(i32, i32, f64)>,
+    contrast: Vec<(i32, i32, f32)>,
 }
 
 impl LinesTable {
     fn of(print: &PrintProfile) -> Self {
-        let written = |value: &f32| (f64::from(*value) / RESOLUTION).round() * RESOLUTION;
-        Self {
-            paper: written(&print.paper),
-            across: print.across.iter().map(written).collect(),
-            along: print.along.iter().map(written).collect(),
-            contrast: print.contrast.iter().map(|(&(x, y), contrast)| (x, y, written(contrast))).collect(),
-        }
+        let PrintProfile { across, along, paper, contrast } = print.clone();
+        let contrast = contrast.into_iter().map(|((x, y), contrast)| (x, y, contrast)).collect();
+        Self { paper, across, along, contrast }
     }
 
     /// The print; `None` where a profile has not as many numbers as it must have, or one is not finite.
-    fn print(&self) -> Option<PrintProfile> {
-        let of = |values: &[f64]| values.iter().map(|value| *value as f32).collect::<Vec<f32>>();
-        let contrast = self.contrast.iter().map(|&(x, y, contrast)| ((x, y), contrast as f32)).collect();
-        let print =
-            PrintProfile { across: of(&self.across), along: of(&self.along), paper: self.paper as f32, contrast };
-        print.is_sound().then_some(print)
+    fn print(self) -> Option<PrintProfile> {
+        let Self { paper, across, along, contrast } = self;
+        let contrast = contrast.into_iter().map(|(x, y, contrast)| ((x, y), contrast)).collect();
+        Some(PrintProfile { across, along, paper, contrast }).filter(PrintProfile::is_sound)
     }
 }
 
@@ -191,10 +185,10 @@ impl Rig {
             grid_pitch_mm: file.grid.pitch_mm,
             pattern: file.print,
             appearance: file.appearance,
-            print: match &file.lines {
-                Some(lines) => Some(lines.print().ok_or_else(|| wrong("[lines] does not describe a print"))?),
-                None => None,
-            },
+            print: file
+                .lines
+                .map(|lines| lines.print().ok_or_else(|| wrong("[lines] does not describe a print")))
+                .transpose()?,
             edge_bias: EdgeBias {
                 side_px: fit.edge_bias_px,
                 tube_px: fit.tube_bias_px.unwrap_or(fit.edge_bias_px),
@@ -307,6 +301,7 @@ mod tests {
         assert_eq!(read.camera_from_base.translation, rig().camera_from_base.translation);
         assert_eq!((read.pattern, read.appearance, read.edge_bias), (rig().pattern, rig().appearance, rig().edge_bias));
         assert_eq!(read.pose_covariance, rig().pose_covariance);
+        assert_eq!(read.print, rig().print);
     }
 
     #[test]

@@ -29,7 +29,7 @@ mod sparse_window;
 pub use grid::{Grid, SheetHypothesis, SheetSearch};
 pub use pattern::{GridPattern, PatternKind};
 pub use phase_monitor::{DETECTION_SIGMAS, GridPhaseMonitor, GridShift, PHASE_SIGMA_PX};
-pub use print_profile::{PrintProfile, RESOLUTION, look_through};
+pub use print_profile::{PrintProfile, look_through};
 pub use region::PictureRegion;
 pub use robust_linear::RobustLinear;
 pub use sheet::{Sheet, SheetShape};

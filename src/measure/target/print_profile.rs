@@ -59,7 +59,7 @@ const FEWEST_OF_PART: usize = 200;
 /// What discriminants of the sheet are rounded to.
 ///
 /// Convention: a hundredth of the noise of a good picture.
-pub const RESOLUTION: f64 = 1e-4;
+const RESOLUTION: f64 = 1e-4;
 /// A picture that shows less of the print's contrast does not show the print.
 ///
 /// Convention: the half; a snake across the sheet and noise change the slope of a picture that shows it by a tenth.
@@ -219,7 +219,7 @@ fn contrast(pairs: impl Iterator<Item = (f32, f32)>) -> f32 {
     if variance > 0.0 { ((both - sums.x * sums.y / count) / variance).clamp(0.0, 1.0) as f32 } else { 0.0 }
 }
 
-/// A number as the rig's file has it, so that a rig that was read is the one that was written.
+/// A number of few digits, since the rig's file holds hundreds of them.
 fn rounded(value: f32) -> f32 {
     ((f64::from(value) / RESOLUTION).round() * RESOLUTION) as f32
 }
