@@ -153,9 +153,10 @@ impl Eye {
         self.sheet.get_or_init(|| made).as_ref()
     }
 
-    /// Makes the coarse search now, and not when the first frame asks for it.
+    /// Makes the coarse search and the picture of the sheet now, and not when the first frame asks for them.
     pub fn prepare(&self) {
         self.search();
+        self.sheet();
     }
 
     /// The lens that this eye sees through.

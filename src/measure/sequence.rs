@@ -36,8 +36,8 @@ impl Eye {
             let surroundings = self.projection().image_region(fit.profile, REFINING_REACH_PX);
             Some((SnakePlane::new(&plane, &surroundings), fit.start()))
         };
-        // Made before frames are measured in parallel, of which each would make one of its own.
-        self.search();
+        // Before frames are measured in parallel, of which each would make its own.
+        self.prepare();
         let (planes, starts): (Vec<SnakePlane>, Vec<Start>) = frames.filter_map(find).unzip();
         match refined_rig(&self.lens, &self.robot, &self.rig, &planes, starts) {
             // The sheet stayed where it is.

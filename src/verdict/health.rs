@@ -248,10 +248,8 @@ impl Health {
             [of(before), of(after)].concat()
         };
         let places = BESIDE_A_STEP..(common.len() + 1).saturating_sub(BESIDE_A_STEP);
-        let at = places.min_by(|a, b| {
-            let [a, b] = [a, b].map(|at| left(*at).iter().sum::<f64>());
-            a.total_cmp(&b)
-        })?;
+        let sums = places.map(|at| (at, left(at).iter().sum::<f64>()));
+        let (at, _) = sums.min_by(|(_, a), (_, b)| a.total_cmp(b))?;
         let left = without_largest(left(at), |mm| *mm);
         let (before, after) = common.split_at(at);
         let step = centre(after) - centre(before);

@@ -48,7 +48,7 @@ pub struct Plane {
 /// A part of a picture: the columns of every row that belong to it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Region {
-    pub(super) rows: Vec<Range<usize>>,
+    rows: Vec<Range<usize>>,
 }
 
 impl Region {

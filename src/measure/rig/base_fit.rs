@@ -23,7 +23,7 @@ use crate::measure::target::{Grid, GridPattern, PatternKind, PrintProfile, look_
 use crate::robot::Robot;
 use crate::statistics::cluster::clustered_covariance;
 use crate::statistics::least_squares::{Options, Solution, solve};
-use nalgebra::{DMatrix, DVector, Point2, Vector2};
+use nalgebra::{DMatrix, DVector, Point2};
 
 /// How far from the outline edges are searched for in each round, px.
 ///
@@ -370,9 +370,7 @@ fn print_of(
     outline: &Outline,
     appearance: &Appearance,
 ) -> Option<PrintProfile> {
-    let middle_mm = grid.sheet.shape.centre_mm;
-    let seen = |mm: f64| grid.sheet.project(view.lens, &(middle_mm + Vector2::new(mm, 0.0)));
-    if (seen(options.grid_pitch_mm) - seen(0.0)).norm() < LEAST_PITCH_PX {
+    if grid.sheet.length_px(view.lens, options.grid_pitch_mm) < LEAST_PITCH_PX {
         return None;
     }
     let silhouette = outline.blurred_silhouette(BORDER_PX);
