@@ -104,8 +104,9 @@ const BORDER_SHARES: std::ops::Range<f32> = 0.05..0.95;
 const LEAST_PITCH_PX: f64 = 10.0;
 /// How far around the straight snake the light is looked at, in its diameters.
 ///
-/// Convention: twice as much sheet as snake, near enough that a small sheet fills it.
-const LIT_DIAMETERS: f64 = 1.0;
+/// Convention: six times as much sheet as snake, so that the median hardly changes where the snake is bent out of it, and near enough that a small
+/// sheet fills it.
+const LIT_DIAMETERS: f64 = 3.0;
 /// The bend of a straight snake.
 pub const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
 
