@@ -318,7 +318,9 @@ pub enum GridError {
 #[non_exhaustive]
 pub enum NoSolution {
     /// A pose outside the model's workspace.
-    #[error("θ = {theta_deg}°, δ = {delta_deg}° is outside the workspace, expected θ from 0 to {most_deg:.0}°")]
+    #[error(
+        "θ = {theta_deg}°, δ = {delta_deg}° is outside the workspace, expected θ from 0 to {most_deg:.0}° and δ from −360° to 360°"
+    )]
     OutsideWorkspace {
         /// The bend, degrees.
         theta_deg: f64,

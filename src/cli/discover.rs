@@ -105,7 +105,7 @@ impl Inputs {
         let has_reading = |index: u64| self.readings.binary_search_by_key(&index, |reading| reading.index).is_ok();
         for measurement in self.measurements.iter().filter(|measurement| has_reading(measurement.index)) {
             if let Some(measured) = &measurement.measured {
-                range.add(measured.configuration, measured.sigma_delta);
+                range.add(measured.configuration, measured.sigma_theta, measured.sigma_delta);
             }
         }
         Model { learned: Some(range), ..model.clone() }

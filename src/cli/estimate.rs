@@ -12,7 +12,7 @@ use crate::record::{
     OutputFolder, Provenance, estimates_csv, mark_tables_stale, stems_csv, write_atomically, write_learned_model,
 };
 use crate::robot::{Effect, Estimate, ForceLimits, Model};
-use crate::verdict::{Code, JudgedEstimate, Level, Reason, Verdict};
+use crate::verdict::{Code, JudgedEstimate, Level, Reason, Verdict, doubt_of_force_limits};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -131,9 +131,9 @@ impl Args {
                 &encoders,
             )?);
         }
-        let encoders = match force_limits(self.force_limits.as_deref())? {
+        let (encoders, doubt) = match force_limits(self.force_limits.as_deref())? {
             Some(limits) => self.without_sharing(&model, &limits, &measurements, &encoders)?,
-            None => encoders,
+            None => (encoders, None),
         };
         let options = self.estimator.options(1.0);
         let is_stated = unit_is_stated(log.experiment.as_ref());
@@ -144,7 +144,7 @@ impl Args {
         let mut verdicts = Verdicts::default();
         rows.iter().for_each(|row| verdicts.add(row));
         let estimated = Estimated::of(verdicts, model.estimate);
-        let verdict = do_not_use.as_deref().map(bad_start).into_iter().fold(verdict, Verdict::and);
+        let verdict = do_not_use.as_deref().map(bad_start).into_iter().chain(doubt).fold(verdict, Verdict::and);
         if model.estimate.is_some() {
             write_learned_model(&self.output.join("model.toml"), &model, Some(&verdict), &self.made_from(&log)?)?;
             mark_tables_stale(&self.output, OTHER_MODEL)?;
@@ -169,22 +169,23 @@ impl Args {
         self.verdict.check(&summary.verdict)
     }
 
-    /// The readings without the force that the backbones share within limits. It depends on η, which the bending part alone tells, and which
-    /// is estimated from the readings as they are.
+    /// The readings without the force that the backbones share within limits, and a reason if they do not show that force. It depends on η, which
+    /// the bending part alone tells, and which is estimated from the readings as they are.
     fn without_sharing(
         &self,
         model: &Model,
         limits: &ForceLimits,
         measurements: &[Measurement],
         encoders: &[EncoderReading],
-    ) -> Result<Vec<EncoderReading>> {
+    ) -> Result<(Vec<EncoderReading>, Option<Reason>)> {
         let (_, first) = estimate(model, self.estimator.options(1.0), measurements, encoders)?;
         let Ok((first, _)) = or_one_gain(first, measurements.iter().cloned().map(Ok::<_, Infallible>), encoders);
         let without = |reading: &EncoderReading| {
             let q_mm = first.without_sharing(&reading.q_mm, limits);
             EncoderReading { q_mm, ..*reading }
         };
-        Ok(encoders.iter().map(without).collect())
+        let doubt = doubt_of_force_limits(&first, limits, measurements, encoders);
+        Ok((encoders.iter().map(without).collect(), doubt))
     }
 
     fn follow_stem(

@@ -7,6 +7,7 @@ use crate::cli::failure::Failure;
 use crate::quantity::{decimal, with_sd};
 use crate::record::stale_mark;
 use crate::robot::{Effect, MAX_THETA, Model, PerBackbone, TableRow};
+use crate::verdict::MOST_LAMBDA_MM;
 use nalgebra::Vector2;
 use serde_json::{Map, Value};
 use std::f64::consts::PI;
@@ -42,6 +43,9 @@ pub struct Args {
     worth: WorthArgs,
 }
 
+/// A part of q̃ that bends nothing is shown from here on, mm. Convention: what encoders resolve.
+const SHOWN_MM: f64 = 0.01;
+
 /// One row of the compensation table, or its inverse.
 struct Pose {
     theta_deg: f64,
@@ -49,12 +53,36 @@ struct Pose {
     q_mm: PerBackbone,
     qc_mm: PerBackbone,
     sd: Option<Sd>,
+    /// What of a command bends nothing, where one was given.
+    internal: Option<Internal>,
     /// Whether the pose is beyond the bends that the model was learned on.
     extrapolated: bool,
     /// Why the answer must not be used.
     do_not_use: Option<String>,
     /// Why the model is stale.
     stale: Option<String>,
+}
+
+/// A part of q̃ that bends nothing, beyond what the model explains: the backbones press against each other and the base.
+struct Internal {
+    /// Of each backbone, mm.
+    mm: PerBackbone,
+    /// The force that goes with it in each, N; positive compresses.
+    force_n: PerBackbone,
+}
+
+impl Internal {
+    /// A warning where the part is larger than a play can be: nobody who wanted the bend would have commanded it.
+    fn warning(&self) -> Option<String> {
+        let (mm, force_n) = (self.mm.amax(), self.force_n.amax());
+        (mm > MOST_LAMBDA_MM).then(|| {
+            format!(
+                "up to {mm:.3} mm of these commands bend nothing: they press the backbones against each other and the base with {force_n:.0} N each. \
+                 Commands for a bend come from --theta-deg and --delta-deg; of readings, see that the encoders read 0 \
+                 where the snake is straight and its lines are slack"
+            )
+        })
+    }
 }
 
 /// What the uncertainty of η and λ does to the answer; nothing is known of it where nothing was estimated.
@@ -83,7 +111,9 @@ impl Args {
                         qc_mm.len()
                     ))
                 })?;
-                Pose::reached(&model, qc_mm)?
+                let pose = Pose::reached(&model, qc_mm)?;
+                console.warn(pose.internal.as_ref().and_then(Internal::warning));
+                pose
             }
             (None, Some(theta_deg), Some(delta_deg)) => {
                 console.warn(looks_like_radians(theta_deg, delta_deg));
@@ -119,6 +149,7 @@ impl Pose {
             q_mm: row.q_mm,
             qc_mm: row.command_mm,
             sd: model.estimate.map(|_| Sd::CommandMm(row.sd_command_mm)),
+            internal: None,
             extrapolated: row.extrapolated,
             do_not_use: None,
             stale: None,
@@ -126,7 +157,9 @@ impl Pose {
     }
 
     fn reached(model: &Model, qc_mm: PerBackbone) -> Result<Self> {
-        let psi = model.forward(&qc_mm)?.configuration;
+        let response = model.forward(&qc_mm)?;
+        let psi = response.configuration;
+        let force_n = response.residual_mm.map(|mm| mm / model.line_compliance_mm_per_n());
         // Exactly straight, δ means nothing and has no sd.
         let covariance = model.estimate.and_then(|_| model.response_covariance(psi).ok());
         let sd = covariance.map(|c| Sd::PoseDeg(c.diagonal().map(|variance| variance.max(0.0).sqrt().to_degrees())));
@@ -136,6 +169,7 @@ impl Pose {
             q_mm: model.robot.joint_displacements(psi),
             qc_mm,
             sd,
+            internal: Some(Internal { mm: response.residual_mm, force_n }),
             extrapolated: model.learned.is_some_and(|range| !range.covers(psi)),
             do_not_use: None,
             stale: None,
@@ -150,6 +184,9 @@ impl Pose {
         };
         backbones("q", &self.q_mm);
         backbones("qc", &self.qc_mm);
+        if let Some(internal) = &self.internal {
+            backbones("internal", &internal.mm);
+        }
         match &self.sd {
             Some(Sd::CommandMm(sd)) => backbones("sd_qc", sd),
             Some(Sd::PoseDeg(sd)) => {
@@ -183,6 +220,14 @@ impl Pose {
         for i in 0..self.q_mm.len() {
             let command = shown(self.qc_mm[i], sd_command.map(|sd| sd[i]), 5);
             text += &format!("{:>8}   {:>14.5}   {command}\n", i + 1, self.q_mm[i]);
+        }
+        if let Some(internal) = self.internal.as_ref().filter(|internal| internal.mm.amax() >= SHOWN_MM) {
+            let of_each: Vec<String> = internal.mm.iter().map(|&mm| decimal(mm, 3)).collect();
+            text += &format!(
+                "bends nothing: {} mm of q̃, up to {:.1} N in a backbone\n",
+                of_each.join(", "),
+                internal.force_n.amax()
+            );
         }
         if self.extrapolated {
             text += "extrapolated: beyond the bends that the model was learned on\n";

@@ -1,11 +1,14 @@
 //! `live`: the loop while the robot moves.
 
+mod summary;
+
+use self::summary::Summary;
 use super::checksum::Checksum;
 use super::console::Console;
 use super::estimator::EstimatorArgs;
 use super::inputs::{encoders_of, files_read, maker, model_of, model_that_may_be_used, rows};
 use super::topics::TopicArgs;
-use super::verdict::{VerdictArgs, verdict_text};
+use super::verdict::VerdictArgs;
 use super::views::rig_of;
 use crate::camera::{CaptureSettings, CaptureTarget, FourCc, FrameSource, Lens};
 use crate::cli::failure::Failure;
@@ -14,15 +17,12 @@ use crate::input::{PICTURE_BYTES, read_bytes};
 use crate::live::ros2::{Node, Sink};
 use crate::live::server::{AppState, Server};
 use crate::live::{
-    AccessControl, EncoderInput, EncoderSource, EncoderStatus, Histogram, LineParser, Live, PublicationState,
-    PublicationStatus, Setup, SharedState, Source, State, StemStatus, View, tui,
+    AccessControl, EncoderInput, EncoderSource, LineParser, Live, Setup, SharedState, Source, View, tui,
 };
 use crate::measure::{Eye, Rig, RigOptions};
 use crate::record::{self, CameraSource, Experiment, OutputFolder, RigSource};
 use crate::robot::{Model, Robot};
-use crate::verdict::Verdict;
 use crate::{Error, Result};
-use serde::Serialize;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -150,27 +150,6 @@ fn size(text: &str) -> std::result::Result<(u32, u32), String> {
 pub fn positive(text: &str) -> std::result::Result<f64, String> {
     let value = text.parse::<f64>().ok().filter(|value| *value > 0.0 && *value < LARGEST);
     value.ok_or_else(|| "expected a number above 0".into())
-}
-
-#[derive(Serialize)]
-struct Summary {
-    verdict: Verdict,
-    frames: u64,
-    dropped: u64,
-    measurements: u64,
-    measured: u64,
-    eta: Option<f64>,
-    lambda_mm: Option<f64>,
-    #[serde(flatten)]
-    stem: Option<StemStatus>,
-    latency_p50_ms: f64,
-    latency_p99_ms: f64,
-    publication: PublicationStatus,
-    /// What is wrong with frames and encoders at the end.
-    troubles: Vec<String>,
-    output: PathBuf,
-    #[serde(skip)]
-    histogram: String,
 }
 
 impl Args {
@@ -434,67 +413,6 @@ fn without_secrets(address: &str) -> String {
             format!("{scheme}://{}", &rest[from..])
         }
         None => address.to_owned(),
-    }
-}
-
-/// What is wrong with frames and encoders, in words.
-fn troubles(state: &State) -> Vec<String> {
-    let of_frames = state.source.trouble.as_ref().map(|trouble| format!("{}: {trouble}", state.source_name));
-    let of_encoders = state.encoders.trouble.as_ref().map(|trouble| {
-        let EncoderStatus { readings, bad_lines, .. } = state.encoders;
-        format!("encoders: {trouble} ({readings} readings came, {bad_lines} lines could not be read)")
-    });
-    let of_lines =
-        state.encoders.last_bad.as_ref().map(|bad| format!("encoders: the last line that could not be read: {bad}"));
-    of_frames.into_iter().chain(of_encoders).chain(of_lines).collect()
-}
-
-impl Summary {
-    fn new(state: &State, latencies: &Histogram, output: PathBuf) -> Self {
-        Self {
-            verdict: state.verdict.clone(),
-            frames: state.source.frames,
-            dropped: state.source.dropped,
-            measurements: state.measurements,
-            measured: state.measured,
-            eta: state.estimate.map(|estimate| estimate.eta),
-            lambda_mm: state.estimate.map(|estimate| estimate.lambda_mm),
-            stem: state.stem,
-            latency_p50_ms: state.latency.p50_ms,
-            latency_p99_ms: state.latency.p99_ms,
-            publication: state.publication.clone(),
-            troubles: troubles(state),
-            output,
-            histogram: latencies.text(),
-        }
-    }
-
-    fn text(&self) -> String {
-        let estimate = match (self.eta, self.lambda_mm) {
-            (Some(eta), Some(lambda_mm)) => format!("η {eta:.4}, λ {lambda_mm:.4} mm"),
-            _ => "η and λ are not known yet".to_owned(),
-        };
-        let stem =
-            self.stem.map(|stem| format!(", Φ {:.1} ± {:.1}°", stem.phi_deg, stem.sd_phi_deg)).unwrap_or_default();
-        let mut told: String = self.troubles.iter().map(|trouble| format!("{trouble}\n")).collect();
-        if let Some(reason) = &self.publication.reason {
-            told += &match self.publication.state {
-                PublicationState::Stale => format!("the table is stale, the last good one stays: {reason}\n"),
-                _ => format!("no table was written: {reason}\n"),
-            };
-        }
-        verdict_text(&self.verdict)
-            + &format!(
-                "{told}{} frames, {} dropped; {} measured of {}\n{estimate}{stem}\nlatency p50 {:.1} ms, p99 {:.1} ms\n{}{}",
-                self.frames,
-                self.dropped,
-                self.measured,
-                self.measurements,
-                self.latency_p50_ms,
-                self.latency_p99_ms,
-                self.histogram,
-                self.output.display()
-            )
     }
 }
 

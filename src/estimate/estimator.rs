@@ -206,7 +206,11 @@ impl Estimator {
         filter.absorb(linearised);
         consistency.add(&whitened);
         let measured = sample.sample.measured;
-        self.model.learned.get_or_insert_default().add(measured.configuration, measured.sigma_delta);
+        self.model.learned.get_or_insert_default().add(
+            measured.configuration,
+            measured.sigma_theta,
+            measured.sigma_delta,
+        );
         self.publish(&filter, &consistency);
         self.running = Some((filter, consistency));
         None
@@ -254,7 +258,7 @@ impl Estimator {
         let mut range = DataRange::default();
         for (sample, _) in self.undecided.iter().zip(&initial.outliers).filter(|(_, outlier)| outlier.is_none()) {
             let measured = sample.sample.measured;
-            range.add(measured.configuration, measured.sigma_delta);
+            range.add(measured.configuration, measured.sigma_theta, measured.sigma_delta);
         }
         range
     }

@@ -63,7 +63,7 @@ pub fn or_one_gain<E>(
             continue;
         };
         let bend = measured.configuration.bend_vector();
-        learned.add(measured.configuration, measured.sigma_delta);
+        learned.add(measured.configuration, measured.sigma_theta, measured.sigma_delta);
         if !poses.is_new(bend) {
             continue;
         }

@@ -92,10 +92,14 @@ impl Autosave {
             if syncs % SYNCS_PER_LAG == 0 {
                 self.encoders.estimate_lag(&self.bends.copy(), &self.to_bend);
             }
-            if self.shared.lock().model.estimate.is_none() {
+            let (is_known, is_stuck) = {
+                let shared = self.shared.lock();
+                (shared.model.estimate.is_some(), shared.gate.is_stuck())
+            };
+            if !is_known && !is_stuck {
                 continue;
             }
-            let written = if saved.elapsed() >= self.every {
+            let written = if is_known && saved.elapsed() >= self.every {
                 saved = Instant::now();
                 save(&self.shared, &self.output).map(|_| ())
             } else {

@@ -282,7 +282,7 @@ impl Pipeline {
         }
         if update.step.restarted {
             let index = measurement.index;
-            shared.notice(format!("frame {index}: measurements agree on something new; η and λ start afresh"));
+            shared.notice(format!("frame {index}: measurements agree on something new (an actuator was re-homed, a tool changed); η and λ start afresh"));
         }
         shared.state.gap = update.gap;
         shared.gate.confirm(&measurement.status, update.sample.is_some());

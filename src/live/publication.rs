@@ -14,6 +14,7 @@ use super::status::{GapState, PublicationState, PublicationStatus};
 use crate::estimate::NewPoses;
 use crate::observation::{Measured, Status};
 use crate::robot::{Model, PerBackbone};
+use crate::statistics::chi_square;
 use crate::statistics::moments::{mean, standard_deviation};
 use crate::verdict::{Code, Level, MEAN_SQUARE_OF_NOISE, Verdict};
 use std::collections::VecDeque;
@@ -71,14 +72,23 @@ pub struct PublicationGate {
     confirmation: Confirmation,
     /// The last verdict, and when it was passed.
     verdict: Option<(Verdict, Instant)>,
-    /// The model that was published last, and when that was.
-    published: Option<(Model, Instant)>,
+    /// The model that was published last.
+    published: Option<Published>,
+}
+
+/// A model that was published.
+#[derive(Debug, Clone)]
+struct Published {
+    model: Model,
+    at: Instant,
+    /// Whether a verdict has found it good since, or an earlier run left it.
+    was_good: bool,
 }
 
 impl PublicationGate {
     /// A gate for readings of this standard deviation, mm. `compares` where η and λ are learned; `published` is what stands there.
     pub fn new(sd_encoder_mm: f64, compares: bool, published: Option<Model>) -> Self {
-        let published = published.map(|model| (model, Instant::now()));
+        let published = published.map(|model| Published { model, at: Instant::now(), was_good: true });
         let (poses, new_poses, gap) = (VecDeque::new(), NewPoses::default(), GapState::Unknown);
         let confirmation = Confirmation::default();
         Self { sd_encoder_mm, compares, poses, new_poses, gap, is_stuck: false, confirmation, verdict: None, published }
@@ -86,7 +96,15 @@ impl PublicationGate {
 
     /// Takes the verdict on what was measured so far.
     pub fn take_verdict(&mut self, verdict: Verdict) {
+        if let Some(published) = &mut self.published {
+            published.was_good |= verdict.level == Level::Good;
+        }
         self.verdict = Some((verdict, Instant::now()));
+    }
+
+    /// Whether the encoders are found to stand still while the snake moves.
+    pub fn is_stuck(&self) -> bool {
+        self.is_stuck
     }
 
     /// The last verdict, and its age in seconds.
@@ -128,12 +146,18 @@ impl PublicationGate {
 
     /// The model that was published last, and how many seconds ago.
     pub fn published(&self) -> Option<(&Model, f64)> {
-        self.published.as_ref().map(|(model, at)| (model, at.elapsed().as_secs_f64()))
+        self.published.as_ref().map(|published| (&published.model, published.at.elapsed().as_secs_f64()))
+    }
+
+    /// The same, if a verdict has found it good: what was never good is not the last good one.
+    pub fn last_good(&self) -> Option<(&Model, f64)> {
+        self.published().filter(|_| self.published.as_ref().is_some_and(|published| published.was_good))
     }
 
     /// Notes that a model was published.
     pub fn publish(&mut self, model: Model) {
-        self.published = Some((model, Instant::now()));
+        let was_good = self.verdict.as_ref().is_some_and(|(verdict, _)| verdict.level == Level::Good);
+        self.published = Some(Published { model, at: Instant::now(), was_good });
     }
 
     /// Whether a model may be published; why not, if it may not.
@@ -143,12 +167,12 @@ impl PublicationGate {
     pub fn judge(&self, model: &Model) -> Result<(), Withheld> {
         let withheld = |level, code, text: String| Err(Withheld { level, code, text });
         let red = |code, text: String| withheld(Level::DoNotUse, code, text);
-        let Some((verdict, _)) = &self.verdict else {
-            return red(Code::WorkspaceNotCovered, "no verdict was passed yet".into());
-        };
         if self.is_stuck {
             return red(Code::EncoderStuck, "the encoders stand still while the snake moves".into());
         }
+        let Some((verdict, _)) = &self.verdict else {
+            return red(Code::WorkspaceNotCovered, "no verdict was passed yet".into());
+        };
         if let Some(worst) = verdict.reasons.first().filter(|worst| worst.level == Level::DoNotUse) {
             return red(worst.code, worst.text.clone());
         }
@@ -178,9 +202,14 @@ impl PublicationGate {
         if is_worse(&left, &naive) {
             return red(Code::WorseThanNaive, format!("{seen}, the naive one {}", rms(&naive)));
         }
-        if let Some((published, _)) = &self.published {
+        let noise = self.noise_square(model);
+        // Before the gap's own monitor has seen enough to speak.
+        if self.gap == GapState::Unknown && is_above_noise(&left, noise) {
+            let text = format!("{seen}, and noise {}", rms(&[noise]));
+            return withheld(Level::Look, Code::GapAboveNoise, text);
+        }
+        if let Some(Published { model: published, .. }) = &self.published {
             let before = self.squares(published);
-            let noise = self.noise_square(model);
             let [now, then] = [&left, &before].map(|squares| mean(squares.iter().copied()));
             // Two models nearly alike differ alike at every pose, which is no chance, and no harm while noise hides it: the scatter of a mean of
             // χ² of so many numbers.
@@ -221,14 +250,24 @@ impl PublicationGate {
 
     /// What the noise of eye and encoders leaves of it at a pose, in the mean, mm².
     fn noise_square(&self, model: &Model) -> f64 {
-        let by_bend = model.robot.displacement_by_bend();
+        let model = model.plain();
         let of_eye = |sample: &Sample| {
             let covariance = sample.measured.bend_covariance(sample.measured.configuration);
+            // What is commanded for a bend, the line's stretch with it.
+            let stretched = model.epsilon_by_bend(sample.measured.configuration.bend_vector());
+            let by_bend = model.robot.displacement_by_bend() + stretched;
             by_bend.iter().map(|by| by.dot(&(covariance * by))).sum::<f64>()
         };
         let of_encoders = model.robot.backbone_count() as f64 * self.sd_encoder_mm.powi(2);
         mean(self.poses.iter().map(of_eye)) + of_encoders
     }
+}
+
+/// Whether squares are larger than noise of this mean square accounts for: by the factor that makes a gap, and by chance. A bend has two numbers,
+/// and their noise is most of it.
+fn is_above_noise(squares: &[f64], noise: f64) -> bool {
+    let most = MEAN_SQUARE_OF_NOISE * chi_square::quantile(2 * squares.len(), WORSE_SDS);
+    squares.iter().sum::<f64>() > most * noise / 2.0
 }
 
 /// Whether the first squares are significantly larger than the second, pose by pose (paired t-test). The test has no power for few poses; then
@@ -245,201 +284,4 @@ fn is_worse(squares: &[f64], than: &[f64]) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::estimate::Options;
-    use crate::geometry::Configuration;
-    use crate::live::online_estimator::OnlineEstimator;
-    use crate::observation::Waypoint;
-    use crate::robot::{Effect, Estimate};
-    use crate::simulate::{Plant, SimulatedEye};
-    use crate::verdict::Reason;
-    use nalgebra::{Matrix2, Vector2};
-    use std::f64::consts::TAU;
-
-    /// A gate after a verdict that finds nothing.
-    fn judged_good() -> PublicationGate {
-        let mut gate = PublicationGate::new(0.0015, true, None);
-        gate.take_verdict(Verdict::default());
-        gate.confirm(&Status::Ok, true);
-        gate
-    }
-
-    /// A snake that goes round and round before camera and encoders, and what is learned from it.
-    struct Bench {
-        estimator: OnlineEstimator,
-        gate: PublicationGate,
-        plant: Plant,
-        seed: u64,
-        time_s: f64,
-    }
-
-    impl Bench {
-        /// The least time in which a frame comes, s.
-        const STEP_S: f64 = 0.05;
-
-        fn new(effects: Vec<Effect>) -> Self {
-            let truth = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
-            let model = Model { estimate: Some(truth), effects, ..Model::default() };
-            let options = Options { forgetting: 0.9995, ..Options::default() };
-            Self {
-                estimator: OnlineEstimator::new(Model::default(), options, None).unwrap(),
-                gate: judged_good(),
-                plant: Plant { model, sd_encoder_mm: 0.0015 },
-                seed: 1,
-                time_s: 0.0,
-            }
-        }
-
-        /// Goes on for so long, s; a round takes eight. Every frame's decision is looked at with the model it was made on.
-        fn go(
-            &mut self,
-            seconds: f64,
-            frozen: bool,
-            mut look: impl FnMut(&Model, Result<(), Withheld>, &mut PublicationGate),
-        ) {
-            let frames = (seconds / Self::STEP_S) as usize;
-            let waypoints: Vec<Waypoint> = (0..frames)
-                .map(|k| {
-                    let time_s = self.time_s + k as f64 * Self::STEP_S;
-                    let turn = time_s / 8.0 * TAU;
-                    let bend = Vector2::new(0.6 + 0.45 * turn.cos(), 0.5 * (1.1 * turn).sin());
-                    Waypoint::new(time_s, Configuration::from_bend_vector(bend))
-                })
-                .collect();
-            let samples = self.plant.run(&waypoints, self.seed);
-            let measurements = SimulatedEye::default().observe(&samples, self.seed + 1);
-            for (sample, measurement) in samples.iter().zip(&measurements) {
-                let q_mm = if frozen { samples[0].reading.q_mm } else { sample.reading.q_mm };
-                let reading = crate::observation::EncoderReading { q_mm, ..sample.reading };
-                let update = self.estimator.update(measurement, Some(&reading));
-                self.gate.confirm(&measurement.status, update.sample.is_some());
-                self.gate.add(update.sample, update.gap.state, update.is_stuck);
-                let model = self.estimator.model();
-                if model.estimate.is_some() {
-                    let decided = self.gate.judge(&model);
-                    look(&model, decided, &mut self.gate);
-                }
-            }
-            (self.time_s, self.seed) = (self.time_s + seconds, self.seed + 2);
-        }
-
-        /// The largest error of a model's table up to 60°, mm.
-        fn error_mm(&self, model: &Model) -> f64 {
-            let poses = (0..36).map(|k| Configuration::from_degrees(20.0 * f64::from(k % 4), 10.0 * f64::from(k)));
-            poses.map(|psi| (model.command(psi) - self.plant.model.command(psi)).amax()).fold(0.0, f64::max)
-        }
-    }
-
-    #[test]
-    fn frozen_encoders_never_replace_a_good_table_and_it_is_taken_up_again_afterwards() {
-        for seed in [1, 100, 200, 300, 400] {
-            let mut bench = Bench { seed, ..Bench::new(vec![]) };
-            let keep = |model: &Model, decided: Result<(), Withheld>, gate: &mut PublicationGate| {
-                if decided.is_ok() {
-                    gate.publish(model.clone());
-                }
-            };
-            bench.go(20.0, false, keep);
-            let good = bench.gate.published().unwrap().0.clone();
-            assert!(bench.error_mm(&good) < 0.03, "{}", bench.error_mm(&good));
-            let (mut codes, mut worst) = (std::collections::BTreeSet::new(), 0f64);
-            let plant = Bench::new(vec![]);
-            bench.go(20.0, true, |model, decided, gate| match decided {
-                Ok(()) => {
-                    worst = worst.max(plant.error_mm(model));
-                    gate.publish(model.clone());
-                }
-                Err(why) => drop(codes.insert(why.code)),
-            });
-            assert!(worst < 0.03 && codes.contains(&Code::EncoderStuck), "{worst} mm, {codes:?}");
-            let mut last = Ok(());
-            bench.go(20.0, false, |model, decided, gate| {
-                last = decided.clone();
-                keep(model, decided, gate);
-            });
-            assert_eq!(last, Ok(()), "seed {seed}");
-            assert!(bench.error_mm(bench.gate.published().unwrap().0) < 0.03);
-        }
-    }
-
-    #[test]
-    fn encoders_that_freeze_early_do_not_replace_what_little_is_known() {
-        for (seed, seconds) in (0..10).flat_map(|seed| [0.5, 1.0, 2.0, 4.0].map(|seconds| (10 * seed, seconds))) {
-            let mut bench = Bench { seed, ..Bench::new(vec![]) };
-            let plant = Bench::new(vec![]);
-            let (mut before, mut worst) = (f64::NAN, 0f64);
-            bench.go(seconds, false, |model, decided, gate| {
-                if decided.is_ok() {
-                    before = plant.error_mm(model);
-                    gate.publish(model.clone());
-                }
-            });
-            bench.go(5.0, true, |model, decided, gate| {
-                if decided.is_ok() {
-                    worst = worst.max(plant.error_mm(model));
-                    gate.publish(model.clone());
-                }
-            });
-            assert!(
-                before < 0.01 && worst < 0.01,
-                "{seconds} s, seed {seed}: {before} mm, {worst} mm once they were frozen"
-            );
-        }
-    }
-
-    #[test]
-    fn nothing_is_published_while_the_gap_is_above_noise() {
-        let mut bench = Bench::new(vec![Effect::parse("load_directed_backlash:play_mm=0.15").unwrap()]);
-        let mut last = Ok(());
-        bench.go(60.0, false, |_, decided, _| last = decided);
-        let why = last.unwrap_err();
-        assert_eq!(why.code, Code::GapAboveNoise);
-        let status = bench.gate.status(&Err(why));
-        assert_eq!((status.state, status.code), (PublicationState::Withheld, Some(Code::GapAboveNoise)));
-    }
-
-    #[test]
-    fn a_model_worse_than_the_naive_one_or_than_the_one_published_is_withheld() {
-        let mut bench = Bench::new(vec![]);
-        bench.go(20.0, false, |_, _, _| ());
-        let with = |eta, lambda_mm| {
-            let estimate = Estimate { eta, lambda_mm, covariance: Matrix2::zeros(), samples: 9 };
-            Model { estimate: Some(estimate), ..Model::default() }
-        };
-        let judged = |gate: &PublicationGate, model: &Model| gate.judge(model).map_err(|why| why.code);
-        assert_eq!(judged(&bench.gate, &with(1.221, 0.1765)), Ok(()));
-        assert_eq!(judged(&bench.gate, &with(-3.0, 0.1765)), Err(Code::ParameterOutOfRange));
-        assert_eq!(judged(&bench.gate, &with(f64::NAN, 0.1765)), Err(Code::ParameterOutOfRange));
-        assert_eq!(judged(&bench.gate, &with(0.4, 0.1765)), Err(Code::WorseThanNaive));
-        assert_eq!(judged(&bench.gate, &with(1.1, 0.1765)), Ok(()), "better than nothing");
-        bench.gate.publish(with(1.221, 0.1765));
-        assert_eq!(judged(&bench.gate, &with(1.1, 0.1765)), Err(Code::Stale));
-        // Another robot stands before the camera: the one published is wrong now.
-        bench.plant.model = with(1.5, 0.25);
-        bench.go(30.0, false, |_, _, _| ());
-        assert_eq!(judged(&bench.gate, &with(1.5, 0.25)), Ok(()));
-    }
-
-    #[test]
-    fn nothing_is_published_before_the_first_verdict_and_nothing_under_a_red_one() {
-        let mut bench = Bench::new(vec![]);
-        bench.go(20.0, false, |_, _, _| ());
-        let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
-        let model = Model { estimate: Some(estimate), ..Model::default() };
-        let mut gate = PublicationGate { verdict: None, ..bench.gate };
-        let level_and_code = |gate: &PublicationGate| gate.judge(&model).map_err(|why| (why.level, why.code));
-        assert_eq!(level_and_code(&gate), Err((Level::DoNotUse, Code::WorkspaceNotCovered)));
-        let reason = |code, level| Verdict::of(vec![Reason::new(code, level, "seen", "do")]);
-        for code in [Code::Clock, Code::Wiring, Code::GapAboveNoise] {
-            gate.take_verdict(reason(code, Level::DoNotUse));
-            assert_eq!(level_and_code(&gate), Err((Level::DoNotUse, code)));
-        }
-        gate.take_verdict(reason(Code::WorkspaceNotCovered, Level::Look));
-        assert_eq!(level_and_code(&gate), Ok(()));
-        gate.poses.truncate(LEAST_POSES - 1);
-        assert_eq!(level_and_code(&gate), Err((Level::Look, Code::WorkspaceNotCovered)));
-        gate.forget_verdict();
-        assert!(gate.judge(&model).is_err() && gate.verdict().is_none());
-    }
-}
+mod tests;

@@ -297,16 +297,23 @@ fn to_command_by(app: &AppState) -> std::result::Result<(Commanding, Option<Stri
     app.shared.to_command_by().map_err(|why| Refusal(StatusCode::CONFLICT, why))
 }
 
+/// What `/api/table` is asked for. A name that it does not know, such as another unit, is refused: who gave it counts on it.
 #[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Pose {
+    /// Degrees.
     theta: f64,
+    /// Degrees.
     delta: f64,
 }
 
 async fn table(State(app): State<AppState>, query: std::result::Result<Query<Pose>, QueryRejection>) -> Response {
     let Pose { theta, delta } = match query {
         Ok(Query(asked)) => asked,
-        Err(wrong) => return failure(StatusCode::BAD_REQUEST, wrong),
+        Err(wrong) => {
+            let expected = "expected theta=…&delta=… in degrees, with a decimal point, and nothing else";
+            return failure(StatusCode::BAD_REQUEST, format!("{}: {expected}", wrong.body_text()));
+        }
     };
     let most = MAX_THETA.to_degrees();
     // As the table: degrees that become radians and back are not the same to the last digit.

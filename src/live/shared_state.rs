@@ -113,7 +113,7 @@ impl SharedState {
     }
 
     /// The model to command by, if there is one, and whether the one as it stands may be published: the one as it stands if it may; the one
-    /// published last if the reason is amber; none under a red one.
+    /// published last if the reason is amber and a verdict has found that one good; none under a red one.
     pub fn model_to_command_by(&self) -> (Option<Commanding>, Result<(), Withheld>) {
         let (model, gate) = {
             let shared = self.lock();
@@ -124,7 +124,7 @@ impl SharedState {
         let commanding = verdict(&gate).and_then(|(verdict, age_s)| match &decided {
             Ok(()) => Some(Commanding { model, verdict, age_s }),
             Err(why) if why.level == Level::DoNotUse => None,
-            Err(_) => gate.published().map(|(model, age_s)| Commanding { model: model.clone(), verdict, age_s }),
+            Err(_) => gate.last_good().map(|(model, age_s)| Commanding { model: model.clone(), verdict, age_s }),
         });
         (commanding, decided)
     }
@@ -135,8 +135,13 @@ impl SharedState {
     /// Why nothing may be commanded by, in words.
     pub fn to_command_by(&self) -> Result<(Commanding, Option<String>), String> {
         let (commanding, decided) = self.model_to_command_by();
+        let is_amber = decided.as_ref().is_err_and(|why| why.level == Level::Look);
         let stale = decided.err().map(|why| why.text);
-        let why = || format!("nothing may be commanded by: {}", stale.as_deref().unwrap_or_default());
+        let never_good = match is_amber && self.lock().gate.published().is_some() {
+            true => "; what was published before was never found good",
+            false => "",
+        };
+        let why = || format!("nothing may be commanded by: {}{never_good}", stale.as_deref().unwrap_or_default());
         let commanding = commanding.ok_or_else(why)?;
         if commanding.model.estimate.is_none() {
             return Err("nothing may be commanded by: η and λ are not known yet".into());

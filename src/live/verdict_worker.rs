@@ -64,7 +64,15 @@ fn judge(shared: &SharedState, sd_encoder_mm: f64, measurements: &[Measurement],
     let used = (measured as usize).saturating_sub(rejected);
     let subject = Subject { used_and_rejected: Some((used, rejected)), ..Subject::new(&model, sd_encoder_mm) };
     let Ok(verdict) = subject.verdict(measurements.iter().cloned().map(Ok::<_, Infallible>), readings);
-    let verdict = if measurements.is_empty() { nothing_judged(measured, latest.as_deref()) } else { verdict };
+    let verdict = match measurements.is_empty() {
+        true if shared.lock().gate.is_stuck() => {
+            let text = "the encoders stand still while the snake moves, and nothing is learned from such readings";
+            let remedy = "look at encoders and log: whether zeros, or one reading again and again, are sent in place of what is read";
+            Verdict::of(vec![Reason::new(Code::EncoderStuck, Level::DoNotUse, text, remedy)])
+        }
+        true => nothing_judged(measured, latest.as_deref()),
+        false => verdict,
+    };
     debug!(verdict = %verdict.level, samples = measurements.len(), "judged");
     let mut shared = shared.lock();
     if !measurements.is_empty() {
@@ -84,6 +92,6 @@ fn with_publication(verdict: Verdict, publication: &PublicationStatus) -> Verdic
     if publication.state != PublicationState::Stale || code == Code::Stale {
         return verdict;
     }
-    let text = "the table in the folder is the last good one, and is not written anew";
+    let text = "the table in the folder is the last one published, and is not written anew";
     verdict.and(Reason::new(Code::Stale, Level::Look, text, "command by it with care until it is current again"))
 }

@@ -22,7 +22,8 @@ use crate::measure::fit::{
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::measurement::{Bend, FrameMeasurement};
-use crate::measure::rig::{DriftCheck, Rig, RigDriftMonitor};
+use crate::measure::rig::{DriftCheck, Rig, RigDriftMonitor, lit_region};
+use crate::measure::target::{PrintProfile, look_through};
 use crate::observation::{Quality, Shape, Status};
 use crate::robot::{BendProfile, Robot};
 use nalgebra::{Matrix6, Vector2};
@@ -83,6 +84,8 @@ pub struct Eye {
     /// The coarse search, made when a frame first asks for it, and the camera's pose that it is made for.
     pub(super) search: Arc<OnceLock<CoarseSearch>>,
     pub(super) search_pose: Pose,
+    /// What of the sheet is behind every pixel, made when a frame first asks for it; `None` where the eye does not look through its lines.
+    pub(super) sheet: Arc<OnceLock<Option<Plane>>>,
     pub(super) drift_monitor: Arc<RigDriftMonitor>,
     /// The pose's covariance as calibrated, before a moving camera was followed.
     pub(super) calibrated_covariance: Matrix6<f64>,
@@ -121,11 +124,11 @@ impl Eye {
     /// An eye for one view. The first frame that is looked for everywhere takes longer than others: the coarse search is made then, if it was
     /// not [prepared](Self::prepare).
     pub fn new(lens: Lens, rig: Rig, robot: Robot) -> Self {
-        let search = Arc::default();
+        let (search, sheet) = Default::default();
         let (search_pose, calibrated_covariance) = (rig.camera_from_base, rig.pose_covariance);
         let view = Projection { lens: &lens, camera_from_base: rig.camera_from_base, robot: &robot };
         let drift_monitor = Arc::new(RigDriftMonitor::new(&lens, &rig, &view));
-        Self { lens, rig, robot, search, search_pose, drift_monitor, calibrated_covariance }
+        Self { lens, rig, robot, search, search_pose, sheet, drift_monitor, calibrated_covariance }
     }
 
     /// The coarse search; made now if no frame asked for it before.
@@ -138,9 +141,22 @@ impl Eye {
         self.search.get_or_init(|| made)
     }
 
-    /// Makes the coarse search now, and not when the first frame asks for it.
+    /// What of the sheet is behind every pixel; made now if no frame asked for it before.
+    fn sheet(&self) -> Option<&Plane> {
+        if let Some(made) = self.sheet.get() {
+            return made.as_ref();
+        }
+        let whole = Region::whole(self.lens.width, self.lens.height);
+        let picture =
+            |print: &PrintProfile| print.picture(&self.lens, &self.rig.sheet(), self.rig.grid_pitch_mm, &whole);
+        let made = self.rig.print.as_ref().map(picture);
+        self.sheet.get_or_init(|| made).as_ref()
+    }
+
+    /// Makes the coarse search and the picture of the sheet now, and not when the first frame asks for them.
     pub fn prepare(&self) {
         self.search();
+        self.sheet();
     }
 
     /// The lens that this eye sees through.
@@ -241,7 +257,12 @@ impl Eye {
     /// The picture of one channel in which the snake is about 1 and the background about 0, over a region of a frame, whatever its
     /// exposure.
     pub(super) fn plane(&self, frame: &Frame, region: &Region) -> Plane {
-        self.rig.appearance.exposed_as(frame).plane_within(frame, region)
+        let appearance = self.rig.appearance.exposed_as(frame, &lit_region(&self.projection()));
+        let mut plane = appearance.plane_within(frame, region);
+        if let Some(sheet) = self.sheet() {
+            look_through(&mut plane, sheet);
+        }
+        plane
     }
 
     /// Why a frame cannot be measured whatever it shows.

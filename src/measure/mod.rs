@@ -41,5 +41,5 @@ pub use measurement::{Bend, FrameMeasurement};
 pub use rig::{CalibrationStep, Rig, RigError, RigOptions, RigSketch, STRAIGHT, SnakePart};
 pub use several::fused;
 pub use straight::{calibrate_rig, sketched_rig};
-pub use target::{GridPattern, PatternKind, SheetShape};
+pub use target::{GridPattern, PatternKind, PrintProfile, SheetShape};
 pub use tracker::{TrackedPoses, TrackerError, TrackerOptions, measure_poses};

@@ -36,11 +36,13 @@ impl Eye {
             let surroundings = self.projection().image_region(fit.profile, REFINING_REACH_PX);
             Some((SnakePlane::new(&plane, &surroundings), fit.start()))
         };
-        // Made before frames are measured in parallel, of which each would make one of its own.
-        self.search();
+        // Before frames are measured in parallel, of which each would make its own.
+        self.prepare();
         let (planes, starts): (Vec<SnakePlane>, Vec<Start>) = frames.filter_map(find).unzip();
         match refined_rig(&self.lens, &self.robot, &self.rig, &planes, starts) {
-            Some(rig) => Self::new(self.lens.clone(), rig, self.robot.clone()).with_search_of(&self),
+            // The sheet stayed where it is.
+            Some(rig) => Self { sheet: self.sheet.clone(), ..Self::new(self.lens.clone(), rig, self.robot.clone()) }
+                .with_search_of(&self),
             None => self,
         }
     }
@@ -71,8 +73,14 @@ impl Eye {
     /// The same eye with another rig.
     fn with_rig(&self, rig: Rig, drift_monitor: RigDriftMonitor) -> Self {
         let search_pose = rig.camera_from_base;
-        let eye =
-            Self { rig, drift_monitor: Arc::new(drift_monitor), search: Arc::default(), search_pose, ..self.clone() };
+        let eye = Self {
+            rig,
+            drift_monitor: Arc::new(drift_monitor),
+            search: Arc::default(),
+            sheet: Arc::default(),
+            search_pose,
+            ..self.clone()
+        };
         eye.with_search_of(self)
     }
 

@@ -150,8 +150,11 @@ impl Interpolation {
         Self::new((0..backbones).map(of).collect())
     }
 
-    /// The readings at a time, s; `None` beyond the ends, and in a gap in which they may have been otherwise.
+    /// The readings at a time, s; `None` beyond the ends, and in a gap in which they may have been otherwise, and where there are none.
     pub fn at(&mut self, time_s: f64) -> Option<PerBackbone> {
+        if self.backbones.is_empty() {
+            return None;
+        }
         let q_mm: Option<Vec<f64>> = self.backbones.iter_mut().map(|backbone| backbone.at(time_s)).collect();
         PerBackbone::of(&q_mm?)
     }

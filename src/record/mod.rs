@@ -25,6 +25,7 @@ mod source;
 mod stale;
 pub mod stem;
 pub mod table;
+mod torn;
 mod tracker;
 pub mod trajectory;
 pub mod truth;

@@ -9,13 +9,14 @@
 //! [sheet]                   # how the printed sheet departs from a flat and square one; files of older versions have none
 //! [print]                   # what is on it, and the colours in which it shows; files of older versions have none
 //! [appearance]              # what tells snake from grid target
+//! [lines]                   # how the printed lines look in that; files of older versions, and sheets that are not looked through, have none
 //! [fit]                     # how well the calibration fitted
 //! ```
 
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::input::read_text;
-use crate::measure::{Appearance, EdgeBias, GridPattern, Rig, SheetShape, UNKNOWN_SHAPE_RAD};
+use crate::measure::{Appearance, EdgeBias, GridPattern, PrintProfile, Rig, SheetShape, UNKNOWN_SHAPE_RAD};
 use crate::record::{line_at, write_atomically};
 use crate::robot::MODES;
 use nalgebra::{Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -32,6 +33,8 @@ struct RigFile {
     #[serde(default)]
     print: GridPattern,
     appearance: Appearance,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    lines: Option<LinesTable>,
     fit: FitTable,
 }
 
@@ -87,6 +90,31 @@ impl SheetTable {
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+struct LinesTable {
+    paper: f32,
+    across: Vec<f32>,
+    along: Vec<f32>,
+    /// The number across and along of each part of the sheet, and the contrast there.
+    contrast: Vec<(i32, i32, f32)>,
+}
+
+impl LinesTable {
+    fn of(print: &PrintProfile) -> Self {
+        let PrintProfile { across, along, paper, contrast } = print.clone();
+        let contrast = contrast.into_iter().map(|((x, y), contrast)| (x, y, contrast)).collect();
+        Self { paper, across, along, contrast }
+    }
+
+    /// The print; `None` where a profile has not as many numbers as it must have, or one is not finite.
+    fn print(self) -> Option<PrintProfile> {
+        let Self { paper, across, along, contrast } = self;
+        let contrast = contrast.into_iter().map(|(x, y, contrast)| ((x, y), contrast)).collect();
+        Some(PrintProfile { across, along, paper, contrast }).filter(PrintProfile::is_sound)
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct FitTable {
     edge_bias_px: f64,
     /// Files of versions that told no rims, or no tubes, from sides have none.
@@ -125,7 +153,8 @@ impl Rig {
             .flatten()
             .chain(&file.appearance.weights)
             .chain(&file.print.weights)
-            .chain([&file.appearance.offset]);
+            .chain([&file.appearance.offset])
+            .chain(&file.appearance.light);
         if !numbers
             .chain([&fit.edge_bias_px])
             .chain(&fit.rim_bias_px)
@@ -156,6 +185,10 @@ impl Rig {
             grid_pitch_mm: file.grid.pitch_mm,
             pattern: file.print,
             appearance: file.appearance,
+            print: file
+                .lines
+                .map(|lines| lines.print().ok_or_else(|| wrong("[lines] does not describe a print")))
+                .transpose()?,
             edge_bias: EdgeBias {
                 side_px: fit.edge_bias_px,
                 tube_px: fit.tube_bias_px.unwrap_or(fit.edge_bias_px),
@@ -186,6 +219,7 @@ impl Rig {
             sheet: Some(SheetTable::of(&self.sheet_shape)),
             print: self.pattern.clone(),
             appearance: self.appearance.clone(),
+            lines: self.print.as_ref().map(LinesTable::of),
             fit: FitTable {
                 edge_bias_px: self.edge_bias.side_px,
                 rim_bias_px: Some(self.edge_bias.rim_px),
@@ -222,6 +256,13 @@ mod tests {
     use super::*;
     use crate::measure::PatternKind;
 
+    /// A print with as many numbers as one must have, which are written with four places.
+    fn print() -> PrintProfile {
+        let profile = |factor: i32| (0..160).map(|k| (k * factor % 7) as f32 / 10.0).collect();
+        let contrast = [((-3, 2), 0.75), ((0, 0), 1.0)].into();
+        PrintProfile { across: profile(3), along: profile(2), paper: -0.0321, contrast }
+    }
+
     fn rig() -> Rig {
         Rig {
             camera_from_base: Pose::new(Vector3::new(1.0, 2.0, 230.0), Vector3::new(1.5, 0.1, -0.05)),
@@ -236,8 +277,14 @@ mod tests {
             },
             grid_pitch_mm: 1.0,
             pattern: GridPattern { kind: PatternKind::Checkerboard, weights: vec![0.5, 0.25, -0.5] },
-            appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },
+            appearance: Appearance {
+                weights: vec![-1.0, 0.5, -2.0],
+                offset: 1.25,
+                two_sided: false,
+                light: Some(-1.2),
+            },
             mode_sigma_rad: [0.01, 0.005, 0.0025],
+            print: Some(print()),
             edge_bias: EdgeBias { side_px: -0.05, tube_px: 0.2, rim_px: 0.01, glare: [0.3, 0.2] },
             grid_rms_px: 0.1,
             edge_rms_px: 0.12,
@@ -254,6 +301,7 @@ mod tests {
         assert_eq!(read.camera_from_base.translation, rig().camera_from_base.translation);
         assert_eq!((read.pattern, read.appearance, read.edge_bias), (rig().pattern, rig().appearance, rig().edge_bias));
         assert_eq!(read.pose_covariance, rig().pose_covariance);
+        assert_eq!(read.print, rig().print);
     }
 
     #[test]

@@ -3,50 +3,19 @@
 //! A file without the needed columns, or without a single good row, is an error. A bad row is passed over with a
 //! [`Warning`] that says where and why, and the other rows are used.
 
+mod warnings;
+
+pub(super) use self::warnings::Warnings;
+pub use self::warnings::{Fault, Warning};
 use super::columns::fields_of;
 use super::dialect::{Sheet, Unit, text_of, unit_of};
+use super::torn::is_cut_in_a_number;
 use crate::camera::number_in_name;
 use crate::error::{Error, Result};
 use crate::input::{TABLE_BYTES, read_bytes};
 use crate::instant::seconds_of;
 use std::collections::HashMap;
-use std::fmt;
-use std::path::{Path, PathBuf};
-
-/// Something in a file that was passed over, and why. The rest of the file was used.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Warning {
-    /// The file.
-    pub path: PathBuf,
-    /// The line, counted from 1, of a file that has lines.
-    pub line: Option<u64>,
-    /// What was found, and what was done about it.
-    pub message: String,
-    /// What kind of thing it is.
-    pub fault: Fault,
-}
-
-/// What kind of thing was passed over.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Fault {
-    /// A row or a message that makes no sense.
-    Row,
-    /// What two rows or messages say of one index or one moment differs; neither is used.
-    Contradiction,
-    /// A recording that was cut off or is damaged.
-    Damage,
-    /// Time stamps by which nothing can be matched.
-    Clock,
-}
-
-impl fmt::Display for Warning {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.line {
-            Some(line) => write!(f, "{}:{line}: {}", self.path.display(), self.message),
-            None => write!(f, "{}: {}", self.path.display(), self.message),
-        }
-    }
-}
+use std::path::Path;
 
 /// What a file held, and what of it had to be passed over.
 #[derive(Debug, Clone, PartialEq)]
@@ -304,7 +273,13 @@ fn parsed_rows<'a, T>(
     let mut numbered = Vec::new();
     let mut warnings = Warnings::new(path);
     let mut passed_over = None;
+    let cut_line = is_cut_in_a_number(&text).then(|| text.lines().count() as u64);
     for (number, fields) in sheet.rows() {
+        if Some(number) == cut_line {
+            let why = "the file was cut in the middle of this line: it has no line end, and its last number fewer digits than all others";
+            warnings.push(number, format!("{why}; row skipped"));
+            continue;
+        }
         let row = usable_row(&columns, &sheet, fields);
         match row.and_then(|row| parse(&row)) {
             Ok(value) if numbered.is_empty() || is_kept(&value) => {
@@ -390,44 +365,6 @@ fn usable_row<'a>(columns: &'a Columns, sheet: &Sheet, fields: csv::StringRecord
         return Err(format!("{found} fields, expected {width}"));
     }
     Ok(Row { columns, fields, has_decimal_commas: sheet.has_decimal_commas() })
-}
-
-/// The warnings about one file, of which only so many are kept: a file of nothing but faults is soon known for what it is.
-pub(super) struct Warnings<'a> {
-    path: &'a Path,
-    first: Vec<Warning>,
-    others: u64,
-}
-
-impl<'a> Warnings<'a> {
-    /// Convention: a resource limit.
-    const MOST: usize = 1000;
-
-    pub fn new(path: &'a Path) -> Self {
-        Self { path, first: Vec::new(), others: 0 }
-    }
-
-    pub fn push(&mut self, line: u64, message: String) {
-        self.told(line, message, Fault::Row);
-    }
-
-    fn told(&mut self, line: u64, message: String, fault: Fault) {
-        if self.first.len() < Self::MOST {
-            self.first.push(Warning { path: self.path.to_owned(), line: Some(line), message, fault });
-        } else {
-            self.others += 1;
-        }
-    }
-
-    /// In order of their lines; the last tells how many more there were.
-    pub fn in_order(mut self) -> Vec<Warning> {
-        self.first.sort_by_key(|warning| warning.line);
-        if let (true, Some(last)) = (self.others > 0, self.first.last()) {
-            let message = format!("and {} more rows with faults", self.others);
-            self.first.push(Warning { message, ..last.clone() });
-        }
-        self.first
-    }
 }
 
 pub(super) fn in_order_once<T: Indexed>(mut numbered: Vec<(u64, T)>, warnings: &mut Warnings) -> Vec<T> {

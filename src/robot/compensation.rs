@@ -37,6 +37,8 @@ use nalgebra::{Matrix2, Vector2};
 pub struct Response {
     /// θ and δ.
     pub configuration: Configuration,
+    /// c, the part of q̃ that bends nothing and that the model does not explain, mm.
+    pub residual_mm: PerBackbone,
     /// The mean of c: the part of q̃ common to all backbones that the model does not explain, mm.
     pub common_mm: f64,
     /// The internal force that goes with it in each backbone, N; positive compresses.
@@ -131,6 +133,7 @@ impl Model {
         let (bend, residual_mm) = self.forward_from(q_tilde_mm, start)?;
         Ok(Response {
             configuration: Configuration::from_bend_vector(bend),
+            residual_mm,
             common_mm: residual_mm.mean(),
             internal_force_n: residual_mm.mean() / self.line_compliance_mm_per_n(),
         })

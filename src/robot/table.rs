@@ -15,6 +15,11 @@ use std::str::FromStr;
 /// Convention: a resource limit.
 const MOST_POSES: usize = 10_000_000;
 
+/// Azimuths that are asked for lie within this, degrees either way.
+///
+/// Convention: once round; a larger number is in another unit, or of something else.
+pub(crate) const MOST_DELTA_DEG: f64 = 360.0;
+
 /// Evenly spaced angles, degrees, written `start:stop:step`. The stop belongs to them where a step falls on it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GridAxis {
@@ -156,10 +161,10 @@ impl TableRow {
     /// The row of a pose that is asked for in degrees.
     ///
     /// # Errors
-    /// [`NoSolution::OutsideWorkspace`] for a θ outside 0 to 120° and angles that are not finite.
+    /// [`NoSolution::OutsideWorkspace`] for a θ outside 0 to 120° and a δ outside ±360°, as in a table.
     pub fn asked(model: &Model, theta_deg: f64, delta_deg: f64) -> Result<Self> {
         let most_deg = MAX_THETA.to_degrees();
-        if !((0.0..=most_deg + 1e-9).contains(&theta_deg) && delta_deg.is_finite()) {
+        if !((0.0..=most_deg + 1e-9).contains(&theta_deg) && (-MOST_DELTA_DEG..=MOST_DELTA_DEG).contains(&delta_deg)) {
             return Err(NoSolution::OutsideWorkspace { theta_deg, delta_deg, most_deg }.into());
         }
         Ok(Self::new(model, Configuration::from_degrees(theta_deg, delta_deg)))
@@ -183,7 +188,7 @@ pub fn compensation_table(model: &Model, grid: &Grid) -> Result<Vec<TableRow>> {
     if theta.start_deg < 0.0 || theta.stop_deg > most_deg + 1e-9 {
         return Err(ArgumentError::from(GridError::Theta { grid: theta.to_string(), most_deg }).into());
     }
-    if delta.start_deg < -360.0 || delta.stop_deg > 360.0 {
+    if delta.start_deg < -MOST_DELTA_DEG || delta.stop_deg > MOST_DELTA_DEG {
         return Err(ArgumentError::from(GridError::Delta(delta.to_string())).into());
     }
     let poses = theta.len().saturating_mul(delta.len());

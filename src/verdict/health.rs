@@ -17,7 +17,7 @@ use super::scale::LEAST_UNNAMED;
 use crate::estimate::{self, LinearisedMeasurement, Weighting, Whitened, line_share};
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::moments::{mean, rms};
-use crate::statistics::order::mad_scale;
+use crate::statistics::order::{mad_scale, median};
 use crate::statistics::{binomial, chi_square};
 use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
 use std::f64::consts::PI;
@@ -40,8 +40,17 @@ const ASKED_FOR: f64 = 0.5 * PI / 180.0;
 /// A direction that the poses leave open is left out below this share of the largest information. Convention: numerical.
 const SINGULAR: f64 = 1e-9;
 
+/// Poses on each side of a step that all readings share. Convention: as many as tell a mean from an outlier.
+const BESIDE_A_STEP: usize = 3;
+/// A step accounts for what readings have in common if it leaves no more than this share of its own size, in rms.
+///
+/// Convention: a tenth; what drifts or follows the load leaves a third.
+const LEFT_BY_A_STEP: f64 = 0.1;
+
 /// What the model leaves of one pose.
 struct Innovation {
+    /// The frame's index.
+    index: u64,
     /// The bending part, in units of its standard deviations.
     bending: Vector2<f64>,
     /// What η adds to it by a unit, likewise.
@@ -66,7 +75,7 @@ struct Innovation {
 
 impl Innovation {
     fn of(subject: &Subject, plain: &Model, sample: &Sample) -> Option<Self> {
-        let Sample { measured, q_mm, .. } = sample;
+        let Sample { index, measured, q_mm } = sample;
         let robot = &plain.robot;
         let plainly = estimate::Sample { measured: *measured, q_tilde: *q_mm, came: None };
         let one = LinearisedMeasurement::new(plain, Weighting::Measured, subject.sd_encoder_mm, &plainly);
@@ -82,6 +91,7 @@ impl Innovation {
         let psi = measured.configuration;
         let compensation = naive.command(psi) - robot.joint_displacements(psi);
         let innovation = Self {
+            index: *index,
             bending: whitened.bending,
             by_eta: whiten(one.h.column(0).xy()),
             by_scale,
@@ -218,6 +228,46 @@ impl Health {
         }
         let sd = self.sd_encoder_mm;
         reason(Level::Look, text, format!("{remedy}; if the encoders are noisier than {sd} mm, give --encoder-sd"))
+    }
+
+    /// A step that all readings share, if it accounts for what they have in common beyond noise and the bends are explained: homed anew in the
+    /// middle. A play as large as that moves the bends as well.
+    pub fn rehomed(&self, model: &Model) -> Option<Reason> {
+        if self.has_gap() {
+            return None;
+        }
+        above_noise(&self.common, 1)?;
+        let common: Vec<f64> = self.innovations.iter().map(|one| one.common_mm).collect();
+        let centre = |part: &[f64]| median(&mut part.to_vec());
+        let left = |at: usize| {
+            let (before, after) = common.split_at(at);
+            let of = |part: &[f64]| {
+                let centre = centre(part);
+                part.iter().map(|mm| (mm - centre).abs()).collect::<Vec<f64>>()
+            };
+            [of(before), of(after)].concat()
+        };
+        let places = BESIDE_A_STEP..(common.len() + 1).saturating_sub(BESIDE_A_STEP);
+        let sums = places.map(|at| (at, left(at).iter().sum::<f64>()));
+        let (at, _) = sums.min_by(|(_, a), (_, b)| a.total_cmp(b))?;
+        let left = without_largest(left(at), |mm| *mm);
+        let (before, after) = common.split_at(at);
+        let step = centre(after) - centre(before);
+        let step_mm = step / (model.robot.backbone_count() as f64).sqrt();
+        let is_step = rms(left) <= LEFT_BY_A_STEP * step.abs();
+        is_step.then(|| {
+            let (last, first) = (self.innovations[at - 1].index, self.innovations[at].index);
+            let side = if step_mm > 0.0 { "larger" } else { "smaller" };
+            let text = format!(
+                "between frames {last} and {first} all readings become {side} by {:.3} mm, as where encoders or actuators are homed anew in the \
+                 middle of a log",
+                step_mm.abs()
+            );
+            let remedy = "home before the first frame; use the rows before it or those after it alone, or take the step off one part: the \
+                          bends are right either way, and λ is that of one part only";
+            let is_possible = model.estimate.is_none_or(|estimate| estimate.implausible().is_none());
+            Reason::new(Code::Rehomed, if is_possible { Level::Look } else { Level::DoNotUse }, text, remedy)
+        })
     }
 
     /// A single encoder or actuator whose scale accounts for the gap, if no other does so nearly as well. One number tells what is hidden from the

@@ -17,6 +17,8 @@ mod inputs;
 mod reason;
 mod rules;
 mod scale;
+#[cfg(feature = "commands")]
+mod shared_force;
 pub mod wiring;
 mod words;
 
@@ -27,3 +29,5 @@ pub(crate) use inputs::TIMED;
 pub use inputs::doubts_of_times;
 pub use reason::{Code, Level, Reason, Suggestion, Verdict};
 pub use rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, MOST_LAMBDA_MM, REJECTED_IN_ORDER};
+#[cfg(feature = "commands")]
+pub(crate) use shared_force::doubt_of_force_limits;

@@ -46,6 +46,8 @@ pub enum Code {
     Wiring,
     /// The pictures stand still while the readings move.
     CameraStuck,
+    /// From some frame on all readings are larger or smaller by one step: encoders or actuators were homed anew.
+    Rehomed,
     /// One encoder or actuator moves more or less than it says, which accounts for the gap.
     EncoderScale,
     /// Time stamps run backwards, or the encoders' clock is not the frames'.
@@ -60,6 +62,8 @@ pub enum Code {
     CameraLens,
     /// Frames could not be measured, more than disturbances account for.
     ManyNotMeasured,
+    /// The readings do not show the force that the backbones are said to share.
+    ForceLimits,
     /// η or λ lies where no such robot is.
     ParameterOutOfRange,
     /// The naive model (η = 1, λ = 0) explains the measurements better.
@@ -76,7 +80,7 @@ pub enum Code {
 
 impl Code {
     /// Every kind of reason.
-    pub const ALL: [Self; 20] = [
+    pub const ALL: [Self; 22] = [
         Self::Files,
         Self::NothingToJudge,
         Self::RecordingDamaged,
@@ -84,6 +88,7 @@ impl Code {
         Self::EncoderStuck,
         Self::Wiring,
         Self::CameraStuck,
+        Self::Rehomed,
         Self::EncoderScale,
         Self::Clock,
         Self::TimeUnit,
@@ -91,6 +96,7 @@ impl Code {
         Self::SheetNotFlat,
         Self::CameraLens,
         Self::ManyNotMeasured,
+        Self::ForceLimits,
         Self::ParameterOutOfRange,
         Self::WorseThanNaive,
         Self::ManyRejected,

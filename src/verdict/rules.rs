@@ -52,6 +52,9 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
     let no_bend = no_bend(evidence);
     let (stuck, check) = stuck_or_miswired(subject, evidence, log, no_bend.is_none());
     let health = Health::of(subject, evidence);
+    let rehomed = health.rehomed(subject.model);
+    // What a step of all readings leaves in common is told with it.
+    let gap = health.gap().filter(|_| rehomed.is_none());
     let reasons = [
         stuck,
         check.as_ref().and_then(|check| words::wiring(subject, check)),
@@ -67,7 +70,8 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
         not_covered(subject, evidence, check.as_ref()),
         camera_lens(subject, evidence, check.as_ref().filter(|_| health.has_gap())),
         health.encoder_scale().filter(|_| check.as_ref().is_none_or(|check| check.mistake.is_none())),
-        health.gap(),
+        gap,
+        rehomed,
     ];
     Verdict::of(reasons.into_iter().flatten().collect())
 }

@@ -49,12 +49,31 @@ impl Tables {
 /// A mistake: what is done, the code of the first reason, and what its remedy must name.
 type Mistake = (&'static str, fn(&mut Tables), &'static str, &'static str);
 
-const MISTAKES: [Mistake; 45] = [
+const MISTAKES: [Mistake; 48] = [
     (
         "angles in radians",
         |t| t.angles(|psi| Configuration { theta: psi.theta.to_radians(), delta: psi.delta.to_radians() }),
         "parameter_out_of_range",
         "by 180/π",
+    ),
+    // The paper's θ_L is the angle of the end disk, 90° where the snake is straight.
+    (
+        "θ_L typed for θ",
+        |t| t.angles(|psi| Configuration { theta: PI / 2.0 - psi.theta, ..psi }),
+        "gap_above_noise",
+        "discover",
+    ),
+    (
+        "homed anew in the middle",
+        |t| t.log[18..].iter_mut().for_each(|row| row.q_mm = row.q_mm.add_scalar(0.3)),
+        "rehomed",
+        "before the first frame",
+    ),
+    (
+        "homed anew by millimetres",
+        |t| t.log[18..].iter_mut().for_each(|row| row.q_mm = row.q_mm.add_scalar(3.0)),
+        "rehomed",
+        "before the first frame",
     ),
     ("q2 and q3 exchanged", |t| t.readings(|q| [q[0], q[2], q[1]]), "wiring", "columns = [1, 3, 2]"),
     ("q1 and q2 exchanged", |t| t.readings(|q| [q[1], q[0], q[2]]), "wiring", "q2_mm,q1_mm,q3_mm"),

@@ -23,6 +23,8 @@ pub struct LineParser {
     units: Vec<f64>,
     /// The place of each in a line, from the header.
     columns: Option<Vec<usize>>,
+    /// What is wrong with the header: nobody knows then which number of a line is which.
+    bad_header: Option<String>,
 }
 
 /// A time stamp, s, and q̃, mm; `None` for a header, a comment or an empty line; else what is wrong with the line.
@@ -38,12 +40,12 @@ impl LineParser {
     /// A parser for these columns, the time's first, and what one unit of each is, s or mm.
     pub fn of_columns(columns: Vec<(String, f64)>) -> Self {
         let (names, units) = columns.into_iter().unzip();
-        Self { names, units, columns: None }
+        Self { names, units, columns: None, bad_header: None }
     }
 
     /// Forgets the header: the lines of another connection may have another.
     pub fn reset(&mut self) {
-        self.columns = None;
+        (self.columns, self.bad_header) = (None, None);
     }
 
     /// Reads a line.
@@ -55,7 +57,8 @@ impl LineParser {
             return Err(format!("more than {MAX_LINE} bytes in a line, expected {}", self.names.join(",")));
         }
         let line = String::from_utf8_lossy(line);
-        let line = line.trim();
+        // Some write a byte order mark before the first line, or before each.
+        let line = line.trim_start_matches('\u{feff}').trim();
         if line.is_empty() || line.starts_with('#') {
             return Ok(None);
         }
@@ -71,8 +74,12 @@ impl LineParser {
         let expected = || format!("{}: expected {}", start_of(line), self.names.join(","));
         let fields = fields_of(line).ok_or_else(expected)?;
         if fields.iter().any(|field| self.names.iter().any(|name| name == field)) {
-            self.columns = Some(self.header(&fields)?);
-            return Ok(None);
+            let header = self.header(&fields);
+            (self.columns, self.bad_header) = (header.clone().ok(), header.err());
+            return self.bad_header.clone().map_or(Ok(None), Err);
+        }
+        if let Some(why) = &self.bad_header {
+            return Err(why.clone());
         }
         let columns = self.columns.as_deref();
         if columns.is_none() && fields.len() != self.names.len() {

@@ -6,6 +6,7 @@ mod line_buffer;
 mod line_parser;
 mod line_reader;
 mod readings;
+mod stamp_rate;
 
 pub use line_parser::{LineParser, Parsed};
 pub use line_reader::EncoderSource;

@@ -1,6 +1,7 @@
 //! The encoder readings so far, by the encoders' own time stamps. Looks at no clock itself: the caller says what time it is.
 
 use super::line_parser::{LineParser, Parsed, is_reading};
+use super::stamp_rate::StampRate;
 use crate::live::clock_offset::ClockOffset;
 use crate::live::status::{EncoderStatus, Lag};
 use crate::live::stream::{Came, SentReading};
@@ -62,6 +63,7 @@ pub struct Readings {
     remarks: Vec<String>,
     last_unix_s: Option<f64>,
     flood: Flood,
+    stamp_rate: StampRate,
     /// Whether the lines that are taken may have waited to be read.
     may_have_waited: bool,
 }
@@ -107,6 +109,7 @@ impl Readings {
             remarks: Vec::new(),
             last_unix_s: None,
             flood: Flood::default(),
+            stamp_rate: StampRate::default(),
             may_have_waited: false,
         }
     }
@@ -134,10 +137,23 @@ impl Readings {
     /// Takes a line that arrived at `arrival_s` of the frames' clock (`None` before that runs) and at a Unix time.
     pub fn take(&mut self, line: &[u8], arrival_s: Option<f64>, unix_s: f64) {
         let taken: Parsed = self.parser.parse(line);
-        let added = taken.and_then(|reading| match reading {
-            Some((stamp_s, q_mm)) => self.add(stamp_s, self.wiring.q_mm(&q_mm), arrival_s, unix_s),
-            None => Ok(()),
-        });
+        let (stamp_s, added) = match taken {
+            Ok(Some((stamp_s, q_mm))) => (Some(stamp_s), self.add(stamp_s, self.wiring.q_mm(&q_mm), arrival_s, unix_s)),
+            Ok(None) => return,
+            Err(why) => (None, Err(why)),
+        };
+        self.note(unix_s, stamp_s, added);
+    }
+
+    /// Counts a reading, or notes why it was refused.
+    fn note(&mut self, unix_s: f64, stamp_s: Option<f64>, added: std::result::Result<(), String>) {
+        // Nobody knows when those came that may have waited.
+        if !self.may_have_waited {
+            self.stamp_rate.note(unix_s, stamp_s, added.as_ref().err().map(String::as_str));
+            if let Some(remark) = self.stamp_rate.remark() {
+                self.remark(remark);
+            }
+        }
         if let Err(why) = added {
             self.refuse(why);
         }
@@ -161,9 +177,7 @@ impl Readings {
                     true => self.add(stamp_s, q_mm, arrival_s, unix_s),
                     false => Err(format!("{:?} at {stamp_s} s: not a reading in mm", &q_mm[..])),
                 };
-                if let Err(why) = added {
-                    self.refuse(why);
-                }
+                self.note(unix_s, Some(stamp_s), added);
             }
         }
     }
@@ -187,6 +201,11 @@ impl Readings {
         arrival_s: Option<f64>,
         unix_s: f64,
     ) -> std::result::Result<(), String> {
+        if let Some(unit) = self.stamp_rate.other_unit() {
+            self.stamped.clear();
+            self.offset.restart();
+            return Err(format!("time_s {stamp_s} is in {unit}, expected seconds"));
+        }
         if let Some(&(last_s, _)) = self.stamped.back()
             && stamp_s <= last_s
         {
@@ -360,6 +379,48 @@ mod tests {
         assert!(error_mm(0, 1500, 0.0) < 0.002);
         // Half a second: 20 readings later they are paired as before, to the delay of the line.
         assert!(error_mm(1500, 1520, 0.5) < 0.002);
+    }
+
+    #[test]
+    fn stamps_in_another_unit_are_told_and_refused_and_taken_again_once_they_are_seconds() {
+        for (per_s, unit) in [(1e3, "milliseconds"), (1e6, "microseconds"), (1.0 / 60.0, "minutes"), (1.0, "")] {
+            let mut readings = Readings::new(3, None);
+            let mut send = |from: u32, per_s: f64| {
+                for k in from..from + 600 {
+                    let time_s = f64::from(k) / 100.0;
+                    readings.take(format!("{},1,0,0", 7.0 + per_s * time_s).as_bytes(), Some(time_s), 100.0 + time_s);
+                }
+                readings.status(100.0 + f64::from(from + 600) / 100.0)
+            };
+            let status = send(0, per_s);
+            let told = status.remarks.iter().any(|remark| !unit.is_empty() && remark.contains(unit));
+            assert_eq!((told, status.remarks.len()), (!unit.is_empty(), usize::from(!unit.is_empty())), "{status:?}");
+            assert_eq!(status.last_bad.is_some(), !unit.is_empty(), "{status:?}");
+            let bad_lines = send(600, 1.0).bad_lines;
+            assert!(send(1200, 1.0).bad_lines - bad_lines < 10, "{unit}");
+        }
+    }
+
+    #[test]
+    fn lines_of_which_most_cannot_be_used_are_told_and_a_double_sender_is_not() {
+        let lines = |k: u32, what: &str| match what {
+            "backwards" => vec![format!("{},0,0,0", 900.0 - f64::from(k) / 100.0)],
+            "standing" => vec!["5.0,0,0,0".to_owned()],
+            "commas" => vec![format!("{},1,2,0,1,0,1,0", k / 100)],
+            "twice" => vec![format!("{},0,0,0", f64::from(k) / 100.0); 2],
+            _ => vec![format!("{},0,0,0", f64::from(k) / 100.0)],
+        };
+        for (what, is_told) in
+            [("backwards", true), ("standing", true), ("commas", true), ("twice", false), ("sound", false)]
+        {
+            let mut readings = Readings::new(3, None);
+            for k in 0..800 {
+                let time_s = f64::from(k) / 100.0;
+                lines(k, what).iter().for_each(|line| readings.take(line.as_bytes(), Some(time_s), 100.0 + time_s));
+            }
+            let remarks = readings.status(108.0).remarks;
+            assert_eq!(remarks.iter().any(|remark| remark.contains("most lines")), is_told, "{what}: {remarks:?}");
+        }
     }
 
     #[test]

@@ -126,7 +126,7 @@ function showTable(publication) {
   const words = {
     nothing: ["", "", ""],
     current: ["good", "table: current", ""],
-    stale: ["bad", "table: stale", "The table in the folder is the last good one, and is not written anew: "],
+    stale: ["bad", "table: stale", "The table in the folder is the last one published, and is not written anew: "],
     withheld: ["bad", "no table", "No table is written: "],
   };
   const [kind, short, long] = words[publication.state];

@@ -13,8 +13,8 @@ use std::sync::LazyLock;
 const LEARNING_STRIDE: usize = 2;
 /// The exposure is measured on one pixel of so many in each direction.
 ///
-/// Convention: a prime, so that no pattern of the target is sampled in step; of a megapixel 6,000 pixels are left.
-const EXPOSURE_STRIDE: usize = 13;
+/// Convention: a prime, so that no pattern of the target is sampled in step; around a snake of 500 px some 3,000 pixels are left.
+const EXPOSURE_STRIDE: usize = 7;
 /// The fewest pixels of a class from which it can be learned.
 ///
 /// Convention: a guard for the covariance of three channels.
@@ -57,6 +57,10 @@ pub struct Appearance {
     /// Whether much of the background is on the snake's side of the target's mean, as on a checkerboard with squares darker than
     /// the snake: edges may then go either way.
     pub two_sided: bool,
+    /// The median of the weighted light around the straight snake in the picture that was learned from, which tells the exposure of others. Files
+    /// of older versions have none; the target is then taken for most of what is seen there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub light: Option<f64>,
 }
 
 impl Appearance {
@@ -104,8 +108,12 @@ impl Appearance {
             return None;
         }
         let weights = direction / scale;
-        let mut appearance =
-            Self { offset: -weights.dot(&mean[0]), weights: weights.iter().copied().collect(), two_sided: false };
+        let mut appearance = Self {
+            offset: -weights.dot(&mean[0]),
+            weights: weights.iter().copied().collect(),
+            two_sided: false,
+            light: None,
+        };
         let plane = appearance.plane(frame);
         let background = pixels.iter().filter(|(_, _, (is_snake, _))| !is_snake);
         let like_snake = background.filter(|&&(x, y, _)| plane.get(i64::from(x), i64::from(y)) > LIKE_SNAKE).count();
@@ -161,24 +169,33 @@ impl Appearance {
         }
     }
 
-    /// The same appearance in a frame with another exposure than the picture that was learned from. The target, which covers most of
-    /// a picture, was at 0 there, and its median gives the exposure. A two-sided background, or one that differs from the snake in
-    /// colour alone, does not tell; the exposure is then taken for the same.
-    pub fn exposed_as(&self, frame: &Frame) -> Self {
-        if self.two_sided || self.offset.abs() < LEAST_TELLING_OFFSET {
-            return self.clone();
-        }
-        let weights = self.weights_for(frame.channels);
-        let width = frame.width as usize;
-        let pixels = (0..frame.height as usize).step_by(EXPOSURE_STRIDE).flat_map(|row| {
-            (row * width..(row + 1) * width).step_by(EXPOSURE_STRIDE).map(|pixel| pixel * frame.channels)
-        });
-        let mut levels: Vec<f32> =
-            pixels.map(|first| weights.iter().zip(first..).map(|(w, k)| light(&frame.samples, k) * w).sum()).collect();
+    /// The same appearance in a frame with another exposure than the picture that was learned from, by the light around the straight snake, most of
+    /// which the target reflects. A two-sided background, or one that differs from the snake in colour alone, does not tell the exposure, which is
+    /// then taken for the same.
+    pub fn exposed_as(&self, frame: &Frame, around: &Region) -> Self {
+        let is_told = !self.two_sided && self.offset.abs() >= LEAST_TELLING_OFFSET;
+        let Some(now) = self.median_light(frame, around).filter(|_| is_told) else { return self.clone() };
         // The target's light adds up to minus the offset in the picture that was learned from.
+        let then = self.light.unwrap_or(-self.offset);
         let (least, largest) = EXPOSURE_RANGE;
-        let exposure = (-f64::from(median(&mut levels)) / self.offset).clamp(least, largest);
+        let exposure = (now / then).clamp(least, largest);
         Self { weights: self.weights.iter().map(|w| w / exposure).collect(), ..self.clone() }
+    }
+
+    /// The median of the weighted light of what a frame shows of a region; `None` where it shows nothing of it.
+    pub fn median_light(&self, frame: &Frame, around: &Region) -> Option<f64> {
+        let weights = self.weights_for(frame.channels);
+        let (width, height) = (frame.width as usize, frame.height as usize);
+        let rows = around.rows().take_while(|(row, _)| *row < height).step_by(EXPOSURE_STRIDE);
+        let pixels = rows.flat_map(|(row, columns)| {
+            (columns.start..columns.end.min(width)).step_by(EXPOSURE_STRIDE).map(move |x| row * width + x)
+        });
+        let light_of = |pixel: usize| {
+            let first = pixel * frame.channels;
+            weights.iter().zip(first..).map(|(w, k)| light(&frame.samples, k) * w).sum()
+        };
+        let mut levels: Vec<f32> = pixels.map(light_of).collect();
+        (!levels.is_empty()).then(|| f64::from(median(&mut levels)))
     }
 
     /// The weights of a frame's own channels.
@@ -215,7 +232,9 @@ static LIGHT_16: LazyLock<Vec<f32>> =
 #[cfg(test)]
 mod tests {
     use super::*;
+    use approx::assert_relative_eq;
     use image::{DynamicImage, RgbImage};
+    use nalgebra::Point2;
 
     /// Dark and bluish above, light below; the brightness is sharp, the blue runs over the border as a JPEG makes it.
     #[test]
@@ -241,5 +260,39 @@ mod tests {
         };
         let (alike, at_border) = (step(&learned(1.0)), step(&learned(20.0)));
         assert!(at_border > alike + 0.05, "{at_border} {alike}");
+    }
+
+    /// A small light sheet on a dark table, and a dark snake before it that covers the columns from `snake_x` on.
+    fn on_a_table(snake_x: u32, exposure: f64) -> Frame {
+        let picture = RgbImage::from_fn(200, 200, |x, y| {
+            let light = match (x, y) {
+                (x, _) if (snake_x..snake_x + 10).contains(&x) => 0.05,
+                (80..120, 60..140) => 0.6,
+                _ => 0.02,
+            };
+            let encoded = 1.055 * (light * exposure).powf(1.0 / 2.4) - 0.055;
+            image::Rgb([(255.0 * encoded).round() as u8; 3])
+        });
+        Frame::from_image(DynamicImage::ImageRgb8(picture)).unwrap()
+    }
+
+    #[test]
+    fn the_sheet_tells_the_exposure_and_not_the_table_that_most_of_a_picture_shows() {
+        let straight = on_a_table(95, 1.0);
+        // The sheet's own rows and columns.
+        let around = Region::along((80..=120).map(|y| Point2::new(100.0, f64::from(y))), 20.0, (200, 200));
+        let label = |x: u32, y: u32| {
+            let is_sheet = (80..120).contains(&x) && (60..140).contains(&y);
+            is_sheet.then_some(((95..105).contains(&x), 1.0))
+        };
+        let mut learned = Appearance::learn(&straight, label).unwrap();
+        learned.light = learned.median_light(&straight, &around);
+        let small = Frame::from_image(DynamicImage::ImageRgb8(RgbImage::new(90, 70))).unwrap();
+        assert!(learned.median_light(&small, &around).is_some());
+        for (exposure, tolerance) in [(1.0, 1e-6), (0.5, 0.02), (1.5, 0.02)] {
+            let exposed = learned.exposed_as(&on_a_table(105, exposure), &around);
+            let ratio = learned.weights[0] / exposed.weights[0];
+            assert_relative_eq!(ratio, exposure, max_relative = tolerance);
+        }
     }
 }

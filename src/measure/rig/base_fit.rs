@@ -18,8 +18,8 @@ use crate::measure::fit::{
     UNKNOWN_BIAS, UNKNOWN_SHAPE_RAD, fine_filter, inliers, predict_blur, systematic_covariance,
 };
 use crate::measure::image::appearance::Appearance;
-use crate::measure::image::plane::Plane;
-use crate::measure::target::{Grid, GridPattern};
+use crate::measure::image::plane::{Plane, Region};
+use crate::measure::target::{Grid, GridPattern, PatternKind, PrintProfile, look_through};
 use crate::robot::Robot;
 use crate::statistics::cluster::clustered_covariance;
 use crate::statistics::least_squares::{Options, Solution, solve};
@@ -97,6 +97,16 @@ const BELOW_HOLDER: f64 = 1.0;
 ///
 /// Convention: ±1.6 σ of the blur.
 const BORDER_SHARES: std::ops::Range<f32> = 0.05..0.95;
+/// Lines that are nearer to each other than this, px, are not looked through.
+///
+/// Derived: a line of a fifth of a pitch is then two pixels wide; a narrower one is washed out by lens and compression, and its profile is that of the
+/// pixels that it was seen by.
+const LEAST_PITCH_PX: f64 = 10.0;
+/// How far around the straight snake the light is looked at, in its diameters.
+///
+/// Convention: six times as much sheet as snake, so that the median hardly changes where the snake is bent out of it, and near enough that a small
+/// sheet fills it.
+const LIT_DIAMETERS: f64 = 3.0;
 /// The bend of a straight snake.
 pub const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
 
@@ -119,18 +129,33 @@ struct Round {
 /// What tells snake from target, the picture around the snake seen through it, and the noise of that.
 struct Learned {
     appearance: Appearance,
+    /// How the sheet looks; `None` until the outline is well placed.
+    print: Option<PrintProfile>,
     plane: Plane,
     noise: f64,
 }
 
 impl Learned {
     /// From a picture in which a view's outline tells which pixels are snake; `None` where they do not differ.
-    fn of(frame: &Frame, view: &Projection, outline: &Outline, is_well_placed: bool) -> Option<Self> {
-        let appearance = appearance_of(frame, view, outline, is_well_placed)?;
+    fn of(
+        picture: &StraightPicture,
+        grid: &Grid,
+        view: &Projection,
+        outline: &Outline,
+        is_well_placed: bool,
+    ) -> Option<Self> {
+        let StraightPicture { frame, options, .. } = picture;
+        let mut appearance = appearance_of(frame, view, outline, is_well_placed)?;
+        appearance.light = appearance.median_light(frame, &lit_region(view));
         let region = view.image_region(STRAIGHT, AROUND_PX);
-        let plane = appearance.plane_within(frame, &region);
+        let mut plane = appearance.plane_within(frame, &region);
+        let is_seen = is_well_placed && grid.kind == PatternKind::Lines;
+        let print = is_seen.then(|| print_of(picture, grid, view, outline, &appearance)).flatten();
+        if let Some(print) = &print {
+            look_through(&mut plane, &print.picture(view.lens, &grid.sheet, options.grid_pitch_mm, &region));
+        }
         let noise = plane.noise(&region);
-        Some(Self { appearance, plane, noise })
+        Some(Self { appearance, print, plane, noise })
     }
 
     /// Finds the picture's edges.
@@ -188,7 +213,8 @@ impl<'a> BaseFit<'a> {
         let mut outline = Outline::new(&view, STRAIGHT);
         // The model's own outline tells which pixels are snake, the better the better it lies.
         if round.is_multiple_of(LEARNING_ROUNDS) || self.learned.is_none() {
-            self.learned = Learned::of(self.picture.frame, &view, &outline, search_px <= WELL_PLACED_PX);
+            let is_well_placed = search_px <= WELL_PLACED_PX;
+            self.learned = Learned::of(&self.picture, self.grid, &view, &outline, is_well_placed);
         }
         let edges = self.edges(&view, &mut outline, search_px)?;
         let is_coarse = search_px > FINE_SEARCH_PX;
@@ -272,6 +298,7 @@ impl<'a> BaseFit<'a> {
             grid_pitch_mm: options.grid_pitch_mm,
             pattern: GridPattern::dark(self.grid.kind),
             appearance: learned.appearance.clone(),
+            print: learned.print.clone(),
             edge_bias: self.bias,
             mode_sigma_rad: UNKNOWN_SHAPE_RAD,
             grid_rms_px: self.grid.rms_px,
@@ -334,6 +361,27 @@ fn check_visibility(visibility: &PartVisibility, robot: &Robot) -> Result<(), Ri
         Some((part, _)) if !visibility.are_all_faintly_visible(last_part(robot)) => Err(RigError::PartNotVisible(part)),
         _ => Ok(()),
     }
+}
+
+/// How the sheet looks, learned from what neither the snake nor its border hides; `None` where too little is seen of it or of its lines.
+fn print_of(
+    StraightPicture { frame, options, .. }: &StraightPicture,
+    grid: &Grid,
+    view: &Projection,
+    outline: &Outline,
+    appearance: &Appearance,
+) -> Option<PrintProfile> {
+    if grid.sheet.length_px(view.lens, options.grid_pitch_mm) < LEAST_PITCH_PX {
+        return None;
+    }
+    let silhouette = outline.blurred_silhouette(BORDER_PX);
+    let is_target = |pixel: &Point2<f64>| silhouette.sample(pixel) < BORDER_SHARES.start;
+    PrintProfile::learn(&appearance.plane(frame), view.lens, &grid.sheet, options.grid_pitch_mm, is_target)
+}
+
+/// The part of a picture whose light tells its exposure: around the straight snake.
+pub fn lit_region(view: &Projection) -> Region {
+    view.image_region(STRAIGHT, LIT_DIAMETERS * view.diameter_px())
 }
 
 /// What tells snake from target, learned from inside and outside of the outline: of one that is well placed, at its border above all.

@@ -33,7 +33,7 @@ mod tilt;
 mod unlike;
 
 pub use base_fit::STRAIGHT;
-pub(super) use base_fit::StraightPicture;
+pub(super) use base_fit::{StraightPicture, lit_region};
 pub(super) use calibrate::find_rig;
 pub(super) use drift::{DriftCheck, RigDriftMonitor};
 pub use error::{CalibrationStep, RigError, SnakePart};

@@ -6,7 +6,7 @@ use crate::measure::fit::{
     UNKNOWN_SHAPE_RAD,
 };
 use crate::measure::image::appearance::Appearance;
-use crate::measure::target::{GridPattern, Sheet, SheetShape};
+use crate::measure::target::{GridPattern, PrintProfile, Sheet, SheetShape};
 use crate::robot::MODES;
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
@@ -27,6 +27,8 @@ pub struct Rig {
     pub pattern: GridPattern,
     /// What tells snake from grid target.
     pub appearance: Appearance,
+    /// How the sheet looks in that channel; `None` where the eye does not look through its lines.
+    pub print: Option<PrintProfile>,
     /// How far outside the snake's true border its edges are seen.
     pub edge_bias: EdgeBias,
     /// Standard deviation of either component of each mode of the snake's [`BendProfile`](crate::robot::BendProfile), rad: what is
@@ -114,7 +116,8 @@ pub(super) mod tests {
             sheet_shape: SheetShape::default(),
             grid_pitch_mm: 1.0,
             pattern: GridPattern::default(),
-            appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false },
+            appearance: Appearance { weights: vec![-1.0, 0.5, -2.0], offset: 1.25, two_sided: false, light: None },
+            print: None,
             edge_bias: EdgeBias { side_px: -0.05, tube_px: 0.2, rim_px: 0.01, glare: [0.3, 0.2] },
             mode_sigma_rad: [1e-3, 2e-4, 1e-4],
             grid_rms_px: 0.1,

@@ -227,12 +227,10 @@ impl SheetSearch {
     /// How far waves and creases take the sheet before and behind its model, mm (rms): by what neighbouring places are shifted in the picture,
     /// over the tangent of the angle (rms) under which they are seen off the camera's axis.
     fn waves_mm(&self, lens: &Lens, fit: &SheetFit) -> f64 {
-        let middle = fit.sheet.shape.centre_mm;
-        let mm_px = (fit.sheet.project(lens, &(middle + Vector2::x())) - fit.sheet.project(lens, &middle)).norm();
         let tangents =
             self.seen.iter().map(|pixel| lens.ray(pixel)).map(|ray| (ray.x * ray.x + ray.y * ray.y) / (ray.z * ray.z));
         let tangent = (tangents.sum::<f64>() / 2.0 / (self.seen.len() as f64).max(1.0)).sqrt();
-        fit.shared_px / mm_px / tangent.max(f64::MIN_POSITIVE)
+        fit.shared_px / fit.sheet.length_px(lens, 1.0) / tangent.max(f64::MIN_POSITIVE)
     }
 
     /// The sheet from the lines themselves, from the one that the waves gave; `None` where the lines are not where the waves put them.

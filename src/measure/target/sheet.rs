@@ -182,6 +182,12 @@ impl Sheet {
         Some((centre, Matrix2::from_columns(&[right, down])))
     }
 
+    /// How long so many mm across are in the picture in the middle of the sheet that is seen, px.
+    pub fn length_px(&self, lens: &Lens, mm: f64) -> f64 {
+        let middle = self.shape.centre_mm;
+        (self.project(lens, &(middle + Vector2::new(mm, 0.0))) - self.project(lens, &middle)).norm()
+    }
+
     /// The same sheet with its lattice counted from another place of it, mm.
     #[must_use]
     pub fn counted_from(&self, lattice_mm: Vector2<f64>) -> Self {

@@ -5,6 +5,7 @@ use crate::program::{Sandbox, all_said, data, json, number};
 use snakeloop::record::{encoders_csv, read_encoders};
 use snakeloop::robot::PerBackbone;
 use std::fs;
+use std::path::Path;
 
 /// A simulated experiment in `lab`, what is learned from it in `out`, and what is learned from a log with two columns exchanged in `bad`. Another
 /// model that must not be used, and whose numbers could be a robot's, is in `plausible`.
@@ -151,4 +152,89 @@ fn a_shard_whose_rows_were_cut_is_not_merged() {
     let said = sandbox.fail("merge part1 part2 -o merged", 1);
     assert!(said.contains("part2/measurements.csv") && said.contains("3 rows, expected 4"), "{said}");
     assert!(!sandbox.join("merged/compensation.csv").exists());
+}
+
+#[test]
+fn an_effect_that_stands_twice_in_a_model_is_refused_by_name_and_line() {
+    let sandbox = learned();
+    let model = sandbox.read("out/model.toml");
+    let play = "\n[[effect]]\nname = \"load_directed_backlash\"\nparameters.play_mm = { value = 0.11, sd = 0.0004, unit = \"mm\" }\n";
+    sandbox.write("once.toml", &format!("{model}{play}"));
+    assert!(sandbox.call(&invert("once.toml")).status.success());
+    sandbox.write("twice.toml", &format!("{model}{play}{play}"));
+    let line = model.lines().count() + 6;
+    for call in [invert("twice.toml"), "table --model twice.toml -o table".to_owned()] {
+        let said = sandbox.fail(&call, 1);
+        let expected = format!("twice.toml:{line}: effect load_directed_backlash stands twice");
+        assert!(said.contains(&expected) && said.contains("take one of the two out"), "{said}");
+    }
+    assert!(!sandbox.join("table/compensation.csv").exists());
+}
+
+#[test]
+fn a_model_of_four_backbones_takes_no_log_of_three_anywhere() {
+    let sandbox = learned();
+    let four = sandbox.read("out/model.toml").replace("[robot]\n", "[robot]\nbackbones = 4\n");
+    sandbox.write("four.toml", &four);
+    sandbox.copy_bending(&[2]);
+    let settings = sandbox.read("bending/experiment.toml");
+    sandbox.write("bending/experiment.toml", &format!("model = \"../four.toml\"\n{settings}"));
+    for call in [
+        format!("estimate {} --model four.toml -o four", data("lab")),
+        format!("evaluate {} --model four.toml", data("lab")),
+        format!("discover {} --model four.toml -o four", data("lab")),
+        "run bending -o four --overlays none".to_owned(),
+        "live bending -o four".to_owned(),
+        "check bending".to_owned(),
+    ] {
+        let said = all_said(&sandbox.call(&call));
+        let expected = "encoders.csv:1: q1_mm to q3_mm, expected q1_mm to q4_mm: the robot has 4 backbones";
+        assert!(said.contains(expected), "{call}: {said}");
+    }
+    assert!(!sandbox.join("four/model.toml").exists());
+    // Beside a robot of three in the same experiment.
+    let paper = Path::new(env!("CARGO_MANIFEST_DIR")).join("calib/robot.toml");
+    fs::copy(paper, sandbox.join("bending/robot.toml")).unwrap();
+    sandbox.write("bending/experiment.toml", &format!("robot = \"robot.toml\"\nmodel = \"../four.toml\"\n{settings}"));
+    let said = sandbox.fail("run bending -o four --overlays none", 1);
+    assert!(said.contains("`model` is of a robot of 4 backbones, and `robot` has 3"), "{said}");
+    let said = sandbox.fail("invert --model four.toml --qc-mm=1,2,3", 2);
+    assert!(said.contains("3 numbers, expected 4"), "{said}");
+}
+
+#[test]
+fn commands_that_bend_nothing_and_angles_beyond_once_round_are_told() {
+    let sandbox = learned();
+    let calm = sandbox.json("invert --model out/model.toml --theta-deg 30 --delta-deg 45");
+    let command: Vec<String> = (1..4).map(|i| number(&calm, &format!("qc{i}_mm")).to_string()).collect();
+    let back = sandbox.call(&format!("invert --model out/model.toml --qc-mm={}", command.join(",")));
+    assert!(
+        !all_said(&back).contains("bend nothing") && !all_said(&back).contains("bends nothing"),
+        "{}",
+        all_said(&back)
+    );
+    let pushed = sandbox.call("invert --model out/model.toml --qc-mm=5,5,5");
+    let said = all_said(&pushed);
+    assert!(
+        said.contains("up to 4.8") && said.contains("bend nothing") && said.contains(" N each. Commands"),
+        "{said}"
+    );
+    let pushed = sandbox.json("invert --model out/model.toml --qc-mm=5,5,5");
+    assert!((number(&pushed, "internal1_mm") - 4.8).abs() < 0.05, "{pushed:#}");
+    for delta in ["1e18", "-361", "721"] {
+        let said = sandbox.fail(&format!("invert --model out/model.toml --theta-deg 30 --delta-deg={delta}"), 1);
+        assert!(said.contains("δ from −360° to 360°"), "{said}");
+    }
+    assert!(sandbox.call("invert --model out/model.toml --theta-deg 30 --delta-deg=-360").status.success());
+}
+
+#[test]
+fn a_log_that_was_cut_within_its_last_number_loses_that_row_and_says_so() {
+    let sandbox = learned();
+    let log = sandbox.read("lab/encoders.csv");
+    let last = log.lines().count();
+    sandbox.write("lab/encoders.csv", &log.trim_end()[..log.trim_end().len() - 4]);
+    let said = all_said(&sandbox.call(&format!("estimate {} -o cut", data("lab"))));
+    assert!(said.contains(&format!("encoders.csv:{last}: the file was cut in the middle of this line")), "{said}");
+    assert!(said.contains("1 skipped"), "{said}");
 }

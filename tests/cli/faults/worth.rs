@@ -160,4 +160,10 @@ fn the_play_is_found_behind_force_limits_once_they_are_told() {
     let (lambda, sd) = (number(&told, "lambda_mm"), number(&told, "sd_lambda_mm"));
     assert!((lambda - 0.1765).abs() < 2.0 * sd && sd < 0.01, "{told:#}");
     assert_eq!(told["verdict"]["level"], "good", "{told:#}");
+    // Told where none acted: the bends are right, and λ is doubted by name.
+    sandbox.simulate("lab", "--model hidden.toml --seed 3 --sweep-theta 5,76 --round-theta 76");
+    let none = sandbox.json(&format!("estimate {} --force-limits=-60,15 -o none", data("lab")));
+    let first = &none["verdict"]["reasons"][0];
+    assert_eq!((&none["verdict"]["level"], &first["code"]), (&"look".into(), &"force_limits".into()), "{none:#}");
+    assert!(first["text"].as_str().unwrap().starts_with("the log reads as if no force limits had acted"), "{first}");
 }

@@ -21,6 +21,11 @@ enum Fault {
     CameraSilent,
     CameraMoved,
     CameraLate,
+    /// Beside those whose delay the book states.
+    TimesInMilliseconds,
+    Zeros,
+    /// The pose that is wanted a second from now, in place of what is read.
+    Targets,
 }
 
 const FAULTS: [Fault; 10] = [
@@ -66,7 +71,8 @@ impl World {
 
     /// What the encoders read now.
     fn read(&self) -> Option<[f64; 3]> {
-        let at = self.begun(Fault::EncodersFrozen).unwrap_or_else(Instant::now);
+        let ahead = self.begun(Fault::Targets).map(|_| Instant::now() + Duration::from_secs(1));
+        let at = self.begun(Fault::EncodersFrozen).or(ahead).unwrap_or_else(Instant::now);
         let q = fixture::encoders(self.frame(at) as f64 / FRAMES as f64);
         let fault = self.since.get().map(|_| self.fault);
         match fault {
@@ -74,6 +80,7 @@ impl World {
             Some(Fault::ColumnNegated) => Some([q[0], -q[1], q[2]]),
             Some(Fault::ColumnsExchanged) => Some([q[0], q[2], q[1]]),
             Some(Fault::InMicrometres) => Some([0, 1, 2].map(|i| 1000.0 * q[i])),
+            Some(Fault::Zeros) => Some([0.0; 3]),
             Some(Fault::OneScale) => Some([1.2 * q[0], q[1], q[2]]),
             _ => Some([q[0], q[1], q[2]]),
         }
@@ -101,7 +108,8 @@ fn servers(world: &Arc<World>) -> (Server, Server) {
     let encoders = Server::start("127.0.0.1:0", move |stream, _| {
         stream.set_nonblocking(false)?;
         if let Some(q) = of_encoders.read() {
-            let time_s = of_encoders.began.elapsed().as_secs_f64();
+            let per_s = if of_encoders.begun(Fault::TimesInMilliseconds).is_some() { 1000.0 } else { 1.0 };
+            let time_s = per_s * of_encoders.began.elapsed().as_secs_f64();
             writeln!(stream, "{time_s:.4},{:.6},{:.6},{:.6}", q[0], q[1], q[2])?;
         }
         std::thread::sleep(Duration::from_millis(10));
@@ -152,6 +160,34 @@ fn a_pushed_camera_makes_the_table_stale_within_seconds() {
     experiment();
     let (delay_s, words) = delay(Fault::CameraMoved);
     assert!(delay_s < 10.0 && words.contains("rig_drift") && words.contains("camera_moved"), "{delay_s:.1} s: {words}");
+}
+
+#[test]
+fn nothing_is_commanded_by_under_faults_from_the_start_and_each_is_named() {
+    experiment();
+    for (fault, named) in [
+        (Fault::TimesInMilliseconds, "runs in milliseconds, expected seconds"),
+        (Fault::Zeros, "the encoders stand still while the snake moves"),
+        // By its size, by what it leaves beyond noise, or by another mistake that looks alike: whichever is told first.
+        (Fault::Targets, "no table is written: the "),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let began = Instant::now();
+        let world = Arc::new(World { began, fault, since: OnceLock::from(began) });
+        let (camera, encoders) = servers(&world);
+        let (stream, lines) = (format!("http://{}/", camera.address), format!("tcp://{}", encoders.address));
+        let live =
+            Live::start(&folder.path().join("out"), &["--source", &stream, "--encoders", &lines, "--save-every", "1"]);
+        let mut is_named = false;
+        while began.elapsed() < Duration::from_secs(if is_named { 15 } else { 60 }) {
+            let (status, answer) = live.ask("GET", "/api/table?theta=60&delta=20", "", "");
+            assert_eq!(status, 409, "{fault:?} after {:.1} s: {answer}", began.elapsed().as_secs_f64());
+            is_named |= live.get("/api/state")["notices"].to_string().contains(named);
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        assert!(is_named, "{fault:?}: {:#}", live.get("/api/state"));
+        assert!(!folder.path().join("out/compensation.csv").exists(), "{fault:?}");
+    }
 }
 
 #[test]

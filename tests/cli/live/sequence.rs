@@ -106,6 +106,17 @@ fn readings_from_a_file_are_matched_by_time_and_the_machine_interface_tells() {
     // As far as `table` goes.
     assert_eq!(live.get("/api/table?theta=120&delta=0")["theta_deg"].as_f64().map(f64::round), Some(120.0));
     assert_eq!(live.ask("GET", "/api/table?theta=120.1&delta=0", "", "").0, 400);
+    // What a client asks for and the program does not know is not passed over.
+    for asked in [
+        "theta=30&delta=0&units=rad",
+        "theta=30,5&delta=0",
+        "theta=30",
+        "theta=30&delta=1e18",
+        "theta_deg=30&delta_deg=0",
+    ] {
+        let (status, body) = live.ask("GET", &format!("/api/table?{asked}"), "", "");
+        assert!(status == 400 && body.contains("expected") && body.contains("degrees"), "{asked}: {status} {body}");
+    }
     assert_a_picture_comes_with_the_head_behind_it(&live);
     let (status, metrics) = live.ask("GET", "/metrics", "", "");
     assert_eq!(status, 200);
