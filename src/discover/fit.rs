@@ -115,7 +115,7 @@ impl Problem<'_> {
     fn fit_weighted(&self, start: &Model, guess: Option<&[Vector2<f64>]>, weights: Option<DVector<f64>>) -> Fit {
         let coordinates = Coordinates::of(start);
         let bound = |of: fn(&(f64, f64)) -> f64| {
-            coordinates.from_values(start.parameter_specs().iter().map(|spec| of(&spec.range)))
+            coordinates.at_values(start.parameter_specs().iter().map(|spec| of(&spec.range)))
         };
         let options = Options {
             loss: LOSS,
@@ -126,7 +126,7 @@ impl Problem<'_> {
             least_decrease: CONVERGED,
             least_relative_decrease: CONVERGED_SHARE,
         };
-        let x = coordinates.from_values(start.parameter_values().into_iter());
+        let x = coordinates.at_values(start.parameter_values().into_iter());
         let has_prior = prior_of_eta(start).is_some();
         let weights = weights.map(|weights| if has_prior { weights.push(1.0) } else { weights });
         let objective = Objective { problem: self, start, guess, coordinates, weights };
@@ -225,7 +225,7 @@ impl Coordinates {
         Self { typical: scales(model), is_logarithm: model.parameter_specs().iter().map(is_positive_shape).collect() }
     }
 
-    fn from_values(&self, values: impl Iterator<Item = f64>) -> DVector<f64> {
+    fn at_values(&self, values: impl Iterator<Item = f64>) -> DVector<f64> {
         let all = values.zip(self.typical.iter()).zip(&self.is_logarithm);
         let all = all.map(|((value, typical), is_logarithm)| match is_logarithm {
             true => (value / typical).ln(),
@@ -337,7 +337,7 @@ mod tests {
         model.effects.push(Effect::parse("creep:share=0.1,time_constant_s=8").unwrap());
         let coordinates = Coordinates::of(&model);
         let values = model.parameter_values();
-        let x = coordinates.from_values(values.iter().copied());
+        let x = coordinates.at_values(values.iter().copied());
         assert!(coordinates.values(&x).iter().zip(&values).all(|(a, b)| (a / b - 1.0).abs() < 1e-12));
         // 0.5 s is the time constant's typical size.
         assert!((x[3] - 16f64.ln()).abs() < 1e-12 && (coordinates.slopes(&x)[3] - 16.0).abs() < 1e-9, "{x}");
