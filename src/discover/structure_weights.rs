@@ -35,7 +35,7 @@ impl Weighed {
     }
 
     /// Whether it has effects of the same names.
-    fn is_same(&self, other: &Self) -> bool {
+    pub fn is_same(&self, other: &Self) -> bool {
         self.effects.len() == other.effects.len() && other.effects.iter().all(|physics| self.has(physics.name))
     }
 
@@ -54,6 +54,16 @@ pub fn weights(all: &[&Weighed]) -> Vec<f64> {
         !all.iter().enumerate().any(better)
     };
     let counted: Vec<usize> = (0..all.len()).filter(|&k| is_best(k)).collect();
+    weights_of(all, &counted)
+}
+
+/// The probability that a structure is better than another, of the two; they may be forms of the same effects.
+pub fn probability_over(one: &Weighed, other: &Weighed) -> f64 {
+    weights_of(&[one, other], &[0, 1])[0]
+}
+
+/// The weight of each structure, of which some alone are counted.
+fn weights_of(all: &[&Weighed], counted: &[usize]) -> Vec<f64> {
     let mut random = StdRng::seed_from_u64(5);
     let mut weights = vec![0.0; all.len()];
     for _ in 0..RESAMPLES {
@@ -75,30 +85,33 @@ mod tests {
     use super::*;
     use crate::robot::effects::physics;
 
-    fn weights_of(all: &[Weighed]) -> Vec<f64> {
+    fn weights_in(all: &[Weighed]) -> Vec<f64> {
         weights(&all.iter().collect::<Vec<_>>())
     }
 
     fn of(effect: usize, stretches: [f64; STRETCHES], log_prior: f64) -> Weighed {
-        let effects = physics(["creep", "bend_offset"][effect]).into_iter().collect();
+        let effects = physics(["creep", "rest_bend"][effect]).into_iter().collect();
         Weighed { effects, stretches, log_prior }
     }
 
     #[test]
     fn differences_that_all_stretches_share_count_as_they_are_and_others_less() {
         // ln 3 in all, evenly: three to one in every resampling.
-        let even = weights_of(&[of(0, [3f64.ln() / 6.0; 6], 0.0), of(1, [0.0; 6], 0.0)]);
+        let even = weights_in(&[of(0, [3f64.ln() / 6.0; 6], 0.0), of(1, [0.0; 6], 0.0)]);
         assert!((even[0] - 0.75).abs() < 1e-12 && (even.iter().sum::<f64>() - 1.0).abs() < 1e-12, "{even:?}");
         // The same prior odds.
-        assert!((weights_of(&[of(0, [0.0; 6], 3f64.ln()), of(1, [0.0; 6], 0.0)])[0] - 0.75).abs() < 1e-12);
+        assert!((weights_in(&[of(0, [0.0; 6], 3f64.ln()), of(1, [0.0; 6], 0.0)])[0] - 0.75).abs() < 1e-12);
         // Ten in one stretch and minus eight in another: e² = 7.4 to one would be 0.88.
-        let uneven = weights_of(&[of(0, [10.0, -8.0, 0.0, 0.0, 0.0, 0.0], 0.0), of(1, [0.0; 6], 0.0)]);
+        let uneven = weights_in(&[of(0, [10.0, -8.0, 0.0, 0.0, 0.0, 0.0], 0.0), of(1, [0.0; 6], 0.0)]);
         assert!((0.45..0.75).contains(&uneven[0]), "{uneven:?}");
     }
 
     #[test]
     fn the_same_effects_fitted_twice_count_once() {
-        let twice = weights_of(&[of(0, [0.0; 6], 0.0), of(0, [-1.0; 6], 0.0), of(1, [0.0; 6], 0.0)]);
+        let twice = weights_in(&[of(0, [0.0; 6], 0.0), of(0, [-1.0; 6], 0.0), of(1, [0.0; 6], 0.0)]);
         assert!((twice[0] - 0.5).abs() < 1e-12 && twice[1] == 0.0, "{twice:?}");
+        // Forms of the same effects are compared with each other all the same.
+        let even = of(0, [0.0; 6], 0.0);
+        assert!((probability_over(&even, &even) - 0.5).abs() < 1e-12);
     }
 }

@@ -50,12 +50,6 @@ const FITTED: usize = 8;
 /// Convention: a bound on computing time.
 const FITTED_PER_FORM: usize = 2;
 
-/// An effect takes the place of another where the score is higher by this. If they are the same, fitted from elsewhere, the fit before has to be
-/// [ruled out](OPEN).
-///
-/// Convention: above what the tolerance of a fit moves it by; odds of 1.1 to 1.
-const LEAST_GAIN: f64 = 0.1;
-
 /// Beside a discrepancy an effect takes at least this share of the gap beyond noise away, on stretches that it was not fitted to.
 ///
 /// Convention: a hundredth of the rms; what takes less is hardly worth a name, and imitates what no effect explains.
@@ -199,8 +193,7 @@ impl<'a> Search<'a> {
             }
             let other = others.iter().filter_map(|without| self.exchanged(&best, without));
             let other = other.max_by(|a, b| a.score().total_cmp(&b.score()));
-            let least = |other: &Structure| if best.has_effects_of(other) { -OPEN.ln() } else { LEAST_GAIN };
-            match other.filter(|other| other.score() > best.score() + least(other)) {
+            match other.filter(|other| other.takes_the_place_of(&best)) {
                 Some(other) => best = self.under_its_own_discrepancy(other),
                 None => match self.with_one_for_two(&best, &others) {
                     Some(other) => best = self.under_its_own_discrepancy(other),
@@ -271,7 +264,7 @@ impl<'a> Search<'a> {
     }
 
     /// The structures with one effect more that is asked for beside `best`, of those that a linear step about a start beside the model of `from` scores highest,
-    /// and does not rule out beside `best`; the best first, one for each name.
+    /// and does not rule out beside `best`; the best first, one for each name: of its forms the best, unless a plainer one is about as good.
     fn with_one_more(&mut self, best: &Structure, from: &Fit, admits: fn(&Physics) -> bool) -> Vec<Structure> {
         let half_mm = self.judged.half_range * self.before.model.robot.backbone_circle_radius_mm;
         let hypotheses = hypotheses(&self.problem, from, (self.beside, half_mm), admits);
@@ -292,14 +285,15 @@ impl<'a> Search<'a> {
         let mut asked = self.structures(starts);
         asked.retain(|more| self.asks_for(more, best));
         asked.sort_by(|a, b| b.score().total_cmp(&a.score()));
-        let mut names: Vec<&str> = Vec::new();
-        asked.retain(|more| {
-            let name = more.weighed.effects.last().map_or("", |physics| physics.name);
-            let is_new = !names.contains(&name);
-            names.push(name);
-            is_new
-        });
-        asked
+        let mut kept: Vec<Structure> = Vec::new();
+        for more in asked {
+            match kept.iter_mut().find(|own| own.last_name() == more.last_name()) {
+                None => kept.push(more),
+                Some(richer) if richer.is_richer_form_of(&more) && richer.excess_over(&more) <= 0.0 => *richer = more,
+                Some(_) => (),
+            }
+        }
+        kept
     }
 
     fn given(&self) -> usize {

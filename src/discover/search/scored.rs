@@ -1,11 +1,11 @@
 //! Structures that are fitted to convergence, with their scores.
 
-use super::{FRAME, Search};
+use super::{FRAME, OPEN, Search};
 use crate::discover::fit::{Fit, normal_equations, prior_precision};
 use crate::discover::hypotheses::Hypothesis;
 use crate::discover::predictive_density::Beside;
 use crate::discover::residuals::Problem;
-use crate::discover::structure_weights::{Weighed, weights};
+use crate::discover::structure_weights::{Weighed, probability_over};
 use crate::robot::Model;
 use crate::robot::effects::{Effect, ParameterSpec, Role};
 use nalgebra::{DMatrix, Vector2};
@@ -36,6 +36,12 @@ const AT_END: f64 = 1e-6;
 /// Convention: an iteration cap.
 const RESTARTS: usize = 2;
 
+/// An effect takes the place of another where the score is higher by this. If they are the same, fitted from elsewhere, the fit before has to be
+/// [ruled out](OPEN).
+///
+/// Convention: above what the tolerance of a fit moves it by; odds of 1.1 to 1.
+const LEAST_GAIN: f64 = 0.1;
+
 /// An effect stands where the structure with it is better than the one without with this probability; one that physics expects stands where
 /// that is likelier than not.
 ///
@@ -61,9 +67,31 @@ impl Structure {
     }
 
     /// Whether both have the same effects, each in the same form.
-    pub(super) fn has_effects_of(&self, other: &Self) -> bool {
+    fn has_effects_of(&self, other: &Self) -> bool {
         let own = &self.weighed.effects;
         own.len() == other.weighed.effects.len() && other.weighed.effects.iter().all(|physics| own.contains(physics))
+    }
+
+    /// The name of the effect that was added last.
+    pub(super) fn last_name(&self) -> &'static str {
+        self.weighed.effects.last().map_or("", |physics| physics.name)
+    }
+
+    /// Whether it has the effects of another, and more parameters: one of them in a richer form.
+    pub(super) fn is_richer_form_of(&self, other: &Self) -> bool {
+        self.weighed.is_same(&other.weighed) && self.fit.parameter_count() > other.fit.parameter_count()
+    }
+
+    /// Whether it is the answer in the place of another: a richer form if it is clearly better than the plainer one.
+    pub(super) fn takes_the_place_of(&self, other: &Self) -> bool {
+        if self.is_richer_form_of(other) {
+            return self.excess_over(other) > 0.0;
+        }
+        if other.is_richer_form_of(self) {
+            return other.excess_over(self) <= 0.0;
+        }
+        let least = if self.has_effects_of(other) { -OPEN.ln() } else { LEAST_GAIN };
+        self.score() > other.score() + least
     }
 
     /// Whether what it has beyond another is what no model of a machine knows exactly.
@@ -75,9 +103,9 @@ impl Structure {
     /// By how much the probability that it is better than another, of the two, exceeds the one that is asked of what it has beyond the other.
     pub(super) fn excess_over(&self, other: &Self) -> f64 {
         let (own, others) = (self.weighed.log_prior, other.weighed.log_prior);
-        let is_expected = own > others || own == others && self.adds_frame_alone(other);
+        let is_expected = own > others || own == others && self.adds_frame_alone(other) && !self.is_richer_form_of(other);
         let asked = if is_expected { 0.5 } else { CLEARLY };
-        weights(&[&self.weighed, &other.weighed])[0] - asked
+        probability_over(&self.weighed, &other.weighed) - asked
     }
 }
 
