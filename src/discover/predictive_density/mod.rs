@@ -23,7 +23,7 @@ use rows::{Learned, Rows};
 use super::fit::{Fit, prior_precision};
 use super::noise::Noise;
 use super::residuals::{Problem, Residual};
-use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
+use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2};
 use std::collections::BTreeMap;
 
 /// Stretches that are left out, one after the other.
@@ -85,9 +85,10 @@ pub struct Judged {
     rows: Vec<Row>,
     /// Half the range of the commands, rad.
     pub half_range: f64,
-    /// Along and across the commands' main direction, from the axes of the bend.
-    turn: Matrix2<f64>,
-    /// The components that are judged: of the bend in that frame, then of what bends nothing.
+    /// Along and across the commands' main direction, from the axes of the bend, if a discrepancy hangs together from row to row; noise alone is largest
+    /// across each sample's own bend.
+    main_direction: Option<Matrix2<f64>>,
+    /// The components that are judged: of the bend in these directions, then of what bends nothing.
     components: Vec<usize>,
     /// The noise's mean variance, of both components of the bend together and of each other: the units of squares.
     units: Vec<f64>,
@@ -134,10 +135,11 @@ impl Judged {
         rows.iter_mut().enumerate().for_each(|(place, row)| row.stretch = place * STRETCHES / count);
         let middle = commands.iter().sum::<Vector2<f64>>() / commands.len() as f64;
         let scatter: Matrix2<f64> = commands.iter().map(|u| (u - middle) * (u - middle).transpose()).sum();
-        let turn = scatter.symmetric_eigen().eigenvectors.transpose();
+        let main_direction =
+            (beside == Beside::Discrepancy).then(|| scatter.symmetric_eigen().eigenvectors.transpose());
         let n = data.backbones();
-        let mut judged =
-            Self { rows, half_range, turn, components: (0..n).collect(), units: Vec::new(), kinds: kinds(beside) };
+        let components = (0..n).collect();
+        let mut judged = Self { rows, half_range, main_direction, components, units: Vec::new(), kinds: kinds(beside) };
         let (mut left, mut noise) = (vec![0.0; n], vec![0.0; n]);
         for row in &judged.rows {
             let own = judged.components_of(problem, row.sample, &fit.residuals[row.sample]);
@@ -153,9 +155,15 @@ impl Judged {
         judged
     }
 
+    /// The directions of the components of a sample's bend, from the axes of the bend.
+    fn directions(&self, problem: &Problem, sample: usize) -> Matrix2<f64> {
+        let own = || Rotation2::new(-problem.data.measured[sample].configuration.delta).into_inner();
+        self.main_direction.unwrap_or_else(own)
+    }
+
     /// The components of a sample's whitened residual, rad and mm.
     fn components_of(&self, problem: &Problem, sample: usize, whitened: &Residual) -> Residual {
-        let bend = self.turn * problem.bend_unit(sample) * Vector2::new(whitened[0], whitened[1]);
+        let bend = self.directions(problem, sample) * problem.bend_unit(sample) * Vector2::new(whitened[0], whitened[1]);
         let internal = problem.internal_unit_mm(sample);
         Residual::from_fn(whitened.len(), |c| if c < 2 { bend[c] } else { whitened[c] * internal })
     }
@@ -163,7 +171,8 @@ impl Judged {
     /// The variances of the noise alone of each component of a sample, rad² and mm².
     fn noise_variances(&self, problem: &Problem, sample: usize) -> Residual {
         let covariance = problem.bend_covariance(sample, &Noise { discrepancy_rad: 0.0, ..problem.noise });
-        let bend = (self.turn * covariance * self.turn.transpose()).diagonal();
+        let directions = self.directions(problem, sample);
+        let bend = (directions * covariance * directions.transpose()).diagonal();
         let internal = problem.noise_internal_mm().powi(2);
         Residual::from_fn(problem.data.backbones(), |c| if c < 2 { bend[c] } else { internal })
     }

@@ -16,7 +16,7 @@ fn judged() -> Judged {
     let row = |k: usize| Row { sample: k, travel: 0.05 + 0.02 * (k % 3) as f64, stretch: k / 5 };
     let (components, units) = (vec![0, 1], vec![1.0; 2]);
     let kinds = kinds(Beside::Discrepancy);
-    Judged { rows: (0..30).map(row).collect(), half_range: 1.0, turn: Matrix2::identity(), components, units, kinds }
+    Judged { rows: (0..30).map(row).collect(), half_range: 1.0, main_direction: None, components, units, kinds }
 }
 
 const KIND: Kind = Kind { length: 0.3, independent: 0.4 };

@@ -54,7 +54,6 @@ impl Search<'_> {
             let own = self.scored.iter().zip(&weights).filter(|(own, _)| holds(&own.weighed));
             own.map(|(_, weight)| weight).sum::<f64>()
         };
-        let own = probability(&|own| own.has(physics.name));
         let mut alike: Vec<&'static str> = Vec::new();
         let mut alternatives: Vec<(&'static str, f64)> = Vec::new();
         let in_its_place = |of: &Weighed, other: &str| of.has(other) && !of.has(physics.name);
@@ -68,7 +67,7 @@ impl Search<'_> {
             let score = others.map(Structure::score).fold(f64::NEG_INFINITY, f64::max);
             alternatives.push((other.name, 2.0 * (best.score() - score)));
             let may_be = self.beside == Beside::Noise || physics.is_hysteresis() && other.is_hysteresis();
-            if may_be && probability(&|own| in_its_place(own, other.name)) > OPEN * own {
+            if may_be && score > best.score() + OPEN.ln() {
                 alike.push(other.name);
             }
         }
