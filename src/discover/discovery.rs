@@ -4,15 +4,13 @@ use super::confounding::confounded;
 use super::data::Data;
 use super::fit::Fit;
 use super::held_out::{Gap, HeldOutResiduals};
-use super::hypotheses::{FirstStep, first_steps};
-use super::noise::{Noise, ln_sd_of_learned};
-use super::null_distribution::largest_gain_of_noise;
+use super::noise::Noise;
 use super::partial::Partial;
-use super::posterior::{Candidate, covariance_between, posterior};
+use super::posterior::{Candidate, covariance_between};
+use super::predictive_density::Beside;
 use super::residuals::Problem;
-use super::search::{Named, explained, is_beside_noise, named, search, with_one_more};
+use super::search::{Found, Named, search};
 use super::structure::Structure;
-use super::tangent_spaces::{TangentSpace, tangent_spaces};
 use super::verdict::Verdict;
 use crate::robot::effects::RIG_ERROR;
 use crate::robot::{Effect, Estimate, Model, PerBackbone, Physics};
@@ -28,11 +26,6 @@ const UNDETERMINED_SIZES: f64 = 10.0;
 /// Convention: a bound on computing time; the usual experiments are searched whole at once.
 const SEARCHED_FIRST: usize = 400;
 
-/// How often the noise is learned and the search done with it.
-///
-/// Convention: an iteration cap; once is nearly always enough.
-const MOST_SEARCHES: usize = 3;
-
 /// What `discover` found.
 #[derive(Debug, Clone)]
 pub struct Discovery {
@@ -40,14 +33,11 @@ pub struct Discovery {
     pub verdict: Verdict,
     /// The effects, where the verdict is named or partly.
     pub named: Vec<Named>,
-    /// The gain in the information criterion that is asked of an effect.
-    pub least_bic_gain: f64,
     /// The noise that was learned, with the discrepancy where more than noise is left.
     pub noise: Noise,
     /// The model: with the effects where they are named, else as given with η and λ at their best.
     pub model: Model,
-    /// The structures that the data leave open, the most probable first; of a verdict `named` or `none`, since a discrepancy makes
-    /// differences of the information criterion larger than they are.
+    /// The structures that the data leave open, the most probable first; of a verdict `named` or `none`.
     pub structures: Vec<Candidate>,
     /// The gap before, on held-out sweeps.
     pub before: Gap,
@@ -91,84 +81,51 @@ pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
     };
     let model = with_estimate(model);
     let few = data.thinned(SEARCHED_FIRST);
-    let (searched, judged) = searched_and_judged(&model, data, &few, tell);
-    let Judged { verdict, structure_before, held_out_before, answer } = judged;
+    let searched = Searched::new(&model, (data, &few), tell);
+    let remarks = about_confounded(&confounded(&searched.problem, &searched.before), data);
+    let Searched { judged, found, .. } = &searched;
+    let Judged { verdict, structure_before, held_out_before, answer } = judged.clone();
     let (verdict, answer, held_out_before, structures) = match verdict {
-        Verdict::Named => {
-            let (named, rivals) = searched.named();
-            let structures = searched.structures(&searched.after, &rivals);
-            let answer = answer.between(&structures, &searched.after, &searched.problem);
-            (verdict, Answer { named, ..answer }, held_out_before, structures)
-        }
-        Verdict::None => {
-            let structures = searched.structures(&searched.before, &[]);
-            (verdict, answer.between(&structures, &searched.before, &searched.problem), held_out_before, structures)
+        Verdict::Named | Verdict::None => {
+            let named = if verdict == Verdict::Named { found.named.clone() } else { Vec::new() };
+            let between = covariance_between(&found.structures, &answer.model, searched.problem.data);
+            let mut model = answer.model.clone();
+            model.set_covariance(&(model.covariance() + between));
+            (verdict, Answer { model, named, ..answer }, held_out_before, found.structures.clone())
         }
         _ => {
             let (verdict, answer, held_out_before) = partly_answered(&searched, (&model, data), tell);
             (verdict, answer, held_out_before, Vec::new())
         }
     };
-    let Searched { problem, least_bic_gain, .. } = &searched;
     info!(verdict = verdict.word(), effects = ?answer.named.iter().map(|named| named.physics.name).collect::<Vec<_>>(), "answered");
-
     let fitted = with_origin(answer.model, data);
-    let mut remarks = data.remarks.clone();
-    remarks.extend(about_start(&answer.noise, data));
-    remarks.extend(undetermined(&fitted));
-    let confounded = confounded(&searched.spaces, *least_bic_gain);
-    remarks.extend(about_confounded(&confounded, data));
+    let remarks = data
+        .remarks
+        .iter()
+        .cloned()
+        .chain(about_start(&answer.noise, data))
+        .chain(undetermined(&fitted))
+        .chain(remarks);
     Discovery {
         verdict,
         named: answer.named,
-        least_bic_gain: *least_bic_gain,
         noise: answer.noise,
-        model: fitted,
         structures,
         before: held_out_before.gap,
         after: answer.held_out.gap,
-        noise_floor_mm: problem.noise_floor_mm(),
+        noise_floor_mm: searched.problem.noise_floor_mm(),
         structure_after: answer.structure,
         structure_before,
         residuals_mm: held_out_before.eps_mm.into_iter().zip(answer.held_out.eps_mm).map(|(a, b)| [a, b]).collect(),
         samples: data.len(),
-        remarks,
+        remarks: remarks.collect(),
+        model: fitted,
     }
 }
 
-/// The search for effects, and what it says before a partial answer is thought of.
-///
-/// Of many samples a part, `few`, is searched, and what was found is fitted to all. All are searched where they show more than that accounts
-/// for, unless the part does so as well.
-fn searched_and_judged<'a>(model: &Model, data: &'a Data, few: &'a Data, tell: Tell) -> (Searched<'a>, Judged) {
-    tell("learning the noise");
-    let stated = Problem::new(data, &Noise::stated(data), model);
-    let rough = stated.fit(model, None, None);
-    // From all samples: between thinned ones effects change as quickly as noise.
-    let learned = Noise::learned(&stated, &rough);
-    let until_learned = || Searched::until_the_noise_is_learned(data, learned, &rough, tell);
-    let is_part = few.len() < data.len();
-    let mut searched = if is_part {
-        tell("comparing effects on a part of the samples");
-        let rough = Problem::new(few, &learned, &rough.model).fit(&rough.model, None, None);
-        Searched::new(few, &learned, &rough)
-    } else {
-        until_learned()
-    };
-    let mut judged = Judged::new(&searched.problem, &searched.before, &searched.after);
-    if is_part && judged.verdict != Verdict::Unexplained {
-        tell("fitting what was found to all samples");
-        judged = searched.judged_on(data);
-        if judged.verdict == Verdict::Unexplained {
-            tell("comparing effects on all samples");
-            searched = until_learned();
-            judged = Judged::new(&searched.problem, &searched.before, &searched.after);
-        }
-    }
-    (searched, judged)
-}
-
-/// What a search says before a partial answer is thought of.
+/// What the search beside noise says, before a partial answer is thought of.
+#[derive(Clone)]
 struct Judged {
     verdict: Verdict,
     structure_before: Structure,
@@ -193,87 +150,78 @@ impl Judged {
     }
 }
 
-/// A search with all that it was made from.
+/// A search beside noise with all that it was made from.
 struct Searched<'a> {
+    /// The samples that were searched, under the noise that the answer leaves.
     problem: Problem<'a>,
-    /// The first steps of all hypotheses about the model before.
-    first: Vec<FirstStep>,
-    spaces: Vec<TangentSpace>,
-    least_bic_gain: f64,
     /// The model as given, with η and λ at their best.
     before: Fit,
-    /// The model with the effects found.
-    after: Fit,
+    found: Found<'a>,
+    judged: Judged,
 }
 
 impl<'a> Searched<'a> {
-    /// With the noise that a fit leaves, at the bends that it implies.
-    fn new(data: &'a Data, noise: &Noise, rough: &Fit) -> Self {
-        let problem = Problem::new(data, noise, &rough.model);
-        let before = problem.fit(&rough.model, Some(&rough.path), None);
-        let first = first_steps(&problem, &before, is_beside_noise);
-        let spaces = tangent_spaces(&problem, &before, &first);
-        let least_bic_gain = largest_gain_of_noise(&spaces, ln_sd_of_learned(2 * data.len()));
-        let after = search(&problem, &before, &first, least_bic_gain);
-        Self { problem, first, spaces, least_bic_gain, before, after }
-    }
-
-    fn has_found(&self) -> bool {
-        self.after.model.effects.len() > self.before.model.effects.len()
-    }
-
-    /// The effects found, with the evidence for each, and the fits that they were compared with.
-    fn named(&self) -> (Vec<Named>, Vec<Fit>) {
-        named(&self.problem, &self.before, &self.first, &self.after)
-    }
-
-    /// What the data leave open of a chosen fit, its rivals and what has one effect more.
-    fn structures(&self, chosen: &Fit, rivals: &[Fit]) -> Vec<Candidate> {
-        let more = with_one_more(&self.problem, chosen, &self.first, self.least_bic_gain);
-        let fits: Vec<&Fit> = [chosen].into_iter().chain(rivals).chain(&more).collect();
-        posterior(&fits, self.before.model.effects.len(), self.least_bic_gain)
-    }
-
-    /// What is stated, where it is clearly finer than the noise that was learned and effects account for the difference: jumps at
-    /// reversals are as quick as noise, and noise as large as they are would hide the reversals themselves.
-    fn stated_noise(data: &'a Data, learned: &Noise, rough: &Fit) -> Option<Noise> {
-        let stated = Noise::stated(data);
-        if !stated.is_finer_than(learned) {
-            return None;
-        }
-        let problem = Problem::new(data, &stated, &rough.model);
-        let before = problem.fit(&rough.model, Some(&rough.path), None);
-        let beneath = Noise::learned(&problem, &explained(&problem, &before));
-        (!stated.is_finer_than(&beneath)).then_some(beneath)
-    }
-
-    /// What effects do from one sample to the next looks like noise until they are found: then the noise is learned anew, and the
-    /// search repeated with it.
-    fn until_the_noise_is_learned(data: &'a Data, learned: Noise, rough: &Fit, tell: Tell) -> Self {
-        let mut noise = Self::stated_noise(data, &learned, rough).unwrap_or(learned);
+    /// Of many samples a part, `few`, is searched, and what was found is fitted to all. All are searched where they show more than that accounts
+    /// for, unless the part does so as well.
+    fn new(model: &Model, (data, few): (&'a Data, &'a Data), tell: Tell) -> Self {
+        tell("learning the noise");
+        let stated = Problem::new(data, &Noise::stated(data), model);
+        let rough = stated.fit(model, None, None);
+        // From all samples: between thinned ones effects change as quickly as noise.
+        let learned = Noise::learned(&stated, &rough);
         tell("comparing effects");
-        let mut searched = Self::new(data, &noise, rough);
-        for _ in 1..MOST_SEARCHES {
-            let finer = Noise::learned(&searched.problem, &searched.after);
-            if !searched.has_found() || !finer.is_finer_than(&noise) {
-                break;
-            }
-            noise = finer;
-            tell("comparing effects again, with less noise");
-            searched = Self::new(data, &noise, rough);
+        let searched = Self::of(few, &learned, &rough.model);
+        if few.len() == data.len() || searched.judged.verdict == Verdict::Unexplained {
+            return searched;
+        }
+        tell("fitting what was found to all samples");
+        let judged = searched.judged_on(data);
+        if judged.verdict == Verdict::Unexplained {
+            tell("comparing effects on all samples");
+            return Self::of(data, &learned, &rough.model);
+        }
+        Self { judged, ..searched }
+    }
+
+    /// The search takes the finer of what was stated and learned: what effects do from one sample to the next looks like noise until they are found. If
+    /// what it finds leaves as much noise as was learned before, it is made again under that noise: the direction of a motion that is smaller than the noise
+    /// of its readings follows that noise.
+    fn of(data: &'a Data, learned: &Noise, model: &Model) -> Self {
+        let problem = Problem::new(data, learned, model);
+        let rough = problem.fit(model, None, None);
+        let fine = learned.finer_of(&Noise::stated(data));
+        let (searched, noise) = Self::under(&fine, learned, &problem, &rough);
+        let is_as_large = noise == *learned && fine.is_finer_than(learned);
+        if searched.judged.verdict == Verdict::Named && is_as_large {
+            return Self::under(learned, learned, &problem, &rough).0;
         }
         searched
     }
 
+    /// Under one noise; what was learned before counts unless effects account for a part of it. Also the noise that counts.
+    fn under(noise: &Noise, learned: &Noise, problem: &Problem<'a>, rough: &Fit) -> (Self, Noise) {
+        let data = problem.data;
+        let under = Problem::new(data, &noise.with_discrepancy(problem, rough), &rough.model);
+        let found = search(&under, &under.fit(&rough.model, Some(&rough.path), None), Beside::Noise);
+        let finer = Noise::learned(&found.problem, &found.fit);
+        let noise = if finer.is_finer_than(learned) { finer } else { *learned };
+        let problem = Problem::new(data, &noise, &found.fit.model);
+        let before = problem.fit(&rough.model, Some(&rough.path), None);
+        let after = problem.fit(&found.fit.model, Some(&found.fit.path), None);
+        let judged = Judged::new(&problem, &before, &after);
+        (Self { problem, before, found, judged }, noise)
+    }
+
     /// What was found, fitted to all samples, of which those that were searched are a part.
     fn judged_on(&self, data: &Data) -> Judged {
-        let problem = Problem::new(data, &self.problem.noise, &self.after.model);
-        let [before, after] = [&self.before, &self.after].map(|fit| problem.fit(&fit.model, None, None));
+        let problem = Problem::new(data, &self.problem.noise, &self.found.fit.model);
+        let [before, after] = [&self.before, &self.found.fit].map(|fit| problem.fit(&fit.model, None, None));
         Judged::new(&problem, &before, &after)
     }
 }
 
 /// A fitted model, and what is to be said of it.
+#[derive(Clone)]
 struct Answer {
     model: Model,
     named: Vec<Named>,
@@ -292,13 +240,6 @@ impl Answer {
             held_out: HeldOutResiduals::new(problem, fit),
             structure: Structure::new(problem.data, fit),
         }
-    }
-
-    /// Its parameters as uncertain as the choice of a fit among structures makes them besides.
-    fn between(mut self, structures: &[Candidate], chosen: &Fit, problem: &Problem) -> Self {
-        let between = covariance_between(structures, &chosen.model, problem.data);
-        self.model.set_covariance(&(self.model.covariance() + between));
-        self
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::residuals::{Prediction, Problem, Residual, stacked};
 use crate::robot::Model;
-use crate::robot::effects::COMMAND_GAIN;
+use crate::robot::effects::{COMMAND_GAIN, ParameterSpec, Role};
 use crate::robot::model::ETA;
 use crate::statistics::cluster::clustered_covariance;
 use crate::statistics::least_squares::{self, Options};
@@ -30,6 +30,11 @@ const CONVERGED: f64 = 0.02;
 ///
 /// Convention: a convergence tolerance.
 const CONVERGED_SHARE: f64 = 1e-4;
+
+/// One step changes a shape by this factor at most.
+///
+/// Convention: half of what lies between two starts of a time constant.
+const MOST_FACTOR: f64 = 2.0;
 
 /// What is added to the information, so that a parameter that the data do not determine has a standard deviation of a hundred
 /// typical sizes and not of infinity.
@@ -108,31 +113,33 @@ impl Problem<'_> {
     }
 
     fn fit_weighted(&self, start: &Model, guess: Option<&[Vector2<f64>]>, weights: Option<DVector<f64>>) -> Fit {
-        let specs = start.parameter_specs();
-        let typical = scales(start);
+        let coordinates = Coordinates::of(start);
         let bound = |of: fn(&(f64, f64)) -> f64| {
-            DVector::from_iterator(specs.len(), specs.iter().map(|spec| of(&spec.range) / spec.typical))
+            coordinates.at_values(start.parameter_specs().iter().map(|spec| of(&spec.range)))
         };
         let options = Options {
             loss: LOSS,
             bounds: Some((bound(|range| range.0), bound(|range| range.1))),
+            most_step: Some(coordinates.most_step()),
             most_iterations: MOST_STEPS.0,
             most_dampings: MOST_STEPS.1,
             least_decrease: CONVERGED,
             least_relative_decrease: CONVERGED_SHARE,
         };
-        let x = DVector::from_vec(start.parameter_values()).component_div(&typical);
+        let x = coordinates.at_values(start.parameter_values().into_iter());
         let has_prior = prior_of_eta(start).is_some();
         let weights = weights.map(|weights| if has_prior { weights.push(1.0) } else { weights });
-        let objective = Objective { problem: self, start, guess, typical, weights };
+        let objective = Objective { problem: self, start, guess, coordinates, weights };
         match least_squares::solve(&objective, x, &options) {
             Ok(solution) => {
                 let model = objective.model(&solution.parameters);
-                let least_squares::Solution { evaluation, cost, jacobian, .. } = solution;
+                let least_squares::Solution { parameters, evaluation, cost, jacobian, .. } = solution;
                 let evaluation = evaluation.0;
                 let path = evaluation.path();
                 let cost = cost - prior_of_eta(&model).map_or(0.0, |(residual, _)| LOSS.rho(residual));
-                let jacobian = jacobian.rows(0, self.data.residual_count()).into_owned();
+                let mut jacobian = jacobian.rows(0, self.data.residual_count()).into_owned();
+                let slopes = objective.coordinates.slopes(&parameters);
+                jacobian.column_iter_mut().zip(slopes.iter()).for_each(|(mut column, slope)| column /= *slope);
                 Fit { model, residuals: evaluation.residuals, path, cost, jacobian }
             }
             // More parameters than residuals, or no finite numbers: the start is as good as anything.
@@ -205,18 +212,58 @@ fn inverse_information(fit: &Fit) -> Option<DMatrix<f64>> {
     (information + DMatrix::from_diagonal(&prior_precision(&fit.model))).cholesky().map(|factor| factor.inverse())
 }
 
-/// The least-squares problem of one fit, in parameters that are divided by their scales.
+/// The coordinates in which a fit moves: parameters over their scales; of a shape that is positive, the logarithm of that. A time constant or a
+/// pitch is known to within a factor: a linear step would carry it from a hundred seconds beyond its least.
+struct Coordinates {
+    typical: DVector<f64>,
+    is_logarithm: Vec<bool>,
+}
+
+impl Coordinates {
+    fn of(model: &Model) -> Self {
+        let is_positive_shape = |spec: &ParameterSpec| matches!(spec.role, Role::Shape { .. }) && spec.range.0 > 0.0;
+        Self { typical: scales(model), is_logarithm: model.parameter_specs().iter().map(is_positive_shape).collect() }
+    }
+
+    fn at_values(&self, values: impl Iterator<Item = f64>) -> DVector<f64> {
+        let all = values.zip(self.typical.iter()).zip(&self.is_logarithm);
+        let all = all.map(|((value, typical), is_logarithm)| match is_logarithm {
+            true => (value / typical).ln(),
+            false => value / typical,
+        });
+        DVector::from_iterator(self.typical.len(), all)
+    }
+
+    fn values(&self, x: &DVector<f64>) -> Vec<f64> {
+        let all = x.iter().zip(self.typical.iter()).zip(&self.is_logarithm);
+        all.map(|((x, typical), is_logarithm)| typical * if *is_logarithm { x.exp() } else { *x }).collect()
+    }
+
+    fn most_step(&self) -> DVector<f64> {
+        let all =
+            self.is_logarithm.iter().map(|is_logarithm| if *is_logarithm { MOST_FACTOR.ln() } else { f64::INFINITY });
+        DVector::from_iterator(self.is_logarithm.len(), all)
+    }
+
+    /// The derivatives of the parameters over their scales by the coordinates.
+    fn slopes(&self, x: &DVector<f64>) -> DVector<f64> {
+        let all = x.iter().zip(&self.is_logarithm).map(|(x, is_logarithm)| if *is_logarithm { x.exp() } else { 1.0 });
+        DVector::from_iterator(x.len(), all)
+    }
+}
+
+/// The least-squares problem of one fit.
 struct Objective<'a> {
     problem: &'a Problem<'a>,
     start: &'a Model,
     guess: Option<&'a [Vector2<f64>]>,
-    typical: DVector<f64>,
+    coordinates: Coordinates,
     weights: Option<DVector<f64>>,
 }
 
 impl Objective<'_> {
     fn model(&self, x: &DVector<f64>) -> Model {
-        self.start.with_parameter_values(x.component_mul(&self.typical).as_slice())
+        self.start.with_parameter_values(&self.coordinates.values(x))
     }
 }
 
@@ -240,7 +287,9 @@ impl least_squares::Problem for Objective<'_> {
 
     fn jacobian(&self, x: &DVector<f64>, (prediction, _): &Self::Evaluation) -> DMatrix<f64> {
         let model = self.model(x);
-        let own = self.problem.jacobian(&model, prediction, 0..x.len());
+        let mut own = self.problem.jacobian(&model, prediction, 0..x.len());
+        let slopes = self.coordinates.slopes(x);
+        own.column_iter_mut().zip(slopes.iter()).for_each(|(mut column, slope)| column *= *slope);
         let Some((_, slope)) = prior_of_eta(&model) else { return own };
         let rows = own.nrows();
         let mut all = own.insert_row(rows, 0.0);
@@ -265,6 +314,7 @@ mod tests {
     use crate::discover::fixture::{experiment, truth};
     use crate::discover::noise::Noise;
     use crate::discover::sweeps::FOLDS;
+    use crate::robot::Effect;
 
     #[test]
     fn eta_and_lambda_scatter_as_their_covariance_says() {
@@ -279,6 +329,32 @@ mod tests {
         }
         // χ² of 80 degrees of freedom lies between 53.5 and 112.3 in 98 of 100 (any table).
         assert!((53.5..112.3).contains(&squares), "{squares}");
+    }
+
+    #[test]
+    fn a_positive_shape_is_fitted_by_its_logarithm() {
+        let mut model = truth();
+        model.effects.push(Effect::parse("creep:share=0.1,time_constant_s=8").unwrap());
+        let coordinates = Coordinates::of(&model);
+        let values = model.parameter_values();
+        let x = coordinates.at_values(values.iter().copied());
+        assert!(coordinates.values(&x).iter().zip(&values).all(|(a, b)| (a / b - 1.0).abs() < 1e-12));
+        // 0.5 s is the time constant's typical size.
+        assert!((x[3] - 16f64.ln()).abs() < 1e-12 && (coordinates.slopes(&x)[3] - 16.0).abs() < 1e-9, "{x}");
+        assert_eq!(coordinates.slopes(&x).iter().take(3).copied().collect::<Vec<_>>(), [1.0; 3]);
+    }
+
+    #[test]
+    fn an_effect_that_is_not_there_does_not_make_a_fit_worse_and_stays_in_its_range() {
+        let data = experiment(2);
+        let problem = Problem::new(&data, &Noise::stated(&data), &truth());
+        let mut start = truth();
+        start.effects.push(Effect::parse("creep:share=0.02,time_constant_s=0.5").unwrap());
+        let fit = problem.fit(&start, None, None);
+        // Nothing creeps: whatever the shape is, no step makes the fit worse than without.
+        assert!(fit.cost <= problem.fit(&truth(), None, None).cost + 0.1, "{}", fit.cost);
+        let bounds = fit.model.parameter_specs()[3].range;
+        assert!((bounds.0..=bounds.1).contains(&fit.model.parameter_values()[3]));
     }
 
     #[test]

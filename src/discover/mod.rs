@@ -7,15 +7,15 @@
 //!    noise is, learned from the residuals.
 //! 3. `fit`: robust least squares over η, λ and the parameters of the model's effects.
 //! 4. `periodogram`, `hypotheses`: every effect of the library that the model lacks, at the values where its fit begins.
-//! 5. `tangent_spaces`: what each hypothesis can do to the residuals beyond what η and λ can, to first order.
-//! 6. `null_distribution`: what the best hypothesis gains on noise alone. `confounding`: which effects η and λ could imitate.
-//! 7. `sweep_equations`, `comparison`: the evidence for an effect (information criterion, share of the gap, held-out sweeps,
-//!    bootstrap of the sweeps), and the criteria that it must fulfil.
-//! 8. `search`: stepwise selection over a beam of models, with exchange and backward elimination. [`posterior`](Candidate): how probable
-//!    what was found and each of its rivals is, and what the choice between them adds to the covariance.
-//! 9. `held_out`, `structure`, [`verdict`](Verdict): the gap on sweeps that the fit did not see, what the residuals still follow,
-//!    and the answer. `partial`: where more than noise is left, the effects that help all the same, compared by their
-//!    `predictive_density`, with `structure_weights` for how probable each is; `start`: whether the log begins in a state that nobody knows. `discovery` runs the stages so far; `discrepancy` writes the answer down.
+//!    `confounding`: which effects η and λ could imitate.
+//! 5. `predictive_density`: how probable a structure (set of effects) makes stretches of the log that it was not fitted to.
+//!    `structure_weights`: how probable structures are that were compared by it.
+//! 6. [`search`](Named): the structure of the highest density, beside noise alone; [`posterior`](Candidate): what the choice between
+//!    structures adds to the covariance.
+//! 7. `held_out`, `structure`, [`verdict`](Verdict): the gap on sweeps that the fit did not see, what the residuals still follow,
+//!    and the answer.
+//! 8. `partial`: where more than noise is left, the same search beside a discrepancy; `start`: whether the log begins in a state that nobody knows.
+//! 9. `discovery` runs the stages so far; `discrepancy` writes the answer down.
 //! 10. [`localisation`](Localisation): in which backbone, at which bends and when the gap is. [`effect_trace`](EffectTrace): what each
 //!     effect found does over the motion.
 //! 11. [`law`](propose_law): a formula proposed in place of an explanation.
@@ -25,7 +25,6 @@
 mod bank;
 mod candidate_trajectories;
 mod clock;
-mod comparison;
 mod confounding;
 mod data;
 mod discovery;
@@ -40,7 +39,6 @@ mod law;
 mod localisation;
 mod next_experiment;
 mod noise;
-mod null_distribution;
 mod partial;
 mod periodogram;
 mod posterior;
@@ -50,13 +48,10 @@ mod search;
 mod start;
 mod structure;
 mod structure_weights;
-mod sweep_equations;
 mod sweeps;
-mod tangent_spaces;
 mod verdict;
 
 pub use bank::{Bank, Followed, Moved, Number};
-pub use comparison::Evidence;
 pub use data::{Data, LEAST_SAMPLES, Log};
 pub use discovery::{Discovery, Tell, discover, discover_in_frames, discover_telling};
 pub use discrepancy::nothing_named;
@@ -67,6 +62,6 @@ pub use localisation::{Localisation, Part};
 pub use next_experiment::{NextExperiment, next_experiment};
 pub use noise::Noise;
 pub use posterior::Candidate;
-pub use search::Named;
+pub use search::{Evidence, Named};
 pub use structure::{NoiseQuantiles, Structure};
 pub use verdict::Verdict;

@@ -11,7 +11,7 @@ use super::discovery::Discovery;
 use super::hypotheses::{Hypothesis, best_with};
 use super::noise::Noise;
 use super::residuals::Problem;
-use super::search::{NOT_RULED_OUT, Named};
+use super::search::Named;
 use super::verdict::Verdict;
 use crate::observation::{EncoderReading, Measured, Measurement, Status, Waypoint};
 use crate::robot::effects::{Confounded, Poses, physics};
@@ -20,6 +20,11 @@ use crate::statistics::order::median;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::f64::consts::PI;
+
+/// An alternative whose criterion is higher by less than this is not ruled out.
+///
+/// Source: Kass and Raftery 1995, Bayes Factors, J. Am. Stat. Assoc. 90:773: 2 ln B above 6 is strong evidence.
+const NOT_RULED_OUT: f64 = 6.0;
 
 /// The noncentrality that decides.
 ///

@@ -95,6 +95,15 @@ impl Noise {
         self.sd_encoder_mm < FINER * other.sd_encoder_mm || self.eye_factor < FINER * other.eye_factor
     }
 
+    /// The less of both, of encoders and eye each.
+    pub fn finer_of(&self, other: &Self) -> Self {
+        Self {
+            sd_encoder_mm: self.sd_encoder_mm.min(other.sd_encoder_mm),
+            eye_factor: self.eye_factor.min(other.eye_factor),
+            ..*self
+        }
+    }
+
     /// The same noise, and as discrepancy what a fit leaves beyond it.
     ///
     /// Of ε, what bends nothing misses at least as much as what bends: where actuators are driven to positions, their redundancy takes up
@@ -125,11 +134,6 @@ fn noise_variance(values: &[f64]) -> f64 {
         return mad_scale(values.iter().copied()).powi(2);
     }
     mad_scale(values.windows(3).map(|v| (v[0] - 2.0 * v[1] + v[2]) / 6f64.sqrt())).powi(2)
-}
-
-/// The standard deviation of the logarithm of a standard deviation that was learned from so many values.
-pub fn ln_sd_of_learned(count: usize) -> f64 {
-    (count as f64 / LN_VARIANCE_TIMES_COUNT + LN_SD_OF_STATED.powi(-2)).sqrt().recip()
 }
 
 /// The mean of two logarithms of a standard deviation, measured and stated, weighted by what each is known to.

@@ -1,17 +1,7 @@
 //! The posterior over structures: which sets of effects the data leave open, how probable each is, and what the choice between them adds
 //! to the covariance of the model that is chosen.
-//!
-//! −2 ln of a structure's evidence is its Bayesian information criterion (Schwarz 1978). Many structures are tried, so each effect pays
-//! once more what the best of all hypotheses gains on noise alone, as its prior odds. What is then less than a twentieth as probable as
-//! the best is left out (Occam's window: Madigan and Raftery 1994, Model selection and accounting for model uncertainty in graphical
-//! models using Occam's window, J. Am. Stat. Assoc. 89:1535).
-//!
-//! An answer asks for more than probability: its effects are stable under resampling and better on held-out sweeps. So it may have fewer
-//! effects than the most probable structure.
 
 use super::data::Data;
-use super::fit::Fit;
-use super::search::NOT_RULED_OUT;
 use crate::geometry::Configuration;
 use crate::robot::{Model, PerBackbone};
 use nalgebra::{DMatrix, DVector};
@@ -35,29 +25,6 @@ pub struct Candidate {
     pub probability: f64,
     /// The model with them, fitted.
     pub(super) model: Model,
-}
-
-/// The structures of these fits that the data leave open, the most probable first; each is judged by its best fit. `given` is the number
-/// of the given model's effects, and `least_bic_gain` what the best of all hypotheses gains on noise alone.
-pub fn posterior(fits: &[&Fit], given: usize, least_bic_gain: f64) -> Vec<Candidate> {
-    let criterion = |fit: &Fit| fit.bic() + (fit.model.effects.len() - given) as f64 * least_bic_gain;
-    let mut ranked: Vec<(&Fit, f64)> = fits.iter().map(|fit| (*fit, criterion(fit))).collect();
-    ranked.sort_by(|a, b| a.1.total_cmp(&b.1));
-    let Some(best) = ranked.first().map(|(_, criterion)| *criterion) else { return Vec::new() };
-    let mut open: Vec<Candidate> = Vec::new();
-    for (fit, criterion) in ranked.into_iter().take_while(|(_, criterion)| criterion - best < NOT_RULED_OUT) {
-        let effects: Vec<&'static str> = fit.model.effects[given..].iter().map(|effect| effect.physics.name).collect();
-        let is_same = |other: &Candidate| {
-            other.effects.len() == effects.len() && effects.iter().all(|name| other.effects.contains(name))
-        };
-        if !open.iter().any(is_same) {
-            let probability = (-0.5 * (criterion - best)).exp();
-            open.push(Candidate { effects, probability, model: fit.model.clone() });
-        }
-    }
-    let sum: f64 = open.iter().map(|candidate| candidate.probability).sum();
-    open.iter_mut().for_each(|candidate| candidate.probability /= sum);
-    open
 }
 
 /// What the choice of a structure adds to the covariance of the chosen model's parameters: Σ p δ δᵗ over the structures that are left
@@ -102,34 +69,6 @@ mod tests {
     use super::*;
     use crate::discover::fixture::{experiment, truth};
     use crate::robot::Effect;
-
-    /// A fit with these effects, so many parameters and this cost.
-    fn fit(effects: &[&str], parameters: usize, cost: f64) -> Fit {
-        let effects = effects.iter().map(|text| Effect::parse(text).unwrap()).collect();
-        let model = Model { effects, ..truth() };
-        Fit { model, residuals: Vec::new(), path: Vec::new(), cost, jacobian: DMatrix::zeros(300, parameters) }
-    }
-
-    const WEIGHT: &str = "dead_weight:wx_n=0.1,wy_n=0,wz_n=0";
-    const REST: &str = "rest_bend:x_deg=1,y_deg=0";
-
-    #[test]
-    fn odds_are_those_of_the_criterion_and_each_structure_counts_once() {
-        let fits = [fit(&[], 2, 113.0), fit(&[WEIGHT], 3, 100.0), fit(&[WEIGHT], 3, 101.0), fit(&[REST], 4, 96.0)];
-        let fits: Vec<&Fit> = fits.iter().collect();
-        // One parameter costs ln 300 = 5.70, one effect 4 besides; the weight's criterion is the least.
-        let per_parameter = 300f64.ln();
-        let worse = [113.0 - 100.0 - per_parameter - 4.0, per_parameter - 4.0].map(|worse| (-0.5 * worse).exp());
-        let open = posterior(&fits, 0, 4.0);
-        let names: Vec<&[&str]> = open.iter().map(|candidate| &candidate.effects[..]).collect();
-        assert_eq!(names, [&["dead_weight"][..], &["rest_bend"], &[]]);
-        let sum = 1.0 + worse[0] + worse[1];
-        for (candidate, expected) in open.iter().zip([1.0 / sum, worse[1] / sum, worse[0] / sum]) {
-            assert!((candidate.probability - expected).abs() < 1e-9, "{open:?}");
-        }
-        // At no charge for an effect, the model without one is 7.3 worse, and ruled out.
-        assert_eq!(posterior(&fits, 0, 0.0).len(), 2);
-    }
 
     #[test]
     fn the_choice_between_two_etas_adds_the_variance_of_that_choice() {

@@ -227,6 +227,16 @@ impl<'a> Problem<'a> {
         whitening.try_inverse().unwrap_or_else(Matrix2::zeros) / *weight
     }
 
+    /// What turns whitened residuals of the parts that bend nothing at sample k into mm.
+    pub fn internal_unit_mm(&self, k: usize) -> f64 {
+        self.sd_internal_mm / self.samples[k].weight
+    }
+
+    /// The standard deviation of each part that bends nothing, without a discrepancy, mm.
+    pub fn noise_internal_mm(&self) -> f64 {
+        self.noise.sd_encoder_mm.max(LEAST_SD_INTERNAL_MM)
+    }
+
     /// The covariance of the bend at sample k under a noise, rad².
     pub fn bend_covariance(&self, k: usize, noise: &Noise) -> Matrix2<f64> {
         covariance(&self.samples[k].eye, &self.samples[k].line, noise)

@@ -7,7 +7,6 @@
 
 use super::data::Data;
 use super::fit::Fit;
-use super::null_distribution::LEVEL;
 use super::residuals::{Residual, stacked};
 use crate::robot::{Mechanics, PerBackbone};
 use crate::statistics::null_distribution::NullDistribution;
@@ -20,6 +19,11 @@ use rand_distr::StandardNormal;
 ///
 /// Convention: twice the limit of the fit's loss.
 const MOST_SIGMAS: f64 = 6.0;
+
+/// The share of experiments without any missing effect in which something may be said to be missing.
+///
+/// Convention: the level of the test.
+const LEVEL: f64 = 0.01;
 
 /// Draws of noise.
 ///

@@ -379,8 +379,9 @@ fn structures(found: &Discovery) -> Markup {
         @if rows.len() > 1 {
             (table("Combinations that the data leave open", ["effects", "probability"], &rows))
             p {
-                "Probabilities by the information criterion, among these alone. An answer asks for more, so that it may have fewer effects \
-                 than the most probable combination; the standard deviations hold what the choice between them does."
+                "Probabilities by how well each foretells stretches of the log that it was not fitted to, among these alone. An answer asks \
+                 for more, so that it may have fewer effects than the most probable combination; the standard deviations hold what the \
+                 choice between them does."
             }
         }
     }
@@ -393,10 +394,7 @@ fn effect(found: &Discovery, named: &Named) -> Markup {
     let evidence = &named.evidence;
     let mut facts = parameters(found, named.physics.name);
     facts.extend([
-        (
-            format!("Gain in the information criterion ({:.1} is asked)", found.least_bic_gain),
-            format!("{:.1}", evidence.bic_gain),
-        ),
+        ("Gain in the criterion".to_owned(), format!("{:.1}", evidence.bic_gain)),
         (
             "Share of the held-out gap beyond noise that it removes".to_owned(),
             format!("{:.1} %", 100.0 * named.removes),
@@ -414,10 +412,10 @@ fn effect(found: &Discovery, named: &Named) -> Markup {
         @if !named.physics.form.is_empty() { p { "In the form: " (named.physics.form) "." } }
         (definitions("summary", &facts))
         @if !alternatives.is_empty() {
-            (table(&title, ["effect", "worse by (information criterion)"], &alternatives))
+            (table(&title, ["effect", "worse by (criterion)"], &alternatives))
             p {
-                "The Bayesian information criterion is the sum of the squared residuals in units of the noise, and a charge for \
-                 each parameter. Less is better; effects that are worse by more than 6 are ruled out."
+                "The criterion is −2 ln of the density that stretches of the log have which were not fitted, and of what is expected \
+                 beforehand. Less is better; effects that are worse by more than 6 are ruled out."
             }
         }
     }

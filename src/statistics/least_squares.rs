@@ -9,8 +9,8 @@
 //!
 //! with the loss's weights w of reweighted least squares. The damping μ falls tenfold after each step that lowers the cost and rises
 //! tenfold, with the step tried again, after one that does not. Marquardt's scaling by the diagonal makes the steps independent of
-//! the parameters' units. A parameter that lies on a bound and would leave the box is held there for the step; a step that leaves
-//! the box is projected onto it.
+//! the parameters' units. A parameter that lies on a bound and would leave the box is held there for the step; a parameter
+//! that a step would carry out of the box is carried to its edge, and the step solved again for the others.
 //!
 //! Source: D. W. Marquardt, "An Algorithm for Least-Squares Estimation of Nonlinear Parameters", J. SIAM 11, 1963; K. Madsen,
 //! H. B. Nielsen, O. Tingleff, *Methods for Non-Linear Least Squares Problems*, 2nd ed., DTU 2004; for the bounds
@@ -72,6 +72,8 @@ pub struct Options {
     pub loss: Loss,
     /// Least and largest values of the parameters.
     pub bounds: Option<(DVector<f64>, DVector<f64>)>,
+    /// The longest step of each parameter.
+    pub most_step: Option<DVector<f64>>,
     /// The most linearisations.
     pub most_iterations: usize,
     /// The most dampings that are tried from one linearisation.
@@ -88,6 +90,7 @@ impl Default for Options {
         Self {
             loss: Loss::Squares,
             bounds: None,
+            most_step: None,
             most_iterations: 100,
             most_dampings: 12,
             least_decrease: 0.0,
@@ -288,9 +291,9 @@ impl<E> Point<E> {
         let (mut information, mut slope) = normal_equations(jacobian, &self.residuals, &weights);
         options.hold_at_bounds(&self.parameters, &mut information, &mut slope);
         for _ in 0..options.most_dampings {
-            if let Some(step) = damped_step(&information, &slope, *damping) {
+            if let Some(step) = options.step_inside(&self.parameters, &information, &slope, *damping) {
+                let promised = promised_decrease(&information, &slope, &step);
                 let to = options.clamped(&self.parameters + step);
-                let promised = promised_decrease(&information, &slope, &(&to - &self.parameters));
                 let next = Self::evaluate(problem, options, to, Some(&self.evaluation));
                 if let Some(next) = next.filter(|next| next.cost < self.cost) {
                     *damping = (*damping / DAMPING_FACTOR).max(LEAST_DAMPING);
@@ -334,19 +337,61 @@ impl Options {
         }
     }
 
+    /// The damped step, inside the box and no longer than [`most_step`](Self::most_step). Parameters that it would carry out are carried to the edge
+    /// alone, and the others follow: a step that was only projected may lead uphill, where two parameters change much alike.
+    fn step_inside(
+        &self,
+        at: &DVector<f64>,
+        information: &DMatrix<f64>,
+        slope: &DVector<f64>,
+        damping: f64,
+    ) -> Option<DVector<f64>> {
+        let (mut least, mut most) =
+            (DVector::repeat(at.len(), f64::NEG_INFINITY), DVector::repeat(at.len(), f64::INFINITY));
+        if let Some((lower, upper)) = &self.bounds {
+            (least, most) = (lower - at, upper - at);
+        }
+        if let Some(longest) = &self.most_step {
+            (least, most) = (least.sup(&-longest), most.inf(longest));
+        }
+        let (mut information, mut slope) = (information.clone(), slope.clone());
+        // Damping belongs to what is free; a parameter at the edge stays there.
+        let mut held: Vec<Option<f64>> = vec![None; at.len()];
+        loop {
+            let mut step = damped_step(&information, &slope, damping)?;
+            held.iter().enumerate().for_each(|(j, held)| step[j] = held.unwrap_or(step[j]));
+            let leaves = |&j: &usize| held[j].is_none() && (step[j] < least[j] || step[j] > most[j]);
+            let leaving: Vec<usize> = (0..at.len()).filter(leaves).collect();
+            if leaving.is_empty() {
+                return Some(step);
+            }
+            for j in leaving {
+                let edge = step[j].clamp(least[j], most[j]);
+                held[j] = Some(edge);
+                slope += information.column(j) * edge;
+                hold(j, &mut information, &mut slope);
+            }
+        }
+    }
+
     /// Takes parameters that lie on a bound, and that descent would push out of the box, out of the normal equations.
     fn hold_at_bounds(&self, parameters: &DVector<f64>, information: &mut DMatrix<f64>, slope: &mut DVector<f64>) {
         let Some((lower, upper)) = &self.bounds else { return };
         for j in 0..parameters.len() {
             let leaves = (parameters[j] <= lower[j] && slope[j] > 0.0) || (parameters[j] >= upper[j] && slope[j] < 0.0);
             if leaves {
-                slope[j] = 0.0;
-                information.fill_row(j, 0.0);
-                information.fill_column(j, 0.0);
-                information[(j, j)] = 1.0;
+                hold(j, information, slope);
             }
         }
     }
+}
+
+/// Takes a parameter out of the normal equations.
+fn hold(j: usize, information: &mut DMatrix<f64>, slope: &mut DVector<f64>) {
+    slope[j] = 0.0;
+    information.fill_row(j, 0.0);
+    information.fill_column(j, 0.0);
+    information[(j, j)] = 1.0;
 }
 
 #[cfg(test)]

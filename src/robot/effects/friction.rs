@@ -113,7 +113,7 @@ pub(super) static CAPSTAN_PLAY: Physics = Physics {
     equation: "ε_i += x_i, x_i follows q_i between −w_i and w_i, w_i = b |τ_i|",
     reading: "sheath friction: a play that a backbone has to travel through whenever it reverses, and that grows with its load",
     parameters: |_| const { &[ParameterSpec::positive("half_gap_mm_per_n", "mm/N", (0.0, 10.0), 0.01)] },
-    starts: Starts::At(&[&[0.01], &[0.05], &[0.25], &[1.0]]),
+    starts: Starts::At(&[&[0.001], &[0.003], &[0.01], &[0.03], &[0.1], &[0.5]]),
     changes: Changes::Line(|at, _| at.arrival.hysteresis.play_mm[PlayOf::Sheath as usize]),
     history: Some(|history, p| {
         history.plays[PlayOf::Sheath as usize] = Some(Play { half_mm: 0.0, half_mm_per_n: p[0] });

@@ -272,6 +272,11 @@ impl Physics {
         (history.direction || history.drive || history.has_hysteresis()) && !history.goes_by_time()
     }
 
+    /// Whether the data must say at which period a search for it starts.
+    pub fn is_periodic(&self) -> bool {
+        matches!(self.starts, Starts::Periodogram(_))
+    }
+
     /// Says to a history what it must know of the path.
     pub(in crate::robot) fn note_history(&self, history: &mut History, values: &[f64]) {
         if let Some(needs) = self.history {

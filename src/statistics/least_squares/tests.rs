@@ -131,3 +131,27 @@ fn a_parameter_without_influence_stays_and_what_cannot_be_solved_is_said() {
     let failure = minimise(nowhere, DVector::zeros(2), &steps(&[1.0, 1.0]), &Options::default()).unwrap_err();
     assert_eq!(failure, Failure::NotFinite);
 }
+
+/// y = x₀ + x₁ t at three t, of x = (−3, 4): the two parameters change nearly the same.
+fn line(x: &DVector<f64>) -> DVector<f64> {
+    DVector::from_iterator(3, [0.9, 1.0, 1.1].into_iter().map(|t| x[0] + 3.0 + (x[1] - 4.0) * t))
+}
+
+#[test]
+fn what_leaves_the_box_is_carried_to_its_edge_and_the_others_follow() {
+    let bounds = Some((DVector::repeat(2, -10.0), DVector::from_column_slice(&[10.0, 0.5])));
+    let options = Options { bounds, most_iterations: 2, ..Options::default() };
+    let found = minimise(line, DVector::zeros(2), &steps(&[1.0, 1.0]), &options).unwrap();
+    // With x₁ = 0.5, the mean over t = 1: x₀ = −3 + 3.5. The projected step, (−3, 0.5), would lead uphill.
+    assert!((found.parameters[0] - 0.5).abs() < 1e-4 && found.parameters[1] == 0.5, "{}", found.parameters);
+}
+
+#[test]
+fn no_step_is_longer_than_the_longest() {
+    let most_step = Some(DVector::from_column_slice(&[f64::INFINITY, 0.25]));
+    for (most_iterations, most) in [(1, 0.25), (3, 0.75)] {
+        let options = Options { most_step: most_step.clone(), most_iterations, ..Options::default() };
+        let found = minimise(line, DVector::zeros(2), &steps(&[1.0, 1.0]), &options).unwrap();
+        assert!((found.parameters[1] - most).abs() < 1e-12, "{}", found.parameters);
+    }
+}

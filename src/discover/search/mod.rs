@@ -1,0 +1,302 @@
+//! The search for the structure (set of effects) of the highest score: the logarithm of its held-out
+//! [predictive density](super::predictive_density), and what physics expects beforehand.
+//!
+//! It is made first beside noise alone, where every effect is as unlikely as any other: a machine that lies in the library is explained by one to three
+//! of them, and what they leave is noise. Where they leave more, it is made again beside a discrepancy, where some effects are expected
+//! ([`Physics::log_prior`]): no model of a machine knows its gain and its bend at rest exactly. There it begins with both.
+//!
+//! The search adds the effect that raises the score most as long as one is asked for, drops what is not asked for beside the rest, and puts another effect
+//! in the place of one where that is better. An effect is asked for where the structure with it is probably better, over a bootstrap of the stretches.
+//! Every structure whose score counts is a converged fit.
+
+mod evidence;
+mod scored;
+
+pub use evidence::{Evidence, Named};
+
+use super::fit::Fit;
+use super::hypotheses::{Hypothesis, has, hypotheses};
+use super::posterior::Candidate;
+use super::predictive_density::{Beside, Judged};
+use super::residuals::Problem;
+use super::structure::mean_square_quantile;
+use crate::robot::effects::{COMMAND_GAIN, Changes, Effect, REST_BEND, physics};
+use crate::robot::{Model, Physics};
+use rayon::prelude::*;
+use scored::Structure;
+
+/// The most effects beside noise, and beside a discrepancy.
+///
+/// Convention: a bound on computing time.
+const MOST_EFFECTS: [usize; 2] = [3, 8];
+
+/// Single effects that the search beside noise goes on from.
+///
+/// Convention: a bound on computing time.
+const BEAM_WIDTH: usize = 3;
+
+/// Where the best of the beam leaves squares of so many times the noise's, no exchange of effects is tried beside noise.
+///
+/// Convention: a bound on computing time; an rms of thirty times the noise is no effect taken for one that looks alike.
+const HOPELESS: f64 = 1000.0;
+
+/// Hypotheses of each step that are fitted to convergence.
+///
+/// Convention: a bound on computing time.
+const FITTED: usize = 8;
+
+/// Fits of one form from different starts among them.
+///
+/// Convention: a bound on computing time.
+const FITTED_PER_FORM: usize = 2;
+
+/// Beside a discrepancy an effect takes at least this share of the gap beyond noise away, on stretches that it was not fitted to.
+///
+/// Convention: a hundredth of the rms; what takes less is hardly worth a name, and imitates what no effect explains.
+const LEAST_REMOVED: f64 = 0.02;
+
+/// What no model of a machine knows exactly.
+const FRAME: [&str; 2] = [REST_BEND, COMMAND_GAIN];
+
+/// What has a smaller share of the probability of another is ruled out beside it.
+///
+/// Convention: the usual level of 5 %.
+const OPEN: f64 = 0.05;
+
+/// What a search comes to.
+#[derive(Debug, Clone)]
+pub struct Found<'a> {
+    /// The samples, whitened by the noise and by what the answer leaves.
+    pub problem: Problem<'a>,
+    /// The model with the effects.
+    pub fit: Fit,
+    /// The effects, in the order of the model's.
+    pub named: Vec<Named>,
+    /// The structures that the data leave open, the most probable first.
+    pub structures: Vec<Candidate>,
+    /// The squares in held-out stretches, in units of the noise's: of the model as given, of the answer, and of noise.
+    pub squares: [f64; 3],
+}
+
+/// The structure of the highest score that a search from the model as given comes to; `before` is its fit.
+pub fn search<'a>(problem: &Problem<'a>, before: &Fit, beside: Beside) -> Found<'a> {
+    let judged = Judged::new(problem, before, beside);
+    Search { problem: problem.clone(), judged, before: before.clone(), beside, gap: 0.0, scored: Vec::new() }.found()
+}
+
+struct Search<'a> {
+    problem: Problem<'a>,
+    judged: Judged,
+    before: Fit,
+    beside: Beside,
+    /// The squares beyond noise in held-out stretches that the model as given leaves.
+    gap: f64,
+    /// Every structure that was fitted to convergence.
+    scored: Vec<Structure>,
+}
+
+impl<'a> Search<'a> {
+    fn found(mut self) -> Found<'a> {
+        let Some(bare) = self.structure(self.before.clone()) else {
+            return Found {
+                problem: self.problem,
+                fit: self.before,
+                named: Vec::new(),
+                structures: Vec::new(),
+                squares: [0.0; 3],
+            };
+        };
+        self.gap = bare.squares - self.judged.noise_squares(&self.problem);
+        let mut best = match self.beside {
+            Beside::Noise => self.best_of_beam(&bare),
+            Beside::Discrepancy => {
+                let framed = self.with_frame().unwrap_or_else(|| bare.clone());
+                self.grown(framed)
+            }
+        };
+        let is_hopeless =
+            self.beside == Beside::Noise && best.squares > HOPELESS * self.judged.noise_squares(&self.problem);
+        if !is_hopeless {
+            best = self.settled(best);
+        }
+        if self.beside == Beside::Noise {
+            best = self.with_what_is_likelier_than_a_lag(best);
+        }
+        if best.excess_over(&bare) <= 0.0 {
+            best = bare.clone();
+        }
+        let named = (self.given()..best.fit.model.effects.len()).map(|k| self.describe(&best, &bare, k)).collect();
+        let squares = [bare.squares, best.squares, self.judged.noise_squares(&self.problem)];
+        Found { structures: self.open(), problem: self.problem, fit: best.fit, named, squares }
+    }
+
+    /// The best of the structures that the likeliest single effects lead to. Where one of them leaves no more than noise, the others are not gone on from: they come
+    /// at best to its equal, with an effect more.
+    fn best_of_beam(&mut self, bare: &Structure) -> Structure {
+        let problem = self.problem.clone();
+        let (mut best, mut under) = (bare.clone(), problem.clone());
+        for first in self.with_one_more(bare, &bare.fit, |_| true).into_iter().take(BEAM_WIDTH) {
+            self.problem = problem.clone();
+            let first = self.under_its_own_discrepancy(first);
+            let grown = self.grown(first);
+            if grown.score() > best.score() {
+                (best, under) = (grown, self.problem.clone());
+            }
+            if best.squares
+                < self.judged.noise_squares(&under) * mean_square_quantile(self.problem.data.residual_count() as f64)
+            {
+                break;
+            }
+        }
+        self.problem = under;
+        best
+    }
+
+    /// A structure with what is asked for beside it.
+    fn grown(&mut self, mut best: Structure) -> Structure {
+        while best.fit.model.effects.len() < self.given() + MOST_EFFECTS[self.beside as usize] {
+            let Some(better) = self.with_one_more(&best, &best.fit, |_| true).into_iter().next() else { break };
+            best = self.under_its_own_discrepancy(better);
+        }
+        best
+    }
+
+    /// Whether what a structure has beyond a simpler one is asked for.
+    fn asks_for(&self, structure: &Structure, simpler: &Structure) -> bool {
+        let is_asked_to_remove = self.beside == Beside::Discrepancy && !structure.adds_frame_alone(simpler);
+        let least = if is_asked_to_remove { LEAST_REMOVED * self.gap } else { f64::NEG_INFINITY };
+        !structure.is_at_end && structure.excess_over(simpler) > 0.0 && simpler.squares - structure.squares > least
+    }
+
+    /// With an unknown gain and an unknown bend at rest.
+    fn with_frame(&mut self) -> Option<Structure> {
+        let mut model = self.before.model.clone();
+        let backbones = self.problem.data.backbones();
+        for physics in FRAME.into_iter().filter_map(physics).filter(|physics| !has(&self.before.model, physics.name)) {
+            model.effects.push(Effect::of(physics, vec![0.0; physics.parameters_on(backbones).len()]));
+        }
+        let fit = self.problem.fit(&model, Some(&self.before.path), None);
+        let structure = self.structure(fit)?;
+        Some(self.under_its_own_discrepancy(structure))
+    }
+
+    /// What is not asked for beside the rest dropped, and another effect put in the place of one where that is better.
+    fn settled(&mut self, mut best: Structure) -> Structure {
+        for _ in 0..2 * MOST_EFFECTS[self.beside as usize] {
+            let effects = self.given()..best.fit.model.effects.len();
+            let simpler = effects.map(|k| (best.fit.model.without_effect(k), best.fit.path.clone())).collect();
+            let others = self.structures(simpler);
+            let not_asked = others.iter().filter(|simpler| !simpler.is_at_end && !self.asks_for(&best, simpler));
+            if let Some(simpler) = not_asked.min_by(|a, b| best.excess_over(a).total_cmp(&best.excess_over(b))) {
+                best = self.under_its_own_discrepancy(simpler.clone());
+                continue;
+            }
+            let other = others.iter().filter_map(|without| self.exchanged(&best, without));
+            let other = other.max_by(|a, b| a.score().total_cmp(&b.score()));
+            match other.filter(|other| other.takes_the_place_of(&best)) {
+                Some(other) => best = self.under_its_own_discrepancy(other),
+                None => match self.with_one_for_two(&best, &others) {
+                    Some(other) => best = self.under_its_own_discrepancy(other),
+                    None => break,
+                },
+            }
+        }
+        best
+    }
+
+    /// The best with one effect in the place of two, where these are not asked for beside it: what is nearly the right effect is put right by another.
+    /// Beside noise alone; `others` lack one effect each.
+    fn with_one_for_two(&mut self, best: &Structure, others: &[Structure]) -> Option<Structure> {
+        let least = self.given() + 3;
+        if self.beside == Beside::Discrepancy || best.fit.model.effects.len() < least {
+            return None;
+        }
+        let mut models: Vec<Model> = Vec::new();
+        for without in others {
+            let effects = self.given()..without.fit.model.effects.len();
+            models.extend(effects.map(|k| without.fit.model.without_effect(k)));
+        }
+        let name = |model: &Model| model.effects.iter().map(|effect| effect.physics.name).collect::<Vec<_>>();
+        models.sort_by_key(name);
+        models.dedup_by_key(|model| name(model));
+        let starts = models.into_iter().map(|model| (model, best.fit.path.clone())).collect();
+        let simplest = self.structures(starts);
+        let with_one: Vec<Structure> = simplest
+            .iter()
+            .filter_map(|simple| self.with_one_more(simple, &simple.fit, |_| true).into_iter().next())
+            .collect();
+        let one = with_one.into_iter().max_by(|a, b| a.score().total_cmp(&b.score()))?;
+        (!self.asks_for(best, &one)).then_some(one)
+    }
+
+    /// The best with another effect in the place of the one that `without` lacks of `best`: with any beside noise, and beside a discrepancy with a hysteresis
+    /// in the place of a hysteresis. The fits begin with the other effects as they are in `best`: without the one, they may have gone far.
+    fn exchanged(&mut self, best: &Structure, without: &Structure) -> Option<Structure> {
+        let has_hysteresis = |of: &Structure| of.fit.model.effects.iter().any(|e| e.physics.is_hysteresis());
+        let admits: fn(&Physics) -> bool = match self.beside {
+            Beside::Noise => |_| true,
+            Beside::Discrepancy if has_hysteresis(best) && !has_hysteresis(without) => Physics::is_hysteresis,
+            Beside::Discrepancy => return None,
+        };
+        let is_lacking = |&k: &usize| !without.weighed.has(best.fit.model.effects[k].physics.name);
+        let lacking = (self.given()..best.fit.model.effects.len()).find(is_lacking)?;
+        let from = self.problem.evaluated(&best.fit.model.without_effect(lacking), Some(&best.fit.path));
+        self.with_one_more(without, &from, admits).into_iter().next()
+    }
+
+    /// Play or friction in the place of a clock's lag, where the data do not rule it out.
+    fn with_what_is_likelier_than_a_lag(&mut self, best: Structure) -> Structure {
+        let yields_to = |effect: &Effect| match effect.physics.changes {
+            Changes::Exposure(_) => effect.physics.yields_to,
+            _ => &[],
+        };
+        let effects = &best.fit.model.effects;
+        let lag = effects.iter().skip(self.given()).find(|effect| !yields_to(effect).is_empty());
+        let Some(lag) = lag else { return best };
+        let is_in_its_place = |other: &&Structure| {
+            other.fit.model.effects.len() == effects.len()
+                && !other.weighed.has(lag.physics.name)
+                && yields_to(lag).iter().any(|name| other.weighed.has(name) && !best.weighed.has(name))
+                && other.score() > best.score() + OPEN.ln()
+        };
+        let other = self.scored.iter().filter(is_in_its_place).max_by(|a, b| a.score().total_cmp(&b.score()));
+        other.cloned().unwrap_or(best)
+    }
+
+    /// The structures with one effect more that is asked for beside `best`, of those that a linear step about a start beside the model of `from` scores highest,
+    /// and does not rule out beside `best`; the best first, one for each name: of its forms the best, unless a plainer one is about as good.
+    fn with_one_more(&mut self, best: &Structure, from: &Fit, admits: fn(&Physics) -> bool) -> Vec<Structure> {
+        let half_mm = self.judged.half_range * self.before.model.robot.backbone_circle_radius_mm;
+        let hypotheses = hypotheses(&self.problem, from, (self.beside, half_mm), admits);
+        let promised = hypotheses.into_par_iter().filter_map(|hypothesis| {
+            let score = self.promised(from, &hypothesis)? + self.log_prior(&hypothesis.start);
+            (score > best.score() + OPEN.ln()).then_some((score, hypothesis))
+        });
+        let mut promised: Vec<(f64, Hypothesis)> = promised.collect();
+        promised.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut chosen: Vec<Hypothesis> = Vec::new();
+        for (_, hypothesis) in promised {
+            let of_its_form = chosen.iter().filter(|other| other.physics == hypothesis.physics).count();
+            if chosen.len() < FITTED && of_its_form < FITTED_PER_FORM {
+                chosen.push(hypothesis);
+            }
+        }
+        let starts = chosen.into_iter().map(|hypothesis| (hypothesis.start, from.path.clone())).collect();
+        let mut asked = self.structures(starts);
+        asked.retain(|more| self.asks_for(more, best));
+        asked.sort_by(|a, b| b.score().total_cmp(&a.score()));
+        let mut kept: Vec<Structure> = Vec::new();
+        for more in asked {
+            match kept.iter_mut().find(|own| own.last_name() == more.last_name()) {
+                None => kept.push(more),
+                Some(richer) if richer.is_richer_form_of(&more) && richer.excess_over(&more) <= 0.0 => *richer = more,
+                Some(_) => (),
+            }
+        }
+        kept
+    }
+
+    fn given(&self) -> usize {
+        self.before.model.effects.len()
+    }
+}
