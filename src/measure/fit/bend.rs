@@ -75,6 +75,8 @@ pub(crate) struct BendFit {
     /// Covariance of the profile's numbers from this picture alone, rad²; zero of a fit of the coarse stages, which nothing is drawn from
     /// but where to go on.
     pub covariance: ProfileCovariance,
+    /// By how much this picture's edges scatter more than they may, see [`excess`](super::excess); its own part of the covariance is as much wider.
+    pub excess: f64,
     /// What of the covariance is doubt between this fit and others of the same snake seen edge-on, rad².
     pub doubt: ProfileCovariance,
     /// Change of the profile's numbers with the camera's pose (see [`perturbed`](crate::geometry::perturbed)); zero of a coarse fit as well.
@@ -306,12 +308,13 @@ impl<'a> Fitting<'a> {
             return None;
         }
         let uncertainty = if self.schedule.is_fine { self.uncertainty(rms_px)? } else { Default::default() };
-        let (covariance, by_pose, contradicts_shape) = uncertainty;
+        let (covariance, excess, by_pose, contradicts_shape) = uncertainty;
         Some(BendFit {
             origin: self.origin,
             profile: self.state.profile,
             bias: self.state.bias,
             covariance,
+            excess,
             doubt: ProfileCovariance::zeros(),
             by_pose,
             inliers,
@@ -324,9 +327,9 @@ impl<'a> Fitting<'a> {
         })
     }
 
-    /// The covariance of the profile's numbers, their change with the camera's pose, and whether the edges contradict the prior of the
-    /// snake's shape.
-    fn uncertainty(&self, rms_px: f64) -> Option<(ProfileCovariance, SMatrix<f64, PROFILE, 6>, bool)> {
+    /// The covariance of the profile's numbers, by how much the edges scatter more than they may, the numbers' change with the camera's pose, and
+    /// whether the edges contradict the prior of the snake's shape.
+    fn uncertainty(&self, rms_px: f64) -> Option<(ProfileCovariance, f64, SMatrix<f64, PROFILE, 6>, bool)> {
         let Self { view, state, prior, .. } = self;
         let Round { edges, roots, .. } = self.last.as_ref()?;
         let linear = Linearised::new(edges, view, state, roots, Some(prior));
@@ -336,6 +339,7 @@ impl<'a> Fitting<'a> {
         let contradiction = prior.contradiction(&state.profile, &covariance.independent)?;
         Some((
             total.fixed_view::<PROFILE, PROFILE>(0, 0).into_owned(),
+            covariance.excess,
             SMatrix::from_fn(|row, column| -gain[(row, column)]),
             contradiction > prior.contradiction_chi2,
         ))

@@ -34,5 +34,5 @@ pub use shape_prior::UNKNOWN_SHAPE_RAD;
 pub(super) use shape_prior::learned_mode_sigmas;
 pub use state::EdgeBias;
 pub(super) use state::{BIASES, CONTRADICTION_OF_KNOWN_CHI2, CONTRADICTION_OF_UNKNOWN_CHI2, FramePrior, STATE, State};
-pub(super) use uncertainty::{RobustPhase, inliers, systematic_covariance};
+pub(super) use uncertainty::{RobustPhase, excess, inliers, systematic_covariance};
 pub use visibility::PartVisibility;

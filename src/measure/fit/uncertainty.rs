@@ -1,7 +1,8 @@
 //! Robust weights of matched edges, and the covariance of what is fitted to them.
 //!
 //! The covariance of a fit has three parts, see [`FitCovariance`]: independent edges, edges that are correlated along each piece of
-//! the body (cluster-robust), and the systematic modes of the noise model.
+//! the body (cluster-robust), and the systematic modes of the noise model. The second counts as many times as the edges scatter more than the noise
+//! model says, see [`excess`].
 
 use super::correspondences::Correspondences;
 use super::noise_model::{DESIGN_EFFECT, OWN_VARIANCE};
@@ -53,6 +54,19 @@ pub(crate) fn inliers(distances_px: &[f64], roots: &[f64]) -> (usize, f64) {
     (kept().count(), rms(kept()))
 }
 
+/// By how much the inliers' variance exceeds what the noise model says: the mean square of their distances in units of σ, and no less than 1. `weighted`
+/// are these distances times the roots of the edges' weights.
+///
+/// Edges that scatter more than they may are displaced by something that the model does not know, a mirrored lamp or a wrong border, and that
+/// displaces whole pieces and all alike as much more as it does single edges. Clusters cannot tell of what they all share, which fits follow.
+///
+/// Source: R. T. Birge, "The calculation of errors by the method of least squares", Physical Review 40, 1932: errors are multiplied by the ratio of
+/// external to internal consistency.
+pub(crate) fn excess<'a>(weighted: impl IntoIterator<Item = &'a f64>, roots: &[f64]) -> f64 {
+    let inliers = weighted.into_iter().zip(roots).filter(|(_, root)| **root > INLIER_ROOT);
+    rms(inliers.map(|(residual, root)| residual / root)).powi(2).max(1.0)
+}
+
 /// What the systematic modes of the noise model add to the covariance of a fit to these edges, whose rows come first in the
 /// weighted `jacobian`. `independent` is the fit's covariance for independent edges.
 pub(crate) fn systematic_covariance(
@@ -75,6 +89,8 @@ pub(super) struct FitCovariance {
     pub independent: DMatrix<f64>,
     /// Cluster-robust: correlated along each piece of the body.
     clustered: DMatrix<f64>,
+    /// See [`excess`].
+    pub excess: f64,
     /// From the systematic modes.
     systematic: DMatrix<f64>,
 }
@@ -93,15 +109,15 @@ impl FitCovariance {
         let independent = covariance(jacobian)?;
         let clustered = clustered_covariance(jacobian, residuals, edges.clusters(), DESIGN_EFFECT)?;
         let systematic = systematic_covariance(edges, jacobian, &independent, view, roots, scatter_px);
-        Some(Self { independent, clustered, systematic })
+        Some(Self { independent, clustered, excess: excess(residuals, roots), systematic })
     }
 
     /// The covariance of the parameters with the indices `kept`: the clustered one, widened in each direction in which it is less
-    /// than the independent one (the scores of a few clusters may agree by chance), of which [`OWN_VARIANCE`] is the frame's own, plus the
-    /// systematic one.
+    /// than the independent one (the scores of a few clusters may agree by chance), of which [`OWN_VARIANCE`] is the frame's own, times the
+    /// [`excess`] of the edges' variance, plus the systematic one.
     pub fn total(&self, kept: &[usize]) -> Option<DMatrix<f64>> {
         let block = |of: &DMatrix<f64>| DMatrix::from_fn(kept.len(), kept.len(), |r, c| of[(kept[r], kept[c])]);
-        let own = at_least(&block(&self.clustered), &block(&self.independent))? * OWN_VARIANCE;
+        let own = at_least(&block(&self.clustered), &block(&self.independent))? * (OWN_VARIANCE * self.excess);
         Some(own + block(&self.systematic))
     }
 }
@@ -172,6 +188,22 @@ mod tests {
         assert_eq!(monotone[0], 1.0);
         assert_relative_eq!(redescending[0], 1.0 - (1.0 / (4.685 * 1.482_602_f64)).powi(2), max_relative = 1e-6);
         assert_eq!(inliers(&residuals, &redescending), (20, 1.0));
+    }
+
+    #[test]
+    fn what_scatters_more_than_it_may_is_told_by_its_mean_square_and_the_rest_is_taken_at_its_word() {
+        let weighted = |distance: f64, root: f64| vec![distance * root; 6];
+        assert_relative_eq!(excess(&weighted(2.0, 0.8), &[0.8; 6]), 4.0, epsilon = 1e-12);
+        assert_eq!(excess(&weighted(0.3, 0.8), &[0.8; 6]), 1.0);
+        // An outlier tells nothing.
+        assert_relative_eq!(excess(&[2.0, -2.0, 9.0], &[1.0, 1.0, 0.1]), 4.0, epsilon = 1e-12);
+        let mut random = StdRng::seed_from_u64(3);
+        let noise = Normal::new(0.0, 3.0).unwrap();
+        let drawn: Vec<f64> = (0..2000).map(|_| noise.sample(&mut random)).collect();
+        let roots = RobustPhase::Redescending.roots(&drawn);
+        let weighted: Vec<f64> = drawn.iter().zip(&roots).map(|(r, root)| r * root).collect();
+        // A variance of nine; the few of a normal distribution that are no inliers lie beyond 3.3 σ, and a variance of 2000 scatters by 3 %.
+        assert!((excess(&weighted, &roots) / 9.0 - 1.0).abs() < 0.1);
     }
 
     /// Fits to edges that are displaced by what `draw` gives for an outline: for each of 200 fits the squared errors of the bend in

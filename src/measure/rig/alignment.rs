@@ -48,7 +48,7 @@ const COUNTED: (f32, f32) = (-0.5, 1.5);
 /// from target there.
 pub fn aligned_starts(picture: StraightPicture, rough: &SnakeStart, grid: &Grid) -> Vec<SnakeStart> {
     let StraightPicture { frame, lens, robot, options } = picture;
-    let start_at = |offset_px: f64| SnakeStart { base: rough.base + rough.axis * offset_px, ..rough.clone() };
+    let start_at = |offset_px: f64| SnakeStart { base: rough.base + rough.axis * offset_px, ..*rough };
     let view_from = |start: &SnakeStart| {
         let placement = Placement::from_picture(lens, options, grid, &start.base, start.axis)?;
         Some(Projection { lens, camera_from_base: placement.camera_from_base(options, grid), robot })

@@ -9,13 +9,13 @@ use super::error::{RigError, SnakePart};
 use super::parameters::{Rig, RigOptions};
 use super::placement::{PLACEMENT, Placement};
 use super::snake_search::SnakeStart;
-use super::tilt::of_its_own_tilt;
+use super::tilt::{TILT_SIGMAS, of_its_own_tilt, seeming_tilt_sigma};
 use crate::camera::{Frame, Lens};
-use crate::geometry::Configuration;
+use crate::geometry::{Configuration, Pose};
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
     BIASES, Correspondences, DESIGN_EFFECT, EdgeBias, EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase,
-    UNKNOWN_BIAS, UNKNOWN_SHAPE_RAD, fine_filter, inliers, predict_blur, systematic_covariance,
+    UNKNOWN_BIAS, UNKNOWN_SHAPE_RAD, excess, fine_filter, inliers, predict_blur, systematic_covariance,
 };
 use crate::measure::image::appearance::Appearance;
 use crate::measure::image::plane::{Plane, Region};
@@ -40,7 +40,8 @@ const COARSE_ITERATIONS: usize = 10;
 /// Convention: a limit of time.
 const LEARNING_ROUNDS: usize = 3;
 /// How far outside the snake's border its edges may be seen, px (1σ), and what stands for none at all: while the model is off, a bias would
-/// take the blame and carry scale and tilt away.
+/// take the blame and carry scale and tilt away. So would a tilt, by which rims that mirror the target seem to lie where they do not: until then the
+/// snake is held as parallel to a grid that is known well as a jig holds it.
 ///
 /// Fitted: the former by hand to the rigs of tests/eye/uncertainty, where edges of tubes lie up to 0.25 px outside; not judged elsewhere.
 const BIAS_SIGMA_PX: f64 = 0.3;
@@ -168,6 +169,7 @@ impl Learned {
 struct BaseFit<'a> {
     picture: StraightPicture<'a>,
     grid: &'a Grid,
+    coarse_tilt_sigma: f64,
     placement: Placement,
     bias: EdgeBias,
     learned: Option<Learned>,
@@ -180,27 +182,59 @@ struct BaseFit<'a> {
 ///
 /// Why the picture does not show the straight snake before this grid.
 pub fn fit_base(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Result<Rig, RigError> {
-    let options = picture.options;
-    let placement = Placement::from_picture(picture.lens, options, grid, &start.base, start.axis);
-    let behind = || {
-        let target_mm = grid.distance_mm(&picture.lens.ray(&start.base));
-        RigError::BehindCamera { target_mm, standoff_mm: options.standoff_mm }
-    };
-    let mut fit = BaseFit {
-        picture,
-        grid,
-        placement: placement.ok_or_else(behind)?,
-        bias: UNKNOWN_BIAS,
-        learned: None,
-        last: None,
-    };
-    for (round, search_px) in SEARCHES_PX.into_iter().enumerate() {
-        fit.improve(round, search_px)?;
+    BaseFit::from_start(picture, start, grid, TILT_SIGMAS[0])?.rig()
+}
+
+/// The camera's pose to the base before a grid that is known roughly, whose lines the eye cannot look through yet: how far they scatter the edges
+/// is not asked.
+///
+/// # Errors
+///
+/// Why the picture does not show the straight snake there.
+pub fn place_base(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Result<Pose, RigError> {
+    // The grid may be tilted as well.
+    let fit = BaseFit::from_start(picture, start, grid, seeming_tilt_sigma())?;
+    match fit.confirmed() {
+        Ok(_) | Err(RigError::EdgesScattered { .. }) => Ok(fit.placement.camera_from_base(picture.options, grid)),
+        Err(error) => Err(error),
     }
-    fit.rig()
+}
+
+/// What the picture says of a base that it confirms.
+struct Confirmed {
+    covariance: DMatrix<f64>,
+    edge_rms_px: f64,
 }
 
 impl<'a> BaseFit<'a> {
+    /// The fit after all its rounds, in the coarse ones of which the snake is no further from parallel to the grid than this (rad, 1σ).
+    fn from_start(
+        picture: StraightPicture<'a>,
+        start: &SnakeStart,
+        grid: &'a Grid,
+        coarse_tilt_sigma: f64,
+    ) -> Result<Self, RigError> {
+        let options = picture.options;
+        let placement = Placement::from_picture(picture.lens, options, grid, &start.base, start.axis);
+        let behind = || {
+            let target_mm = grid.distance_mm(&picture.lens.ray(&start.base));
+            RigError::BehindCamera { target_mm, standoff_mm: options.standoff_mm }
+        };
+        let mut fit = Self {
+            picture,
+            grid,
+            coarse_tilt_sigma,
+            placement: placement.ok_or_else(behind)?,
+            bias: UNKNOWN_BIAS,
+            learned: None,
+            last: None,
+        };
+        for (round, search_px) in SEARCHES_PX.into_iter().enumerate() {
+            fit.improve(round, search_px)?;
+        }
+        Ok(fit)
+    }
+
     /// How the camera sees a base at this place.
     fn view(&self, placement: &Placement) -> Projection<'a> {
         let StraightPicture { lens, robot, options, .. } = self.picture;
@@ -220,12 +254,13 @@ impl<'a> BaseFit<'a> {
         let is_coarse = search_px > FINE_SEARCH_PX;
         let phase = if is_coarse { RobustPhase::Monotone } else { RobustPhase::Redescending };
         let roots = phase.roots(&edges.residuals(&view, STRAIGHT, self.bias));
-        let bias_sigma_px = if is_coarse { NO_BIAS_PX } else { BIAS_SIGMA_PX };
+        let (bias_sigma_px, tilt_sigma) =
+            if is_coarse { (NO_BIAS_PX, self.coarse_tilt_sigma) } else { (BIAS_SIGMA_PX, seeming_tilt_sigma()) };
         let mut options = Options::default();
         if is_coarse {
             options.most_iterations = COARSE_ITERATIONS;
         }
-        let solution = self.solve(&edges, &roots, bias_sigma_px, &options)?;
+        let solution = self.solve(&edges, &roots, (bias_sigma_px, tilt_sigma), &options)?;
         (self.placement, self.bias) = BaseProblem::at(&solution.parameters);
         self.last = Some(Round { edges, roots, solution });
         Ok(())
@@ -253,30 +288,43 @@ impl<'a> BaseFit<'a> {
         &self,
         edges: &Correspondences,
         roots: &[f64],
-        bias_sigma_px: f64,
+        (bias_sigma_px, tilt_sigma): (f64, f64),
         options: &Options,
     ) -> Result<Solution, RigError> {
         let start = self.placement.0.iter().copied().chain(self.bias.to_array());
         let start = DVector::from_iterator(PLACEMENT + BIASES, start);
         let StraightPicture { lens, robot, options: stated, .. } = self.picture;
-        let problem = BaseProblem { lens, robot, options: stated, grid: self.grid, edges, roots, bias_sigma_px };
+        let grid = self.grid;
+        let problem = BaseProblem { lens, robot, options: stated, grid, edges, roots, bias_sigma_px, tilt_sigma };
         solve(&problem, start, options).map_err(|_| RigError::Undetermined)
     }
 
-    /// The rig of the last round, if the picture confirms it.
-    fn rig(self) -> Result<Rig, RigError> {
+    /// What the last round says, if the picture confirms it.
+    fn confirmed(&self) -> Result<Confirmed, RigError> {
         let (Some(Round { edges, roots, solution }), Some(learned)) = (&self.last, &self.learned) else {
             return Err(RigError::Undetermined);
         };
-        let StraightPicture { robot, options, .. } = self.picture;
+        let robot = self.picture.robot;
         let view = self.view(&self.placement);
         let residuals_px = edges.in_px(&edges.residuals(&view, STRAIGHT, self.bias));
         let (agreeing, edge_rms_px) = inliers(&residuals_px, roots);
         let covariance = covariance(edges, roots, solution, &view, edge_rms_px).ok_or(RigError::Undetermined)?;
         let visibility = PartVisibility::new(&Outline::new(&view, STRAIGHT), &learned.finder());
         let are_all_visible = visibility.are_all_faintly_visible(last_part(robot));
-        self.check_agreement(edges, agreeing, edge_rms_px, are_all_visible)?;
+        self.check_agreement(edges, agreeing, are_all_visible, edge_rms_px)?;
         check_visibility(&visibility, robot)?;
+        let most_rms_px = MOST_RMS_PX * edges.blur_px.max(1.0);
+        if edge_rms_px > most_rms_px {
+            return Err(RigError::EdgesScattered { rms_px: edge_rms_px, most_rms_px });
+        }
+        Ok(Confirmed { covariance, edge_rms_px })
+    }
+
+    /// The rig of the last round, if the picture confirms it.
+    fn rig(self) -> Result<Rig, RigError> {
+        let Confirmed { covariance, edge_rms_px } = self.confirmed()?;
+        let learned = self.learned.ok_or(RigError::Undetermined)?;
+        let options = self.picture.options;
         let sheet_sigma = (0..3).map(|axis| self.grid.turn_covariance[(axis, axis)]).fold(0.0, f64::max).sqrt();
         if sheet_sigma > MOST_TURN_SIGMA {
             let (sigma_deg, most_deg) = (sheet_sigma.to_degrees(), MOST_TURN_SIGMA.to_degrees());
@@ -297,8 +345,8 @@ impl<'a> BaseFit<'a> {
             sheet_shape: self.grid.sheet.shape,
             grid_pitch_mm: options.grid_pitch_mm,
             pattern: GridPattern::dark(self.grid.kind),
-            appearance: learned.appearance.clone(),
-            print: learned.print.clone(),
+            appearance: learned.appearance,
+            print: learned.print,
             edge_bias: self.bias,
             mode_sigma_rad: UNKNOWN_SHAPE_RAD,
             grid_rms_px: self.grid.rms_px,
@@ -311,8 +359,8 @@ impl<'a> BaseFit<'a> {
         &self,
         edges: &Correspondences,
         agreeing: usize,
-        rms_px: f64,
         are_all_visible: bool,
+        rms_px: f64,
     ) -> Result<(), RigError> {
         let is_confirmed_throughout =
             are_all_visible && agreeing as f64 >= LEAST_AGREEING_OF_FOUND * edges.len() as f64;
@@ -325,15 +373,11 @@ impl<'a> BaseFit<'a> {
             let least_agreeing = LEAST_AGREEING;
             return Err(RigError::ModelDisagrees { agreeing, least_agreeing, bias_px, most_bias_px, rms_px });
         }
-        let most_rms_px = MOST_RMS_PX * edges.blur_px.max(1.0);
-        if rms_px > most_rms_px {
-            return Err(RigError::EdgesScattered { rms_px, most_rms_px });
-        }
         Ok(())
     }
 }
 
-/// Covariance of placement and biases: cluster-robust, and what errs alike on all pieces added.
+/// Covariance of placement and biases: cluster-robust, and what errs alike on all pieces added, as many times as the edges scatter more than they may.
 fn covariance(
     edges: &Correspondences,
     roots: &[f64],
@@ -344,7 +388,8 @@ fn covariance(
     let clustered = clustered_covariance(&solution.jacobian, &solution.residuals, edges.clusters(), DESIGN_EFFECT)?;
     let independent = solution.covariance()?;
     let systematic = systematic_covariance(edges, &solution.jacobian, &independent, view, roots, edge_rms_px);
-    Some(clustered + systematic)
+    let excess = excess(&solution.residuals, roots);
+    Some((clustered + systematic) * excess)
 }
 
 /// The number of the snake's last part: its end disk, or the tool on it.

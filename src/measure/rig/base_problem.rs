@@ -3,7 +3,6 @@
 use super::base_fit::STRAIGHT;
 use super::parameters::RigOptions;
 use super::placement::{HEIGHT, PLACEMENT, Placement, TILT};
-use super::tilt::seeming_tilt_sigma;
 use crate::camera::Lens;
 use crate::measure::body::Projection;
 use crate::measure::fit::{
@@ -31,17 +30,18 @@ pub struct BaseProblem<'a> {
     /// Roots of the edges' weights.
     pub roots: &'a [f64],
     pub bias_sigma_px: f64,
+    /// How far from parallel to the grid the snake may seem, rad (1σ).
+    pub tilt_sigma: f64,
 }
 
 impl BaseProblem<'_> {
     /// What is known beforehand: of which number, its mean and its standard deviation.
     fn known(&self) -> [(usize, f64, f64); 2 + BIASES] {
         let root = DESIGN_EFFECT.sqrt();
-        let tilt = seeming_tilt_sigma();
         let bias = |k: usize, mean: f64, sigma: f64| (PLACEMENT + k, mean, sigma / root);
         [
             (HEIGHT, 0.0, STANDOFF_SIGMA_MM),
-            (TILT, 0.0, tilt / root),
+            (TILT, 0.0, self.tilt_sigma / root),
             bias(0, 0.0, self.bias_sigma_px),
             bias(1, 0.0, self.bias_sigma_px),
             bias(2, 0.0, self.bias_sigma_px),
@@ -135,6 +135,7 @@ mod tests {
             edges: &edges,
             roots: &roots,
             bias_sigma_px: 0.3,
+            tilt_sigma: 0.01,
         };
         let biases = [0.1, -0.2, 0.05, 0.3, 0.2];
         let x = DVector::from_iterator(PLACEMENT + BIASES, placement.0.iter().copied().chain(biases));

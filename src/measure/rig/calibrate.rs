@@ -1,7 +1,7 @@
 //! Calibrates a rig from a picture of the straight snake before the grid target: first the sheet, then the snake.
 
 use super::alignment::aligned_starts;
-use super::base_fit::{StraightPicture, fit_base};
+use super::base_fit::{StraightPicture, fit_base, place_base};
 use super::base_problem::STANDOFF_SIGMA_MM;
 use super::error::{CalibrationStep, RigError};
 use super::parameters::{Rig, RigOptions};
@@ -11,7 +11,6 @@ use super::snake_search::{BodyTemplate, SnakeStart, search_everywhere, search_ne
 use crate::camera::Lens;
 use crate::measure::target::{Grid, PictureRegion, SheetHypothesis, SheetSearch};
 use nalgebra::{Point2, Point3};
-use rayon::prelude::*;
 use std::ops::Range;
 
 /// A snake further from where the standoff puts it than this many times the standoff's precision contradicts what was stated.
@@ -190,14 +189,31 @@ impl Tries<'_> {
             sketch.see_snake(hypothesis.lines_px(), self.strips(&starts, *width_px));
         }
         let rough = hypothesis.rough_grid();
-        let mut refused = None;
+        let (mut refused, mut tried) = (None, Vec::new());
         for start in starts.iter().take(MOST_STARTS) {
-            match fit_along(self.picture, start, &rough).and_then(|start| self.rig_at(hypothesis, &start, *width_px)) {
-                Ok(rig) => {
-                    sketch.see_snake(hypothesis.lines_px(), self.strips(std::slice::from_ref(start), *width_px));
-                    return Ok(rig);
+            let along = aligned_starts(self.picture, start, &rough);
+            if along.is_empty() {
+                refused = refused.or(Some(RigError::NoContrast));
+            }
+            for aligned in along {
+                // Starts one behind the other on one axis lead to the same places.
+                if tried.iter().any(|other| aligned.is_same(other, *width_px)) {
+                    continue;
                 }
-                Err(error) => refused = refused.or(Some(error)),
+                tried.push(aligned);
+                match fit_along(self.picture, &aligned, &rough) {
+                    Err(error) => refused = refused.or(Some(error)),
+                    Ok(fitted) => match self.rig_at(hypothesis, &fitted, *width_px) {
+                        Ok(rig) => {
+                            sketch.see_snake(hypothesis.lines_px(), self.strips(&[*start], *width_px));
+                            return Ok(rig);
+                        }
+                        Err(error) => {
+                            refused = refused.or(Some(error));
+                            break;
+                        }
+                    },
+                }
             }
         }
         let pitch_px = hypothesis.pitch_px;
@@ -265,16 +281,10 @@ impl Tries<'_> {
     }
 }
 
-/// Where the snake lies best along its axis near a start, if its edges confirm it before a sheet that is known roughly.
+/// Where a snake's edges put its base before a sheet that is known roughly, if they confirm it.
 fn fit_along(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Result<SnakeStart, RigError> {
-    let fitted = |start: SnakeStart| {
-        let rig = fit_base(picture, &start, grid)?;
-        let on_axis = |z_mm: f64| picture.lens.project(&(rig.camera_from_base * Point3::new(0.0, 0.0, z_mm)));
-        let (base, tip) = (on_axis(0.0), on_axis(picture.robot.length_mm));
-        Ok(SnakeStart { base, axis: (tip - base).normalize(), ..start })
-    };
-    let fits: Vec<_> = aligned_starts(picture, start, grid).into_par_iter().map(fitted).collect();
-    fits.into_iter()
-        .reduce(|best: Result<SnakeStart, RigError>, other| best.or_else(|error| other.map_err(|_| error)))
-        .unwrap_or(Err(RigError::NoContrast))
+    let camera_from_base = place_base(picture, start, grid)?;
+    let on_axis = |z_mm: f64| picture.lens.project(&(camera_from_base * Point3::new(0.0, 0.0, z_mm)));
+    let (base, tip) = (on_axis(0.0), on_axis(picture.robot.length_mm));
+    Ok(SnakeStart { base, axis: (tip - base).normalize(), ..*start })
 }

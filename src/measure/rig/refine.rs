@@ -11,10 +11,11 @@ use crate::geometry::perturbed;
 use crate::measure::body::{Outline, Piece, Projection};
 use crate::measure::fit::{
     BIASES, BendFit, Correspondences, EdgeFinder, FRAME_BIAS_SIGMA, FitSchedule, Linearised, RobustPhase, Start, State,
-    fine_filter, fit_bend, inliers, learned_mode_sigmas, predict_blur,
+    excess, fine_filter, fit_bend, inliers, learned_mode_sigmas, predict_blur,
 };
 use crate::measure::image::plane::{Plane, Region};
 use crate::robot::{PROFILE, Robot};
+use crate::statistics::moments::mean;
 use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, SVector};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -70,6 +71,8 @@ struct SharedEvidence {
     clusters: BTreeMap<Piece, NormalEquations>,
     /// Jᵗr of each of [`Correspondences::systematic_modes`].
     modes: Vec<Shared>,
+    /// See [`excess`].
+    excess: f64,
 }
 
 /// The picture around the snake in one frame, in the channel that shows it; what lies further away is not kept.
@@ -161,6 +164,7 @@ fn shared_evidence(
     let roots = RobustPhase::Redescending.roots(&residuals);
     let (_, scatter_px) = inliers(&edges.in_px(&residuals), &roots);
     let Linearised { residuals, by_state, by_pose } = Linearised::new(&edges, view, state, &roots, None);
+    let excess = excess(&residuals, &roots);
     let (bend, bias) = (by_state.columns(0, PROFILE).into_owned(), by_state.columns(PROFILE, BIASES));
     let shared =
         DMatrix::from_fn(by_pose.nrows(), SHARED, |r, c| if c < 6 { by_pose[(r, c)] } else { bias[(r, c - 6)] });
@@ -174,7 +178,7 @@ fn shared_evidence(
     }
     let modes = edges.systematic_modes(view, &roots, scatter_px);
     let modes = modes.iter().map(|mode| Shared::from_iterator(projected.tr_mul(mode).iter().copied()));
-    Some(SharedEvidence { clusters, modes: modes.collect() })
+    Some(SharedEvidence { clusters, modes: modes.collect(), excess })
 }
 
 /// The columns of `shared` without what the columns of `own` could have done as well, whose parameters are known beforehand to
@@ -221,7 +225,8 @@ impl Prior {
     /// The next step after `moved` from all evidence and this prior, and the covariance after it.
     ///
     /// Errors along one piece of the body are the same in every frame (they share its shading), so pieces, not edges and not
-    /// frames, are the clusters: their information counts as much less as their scores scatter more than they should.
+    /// frames, are the clusters: their information counts as much less as their scores scatter more than they should. What edges in all frames scatter more
+    /// than they may widens the covariance as it does a frame's.
     fn combined(&self, moved: &Shared, evidence: &[SharedEvidence]) -> Option<(Shared, SharedInformation)> {
         let mut clusters: BTreeMap<Piece, NormalEquations> = BTreeMap::new();
         for (piece, equations) in evidence.iter().flat_map(|e| &e.clusters) {
@@ -239,15 +244,16 @@ impl Prior {
         let modes = evidence.first().map_or(0, |e| e.modes.len());
         let modes = (0..modes).map(|mode| evidence.iter().map(|e| e.modes[mode]).sum::<Shared>());
         let systematic: SharedInformation = modes.map(|slope| slope * slope.transpose()).sum();
+        let excess = mean(evidence.iter().map(|e| e.excess));
         let mut step = -alone * all.slope;
         let mut covariance = alone;
         for _ in 0..INFLATION_ROUNDS {
             let scores = clusters.values().map(|cluster| cluster.slope + cluster.information * step);
             let meat = scores.map(|s| s * s.transpose()).sum::<SharedInformation>() * (count / (count - parameters));
-            let inflation = ((alone * meat).trace() / determined).max(1.0);
+            let inflation = ((alone * meat).trace() / determined).max(1.0) * excess;
             let bread = (self.information + all.information / inflation).cholesky()?.inverse();
             step = -bread * (self.information * moved + all.slope / inflation);
-            covariance = bread * (self.information + (meat + systematic) / inflation.powi(2)) * bread;
+            covariance = bread * (self.information + (meat + systematic) * (excess / inflation.powi(2))) * bread;
         }
         Some((step, covariance))
     }
@@ -257,7 +263,6 @@ impl Prior {
 mod tests {
     use super::super::parameters::tests::rig;
     use super::*;
-    use crate::statistics::moments::mean;
     use rand::{RngExt, SeedableRng, rngs::StdRng};
     use rand_distr::{Distribution, Normal};
 
@@ -292,7 +297,7 @@ mod tests {
                 }
                 clusters.insert(*piece, equations);
             }
-            SharedEvidence { clusters, modes: Vec::new() }
+            SharedEvidence { clusters, modes: Vec::new(), excess: 1.0 }
         };
         (0..8).map(|_| frame(&mut random)).collect()
     }
@@ -317,6 +322,16 @@ mod tests {
             // 900 degrees of freedom tell it to 5 %; 40 clusters tell their own scatter less well, which makes it larger.
             assert!((0.8..1.6).contains(&chi2), "common error {common_sigma}: {chi2}");
         }
+    }
+
+    #[test]
+    fn edges_that_scatter_more_than_they_may_leave_as_much_wider_a_covariance() {
+        let (prior, truth) = unit_prior_and_truth();
+        let as_told = evidence(&truth, 1.0, 1);
+        let more: Vec<_> = as_told.iter().map(|e| SharedEvidence { excess: 4.0, ..e.clone() }).collect();
+        let traces = [&as_told, &more].map(|e| prior.combined(&Shared::zeros(), e).unwrap().1.trace());
+        // The prior tells little beside eight frames, so that four times the variance is nearly all of it.
+        assert!((3.5..4.05).contains(&(traces[1] / traces[0])), "{traces:?}");
     }
 
     #[test]

@@ -18,7 +18,15 @@ use nalgebra::{Point2, UnitQuaternion, Vector2, Vector3};
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// Cells across the snake's width in the search everywhere.
+/// Cells across the snake's width in the first search, of all places.
+///
+/// Convention: a limit of time, which goes with the fourth power; the body is still two cells wide, and what it finds is only looked at again.
+const FIRST_CELLS: f64 = 2.0;
+/// How many places are looked at again in each direction.
+///
+/// Convention: a limit of time; twice as many as are gone on from in all.
+const MOST_PLACES: usize = 16;
+/// Cells across the snake's width in the second search, around the places that the first one found.
 ///
 /// Derived: the disks of the paper's robot are 0.9 widths apart; four cells show them as waves. With three, which takes a third of the time, a snake of
 /// thirty photo-real rigs is lost beside its shadow.
@@ -95,7 +103,7 @@ const DRAWN_WIDTH_PX: f64 = 36.0;
 const DRAWN_FROM_WIDTHS: f64 = 60.0;
 
 /// Where a straight snake was found.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Copy)]
 pub struct SnakeStart {
     /// Middle of the base disk's upper face, px.
     pub base: Point2<f64>,
@@ -105,6 +113,18 @@ pub struct SnakeStart {
     pub gain: f64,
     /// The share of the cells' variance that two levels explain: r².
     pub explained: f64,
+}
+
+impl SnakeStart {
+    /// Whether another start leads to the same refinement: no further away than that, px, and in nearly one direction.
+    fn is_near(&self, other: &Self, apart_px: f64) -> bool {
+        (other.base - self.base).norm() <= apart_px && other.axis.angle(&self.axis) <= APART_RAD
+    }
+
+    /// Whether another start leads to the same fit of a base that is so many px wide.
+    pub fn is_same(&self, other: &Self, width_px: f64) -> bool {
+        self.is_near(other, SAME_WIDTHS * width_px)
+    }
 }
 
 /// The straight body's silhouette in units of its width.
@@ -223,14 +243,19 @@ pub fn search_everywhere(
     region: &PictureRegion,
     is_asked: impl Fn(&Vector2<f64>) -> bool + Sync,
 ) -> Vec<SnakeStart> {
-    let unlike = Unlike::of(frame, width_px / COARSE_CELLS, region);
-    let cells = template.cells(COARSE_CELLS);
+    let [first, second] = [FIRST_CELLS, COARSE_CELLS]
+        .map(|per_width| (Unlike::of(frame, width_px / per_width, region), template.cells(per_width)));
     let axis = |k: usize| {
         let direction = TAU * k as f64 / DIRECTIONS as f64;
         Vector2::new(direction.sin(), -direction.cos())
     };
+    let found = |axis: Vector2<f64>| {
+        let places = in_direction(&first.0, &offsets(&first.1, axis, FIRST_CELLS), axis);
+        let offsets = offsets(&second.1, axis, COARSE_CELLS);
+        places.into_iter().map(|place| best_around(&second.0, &offsets, place)).collect::<Vec<_>>()
+    };
     let asked = (0..DIRECTIONS).into_par_iter().map(axis).filter(|axis| is_asked(axis));
-    let mut all: Vec<SnakeStart> = asked.flat_map_iter(|axis| in_direction(&unlike, &cells, axis)).collect();
+    let mut all: Vec<SnakeStart> = asked.flat_map_iter(found).collect();
     all.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     distinct(all, APART_WIDTHS * width_px)
 }
@@ -254,29 +279,47 @@ pub fn search_nearby(
 fn distinct(sorted: Vec<SnakeStart>, apart_px: f64) -> Vec<SnakeStart> {
     let mut found: Vec<SnakeStart> = Vec::new();
     for start in sorted {
-        let is_apart = |other: &SnakeStart| {
-            (other.base - start.base).norm() > apart_px || other.axis.angle(&start.axis) > APART_RAD
-        };
-        if found.len() < MOST_FOUND && found.iter().all(is_apart) {
+        if found.len() < MOST_FOUND && found.iter().all(|other| !other.is_near(&start, apart_px)) {
             found.push(start);
         }
     }
     found
 }
 
-/// The best places in one direction: every local maximum of the gain over the cells that stands out from its neighbours.
-fn in_direction(unlike: &Unlike, cells: &[Cell], axis: Vector2<f64>) -> Vec<SnakeStart> {
+/// The cells of a strip in one direction, counted from that of its base, and the share of each that the body covers.
+fn offsets(cells: &[Cell], axis: Vector2<f64>, per_width: f64) -> Vec<(i64, i64, f32)> {
     let across = Vector2::new(-axis.y, axis.x);
-    let offsets: Vec<(i64, i64, f32)> = cells
-        .iter()
-        .map(|cell| {
-            let off = (axis * cell.along + across * cell.across) * COARSE_CELLS;
-            (off.x.round() as i64, off.y.round() as i64, cell.body)
-        })
-        .collect();
+    let offset = |cell: &Cell| {
+        let off = (axis * cell.along + across * cell.across) * per_width;
+        (off.x.round() as i64, off.y.round() as i64, cell.body)
+    };
+    cells.iter().map(offset).collect()
+}
+
+/// The best place for a base among the cells within half a width of one, all in its direction.
+fn best_around(unlike: &Unlike, offsets: &[(i64, i64, f32)], place: SnakeStart) -> SnakeStart {
+    let [x0, y0] = [place.base.x, place.base.y].map(|at| ((at + 0.5) / unlike.cell_px).floor() as i64);
+    let reach = (0.5 * COARSE_CELLS) as i64;
+    let around = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (x0 + dx, y0 + dy)));
+    let at = |(x, y): (i64, i64)| {
+        let mut sums = Sums::default();
+        for &(dx, dy, body) in offsets {
+            let [shown, seen, seen2] = unlike.cell(x + dx, y + dy);
+            let terms = [shown, body * shown, body * body * shown, seen, seen2, body * seen];
+            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+        }
+        let (gain, explained) = gain(sums, offsets.len());
+        SnakeStart { base: unlike.middle(x, y), gain, explained, ..place }
+    };
+    let none = SnakeStart { gain: 0.0, explained: 0.0, ..place };
+    around.map(at).fold(none, |best, other| if other.gain > best.gain { other } else { best })
+}
+
+/// The best places in one direction: every local maximum of the gain over the cells that stands out from its neighbours.
+fn in_direction(unlike: &Unlike, offsets: &[(i64, i64, f32)], axis: Vector2<f64>) -> Vec<SnakeStart> {
     let (width, height) = (unlike.width as i64, unlike.height as i64);
     let mut sums: [Vec<f32>; 6] = std::array::from_fn(|_| vec![0.0; (width * height) as usize]);
-    for &(dx, dy, body) in &offsets {
+    for &(dx, dy, body) in offsets {
         for y in 0.max(-dy)..height.min(height - dy) {
             let columns = 0.max(-dx)..width.min(width - dx);
             if columns.is_empty() {
@@ -303,7 +346,7 @@ fn in_direction(unlike: &Unlike, cells: &[Cell], axis: Vector2<f64>) -> Vec<Snak
         }
     }
     let gains: Vec<(f64, f64)> =
-        (0..(width * height) as usize).map(|k| gain(sums.each_ref().map(|sum| sum[k]), cells.len())).collect();
+        (0..(width * height) as usize).map(|k| gain(sums.each_ref().map(|sum| sum[k]), offsets.len())).collect();
     let at = |x: i64, y: i64| {
         if (0..width).contains(&x) && (0..height).contains(&y) { gains[(y * width + x) as usize] } else { (0.0, 0.0) }
     };
@@ -312,12 +355,11 @@ fn in_direction(unlike: &Unlike, cells: &[Cell], axis: Vector2<f64>) -> Vec<Snak
         let (gain, explained) = at(x, y);
         let is_peak = gain > 0.0 && (-1..=1).all(|dy| (-1..=1).all(|dx| at(x + dx, y + dy).0 <= gain));
         if is_peak {
-            let base = Point2::new((x as f64 + 0.5) * unlike.cell_px - 0.5, (y as f64 + 0.5) * unlike.cell_px - 0.5);
-            places.push(SnakeStart { base, axis, gain, explained });
+            places.push(SnakeStart { base: unlike.middle(x, y), axis, gain, explained });
         }
     }
     places.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-    places.truncate(MOST_FOUND);
+    places.truncate(MOST_PLACES);
     places
 }
 
@@ -337,9 +379,9 @@ fn refined(unlike: &Unlike, cells: &[Cell], width_px: f64, start: &SnakeStart) -
         (-count..=count).filter(move |k| k % every == 0).map(move |k| reach * f64::from(k) / f64::from(count))
     };
     let (first, explained) = gain(&start.base, &start.axis);
-    let mut best = SnakeStart { gain: first, explained, ..start.clone() };
+    let mut best = SnakeStart { gain: first, explained, ..*start };
     let around = |from: SnakeStart, turns: (f64, i32), along: (f64, i32), across: (f64, i32), every: i32| {
-        let mut best = from.clone();
+        let mut best = from;
         let (sin_cos, origin) = (from.axis, from.base);
         for turn in steps(turns, every) {
             let axis = (sin_cos + Vector2::new(-sin_cos.y, sin_cos.x) * turn).normalize();

@@ -7,7 +7,7 @@ use std::f64::consts::PI;
 /// How far the snake may be from parallel to the grid, rad (1σ): in a jig that was made for it, and where an eye set it. Either is as likely.
 ///
 /// Convention: a jig's precision, 0.05 mm over the snake's length; and half a millimetre.
-const TILT_SIGMAS: [f64; 2] = [0.1 * PI / 180.0, 1.0 * PI / 180.0];
+pub const TILT_SIGMAS: [f64; 2] = [0.1 * PI / 180.0, 1.0 * PI / 180.0];
 /// How far from its own tilt the light on the disks' faces makes a straight snake seem tilted, rad (1σ): all faces are seen at nearly the same
 /// glancing angle, so that no number of disks averages it away. Bent snakes, whose faces are seen at many angles, do not share it.
 ///

@@ -8,7 +8,7 @@ use crate::measure::image::plane::Plane;
 use crate::measure::target::PictureRegion;
 use crate::statistics::order::{mad_scale, median};
 use crate::statistics::robust::{Irls, Loss};
-use nalgebra::{DMatrix, DVector, Matrix3, Point2, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Point2, Vector2, Vector3, Vector6};
 use rayon::prelude::*;
 
 /// The squared distance from the sheet's colours from which on a cell is unlike the sheet.
@@ -67,10 +67,20 @@ impl Unlike {
         Self { cell_px, width, height, moments }
     }
 
+    /// The middle of a cell, px.
+    pub fn middle(&self, x: i64, y: i64) -> Point2<f64> {
+        Point2::new(x as f64 + 0.5, y as f64 + 0.5) * self.cell_px - Vector2::new(0.5, 0.5)
+    }
+
     /// The moments at a pixel.
     pub fn at(&self, pixel: &Point2<f64>) -> [f32; 3] {
-        let (x, y) = (((pixel.x + 0.5) / self.cell_px).floor(), ((pixel.y + 0.5) / self.cell_px).floor());
-        let is_inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
+        let [x, y] = [pixel.x, pixel.y].map(|at| ((at + 0.5) / self.cell_px).floor() as i64);
+        self.cell(x, y)
+    }
+
+    /// The moments of a cell.
+    pub fn cell(&self, x: i64, y: i64) -> [f32; 3] {
+        let is_inside = x >= 0 && y >= 0 && x < self.width as i64 && y < self.height as i64;
         if is_inside {
             self.moments.each_ref().map(|moment| moment[y as usize * self.width + x as usize])
         } else {

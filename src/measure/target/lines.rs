@@ -159,7 +159,7 @@ impl Lines<'_> {
         let size = Vector2::new(self.plane.width as f64 - 1.0, self.plane.height as f64 - 1.0);
         let mut reach = [(f64::MAX, f64::MIN); 2];
         for (x, y) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
-            let (place_mm, _) = sheet.at(self.lens, &Point2::new(x * size.x, y * size.y))?;
+            let place_mm = sheet.place_at(self.lens, &Point2::new(x * size.x, y * size.y))?;
             for axis in 0..2 {
                 // The sheet ends where the last windows saw it, or soon after.
                 let end = SheetShape::BEYOND * sheet.shape.half_mm[axis];

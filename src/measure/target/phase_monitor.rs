@@ -160,7 +160,7 @@ impl GridPhaseMonitor {
         let covariance = covariance * DESIGN_EFFECT;
         let variance_px = (&self.by_motion * &covariance * self.by_motion.transpose()).trace() / count;
         let moved = moved_target(&self.sheet, motion.as_slice());
-        let (place_mm, _) = self.sheet.at(&self.lens, base)?;
+        let place_mm = self.sheet.place_at(&self.lens, base)?;
         let motion = Vector6::from_column_slice(motion.as_slice());
         let covariance: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
         Some(GridShift {

@@ -285,7 +285,7 @@ impl Lattice<'_> {
         let SheetShape { centre_mm, half_mm, .. } = self.sheet.shape;
         let reach_mm = half_mm * SheetShape::BEYOND;
         let at = |column: usize| {
-            let (place, _) = self.sheet.at(self.lens, &Point2::new(column as f64, row as f64))?;
+            let place = self.sheet.place_at(self.lens, &Point2::new(column as f64, row as f64))?;
             let off = (place - centre_mm).abs();
             (off.x < reach_mm.x && off.y < reach_mm.y).then(|| place.coords / self.pitch_mm)
         };

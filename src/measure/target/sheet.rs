@@ -160,26 +160,28 @@ impl Sheet {
     /// The lattice coordinates (mm) seen at a pixel, and their gradients (rows), mm per px; `None` where the line of sight leads away
     /// from the sheet.
     pub fn at(&self, lens: &Lens, pixel: &Point2<f64>) -> Option<(Point2<f64>, Matrix2<f64>)> {
+        let centre = self.place_at(lens, pixel)?;
+        let right = self.place_at(lens, &(pixel + Vector2::x()))? - centre;
+        let down = self.place_at(lens, &(pixel + Vector2::y()))? - centre;
+        Some((centre, Matrix2::from_columns(&[right, down])))
+    }
+
+    /// The lattice coordinates (mm) seen at a pixel, without their gradients.
+    pub fn place_at(&self, lens: &Lens, pixel: &Point2<f64>) -> Option<Point2<f64>> {
         let grid_from_camera = self.camera_from_grid.inverse();
         let eye = grid_from_camera * Point3::origin();
-        let hit = |pixel: &Point2<f64>| -> Option<Point2<f64>> {
-            let ray = grid_from_camera * lens.ray(pixel);
-            let mut height_mm = 0.0;
-            let mut lattice_mm = Point2::origin();
-            for _ in 0..if self.shape.bow_mm == [0.0; 3] { 1 } else { SURFACE_ROUNDS } {
-                let distance = (height_mm - eye.z) / ray.z;
-                if distance.is_nan() || distance <= 0.0 {
-                    return None;
-                }
-                lattice_mm = self.shape.lattice(&Point2::new(eye.x + distance * ray.x, eye.y + distance * ray.y));
-                height_mm = self.shape.height_mm(&lattice_mm);
+        let ray = grid_from_camera * lens.ray(pixel);
+        let mut height_mm = 0.0;
+        let mut lattice_mm = Point2::origin();
+        for _ in 0..if self.shape.bow_mm == [0.0; 3] { 1 } else { SURFACE_ROUNDS } {
+            let distance = (height_mm - eye.z) / ray.z;
+            if distance.is_nan() || distance <= 0.0 {
+                return None;
             }
-            Some(lattice_mm)
-        };
-        let centre = hit(pixel)?;
-        let right = hit(&(pixel + Vector2::x()))? - centre;
-        let down = hit(&(pixel + Vector2::y()))? - centre;
-        Some((centre, Matrix2::from_columns(&[right, down])))
+            lattice_mm = self.shape.lattice(&Point2::new(eye.x + distance * ray.x, eye.y + distance * ray.y));
+            height_mm = self.shape.height_mm(&lattice_mm);
+        }
+        Some(lattice_mm)
     }
 
     /// How long so many mm across are in the picture in the middle of the sheet that is seen, px.
