@@ -184,7 +184,8 @@ impl Args {
             let q_mm = first.without_sharing(&reading.q_mm, limits);
             EncoderReading { q_mm, ..*reading }
         };
-        let doubt = doubt_of_force_limits(&first, limits, measurements, encoders);
+        let doubt =
+            doubt_of_force_limits(&first, limits, measurements, encoders, self.estimator.options(1.0).sd_encoder_mm);
         Ok((encoders.iter().map(without).collect(), doubt))
     }
 
