@@ -38,7 +38,8 @@ pub fn doubt_of_force_limits(
     let told = poses.explained_by(Some(*limits));
     let (least_n, most_n) = limits.ends_n();
     let multiples = MULTIPLES.iter().filter_map(|k| ForceLimits::new(k * least_n, k * most_n).ok()).map(Some);
-    let others: Vec<Explained> = multiples.chain([None]).map(|other| poses.explained_by(other)).collect();
+    // Limits that act at no pose are none.
+    let others: Vec<Explained> = [None].into_iter().chain(multiples).map(|other| poses.explained_by(other)).collect();
     let best = others.iter().min_by(|a, b| a.square_mm2.total_cmp(&b.square_mm2))?;
     let largest_mm = told.shifts_mm.iter().fold(0.0_f64, |most, mm| most.max(mm.abs()));
     let seen = format!("of the force that --force-limits tells, up to {largest_mm:.3} mm of q̃");
