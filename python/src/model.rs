@@ -12,7 +12,7 @@ use pyo3::types::{PyDict, PyList};
 use rayon::prelude::*;
 use snakeloop::geometry::Configuration;
 use snakeloop::record::{
-    Provenance, do_not_use_mark, model_toml, read_model, stale_mark, write_learned_model, write_model,
+    Provenance, do_not_use_mark, learned_model_toml, model_toml, read_model, stale_mark, write_atomically,
 };
 use snakeloop::robot::{Effect, Grid, Mechanics, Model, PerBackbone, TableRow};
 use snakeloop::verdict::{Code, Level, Reason, Verdict};
@@ -116,10 +116,11 @@ impl PyModel {
 
     /// Writes a model.toml, whole or not at all; with the verdict on it, where there is one.
     fn write(&self, path: PathBuf) -> PyResult<()> {
-        match &self.verdict {
-            Some(verdict) => write_learned_model(&path, &self.model, Some(verdict), &Provenance::new("Model.write")),
-            None => write_model(&path, &self.model),
-        }
+        let text = match &self.verdict {
+            Some(verdict) => learned_model_toml(&self.model, Some(verdict), &Provenance::new("Model.write")),
+            None => model_toml(&self.model),
+        };
+        text.and_then(|text| write_atomically(&path, text.as_bytes()))
         .map_err(raised)
     }
 

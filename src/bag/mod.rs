@@ -84,11 +84,15 @@ impl Topic {
     /// # Errors
     /// A file that cannot be opened.
     pub fn count(&self) -> Result<usize> {
-        let by_summaries: Option<usize> = self.bag.files()?.iter().map(|file| self.counted_by_summary(file)).sum();
-        match by_summaries {
+        match self.counted_by_summaries()? {
             Some(count) => Ok(count),
             None => Ok(self.messages()?.filter(Result::is_ok).count()),
         }
+    }
+
+    /// How many messages of the topic the summaries of all files count; `None` if a file has no readable one.
+    fn counted_by_summaries(&self) -> Result<Option<usize>> {
+        Ok(self.bag.files()?.iter().map(|file| self.counted_by_summary(file)).sum())
     }
 
     /// How many messages of the topic a file's summary counts; `None` if the file has no readable summary.
@@ -142,7 +146,16 @@ impl Topic {
             match message.map(|message| message.decoded()) {
                 Ok(Ok(message)) => found.push(message),
                 Ok(Err(error)) => bad = (bad.0 + 1, if bad.0 == 0 { self.in_words(&error) } else { bad.1 }),
-                Err(error) => faults.push(format!("{}; what follows is not read", self.in_words(&error))),
+                Err(error) => {
+                    let read = self
+                        .counted_by_summaries()?
+                        .map(|all| format!(": {} of {all} messages were read", found.len()));
+                    faults.push(format!(
+                        "{}; what follows is not read{}",
+                        self.in_words(&error),
+                        read.unwrap_or_default()
+                    ));
+                }
             }
         }
         match bad {

@@ -17,8 +17,8 @@ use crate::estimate::gap::{Gap, gap};
 use crate::estimate::{Options, Verdict as GateVerdict, estimate};
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, Experiment, OutputFolder, Provenance, mark_tables_stale, measurements_csv, read_effects,
-    read_measurements, read_model, trajectory_csv, write_atomically, write_learned_model,
+    Checked, Experiment, OutputFolder, Provenance, learned_model_toml, measurements_csv, read_effects,
+    read_measurements, read_model, tables_marked_stale, trajectory_csv, write_atomically, write_together,
 };
 use crate::report::discovery::{Page, lines};
 use crate::report::verdict::verdict_page;
@@ -252,13 +252,17 @@ impl Args {
         page: &str,
         made_from: &Provenance,
     ) -> Result<()> {
-        self.write("discrepancy.json", &format!("{json:#}\n"))?;
-        write_learned_model(&self.output.join("model.toml"), model, verdict.as_ref(), made_from)?;
-        mark_tables_stale(
+        let mut files = tables_marked_stale(
             &self.output,
             "`discover` has written model.toml beside it anew; `table` makes it of that model",
         )?;
-        self.write("report.html", page)
+        let texts = [
+            ("discrepancy.json", format!("{json:#}\n")),
+            ("model.toml", learned_model_toml(model, verdict.as_ref(), made_from)?),
+            ("report.html", page.to_owned()),
+        ];
+        files.extend(texts.map(|(name, text)| (self.output.join(name), text)));
+        write_together(&files)
     }
 
     /// The files that the call names.

@@ -9,7 +9,7 @@ use crate::estimate::{EstimateRow, Verdict as RowVerdict, estimate, estimate_ste
 use crate::observation::{EncoderReading, Measurement, commonest_status};
 use crate::quantity::with_sd;
 use crate::record::{
-    OutputFolder, Provenance, estimates_csv, mark_tables_stale, stems_csv, write_atomically, write_learned_model,
+    Files, OutputFolder, Provenance, estimates_csv, learned_model_toml, stems_csv, tables_marked_stale, write_together,
 };
 use crate::robot::{Effect, Estimate, ForceLimits, Model};
 use crate::verdict::{Code, JudgedEstimate, Level, Reason, Verdict, doubt_of_force_limits};
@@ -63,6 +63,9 @@ struct Followed {
     used: usize,
     skipped: usize,
     output: PathBuf,
+    /// What speaks against it, if something does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    verdict: Option<Verdict>,
 }
 
 /// The verdict and the result below it.
@@ -123,13 +126,11 @@ impl Args {
         let model = with_effects(console, model, &self.effect)?;
         let (measurements, encoders) = measurements_and_readings(console, &model, &self.measurements, Some(&log))?;
         if self.stem {
-            let made_from = self.made_from(&log)?;
-            return Ok(self.follow_stem(
-                console,
-                (&model, do_not_use.as_deref(), made_from),
-                &measurements,
-                &encoders,
-            )?);
+            let judged = log.subject(&model, self.estimator.options(1.0).sd_encoder_mm)?;
+            let mistake = judged.wiring_mistake(&measurements, &encoders);
+            let verdict = Verdict::of(do_not_use.as_deref().map(bad_start).into_iter().chain(mistake).collect());
+            self.follow_stem(console, (&model, &verdict, self.made_from(&log)?), &measurements, &encoders)?;
+            return self.verdict.check(&verdict);
         }
         let (encoders, doubt) = match force_limits(self.force_limits.as_deref())? {
             Some(limits) => self.without_sharing(&model, &limits, &measurements, &encoders)?,
@@ -145,15 +146,15 @@ impl Args {
         rows.iter().for_each(|row| verdicts.add(row));
         let estimated = Estimated::of(verdicts, model.estimate);
         let verdict = do_not_use.as_deref().map(bad_start).into_iter().chain(doubt).fold(verdict, Verdict::and);
+        let mut files = Vec::new();
         if model.estimate.is_some() {
-            write_learned_model(&self.output.join("model.toml"), &model, Some(&verdict), &self.made_from(&log)?)?;
-            mark_tables_stale(&self.output, OTHER_MODEL)?;
+            files = self.beside_model(learned_model_toml(&model, Some(&verdict), &self.made_from(&log)?)?)?;
         }
         // The rows stand beside the model that they led to, and not beside an earlier one.
         if model.estimate.is_some() || !self.output.join("model.toml").exists() {
-            let rows = estimates_csv(&rows, model.robot.backbone_count());
-            write_atomically(&self.output.join("estimate.csv"), rows.as_bytes())?;
+            files.push((self.output.join("estimate.csv"), estimates_csv(&rows, model.robot.backbone_count())));
         }
+        write_together(&files)?;
         let summary = Summary { verdict, estimated };
         console.result(&summary, || verdict_text(&summary.verdict) + &summary.estimated.text());
         console.next(match summary.verdict.level {
@@ -184,14 +185,22 @@ impl Args {
             let q_mm = first.without_sharing(&reading.q_mm, limits);
             EncoderReading { q_mm, ..*reading }
         };
-        let doubt = doubt_of_force_limits(&first, limits, measurements, encoders);
+        let doubt =
+            doubt_of_force_limits(&first, limits, measurements, encoders, self.estimator.options(1.0).sd_encoder_mm);
         Ok((encoders.iter().map(without).collect(), doubt))
+    }
+
+    /// model.toml, and the tables of an earlier call as they are marked beside it.
+    fn beside_model(&self, text: String) -> Result<Files> {
+        let mut files = tables_marked_stale(&self.output, OTHER_MODEL)?;
+        files.push((self.output.join("model.toml"), text));
+        Ok(files)
     }
 
     fn follow_stem(
         &self,
         console: &Console,
-        (model, do_not_use, made_from): (&Model, Option<&str>, Provenance),
+        (model, verdict, made_from): (&Model, &Verdict, Provenance),
         measurements: &[Measurement],
         encoders: &[EncoderReading],
     ) -> Result<()> {
@@ -202,21 +211,23 @@ impl Args {
             return Err(Error::content(&self.measurements, message));
         };
         let output = self.output.join("stem.csv");
-        write_atomically(&output, stems_csv(&rows).as_bytes())?;
-        let path = self.output.join("model.toml");
-        let verdict = do_not_use.map(|why| Verdict::of(vec![bad_start(why)]));
-        write_learned_model(&path, &model, verdict.as_ref(), &made_from)?;
-        mark_tables_stale(&self.output, OTHER_MODEL)?;
+        // Nothing found against it is no verdict on the angle.
+        let found = Some(verdict).filter(|verdict| !verdict.reasons.is_empty());
+        let mut files = self.beside_model(learned_model_toml(&model, found, &made_from)?)?;
+        files.push((output.clone(), stems_csv(&rows)));
+        write_together(&files)?;
         let followed = Followed {
             phi_deg: last.phi.to_degrees(),
             sd_phi_deg: last.sd_phi.to_degrees(),
             used,
             skipped: rows.len() - used,
             output,
+            verdict: found.cloned(),
         };
         console.result(&followed, || {
+            let found = found.map(verdict_text).unwrap_or_default();
             format!(
-                "Φ at the end  {}°\nmeasurements  {used} used, {} skipped\n{}",
+                "{found}Φ at the end  {}°\nmeasurements  {used} used, {} skipped\n{}",
                 with_sd(followed.phi_deg, followed.sd_phi_deg),
                 followed.skipped,
                 followed.output.display()

@@ -2,11 +2,13 @@
 
 use super::console::Console;
 use super::inputs::{NamedLog, measurements_and_readings, model_that_may_be_used};
+use super::verdict::verdict_text;
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::estimate::{Options, tip_force};
 use crate::quantity::with_sd;
 use crate::record::{forces_csv, write_atomically};
+use crate::verdict::Verdict;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -43,13 +45,18 @@ struct Found {
     unseen: Vec<[f64; 3]>,
     used: usize,
     output: PathBuf,
+    /// What speaks against it, if something does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    verdict: Option<Verdict>,
 }
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let model = model_that_may_be_used(&self.model)?;
-        let (measurements, readings) =
-            measurements_and_readings(console, &model, &self.measurements, Some(&NamedLog::open(&self.encoders)?))?;
+        let log = NamedLog::open(&self.encoders)?;
+        let (measurements, readings) = measurements_and_readings(console, &model, &self.measurements, Some(&log))?;
+        let mistake = log.subject(&model, self.encoder_sd)?.wiring_mistake(&measurements, &readings);
+        let verdict = mistake.map(|mistake| Verdict::of(vec![mistake]));
         let (rows, force) = tip_force(&model, self.encoder_sd, &measurements, &readings)?;
         let output = self.output.join("force.csv");
         write_atomically(&output, forces_csv(&rows).as_bytes())?;
@@ -59,12 +66,14 @@ impl Args {
             unseen: force.unseen.iter().map(|&direction| direction.into()).collect(),
             used: rows.iter().filter(|row| row.force.is_some()).count(),
             output,
+            verdict,
         };
         console.result(&found, || {
             let sd = force.covariance_n2.diagonal().map(|variance| variance.max(0.0).sqrt());
             let part = |name: &str, k: usize| format!("{name}  {} N\n", with_sd(force.force_n[k], sd[k]));
             let unseen = force.unseen.iter().map(|u| format!("unseen along ({:+.2}, {:+.2}, {:+.2})\n", u.x, u.y, u.z));
-            part("Fx", 0)
+            found.verdict.as_ref().map(verdict_text).unwrap_or_default()
+                + &part("Fx", 0)
                 + &part("Fy", 1)
                 + &part("Fz", 2)
                 + &unseen.collect::<String>()

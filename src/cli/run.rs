@@ -18,8 +18,8 @@ use crate::input::read_text;
 use crate::observation::EncoderReading;
 use crate::quantity::with_sd;
 use crate::record::{
-    Checked, Experiment, MeasurementRows, OutputFolder, PendingFile, Provenance, Warning, Worth, estimate_line,
-    estimates_header, mark_stale, write_atomically, write_compensation, write_learned_model,
+    Checked, Experiment, Files, MeasurementRows, OutputFolder, PendingFile, Provenance, Warning, Worth,
+    compensation_files, estimate_line, estimates_header, learned_model_toml, mark_stale, write_together,
 };
 use crate::report::run_history::RunHistory;
 use crate::report::run_page::Report;
@@ -228,11 +228,7 @@ pub fn finish(
     let verdict = beside_former(output, doubts.chain(sheets).fold(verdict, Verdict::and))?;
     info!(used = estimated.used, rejected = estimated.rejected, skipped = estimated.skipped, verdict = %verdict.level, "judged");
     let made_from = provenance(experiment, settings, output)?;
-    let table = written_table(output, &model, &verdict, &made_from)?;
-    // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
-    if table.is_some() || !output.join("model.toml").exists() {
-        estimates.commit()?;
-    }
+    let (mut files, table) = model_and_tables(output, &model, &verdict, &made_from)?;
     let naive = Model { estimate: None, ..model.clone() };
     let summary = Summary {
         frames: count.frames,
@@ -247,7 +243,13 @@ pub fn finish(
         model,
     };
     let page = page(experiment, &summary, encoders, &history, (settings, warnings, &made_from))?;
-    write_atomically(&output.join("report.html"), page.as_bytes())?;
+    files.push((output.join("report.html"), page));
+    // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
+    let has_rows = summary.table.is_some() || !output.join("model.toml").exists();
+    write_together(&files)?;
+    if has_rows {
+        estimates.commit()?;
+    }
     info!(output = %output.display(), "written");
     Ok(summary)
 }
@@ -284,6 +286,7 @@ fn learn(
         history.add(&measurement, &row);
         Ok(())
     })?;
+    estimates.sync()?;
     Ok(Learned { model, verdicts, history, estimates })
 }
 
@@ -346,14 +349,19 @@ fn rig_pictures(experiment: &Experiment, output: &Path) -> Result<Vec<(String, V
         .collect()
 }
 
-/// Writes the model and its table, unless there is no estimate or an earlier run's are to stay.
-fn written_table(output: &Path, model: &Model, verdict: &Verdict, made_from: &Provenance) -> Result<Option<Table>> {
+/// The files of the model and its table, unless there is no estimate or an earlier run's are to stay.
+fn model_and_tables(
+    output: &Path,
+    model: &Model,
+    verdict: &Verdict,
+    made_from: &Provenance,
+) -> Result<(Files, Option<Table>)> {
     if model.estimate.is_none() || verdict.has(Code::Stale) {
-        return Ok(None);
+        return Ok((Vec::new(), None));
     }
-    write_learned_model(&output.join("model.toml"), model, Some(verdict), made_from)?;
-    let table = write_compensation(output, model, "model.toml", Worth::of(verdict))?;
-    Ok(Some(Table { poses: table.len(), largest_correction_mm: largest_correction_mm(&table) }))
+    let (mut files, table) = compensation_files(output, model, "model.toml", Worth::of(verdict))?;
+    files.push((output.join("model.toml"), learned_model_toml(model, Some(verdict), made_from)?));
+    Ok((files, Some(Table { poses: table.len(), largest_correction_mm: largest_correction_mm(&table) })))
 }
 
 /// Where an earlier run left a model that could be used, and this one's must not be: the reason to keep the former.

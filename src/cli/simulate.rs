@@ -9,8 +9,8 @@ use crate::closed_loop::ClosedLoop;
 use crate::observation::Waypoint;
 use crate::quantity::with_sd;
 use crate::record::{
-    Worth, csv_of, encoders_csv, measurements_csv, read_trajectory, truth_csv, write_atomically, write_compensation,
-    write_model,
+    Worth, compensation_files, csv_of, encoders_csv, measurements_csv, model_toml, read_trajectory, truth_csv,
+    write_atomically, write_together,
 };
 use crate::report::learning::learning_curve;
 use crate::robot::{Effect, Estimate, Model};
@@ -183,9 +183,10 @@ impl Args {
             self.write("closed_loop.svg", &svg)?;
         }
         let model_path = self.output.join("model.toml");
-        write_model(&model_path, &model)?;
         let worth = Worth { do_not_use: do_not_use.as_deref(), ..Worth::default() };
-        write_compensation(&self.output, &model, &model_path.display().to_string(), worth)?;
+        let (mut files, _) = compensation_files(&self.output, &model, &model_path.display().to_string(), worth)?;
+        files.push((model_path, model_toml(&model)?));
+        write_together(&files)?;
         let summary = Closed {
             frames: cycles.len(),
             table_error_before_deg: first,

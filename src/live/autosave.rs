@@ -10,7 +10,8 @@ use super::shared_state::{Commanding, SharedState};
 use super::status::{PublicationState, PublicationStatus};
 use crate::error::{DataError, Error, Result};
 use crate::record::{
-    Provenance, Worth, mark_stale, unmark_stale, write_atomically, write_compensation, write_learned_model,
+    Provenance, Worth, compensation_files, learned_model_toml, mark_stale, unmark_stale, write_atomically,
+    write_together,
 };
 use crate::robot::PerBackbone;
 use nalgebra::Vector2;
@@ -144,8 +145,9 @@ pub fn save(shared: &SharedState, output: &Path) -> Result<std::result::Result<(
             return Err(DataError::NoEstimateYet.into());
         }
         let path = output.join("model.toml");
-        write_learned_model(&path, &model, Some(&verdict), &Provenance::new("live"))?;
-        write_compensation(output, &model, &path.display().to_string(), Worth::of(&verdict))?;
+        let (mut files, _) = compensation_files(output, &model, &path.display().to_string(), Worth::of(&verdict))?;
+        files.push((path.clone(), learned_model_toml(&model, Some(&verdict), &Provenance::new("live"))?));
+        write_together(&files)?;
         info!(path = %path.display(), verdict = %verdict.level, "model and table written");
         let mut shared = shared.lock();
         shared.state.saved_at_s = Some(unix_time_s());

@@ -7,7 +7,7 @@ use super::status::DiscoveryStatus;
 use crate::Result;
 use crate::discover::{Bank, Data, Discovery, Verdict, discover_in_frames};
 use crate::observation::{EncoderReading, Measurement};
-use crate::record::{Provenance, write_atomically, write_learned_model};
+use crate::record::{Provenance, learned_model_toml, write_atomically};
 use crate::report::discovery::sentence;
 use crate::robot::Model;
 use crate::verdict::{Reason, Subject};
@@ -106,7 +106,8 @@ fn status(found: &Result<(Discovery, Option<Bank>)>) -> DiscoveryStatus {
 fn write(output: &Path, found: &Discovery) -> Result<()> {
     write_atomically(&output.join("discrepancy.json"), format!("{:#}\n", found.json()).as_bytes())?;
     if found.verdict.has_effects() {
-        write_learned_model(&output.join("discovered.toml"), &found.model, None, &Provenance::new("live"))?;
+        let text = learned_model_toml(&found.model, None, &Provenance::new("live"))?;
+        write_atomically(&output.join("discovered.toml"), text.as_bytes())?;
     }
     Ok(())
 }

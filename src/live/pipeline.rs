@@ -286,7 +286,7 @@ impl Pipeline {
         }
         shared.state.gap = update.gap;
         shared.gate.confirm(&measurement.status, update.sample.is_some());
-        shared.gate.add(update.sample, update.gap.state, update.is_stuck);
+        shared.gate.add(update);
         shared.model = self.estimator.model();
         shared.add(measurement, update.step.verdict, row);
     }
@@ -376,7 +376,7 @@ impl Pipeline {
         shared.state.estimate = EstimateStatus::of(&shared.model);
         shared.state.stem = self.estimator.stem().map(StemStatus::from);
         shared.state.discovery = None;
-        shared.gate.forget_verdict();
+        shared.gate.begin_anew();
         shared.notice(done);
         Ok(done)
     }

@@ -10,8 +10,9 @@
 //! encoders are stuck. What was published stays then, and is marked stale.
 
 use super::confirmation::Confirmation;
+use super::online_estimator::Update;
 use super::status::{GapState, PublicationState, PublicationStatus};
-use crate::estimate::NewPoses;
+use crate::estimate::{NewPoses, Verdict as RowVerdict};
 use crate::observation::{Measured, Status};
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::chi_square;
@@ -29,6 +30,11 @@ const POSES: usize = 50;
 /// Convention: three to tell whether the two numbers explain them, and two that may be wrong; a few readings of another moment at nearly one pose
 /// agree with each other on a wrong η.
 const LEAST_POSES: usize = 5;
+
+/// Measurements rejected in a row, from which on nothing may be commanded by.
+///
+/// Convention: a hand or a reflection spoils one or two; the estimator begins anew after eight that agree with each other.
+const REJECTED: usize = 3;
 
 /// A model is worse than another where the difference is more than so many standard errors.
 ///
@@ -68,6 +74,10 @@ pub struct PublicationGate {
     gap: GapState,
     /// Whether the encoders stand still while the snake moves.
     is_stuck: bool,
+    /// How many measurements in a row were rejected, up to the last one.
+    rejected: usize,
+    /// How often all that was learned was begun anew.
+    beginnings: usize,
     /// When frames were measured.
     confirmation: Confirmation,
     /// The last verdict, and when it was passed.
@@ -91,7 +101,19 @@ impl PublicationGate {
         let published = published.map(|model| Published { model, at: Instant::now(), was_good: true });
         let (poses, new_poses, gap) = (VecDeque::new(), NewPoses::default(), GapState::Unknown);
         let confirmation = Confirmation::default();
-        Self { sd_encoder_mm, compares, poses, new_poses, gap, is_stuck: false, confirmation, verdict: None, published }
+        Self {
+            sd_encoder_mm,
+            compares,
+            poses,
+            new_poses,
+            gap,
+            is_stuck: false,
+            rejected: 0,
+            beginnings: 0,
+            confirmation,
+            verdict: None,
+            published,
+        }
     }
 
     /// Takes the verdict on what was measured so far.
@@ -112,9 +134,21 @@ impl PublicationGate {
         self.verdict.as_ref().map(|(verdict, at)| (verdict, at.elapsed().as_secs_f64()))
     }
 
-    /// Forgets the verdict, as where all that was learned is forgotten.
-    pub fn forget_verdict(&mut self) {
+    /// All that was learned is begun anew, as the user or the measurements ask: the last poses and the verdict were those of another robot, and what
+    /// was published for it is no longer the last good one.
+    pub fn begin_anew(&mut self) {
         self.verdict = None;
+        self.poses.clear();
+        self.rejected = 0;
+        self.beginnings += 1;
+        if let Some(published) = &mut self.published {
+            published.was_good = false;
+        }
+    }
+
+    /// How often that was.
+    pub fn beginnings(&self) -> usize {
+        self.beginnings
     }
 
     /// Notes that a frame came now, and whether its measurement has a reading that could be used.
@@ -127,9 +161,19 @@ impl PublicationGate {
         self.confirmation.end(Instant::now());
     }
 
-    /// Takes a sample, where there is one, the gap after it, and whether the encoders are stuck.
-    pub fn add(&mut self, sample: Option<Sample>, gap: GapState, is_stuck: bool) {
-        (self.gap, self.is_stuck) = (gap, is_stuck);
+    /// Takes what one measurement did.
+    pub fn add(&mut self, update: &Update) {
+        let sample = update.sample;
+        (self.gap, self.is_stuck) = (update.gap.state, update.is_stuck);
+        if update.step.restarted {
+            self.begin_anew();
+        }
+        self.rejected = match update.step.verdict {
+            RowVerdict::Rejected => self.rejected + 1,
+            RowVerdict::Used => 0,
+            RowVerdict::Skipped => self.rejected,
+        };
+        let is_stuck = update.is_stuck;
         let Some(sample) = sample else { return };
         if is_stuck {
             // Nor those before it was found out.
@@ -169,6 +213,10 @@ impl PublicationGate {
         let red = |code, text: String| withheld(Level::DoNotUse, code, text);
         if self.is_stuck {
             return red(Code::EncoderStuck, "the encoders stand still while the snake moves".into());
+        }
+        if self.rejected >= REJECTED {
+            let text = format!("the last {} measurements contradict what was learned before", self.rejected);
+            return red(Code::ManyRejected, text);
         }
         let Some((verdict, _)) = &self.verdict else {
             return red(Code::WorkspaceNotCovered, "no verdict was passed yet".into());

@@ -164,7 +164,7 @@ fn open_journal(
                 shared.count(&measurement, update.step.verdict);
                 shared.state.resumed += 1;
                 shared.state.gap = update.gap;
-                shared.gate.add(update.sample, update.gap.state, update.is_stuck);
+                shared.gate.add(&update);
             }
             Entry::Reset => {
                 let _ = estimator.reset();

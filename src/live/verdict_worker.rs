@@ -56,10 +56,11 @@ impl VerdictWorker {
 }
 
 fn judge(shared: &SharedState, sd_encoder_mm: f64, measurements: &[Measurement], readings: &[EncoderReading]) {
-    let (model, rejected, measured, latest): (Model, usize, u64, Option<String>) = {
+    let (model, beginnings, rejected, measured, latest): (Model, usize, usize, u64, Option<String>) = {
         let shared = shared.lock();
         let State { rejected, measured, latest, .. } = &shared.state;
-        (shared.model.clone(), *rejected as usize, *measured, latest.as_ref().map(|row| row.status.clone()))
+        let latest = latest.as_ref().map(|row| row.status.clone());
+        (shared.model.clone(), shared.gate.beginnings(), *rejected as usize, *measured, latest)
     };
     let used = (measured as usize).saturating_sub(rejected);
     let subject = Subject { used_and_rejected: Some((used, rejected)), ..Subject::new(&model, sd_encoder_mm) };
@@ -75,7 +76,8 @@ fn judge(shared: &SharedState, sd_encoder_mm: f64, measurements: &[Measurement],
     };
     debug!(verdict = %verdict.level, samples = measurements.len(), "judged");
     let mut shared = shared.lock();
-    if !measurements.is_empty() {
+    // A verdict on what was learned before all was begun anew is none on what is learned now.
+    if !measurements.is_empty() && shared.gate.beginnings() == beginnings {
         shared.gate.take_verdict(verdict.clone());
     }
     shared.state.verdict = with_publication(verdict, &shared.state.publication);

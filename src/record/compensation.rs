@@ -21,8 +21,8 @@
 use super::c_header::compensation_c_header;
 use super::columns::{azimuth, backbone_columns, backbone_decimals, csv_text, decimals};
 use super::model::ModelFile;
-use super::stale::{in_csv, in_header, in_json, in_one_line, mark_header};
-use super::write::write_atomically;
+use super::stale::{in_csv, in_header, in_json, in_one_line, marked_header};
+use super::write::{Files, write_together};
 use crate::error::{Error, Result};
 use crate::robot::{Grid, Model, Sharing, TableRow, compensation_table};
 use crate::verdict::Verdict;
@@ -105,31 +105,42 @@ pub fn compensation_json(model: &Model, source: &str, grid: &Grid, rows: &[Table
     text.map(|text| text + "\n").map_err(Error::encode("the table"))
 }
 
-/// Writes compensation.csv and compensation.json into a folder, over the grid that ends where the model's data end, and gives the rows.
-/// `source` says where the model comes from.
+/// compensation.csv and compensation.json of a folder, over the grid that ends where the model's data end, and the rows; to be written together with
+/// the model. `source` says where the model comes from.
 ///
 /// # Errors
-/// A number that JSON cannot hold, a file that cannot be written.
-pub fn write_compensation(folder: &Path, model: &Model, source: &str, worth: Worth) -> Result<Vec<TableRow>> {
+/// A number that JSON cannot hold.
+pub fn compensation_files(folder: &Path, model: &Model, source: &str, worth: Worth) -> Result<(Files, Vec<TableRow>)> {
     let grid = Grid::within_data(model);
     let rows = compensation_table(model, &grid)?;
-    write_compensation_rows(folder, (model, source), &grid, &rows, worth, false)?;
-    Ok(rows)
+    Ok((files(folder, (model, source), &grid, &rows, worth, false)?, rows))
 }
 
-/// The same for a grid of one's own, whose rows were computed already, and compensation.h as well if that is asked for. A header that stands
-/// there is written anew, so that no two files of a folder command differently; it is marked as stale if a header cannot have the grid.
+/// Writes those of a grid of one's own, whose rows were computed already, and compensation.h as well if that is asked for.
 ///
 /// # Errors
 /// A number that JSON cannot hold, a file that cannot be written, a header that is asked for of a grid that it cannot have.
 pub fn write_compensation_rows(
+    folder: &Path,
+    model: (&Model, &str),
+    grid: &Grid,
+    rows: &[TableRow],
+    worth: Worth,
+    c_header: bool,
+) -> Result<()> {
+    write_together(&files(folder, model, grid, rows, worth, c_header)?)
+}
+
+/// The files of a table. A header that stands in the folder is made anew, so that no two files of a folder command differently; it is marked as stale
+/// if a header cannot have the grid.
+fn files(
     folder: &Path,
     (model, source): (&Model, &str),
     grid: &Grid,
     rows: &[TableRow],
     worth: Worth,
     c_header: bool,
-) -> Result<()> {
+) -> Result<Files> {
     let path = folder.join("compensation.h");
     let header = || compensation_c_header(model, grid, rows, source, worth.do_not_use);
     let header = match (c_header, path.exists()) {
@@ -140,16 +151,16 @@ pub fn write_compensation_rows(
     let stale = worth.stale.map(in_one_line);
     let stale = stale.as_deref();
     let csv = in_csv(&compensation_csv(rows, worth), stale.is_some());
-    write_atomically(&folder.join("compensation.csv"), csv.as_bytes())?;
     let json = in_json(&compensation_json(model, source, grid, rows, worth)?, stale);
-    write_atomically(&folder.join("compensation.json"), json.as_bytes())?;
-    match header {
-        Some(header) => write_atomically(&path, in_header(&header, stale).as_bytes()),
-        None => mark_header(
+    let header = match header {
+        Some(header) => Some((path, in_header(&header, stale))),
+        None => marked_header(
             folder,
             Some("compensation.csv beside it was written anew, over a grid that a header cannot have"),
-        ),
-    }
+        )?,
+    };
+    let tables = [(folder.join("compensation.csv"), csv), (folder.join("compensation.json"), json)];
+    Ok(tables.into_iter().chain(header).collect())
 }
 
 #[derive(Serialize)]

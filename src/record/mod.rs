@@ -33,7 +33,7 @@ pub mod write;
 
 pub use c_header::compensation_c_header;
 pub use columns::csv_of;
-pub use compensation::{Worth, compensation_csv, compensation_json, write_compensation, write_compensation_rows};
+pub use compensation::{Worth, compensation_csv, compensation_files, compensation_json, write_compensation_rows};
 pub use effect_table::read_effects;
 pub use encoders::{encoders_csv, read_encoders, read_encoders_kept};
 pub use estimates::{estimate_line, estimates_csv, estimates_header};
@@ -52,12 +52,12 @@ pub use log::{LogKeys, LogProposal, ReadingUnit, TimeUnit, read_log};
 pub use measurements::{
     MeasurementRows, fitted_covariance, measurement_line, measurements_csv, measurements_header, read_measurements,
 };
-pub use model::{model_json, model_toml, read_model, robot_of, write_learned_model, write_model};
+pub use model::{learned_model_toml, model_json, model_toml, read_model, robot_of, write_model};
 pub use output::OutputFolder;
 pub use provenance::Provenance;
 pub use recording::{Recorded, write_recording};
 pub use source::{CameraSource, EncoderLog, JointTopic, Source};
-pub use stale::{do_not_use_mark, mark_stale, mark_tables_stale, stale_mark, unmark_stale, verdict_mark};
+pub use stale::{do_not_use_mark, mark_stale, stale_mark, tables_marked_stale, unmark_stale, verdict_mark};
 pub use stem::stems_csv;
 pub use table::{Checked, Fault, Warning};
 pub use tracker::{read_tracker_poses, tracker_poses_of};
@@ -65,4 +65,4 @@ pub use trajectory::{read_trajectory, trajectory_csv};
 pub use truth::{read_truth, truth_csv};
 #[cfg(feature = "live")]
 pub(crate) use write::is_at;
-pub use write::{PendingFile, remove_abandoned, write_atomically};
+pub use write::{Files, PendingFile, remove_abandoned, write_atomically, write_together};

@@ -178,16 +178,11 @@ pub fn read_model(path: &Path) -> Result<Model> {
     parse(path, &text)
 }
 
-/// Writes a model.toml with what it was made from and its verdict, if it has one, which stands as a comment above it as well; whole or not at all.
+/// A model as the text of a model.toml with what it was made from and its verdict, if it has one, which stands as a comment above it as well.
 ///
 /// # Errors
-/// Those of [`write_model`].
-pub fn write_learned_model(
-    path: &Path,
-    model: &Model,
-    verdict: Option<&Verdict>,
-    made_from: &Provenance,
-) -> Result<()> {
+/// Those of [`model_toml`].
+pub fn learned_model_toml(model: &Model, verdict: Option<&Verdict>, made_from: &Provenance) -> Result<String> {
     let comment =
         |verdict: &Verdict| verdict.lines().iter().map(|line| format!("# {line}\n")).collect::<String>() + "\n";
     let mut provenance = made_from.table()?;
@@ -196,8 +191,7 @@ pub fn write_learned_model(
         provenance.insert(VERDICT.to_owned(), verdict.level.to_string().into());
         provenance.extend(verdict.reasons.first().map(|worst| (BECAUSE.to_owned(), worst.text.clone().into())));
     }
-    let text = verdict.map(comment).unwrap_or_default() + &text_of(model, Some(provenance))?;
-    write_atomically(path, text.as_bytes())
+    Ok(verdict.map(comment).unwrap_or_default() + &text_of(model, Some(provenance))?)
 }
 
 /// Writes a model.toml, whole or not at all.

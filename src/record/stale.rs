@@ -11,12 +11,12 @@
 //! they are, to the byte, and writing the files anew removes the mark.
 
 use super::model::verdict_in;
-use super::write::write_atomically;
+use super::write::{Files, write_together};
 use crate::error::{Error, Result};
 use crate::input::read_text;
 use crate::verdict::Level;
 use std::io::ErrorKind;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// How the mark of a model begins.
 const IN_MODEL: &str = "# stale: ";
@@ -26,13 +26,17 @@ const IN_JSON: &str = "  \"stale\": ";
 const IN_HEADER: &str = "#define SNAKELOOP_STALE 1";
 /// The column of a table.
 const COLUMN: &str = ",stale";
+/// What is added to the name of a stale file that cannot be marked.
+const ASIDE: &str = "stale";
 
-/// Marks the model and the tables of a folder as stale, and says why in one sentence; those that are not there are passed over.
+/// Marks the model and the tables of a folder as stale, and says why in one sentence; those that are not there are passed over. Where no mark can be
+/// written, as on a full disk, the files are renamed, so that nobody takes them for right.
 ///
 /// # Errors
 /// A file that cannot be read or written.
 pub fn mark_stale(folder: &Path, why: &str) -> Result<()> {
-    set_mark(folder, Some(why))
+    let marked = set_mark(folder, Some(why))?;
+    write_together(&marked).map_err(|error| put_aside(&marked, error))
 }
 
 /// Takes the mark away: what stands there is confirmed again.
@@ -40,15 +44,32 @@ pub fn mark_stale(folder: &Path, why: &str) -> Result<()> {
 /// # Errors
 /// Those of [`mark_stale`].
 pub fn unmark_stale(folder: &Path) -> Result<()> {
-    set_mark(folder, None)
+    write_together(&set_mark(folder, None)?)
 }
 
-/// Marks the tables of a folder alone as stale, beside a model that was learned anew.
+/// The tables of a folder as they are marked beside a model that was learned anew, to be written together with it.
 ///
 /// # Errors
-/// Those of [`mark_stale`].
-pub fn mark_tables_stale(folder: &Path, why: &str) -> Result<()> {
+/// A file that cannot be read.
+pub fn tables_marked_stale(folder: &Path, why: &str) -> Result<Files> {
     mark_tables(folder, Some(&in_one_line(why)))
+}
+
+/// Renames files that could not be marked, which takes no room; the error, with what became of them.
+fn put_aside(files: &Files, error: Error) -> Error {
+    let aside = |path: &Path| path.with_added_extension(ASIDE);
+    let is_moved = |(path, _): &&(PathBuf, String)| std::fs::rename(path, aside(path)).is_ok();
+    let moved: Vec<String> = files.iter().filter(is_moved).map(|(path, _)| aside(path).display().to_string()).collect();
+    match files.first() {
+        Some((path, _)) if !moved.is_empty() => {
+            let message = format!(
+                "it is stale and cannot be marked so ({error}): it stands in {} now; make room on the disk",
+                moved.join(", ")
+            );
+            Error::content(path, message)
+        }
+        _ => error,
+    }
 }
 
 /// Why the model in a file is stale, if it is marked so.
@@ -77,35 +98,35 @@ pub fn do_not_use_mark(model: &Path) -> Option<String> {
     (level == Level::DoNotUse.to_string()).then(|| worst.unwrap_or("its verdict is \"do not use\"".to_owned()))
 }
 
-fn set_mark(folder: &Path, why: Option<&str>) -> Result<()> {
+fn set_mark(folder: &Path, why: Option<&str>) -> Result<Files> {
     let why = why.map(in_one_line);
-    rewrite(&folder.join("model.toml"), |text| in_model(text, why.as_deref()))?;
-    mark_tables(folder, why.as_deref())
+    let model = changed(&folder.join("model.toml"), |text| in_model(text, why.as_deref()))?;
+    Ok(model.into_iter().chain(mark_tables(folder, why.as_deref())?).collect())
 }
 
-fn mark_tables(folder: &Path, why: Option<&str>) -> Result<()> {
-    rewrite(&folder.join("compensation.csv"), |text| in_csv(text, why.is_some()))?;
-    rewrite(&folder.join("compensation.json"), |text| in_json(text, why))?;
-    mark_header(folder, why)
+fn mark_tables(folder: &Path, why: Option<&str>) -> Result<Files> {
+    let csv = changed(&folder.join("compensation.csv"), |text| in_csv(text, why.is_some()))?;
+    let json = changed(&folder.join("compensation.json"), |text| in_json(text, why))?;
+    Ok([csv, json, marked_header(folder, why)?].into_iter().flatten().collect())
 }
 
-/// Marks the C header of a folder, if there is one, or takes the mark away.
-pub(super) fn mark_header(folder: &Path, why: Option<&str>) -> Result<()> {
-    rewrite(&folder.join("compensation.h"), |text| in_header(text, why))
+/// The C header of a folder with the mark, or without, if there is one and that changes it.
+pub(super) fn marked_header(folder: &Path, why: Option<&str>) -> Result<Option<(PathBuf, String)>> {
+    changed(&folder.join("compensation.h"), |text| in_header(text, why))
 }
 
 pub(super) fn in_one_line(why: &str) -> String {
     why.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Writes a file with other content, if it is there and the content is another.
-fn rewrite(path: &Path, change: impl FnOnce(&str) -> String) -> Result<()> {
+/// A file with other content, if it is there and the content is another.
+fn changed(path: &Path, change: impl FnOnce(&str) -> String) -> Result<Option<(PathBuf, String)>> {
     let text = match read_text(path) {
-        Err(Error::Io { source, .. }) if source.kind() == ErrorKind::NotFound => return Ok(()),
+        Err(Error::Io { source, .. }) if source.kind() == ErrorKind::NotFound => return Ok(None),
         read => read?,
     };
     let changed = change(&text);
-    if changed == text { Ok(()) } else { write_atomically(path, changed.as_bytes()) }
+    Ok((changed != text).then(|| (path.to_owned(), changed)))
 }
 
 fn in_model(text: &str, why: Option<&str>) -> String {
@@ -143,7 +164,7 @@ pub(super) fn in_header(text: &str, why: Option<&str>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::{Worth, read_model, write_compensation, write_model};
+    use crate::record::{Worth, compensation_files, read_model, write_model};
     use crate::robot::Model;
     use std::collections::BTreeMap;
 
@@ -158,7 +179,8 @@ mod tests {
             names.iter().map(|name| (*name, std::fs::read_to_string(path.join(name)).unwrap())).collect()
         };
         write_model(&path.join("model.toml"), &Model::default()).unwrap();
-        write_compensation(path, &Model::default(), "model.toml", Worth::default()).unwrap();
+        let (tables, _) = compensation_files(path, &Model::default(), "model.toml", Worth::default()).unwrap();
+        write_together(&tables).unwrap();
         let plain = files();
 
         // Once more with another reason: there is one mark.

@@ -34,14 +34,23 @@ impl PendingFile {
         Ok(Self { path: path.to_owned(), temporary })
     }
 
+    /// Flushes the content to the disk, so that a full disk is noticed before the file has its name.
+    ///
+    /// # Errors
+    /// [`Error::Io`] where the disk is full.
+    pub fn sync(&self) -> Result<()> {
+        self.temporary.as_file().sync_all().map_err(Error::io(&self.path, "write"))
+    }
+
     /// Flushes the content to the disk and gives the file its name, replacing what stood there. Where somebody removed the folder or the
     /// temporary file meanwhile, both are made anew first.
     ///
     /// # Errors
     /// [`Error::Io`] where the disk is full or the name cannot be taken (a folder stands there, say).
     pub fn commit(self) -> Result<()> {
-        let Self { path, temporary } = self.restored()?;
-        temporary.as_file().sync_all().map_err(Error::io(&path, "write"))?;
+        let restored = self.restored()?;
+        restored.sync()?;
+        let Self { path, temporary } = restored;
         temporary.persist(&path).map_err(|refused| Error::io(&path, "write")(refused.error))?;
         Ok(())
     }
@@ -79,6 +88,24 @@ pub fn write_atomically(path: &Path, contents: &[u8]) -> Result<()> {
     let mut file = PendingFile::create(path)?;
     file.write_all(contents).map_err(Error::io(path, "write"))?;
     file.commit()
+}
+
+/// Texts of files that belong together, by their paths.
+pub type Files = Vec<(PathBuf, String)>;
+
+/// Writes files that belong together: all are on the disk before the first has its name, so that a full disk leaves all of the former ones.
+///
+/// # Errors
+/// [`Error::Io`] where a folder cannot be created or a file not be written.
+pub fn write_together(files: &Files) -> Result<()> {
+    let pending = |(path, text): &(PathBuf, String)| {
+        let mut file = PendingFile::create(path)?;
+        file.write_all(text.as_bytes()).map_err(Error::io(path, "write"))?;
+        file.sync()?;
+        Ok(file)
+    };
+    let pending: Vec<PendingFile> = files.iter().map(pending).collect::<Result<_>>()?;
+    pending.into_iter().try_for_each(PendingFile::commit)
 }
 
 /// A temporary file with the permissions that any new file gets; `tempfile`'s own default would hide it from others.
@@ -140,6 +167,25 @@ mod tests {
         write_atomically(&path, b"second").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"second");
         assert_eq!(names_in(path.parent().unwrap()), ["a.csv"], "no temporary file stays behind");
+    }
+
+    #[test]
+    fn files_that_belong_together_are_all_written_or_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let [model, table] = ["model.toml", "table.csv"].map(|name| folder.path().join(name));
+        let files = |text: &str| vec![(model.clone(), text.to_owned()), (table.clone(), text.to_owned())];
+        write_together(&files("first")).unwrap();
+        // The second has no place.
+        let mut second = files("second");
+        second[1].0 = table.join("below a file");
+        assert!(write_together(&second).is_err());
+        assert_eq!(
+            (fs::read_to_string(&model).unwrap(), fs::read_to_string(&table).unwrap()),
+            ("first".into(), "first".into())
+        );
+        write_together(&files("second")).unwrap();
+        assert_eq!(fs::read_to_string(&model).unwrap(), "second");
+        assert_eq!(names_in(folder.path()).len(), 2);
     }
 
     #[test]

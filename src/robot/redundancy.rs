@@ -59,6 +59,11 @@ impl ForceLimits {
         Ok(Self { least_n, most_n })
     }
 
+    /// The pull, which is negative, and the push, N.
+    pub fn ends_n(&self) -> (f64, f64) {
+        (self.least_n, self.most_n)
+    }
+
     fn contain(&self, force_n: f64) -> bool {
         (self.least_n - LIMIT_TOLERANCE_N..=self.most_n + LIMIT_TOLERANCE_N).contains(&force_n)
     }

@@ -77,6 +77,22 @@ pub(super) struct Sample {
     pub q_mm: PerBackbone,
 }
 
+/// Measured frames in a row that have no reading.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Gap {
+    pub frames: usize,
+    /// The first one's index, and the last one's.
+    pub from: u64,
+    pub to: u64,
+}
+
+impl Gap {
+    /// With another frame at its end.
+    fn and(self, index: u64) -> Self {
+        Self { frames: self.frames + 1, from: if self.frames == 0 { index } else { self.from }, to: index }
+    }
+}
+
 /// What was collected.
 #[derive(Debug, Clone)]
 pub struct Evidence {
@@ -88,6 +104,8 @@ pub struct Evidence {
     pub(super) measured: usize,
     /// Those of them that have a reading.
     pub(super) with_reading: usize,
+    /// The most measured frames in a row that have none.
+    pub(super) gap: Gap,
     /// Bends as they were measured, spread over the run.
     pub(super) poses: Vec<Pose>,
     /// Measurements with readings, without the model's effects, spread over the run.
@@ -117,17 +135,21 @@ impl Evidence {
             }
         });
         let mut samples = Spread::new(MOST_SAMPLES);
-        let mut with_reading = 0;
+        let (mut with_reading, mut gap, mut longest) = (0, Gap::default(), Gap::default());
         let backbones = model.robot.backbone_count();
         for pair in pairs_without_effects(model, seen, log) {
             let (measurement, reading): Pair = pair?;
+            if measurement.status == Status::Ok && measurement.measured.is_some() {
+                gap = if reading.is_none() { gap.and(measurement.index) } else { Gap::default() };
+                longest = if gap.frames > longest.frames { gap } else { longest };
+            }
             if let Ok((measured, q_mm)) = usable(backbones, &measurement, reading.as_ref()) {
                 with_reading += 1;
                 samples.add(Sample { index: measurement.index, measured, q_mm });
             }
         }
         let (frames, measured, statuses, poses) = as_measured.into_inner();
-        Ok(Self { frames, statuses, measured, with_reading, poses: poses.kept, samples: samples.kept })
+        Ok(Self { frames, statuses, measured, with_reading, gap: longest, poses: poses.kept, samples: samples.kept })
     }
 }
 

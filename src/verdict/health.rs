@@ -6,26 +6,26 @@
 //! common part moves neither θ nor δ, so that its noise is learned from its own scatter.
 //!
 //! Both parts are judged by their mean square, so that the size of a gap counts as well as the number of poses. The largest tenth is left
-//! out, as hands and reflections may spoil that many frames. The bending part is judged by its affine part besides, a + M b with b the
-//! bend: a scale of one encoder, a view that is turned, a straight picture that was bent, a wrong aspect of the picture are all of this form,
-//! and six numbers tell them where noise hides them from the mean square.
+//! out, as hands and reflections may spoil that many frames. The bending part is judged besides by what it has of mistakes of a known form,
+//! where noise hides them from the mean square ([`systematic`](super::systematic)).
 
 use super::evidence::{Evidence, Sample, Subject};
 use super::reason::{Code, Level, Reason};
 use super::rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, NORMAL_QUANTILE, REJECTED_IN_ORDER, new_poses};
 use super::scale::LEAST_UNNAMED;
+use super::systematic::{AffineFit, ScaleFit, agreeing};
 use crate::estimate::{self, LinearisedMeasurement, Weighting, Whitened, line_share};
 use crate::robot::{Model, PerBackbone};
+use crate::statistics::chi_square;
 use crate::statistics::moments::{mean, rms};
 use crate::statistics::order::{mad_scale, median};
-use crate::statistics::{binomial, chi_square};
-use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
+use nalgebra::{Matrix2, Matrix2x6, Vector2};
 use std::f64::consts::PI;
 
 /// Mean square of normal values of which the largest tenth is left out: of pairs (χ² with two degrees of freedom), and of single ones.
 ///
 /// Derived: (1 − α − α ln(1/α)) / (1 − α), and P(χ²_3 < Φ⁻¹(0.95)²) / (1 − α), with α = 0.1.
-const TRIMMED_MEAN_SQUARE: [f64; 2] = [0.744_157, 0.623_236];
+pub(super) const TRIMMED_MEAN_SQUARE: [f64; 2] = [0.744_157, 0.623_236];
 /// A single encoder's scale accounts for a gap if it leaves no more than this share of the mean square.
 ///
 /// Convention: half of the rms, as where a lag is taken for the clock's.
@@ -36,10 +36,7 @@ const MOST_MISSED: f64 = 0.5;
 /// The affine part of a gap is told if it moves a bend of the data by more than this, rad.
 ///
 /// Convention: half a degree, which a table is asked to be right to.
-const ASKED_FOR: f64 = 0.5 * PI / 180.0;
-/// A direction that the poses leave open is left out below this share of the largest information. Convention: numerical.
-const SINGULAR: f64 = 1e-9;
-
+pub(super) const ASKED_FOR: f64 = 0.5 * PI / 180.0;
 /// Poses on each side of a step that all readings share. Convention: as many as tell a mean from an outlier.
 const BESIDE_A_STEP: usize = 3;
 /// A step accounts for what readings have in common if it leaves no more than this share of its own size, in rms.
@@ -48,21 +45,22 @@ const BESIDE_A_STEP: usize = 3;
 const LEFT_BY_A_STEP: f64 = 0.1;
 
 /// What the model leaves of one pose.
-struct Innovation {
+#[derive(Clone)]
+pub(super) struct Innovation {
     /// The frame's index.
     index: u64,
     /// The bending part, in units of its standard deviations.
-    bending: Vector2<f64>,
+    pub bending: Vector2<f64>,
     /// What η adds to it by a unit, likewise.
-    by_eta: Vector2<f64>,
+    pub by_eta: Vector2<f64>,
     /// What each encoder's relative error adds to it by a unit, likewise.
-    by_scale: PerBackbone<Vector2<f64>>,
+    pub by_scale: PerBackbone<Vector2<f64>>,
     /// L⁻¹ of the bending part's covariance L Lᵗ, 1/mm.
-    whitener: Matrix2<f64>,
+    pub whitener: Matrix2<f64>,
     /// What the rig's six unit errors add to the bending part, in units of its standard deviations.
-    by_rig: Matrix2x6<f64>,
+    pub by_rig: Matrix2x6<f64>,
     /// The bend seen, rad.
-    bend: Vector2<f64>,
+    pub bend: Vector2<f64>,
     /// The common part, mm (√n times its mean).
     common_mm: f64,
     /// The reading, mm.
@@ -107,19 +105,12 @@ impl Innovation {
     }
 }
 
-impl Innovation {
-    /// The whitened columns of a_x, a_y and of M's columns.
-    fn affine(&self) -> Matrix2x6<f64> {
-        let w = self.whitener;
-        let (along, across) = (w * self.bend.x, w * self.bend.y);
-        Matrix2x6::from_fn(|row, column| [w, along, across][column / 2][(row, column % 2)])
-    }
-}
-
 /// The innovations at poses that differ.
 pub(super) struct Health {
     /// Of the bending part, the largest tenth left out; in order of time.
     innovations: Vec<Innovation>,
+    /// The same, but for the tenth that agrees least with any affine gap.
+    agreeing: Vec<Innovation>,
     /// How many there were.
     poses: usize,
     /// Squares of the common part in units of its noise, the largest tenth left out.
@@ -142,9 +133,10 @@ impl Health {
         let bend_by_mm =
             1.0 / (length * (1.0 + plain.parameters().x * line_share(&plain)).abs().max(f64::MIN_POSITIVE));
         let poses = innovations.len();
+        let agreeing = agreeing(&innovations);
         let innovations = without_largest(innovations, |one| one.bending.norm_squared());
         let common = without_largest(common, |square| *square);
-        Self { innovations, poses, common, bend_by_mm, sd_encoder_mm: subject.sd_encoder_mm }
+        Self { innovations, agreeing, poses, common, bend_by_mm, sd_encoder_mm: subject.sd_encoder_mm }
     }
 
     /// The rms of the bending part in units of its noise, if it is above what counts as noise.
@@ -155,38 +147,28 @@ impl Health {
 
     /// Whether the bends are missed by more than noise.
     pub fn has_gap(&self) -> bool {
-        self.bending_above_noise().is_some() || self.affine_rad().is_some()
+        self.bending_above_noise().is_some() || self.systematic().is_some()
     }
 
-    /// By how much the affine part of the gap moves the farthest bends at the most, towards any azimuth, rad; if it is more than noise accounts
-    /// for, and more than a table may be wrong by.
-    fn affine_rad(&self) -> Option<f64> {
-        let (mut information, mut slope, mut by_rig, mut own) =
-            (Matrix6::zeros(), Vector6::zeros(), Matrix6::zeros(), Matrix6::zeros());
-        for one in &self.innovations {
-            let h = one.affine();
-            information += h.transpose() * h;
-            slope += h.transpose() * one.bending;
-            let rig = h.transpose() * one.by_rig;
-            by_rig += rig;
-            own += rig * rig.transpose();
-        }
-        let inverse = |matrix: Matrix6<f64>| matrix.pseudo_inverse(SINGULAR * matrix.norm()).ok();
-        let covariance = inverse(information)?;
-        let x = covariance * slope;
-        // The rig's errors are shared by all poses, as where an estimate's covariance counts them (`covariance_by_rig`).
-        let shared = covariance * (by_rig * by_rig.transpose() - own) * covariance;
-        let distance = x.dot(&(inverse(covariance + shared)? * x));
-        let farthest = self.innovations.iter().map(|one| one.bend.norm()).fold(0.0, f64::max);
-        let moved = |k: u32| {
-            let (sin, cos) = (PI / 6.0 * f64::from(k)).sin_cos();
-            let [along, across] = [x.fixed_rows::<2>(2), x.fixed_rows::<2>(4)];
-            self.bend_by_mm * (x.fixed_rows::<2>(0) + (along * cos + across * sin) * farthest).norm()
+    /// By how much the affine part of the gap moves a bend of the data, rad, and of which form it is; if it is more than noise accounts for, as a
+    /// whole or as a single encoder's scale, and more than a table may be wrong by.
+    fn systematic(&self) -> Option<(f64, String)> {
+        let affine = AffineFit::of(&self.agreeing)?;
+        let most = self.bend_by_mm * affine.most_mm();
+        let scale = || self.scales().into_iter().find(ScaleFit::is_beyond_chance);
+        let form = match affine.is_beyond_chance() {
+            true => "in proportion to the bend or by a constant".to_owned(),
+            false => format!("as where {}", scale()?.text()),
         };
-        let most = (0..12).map(moved).fold(0.0, f64::max);
-        let before: f64 = self.innovations.iter().map(|one| one.bending.norm_squared()).sum();
-        let is_noise = chance_of_six(distance, before - slope.dot(&x), self.innovations.len()) > LEVEL_OF_TESTS;
-        (!is_noise && most > ASKED_FOR).then_some(most)
+        (most > ASKED_FOR).then_some((most, form))
+    }
+
+    /// Each encoder's scale as the gap tells it, the likeliest first.
+    fn scales(&self) -> Vec<ScaleFit> {
+        let count = self.agreeing.first().map_or(0, |one| one.q_mm.len());
+        let mut fits: Vec<ScaleFit> = (0..count).filter_map(|i| ScaleFit::of(&self.agreeing, i)).collect();
+        fits.sort_by(|a, b| a.left.total_cmp(&b.left));
+        fits
     }
 
     /// The gap, if there is one: red if the model misses the bends by more than compensation changes them, or by a large share of what they are.
@@ -195,9 +177,9 @@ impl Health {
                       picture size), grid_pitch_mm, standoff_mm and the straight picture";
         let reason = |level, text: String, remedy| Some(Reason::new(Code::GapAboveNoise, level, text, remedy));
         let Some(times) = self.bending_above_noise() else {
-            if let Some(most) = self.affine_rad() {
+            if let Some((most, form)) = self.systematic() {
                 let text = format!(
-                    "the model misses the bends by up to {:.2}° in proportion to the bend or by a constant ({} poses)",
+                    "the model misses the bends by up to {:.2}° {form} ({} poses)",
                     most.to_degrees(),
                     self.poses
                 );
@@ -270,34 +252,28 @@ impl Health {
         })
     }
 
-    /// A single encoder or actuator whose scale accounts for the gap, if no other does so nearly as well. One number tells what is hidden from the
-    /// gap's mean square, so that a scale is told alone as well, if it moves a bend by more than a table may be wrong by.
+    /// A single encoder or actuator whose scale accounts for the gap, if no other does so nearly as well.
     pub fn encoder_scale(&self) -> Option<Reason> {
-        let mut fits: Vec<ScaleFit> =
-            (0..self.innovations.first()?.q_mm.len()).filter_map(|i| ScaleFit::of(&self.innovations, i)).collect();
-        fits.sort_by(|a, b| a.left.total_cmp(&b.left));
+        let fits = self.scales();
         let (best, second) = (fits.first()?, fits.get(1)?);
-        let before: f64 = self.innovations.iter().map(|one| one.bending.norm_squared()).sum();
-        let numbers = 2.0 * self.innovations.len() as f64;
+        let before: f64 = self.agreeing.iter().map(|one| one.bending.norm_squared()).sum();
+        let numbers = 2.0 * self.agreeing.len() as f64;
         let is_noise =
-            best.left < MEAN_SQUARE_OF_NOISE * chi_square::quantile(2 * self.innovations.len(), NORMAL_QUANTILE);
+            best.left < MEAN_SQUARE_OF_NOISE * chi_square::quantile(2 * self.agreeing.len(), NORMAL_QUANTILE);
         let explains = is_noise || best.left <= LEFT_BY_A_SCALE * before;
         // Twice the logarithm of the likelihood ratio where the noise's size is not known.
         let is_alone = numbers * (second.left / best.left.max(numbers)).ln() > -2.0 * LEVEL_OF_TESTS.ln();
         let is_certain = best.error.abs() > NORMAL_QUANTILE * MEAN_SQUARE_OF_NOISE.sqrt() * best.sd;
-        let moved_mm =
-            self.innovations.iter().map(|one| (one.q_mm[best.backbone] * best.error).abs()).fold(0.0, f64::max);
-        let counts = self.has_gap() || self.bend_by_mm * moved_mm > ASKED_FOR;
         // An encoder's error moves the common part as well, which the correction must make quieter; an error of the eye does not.
         let quieter = {
             let i = best.backbone;
-            let root_n = (self.innovations[0].q_mm.len() as f64).sqrt();
+            let root_n = (self.agreeing[0].q_mm.len() as f64).sqrt();
             let corrected = |one: &Innovation| one.common_mm - best.error * one.q_mm[i] / root_n;
-            common_noise_mm(&self.innovations, corrected) < common_noise_mm(&self.innovations, |one| one.common_mm)
+            common_noise_mm(&self.agreeing, corrected) < common_noise_mm(&self.agreeing, |one| one.common_mm)
         };
         // A larger factor is another unit or a wrong sign, and the wiring check's business.
         let is_scale = (1.0 / LEAST_UNNAMED..LEAST_UNNAMED).contains(&(1.0 - best.error));
-        (counts && explains && is_alone && is_certain && quieter && is_scale).then(|| best.reason())
+        (self.has_gap() && explains && is_alone && is_certain && quieter && is_scale).then(|| best.reason())
     }
 }
 
@@ -307,12 +283,16 @@ fn common_noise_mm(innovations: &[Innovation], common_mm: impl Fn(&Innovation) -
     mad_scale(steps) / 2f64.sqrt()
 }
 
-/// All but the largest tenth, one at least; in their order.
+/// How many of so many things are kept where a tenth of them, one at least, is left out.
+pub(super) fn without_a_tenth(count: usize) -> usize {
+    count.saturating_sub((REJECTED_IN_ORDER * count as f64).ceil() as usize)
+}
+
+/// All but the largest tenth; in their order.
 fn without_largest<T>(items: Vec<T>, size: impl Fn(&T) -> f64) -> Vec<T> {
     let mut sizes: Vec<f64> = items.iter().map(&size).collect();
     sizes.sort_unstable_by(f64::total_cmp);
-    let left_out = (REJECTED_IN_ORDER * sizes.len() as f64).ceil() as usize;
-    match sizes.len().checked_sub(1 + left_out) {
+    match without_a_tenth(sizes.len()).checked_sub(1) {
         Some(last) => items.into_iter().filter(|item| size(item) <= sizes[last]).collect(),
         None => Vec::new(),
     }
@@ -326,82 +306,4 @@ fn above_noise(squares: &[f64], numbers: usize) -> Option<f64> {
         * chi_square::quantile(numbers * squares.len(), NORMAL_QUANTILE);
     let times = (mean(squares.iter().copied()) / nominal).sqrt();
     (!squares.is_empty() && squares.iter().sum::<f64>() > most).then_some(times)
-}
-
-/// The probability that six numbers fitted to so many pairs lie as far from zero, in squared standard deviations, while the pairs leave these
-/// squares: by the F test, whose noise is that of the pairs, and no less than promised.
-///
-/// For even degrees of freedom the F distribution's tail is a binomial one: F(6, 2m) > f with the probability of at least m successes in m + 2
-/// trials of p = m / (m + 3f).
-///
-/// Source: M. Abramowitz, I. A. Stegun, *Handbook of Mathematical Functions*, 1964, 26.5.24 and 26.6.
-fn chance_of_six(distance: f64, left: f64, pairs: usize) -> f64 {
-    let Some(half) = pairs.checked_sub(3).filter(|half| *half > 0) else { return 1.0 };
-    let promised = 2.0 * half as f64;
-    let left = (left / TRIMMED_MEAN_SQUARE[0]).max(promised);
-    binomial::at_least(half, half + 2, left / (left + distance))
-}
-
-/// One encoder's relative error e, fitted beside η: of what is read a share of 1 − e is moved.
-struct ScaleFit {
-    backbone: usize,
-    error: f64,
-    sd: f64,
-    /// Sum of the squares that are left.
-    left: f64,
-}
-
-impl ScaleFit {
-    /// By least squares; `None` if the poses do not tell it from η.
-    fn of(innovations: &[Innovation], backbone: usize) -> Option<Self> {
-        let (mut information, mut slope) = (Matrix2::zeros(), Vector2::zeros());
-        for one in innovations {
-            let h = Matrix2::from_columns(&[one.by_eta, one.by_scale[backbone]]);
-            information += h.transpose() * h;
-            slope += h.transpose() * one.bending;
-        }
-        let covariance = information.cholesky()?.inverse();
-        let x = covariance * slope;
-        let left = |one: &Innovation| (one.bending - one.by_eta * x.x - one.by_scale[backbone] * x.y).norm_squared();
-        let left: f64 = innovations.iter().map(left).sum();
-        let variance = (left / (2.0 * innovations.len() as f64)).max(1.0);
-        Some(Self { backbone, error: x.y, sd: (variance * covariance[(1, 1)]).sqrt(), left })
-    }
-
-    fn reason(&self) -> Reason {
-        let Self { error, sd, .. } = *self;
-        let backbone = self.backbone + 1;
-        // The residual is e times the reading, so that 1 − e of the reading is motion.
-        let scale = 1.0 - error;
-        let (size, side) = (100.0 * (1.0 / scale - 1.0).abs(), if error > 0.0 { "more" } else { "less" });
-        let text = format!(
-            "encoder or actuator of backbone {backbone} reads {size:.1} ± {:.1} % {side} than it moves, which accounts for the gap",
-            100.0 * sd
-        );
-        let remedy = format!(
-            "check drum, screw pitch and counts of backbone {backbone}: its readings times {scale:.3} agree with the bends; if they are right, \
-             `snakeloop discover` fits the effect actuator_scale"
-        );
-        let reason = Reason::new(Code::EncoderScale, Level::Look, text, remedy);
-        Reason { backbone: Some(backbone), scale: Some((scale * 1e4).round() / 1e4), ..reason }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_chance_of_six_numbers_is_that_of_published_tables_of_f() {
-        // Upper quantiles of F(6, 2m): G. W. Snedecor, W. G. Cochran, Statistical Methods, tables A 14.
-        for (m, f, level) in [(10, 2.60, 0.05), (30, 3.12, 0.01), (5, 9.93, 0.001)] {
-            let squares = TRIMMED_MEAN_SQUARE[0] * 2.0 * f64::from(m);
-            let chance = chance_of_six(6.0 * f, squares, m as usize + 3);
-            assert!((chance / level - 1.0).abs() < 0.02, "F(6, {}): {chance} for {level}", 2 * m);
-            // Noise that is twice as large as promised asks for twice the distance.
-            let noisier = chance_of_six(12.0 * f, 2.0 * squares, m as usize + 3);
-            assert!((noisier - chance).abs() < 1e-12);
-        }
-        assert_eq!(chance_of_six(1e3, 1.0, 3), 1.0, "three pairs are met by six numbers whatever they are");
-    }
 }

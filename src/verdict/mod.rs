@@ -19,6 +19,7 @@ mod rules;
 mod scale;
 #[cfg(feature = "commands")]
 mod shared_force;
+mod systematic;
 pub mod wiring;
 mod words;
 

@@ -2,13 +2,14 @@
 
 use super::encoders::{camera_stuck, stuck};
 use super::evidence::{Evidence, Sample, Subject};
-use super::health::Health;
+use super::health::{ASKED_FOR, Health};
 use super::inputs::nothing_to_judge;
 use super::reason::{Code, Level, Reason, Verdict};
 use super::scale::{PLAUSIBLE_ETA, angles_are_radians};
 use super::wiring::{self, Mistake, WiringCheck};
 use super::words;
 use crate::estimate::{NewPoses, Replaced};
+use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Wiring, commonest_status};
 use crate::robot::Model;
 use crate::statistics::binomial;
@@ -40,6 +41,8 @@ const STRAIGHT_SDS: f64 = 10.0;
 ///
 /// Convention: 10°; a bend at rest of any other cause points there by chance once in nine times.
 const ALONG_THE_AXIS: f64 = 0.173_648;
+/// So many frames in a row without a reading are not told. Convention: a logger that starts or stops within a frame of the camera.
+const LEAST_LOST: usize = 1;
 /// The largest λ that robots have, mm. Convention: a play of a millimetre is a loose part.
 pub const MOST_LAMBDA_MM: f64 = 1.0;
 
@@ -60,6 +63,7 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
         check.as_ref().and_then(|check| words::wiring(subject, check)),
         nothing_to_judge(evidence, log),
         unmatched(evidence, log),
+        without_readings(subject, evidence, log),
         backwards(log),
         not_measured(evidence),
         no_bend,
@@ -67,7 +71,7 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
         worse_than_naive(subject.model, evidence),
         rejected(subject),
         replaced(subject),
-        not_covered(subject, evidence, check.as_ref()),
+        not_covered(subject, evidence, check.as_ref()).or_else(|| uncertain_table(subject.model)),
         camera_lens(subject, evidence, check.as_ref().filter(|_| health.has_gap())),
         health.encoder_scale().filter(|_| check.as_ref().is_none_or(|check| check.mistake.is_none())),
         gap,
@@ -160,6 +164,30 @@ fn unmatched(evidence: &Evidence, log: &[EncoderReading]) -> Option<Reason> {
             ),
         };
         Reason::new(Code::Wiring, Level::DoNotUse, text, remedy)
+    })
+}
+
+/// Measured frames in a row without a reading: a log that was cut, or a logger that stopped. As many as it is shifted by are meant so.
+fn without_readings(subject: &Subject, evidence: &Evidence, log: &[EncoderReading]) -> Option<Reason> {
+    let Evidence { measured, with_reading, gap, .. } = *evidence;
+    let shifted = subject.wiring.index_shift.unsigned_abs() as usize;
+    let (first, last) = (log.first()?, log.last()?);
+    let is_lost = gap.frames > LEAST_LOST.max(shifted) && gap.frames as f64 > REJECTED_IN_ORDER * measured as f64;
+    (with_reading > 0 && is_lost).then(|| {
+        let text = format!(
+            "{} of {measured} measured frames have no reading, and nothing was learned from them: {} in a row, frames {} to {}; the log has {} \
+             rows with the indices {} to {}",
+            measured - with_reading,
+            gap.frames,
+            gap.from,
+            gap.to,
+            log.len(),
+            first.index,
+            last.index
+        );
+        let remedy = "look whether the log was cut or the logger stopped: copy it whole, or measure again; what was bent in these frames alone \
+                      is not learned";
+        Reason::new(Code::Files, Level::Look, text, remedy)
     })
 }
 
@@ -362,5 +390,29 @@ fn unknown_eta(model: &Model) -> Option<String> {
     (NORMAL_QUANTILE * estimate.sd_eta() > half_range).then(|| {
         let (eta, sd) = (estimate.eta, estimate.sd_eta());
         format!("η = {eta:.2} ± {sd:.2} may have any value that robots have: the measurements do not determine the line's losses")
+    })
+}
+
+/// A table that the measurements leave less certain than it is asked to be right, where the bends of the data end.
+fn uncertain_table(model: &Model) -> Option<Reason> {
+    model.estimate?;
+    let learned = model.learned?;
+    let sd = |delta_deg: f64| {
+        let psi = Configuration { theta: learned.theta_max(), delta: delta_deg.to_radians() };
+        let covariance = model.response_covariance_bend(psi.bend_vector()).ok()?;
+        Some(covariance.symmetric_eigenvalues().max().max(0.0).sqrt())
+    };
+    let most = learned.directions_deg().into_iter().filter_map(sd).fold(0.0, f64::max);
+    (most > ASKED_FOR).then(|| {
+        let text = format!(
+            "the table is known to ±{:.1}° only at a bend of {:.0}° (one standard deviation): the noise of the measurements leaves more open than \
+             the {}° that a table is asked to be right to",
+            most.to_degrees(),
+            learned.theta_max().to_degrees(),
+            ASKED_FOR.to_degrees()
+        );
+        let remedy = "measure more poses, or the same with a larger snake in the picture, more light and less blur; if the sigmas of the \
+                      measurements are not the eye's own, check their unit";
+        Reason::new(Code::WorkspaceNotCovered, Level::Look, text, remedy)
     })
 }

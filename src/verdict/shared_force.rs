@@ -1,23 +1,29 @@
 //! Whether the readings show the force that backbones share within force limits, where somebody says that they were commanded so.
 //!
-//! A shared force bends nothing: it adds κf(ψ) to the part of q̃ that bends nothing, which grows and falls from pose to pose. What the readings
-//! have there beyond the model is therefore a share g of it, besides λ and noise: g is 1 where the force acted as told, and 0 where none did. Of the
-//! steps from pose to pose, in which λ is not, g is the median of their ratios, weighted by the squares of what they should be.
+//! A shared force bends nothing: it adds κf(ψ) to the part of q̃ that all readings have in common. What the readings have there beyond the model is
+//! therefore κf, λ and noise. λ is not in the steps from pose to pose, so that they tell the limits: what those that were told leave of the steps is
+//! compared with what no limits leave, and other ones. Limits that leave equally much cannot be told apart, and matter only if λ would be another.
 
+use super::health::without_a_tenth;
 use super::reason::{Code, Level, Reason};
-use super::rules::NORMAL_QUANTILE;
+use super::rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE};
 use crate::estimate::{NewPoses, Pair, pairs_without_effects, usable};
+use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measurement};
-use crate::robot::{ForceLimits, Model, PerBackbone};
-use crate::statistics::order::mad_scale;
+use crate::robot::{ForceLimits, Model};
+use crate::statistics::moments::mean;
 use std::convert::Infallible;
 
-/// A share within this of 1 is 1, and of 0 none. Convention: ten tubes of a batch differ by less in the compliance of their lines.
-const SHARE: f64 = 0.2;
+/// Other limits that are tried, as multiples of those that are told.
+///
+/// Convention: half as large again and more, either way; nearer ones are told apart by a tenth of the force at most.
+const MULTIPLES: [f64; 8] = [0.25, 1.0 / 3.0, 0.5, 2.0 / 3.0, 1.5, 2.0, 3.0, 4.0];
+/// Limits that cannot be told apart matter if they make λ differ by more than this, mm.
+///
+/// Convention: a tenth of the largest λ that robots have.
+const MATTERS_MM: f64 = 0.1;
 /// Poses that are looked at. Convention: a resource limit, far beyond what the test needs.
 const MOST_POSES: usize = 2000;
-/// σ of a normal variable's median over that of its mean. Derived: √(π/2).
-const MEDIAN_OVER_MEAN: f64 = 1.253_314;
 
 /// A reason where the readings do not show the force that the limits tell. The model has the η by which the bends are explained.
 pub fn doubt_of_force_limits(
@@ -25,52 +31,72 @@ pub fn doubt_of_force_limits(
     limits: &ForceLimits,
     measurements: &[Measurement],
     readings: &[EncoderReading],
+    sd_encoder_mm: f64,
 ) -> Option<Reason> {
     model.estimate?;
-    let told = Told::of(model, limits, measurements, readings)?;
-    let margin = SHARE.max(NORMAL_QUANTILE * told.sd);
-    if (told.share - 1.0).abs() <= margin {
-        return None;
-    }
-    let (text, remedy) = if told.share.abs() <= margin {
-        (
-            "the log reads as if no force limits had acted".to_owned(),
-            "leave --force-limits out, or give those of the table that commanded the robot: η and the bends are right either way, and λ is not",
-        )
-    } else {
-        (
-            "the log reads as if other force limits had acted".to_owned(),
-            "give the limits of the table that commanded the robot: η and the bends are right either way, and λ is not",
-        )
+    let poses = Poses::of(model, measurements, readings, sd_encoder_mm);
+    let told = poses.explained_by(Some(*limits));
+    let (least_n, most_n) = limits.ends_n();
+    let multiples = MULTIPLES.iter().filter_map(|k| ForceLimits::new(k * least_n, k * most_n).ok()).map(Some);
+    // Limits that act at no pose are none.
+    let others: Vec<Explained> = [None].into_iter().chain(multiples).map(|other| poses.explained_by(other)).collect();
+    let best = others.iter().min_by(|a, b| a.square_mm2.total_cmp(&b.square_mm2))?;
+    let largest_mm = told.shifts_mm.iter().fold(0.0_f64, |most, mm| most.max(mm.abs()));
+    let seen = format!("of the force that --force-limits tells, up to {largest_mm:.3} mm of q̃");
+    let remedy = "give the limits of the table that commanded the robot, or leave --force-limits out if none did: η and the bends are right \
+                  either way, and λ is not";
+    // Twice the logarithm of the likelihood ratio where the noise's size is not known.
+    let ratio = |better: &Explained, worse: &Explained| {
+        told.steps as f64 * (worse.square_mm2 / better.square_mm2).ln() > -2.0 * LEVEL_OF_TESTS.ln()
     };
-    let text = format!(
-        "{text}: of the force that --force-limits tells, up to {:.3} mm of q̃, the readings show a share of {} ± {:.2} ({} poses)",
-        told.largest_mm,
-        format!("{:.2}", told.share).replace('-', "−"),
-        told.sd,
-        told.poses
-    );
-    Some(Reason::new(Code::ForceLimits, Level::Look, text, remedy))
+    // What is explained to the noise of the encoders needs no other limits.
+    if ratio(best, &told) && told.square_mm2 > MEAN_SQUARE_OF_NOISE * poses.noise_mm2() {
+        let which = match best.limits.map(|limits| limits.ends_n()) {
+            Some((least, most)) => {
+                format!("other force limits had acted, such as {least:.1},{most:.1} N").replace('-', "−")
+            }
+            None => "no force limits had acted".to_owned(),
+        };
+        let [told_mm, best_mm] = [&told, best].map(|explained| explained.square_mm2.sqrt());
+        let text = format!(
+            "the log reads as if {which}: {seen}, the readings differ from pose to pose by {told_mm:.3} mm, and then by {best_mm:.3} mm \
+             ({} poses)",
+            poses.0.len()
+        );
+        return Some(Reason::new(Code::ForceLimits, Level::Look, text, remedy));
+    }
+    let lambda_mm =
+        |one: &Explained| (mean(one.shifts_mm.iter().copied()) - mean(told.shifts_mm.iter().copied())).abs();
+    let open = others.iter().filter(|other| !ratio(&told, other)).map(lambda_mm).fold(0.0, f64::max);
+    (open > MATTERS_MM).then(|| {
+        let text = format!(
+            "the poses do not tell whether these force limits acted: {seen}, other limits or none explain the readings as well, and make λ \
+             differ by up to {open:.2} mm ({} poses)",
+            poses.0.len()
+        );
+        let remedy = "make sure that these are the limits of the table that commanded the robot, or measure from nearly straight to the largest \
+                      bend, where the limits begin to act";
+        Reason::new(Code::ForceLimits, Level::Look, text, remedy)
+    })
 }
 
-/// What the readings show of the force that was told.
-#[derive(Debug)]
-struct Told {
-    share: f64,
-    sd: f64,
-    /// The largest part of q̃ that it should be, mm.
-    largest_mm: f64,
-    poses: usize,
+/// Poses that differ: where each is, and what the model leaves of what the readings have in common, mm.
+struct Poses(Vec<(Configuration, f64)>, Model, f64);
+
+/// What some limits leave.
+struct Explained {
+    /// `None` for no limits.
+    limits: Option<ForceLimits>,
+    /// What they add to each reading at each pose, mm.
+    shifts_mm: Vec<f64>,
+    /// Steps from pose to pose that are counted: all but the largest tenth.
+    steps: usize,
+    /// Mean square of what is left of these, mm².
+    square_mm2: f64,
 }
 
-impl Told {
-    /// `None` where the poses need no shared force, or tell nothing of it.
-    fn of(
-        model: &Model,
-        limits: &ForceLimits,
-        measurements: &[Measurement],
-        readings: &[EncoderReading],
-    ) -> Option<Self> {
+impl Poses {
+    fn of(model: &Model, measurements: &[Measurement], readings: &[EncoderReading], sd_encoder_mm: f64) -> Self {
         let plain = model.plain();
         let rows = measurements.iter().cloned().map(Ok::<_, Infallible>);
         let mut new_poses = NewPoses::default();
@@ -78,35 +104,29 @@ impl Told {
             let Ok((measurement, reading)) = pair;
             let (measured, q_mm) = usable(plain.robot.backbone_count(), &measurement, reading.as_ref()).ok()?;
             let psi = measured.configuration;
-            new_poses.is_new(psi.bend_vector()).then(|| {
-                let left_mm = plain.robot.internal_part(&(q_mm - plain.command(psi)));
-                (plain.sharing(psi, limits).shift_mm, left_mm)
-            })
+            new_poses.is_new(psi.bend_vector()).then(|| (psi, (q_mm - plain.command(psi)).mean()))
         };
-        let poses: Vec<(PerBackbone, PerBackbone)> =
-            pairs_without_effects(model, rows, readings).filter_map(pose).take(MOST_POSES).collect();
-        let steps: Vec<(PerBackbone, PerBackbone)> =
-            poses.windows(2).map(|pair| (pair[1].0 - pair[0].0, pair[1].1 - pair[0].1)).collect();
-        let share = weighted_median(steps.iter().map(|(told, seen)| (told.dot(seen), told.norm_squared())))?;
-        let information: f64 = steps.iter().map(|(told, _)| told.norm_squared()).sum();
-        let left = steps.iter().flat_map(|(told, seen)| (*seen - *told * share).iter().copied().collect::<Vec<_>>());
-        let sd = MEDIAN_OVER_MEAN * mad_scale(left) / information.sqrt();
-        let largest_mm = poses.iter().map(|(told, _)| told.amax()).fold(0.0, f64::max);
-        (sd < SHARE).then_some(Self { share, sd, largest_mm, poses: poses.len() })
+        let poses = pairs_without_effects(model, rows, readings).filter_map(pose).take(MOST_POSES).collect();
+        Self(poses, plain, sd_encoder_mm)
     }
-}
 
-/// The median of ratios y/w, each with the weight w; `None` without any.
-fn weighted_median(ratios: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
-    let mut ratios: Vec<(f64, f64)> =
-        ratios.filter(|(_, weight)| *weight > 0.0).map(|(y, weight)| (y / weight, weight)).collect();
-    ratios.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * ratios.iter().map(|(_, weight)| weight).sum::<f64>();
-    let mut below = 0.0;
-    ratios.into_iter().find_map(|(ratio, weight)| {
-        below += weight;
-        (below >= half).then_some(ratio)
-    })
+    /// The encoders' own share of a step of the readings' mean, mm².
+    fn noise_mm2(&self) -> f64 {
+        2.0 * self.2.powi(2) / self.1.robot.backbone_count() as f64
+    }
+
+    fn explained_by(&self, limits: Option<ForceLimits>) -> Explained {
+        let Self(poses, model, _) = self;
+        let shift = |psi: &Configuration| limits.map_or(0.0, |limits| model.sharing(*psi, &limits).shift_mm.mean());
+        let shifts_mm: Vec<f64> = poses.iter().map(|(psi, _)| shift(psi)).collect();
+        let left: Vec<f64> = poses.iter().zip(&shifts_mm).map(|((_, seen), shift)| seen - shift).collect();
+        let mut squares: Vec<f64> = left.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).collect();
+        squares.sort_unstable_by(f64::total_cmp);
+        let steps = without_a_tenth(squares.len());
+        // Below the encoders' noise nothing tells limits apart.
+        let square_mm2 = mean(squares[..steps].iter().copied()).max(self.noise_mm2());
+        Explained { limits, shifts_mm, steps, square_mm2 }
+    }
 }
 
 #[cfg(test)]
@@ -129,7 +149,7 @@ mod tests {
         };
         let readings: Vec<_> = samples.iter().map(|sample| reading(&sample.reading)).collect();
         let measurements = SimulatedEye::default().observe(&samples, 4);
-        doubt_of_force_limits(&model, &limits(told), &measurements, &readings).map(|reason| reason.text)
+        doubt_of_force_limits(&model, &limits(told), &measurements, &readings, 0.0015).map(|reason| reason.text)
     }
 
     #[test]
@@ -141,7 +161,14 @@ mod tests {
         }
         // Limits that no pose meets make no difference.
         assert_eq!(said(None, (-1000.0, 1000.0)), None);
-        let words = said(Some((-60.0, 15.0)), (-20.0, 5.0));
-        assert!(words.as_ref().is_some_and(|words| words.contains("other force limits")), "{words:?}");
+        for (acted, told) in
+            [((-60.0, 15.0), (-20.0, 5.0)), ((-20.0, 5.0), (-60.0, 15.0)), ((-20.0, 5.0), (-30.0, 7.5))]
+        {
+            let words = said(Some(acted), told);
+            assert!(
+                words.as_ref().is_some_and(|words| words.contains("other force limits")),
+                "{acted:?} {told:?}: {words:?}"
+            );
+        }
     }
 }

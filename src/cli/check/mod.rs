@@ -407,7 +407,8 @@ impl Inspection {
         let Ok(doubt) = doubt_of_times(rows(), log, Some(experiment));
         self.reasons.extend(doubt);
         let wired_wrong = verdict.has(Code::Wiring) || verdict.has(Code::EncoderStuck);
-        self.reasons.extend(verdict.reasons);
+        // Which frames have no reading was told of all of them.
+        self.reasons.extend(verdict.reasons.into_iter().filter(|reason| reason.code != Code::Files));
         let poses = poses_of(&learned, log, indices);
         if !wired_wrong && !poses.is_empty() {
             self.saw("coverage", coverage(&poses));

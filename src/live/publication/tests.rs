@@ -24,11 +24,15 @@ struct Bench {
     plant: Plant,
     seed: u64,
     time_s: f64,
+    /// What is added to all readings, mm.
+    homed_mm: f64,
 }
 
 impl Bench {
     /// The least time in which a frame comes, s.
     const STEP_S: f64 = 0.05;
+    /// Frames from one verdict to the next.
+    const VERDICTS: usize = 40;
 
     fn new(effects: Vec<Effect>) -> Self {
         let truth = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
@@ -40,6 +44,7 @@ impl Bench {
             plant: Plant { model, sd_encoder_mm: 0.0015 },
             seed: 1,
             time_s: 0.0,
+            homed_mm: 0.0,
         }
     }
 
@@ -61,12 +66,16 @@ impl Bench {
             .collect();
         let samples = self.plant.run(&waypoints, self.seed);
         let measurements = SimulatedEye::default().observe(&samples, self.seed + 1);
-        for (sample, measurement) in samples.iter().zip(&measurements) {
+        for (k, (sample, measurement)) in samples.iter().zip(&measurements).enumerate() {
             let q_mm = if frozen { samples[0].reading.q_mm } else { sample.reading.q_mm };
+            let q_mm = q_mm.add_scalar(self.homed_mm);
             let reading = crate::observation::EncoderReading { q_mm, ..sample.reading };
+            if k % Self::VERDICTS == Self::VERDICTS - 1 {
+                self.gate.take_verdict(Verdict::default());
+            }
             let update = self.estimator.update(measurement, Some(&reading));
             self.gate.confirm(&measurement.status, update.sample.is_some());
-            self.gate.add(update.sample, update.gap.state, update.is_stuck);
+            self.gate.add(&update);
             let model = self.estimator.model();
             if model.estimate.is_some() {
                 let decided = self.gate.judge(&model);
@@ -200,6 +209,37 @@ fn nothing_is_published_before_the_first_verdict_and_nothing_under_a_red_one() {
     assert_eq!(gate.judge(&off).map_err(|why| (why.level, why.code)), Err((Level::Look, Code::GapAboveNoise)));
     gate.poses.truncate(LEAST_POSES - 1);
     assert_eq!(level_and_code(&gate), Err((Level::Look, Code::WorkspaceNotCovered)));
-    gate.forget_verdict();
+    gate.begin_anew();
     assert!(gate.judge(&model).is_err() && gate.verdict().is_none());
+}
+
+#[test]
+fn encoders_that_are_homed_anew_are_noticed_within_three_frames_and_judged_before_they_are_commanded_by() {
+    for homed_mm in [1.0, -1.0, 0.3] {
+        let mut bench = Bench { homed_mm: 0.0, ..Bench::new(vec![]) };
+        let keep = |model: &Model, decided: Result<(), Withheld>, gate: &mut PublicationGate| {
+            if decided.is_ok() {
+                gate.publish(model.clone());
+            }
+        };
+        bench.go(20.0, false, keep);
+        bench.homed_mm = homed_mm;
+        let (mut former, mut refused, mut frames) = (0, 0, 0);
+        bench.go(2.0, false, |model, decided, gate| {
+            frames += 1;
+            former += usize::from(decided.is_ok() && (model.parameters().y - 0.1765).abs() < 0.1);
+            refused += usize::from(matches!(&decided, Err(why) if why.level == Level::DoNotUse));
+            assert!(
+                decided.is_ok() || gate.last_good().is_none() || frames < 12,
+                "the former one is not the last good one"
+            );
+        });
+        assert!(
+            former < REJECTED && refused > 20,
+            "{homed_mm} mm: {former} answers as before, {refused} of {frames} refused"
+        );
+        bench.go(4.0, false, keep);
+        let (model, _) = bench.gate.last_good().unwrap();
+        assert!((model.parameters().y - 0.1765 - homed_mm).abs() < 0.02, "{homed_mm} mm: λ {}", model.parameters().y);
+    }
 }

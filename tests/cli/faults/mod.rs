@@ -4,6 +4,7 @@
 mod calm;
 pub mod fixture;
 mod outputs;
+mod unseen;
 mod worth;
 
 use crate::program::{Sandbox, all_said, text};

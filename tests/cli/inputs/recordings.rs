@@ -42,7 +42,11 @@ fn ride() -> Vec<Message> {
 
 /// Writes messages as a recording.
 fn write(path: &Path, messages: &[Message]) {
-    let mut writer = mcap::Writer::new(fs::File::create(path).unwrap()).unwrap();
+    write_with(mcap::WriteOptions::new(), path, messages);
+}
+
+fn write_with(options: mcap::WriteOptions, path: &Path, messages: &[Message]) {
+    let mut writer = options.create(fs::File::create(path).unwrap()).unwrap();
     let mut channels = BTreeMap::new();
     for (sequence, message) in (0..).zip(messages) {
         let Message { topic, time_ns, kind, definition, cdr } = message;
@@ -247,6 +251,18 @@ fn a_recording_that_cannot_be_meant_is_told() {
                     fs::write(sandbox.join("lab/run.mcap"), &bytes[..bytes.len() - 300]).unwrap();
                 },
                 Told(&["recording_damaged", "the recording breaks off"]),
+            ),
+            case(
+                "a byte in the middle of a recording that flipped",
+                |sandbox: &Sandbox| {
+                    let path = sandbox.join("lab/run.mcap");
+                    write_with(mcap::WriteOptions::new().chunk_size(Some(1024)), &path, &ride());
+                    let mut bytes = fs::read(&path).unwrap();
+                    let middle = bytes.len() / 2;
+                    bytes[middle] ^= 255;
+                    fs::write(&path, bytes).unwrap();
+                },
+                Told(&["recording_damaged", "what follows is not read: ", " messages were read"]),
             ),
             case("ROS 1", head(b"#ROSBAG V2.0\n"), Told(&["a recording of ROS 1", "rosbags-convert --src RUN.bag"])),
             case(

@@ -1,0 +1,191 @@
+//! Gaps of a known form: what the bending part of the innovations has of mistakes that a laboratory makes.
+//!
+//! A scale of one encoder, a view that is turned, a straight picture that was bent, a wrong aspect of the picture all miss the bend b by an affine
+//! part a + M b. Six numbers tell them where noise hides them from the mean square, and of a single encoder's scale one number tells more.
+//!
+//! Such a gap is largest at the largest bends. A tenth of the poses is left out here as elsewhere, but that which agrees least with any affine gap (least
+//! trimmed squares): the largest innovations are those that show a gap of this form.
+
+use super::health::{Innovation, TRIMMED_MEAN_SQUARE, without_a_tenth};
+use super::reason::{Code, Level, Reason};
+use super::rules::LEVEL_OF_TESTS;
+use crate::statistics::binomial;
+use crate::statistics::trimmed::least_trimmed_squares;
+use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
+use std::f64::consts::PI;
+
+/// A direction that the poses leave open is left out below this share of the largest information. Convention: numerical.
+const SINGULAR: f64 = 1e-9;
+/// Concentration steps of the least trimmed squares. Convention: numerical; about ten reach the least from any start.
+const STEPS: usize = 20;
+/// Standard deviations beyond which an encoder's scale is not chance.
+///
+/// Derived: Φ⁻¹(1 − 0.001/8): one of four encoders, up or down, at the level of the tests.
+const SCALE_SDS: f64 = 3.661_7;
+
+/// All but the tenth that agrees least with an affine gap; in their order.
+pub(super) fn agreeing(innovations: &[Innovation]) -> Vec<Innovation> {
+    let count = innovations.len();
+    let mut smallest: Vec<usize> = (0..count).collect();
+    smallest.sort_by(|&a, &b| innovations[a].bending.norm().total_cmp(&innovations[b].bending.norm()));
+    smallest.truncate(without_a_tenth(count));
+    let fit = |members: &[usize]| Some(AffineFit::of(members.iter().map(|&k| &innovations[k]))?.x);
+    let square = |x: &Vector6<f64>, k: usize| (innovations[k].bending - affine(&innovations[k]) * x).norm_squared();
+    let found = least_trimmed_squares(count, smallest.len(), [smallest], STEPS, fit, square);
+    let mut members = found.map(|found| found.members).unwrap_or_default();
+    members.sort_unstable();
+    members.into_iter().map(|k| innovations[k].clone()).collect()
+}
+
+/// The whitened columns of a_x, a_y and of M's columns.
+fn affine(one: &Innovation) -> Matrix2x6<f64> {
+    let w = one.whitener;
+    let (along, across) = (w * one.bend.x, w * one.bend.y);
+    Matrix2x6::from_fn(|row, column| [w, along, across][column / 2][(row, column % 2)])
+}
+
+/// The affine part of a gap.
+pub(super) struct AffineFit {
+    /// a, and M by columns, mm and mm per rad.
+    x: Vector6<f64>,
+    /// Its squared distance from none, in standard deviations.
+    distance: f64,
+    /// Sum of the squares that are left.
+    left: f64,
+    poses: usize,
+    /// The farthest bend, rad.
+    farthest: f64,
+}
+
+impl AffineFit {
+    /// By least squares; `None` without a pose.
+    pub fn of<'a>(innovations: impl IntoIterator<Item = &'a Innovation>) -> Option<Self> {
+        let (mut information, mut slope, mut by_rig, mut own) =
+            (Matrix6::zeros(), Vector6::zeros(), Matrix6::zeros(), Matrix6::zeros());
+        let (mut before, mut farthest, mut poses) = (0.0, 0.0_f64, 0);
+        for one in innovations {
+            let h = affine(one);
+            information += h.transpose() * h;
+            slope += h.transpose() * one.bending;
+            let rig = h.transpose() * one.by_rig;
+            by_rig += rig;
+            own += rig * rig.transpose();
+            before += one.bending.norm_squared();
+            farthest = farthest.max(one.bend.norm());
+            poses += 1;
+        }
+        let inverse = |matrix: Matrix6<f64>| matrix.pseudo_inverse(SINGULAR * matrix.norm()).ok();
+        let covariance = inverse(information)?;
+        let x = covariance * slope;
+        // The rig's errors are shared by all poses, as where an estimate's covariance counts them (`covariance_by_rig`).
+        let shared = covariance * (by_rig * by_rig.transpose() - own) * covariance;
+        // Those that agree least are left out, which makes what is fitted to the others less certain.
+        let distance = x.dot(&(inverse(covariance / TRIMMED_MEAN_SQUARE[0] + shared)? * x));
+        Some(Self { x, distance, left: before - slope.dot(&x), poses, farthest })
+    }
+
+    /// Whether noise accounts for it less often than the level of the tests.
+    pub fn is_beyond_chance(&self) -> bool {
+        chance_of_six(self.distance, self.left, self.poses) < LEVEL_OF_TESTS
+    }
+
+    /// How far it moves the farthest bends at the most, towards any azimuth, as a bending part of q̃, mm.
+    pub fn most_mm(&self) -> f64 {
+        let moved = |k: u32| {
+            let (sin, cos) = (PI / 6.0 * f64::from(k)).sin_cos();
+            let [along, across] = [2, 4].map(|row| self.x.fixed_rows::<2>(row).into_owned());
+            (self.x.fixed_rows::<2>(0) + (along * cos + across * sin) * self.farthest).norm()
+        };
+        (0..12).map(moved).fold(0.0, f64::max)
+    }
+}
+
+/// The probability that six numbers fitted to so many pairs lie as far from zero, in squared standard deviations, while the pairs leave these
+/// squares: by the F test, whose noise is that of the pairs, and no less than promised.
+///
+/// For even degrees of freedom the F distribution's tail is a binomial one: F(6, 2m) > f with the probability of at least m successes in m + 2
+/// trials of p = m / (m + 3f).
+///
+/// Source: M. Abramowitz, I. A. Stegun, *Handbook of Mathematical Functions*, 1964, 26.5.24 and 26.6.
+fn chance_of_six(distance: f64, left: f64, pairs: usize) -> f64 {
+    let Some(half) = pairs.checked_sub(3).filter(|half| *half > 0) else { return 1.0 };
+    let promised = 2.0 * half as f64;
+    let left = (left / TRIMMED_MEAN_SQUARE[0]).max(promised);
+    binomial::at_least(half, half + 2, left / (left + distance))
+}
+
+/// One encoder's relative error e, fitted beside η: of what is read a share of 1 − e is moved.
+pub(super) struct ScaleFit {
+    pub backbone: usize,
+    pub error: f64,
+    pub sd: f64,
+    /// Sum of the squares that are left.
+    pub left: f64,
+}
+
+impl ScaleFit {
+    /// By least squares; `None` if the poses do not tell it from η.
+    pub fn of(innovations: &[Innovation], backbone: usize) -> Option<Self> {
+        let (mut information, mut slope) = (Matrix2::zeros(), Vector2::zeros());
+        for one in innovations {
+            let h = Matrix2::from_columns(&[one.by_eta, one.by_scale[backbone]]);
+            information += h.transpose() * h;
+            slope += h.transpose() * one.bending;
+        }
+        let covariance = information.cholesky()?.inverse();
+        let x = covariance * slope;
+        let part = |one: &Innovation| one.by_eta * x.x + one.by_scale[backbone] * x.y;
+        let left: f64 = innovations.iter().map(|one| (one.bending - part(one)).norm_squared()).sum();
+        let noise = TRIMMED_MEAN_SQUARE[0];
+        let variance = (left / (2.0 * innovations.len() as f64 * noise)).max(1.0) / noise;
+        Some(Self { backbone, error: x.y, sd: (variance * covariance[(1, 1)]).sqrt(), left })
+    }
+
+    /// Whether noise accounts for it less often than the level of the tests.
+    pub fn is_beyond_chance(&self) -> bool {
+        self.error.abs() > SCALE_SDS * self.sd
+    }
+
+    /// What of the reading is motion: the residual is e times the reading.
+    fn scale(&self) -> f64 {
+        1.0 - self.error
+    }
+
+    /// What it says of encoder or actuator.
+    pub fn text(&self) -> String {
+        let size = 100.0 * (1.0 / self.scale() - 1.0).abs();
+        let side = if self.error > 0.0 { "more" } else { "less" };
+        let (backbone, sd) = (self.backbone + 1, 100.0 * self.sd);
+        format!("encoder or actuator of backbone {backbone} reads {size:.1} ± {sd:.1} % {side} than it moves")
+    }
+
+    pub fn reason(&self) -> Reason {
+        let (backbone, scale) = (self.backbone + 1, self.scale());
+        let text = format!("{}, which accounts for the gap", self.text());
+        let remedy = format!(
+            "check drum, screw pitch and counts of backbone {backbone}: its readings times {scale:.3} agree with the bends; if they are right, \
+             `snakeloop discover` fits the effect actuator_scale"
+        );
+        let reason = Reason::new(Code::EncoderScale, Level::Look, text, remedy);
+        Reason { backbone: Some(backbone), scale: Some((scale * 1e4).round() / 1e4), ..reason }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_chance_of_six_numbers_is_that_of_published_tables_of_f() {
+        // Upper quantiles of F(6, 2m): G. W. Snedecor, W. G. Cochran, Statistical Methods, tables A 14.
+        for (m, f, level) in [(10, 2.60, 0.05), (30, 3.12, 0.01), (5, 9.93, 0.001)] {
+            let squares = TRIMMED_MEAN_SQUARE[0] * 2.0 * f64::from(m);
+            let chance = chance_of_six(6.0 * f, squares, m as usize + 3);
+            assert!((chance / level - 1.0).abs() < 0.02, "F(6, {}): {chance} for {level}", 2 * m);
+            // Noise that is twice as large as promised asks for twice the distance.
+            let noisier = chance_of_six(12.0 * f, 2.0 * squares, m as usize + 3);
+            assert!((noisier - chance).abs() < 1e-12);
+        }
+        assert_eq!(chance_of_six(1e3, 1.0, 3), 1.0, "three pairs are met by six numbers whatever they are");
+    }
+}
