@@ -163,7 +163,8 @@ impl Judged {
 
     /// The components of a sample's whitened residual, rad and mm.
     fn components_of(&self, problem: &Problem, sample: usize, whitened: &Residual) -> Residual {
-        let bend = self.directions(problem, sample) * problem.bend_unit(sample) * Vector2::new(whitened[0], whitened[1]);
+        let bend =
+            self.directions(problem, sample) * problem.bend_unit(sample) * Vector2::new(whitened[0], whitened[1]);
         let internal = problem.internal_unit_mm(sample);
         Residual::from_fn(whitened.len(), |c| if c < 2 { bend[c] } else { whitened[c] * internal })
     }

@@ -103,7 +103,8 @@ impl Structure {
     /// By how much the probability that it is better than another, of the two, exceeds the one that is asked of what it has beyond the other.
     pub(super) fn excess_over(&self, other: &Self) -> f64 {
         let (own, others) = (self.weighed.log_prior, other.weighed.log_prior);
-        let is_expected = own > others || own == others && self.adds_frame_alone(other) && !self.is_richer_form_of(other);
+        let is_expected =
+            own > others || own == others && self.adds_frame_alone(other) && !self.is_richer_form_of(other);
         let asked = if is_expected { 0.5 } else { CLEARLY };
         probability_over(&self.weighed, &other.weighed) - asked
     }
