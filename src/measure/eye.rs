@@ -320,7 +320,8 @@ impl Eye {
         }
         let by_rig = fit.by_pose * symmetric_root(&(self.rig.pose_covariance * POSE_VARIANCE));
         let by_choice = if fit.contradicts_shape { ANY_SHAPE_VARIANCE - 1.0 } else { 0.0 };
-        let covariance = fit.covariance + (fit.covariance - fit.doubt) * by_choice + by_rig * by_rig.transpose();
+        let of_choice = (fit.covariance - fit.doubt) * by_choice;
+        let covariance = fit.covariance + fit.scatter + of_choice + by_rig * by_rig.transpose();
         let quality = Quality { shape: shape(&fit.profile, &covariance), profile: Some(fit.profile), ..quality };
         let visibility = fit.visibility();
         let is_end_visible = || visibility.is_end_visible() || self.mirrors_a_lamp(fit, finder);

@@ -75,8 +75,9 @@ pub(crate) struct BendFit {
     /// Covariance of the profile's numbers from this picture alone, rad²; zero of a fit of the coarse stages, which nothing is drawn from
     /// but where to go on.
     pub covariance: ProfileCovariance,
-    /// By how much this picture's edges scatter more than they may, see [`excess`](super::excess); its own part of the covariance is as much wider.
-    pub excess: f64,
+    /// By how much the covariance is wider, since this picture's edges scatter more than they may (see [`excess`](super::excess)), rad². The choice
+    /// between fits and what is learned of the snake's shape do not know of it: a few such frames would make a snake an arc for certain in all others.
+    pub scatter: ProfileCovariance,
     /// What of the covariance is doubt between this fit and others of the same snake seen edge-on, rad².
     pub doubt: ProfileCovariance,
     /// Change of the profile's numbers with the camera's pose (see [`perturbed`](crate::geometry::perturbed)); zero of a coarse fit as well.
@@ -308,13 +309,13 @@ impl<'a> Fitting<'a> {
             return None;
         }
         let uncertainty = if self.schedule.is_fine { self.uncertainty(rms_px)? } else { Default::default() };
-        let (covariance, excess, by_pose, contradicts_shape) = uncertainty;
+        let ([covariance, scatter], by_pose, contradicts_shape) = uncertainty;
         Some(BendFit {
             origin: self.origin,
             profile: self.state.profile,
             bias: self.state.bias,
             covariance,
-            excess,
+            scatter,
             doubt: ProfileCovariance::zeros(),
             by_pose,
             inliers,
@@ -327,9 +328,9 @@ impl<'a> Fitting<'a> {
         })
     }
 
-    /// The covariance of the profile's numbers, by how much the edges scatter more than they may, the numbers' change with the camera's pose, and
-    /// whether the edges contradict the prior of the snake's shape.
-    fn uncertainty(&self, rms_px: f64) -> Option<(ProfileCovariance, f64, SMatrix<f64, PROFILE, 6>, bool)> {
+    /// The covariance of the profile's numbers and what scatter adds to it, their change with the camera's pose, and whether the edges contradict the
+    /// prior of the snake's shape.
+    fn uncertainty(&self, rms_px: f64) -> Option<([ProfileCovariance; 2], SMatrix<f64, PROFILE, 6>, bool)> {
         let Self { view, state, prior, .. } = self;
         let Round { edges, roots, .. } = self.last.as_ref()?;
         let linear = Linearised::new(edges, view, state, roots, Some(prior));
@@ -338,8 +339,7 @@ impl<'a> Fitting<'a> {
         let total = covariance.total(&std::array::from_fn::<_, PROFILE, _>(|k| k))?;
         let contradiction = prior.contradiction(&state.profile, &covariance.independent)?;
         Some((
-            total.fixed_view::<PROFILE, PROFILE>(0, 0).into_owned(),
-            covariance.excess,
+            total.map(|part| part.fixed_view::<PROFILE, PROFILE>(0, 0).into_owned()),
             SMatrix::from_fn(|row, column| -gain[(row, column)]),
             contradiction > prior.contradiction_chi2,
         ))

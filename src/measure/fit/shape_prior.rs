@@ -36,11 +36,10 @@ const LEAST_RAD: f64 = 2e-5;
 pub(super) const LARGEST_SHAPE: f64 = 20.0;
 
 /// σ_k of each mode, rad, from fits under the prior [`UNKNOWN_SHAPE_RAD`] in frames of one sequence, whose rig has a pose of this
-/// covariance. What scatters a frame's edges more than it may is not taken for an error of its shape: a few such frames would make a snake an arc for
-/// certain in all others.
+/// covariance.
 pub(crate) fn learned_mode_sigmas(fits: &[BendFit], pose_covariance: &Matrix6<f64>) -> [f64; MODES] {
     let of_fit = |fit: &BendFit| {
-        let covariance = fit.covariance / fit.excess + fit.by_pose * pose_covariance * fit.by_pose.transpose();
+        let covariance = fit.covariance + fit.by_pose * pose_covariance * fit.by_pose.transpose();
         let modes = fit.profile.to_array();
         move |number: usize| (modes[number], covariance[(number, number)])
     };

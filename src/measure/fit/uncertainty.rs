@@ -90,7 +90,7 @@ pub(super) struct FitCovariance {
     /// Cluster-robust: correlated along each piece of the body.
     clustered: DMatrix<f64>,
     /// See [`excess`].
-    pub excess: f64,
+    excess: f64,
     /// From the systematic modes.
     systematic: DMatrix<f64>,
 }
@@ -113,12 +113,13 @@ impl FitCovariance {
     }
 
     /// The covariance of the parameters with the indices `kept`: the clustered one, widened in each direction in which it is less
-    /// than the independent one (the scores of a few clusters may agree by chance), of which [`OWN_VARIANCE`] is the frame's own, times the
-    /// [`excess`] of the edges' variance, plus the systematic one.
-    pub fn total(&self, kept: &[usize]) -> Option<DMatrix<f64>> {
+    /// than the independent one (the scores of a few clusters may agree by chance), of which [`OWN_VARIANCE`] is the frame's own, plus the
+    /// systematic one. After it comes what the [`excess`] of the edges' variance adds.
+    pub fn total(&self, kept: &[usize]) -> Option<[DMatrix<f64>; 2]> {
         let block = |of: &DMatrix<f64>| DMatrix::from_fn(kept.len(), kept.len(), |r, c| of[(kept[r], kept[c])]);
-        let own = at_least(&block(&self.clustered), &block(&self.independent))? * (OWN_VARIANCE * self.excess);
-        Some(own + block(&self.systematic))
+        let own = at_least(&block(&self.clustered), &block(&self.independent))? * OWN_VARIANCE;
+        let scatter = &own * (self.excess - 1.0);
+        Some([own + block(&self.systematic), scatter])
     }
 }
 
