@@ -37,8 +37,8 @@ const BEAM_WIDTH: usize = 3;
 
 /// Where the best of the beam leaves squares of so many times the noise's, no exchange of effects is tried beside noise.
 ///
-/// Convention: a bound on computing time. Of 32 sealed experiments with two effects the beam left at most 11 times the noise's squares.
-const HOPELESS: f64 = 30.0;
+/// Convention: a bound on computing time; an rms of thirty times the noise is no effect taken for one that looks alike.
+const HOPELESS: f64 = 1000.0;
 
 /// Hypotheses of each step that are fitted to convergence.
 ///
@@ -49,11 +49,6 @@ const FITTED: usize = 8;
 ///
 /// Convention: a bound on computing time.
 const FITTED_PER_FORM: usize = 2;
-
-/// Beside noise an effect takes at least this share of the noise's own squares away, on stretches that it was not fitted to.
-///
-/// Convention: a third of the rms of noise; what changes less is no larger than the errors of an eye that its σ does not contain.
-const LEAST_OF_NOISE: f64 = 0.1;
 
 /// Beside a discrepancy an effect takes at least this share of the gap beyond noise away, on stretches that it was not fitted to.
 ///
@@ -168,11 +163,8 @@ impl<'a> Search<'a> {
 
     /// Whether what a structure has beyond a simpler one is asked for.
     fn asks_for(&self, structure: &Structure, simpler: &Structure) -> bool {
-        let least = match self.beside {
-            Beside::Noise => LEAST_OF_NOISE * self.judged.noise_squares(&self.problem),
-            Beside::Discrepancy if structure.adds_frame_alone(simpler) => f64::NEG_INFINITY,
-            Beside::Discrepancy => LEAST_REMOVED * self.gap,
-        };
+        let is_asked_to_remove = self.beside == Beside::Discrepancy && !structure.adds_frame_alone(simpler);
+        let least = if is_asked_to_remove { LEAST_REMOVED * self.gap } else { f64::NEG_INFINITY };
         !structure.is_at_end && structure.excess_over(simpler) > 0.0 && simpler.squares - structure.squares > least
     }
 

@@ -211,9 +211,13 @@ fn an_effect_that_the_model_lacks_raises_an_alarm_and_is_named() {
     assert!(found["sentence"].as_str().unwrap().contains("load_directed_backlash"), "{found:#}");
     let play = found["details"]["effects"][0]["parameters"]["play_mm"]["value"].as_f64().unwrap();
     assert!((play - 0.15).abs() < 0.05, "{found:#}");
+    // What is named beside it, such as the 0.08° by which the eye itself errs in pictures as small as these, takes hardly anything of the gap away.
+    let others = found["details"]["effects"].as_array().unwrap()[1..].iter();
+    assert!(others.clone().all(|effect| effect["removes"].as_f64().unwrap() < 0.01), "{found:#}");
     // The model with it is offered as a file.
     let model = read_model(&output.join("discovered.toml")).unwrap();
-    assert_eq!(model.effects.len(), 1);
+    assert_eq!(model.effects.len(), 1 + others.len());
+    assert_eq!(model.effects[0].physics.name, "load_directed_backlash");
 }
 
 #[test]
