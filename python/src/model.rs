@@ -120,8 +120,7 @@ impl PyModel {
             Some(verdict) => learned_model_toml(&self.model, Some(verdict), &Provenance::new("Model.write")),
             None => model_toml(&self.model),
         };
-        text.and_then(|text| write_atomically(&path, text.as_bytes()))
-        .map_err(raised)
+        text.and_then(|text| write_atomically(&path, text.as_bytes())).map_err(raised)
     }
 
     /// This model with further effects, as `--effect` adds them: {name: {parameter: value}}.

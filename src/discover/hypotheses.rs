@@ -17,9 +17,9 @@ const WIDTHS: [f64; 10] = [0.03, 0.05, 0.08, 0.12, 0.18, 0.26, 0.37, 0.5, 0.65, 
 /// Convention: each twice to three times the one before; the exponential of the loop changes that slowly.
 const TRAVELS: [f64; 5] = [0.04, 0.1, 0.25, 0.6, 1.5];
 
-/// A gap of frictions of which the travel is tried, in the same unit. The fit is linear in it.
+/// The gap with which the travel of a friction is tried, in the same unit.
 ///
-/// Convention: any.
+/// Convention: any; the fit is linear in it.
 const GAP: f64 = 0.2;
 
 /// A model with one effect more.

@@ -163,7 +163,6 @@ impl PublicationGate {
 
     /// Takes what one measurement did.
     pub fn add(&mut self, update: &Update) {
-        let sample = update.sample;
         (self.gap, self.is_stuck) = (update.gap.state, update.is_stuck);
         if update.step.restarted {
             self.begin_anew();
@@ -173,9 +172,8 @@ impl PublicationGate {
             RowVerdict::Used => 0,
             RowVerdict::Skipped => self.rejected,
         };
-        let is_stuck = update.is_stuck;
-        let Some(sample) = sample else { return };
-        if is_stuck {
+        let Some(sample) = update.sample else { return };
+        if self.is_stuck {
             // Nor those before it was found out.
             self.poses.retain(|pose| pose.q_mm != sample.q_mm);
             return;

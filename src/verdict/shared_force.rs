@@ -61,7 +61,7 @@ pub fn doubt_of_force_limits(
         let text = format!(
             "the log reads as if {which}: {seen}, the readings differ from pose to pose by {told_mm:.3} mm, and then by {best_mm:.3} mm \
              ({} poses)",
-            poses.0.len()
+            poses.all.len()
         );
         return Some(Reason::new(Code::ForceLimits, Level::Look, text, remedy));
     }
@@ -72,7 +72,7 @@ pub fn doubt_of_force_limits(
         let text = format!(
             "the poses do not tell whether these force limits acted: {seen}, other limits or none explain the readings as well, and make λ \
              differ by up to {open:.2} mm ({} poses)",
-            poses.0.len()
+            poses.all.len()
         );
         let remedy = "make sure that these are the limits of the table that commanded the robot, or measure from nearly straight to the largest \
                       bend, where the limits begin to act";
@@ -80,8 +80,14 @@ pub fn doubt_of_force_limits(
     })
 }
 
-/// Poses that differ: where each is, and what the model leaves of what the readings have in common, mm.
-struct Poses(Vec<(Configuration, f64)>, Model, f64);
+/// Poses that differ.
+struct Poses {
+    /// Where each is, and what the model leaves of what the readings have in common, mm.
+    all: Vec<(Configuration, f64)>,
+    /// The model without effects.
+    plain: Model,
+    sd_encoder_mm: f64,
+}
 
 /// What some limits leave.
 struct Explained {
@@ -106,20 +112,20 @@ impl Poses {
             let psi = measured.configuration;
             new_poses.is_new(psi.bend_vector()).then(|| (psi, (q_mm - plain.command(psi)).mean()))
         };
-        let poses = pairs_without_effects(model, rows, readings).filter_map(pose).take(MOST_POSES).collect();
-        Self(poses, plain, sd_encoder_mm)
+        let all = pairs_without_effects(model, rows, readings).filter_map(pose).take(MOST_POSES).collect();
+        Self { all, plain, sd_encoder_mm }
     }
 
     /// The encoders' own share of a step of the readings' mean, mm².
     fn noise_mm2(&self) -> f64 {
-        2.0 * self.2.powi(2) / self.1.robot.backbone_count() as f64
+        2.0 * self.sd_encoder_mm.powi(2) / self.plain.robot.backbone_count() as f64
     }
 
     fn explained_by(&self, limits: Option<ForceLimits>) -> Explained {
-        let Self(poses, model, _) = self;
-        let shift = |psi: &Configuration| limits.map_or(0.0, |limits| model.sharing(*psi, &limits).shift_mm.mean());
-        let shifts_mm: Vec<f64> = poses.iter().map(|(psi, _)| shift(psi)).collect();
-        let left: Vec<f64> = poses.iter().zip(&shifts_mm).map(|((_, seen), shift)| seen - shift).collect();
+        let shift =
+            |psi: &Configuration| limits.map_or(0.0, |limits| self.plain.sharing(*psi, &limits).shift_mm.mean());
+        let shifts_mm: Vec<f64> = self.all.iter().map(|(psi, _)| shift(psi)).collect();
+        let left: Vec<f64> = self.all.iter().zip(&shifts_mm).map(|((_, seen), shift)| seen - shift).collect();
         let mut squares: Vec<f64> = left.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).collect();
         squares.sort_unstable_by(f64::total_cmp);
         let steps = without_a_tenth(squares.len());

@@ -108,20 +108,18 @@ impl<'a> Search<'a> {
         };
         self.gap = bare.squares - self.judged.noise_squares(&self.problem);
         let mut best = match self.beside {
-            Beside::Noise => self.best_of_beam(&bare),
+            Beside::Noise => {
+                let best = self.best_of_beam(&bare);
+                let is_hopeless = best.squares > HOPELESS * self.judged.noise_squares(&self.problem);
+                let best = if is_hopeless { best } else { self.settled(best) };
+                self.with_what_is_likelier_than_a_lag(best)
+            }
             Beside::Discrepancy => {
                 let framed = self.with_frame().unwrap_or_else(|| bare.clone());
-                self.grown(framed)
+                let grown = self.grown(framed);
+                self.settled(grown)
             }
         };
-        let is_hopeless =
-            self.beside == Beside::Noise && best.squares > HOPELESS * self.judged.noise_squares(&self.problem);
-        if !is_hopeless {
-            best = self.settled(best);
-        }
-        if self.beside == Beside::Noise {
-            best = self.with_what_is_likelier_than_a_lag(best);
-        }
         if best.excess_over(&bare) <= 0.0 {
             best = bare.clone();
         }

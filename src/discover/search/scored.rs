@@ -222,7 +222,7 @@ mod tests {
     use crate::discover::noise::Noise;
     use crate::robot::effects::{COMMAND_GAIN, physics};
 
-    /// The truth with these effects, of which the score is given.
+    /// A structure with these effects and this score, at the true model.
     fn structure(problem: &Problem, names: &[&str], stretch: f64, log_prior: f64) -> Structure {
         let effects = names.iter().filter_map(|name| physics(name)).collect();
         let weighed = Weighed { effects, stretches: [stretch; 6], log_prior };

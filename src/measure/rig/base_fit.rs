@@ -207,7 +207,7 @@ struct Confirmed {
 }
 
 impl<'a> BaseFit<'a> {
-    /// The fit after all its rounds, in the coarse ones of which the snake is no further from parallel to the grid than this (rad, 1σ).
+    /// The fit after all its rounds. In the coarse ones the snake is held parallel to the grid with this σ, rad.
     fn from_start(
         picture: StraightPicture<'a>,
         start: &SnakeStart,

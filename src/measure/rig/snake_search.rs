@@ -234,6 +234,16 @@ fn gain(sums: Sums, of: usize) -> (f64, f64) {
     (-0.5 * n * (1.0 - r2).ln(), r2)
 }
 
+/// The same of a strip's cells: the moments of each, and the share that the body covers.
+fn gain_over(cells: impl ExactSizeIterator<Item = ([f32; 3], f32)>) -> (f64, f64) {
+    let (mut sums, of) = (Sums::default(), cells.len());
+    for ([shown, seen, seen2], body) in cells {
+        let terms = [shown, body * shown, body * body * shown, seen, seen2, body * seen];
+        sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+    }
+    gain(sums, of)
+}
+
 /// Where a straight snake, so many px wide, may be before the part of a picture that shows the sheet, roughly, in directions that are asked
 /// for; the likeliest first.
 pub fn search_everywhere(
@@ -298,17 +308,11 @@ fn offsets(cells: &[Cell], axis: Vector2<f64>, per_width: f64) -> Vec<(i64, i64,
 
 /// The best place for a base among the cells within half a width of one, all in its direction.
 fn best_around(unlike: &Unlike, offsets: &[(i64, i64, f32)], place: SnakeStart) -> SnakeStart {
-    let [x0, y0] = [place.base.x, place.base.y].map(|at| ((at + 0.5) / unlike.cell_px).floor() as i64);
+    let [x0, y0] = unlike.cell_of(&place.base);
     let reach = (0.5 * COARSE_CELLS) as i64;
     let around = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (x0 + dx, y0 + dy)));
     let at = |(x, y): (i64, i64)| {
-        let mut sums = Sums::default();
-        for &(dx, dy, body) in offsets {
-            let [shown, seen, seen2] = unlike.cell(x + dx, y + dy);
-            let terms = [shown, body * shown, body * body * shown, seen, seen2, body * seen];
-            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
-        }
-        let (gain, explained) = gain(sums, offsets.len());
+        let (gain, explained) = gain_over(offsets.iter().map(|&(dx, dy, body)| (unlike.cell(x + dx, y + dy), body)));
         SnakeStart { base: unlike.middle(x, y), gain, explained, ..place }
     };
     let none = SnakeStart { gain: 0.0, explained: 0.0, ..place };
@@ -367,13 +371,8 @@ fn in_direction(unlike: &Unlike, offsets: &[(i64, i64, f32)], axis: Vector2<f64>
 fn refined(unlike: &Unlike, cells: &[Cell], width_px: f64, start: &SnakeStart) -> SnakeStart {
     let gain = |base: &Point2<f64>, axis: &Vector2<f64>| {
         let across = Vector2::new(-axis.y, axis.x);
-        let mut sums = Sums::default();
-        for Cell { along, across: beside, body } in cells.iter().copied() {
-            let [shown, seen, seen2] = unlike.at(&(base + (axis * along + across * beside) * width_px));
-            let terms = [shown, body * shown, body * body * shown, seen, seen2, body * seen];
-            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
-        }
-        gain(sums, cells.len())
+        let place = |cell: &Cell| base + (axis * cell.along + across * cell.across) * width_px;
+        gain_over(cells.iter().map(|cell| (unlike.at(&place(cell)), cell.body)))
     };
     let steps = |(reach, count): (f64, i32), every: i32| {
         (-count..=count).filter(move |k| k % every == 0).map(move |k| reach * f64::from(k) / f64::from(count))

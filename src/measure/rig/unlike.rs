@@ -52,9 +52,7 @@ impl Unlike {
     pub fn of(frame: &Frame, cell_px: f64, region: &PictureRegion) -> Self {
         let channels = (0..frame.channels).map(|channel| cell_means(frame, channel, cell_px)).collect::<Vec<_>>();
         let (width, height) = (channels[0].width, channels[0].height);
-        let middle = |k: usize| {
-            Point2::new(((k % width) as f64 + 0.5) * cell_px - 0.5, ((k / width) as f64 + 0.5) * cell_px - 0.5)
-        };
+        let middle = |k: usize| middle_of(cell_px, (k % width) as i64, (k / width) as i64);
         let sheet: Vec<usize> = (0..width * height).filter(|&k| region.contains(&middle(k))).collect();
         let residuals: Vec<Vec<f64>> = channels.par_iter().map(|plane| minus_surface(plane, &sheet)).collect();
         let distances = distances(&residuals, &sheet);
@@ -69,12 +67,17 @@ impl Unlike {
 
     /// The middle of a cell, px.
     pub fn middle(&self, x: i64, y: i64) -> Point2<f64> {
-        Point2::new(x as f64 + 0.5, y as f64 + 0.5) * self.cell_px - Vector2::new(0.5, 0.5)
+        middle_of(self.cell_px, x, y)
+    }
+
+    /// The cell of a pixel.
+    pub fn cell_of(&self, pixel: &Point2<f64>) -> [i64; 2] {
+        [pixel.x, pixel.y].map(|at| ((at + 0.5) / self.cell_px).floor() as i64)
     }
 
     /// The moments at a pixel.
     pub fn at(&self, pixel: &Point2<f64>) -> [f32; 3] {
-        let [x, y] = [pixel.x, pixel.y].map(|at| ((at + 0.5) / self.cell_px).floor() as i64);
+        let [x, y] = self.cell_of(pixel);
         self.cell(x, y)
     }
 
@@ -87,6 +90,11 @@ impl Unlike {
             [0.0; 3]
         }
     }
+}
+
+/// The middle of a cell of this size, px.
+fn middle_of(cell_px: f64, x: i64, y: i64) -> Point2<f64> {
+    Point2::new(x as f64 + 0.5, y as f64 + 0.5) * cell_px - Vector2::new(0.5, 0.5)
 }
 
 /// The mean over the cells of one channel.
