@@ -27,7 +27,6 @@ use crate::verdict::{Code, Level, Reason, Subject, Verdict};
 use crate::{Error, Result};
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::convert::Infallible;
 use std::path::PathBuf;
 
 /// Find the effect that the model lacks, name it and add it: writes discrepancy.json, model.toml and report.html
@@ -94,8 +93,7 @@ impl Inputs {
         readings: Vec<EncoderReading>,
         experiment: Option<&Experiment>,
     ) -> Self {
-        let rows = measurements.iter().cloned().map(Ok::<_, Infallible>);
-        let Ok(doubt) = doubt_of_times(rows, &readings, experiment);
+        let doubt = doubt_of_times(&measurements, &readings, experiment);
         Self { model, measurements, readings, doubt }
     }
 
@@ -357,7 +355,7 @@ impl Args {
                     },
                 )?;
                 self.write(MEASUREMENTS, &measurements_csv(&measurements))?;
-                Count::of(&self.output.join(MEASUREMENTS))?.require_some_measured(&experiment)?;
+                Count::of_file(&self.output.join(MEASUREMENTS))?.require_some_measured(&experiment)?;
                 Ok(Inputs::new(model, measurements, readings, Some(&experiment)))
             }
             (None, Some(measurements), Some(encoders)) => {

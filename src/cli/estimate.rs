@@ -16,7 +16,6 @@ use crate::verdict::{Code, JudgedEstimate, Level, Reason, Verdict, doubt_of_forc
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 
 /// Update η and λ from measurements and encoder readings: writes OUT/model.toml and OUT/estimate.csv
@@ -142,9 +141,7 @@ impl Args {
             JudgedEstimate::of(&model, options, (&measurements, &encoders), is_stated, |model| {
                 log.subject(model, options.sd_encoder_mm)
             })?;
-        let mut verdicts = Verdicts::default();
-        rows.iter().for_each(|row| verdicts.add(row));
-        let estimated = Estimated::of(verdicts, model.estimate);
+        let estimated = Estimated::of(&rows, model.estimate);
         let verdict = do_not_use.as_deref().map(bad_start).into_iter().chain(doubt).fold(verdict, Verdict::and);
         let mut files = Vec::new();
         if model.estimate.is_some() {
@@ -180,7 +177,7 @@ impl Args {
         encoders: &[EncoderReading],
     ) -> Result<(Vec<EncoderReading>, Option<Reason>)> {
         let (_, first) = estimate(model, self.estimator.options(1.0), measurements, encoders)?;
-        let Ok((first, _)) = or_one_gain(first, measurements.iter().cloned().map(Ok::<_, Infallible>), encoders);
+        let (first, _) = or_one_gain(first, measurements, encoders);
         let without = |reading: &EncoderReading| {
             let q_mm = first.without_sharing(&reading.q_mm, limits);
             EncoderReading { q_mm, ..*reading }
@@ -246,42 +243,26 @@ fn bad_start(why: &str) -> Reason {
     Reason::new(Code::Files, Level::DoNotUse, text, "start with a model that can be used (--model)")
 }
 
-/// How often each verdict was passed.
-#[derive(Debug, Default)]
-pub struct Verdicts {
-    used: usize,
-    rejected: usize,
-    skipped: usize,
-    reasons: BTreeMap<String, usize>,
-    rejected_frames: Vec<u64>,
-}
-
 /// Rejected frames that are named. Convention: a display choice; estimate.csv has all.
 const NAMED: usize = 5;
 
-impl Verdicts {
-    /// Adds a row's.
-    pub fn add(&mut self, row: &EstimateRow) {
-        match row.verdict {
-            RowVerdict::Used => self.used += 1,
-            RowVerdict::Rejected => {
-                self.rejected += 1;
-                self.rejected_frames.extend(Some(row.index).filter(|_| self.rejected <= NAMED));
-            }
-            RowVerdict::Skipped => self.skipped += 1,
-        }
-        if row.verdict != RowVerdict::Used {
-            *self.reasons.entry(row.reason.clone()).or_default() += 1;
-        }
-    }
-}
-
 impl Estimated {
     /// What became of the rows.
-    pub fn of(verdicts: Verdicts, estimate: Option<Estimate>) -> Self {
-        let Verdicts { used, rejected, skipped, reasons, rejected_frames } = verdicts;
-        let parameters = estimate.map(Parameters::of);
-        Self { parameters, used, rejected, skipped, reasons, rejected_frames }
+    pub fn of(rows: &[EstimateRow], estimate: Option<Estimate>) -> Self {
+        let count = |verdict| rows.iter().filter(|row| row.verdict == verdict).count();
+        let rejected = rows.iter().filter(|row| row.verdict == RowVerdict::Rejected);
+        let mut reasons = BTreeMap::new();
+        for row in rows.iter().filter(|row| row.verdict != RowVerdict::Used) {
+            *reasons.entry(row.reason.clone()).or_default() += 1;
+        }
+        Self {
+            parameters: estimate.map(Parameters::of),
+            used: count(RowVerdict::Used),
+            rejected: count(RowVerdict::Rejected),
+            skipped: count(RowVerdict::Skipped),
+            reasons,
+            rejected_frames: rejected.map(|row| row.index).take(NAMED).collect(),
+        }
     }
 
     /// An error where the measurements pinned no estimate. `source` is named in it.

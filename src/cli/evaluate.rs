@@ -11,7 +11,6 @@ use crate::record::read_truth;
 use crate::verdict::{Code, Level, Reason, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
-use std::convert::Infallible;
 use std::path::PathBuf;
 
 /// Show how well a model explains measurements, or how close measurements are to a known truth
@@ -77,13 +76,11 @@ impl Args {
                 Some(accuracy)
             }
         };
-        let rows = || measurements.iter().cloned().map(Ok::<_, Infallible>);
         let verdict = match &log {
             Some(log) => {
                 let subject = log.subject(&model, self.encoder_sd)?;
-                let (Ok(verdict), Ok(doubt)) =
-                    (subject.verdict(rows(), &readings), doubt_of_times(rows(), &readings, log.experiment.as_ref()));
-                doubt.into_iter().fold(verdict, Verdict::and)
+                let doubt = doubt_of_times(&measurements, &readings, log.experiment.as_ref());
+                doubt.into_iter().fold(subject.verdict(&measurements, &readings), Verdict::and)
             }
             None => Verdict::of(vec![Reason::new(
                 Code::NothingToJudge,

@@ -63,7 +63,7 @@ impl Args {
             Measured::Shard(throughput) => throughput,
             Measured::Whole(journal, throughput) => {
                 journal.remove()?;
-                Count::of(&self.output.join("measurements.csv"))?.require_some_measured(&experiment)?;
+                Count::of_file(&self.output.join("measurements.csv"))?.require_some_measured(&experiment)?;
                 Some(throughput)
             }
         };

@@ -7,7 +7,7 @@ use super::shard::Shard;
 use super::trackers::OpenTracker;
 use super::views::OpenView;
 use crate::cli::failure::Failure;
-use crate::observation::{EncoderReading, commonest_status};
+use crate::observation::{EncoderReading, Measurement, commonest_status};
 use crate::record::{Experiment, MeasurementJournal, MeasurementRows, remove_abandoned, write_atomically};
 use crate::robot::Model;
 use crate::{Error, Result};
@@ -119,17 +119,24 @@ pub struct Count {
 }
 
 impl Count {
+    /// Of measurements.
+    pub fn of(measurements: &[Measurement]) -> Self {
+        measurements.iter().fold(Self::default(), Self::with)
+    }
+
     /// Of a measurements.csv.
     ///
     /// # Errors
     /// A file that cannot be read.
-    pub fn of(path: &Path) -> Result<Self> {
-        let mut count = Self::default();
-        for measurement in MeasurementRows::open(path)? {
-            count.frames += 1;
-            *count.statuses.entry(measurement?.status.to_string()).or_default() += 1;
-        }
-        Ok(count)
+    pub fn of_file(path: &Path) -> Result<Self> {
+        MeasurementRows::open(path)?.try_fold(Self::default(), |count, row| Ok(count.with(&row?)))
+    }
+
+    /// With one more.
+    fn with(mut self, measurement: &Measurement) -> Self {
+        self.frames += 1;
+        *self.statuses.entry(measurement.status.to_string()).or_default() += 1;
+        self
     }
 
     /// An error where not a single frame has angles.
@@ -165,7 +172,7 @@ impl Summary {
     /// A file that cannot be read.
     pub fn of(output: &Path, throughput: Option<Throughput>) -> Result<Self> {
         let measurements = output.join("measurements.csv");
-        let Count { frames, statuses } = Count::of(&measurements)?;
+        let Count { frames, statuses } = Count::of_file(&measurements)?;
         Ok(Self { frames, statuses, throughput, measurements })
     }
 

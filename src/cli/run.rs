@@ -1,7 +1,7 @@
 //! `run`: the main job, from frames and encoders to a compensation table and a report.
 
 use super::console::{Caller, Console};
-use super::estimate::{Estimated, Parameters, Verdicts};
+use super::estimate::{Estimated, Parameters};
 use super::flow::{MeasuredFrames, Throughput};
 use super::inputs::{encoders_of, files_read, maker, model_of};
 use super::measuring::{self, Count, Measured, MeasuringArgs};
@@ -9,28 +9,26 @@ use super::origin::Settings;
 use super::overlays::{self, Overlays, closeup, draw, jpeg, pictures};
 use super::table::largest_correction_mm;
 use super::trackers::open_trackers;
-use super::verdict::{VerdictArgs, doubt_of_times, reasons_of_files, subject, verdict_text};
+use super::verdict::{VerdictArgs, reasons_of_files, subject, unit_is_stated, verdict_text};
 use super::views::{open_views, reasons_of_sheets, rig_picture_name};
 use crate::cli::failure::Failure;
-use crate::estimate::gap::{Gap, gap_of};
-use crate::estimate::{estimate_each, or_one_gain};
+use crate::estimate::gap::{Gap, gap};
 use crate::input::read_text;
-use crate::observation::EncoderReading;
+use crate::observation::{EncoderReading, Measurement};
 use crate::quantity::with_sd;
 use crate::record::{
-    Checked, Experiment, Files, MeasurementRows, OutputFolder, PendingFile, Provenance, Warning, Worth,
-    compensation_files, estimate_line, estimates_header, learned_model_toml, mark_stale, write_together,
+    Checked, Experiment, Files, MeasurementRows, OutputFolder, Provenance, Warning, Worth, compensation_files,
+    estimates_csv, learned_model_toml, mark_stale, write_together,
 };
 use crate::report::run_history::RunHistory;
 use crate::report::run_page::Report;
 use crate::robot::{Model, Robot};
-use crate::verdict::{Code, Level, Reason, Subject, Verdict};
+use crate::verdict::{Code, JudgedEstimate, Level, Reason, Verdict};
 use crate::{Error, Result};
 use clap::Parser;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tracing::{info, info_span};
@@ -201,8 +199,8 @@ impl Inputs {
     }
 }
 
-/// All that a run makes of the measurements.csv in its folder: estimate, model, table and report. The rows are gone through on the
-/// disk, so that memory does not grow with them. `sheets` are what the views' sheets say against it.
+/// All that a run makes of the measurements.csv in its folder: estimate, model, table and report. `sheets` are what the views' sheets say
+/// against it.
 pub fn finish(
     experiment: &Experiment,
     inputs: &Inputs,
@@ -211,83 +209,47 @@ pub fn finish(
     output: &Path,
     throughput: Option<Throughput>,
 ) -> Result<Summary> {
+    let _stage = info_span!("learn").entered();
     let Inputs { start, encoders, warnings } = inputs;
-    let path = output.join("measurements.csv");
-    let count = Count::of(&path)?;
-    let rows = || MeasurementRows::open(&path);
-    let Learned { model, verdicts, history, estimates } = learn(inputs, settings, count.frames, rows, output)?;
-
-    let (model, replaced) = or_one_gain(model, rows()?, encoders)?;
-    let estimated = Estimated::of(verdicts, model.estimate);
-    let used_and_rejected = Some((estimated.used, estimated.rejected));
-    let wiring = experiment.wiring(start.robot.backbone_count())?;
-    let judged = subject(&model, experiment, wiring, settings.estimator.options(1.0).sd_encoder_mm);
-    let verdict = Subject { used_and_rejected, replaced, ..judged }.verdict(rows()?, encoders)?;
-    let doubts =
-        reasons_of_files(experiment, warnings)?.into_iter().chain(doubt_of_times(rows()?, encoders, Some(experiment))?);
-    let verdict = beside_former(output, doubts.chain(sheets).fold(verdict, Verdict::and))?;
+    let measurements: Vec<Measurement> =
+        MeasurementRows::open(&output.join("measurements.csv"))?.collect::<Result<_>>()?;
+    let (options, backbones) = (settings.estimator.options(1.0), start.robot.backbone_count());
+    let wiring = experiment.wiring(backbones)?;
+    let is_stated = unit_is_stated(Some(experiment));
+    let JudgedEstimate { rows, model, verdict } =
+        JudgedEstimate::of(start, options, (&measurements, encoders), is_stated, |model| {
+            Ok(subject(model, experiment, wiring, options.sd_encoder_mm))
+        })?;
+    let doubts = reasons_of_files(experiment, warnings)?.into_iter().chain(sheets);
+    let verdict = beside_former(output, doubts.fold(verdict, Verdict::and))?;
+    let estimated = Estimated::of(&rows, model.estimate);
     info!(used = estimated.used, rejected = estimated.rejected, skipped = estimated.skipped, verdict = %verdict.level, "judged");
     let made_from = provenance(experiment, settings, output)?;
     let (mut files, table) = model_and_tables(output, &model, &verdict, &made_from)?;
     let naive = Model { estimate: None, ..model.clone() };
+    let count = Count::of(&measurements);
     let summary = Summary {
         frames: count.frames,
         statuses: count.statuses,
         estimated,
-        gap: gap_of(&model, rows()?, encoders)?,
-        naive_gap: gap_of(&naive, rows()?, encoders)?,
+        gap: gap(&model, &measurements, encoders),
+        naive_gap: gap(&naive, &measurements, encoders),
         table,
         throughput,
         output: output.to_owned(),
         verdict,
         model,
     };
+    let history = RunHistory::of(&measurements, &rows);
     let page = page(experiment, &summary, encoders, &history, (settings, warnings, &made_from))?;
     files.push((output.join("report.html"), page));
     // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
-    let has_rows = summary.table.is_some() || !output.join("model.toml").exists();
-    write_together(&files)?;
-    if has_rows {
-        estimates.commit()?;
+    if summary.table.is_some() || !output.join("model.toml").exists() {
+        files.push((output.join("estimate.csv"), estimates_csv(&rows, backbones)));
     }
+    write_together(&files)?;
     info!(output = %output.display(), "written");
     Ok(summary)
-}
-
-/// What the rows of a run teach.
-struct Learned {
-    model: Model,
-    verdicts: Verdicts,
-    /// The rows that the report shows.
-    history: RunHistory,
-    /// estimate.csv, written and not renamed yet.
-    estimates: PendingFile,
-}
-
-/// Updates η and λ by each of a run's rows, in order, and writes one line of estimate.csv for each.
-fn learn(
-    Inputs { start, encoders, .. }: &Inputs,
-    settings: Settings,
-    frames: usize,
-    rows: impl Fn() -> Result<MeasurementRows>,
-    output: &Path,
-) -> Result<Learned> {
-    let _stage = info_span!("learn").entered();
-    let mut history = RunHistory::new(frames);
-    let mut verdicts = Verdicts::default();
-    let path = output.join("estimate.csv");
-    let mut estimates = PendingFile::create(&path)?;
-    let mut write = |line: String| writeln!(estimates, "{line}").map_err(Error::io(&path, "write"));
-    let backbones = start.robot.backbone_count();
-    write(estimates_header(backbones))?;
-    let model = estimate_each(start, settings.estimator.options(1.0), rows()?, encoders, |measurement, row| {
-        write(estimate_line(&row, backbones))?;
-        verdicts.add(&row);
-        history.add(&measurement, &row);
-        Ok(())
-    })?;
-    estimates.sync()?;
-    Ok(Learned { model, verdicts, history, estimates })
 }
 
 /// The verdict on a run, with what it means for the files of an earlier run in the same folder, which are marked as stale where they stay.

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::observation::{EncoderReading, Measurement, Wiring};
 use crate::record::{Experiment, Fault, Warning};
 use crate::robot::Model;
-use crate::verdict::{Code, Level, Reason, Subject, TIMED, Verdict, ViewOffset, doubts_of_times};
+use crate::verdict::{Code, Level, Reason, Subject, Verdict, ViewOffset, doubts_of_times};
 
 /// What a command does with its verdict.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -81,15 +81,11 @@ pub fn unit_is_stated(experiment: Option<&Experiment>) -> bool {
     experiment.and_then(|experiment| experiment.log.as_ref()).is_some_and(|log| log.time_unit.is_some())
 }
 
-/// A doubt of the times' unit, or of which row belongs to which frame, from some of the measurements.
-///
-/// # Errors
-/// What `measurements` gives.
-pub fn doubt_of_times<E>(
-    measurements: impl Iterator<Item = Result<Measurement, E>>,
+/// A doubt of the times' unit, or of which row belongs to which frame.
+pub fn doubt_of_times(
+    measurements: &[Measurement],
     log: &[EncoderReading],
     experiment: Option<&Experiment>,
-) -> Result<Option<Reason>, E> {
-    let some = measurements.take(TIMED).collect::<Result<Vec<_>, E>>()?;
-    Ok(doubts_of_times(&some, log, unit_is_stated(experiment)))
+) -> Option<Reason> {
+    doubts_of_times(measurements, log, unit_is_stated(experiment))
 }

@@ -98,11 +98,6 @@ impl Estimator {
         self.running.as_ref().map(|(_, consistency)| consistency)
     }
 
-    /// How many of the first measurements have a verdict that no later one can change.
-    pub fn decided(&self) -> usize {
-        self.undecided.first().map_or(self.updates, |sample| sample.update)
-    }
-
     /// Takes a reading whose frame was not measured, or for which none was taken: it drives the effects that have a memory.
     pub fn pass(&mut self, reading: &EncoderReading) {
         self.follower.pass(Self::followed(&self.given, &self.model), reading);

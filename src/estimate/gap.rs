@@ -7,7 +7,6 @@ use crate::robot::{Model, PerBackbone};
 use crate::statistics::moments::RunningSquares;
 use nalgebra::Vector2;
 use serde::Serialize;
-use std::convert::Infallible;
 
 /// Below this bend δ means too little to be scored, rad (15°).
 ///
@@ -36,27 +35,12 @@ pub struct Gap {
 /// Measures the gap between a model and data: every measurement that has angles and an encoder reading counts. What the
 /// model's effects do along the path is taken off first.
 pub fn gap(model: &Model, measurements: &[Measurement], encoders: &[EncoderReading]) -> Gap {
-    match gap_of(model, measurements.iter().cloned().map(Ok::<_, Infallible>), encoders) {
-        Ok(gap) => gap,
-        Err(never) => match never {},
-    }
-}
-
-/// [`gap`] of measurements that need not be in memory.
-///
-/// # Errors
-/// What `measurements` gives.
-pub fn gap_of<E>(
-    model: &Model,
-    measurements: impl Iterator<Item = std::result::Result<Measurement, E>>,
-    encoders: &[EncoderReading],
-) -> std::result::Result<Gap, E> {
     let pairs = pairs_without_effects(model, measurements, encoders);
     let plain = &model.plain();
     let [mut eps, mut noise, mut theta, mut delta] = [RunningSquares::default(); 4];
     let (mut samples, mut unpredicted) = (0, 0);
     for pair in pairs {
-        let (Measurement { measured: Some(measured), .. }, Some(reading)) = pair? else { continue };
+        let (Measurement { measured: Some(measured), .. }, Some(reading)) = pair else { continue };
         let psi = measured.configuration;
         samples += 1;
         (reading.q_mm - plain.command(psi)).iter().for_each(|&left| eps.add(left));
@@ -74,7 +58,7 @@ pub fn gap_of<E>(
             Err(_) => unpredicted += 1,
         }
     }
-    Ok(Gap {
+    Gap {
         samples,
         rms_eps_mm: eps.rms(),
         noise_floor_mm: noise.rms(),
@@ -82,7 +66,7 @@ pub fn gap_of<E>(
         delta_samples: delta.count(),
         rms_delta_deg: delta.rms().to_degrees(),
         unpredicted,
-    })
+    }
 }
 
 /// ∂(q + ε)/∂(θ, δ), mm per rad: what an error of the angles does to the ε that is inferred from them.

@@ -41,7 +41,7 @@ pub use options::Options;
 pub(crate) use poses::{NEW_POSE, NewPoses};
 pub(crate) use sample::Sample;
 pub use sample::{Pair, pairs_without_effects};
-pub use sequence::{estimate, estimate_each};
+pub use sequence::estimate;
 pub use sigmas::with_sigmas;
 pub use stem::{Stem, StemAngle, StemOptions, StemRow, estimate_stem};
 pub use usable::Reason;

@@ -9,7 +9,7 @@
 use super::filter::KNOWN_SD;
 use super::friction::friction_covariance;
 use super::usable::usable;
-use super::{NewPoses, Pair, pairs_without_effects};
+use super::{NewPoses, pairs_without_effects};
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::{DataRange, Estimate, Model, PerBackbone};
 use crate::statistics::binomial;
@@ -46,19 +46,11 @@ pub struct Replaced {
 
 /// The model, with its estimate replaced by one gain for all bends if the estimate is missing or its σ of η is above 1. An estimate that
 /// predicts more bends better than the gain (sign test over poses) is kept.
-///
-/// # Errors
-/// What `measurements` gives.
-pub fn or_one_gain<E>(
-    model: Model,
-    measurements: impl Iterator<Item = Result<Measurement, E>>,
-    log: &[EncoderReading],
-) -> Result<(Model, Option<Replaced>), E> {
+pub fn or_one_gain(model: Model, measurements: &[Measurement], log: &[EncoderReading]) -> (Model, Option<Replaced>) {
     let (mut points, mut every, mut seen) = (Vec::new(), 1, 0usize);
     let mut poses = NewPoses::default();
     let mut learned = DataRange::default();
-    for pair in pairs_without_effects(&model, measurements, log) {
-        let (measurement, reading): Pair = pair?;
+    for (measurement, reading) in pairs_without_effects(&model, measurements, log) {
         let Ok((measured, q_mm)) = usable(model.robot.backbone_count(), &measurement, reading.as_ref()) else {
             continue;
         };
@@ -80,7 +72,7 @@ pub fn or_one_gain<E>(
             every *= 2;
         }
     }
-    let Some(estimate) = one_gain(&model, &points) else { return Ok((model, None)) };
+    let Some(estimate) = one_gain(&model, &points) else { return (model, None) };
     let candidate = Model { learned: Some(learned), ..model.with_estimate(Some(estimate)) };
     let miss = |model: &Model, bend: Vector2<f64>, q: &_| model.plain().forward_bend(q).map(|b| (b - bend).norm()).ok();
     let better = |&&(bend, ref q): &&(Vector2<f64>, _)| match (miss(&candidate, bend, q), miss(&model, bend, q)) {
@@ -92,7 +84,7 @@ pub fn or_one_gain<E>(
     let is_known = model.estimate.is_some_and(|estimate| estimate.sd_eta() <= KNOWN_SD);
     let is_worse = model.estimate.is_some() && binomial::at_least(of - better, of, 0.5) < LEVEL;
     let replaces = !is_known && !is_worse;
-    Ok(if replaces { (candidate, Some(Replaced { better, of })) } else { (model, None) })
+    if replaces { (candidate, Some(Replaced { better, of })) } else { (model, None) }
 }
 
 /// η and λ of one gain; `None` where the bends do not tell it.
@@ -155,7 +147,6 @@ mod tests {
     use crate::estimate::{Options, estimate};
     use crate::robot::Effect;
     use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
-    use std::convert::Infallible;
 
     fn experiment(effects: &[&str], seed: u64) -> (Vec<Measurement>, Vec<EncoderReading>) {
         let known = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
@@ -166,19 +157,14 @@ mod tests {
         (SimulatedEye::default().observe(&samples, seed + 1), samples.iter().map(|sample| sample.reading).collect())
     }
 
-    fn judged(model: Model, measurements: &[Measurement], log: &[EncoderReading]) -> (Model, Option<Replaced>) {
-        let Ok(found) = or_one_gain(model, measurements.iter().cloned().map(Ok::<_, Infallible>), log);
-        found
-    }
-
     #[test]
     fn one_gain_is_the_truth_within_its_sigma_where_the_model_holds_and_replaces_nothing() {
         for seed in [1, 20, 300] {
             let (measurements, log) = experiment(&[], seed);
             let (_, model) = estimate(&Model::default(), Options::default(), &measurements, &log).unwrap();
-            assert_eq!(judged(model.clone(), &measurements, &log), (model, None));
+            assert_eq!(or_one_gain(model.clone(), &measurements, &log), (model, None));
             // Without an estimate it is what there is.
-            let (model, replaced) = judged(Model::default(), &measurements, &log);
+            let (model, replaced) = or_one_gain(Model::default(), &measurements, &log);
             let found = model.estimate.unwrap();
             assert!(replaced.is_some() && (found.eta - 1.221).abs() < 4.0 * found.sd_eta(), "{found:?}");
             assert!((found.lambda_mm - 0.1765).abs() < 0.002 && found.sd_eta() < 0.02, "{found:?}");
@@ -189,9 +175,9 @@ mod tests {
     fn an_estimate_that_knows_nothing_of_eta_is_replaced() {
         let (measurements, log) = experiment(&["superelastic_softening:softening_per_rad2=0.1"], 5);
         let wrong = Estimate { eta: 0.4, lambda_mm: 0.1, covariance: Matrix2::identity() * 4.0, samples: 8 };
-        let (model, replaced) = judged(Model { estimate: Some(wrong), ..Model::default() }, &measurements, &log);
+        let (model, replaced) = or_one_gain(Model { estimate: Some(wrong), ..Model::default() }, &measurements, &log);
         let Replaced { better, of } = replaced.unwrap();
         assert!(better > of / 2 && model.parameters().x > 0.8, "{model:?}");
-        assert_eq!(judged(Model::default(), &measurements[..4], &log).1, None, "four bends are too few");
+        assert_eq!(or_one_gain(Model::default(), &measurements[..4], &log).1, None, "four bends are too few");
     }
 }

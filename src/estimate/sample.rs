@@ -131,14 +131,13 @@ impl<'a> Log<'a> {
 /// Measurements, each with its reading, as they would have been without a model's effects: what its effects did to the encoders and to the eye
 /// is taken off, and from the readings what neighbouring sections did. Every reading drives what has a memory; what has no
 /// angles or no reading stays as it is.
-pub fn pairs_without_effects<'a, E: 'a>(
+pub fn pairs_without_effects<'a>(
     model: &'a Model,
-    measurements: impl Iterator<Item = Result<Measurement, E>> + 'a,
+    measurements: &'a [Measurement],
     readings: &'a [EncoderReading],
-) -> impl Iterator<Item = Result<Pair, E>> + 'a {
+) -> impl Iterator<Item = Pair> + 'a {
     let (mut log, mut follower) = (Log::new(model, readings), Follower::default());
-    measurements.map(move |measurement| {
-        let mut measurement = measurement?;
+    measurements.iter().cloned().map(move |mut measurement| {
         let (before, own) = log.until(measurement.index);
         before.iter().for_each(|reading| follower.pass(model, reading));
         let mut reading = own.map(|own| own.beside_resting_neighbours(model));
@@ -146,7 +145,7 @@ pub fn pairs_without_effects<'a, E: 'a>(
             let (measured, q_mm) = sample.without_effects(model);
             (measurement.measured, reading.q_mm) = (Some(measured), q_mm);
         }
-        Ok((measurement, reading))
+        (measurement, reading)
     })
 }
 
@@ -156,11 +155,9 @@ mod tests {
     use crate::observation::EncoderReading;
     use crate::robot::{Effect, LIBRARY};
     use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
-    use std::convert::Infallible;
 
     fn without_effects(model: &Model, measurements: &[Measurement], readings: &[EncoderReading]) -> Vec<Pair> {
-        let measurements = measurements.iter().cloned().map(Ok::<_, Infallible>);
-        pairs_without_effects(model, measurements, readings).map(|Ok(pair)| pair).collect()
+        pairs_without_effects(model, measurements, readings).collect()
     }
 
     /// Measurements without noise, and readings without any.

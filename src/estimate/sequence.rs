@@ -6,7 +6,6 @@ use super::{EstimateRow, EtaLambda, Options, Verdict};
 use crate::error::Result;
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
-use std::collections::VecDeque;
 
 /// Estimates η and λ from all measurements, in order, each with the encoder reading of its index.
 ///
@@ -21,49 +20,19 @@ pub fn estimate(
     measurements: &[Measurement],
     readings: &[EncoderReading],
 ) -> Result<(Vec<EstimateRow>, Model)> {
-    let mut rows = Vec::with_capacity(measurements.len());
-    let all = measurements.iter().cloned().map(Ok);
-    let model = estimate_each(model, options, all, readings, |_, row| {
-        rows.push(row);
-        Ok(())
-    })?;
-    Ok((rows, model))
-}
-
-/// [`estimate`] of measurements that need not be in memory: `each` is given the measurements and their rows of estimate.csv, in order, as soon
-/// as no later measurement can change their verdict.
-///
-/// # Errors
-/// [`ArgumentError::OutOfRange`](crate::error::ArgumentError::OutOfRange) for an option out of its range; what `measurements` and `each` give.
-pub fn estimate_each(
-    model: &Model,
-    options: Options,
-    measurements: impl Iterator<Item = Result<Measurement>>,
-    readings: &[EncoderReading],
-    mut each: impl FnMut(Measurement, EstimateRow) -> Result<()>,
-) -> Result<Model> {
     let (mut estimator, mut log) = (Estimator::new(model, options)?, Log::new(model, readings));
-    // The rows whose verdict may still change, and how many came before them.
-    let (mut open, mut decided) = (VecDeque::new(), 0);
+    let mut rows: Vec<EstimateRow> = Vec::with_capacity(measurements.len());
     for measurement in measurements {
-        let measurement = measurement?;
         let (before, reading) = log.until(measurement.index);
         before.iter().for_each(|reading| estimator.pass(reading));
-        let mut step = estimator.update(&measurement, reading);
+        let mut step = estimator.update(measurement, reading);
         for Revision { update, reason } in std::mem::take(&mut step.revisions) {
-            let (_, row): &mut (Measurement, EstimateRow) = &mut open[update - decided];
-            row.verdict = if reason.is_none() { Verdict::Used } else { Verdict::Rejected };
-            row.reason = reason.map(|reason| reason.to_string()).unwrap_or_default();
+            rows[update].verdict = if reason.is_none() { Verdict::Used } else { Verdict::Rejected };
+            rows[update].reason = reason.map(|reason| reason.to_string()).unwrap_or_default();
         }
-        let row = row(&measurement, step);
-        open.push_back((measurement, row));
-        for (measurement, row) in open.drain(..estimator.decided() - decided) {
-            each(measurement, row)?;
-        }
-        decided = estimator.decided();
+        rows.push(row(measurement, step));
     }
-    open.into_iter().try_for_each(|(measurement, row)| each(measurement, row))?;
-    Ok(estimator.model())
+    Ok((rows, estimator.model()))
 }
 
 fn row(measurement: &Measurement, step: Step) -> EstimateRow {

@@ -6,7 +6,6 @@ use super::status::{PublicationState, PublicationStatus, State, nothing_judged};
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
 use crate::verdict::{Code, Level, Reason, Subject, Verdict};
-use std::convert::Infallible;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -64,7 +63,7 @@ fn judge(shared: &SharedState, sd_encoder_mm: f64, measurements: &[Measurement],
     };
     let used = (measured as usize).saturating_sub(rejected);
     let subject = Subject { used_and_rejected: Some((used, rejected)), ..Subject::new(&model, sd_encoder_mm) };
-    let Ok(verdict) = subject.verdict(measurements.iter().cloned().map(Ok::<_, Infallible>), readings);
+    let verdict = subject.verdict(measurements, readings);
     let verdict = match measurements.is_empty() {
         true if shared.lock().gate.is_stuck() => {
             let text = "the encoders stand still while the snake moves, and nothing is learned from such readings";

@@ -9,22 +9,12 @@
 //! | `residual1_mm` … `residualn_mm` | measured ε less the ε that the estimate before it predicted, per backbone |
 //! | `view` | the view's name in experiment.toml |
 
-use super::columns::{backbone_columns, backbone_decimals, csv_line, csv_text, decimals, decimals_or_empty};
+use super::columns::{backbone_columns, backbone_decimals, csv_text, decimals, decimals_or_empty};
 use crate::estimate::EstimateRow;
 
 /// The estimate.csv of a robot of so many backbones as text; lengths to 1 nm.
 pub fn estimates_csv(rows: &[EstimateRow], backbones: usize) -> String {
     csv_text([columns(backbones)].into_iter().chain(rows.iter().map(|row| fields(row, backbones))))
-}
-
-/// The first line of estimate.csv, without its end.
-pub fn estimates_header(backbones: usize) -> String {
-    csv_line(columns(backbones))
-}
-
-/// One line of estimate.csv, without its end.
-pub fn estimate_line(row: &EstimateRow, backbones: usize) -> String {
-    csv_line(fields(row, backbones))
 }
 
 fn columns(backbones: usize) -> Vec<String> {

@@ -36,7 +36,7 @@ pub use columns::csv_of;
 pub use compensation::{Worth, compensation_csv, compensation_files, compensation_json, write_compensation_rows};
 pub use effect_table::read_effects;
 pub use encoders::{encoders_csv, read_encoders, read_encoders_kept};
-pub use estimates::{estimate_line, estimates_csv, estimates_header};
+pub use estimates::estimates_csv;
 pub(crate) use experiment::line_at;
 pub use experiment::{Experiment, RigSource, Tracker, View};
 pub use force::forces_csv;

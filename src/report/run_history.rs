@@ -14,8 +14,6 @@ const PICTURED: usize = 24;
 /// The rows of a run that its report shows.
 #[derive(Debug, Clone)]
 pub struct RunHistory {
-    count: usize,
-    seen: usize,
     /// Rows spread over the run: the measurement, and the estimate after it.
     pub plotted: Vec<(Measurement, EstimateRow)>,
     /// The first frames that could not be measured.
@@ -31,35 +29,28 @@ pub struct RunHistory {
 }
 
 impl RunHistory {
-    /// Nothing yet of a run of `count` rows.
-    pub fn new(count: usize) -> Self {
-        let (plotted, unmeasured, unused, pictured) = Default::default();
-        Self { count, seen: 0, plotted, unmeasured, unmeasured_count: 0, unused, unused_count: 0, pictured }
-    }
-
-    /// Adds the next row.
-    pub fn add(&mut self, measurement: &Measurement, row: &EstimateRow) {
-        let rank = self.seen;
-        self.seen += 1;
-        let both = || (measurement.clone(), row.clone());
-        if keeps(rank, PLOTTED, self.count) {
-            self.plotted.push(both());
-        }
-        if measurement.status != Status::Ok {
-            if self.unmeasured_count < LISTED {
-                self.unmeasured.push(measurement.clone());
-            }
-            self.unmeasured_count += 1;
-        }
-        if row.verdict != Verdict::Used && measurement.measured.is_some() {
-            if self.unused_count < LISTED {
-                self.unused.push(both());
-            }
-            self.unused_count += 1;
-        }
-        let failed_first = measurement.status != Status::Ok && self.unmeasured_count <= PICTURED;
-        if failed_first || keeps(rank, PICTURED, self.count) {
-            self.pictured.push(measurement.clone());
+    /// Of the rows of a run, each a measurement and what the estimator made of it.
+    pub fn of(measurements: &[Measurement], rows: &[EstimateRow]) -> Self {
+        let count = measurements.len();
+        let all = || measurements.iter().zip(rows);
+        let of_pair = |(measurement, row): (&Measurement, &EstimateRow)| (measurement.clone(), row.clone());
+        let plotted = all().enumerate().filter(|(rank, _)| keeps(*rank, PLOTTED, count));
+        let failed = |measurement: &&Measurement| measurement.status != Status::Ok;
+        let is_unused = |(measurement, row): &(&Measurement, &EstimateRow)| {
+            row.verdict != Verdict::Used && measurement.measured.is_some()
+        };
+        let mut failures = 0;
+        let pictured = measurements.iter().enumerate().filter(|(rank, measurement)| {
+            failures += usize::from(failed(measurement));
+            failed(measurement) && failures <= PICTURED || keeps(*rank, PICTURED, count)
+        });
+        Self {
+            plotted: plotted.map(|(_, pair)| of_pair(pair)).collect(),
+            unmeasured: measurements.iter().filter(failed).take(LISTED).cloned().collect(),
+            unmeasured_count: measurements.iter().filter(failed).count(),
+            unused: all().filter(is_unused).take(LISTED).map(of_pair).collect(),
+            unused_count: all().filter(is_unused).count(),
+            pictured: pictured.map(|(_, measurement)| measurement.clone()).collect(),
         }
     }
 }
@@ -75,23 +66,22 @@ pub fn is_drawn(measurement: &Measurement, rank: usize, count: Option<usize>) ->
 mod tests {
     use super::*;
 
-    fn rows(count: usize) -> RunHistory {
-        let mut history = RunHistory::new(count);
-        for index in 0..count as u64 {
+    fn rows(count: u64) -> RunHistory {
+        let measurement = |index| {
             let status = if index % 3 == 0 { Status::NoSnake } else { Status::Ok };
-            let row = EstimateRow {
-                index,
-                time_s: None,
-                estimate: None,
-                verdict: Verdict::Skipped,
-                reason: String::new(),
-                residual_mm: None,
-                view: None,
-            };
-            let measurement = Measurement { index, time_s: None, status, measured: None, quality: None, view: None };
-            history.add(&measurement, &row);
-        }
-        history
+            Measurement { index, time_s: None, status, measured: None, quality: None, view: None }
+        };
+        let row = |index| EstimateRow {
+            index,
+            time_s: None,
+            estimate: None,
+            verdict: Verdict::Skipped,
+            reason: String::new(),
+            residual_mm: None,
+            view: None,
+        };
+        let (measurements, rows): (Vec<_>, Vec<_>) = (0..count).map(|index| (measurement(index), row(index))).unzip();
+        RunHistory::of(&measurements, &rows)
     }
 
     #[test]

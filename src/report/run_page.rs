@@ -360,8 +360,7 @@ mod tests {
             estimate(2, Verdict::Skipped, "no_snake"),
             estimate(3, Verdict::Rejected, "outlier"),
         ];
-        let mut history = RunHistory::new(measurements.len());
-        measurements.iter().zip(&estimates).for_each(|(measurement, row)| history.add(measurement, row));
+        let history = RunHistory::of(&measurements, &estimates);
         let page = Report {
             title: "bending <1>".into(),
             verdict: RunVerdict::default(),
@@ -401,9 +400,8 @@ mod tests {
 
     #[test]
     fn a_run_without_a_single_measurement_has_its_page_too() {
-        let mut history = RunHistory::new(1);
         let skipped = EstimateRow { estimate: None, residual_mm: None, ..estimate(1, Verdict::Skipped, "unreadable") };
-        history.add(&measurement(1, Status::Unreadable), &skipped);
+        let history = RunHistory::of(&[measurement(1, Status::Unreadable)], &[skipped]);
         let page = Report {
             title: "nothing".into(),
             verdict: RunVerdict::default(),

@@ -174,15 +174,20 @@ mod tests {
     fn a_perfect_model_reaches_what_is_desired_and_lies_on_its_law() {
         let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::identity() * 1e-6, samples: 9 };
         let model = Model { estimate: Some(estimate), ..Model::default() };
-        let mut history = RunHistory::new(4);
-        let mut readings = Vec::new();
+        let (mut measurements, mut rows, mut readings) = (Vec::new(), Vec::new(), Vec::new());
         for index in 0..4u64 {
             let configuration = Configuration::from_degrees(20.0 * index as f64 + 5.0, 30.0);
             let measured = Measured::independent(configuration, 1e-3, 1e-3, 0.0);
             let (time_s, view) = (Some(index as f64), None);
-            let measurement =
-                Measurement { index, time_s, status: Status::Ok, measured: Some(measured), quality: None, view };
-            let row = EstimateRow {
+            measurements.push(Measurement {
+                index,
+                time_s,
+                status: Status::Ok,
+                measured: Some(measured),
+                quality: None,
+                view,
+            });
+            rows.push(EstimateRow {
                 index,
                 time_s,
                 estimate: None,
@@ -190,10 +195,10 @@ mod tests {
                 reason: String::new(),
                 residual_mm: None,
                 view: None,
-            };
-            history.add(&measurement, &row);
+            });
             readings.push(EncoderReading::new(index, index as f64, model.command(configuration)));
         }
+        let history = RunHistory::of(&measurements, &rows);
         let sampled = Sampled::of(&model, &history, &readings);
         let [before, after] = &sampled.missed_before().plot.series[..] else { panic!("two series") };
         assert!(after.points.iter().all(|p| p.y.abs() < 1e-6));

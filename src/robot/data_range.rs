@@ -199,9 +199,7 @@ mod tests {
             let readings: Vec<_> = samples.iter().map(|sample| sample.reading).collect();
             let measurements = SimulatedEye::default().observe(&samples, 4);
             let (_, model) = estimate(&Model::default(), Options::default(), &measurements, &readings).unwrap();
-            let verdict = Subject::new(&model, 0.0015)
-                .verdict(measurements.iter().cloned().map(Ok::<_, std::convert::Infallible>), &readings)
-                .unwrap();
+            let verdict = Subject::new(&model, 0.0015).verdict(&measurements, &readings);
             let off = model.command(across) - robot.command(across);
             let off_deg = (model.updated_jacobian_bend(across.bend_vector()).unwrap().tr_mul(&off)).norm().to_degrees();
             let counts = model.learned.unwrap().covers(across);

@@ -1,12 +1,11 @@
 //! η and λ learned from measurements and readings, with the verdict on them: what `estimate` answers.
 
-use super::inputs::{TIMED, doubts_of_times};
+use super::inputs::doubts_of_times;
 use super::{Subject, Verdict};
 use crate::error::Result;
 use crate::estimate::{self, EstimateRow, Options, estimate, or_one_gain};
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
-use std::convert::Infallible;
 
 /// What measurements and readings teach, judged.
 #[derive(Debug, Clone)]
@@ -33,14 +32,12 @@ impl JudgedEstimate {
         subject: impl for<'a> FnOnce(&'a Model) -> Result<Subject<'a>>,
     ) -> Result<Self> {
         let (rows, model) = estimate(start, options, measurements, readings)?;
-        let all = || measurements.iter().cloned().map(Ok::<_, Infallible>);
-        let Ok((model, replaced)) = or_one_gain(model, all(), readings);
+        let (model, replaced) = or_one_gain(model, measurements, readings);
         let count = |verdict| rows.iter().filter(|row| row.verdict == verdict).count();
         let used_and_rejected = Some((count(estimate::Verdict::Used), count(estimate::Verdict::Rejected)));
         let subject = Subject { used_and_rejected, replaced, ..subject(&model)? };
-        let Ok(verdict) = subject.verdict(all(), readings);
-        let doubt = doubts_of_times(&measurements[..measurements.len().min(TIMED)], readings, unit_is_stated);
-        let verdict = doubt.into_iter().fold(verdict, Verdict::and);
+        let doubt = doubts_of_times(measurements, readings, unit_is_stated);
+        let verdict = doubt.into_iter().fold(subject.verdict(measurements, readings), Verdict::and);
         Ok(Self { rows, model, verdict })
     }
 }

@@ -3,12 +3,10 @@
 use super::reason::{Reason, Verdict};
 use super::rules;
 use super::wiring::Pose;
-use crate::estimate::{Pair, Replaced, pairs_without_effects, usable};
+use crate::estimate::{Replaced, pairs_without_effects, usable};
 use crate::observation::{EncoderReading, Measured, Measurement, Status, Wiring};
 use crate::robot::{Model, PerBackbone};
-use std::cell::RefCell;
 use std::collections::BTreeMap;
-use std::convert::Infallible;
 
 /// Measurements that the rules look at; of more, as many spread over the run. Convention: a resource limit, far beyond what the tests need.
 const MOST_SAMPLES: usize = 2000;
@@ -40,23 +38,14 @@ impl<'a> Subject<'a> {
     }
 
     /// Passes the verdict on measurements and the log's readings.
-    ///
-    /// # Errors
-    /// What `measurements` gives.
-    pub fn verdict<E>(
-        &self,
-        measurements: impl Iterator<Item = Result<Measurement, E>>,
-        log: &[EncoderReading],
-    ) -> Result<Verdict, E> {
-        Ok(rules::verdict(self, &Evidence::collect(self.model, measurements, log)?, log))
+    pub fn verdict(&self, measurements: &[Measurement], log: &[EncoderReading]) -> Verdict {
+        rules::verdict(self, &Evidence::collect(self.model, measurements, log), log)
     }
 
     /// What keeps physics from being named of these data, where something does: encoders that stand still, or a log that is wired
     /// otherwise than it is read.
     pub fn wiring_mistake(&self, measurements: &[Measurement], log: &[EncoderReading]) -> Option<Reason> {
-        let measurements = measurements.iter().cloned().map(Ok::<_, Infallible>);
-        let Ok(evidence) = Evidence::collect(self.model, measurements, log);
-        rules::wiring_mistake(self, &evidence, log)
+        rules::wiring_mistake(self, &Evidence::collect(self.model, measurements, log), log)
     }
 }
 
@@ -114,42 +103,29 @@ pub struct Evidence {
 
 impl Evidence {
     /// Goes once through the measurements.
-    ///
-    /// # Errors
-    /// What `measurements` gives.
-    fn collect<E>(
-        model: &Model,
-        measurements: impl Iterator<Item = Result<Measurement, E>>,
-        log: &[EncoderReading],
-    ) -> Result<Self, E> {
-        let as_measured = RefCell::new((0, 0, BTreeMap::new(), Spread::new(MOST_POSES)));
-        let seen = measurements.inspect(|measurement| {
-            let Ok(measurement) = measurement else { return };
-            let (frames, measured, statuses, poses) = &mut *as_measured.borrow_mut();
-            *frames += 1;
-            *statuses.entry(measurement.status.to_string()).or_insert(0usize) += 1;
-            if let (Status::Ok, Some(angles)) = (&measurement.status, measurement.measured) {
-                *measured += 1;
-                let (index, view) = (measurement.index, measurement.view.clone());
-                poses.add(Pose { index, view, measured: angles });
-            }
-        });
-        let mut samples = Spread::new(MOST_SAMPLES);
-        let (mut with_reading, mut gap, mut longest) = (0, Gap::default(), Gap::default());
+    fn collect(model: &Model, measurements: &[Measurement], log: &[EncoderReading]) -> Self {
+        let (mut measured, mut with_reading, mut statuses) = (0, 0, BTreeMap::new());
+        let (mut gap, mut longest) = (Gap::default(), Gap::default());
+        let (mut poses, mut samples) = (Spread::new(MOST_POSES), Spread::new(MOST_SAMPLES));
         let backbones = model.robot.backbone_count();
-        for pair in pairs_without_effects(model, seen, log) {
-            let (measurement, reading): Pair = pair?;
-            if measurement.status == Status::Ok && measurement.measured.is_some() {
-                gap = if reading.is_none() { gap.and(measurement.index) } else { Gap::default() };
+        for (as_seen, (measurement, reading)) in
+            measurements.iter().zip(pairs_without_effects(model, measurements, log))
+        {
+            let index = as_seen.index;
+            *statuses.entry(as_seen.status.to_string()).or_insert(0usize) += 1;
+            if let (Status::Ok, Some(angles)) = (&as_seen.status, as_seen.measured) {
+                measured += 1;
+                poses.add(Pose { index, view: as_seen.view.clone(), measured: angles });
+                gap = if reading.is_none() { gap.and(index) } else { Gap::default() };
                 longest = if gap.frames > longest.frames { gap } else { longest };
             }
             if let Ok((measured, q_mm)) = usable(backbones, &measurement, reading.as_ref()) {
                 with_reading += 1;
-                samples.add(Sample { index: measurement.index, measured, q_mm });
+                samples.add(Sample { index, measured, q_mm });
             }
         }
-        let (frames, measured, statuses, poses) = as_measured.into_inner();
-        Ok(Self { frames, statuses, measured, with_reading, gap: longest, poses: poses.kept, samples: samples.kept })
+        let (frames, poses, samples) = (measurements.len(), poses.kept, samples.kept);
+        Self { frames, statuses, measured, with_reading, gap: longest, poses, samples }
     }
 }
 

@@ -26,7 +26,6 @@ mod words;
 pub use estimated::JudgedEstimate;
 pub use evidence::{Evidence, Subject, ViewOffset};
 #[cfg(feature = "commands")]
-pub(crate) use inputs::TIMED;
 pub use inputs::doubts_of_times;
 pub use reason::{Code, Level, Reason, Suggestion, Verdict};
 pub use rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, MOST_LAMBDA_MM, REJECTED_IN_ORDER};

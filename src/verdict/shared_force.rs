@@ -12,7 +12,6 @@ use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::{ForceLimits, Model};
 use crate::statistics::moments::mean;
-use std::convert::Infallible;
 
 /// Other limits that are tried, as multiples of those that are told.
 ///
@@ -104,15 +103,13 @@ struct Explained {
 impl Poses {
     fn of(model: &Model, measurements: &[Measurement], readings: &[EncoderReading], sd_encoder_mm: f64) -> Self {
         let plain = model.plain();
-        let rows = measurements.iter().cloned().map(Ok::<_, Infallible>);
         let mut new_poses = NewPoses::default();
-        let pose = |pair: Result<Pair, Infallible>| {
-            let Ok((measurement, reading)) = pair;
+        let pose = |(measurement, reading): Pair| {
             let (measured, q_mm) = usable(plain.robot.backbone_count(), &measurement, reading.as_ref()).ok()?;
             let psi = measured.configuration;
             new_poses.is_new(psi.bend_vector()).then(|| (psi, (q_mm - plain.command(psi)).mean()))
         };
-        let all = pairs_without_effects(model, rows, readings).filter_map(pose).take(MOST_POSES).collect();
+        let all = pairs_without_effects(model, measurements, readings).filter_map(pose).take(MOST_POSES).collect();
         Self { all, plain, sd_encoder_mm }
     }
 

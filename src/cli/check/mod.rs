@@ -28,7 +28,6 @@ use files::{files_with_remedies, frames_remedy, name_in, pictures, spelled_other
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
-use std::convert::Infallible;
 use std::path::PathBuf;
 
 /// Frames of a view that are measured. Convention: what takes a second or two, and shows all sweeps of an experiment.
@@ -398,14 +397,12 @@ impl Inspection {
             return Ok(());
         }
         let options = Options::default();
-        let rows = || measurements.iter().cloned().map(Ok::<_, Infallible>);
         let (_, learned) = estimate(model, options, measurements, log)?;
-        let Ok((learned, replaced)) = or_one_gain(learned, rows(), log);
+        let (learned, replaced) = or_one_gain(learned, measurements, log);
         let wiring = experiment.wiring(model.robot.backbone_count())?;
         let judged = Subject { replaced, ..subject(&learned, experiment, wiring, options.sd_encoder_mm) };
-        let Ok(verdict) = judged.verdict(rows(), log);
-        let Ok(doubt) = doubt_of_times(rows(), log, Some(experiment));
-        self.reasons.extend(doubt);
+        let verdict = judged.verdict(measurements, log);
+        self.reasons.extend(doubt_of_times(measurements, log, Some(experiment)));
         let wired_wrong = verdict.has(Code::Wiring) || verdict.has(Code::EncoderStuck);
         // Which frames have no reading was told of all of them.
         self.reasons.extend(verdict.reasons.into_iter().filter(|reason| reason.code != Code::Files));

@@ -38,8 +38,7 @@ impl Lab {
         let views = vec![ViewOffset { name: "side".into(), delta_offset_deg: self.offset_deg }];
         let subject =
             Subject { views, used_and_rejected: Some((used, rows.len() - used)), ..Subject::new(&model, 0.0015) };
-        let measurements = self.measurements.iter().cloned().map(Ok::<_, std::convert::Infallible>);
-        subject.verdict(measurements, &self.log).unwrap()
+        subject.verdict(&self.measurements, &self.log)
     }
 
     fn readings(mut self, change: impl Fn(&PerBackbone) -> [f64; 3]) -> Self {
