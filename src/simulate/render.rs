@@ -77,18 +77,17 @@ fn trace(scene: &Scene, psi: Configuration) -> Vec<Pixel> {
     let stage = Stage::new(scene, psi);
     let samples = samples(scene.sensor.rays_per_pixel);
     let origin = base_from_camera * Point3::origin();
+    // Directions through the corners between the pixels, row by row. Within a pixel the direction is taken as linear, which is exact without
+    // distortion and better than 1e-5 px with any that a camera has.
+    let corner = |row: usize, column: usize| {
+        let ray = scene.lens.ray(&Point2::new(column as f64 - 0.5, row as f64 - 0.5));
+        base_from_camera * (ray / ray.z)
+    };
+    let corners: Vec<Vec<Vector3<f64>>> =
+        (0..=height).into_par_iter().map(|row| (0..=width).map(|column| corner(row, column)).collect()).collect();
     let mut pixels = vec![Pixel { light: Radiance::zeros(), snake: 0.0 }; width * height];
     pixels.par_chunks_mut(width).enumerate().for_each(|(row, pixels)| {
-        // Directions through the corners between this row's pixels. Within a pixel the direction is taken as linear, which
-        // is exact without distortion and better than 1e-5 px with any that a camera has.
-        let corners = |v: f64| -> Vec<Vector3<f64>> {
-            let corner = |column| {
-                let ray = scene.lens.ray(&Point2::new(column as f64 - 0.5, v));
-                base_from_camera * (ray / ray.z)
-            };
-            (0..=width).map(corner).collect()
-        };
-        let (above, below) = (corners(row as f64 - 0.5), corners(row as f64 + 0.5));
+        let (above, below) = (&corners[row], &corners[row + 1]);
         for (column, pixel) in pixels.iter_mut().enumerate() {
             let (a, b, c, d) = (above[column], above[column + 1], below[column], below[column + 1]);
             let (middle, across, down) = ((a + b + c + d) / 4.0, (b + d - a - c) / 2.0, (c + d - a - b) / 2.0);
