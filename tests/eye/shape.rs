@@ -51,10 +51,8 @@ fn the_tips_angles_are_measured_whatever_the_shape() {
     const POSES: [(f64, f64); 4] = [(20.0, 10.0), (50.0, -170.0), (75.0, -60.0), (35.0, 110.0)];
     let varying = |share: f64, theta_deg: f64| [[share * theta_deg / 4.0, 0.0], [0.0; 2], [0.0; 2]];
     type Modes = [[f64; 2]; 3];
-    let shapes: [(&str, &dyn Fn(f64) -> Modes); 6] = [
-        ("an arc", &|_| [[0.0; 2]; 3]),
-        ("curvature varying by 5 %", &|theta| varying(0.05, theta)),
-        ("by −10 %", &|theta| varying(-0.1, theta)),
+    let shapes: [(&str, &dyn Fn(f64) -> Modes); 4] = [
+        ("curvature varying by −10 %", &|theta| varying(-0.1, theta)),
         ("by 25 %", &|theta| varying(0.25, theta)),
         ("an S of 3°", &|_| [[0.0; 2], [3.0, 0.0], [0.0; 2]]),
         ("3° out of its plane", &|_| [[0.0, 3.0], [0.0; 2], [0.0; 2]]),

@@ -1,7 +1,7 @@
 //! Frames under other names, in other containers, and what stands among them.
 
 use super::Expected::{Good, Same, Told};
-use super::cameras::bending;
+use super::cameras::{bending, calibrated};
 use super::{case, hold};
 use crate::program::Sandbox;
 use image::{DynamicImage, ImageFormat};
@@ -93,7 +93,7 @@ fn frames_are_found_and_read_whatever_they_are_called() {
         DynamicImage::ImageLuma16(picture)
     };
     hold(
-        bending,
+        calibrated,
         vec![
             case("what macOS keeps beside files", beside("._00000.jpg", b"\0\x05\x16\x07\0\x02"), Same),
             case(
