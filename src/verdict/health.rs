@@ -13,7 +13,7 @@ use super::evidence::{Evidence, Sample, Subject};
 use super::reason::{Code, Level, Reason};
 use super::rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, NORMAL_QUANTILE, REJECTED_IN_ORDER, new_poses};
 use super::scale::LEAST_UNNAMED;
-use super::systematic::{AffineFit, ScaleFit, agreeing};
+use super::systematic::{AffineFit, ScaleFit, StepFit, agreeing};
 use crate::estimate::{self, LinearisedMeasurement, Weighting, Whitened, line_share};
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::chi_square;
@@ -26,10 +26,10 @@ use std::f64::consts::PI;
 ///
 /// Derived: (1 − α − α ln(1/α)) / (1 − α), and P(χ²_3 < Φ⁻¹(0.95)²) / (1 − α), with α = 0.1.
 pub(super) const TRIMMED_MEAN_SQUARE: [f64; 2] = [0.744_157, 0.623_236];
-/// A single encoder's scale accounts for a gap if it leaves no more than this share of the mean square.
+/// A single encoder's error accounts for a gap if it leaves no more than this share of the mean square.
 ///
 /// Convention: half of the rms, as where a lag is taken for the clock's.
-const LEFT_BY_A_SCALE: f64 = 0.25;
+const LEFT_BY_A_CAUSE: f64 = 0.25;
 
 /// A model that misses more than this share of the bends says nothing of them. Convention: half; it then explains three quarters of their variance.
 const MOST_MISSED: f64 = 0.5;
@@ -53,8 +53,8 @@ pub(super) struct Innovation {
     pub bending: Vector2<f64>,
     /// What η adds to it by a unit, likewise.
     pub by_eta: Vector2<f64>,
-    /// What each encoder's relative error adds to it by a unit, likewise.
-    pub by_scale: PerBackbone<Vector2<f64>>,
+    /// What each encoder's reading adds to it by a mm, likewise.
+    pub by_reading: PerBackbone<Vector2<f64>>,
     /// L⁻¹ of the bending part's covariance L Lᵗ, 1/mm.
     pub whitener: Matrix2<f64>,
     /// What the rig's six unit errors add to the bending part, in units of its standard deviations.
@@ -81,8 +81,8 @@ impl Innovation {
         let whitened = Whitened::new(&residual, &one.covariance)?;
         let whitener = one.covariance.fixed_view::<2, 2>(0, 0).into_owned().cholesky()?.l().try_inverse()?;
         let whiten = |column: Vector2<f64>| whitener * column;
-        let by_scale = PerBackbone::from_fn(q_mm.len(), |i| {
-            let alone = PerBackbone::from_fn(q_mm.len(), |j| if i == j { q_mm[i] } else { 0.0 });
+        let by_reading = PerBackbone::from_fn(q_mm.len(), |i| {
+            let alone = PerBackbone::from_fn(q_mm.len(), |j| if i == j { 1.0 } else { 0.0 });
             whiten(robot.bend_and_common(&alone).xy())
         });
         let naive = Model { estimate: None, ..plain.clone() };
@@ -92,7 +92,7 @@ impl Innovation {
             index: *index,
             bending: whitened.bending,
             by_eta: whiten(one.h.column(0).xy()),
-            by_scale,
+            by_reading,
             whitener,
             by_rig: whitener * one.by_rig.fixed_view::<2, 6>(0, 0),
             bend: psi.bend_vector(),
@@ -103,6 +103,11 @@ impl Innovation {
         };
         innovation.bending.norm_squared().is_finite().then_some(innovation)
     }
+
+    /// What an encoder's relative error adds to the bending part by a unit, in units of its standard deviations.
+    pub fn by_scale(&self, backbone: usize) -> Vector2<f64> {
+        self.by_reading[backbone] * self.q_mm[backbone]
+    }
 }
 
 /// The innovations at poses that differ.
@@ -111,8 +116,8 @@ pub(super) struct Health {
     innovations: Vec<Innovation>,
     /// The same, but for the tenth that agrees least with any affine gap.
     agreeing: Vec<Innovation>,
-    /// How many there were.
-    poses: usize,
+    /// All of them.
+    all: Vec<Innovation>,
     /// Squares of the common part in units of its noise, the largest tenth left out.
     common: Vec<f64>,
     /// ∂θ by a bending part of q̃, rad per mm.
@@ -132,11 +137,10 @@ impl Health {
         let length = robot.backbone_circle_radius_mm * (robot.backbone_count() as f64 / 2.0).sqrt();
         let bend_by_mm =
             1.0 / (length * (1.0 + plain.parameters().x * line_share(&plain)).abs().max(f64::MIN_POSITIVE));
-        let poses = innovations.len();
-        let agreeing = agreeing(&innovations);
+        let (all, agreeing) = (innovations.clone(), agreeing(&innovations));
         let innovations = without_largest(innovations, |one| one.bending.norm_squared());
         let common = without_largest(common, |square| *square);
-        Self { innovations, agreeing, poses, common, bend_by_mm, sd_encoder_mm: subject.sd_encoder_mm }
+        Self { innovations, agreeing, all, common, bend_by_mm, sd_encoder_mm: subject.sd_encoder_mm }
     }
 
     /// The rms of the bending part in units of its noise, if it is above what counts as noise.
@@ -181,14 +185,14 @@ impl Health {
                 let text = format!(
                     "the model misses the bends by up to {:.2}° {form} ({} poses)",
                     most.to_degrees(),
-                    self.poses
+                    self.all.len()
                 );
                 return reason(Level::Look, text, remedy.to_owned());
             }
             let times = above_noise(&self.common, 1)?;
             let text = format!(
                 "the model misses what the readings have in common by {times:.1} times the noise ({} poses)",
-                self.poses
+                self.all.len()
             );
             return reason(Level::Look, text, remedy.to_owned());
         };
@@ -197,7 +201,7 @@ impl Health {
         let missed_deg = (self.bend_by_mm * missed_mm).to_degrees();
         let text = format!(
             "the model misses the bends by {times:.1} times the noise: {missed_deg:.2}°, or {missed_mm:.3} mm of q̃ ({} poses)",
-            self.poses
+            self.all.len()
         );
         if missed_mm > compensated_mm {
             let text = format!("{text}; all that compensation changes is {compensated_mm:.3} mm");
@@ -252,17 +256,31 @@ impl Health {
         })
     }
 
+    /// A step of a single encoder that accounts for the gap, if no other's does so nearly as well: a counter that slipped, or an actuator that was
+    /// homed anew alone.
+    pub fn encoder_step(&self) -> Option<Reason> {
+        let places = BESIDE_A_STEP..(self.all.len() + 1).saturating_sub(BESIDE_A_STEP);
+        let count = self.all.first().map_or(0, |one| one.q_mm.len());
+        let fits = (0..count).filter_map(|i| StepFit::of(&self.all, i, places.clone()));
+        let mut fits: Vec<(StepFit, f64)> = fits.map(|fit| self.with_what_is_left(fit)).collect();
+        fits.sort_by(|(_, a), (_, b)| a.total_cmp(b));
+        let ((step, left), (_, second)) = (fits.first()?, fits.get(1)?);
+        let before = self.innovations.iter().map(|one| one.bending.norm_squared()).sum();
+        let is_told = self.bending_above_noise().is_some() && explains(*left, *second, before, self.innovations.len());
+        is_told.then(|| step.reason([step.at - 1, step.at].map(|at| self.all[at].index)))
+    }
+
+    /// A step, and the sum of the squares that it leaves but for the largest tenth.
+    fn with_what_is_left(&self, step: StepFit) -> (StepFit, f64) {
+        let left = without_largest(step.left(&self.all), |square| *square);
+        (step, left.iter().sum())
+    }
+
     /// A single encoder or actuator whose scale accounts for the gap, if no other does so nearly as well.
     pub fn encoder_scale(&self) -> Option<Reason> {
         let fits = self.scales();
         let (best, second) = (fits.first()?, fits.get(1)?);
         let before: f64 = self.agreeing.iter().map(|one| one.bending.norm_squared()).sum();
-        let numbers = 2.0 * self.agreeing.len() as f64;
-        let is_noise =
-            best.left < MEAN_SQUARE_OF_NOISE * chi_square::quantile(2 * self.agreeing.len(), NORMAL_QUANTILE);
-        let explains = is_noise || best.left <= LEFT_BY_A_SCALE * before;
-        // Twice the logarithm of the likelihood ratio where the noise's size is not known.
-        let is_alone = numbers * (second.left / best.left.max(numbers)).ln() > -2.0 * LEVEL_OF_TESTS.ln();
         let is_certain = best.error.abs() > NORMAL_QUANTILE * MEAN_SQUARE_OF_NOISE.sqrt() * best.sd;
         // An encoder's error moves the common part as well, which the correction must make quieter; an error of the eye does not.
         let quieter = {
@@ -273,8 +291,19 @@ impl Health {
         };
         // A larger factor is another unit or a wrong sign, and the wiring check's business.
         let is_scale = (1.0 / LEAST_UNNAMED..LEAST_UNNAMED).contains(&(1.0 - best.error));
-        (self.has_gap() && explains && is_alone && is_certain && quieter && is_scale).then(|| best.reason())
+        let explains = explains(best.left, second.left, before, self.agreeing.len());
+        (self.has_gap() && explains && is_certain && quieter && is_scale).then(|| best.reason())
     }
+}
+
+/// Whether what is left of the squares of so many pairs is noise, or a small share of what there was, and far less than the second likeliest cause
+/// leaves.
+fn explains(left: f64, second: f64, before: f64, pairs: usize) -> bool {
+    let numbers = 2.0 * pairs as f64;
+    let is_noise = left < MEAN_SQUARE_OF_NOISE * chi_square::quantile(2 * pairs, NORMAL_QUANTILE);
+    // Twice the logarithm of the likelihood ratio where the noise's size is not known.
+    let is_alone = numbers * (second / left.max(numbers)).ln() > -2.0 * LEVEL_OF_TESTS.ln();
+    is_alone && (is_noise || left <= LEFT_BY_A_CAUSE * before)
 }
 
 /// Noise of the common part, mm: the scatter of its steps from one pose to the next, which a median keeps from jumps.

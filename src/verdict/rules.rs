@@ -58,6 +58,7 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
     let rehomed = health.rehomed(subject.model);
     // What a step of all readings leaves in common is told with it.
     let gap = health.gap().filter(|_| rehomed.is_none());
+    let is_wired = || check.as_ref().is_none_or(|check| check.mistake.is_none());
     let reasons = [
         stuck,
         check.as_ref().and_then(|check| words::wiring(subject, check)),
@@ -73,9 +74,9 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
         replaced(subject),
         not_covered(subject, evidence, check.as_ref()).or_else(|| uncertain_table(subject.model)),
         camera_lens(subject, evidence, check.as_ref().filter(|_| health.has_gap())),
-        health.encoder_scale().filter(|_| check.as_ref().is_none_or(|check| check.mistake.is_none())),
+        health.encoder_scale().filter(|_| is_wired()),
         gap,
-        rehomed,
+        rehomed.or_else(|| health.encoder_step().filter(|_| is_wired())),
     ];
     Verdict::of(reasons.into_iter().flatten().collect())
 }

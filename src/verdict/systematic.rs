@@ -11,8 +11,9 @@ use super::reason::{Code, Level, Reason};
 use super::rules::LEVEL_OF_TESTS;
 use crate::statistics::binomial;
 use crate::statistics::trimmed::least_trimmed_squares;
-use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
+use nalgebra::{Matrix2, Matrix2x6, Matrix3, Matrix6, Vector2, Vector3, Vector6};
 use std::f64::consts::PI;
+use std::ops::Range;
 
 /// A direction that the poses leave open is left out below this share of the largest information. Convention: numerical.
 const SINGULAR: f64 = 1e-9;
@@ -128,13 +129,13 @@ impl ScaleFit {
     pub fn of(innovations: &[Innovation], backbone: usize) -> Option<Self> {
         let (mut information, mut slope) = (Matrix2::zeros(), Vector2::zeros());
         for one in innovations {
-            let h = Matrix2::from_columns(&[one.by_eta, one.by_scale[backbone]]);
+            let h = Matrix2::from_columns(&[one.by_eta, one.by_scale(backbone)]);
             information += h.transpose() * h;
             slope += h.transpose() * one.bending;
         }
         let covariance = information.cholesky()?.inverse();
         let x = covariance * slope;
-        let part = |one: &Innovation| one.by_eta * x.x + one.by_scale[backbone] * x.y;
+        let part = |one: &Innovation| one.by_eta * x.x + one.by_scale(backbone) * x.y;
         let left: f64 = innovations.iter().map(|one| (one.bending - part(one)).norm_squared()).sum();
         let noise = TRIMMED_MEAN_SQUARE[0];
         let variance = (left / (2.0 * innovations.len() as f64 * noise)).max(1.0) / noise;
@@ -168,6 +169,69 @@ impl ScaleFit {
         );
         let reason = Reason::new(Code::EncoderScale, Level::Look, text, remedy);
         Reason { backbone: Some(backbone), scale: Some((scale * 1e4).round() / 1e4), ..reason }
+    }
+}
+
+/// A step of one encoder's readings from some pose on, fitted beside η and a constant of the same encoder.
+pub(super) struct StepFit {
+    pub backbone: usize,
+    /// The number of the first pose after it.
+    pub at: usize,
+    /// How much η, all of the readings (mm) and those from the step on (mm) are changed.
+    x: Vector3<f64>,
+}
+
+impl StepFit {
+    /// By least squares, at the one of these places at which it accounts for most; `None` if the poses do not tell it.
+    pub fn of(innovations: &[Innovation], backbone: usize, places: Range<usize>) -> Option<Self> {
+        let by_reading = |one: &Innovation| one.by_reading[backbone];
+        let sum = |of: &dyn Fn(&Innovation) -> f64| innovations.iter().map(of).sum::<f64>();
+        let eta_eta = sum(&|one| one.by_eta.norm_squared());
+        let eta_slope = sum(&|one| one.by_eta.dot(&one.bending));
+        // Reading by reading, reading by η and the slope of the reading: of all poses, and of those from a place on.
+        let part = |one: &Innovation| {
+            let by = by_reading(one);
+            Vector3::new(by.norm_squared(), by.dot(&one.by_eta), by.dot(&one.bending))
+        };
+        let all: Vector3<f64> = innovations.iter().map(part).sum();
+        let mut after: Vector3<f64> = innovations.get(places.end..)?.iter().map(part).sum();
+        let mut best: Option<(f64, Self)> = None;
+        for at in places.rev() {
+            after += part(&innovations[at]);
+            let information = Matrix3::new(eta_eta, all.y, after.y, all.y, all.x, after.x, after.y, after.x, after.x);
+            let slope = Vector3::new(eta_slope, all.z, after.z);
+            let Some(x) = information.cholesky().map(|factor| factor.solve(&slope)) else { continue };
+            let gained = slope.dot(&x);
+            if best.as_ref().is_none_or(|(most, _)| gained > *most) {
+                best = Some((gained, Self { backbone, at, x }));
+            }
+        }
+        best.map(|(_, step)| step)
+    }
+
+    /// The square that it leaves at each pose.
+    pub fn left(&self, innovations: &[Innovation]) -> Vec<f64> {
+        let left = |(k, one): (usize, &Innovation)| {
+            let reading_mm = self.x.y + if k >= self.at { self.x.z } else { 0.0 };
+            (one.bending - one.by_eta * self.x.x - one.by_reading[self.backbone] * reading_mm).norm_squared()
+        };
+        innovations.iter().enumerate().map(left).collect()
+    }
+
+    /// What is told of it, between the frames of these indices.
+    pub fn reason(&self, [last, first]: [u64; 2]) -> Reason {
+        let (backbone, step_mm) = (self.backbone + 1, self.x.z);
+        let side = if step_mm > 0.0 { "larger" } else { "smaller" };
+        let text = format!(
+            "between frames {last} and {first} the readings of backbone {backbone} become {side} by {:.3} mm, which accounts for the gap",
+            step_mm.abs()
+        );
+        let remedy = format!(
+            "look for a counter that slipped, or for encoder or actuator of backbone {backbone} homed anew in the middle; use the rows before it \
+             or those after it alone, or take the step off one part"
+        );
+        let reason = Reason::new(Code::Rehomed, Level::Look, text, remedy);
+        Reason { backbone: Some(backbone), ..reason }
     }
 }
 

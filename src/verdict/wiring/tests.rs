@@ -286,6 +286,40 @@ fn a_late_clock_is_told_and_dead_encoders_are() {
 }
 
 #[test]
+fn a_column_that_stands_still_in_a_part_of_the_log_is_told_and_one_of_few_decimals_is_not() {
+    for (column, seed) in [(0, 9), (1, 12), (2, 30)] {
+        let mut stuck = Lab::new(seed);
+        let from = stuck.log.len() / 2;
+        for k in from..stuck.log.len() {
+            stuck.log[k].q_mm[column] = stuck.log[from - 1].q_mm[column];
+        }
+        let verdict = stuck.verdict();
+        let first = &verdict.reasons[0];
+        let named = format!("q{} stands still", column + 1);
+        assert!(first.code == Code::EncoderStuck && first.text.contains(&named), "{verdict:#?}");
+        let rounded = Lab::new(seed).readings(|q| [q[0], q[1], q[2]].map(|q| (q * 5.0).round() / 5.0)).verdict();
+        assert!(!rounded.has(Code::EncoderStuck), "{rounded:#?}");
+    }
+}
+
+#[test]
+fn an_encoder_that_slips_is_named_with_its_step_and_place() {
+    for (column, step_mm, seed) in [(0, 0.3, 9), (1, -0.5, 12), (2, 0.1, 30)] {
+        let mut lab = Lab::new(seed);
+        let from = lab.log.len() / 2;
+        lab.log[from..].iter_mut().for_each(|row| row.q_mm[column] += step_mm);
+        let verdict = lab.verdict();
+        let reason = verdict.reasons.iter().find(|reason| reason.code == Code::Rehomed);
+        let reason = reason.unwrap_or_else(|| panic!("{verdict:#?}"));
+        assert_eq!((reason.backbone, reason.level), (Some(column + 1), Level::Look), "{verdict:#?}");
+        let told_mm: f64 = reason.text.split("by ").last().unwrap().split(' ').next().unwrap().parse().unwrap();
+        assert!((told_mm - step_mm.abs()).abs() < 0.02, "{}", reason.text);
+        let frames: Vec<u64> = reason.text.split(' ').filter_map(|word| word.parse().ok()).take(2).collect();
+        assert!((frames[0] + 1..=frames[1]).contains(&lab.log[from].index), "{}", reason.text);
+    }
+}
+
+#[test]
 fn poses_in_one_plane_cannot_confirm_the_wiring() {
     let ride = BendingExperiment { sweep_delta_deg: vec![0.0], round_poses: 0, jitter_deg: 0.0, ..Default::default() };
     let verdict = Lab::with(Model::default(), ride, 1).verdict();
