@@ -4,10 +4,10 @@ use super::{FRAME, OPEN, Search};
 use crate::discover::fit::{Fit, normal_equations, prior_precision};
 use crate::discover::hypotheses::Hypothesis;
 use crate::discover::predictive_density::Beside;
-use crate::discover::residuals::Problem;
+use crate::discover::residuals::{Linearised, Problem};
 use crate::discover::structure_weights::{Weighed, probability_over};
-use crate::robot::Model;
 use crate::robot::effects::{Effect, ParameterSpec, Role};
+use crate::robot::{Model, Physics};
 use nalgebra::{DMatrix, Vector2};
 use rayon::prelude::*;
 
@@ -72,6 +72,13 @@ impl Structure {
         own.len() == other.weighed.effects.len() && other.weighed.effects.iter().all(|physics| own.contains(physics))
     }
 
+    /// Its effects, in the order of their names.
+    pub(super) fn effects(&self) -> Vec<&'static Physics> {
+        let mut effects = self.weighed.effects.clone();
+        effects.sort_by_key(|physics| (physics.name, physics.form));
+        effects
+    }
+
     /// The name of the effect that was added last.
     pub(super) fn last_name(&self) -> &'static str {
         self.weighed.effects.last().map_or("", |physics| physics.name)
@@ -111,22 +118,25 @@ impl Structure {
 }
 
 impl Search<'_> {
-    /// The score that a linear step about the start of a hypothesis promises, but for its prior.
-    pub(super) fn promised(&self, fit: &Fit, hypothesis: &Hypothesis) -> Option<f64> {
-        let (problem, own) = (&self.problem, fit.parameter_count()..hypothesis.start.parameter_count());
-        let prediction = problem.predict(&hypothesis.start, Some(&fit.path));
+    /// The score that a linear step about the start of a hypothesis promises, but for its prior. `path` is that of the fit.
+    ///
+    /// Beside noise effects are small, and begin to first order about the path of the fit. A wide play is not, and changes what all others do.
+    pub(super) fn promised(&self, (fit, path): (&Fit, &Linearised), hypothesis: &Hypothesis) -> Option<f64> {
+        let (problem, start, own) =
+            (&self.problem, &hypothesis.start, fit.parameter_count()..hypothesis.start.parameter_count());
         let changes_others = self.beside == Beside::Discrepancy && hypothesis.physics.is_hysteresis();
-        let jacobian = if changes_others {
-            problem.jacobian(&hypothesis.start, &prediction, 0..own.end)
+        let (residuals, jacobian) = if changes_others {
+            let prediction = problem.predict(start, Some(&fit.path));
+            let jacobian = problem.jacobian(start, &prediction, 0..own.end);
+            (prediction.residuals, jacobian)
         } else {
-            let columns = problem.jacobian(&hypothesis.start, &prediction, own);
+            let (residuals, columns) = problem.near(path, start, own);
             let mut all = DMatrix::zeros(columns.nrows(), fit.parameter_count() + columns.ncols());
             all.columns_mut(0, fit.parameter_count()).copy_from(&fit.jacobian);
             all.columns_mut(fit.parameter_count(), columns.ncols()).copy_from(&columns);
-            all
+            (residuals, all)
         };
-        let precision = prior_precision(&hypothesis.start);
-        Some(self.judged.density(problem, &prediction.residuals, &jacobian, &precision)?.total())
+        Some(self.judged.density(problem, &residuals, &jacobian, &prior_precision(start))?.total())
     }
 
     /// The structures of models, each fitted from its values and from a path near its own; those whose fits do not converge are left out.
@@ -135,6 +145,20 @@ impl Search<'_> {
             |(model, path): (Model, Vec<Vector2<f64>>)| self.scored(self.problem.fit(&model, Some(&path), None));
         let structures: Vec<Structure> = starts.into_par_iter().filter_map(of_start).collect();
         self.scored.extend(structures.iter().filter(|structure| !structure.is_at_end).cloned());
+        structures
+    }
+
+    /// The same of starts that are compared with each other: those that are ruled out beside the best are fitted roughly.
+    pub(super) fn structures_of_best(&mut self, starts: Vec<(Model, Vec<Vector2<f64>>)>) -> Vec<Structure> {
+        let roughly =
+            |(model, path): (Model, Vec<Vector2<f64>>)| self.scored(self.problem.fit_roughly(&model, Some(&path)));
+        let rough: Vec<Structure> = starts.into_par_iter().filter_map(roughly).collect();
+        let best = rough.iter().map(Structure::score).fold(f64::NEG_INFINITY, f64::max);
+        let (open, mut ruled_out): (Vec<_>, Vec<_>) =
+            rough.into_iter().partition(|structure| structure.score() > best + OPEN.ln());
+        self.scored.extend(ruled_out.iter().filter(|structure| !structure.is_at_end).cloned());
+        let mut structures = self.structures(open.into_iter().map(|own| (own.fit.model, own.fit.path)).collect());
+        structures.append(&mut ruled_out);
         structures
     }
 
