@@ -169,13 +169,17 @@ impl Search<'_> {
         Some(structure)
     }
 
-    /// A fit with its score, gone on with until it has converged; none where it does not.
+    /// A fit with its score, gone on with until it has converged or brings nothing more; none where it does not converge.
     fn scored(&self, mut fit: Fit) -> Option<Structure> {
         for _ in 0..RESTARTS {
             if promises(&fit) < PROMISES {
                 break;
             }
-            fit = self.problem.fit(&fit.model, Some(&fit.path), None);
+            let next = self.problem.fit(&fit.model, Some(&fit.path), None);
+            if next.cost >= fit.cost {
+                break;
+            }
+            fit = next;
         }
         let is_scored = promises(&fit) < PROMISES && self.has_sizes(&fit.model);
         let density = self.judged.of_fit(&self.problem, &fit).filter(|_| is_scored)?;
