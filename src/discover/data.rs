@@ -190,8 +190,7 @@ impl Data {
             return Cow::Borrowed(self);
         }
         let kept: Vec<usize> = (0..self.len()).step_by(stride).collect();
-        let mut places: BTreeSet<usize> = kept.iter().map(|&k| self.log.samples[k]).collect();
-        places.insert(0);
+        let mut places: BTreeSet<usize> = [0].into_iter().chain(kept.iter().map(|&k| self.log.samples[k])).collect();
         let mut first = 0;
         for last in kept.iter().map(|&k| self.log.samples[k]) {
             for i in 0..self.backbones() {

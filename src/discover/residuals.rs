@@ -83,6 +83,7 @@ impl Prediction {
 }
 
 /// A path with the derivatives of the lines along it.
+#[derive(Debug, Clone)]
 pub struct Linearised {
     points: Vec<PathPoint>,
     lines: Vec<LineJacobian>,
