@@ -28,10 +28,10 @@ const MOST_ROWS: usize = 3000;
 pub fn confounded(problem: &Problem, fit: &Fit) -> Vec<&'static Physics> {
     let thinned = |rows: &DMatrix<f64>| thinned(problem, rows);
     let beyond_fit = Complement::new(thinned(&fit.jacobian));
+    let path = problem.linearised(&fit.model, &fit.path);
     let is_confounded = |hypothesis: Hypothesis| {
-        let prediction = problem.predict(&hypothesis.start, Some(&fit.path));
         let own = fit.parameter_count()..hypothesis.start.parameter_specs().len();
-        let columns = thinned(&problem.jacobian(&hypothesis.start, &prediction, own));
+        let columns = thinned(&problem.near(&path, &hypothesis.start, own).1);
         let remaining = beyond_fit.of(&columns);
         is_hidden((&columns, &remaining), problem.data.residual_count()).then_some(hypothesis.physics)
     };

@@ -32,6 +32,11 @@ const LEAST_STEP_MM: f64 = 0.01;
 /// each are among them.
 const REMEMBERED_MM: f64 = 10.0;
 
+/// A backbone has turned between two samples where a reading lies beyond both by more than this many standard deviations.
+///
+/// Convention: what lies nearer may be noise.
+const TURNED_SDS: f64 = 3.0;
+
 /// Where no bend is larger than this, degrees, a remark says that loads can hardly be seen.
 ///
 /// Convention: decides about a remark only.
@@ -177,22 +182,24 @@ impl Data {
         self.sweeps.last().map_or(1, |last| last + 1)
     }
 
-    /// Evenly thinned to at most so many samples. Of the readings between them those stay at which a backbone turns, as far as one may turn
-    /// within a sample's stretch: its least and its largest.
+    /// Evenly thinned to at most so many samples. Of the readings between them those stay at which a backbone turns: its least and its
+    /// largest, if they lie beyond the samples before and after.
     pub fn thinned(&self, most: usize) -> Cow<'_, Self> {
         let stride = self.len().div_ceil(most);
         if stride <= 1 {
             return Cow::Borrowed(self);
         }
         let kept: Vec<usize> = (0..self.len()).step_by(stride).collect();
-        let mut places: BTreeSet<usize> = kept.iter().map(|&k| self.log.samples[k]).collect();
+        let mut places: BTreeSet<usize> = [0].into_iter().chain(kept.iter().map(|&k| self.log.samples[k])).collect();
         let mut first = 0;
         for last in kept.iter().map(|&k| self.log.samples[k]) {
-            let by_travel =
-                |i: usize| move |a: &usize, b: &usize| self.log.q_mm[*a][i].total_cmp(&self.log.q_mm[*b][i]);
             for i in 0..self.backbones() {
-                places.extend((first..last).min_by(by_travel(i)));
-                places.extend((first..last).max_by(by_travel(i)));
+                let q = |at: usize| self.log.q_mm[at][i];
+                let by_travel = |a: &usize, b: &usize| q(*a).total_cmp(&q(*b));
+                let least = TURNED_SDS * self.sd_encoder_mm;
+                let turned = |at: &usize| [first, last].iter().all(|&end| (q(*at) - q(end)).abs() > least);
+                places.extend((first..=last).min_by(by_travel).filter(turned));
+                places.extend((first..=last).max_by(by_travel).filter(turned));
             }
             first = last;
         }

@@ -31,6 +31,11 @@ const CONVERGED: f64 = 0.02;
 /// Convention: a convergence tolerance.
 const CONVERGED_SHARE: f64 = 1e-4;
 
+/// The same of a fit that is only compared with others, to first order about where it ends.
+///
+/// Convention: a tenth of what a [structure](super::search) may still promise.
+const ROUGHLY_CONVERGED_SHARE: f64 = 0.01;
+
 /// One step changes a shape by this factor at most.
 ///
 /// Convention: half of what lies between two starts of a time constant.
@@ -104,15 +109,27 @@ impl Problem<'_> {
     /// Fits η, λ and all parameters of the model's effects, starting from their values and from a path near that of the model.
     /// Samples of the fold `held_out` have no part in it.
     pub fn fit(&self, start: &Model, guess: Option<&[Vector2<f64>]>, held_out: Option<usize>) -> Fit {
-        self.fit_weighted(start, guess, held_out.map(|fold| self.weights(|k| self.data.fold(k) != fold)))
+        let weights = held_out.map(|fold| self.weights(|k| self.data.fold(k) != fold));
+        self.fit_weighted(start, guess, weights, CONVERGED_SHARE)
+    }
+
+    /// The same to all samples, until a step brings little: near enough to tell to first order how well such a model can do.
+    pub fn fit_roughly(&self, start: &Model, guess: Option<&[Vector2<f64>]>) -> Fit {
+        self.fit_weighted(start, guess, None, ROUGHLY_CONVERGED_SHARE)
     }
 
     /// The same to the samples that are seen.
     pub fn fit_to(&self, start: &Model, guess: Option<&[Vector2<f64>]>, is_seen: impl Fn(usize) -> bool) -> Fit {
-        self.fit_weighted(start, guess, Some(self.weights(is_seen)))
+        self.fit_weighted(start, guess, Some(self.weights(is_seen)), CONVERGED_SHARE)
     }
 
-    fn fit_weighted(&self, start: &Model, guess: Option<&[Vector2<f64>]>, weights: Option<DVector<f64>>) -> Fit {
+    fn fit_weighted(
+        &self,
+        start: &Model,
+        guess: Option<&[Vector2<f64>]>,
+        weights: Option<DVector<f64>>,
+        least_relative_decrease: f64,
+    ) -> Fit {
         let coordinates = Coordinates::of(start);
         let bound = |of: fn(&(f64, f64)) -> f64| {
             coordinates.at_values(start.parameter_specs().iter().map(|spec| of(&spec.range)))
@@ -124,7 +141,7 @@ impl Problem<'_> {
             most_iterations: MOST_STEPS.0,
             most_dampings: MOST_STEPS.1,
             least_decrease: CONVERGED,
-            least_relative_decrease: CONVERGED_SHARE,
+            least_relative_decrease,
         };
         let x = coordinates.at_values(start.parameter_values().into_iter());
         let has_prior = prior_of_eta(start).is_some();

@@ -82,6 +82,13 @@ impl Prediction {
     }
 }
 
+/// A path with the derivatives of the lines along it.
+#[derive(Debug, Clone)]
+pub struct Linearised {
+    points: Vec<PathPoint>,
+    lines: Vec<LineJacobian>,
+}
+
 /// The residuals of all samples as one vector.
 pub fn stacked(residuals: &[Residual]) -> DVector<f64> {
     DVector::from_vec(residuals.iter().flat_map(|r| r.iter().copied()).collect())
@@ -131,15 +138,47 @@ impl<'a> Problem<'a> {
     /// ∂(residuals)/∂(parameter / its scale) by forward differences: a row for each component of each sample, a column for each of some of
     /// the model's parameters.
     pub fn jacobian(&self, model: &Model, prediction: &Prediction, parameters: Range<usize>) -> DMatrix<f64> {
-        let mechanics = self.mechanics(model);
-        let Prediction { points, residuals } = prediction;
-        let lines: Vec<LineJacobian> =
-            points.iter().map(|point| mechanics.line_jacobian(point.solution.bend, &point.motion)).collect();
-        let log = &self.data.log;
-        let x = model.parameter_values();
-        let n = self.data.backbones();
+        let lines = self.lines(&self.mechanics(model), &prediction.points);
+        self.differences(model, (&prediction.points, &lines), &prediction.residuals, parameters)
+    }
+
+    /// A model's path with the derivatives along it, from which models that are near it are told to first order.
+    pub fn linearised(&self, model: &Model, guess: &[Vector2<f64>]) -> Linearised {
+        let (mechanics, log) = (self.mechanics(model).keeping_directions(), &self.data.log);
+        let first = (log.samples[0] == 0).then(|| self.data.measured[0].configuration.bend_vector());
+        let points = mechanics.solve_path(&log.times_s, &log.own_q_mm(model), Some(guess), first);
+        Linearised { lines: self.lines(&mechanics, &points), points }
+    }
+
+    /// The residuals of a model near the one of a path, and their derivatives by some of its parameters over their scales, to first order.
+    pub fn near(&self, path: &Linearised, model: &Model, parameters: Range<usize>) -> (Vec<Residual>, DMatrix<f64>) {
+        let about = (&path.points[..], &path.lines[..]);
+        let residuals = self.first_order(model, about);
+        let columns = self.differences(model, about, &residuals, parameters);
+        (residuals, columns)
+    }
+
+    fn lines(&self, mechanics: &Mechanics, points: &[PathPoint]) -> Vec<LineJacobian> {
+        points.iter().map(|point| mechanics.line_jacobian(point.solution.bend, &point.motion)).collect()
+    }
+
+    /// The residuals of a model near the one of these points, to first order.
+    fn first_order(&self, model: &Model, about: (&[PathPoint], &[LineJacobian])) -> Vec<Residual> {
+        let (mechanics, log) = (self.mechanics(model), &self.data.log);
+        let moved = Mechanics::perturbed_path(&mechanics, (&log.times_s, &log.own_q_mm(model)), about);
+        self.whitened(&mechanics, moved.iter())
+    }
+
+    /// Difference quotients from the residuals of a model.
+    fn differences(
+        &self,
+        model: &Model,
+        about: (&[PathPoint], &[LineJacobian]),
+        residuals: &[Residual],
+        parameters: Range<usize>,
+    ) -> DMatrix<f64> {
+        let (x, specs, n) = (model.parameter_values(), model.parameter_specs(), self.data.backbones());
         let mut jacobian = DMatrix::zeros(self.data.residual_count(), parameters.len());
-        let specs = model.parameter_specs();
         for (column, j) in parameters.enumerate() {
             let spec = &specs[j];
             // Towards the inside, where the range ends.
@@ -147,11 +186,8 @@ impl<'a> Problem<'a> {
             let h = if outside { -DIFFERENCE_STEP } else { DIFFERENCE_STEP };
             let mut nudged = x.clone();
             nudged[j] += h * spec.typical;
-            let nudged = model.with_parameter_values(&nudged);
-            let changed = self.mechanics(&nudged);
-            let q_mm = log.own_q_mm(&nudged);
-            let moved = Mechanics::perturbed_path(&changed, (&log.times_s, &q_mm), (points, &lines));
-            for (k, (after, before)) in self.whitened(&changed, moved.iter()).iter().zip(residuals).enumerate() {
+            let moved = self.first_order(&model.with_parameter_values(&nudged), about);
+            for (k, (after, before)) in moved.iter().zip(residuals).enumerate() {
                 for c in 0..n {
                     jacobian[(n * k + c, column)] = (after[c] - before[c]) / h;
                 }

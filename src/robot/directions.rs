@@ -71,6 +71,12 @@ impl Mechanics<'_> {
         Self { least_move_mm: LEAST_MOVE_IN_SDS * sd_mm, ..self }
     }
 
+    /// With the directions of the motion, whether or not an effect depends on them.
+    pub fn keeping_directions(mut self) -> Self {
+        self.history.direction = true;
+        self
+    }
+
     /// Whether a step of q_i (mm) is one at all.
     pub(super) fn moved(&self, step_mm: f64) -> bool {
         step_mm.abs() >= self.least_move_mm

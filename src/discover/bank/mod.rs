@@ -310,10 +310,10 @@ mod tests {
             let found = discover(&truth(), &data);
             assert_eq!(found.verdict, Verdict::Partly);
             let mut bank = Bank::new(&found, &data).unwrap();
-            // As uncertain as the discovery says, which knows that what is left hangs together.
+            // About as uncertain as the discovery says, which knows that what is left hangs together, of each number by a factor of its own.
             let lambda_mm = bank.structures()[0].parameters["lambda_mm"];
             let sd_mm = found.model.estimate.unwrap().sd_lambda_mm();
-            assert!(bank.design_effect > 2.0 && (0.5..2.0).contains(&(lambda_mm.sd / sd_mm)), "{lambda_mm:?} {sd_mm}");
+            assert!(bank.design_effect > 2.0 && (0.4..2.5).contains(&(lambda_mm.sd / sd_mm)), "{lambda_mm:?} {sd_mm}");
             let later = log.0[batch..].chunks(20).zip(log.1[batch..].chunks(20));
             let told: Vec<Moved> = later.flat_map(|(measured, readings)| bank.add(measured, readings)).collect();
             assert!(told.is_empty(), "{told:?}");

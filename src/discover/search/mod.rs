@@ -22,6 +22,7 @@ use super::residuals::Problem;
 use super::structure::mean_square_quantile;
 use crate::robot::effects::{COMMAND_GAIN, Changes, Effect, REST_BEND, physics};
 use crate::robot::{Model, Physics};
+use nalgebra::Vector2;
 use rayon::prelude::*;
 use scored::Structure;
 
@@ -37,8 +38,8 @@ const BEAM_WIDTH: usize = 3;
 
 /// Where the best of the beam leaves squares of so many times the noise's, no exchange of effects is tried beside noise.
 ///
-/// Convention: a bound on computing time; an rms of thirty times the noise is no effect taken for one that looks alike.
-const HOPELESS: f64 = 1000.0;
+/// Convention: a bound on computing time; an rms of five times the noise is no effect taken for one that looks alike.
+const HOPELESS: f64 = 30.0;
 
 /// Hypotheses of each step that are fitted to convergence.
 ///
@@ -81,7 +82,16 @@ pub struct Found<'a> {
 /// The structure of the highest score that a search from the model as given comes to; `before` is its fit.
 pub fn search<'a>(problem: &Problem<'a>, before: &Fit, beside: Beside) -> Found<'a> {
     let judged = Judged::new(problem, before, beside);
-    Search { problem: problem.clone(), judged, before: before.clone(), beside, gap: 0.0, scored: Vec::new() }.found()
+    Search {
+        problem: problem.clone(),
+        judged,
+        before: before.clone(),
+        beside,
+        gap: 0.0,
+        scored: Vec::new(),
+        gone_on_from: Vec::new(),
+    }
+    .found()
 }
 
 struct Search<'a> {
@@ -93,6 +103,22 @@ struct Search<'a> {
     gap: f64,
     /// Every structure that was fitted to convergence.
     scored: Vec<Structure>,
+    /// What one effect more brought to the structures that were gone on from.
+    gone_on_from: Vec<GoneOn>,
+}
+
+/// What one effect more brought to a structure.
+struct GoneOn {
+    /// The structure's effects, and which were admitted.
+    from: (Vec<&'static Physics>, Admits),
+    to: Vec<Structure>,
+}
+
+/// Which effects are admitted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Admits {
+    All,
+    Hystereses,
 }
 
 impl<'a> Search<'a> {
@@ -133,7 +159,7 @@ impl<'a> Search<'a> {
     fn best_of_beam(&mut self, bare: &Structure) -> Structure {
         let problem = self.problem.clone();
         let (mut best, mut under) = (bare.clone(), problem.clone());
-        for first in self.with_one_more(bare, &bare.fit, |_| true).into_iter().take(BEAM_WIDTH) {
+        for first in self.with_one_more(bare, &bare.fit, Admits::All).into_iter().take(BEAM_WIDTH) {
             self.problem = problem.clone();
             let first = self.under_its_own_discrepancy(first);
             let grown = self.grown(first);
@@ -153,7 +179,7 @@ impl<'a> Search<'a> {
     /// A structure with what is asked for beside it.
     fn grown(&mut self, mut best: Structure) -> Structure {
         while best.fit.model.effects.len() < self.given() + MOST_EFFECTS[self.beside as usize] {
-            let Some(better) = self.with_one_more(&best, &best.fit, |_| true).into_iter().next() else { break };
+            let Some(better) = self.with_one_more(&best, &best.fit, Admits::All).into_iter().next() else { break };
             best = self.under_its_own_discrepancy(better);
         }
         best
@@ -221,7 +247,7 @@ impl<'a> Search<'a> {
         let simplest = self.structures(starts);
         let with_one: Vec<Structure> = simplest
             .iter()
-            .filter_map(|simple| self.with_one_more(simple, &simple.fit, |_| true).into_iter().next())
+            .filter_map(|simple| self.with_one_more(simple, &simple.fit, Admits::All).into_iter().next())
             .collect();
         let one = with_one.into_iter().max_by(|a, b| a.score().total_cmp(&b.score()))?;
         (!self.asks_for(best, &one)).then_some(one)
@@ -231,9 +257,9 @@ impl<'a> Search<'a> {
     /// in the place of a hysteresis. The fits begin with the other effects as they are in `best`: without the one, they may have gone far.
     fn exchanged(&mut self, best: &Structure, without: &Structure) -> Option<Structure> {
         let has_hysteresis = |of: &Structure| of.fit.model.effects.iter().any(|e| e.physics.is_hysteresis());
-        let admits: fn(&Physics) -> bool = match self.beside {
-            Beside::Noise => |_| true,
-            Beside::Discrepancy if has_hysteresis(best) && !has_hysteresis(without) => Physics::is_hysteresis,
+        let admits = match self.beside {
+            Beside::Noise => Admits::All,
+            Beside::Discrepancy if has_hysteresis(best) && !has_hysteresis(without) => Admits::Hystereses,
             Beside::Discrepancy => return None,
         };
         let is_lacking = |&k: &usize| !without.weighed.has(best.fit.model.effects[k].physics.name);
@@ -261,13 +287,37 @@ impl<'a> Search<'a> {
         other.cloned().unwrap_or(best)
     }
 
-    /// The structures with one effect more that is asked for beside `best`, of those that a linear step about a start beside the model of `from` scores highest,
-    /// and does not rule out beside `best`; the best first, one for each name: of its forms the best, unless a plainer one is about as good.
-    fn with_one_more(&mut self, best: &Structure, from: &Fit, admits: fn(&Physics) -> bool) -> Vec<Structure> {
+    /// The structures with one effect more that is asked for beside `best`, the best first, one for each name: of its forms the best, unless a plainer
+    /// one is about as good. What was gone on from once is not gone on from again.
+    fn with_one_more(&mut self, best: &Structure, from: &Fit, admits: Admits) -> Vec<Structure> {
+        let key = (best.effects(), admits);
+        if let Some(gone_on) = self.gone_on_from.iter().find(|gone_on| gone_on.from == key) {
+            return gone_on.to.clone();
+        }
+        let starts = self.promising(best, from, admits);
+        let mut asked = self.structures_of_best(starts);
+        asked.retain(|more| self.asks_for(more, best));
+        asked.sort_by(|a, b| b.score().total_cmp(&a.score()));
+        let mut kept: Vec<Structure> = Vec::new();
+        for more in asked {
+            match kept.iter_mut().find(|own| own.last_name() == more.last_name()) {
+                None => kept.push(more),
+                Some(richer) if richer.is_richer_form_of(&more) && richer.excess_over(&more) <= 0.0 => *richer = more,
+                Some(_) => (),
+            }
+        }
+        self.gone_on_from.push(GoneOn { from: key, to: kept.clone() });
+        kept
+    }
+
+    /// The starts beside the model of `from` that a linear step about them scores highest, and does not rule out beside `best`.
+    fn promising(&self, best: &Structure, from: &Fit, admits: Admits) -> Vec<(Model, Vec<Vector2<f64>>)> {
         let half_mm = self.judged.half_range * self.before.model.robot.backbone_circle_radius_mm;
-        let hypotheses = hypotheses(&self.problem, from, (self.beside, half_mm), admits);
+        let is_admitted = |physics: &Physics| admits == Admits::All || physics.is_hysteresis();
+        let hypotheses = hypotheses(&self.problem, from, (self.beside, half_mm), is_admitted);
+        let path = self.problem.linearised(&from.model, &from.path);
         let promised = hypotheses.into_par_iter().filter_map(|hypothesis| {
-            let score = self.promised(from, &hypothesis)? + self.log_prior(&hypothesis.start);
+            let score = self.promised((from, &path), &hypothesis)? + self.log_prior(&hypothesis.start);
             (score > best.score() + OPEN.ln()).then_some((score, hypothesis))
         });
         let mut promised: Vec<(f64, Hypothesis)> = promised.collect();
@@ -279,19 +329,7 @@ impl<'a> Search<'a> {
                 chosen.push(hypothesis);
             }
         }
-        let starts = chosen.into_iter().map(|hypothesis| (hypothesis.start, from.path.clone())).collect();
-        let mut asked = self.structures(starts);
-        asked.retain(|more| self.asks_for(more, best));
-        asked.sort_by(|a, b| b.score().total_cmp(&a.score()));
-        let mut kept: Vec<Structure> = Vec::new();
-        for more in asked {
-            match kept.iter_mut().find(|own| own.last_name() == more.last_name()) {
-                None => kept.push(more),
-                Some(richer) if richer.is_richer_form_of(&more) && richer.excess_over(&more) <= 0.0 => *richer = more,
-                Some(_) => (),
-            }
-        }
-        kept
+        chosen.into_iter().map(|hypothesis| (hypothesis.start, from.path.clone())).collect()
     }
 
     fn given(&self) -> usize {

@@ -4,10 +4,10 @@ use super::{FRAME, OPEN, Search};
 use crate::discover::fit::{Fit, normal_equations, prior_precision};
 use crate::discover::hypotheses::Hypothesis;
 use crate::discover::predictive_density::Beside;
-use crate::discover::residuals::Problem;
+use crate::discover::residuals::{Linearised, Problem};
 use crate::discover::structure_weights::{Weighed, probability_over};
-use crate::robot::Model;
 use crate::robot::effects::{Effect, ParameterSpec, Role};
+use crate::robot::{Model, Physics};
 use nalgebra::{DMatrix, Vector2};
 use rayon::prelude::*;
 
@@ -72,6 +72,13 @@ impl Structure {
         own.len() == other.weighed.effects.len() && other.weighed.effects.iter().all(|physics| own.contains(physics))
     }
 
+    /// Its effects, in the order of their names.
+    pub(super) fn effects(&self) -> Vec<&'static Physics> {
+        let mut effects = self.weighed.effects.clone();
+        effects.sort_by_key(|physics| (physics.name, physics.form));
+        effects
+    }
+
     /// The name of the effect that was added last.
     pub(super) fn last_name(&self) -> &'static str {
         self.weighed.effects.last().map_or("", |physics| physics.name)
@@ -111,22 +118,25 @@ impl Structure {
 }
 
 impl Search<'_> {
-    /// The score that a linear step about the start of a hypothesis promises, but for its prior.
-    pub(super) fn promised(&self, fit: &Fit, hypothesis: &Hypothesis) -> Option<f64> {
-        let (problem, own) = (&self.problem, fit.parameter_count()..hypothesis.start.parameter_count());
-        let prediction = problem.predict(&hypothesis.start, Some(&fit.path));
+    /// The score that a linear step about the start of a hypothesis promises, but for its prior. `path` is that of the fit.
+    ///
+    /// Beside noise effects are small, and begin to first order about the path of the fit. A wide play is not, and changes what all others do.
+    pub(super) fn promised(&self, (fit, path): (&Fit, &Linearised), hypothesis: &Hypothesis) -> Option<f64> {
+        let (problem, start, own) =
+            (&self.problem, &hypothesis.start, fit.parameter_count()..hypothesis.start.parameter_count());
         let changes_others = self.beside == Beside::Discrepancy && hypothesis.physics.is_hysteresis();
-        let jacobian = if changes_others {
-            problem.jacobian(&hypothesis.start, &prediction, 0..own.end)
+        let (residuals, jacobian) = if changes_others {
+            let prediction = problem.predict(start, Some(&fit.path));
+            let jacobian = problem.jacobian(start, &prediction, 0..own.end);
+            (prediction.residuals, jacobian)
         } else {
-            let columns = problem.jacobian(&hypothesis.start, &prediction, own);
+            let (residuals, columns) = problem.near(path, start, own);
             let mut all = DMatrix::zeros(columns.nrows(), fit.parameter_count() + columns.ncols());
             all.columns_mut(0, fit.parameter_count()).copy_from(&fit.jacobian);
             all.columns_mut(fit.parameter_count(), columns.ncols()).copy_from(&columns);
-            all
+            (residuals, all)
         };
-        let precision = prior_precision(&hypothesis.start);
-        Some(self.judged.density(problem, &prediction.residuals, &jacobian, &precision)?.total())
+        Some(self.judged.density(problem, &residuals, &jacobian, &prior_precision(start))?.total())
     }
 
     /// The structures of models, each fitted from its values and from a path near its own; those whose fits do not converge are left out.
@@ -138,6 +148,20 @@ impl Search<'_> {
         structures
     }
 
+    /// The same of starts that are compared with each other: those that are ruled out beside the best are fitted roughly.
+    pub(super) fn structures_of_best(&mut self, starts: Vec<(Model, Vec<Vector2<f64>>)>) -> Vec<Structure> {
+        let roughly =
+            |(model, path): (Model, Vec<Vector2<f64>>)| self.scored(self.problem.fit_roughly(&model, Some(&path)));
+        let rough: Vec<Structure> = starts.into_par_iter().filter_map(roughly).collect();
+        let best = rough.iter().map(Structure::score).fold(f64::NEG_INFINITY, f64::max);
+        let (open, mut ruled_out): (Vec<_>, Vec<_>) =
+            rough.into_iter().partition(|structure| structure.score() > best + OPEN.ln());
+        self.scored.extend(ruled_out.iter().filter(|structure| !structure.is_at_end).cloned());
+        let mut structures = self.structures(open.into_iter().map(|own| (own.fit.model, own.fit.path)).collect());
+        structures.append(&mut ruled_out);
+        structures
+    }
+
     /// The structure of a fit; none where it does not converge.
     pub(super) fn structure(&mut self, fit: Fit) -> Option<Structure> {
         let structure = self.scored(fit).filter(|structure| !structure.is_at_end)?;
@@ -145,13 +169,17 @@ impl Search<'_> {
         Some(structure)
     }
 
-    /// A fit with its score, gone on with until it has converged; none where it does not.
+    /// A fit with its score, gone on with until it has converged or brings nothing more; none where it does not converge.
     fn scored(&self, mut fit: Fit) -> Option<Structure> {
         for _ in 0..RESTARTS {
             if promises(&fit) < PROMISES {
                 break;
             }
-            fit = self.problem.fit(&fit.model, Some(&fit.path), None);
+            let next = self.problem.fit(&fit.model, Some(&fit.path), None);
+            if next.cost >= fit.cost {
+                break;
+            }
+            fit = next;
         }
         let is_scored = promises(&fit) < PROMISES && self.has_sizes(&fit.model);
         let density = self.judged.of_fit(&self.problem, &fit).filter(|_| is_scored)?;
