@@ -60,6 +60,19 @@ impl Lens {
         Vector3::new(ideal.x, ideal.y, 1.0).normalize()
     }
 
+    /// The lens of the same picture made half as large, each pixel the mean of four.
+    #[must_use]
+    pub fn halved(&self) -> Self {
+        let half = Vector2::new(0.5, 0.5);
+        Self {
+            width: self.width / 2,
+            height: self.height / 2,
+            focal_px: self.focal_px / 2.0,
+            centre_px: (self.centre_px + half) / 2.0 - half,
+            ..self.clone()
+        }
+    }
+
     /// Whether a pixel position lies within the picture, at least `margin` px from its border.
     pub fn contains(&self, pixel: &Point2<f64>, margin: f64) -> bool {
         pixel.x >= margin
@@ -283,6 +296,14 @@ mod tests {
         let limit = 800.0 * 2.0 / 3.0 / 1.5f64.sqrt();
         assert!(barrel.ray(&Point2::new(639.5 + 0.99 * limit, 359.5)).iter().all(|v| v.is_finite()));
         assert!(barrel.ray(&Point2::new(639.5 + 1.01 * limit, 359.5)).iter().all(|v| v.is_nan()));
+    }
+
+    #[test]
+    fn the_lens_of_a_picture_half_as_large_sees_a_point_in_the_middle_of_its_four_pixels() {
+        let lens = lens(&[-0.2, 0.1]);
+        let point = Point3::new(3.0, -2.0, 90.0);
+        let (whole, half) = (lens.project(&point), lens.halved().project(&point));
+        assert_abs_diff_eq!(whole, half * 2.0 + Vector2::new(0.5, 0.5), epsilon = 1e-9);
     }
 
     /// Whether the radial distortion grows all the way to the picture's corners, and so has an inverse there.

@@ -67,7 +67,7 @@ impl Correspondences {
         };
         let mut blurs_px = Vec::with_capacity(outline.points.len());
         let mut points = Vec::with_capacity(outline.points.len());
-        for point in outline.points.iter().filter(|p| is_clear(p) && is_wanted(p.piece)) {
+        for point in outline.points.iter().filter(|p| is_clear(p) && is_wanted(p.piece) && !finder.is_hidden(p)) {
             let edge = finder.find(point, search_px);
             found.searched.push((point.piece, edge));
             let (Some(edge), Some(predicted)) = (edge, point.predicted) else { continue };

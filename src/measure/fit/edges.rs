@@ -86,6 +86,10 @@ const NEIGHBOUR_PULL_PX: f64 = 1.0;
 ///
 /// Convention: bounds the arrays; it is the widest search distance of all schedules.
 const FURTHEST_PX: f64 = 14.0;
+/// How far around a border point print that cannot be looked through hides its edge, px.
+///
+/// Derived: the usual filter (σ = 1.2 px) ends at 3.6 px.
+const HIDING_PX: i32 = 4;
 /// The most slopes along a profile to either side of its middle.
 ///
 /// Derived: from the furthest search and the neighbourhood of an edge at its end.
@@ -168,9 +172,18 @@ impl<'a> EdgeFinder<'a> {
         Self { kernel, reach, filter_px, slope_noise: self.noise * norm2.sqrt(), ..*self }
     }
 
+    /// Whether print that cannot be looked through is within the filter's reach of a border point.
+    pub fn is_hidden(&self, point: &OutlinePoint) -> bool {
+        let at = |k: i32| point.pixel + point.normal.into_inner() * f64::from(k);
+        !self.plane.hidden.is_empty() && (-HIDING_PX..=HIDING_PX).any(|k| self.plane.is_hidden(&at(k)))
+    }
+
     /// The most likely edge within `search_px` (at most 14) of a border point: the picture must fall from snake to background there,
     /// steeply enough to stand out of the noise. The search ends where other parts of the snake begin.
     pub fn find(&self, point: &OutlinePoint, search_px: f64) -> Option<Edge> {
+        if self.is_hidden(point) {
+            return None;
+        }
         let search_px = search_px.min(FURTHEST_PX);
         let outward = search_px.min(point.gap_px);
         let inward = search_px.min(point.depth_px);

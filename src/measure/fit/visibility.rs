@@ -5,7 +5,7 @@
 //! has its edge is computed for each part on its own.
 
 use super::edges::{Edge, EdgeFinder};
-use crate::measure::body::{Outline, Piece};
+use crate::measure::body::{Outline, OutlinePoint, Piece};
 use crate::statistics::order::median;
 use std::collections::BTreeMap;
 
@@ -49,7 +49,8 @@ pub struct PartVisibility {
 impl PartVisibility {
     /// Searches the edges of an outline in a picture.
     pub fn new(outline: &Outline, finder: &EdgeFinder) -> Self {
-        let clear = outline.points.iter().filter(|p| p.gap_px >= CLEAR_PX && p.depth_px >= CLEAR_PX);
+        let is_clear = |p: &OutlinePoint| p.gap_px >= CLEAR_PX && p.depth_px >= CLEAR_PX;
+        let clear = outline.points.iter().filter(|p| is_clear(p) && !finder.is_hidden(p));
         Self::of(&clear.map(|p| (p.piece, finder.find(p, SEARCH_PX))).collect::<Vec<_>>())
     }
 

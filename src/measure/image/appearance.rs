@@ -26,7 +26,7 @@ const LIGHT_VARIANCE_FLOOR: f64 = 1e-5;
 /// A background pixel is on the snake's side above this value of the discriminant, which is 1 on the snake and 0 on the target.
 ///
 /// Convention: a little nearer to the snake than to the target.
-const LIKE_SNAKE: f32 = 0.6;
+const LIKE_SNAKE: f64 = 0.6;
 /// The share of the background on the snake's side from which on edges may go either way.
 ///
 /// Fitted: by hand on renders: shadows and thick grid lines cover less of the target than that, a checkerboard's dark squares half of
@@ -83,9 +83,10 @@ impl Appearance {
         };
         let mut count = [0.0; 2];
         let mut mean = [Vector3::zeros(); 2];
-        for &(x, y, (is_snake, _)) in &pixels {
-            count[usize::from(is_snake)] += 1.0;
-            mean[usize::from(is_snake)] += colour(x, y);
+        // What counts less than one pixel does so for the mean as well.
+        for &(x, y, (is_snake, weight)) in &pixels {
+            count[usize::from(is_snake)] += weight.min(1.0);
+            mean[usize::from(is_snake)] += colour(x, y) * weight.min(1.0);
         }
         if count[0] < FEWEST_PIXELS || count[1] < FEWEST_PIXELS {
             return None;
@@ -107,17 +108,18 @@ impl Appearance {
         if scale <= 0.0 {
             return None;
         }
-        let weights = direction / scale;
+        let weights = &direction / scale;
         let mut appearance = Self {
             offset: -weights.dot(&mean[0]),
             weights: weights.iter().copied().collect(),
             two_sided: false,
             light: None,
         };
-        let plane = appearance.plane(frame);
+        let discriminant = |x: u32, y: u32| colour(x, y).rows(0, channels).dot(&direction) / scale + appearance.offset;
         let background = pixels.iter().filter(|(_, _, (is_snake, _))| !is_snake);
-        let like_snake = background.filter(|&&(x, y, _)| plane.get(i64::from(x), i64::from(y)) > LIKE_SNAKE).count();
-        appearance.two_sided = like_snake as f64 > TWO_SIDED_SHARE * count[0];
+        let like_snake = background.filter(|&&(x, y, _)| discriminant(x, y) > LIKE_SNAKE);
+        let like_snake: f64 = like_snake.map(|(.., (_, weight))| weight.min(1.0)).sum();
+        appearance.two_sided = like_snake > TWO_SIDED_SHARE * count[0];
         Some(appearance)
     }
 
@@ -145,7 +147,7 @@ impl Appearance {
                 Samples::Bits16(samples) => self.discriminate(&samples[colours], &weights, pixels),
             }
         }
-        Plane { width, height, first: Vector2::new(x.start as f64, y.start as f64), data }
+        Plane { width, height, first: Vector2::new(x.start as f64, y.start as f64), data, hidden: Vec::new() }
     }
 
     /// Writes the discriminant of pixels of 8 bits, from their colours and what each number of each channel adds.

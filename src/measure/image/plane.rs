@@ -43,6 +43,14 @@ pub struct Plane {
     pub first: Vector2<f64>,
     /// `width * height` values.
     pub data: Vec<f32>,
+    /// Whether each value is hidden by print that cannot be looked through; empty where none is.
+    pub hidden: Vec<bool>,
+}
+
+/// Columns and rows of values that are so many in a row.
+fn cropped<T: Copy>(values: &[T], width: usize, columns: &Range<usize>, rows: &Range<usize>) -> Vec<T> {
+    let rows = values.chunks_exact(width.max(1)).skip(rows.start).take(rows.len());
+    rows.flat_map(|row| &row[columns.clone()]).copied().collect()
 }
 
 /// A part of a picture: the columns of every row that belong to it.
@@ -94,7 +102,7 @@ impl Region {
 impl Plane {
     /// A picture of these values, row by row.
     pub fn new(width: usize, height: usize, data: Vec<f32>) -> Self {
-        Self { width, height, first: Vector2::zeros(), data }
+        Self { width, height, first: Vector2::zeros(), data, hidden: Vec::new() }
     }
 
     /// The value of one of its own pixels; positions outside are those of the nearest border pixel.
@@ -103,6 +111,14 @@ impl Plane {
         let x = x.clamp(0, self.width as i64 - 1) as usize;
         let y = y.clamp(0, self.height as i64 - 1) as usize;
         self.data[y * self.width + x]
+    }
+
+    /// Whether the pixel at a place of the picture is hidden.
+    pub fn is_hidden(&self, at: &Point2<f64>) -> bool {
+        let own = at - self.first;
+        let (x, y) = (own.x.round(), own.y.round());
+        let is_own = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
+        is_own && self.hidden.get(y as usize * self.width + x as usize).is_some_and(|hidden| *hidden)
     }
 
     /// Bilinear interpolation at a place of the picture; pixel centres are at integers.
@@ -192,9 +208,9 @@ impl Plane {
     /// The rectangle around a region of this whole picture.
     pub fn cropped(&self, around: &Region) -> Self {
         let (x, y) = around.bounds();
-        let rows = self.data.chunks_exact(self.width.max(1)).skip(y.start).take(y.len());
-        let data = rows.flat_map(|row| &row[x.clone()]).copied().collect();
-        Self { width: x.len(), height: y.len(), first: Vector2::new(x.start as f64, y.start as f64), data }
+        let first = Vector2::new(x.start as f64, y.start as f64);
+        let (data, hidden) = (cropped(&self.data, self.width, &x, &y), cropped(&self.hidden, self.width, &x, &y));
+        Self { width: x.len(), height: y.len(), first, data, hidden }
     }
 
     /// The picture made `FACTOR` times smaller, each pixel the mean of a block.
@@ -249,7 +265,7 @@ impl Plane {
             }
             line[columns].fill(0.0);
         }
-        Self { data, ..*self }
+        Self { data, hidden: self.hidden.clone(), ..*self }
     }
 
     /// An estimate of the pixel noise σ within a region, robust against everything that is not noise.

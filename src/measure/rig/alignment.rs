@@ -3,7 +3,8 @@
 //! The model's silhouette is moved along the axis in small steps over a strip of the picture. Where it covers the snake and nothing else,
 //! what tells snake from target adds up to the most inside of it without what adds up outside.
 
-use super::base_fit::{STRAIGHT, StraightPicture, appearance_of};
+use super::base_fit::{STRAIGHT, StraightPicture};
+use super::colours::appearance_of;
 use super::placement::Placement;
 use super::snake_search::SnakeStart;
 use crate::measure::body::{BodyPoint, Outline, Projection};
@@ -55,7 +56,7 @@ pub fn aligned_starts(picture: StraightPicture, rough: &SnakeStart, grid: &Grid)
     };
     let Some(view) = view_from(rough) else { return Vec::new() };
     let outline = Outline::spaced(&view, STRAIGHT, view.coarse_spacing_px());
-    let Some(appearance) = appearance_of(frame, &view, &outline, false) else { return Vec::new() };
+    let Some(appearance) = appearance_of(frame, &view, &outline, false, None) else { return Vec::new() };
     let strip = Strip::of(&view, &appearance.plane(frame));
     let pitch_px = view.diameter_px() * robot.disk_pitch_mm() / robot.body.disk_diameter_mm;
     let steps = (REACH_PITCHES / STEP_PITCHES).round() as i32;

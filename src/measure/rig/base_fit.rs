@@ -5,6 +5,7 @@
 //! must go on pulling; then Tukey's biweight, to which what is still far off counts nothing.
 
 use super::base_problem::BaseProblem;
+use super::colours::Colours;
 use super::error::{RigError, SnakePart};
 use super::parameters::{Rig, RigOptions};
 use super::placement::{PLACEMENT, Placement};
@@ -14,16 +15,14 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose};
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    BIASES, Correspondences, DESIGN_EFFECT, EdgeBias, EdgeFinder, FINE_SEARCH_PX, PartVisibility, RobustPhase,
-    UNKNOWN_BIAS, UNKNOWN_SHAPE_RAD, excess, fine_filter, inliers, predict_blur, systematic_covariance,
+    BIASES, Correspondences, DESIGN_EFFECT, EdgeBias, FINE_SEARCH_PX, PartVisibility, RobustPhase, UNKNOWN_BIAS,
+    UNKNOWN_SHAPE_RAD, excess, fine_filter, inliers, predict_blur, systematic_covariance,
 };
-use crate::measure::image::appearance::Appearance;
-use crate::measure::image::plane::{Plane, Region};
-use crate::measure::target::{Grid, GridPattern, PatternKind, PrintProfile, look_through};
+use crate::measure::target::{Grid, GridPattern};
 use crate::robot::Robot;
 use crate::statistics::cluster::clustered_covariance;
 use crate::statistics::least_squares::{Options, Solution, solve};
-use nalgebra::{DMatrix, DVector, Point2};
+use nalgebra::{DMatrix, DVector};
 
 /// How far from the outline edges are searched for in each round, px.
 ///
@@ -78,36 +77,6 @@ const MOST_TURN_SIGMA: f64 = 0.1;
 ///
 /// Convention: about the width of the border's surroundings that are then asked.
 const WELL_PLACED_PX: f64 = 5.0;
-/// How far around the snake the picture is looked at, px.
-///
-/// Derived: until it is learned anew the outline moves within three rounds' searches, 36 px at first, and an edge is searched for and its surroundings
-/// are examined 30 px further at most.
-const AROUND_PX: f64 = 70.0;
-/// What tells snake from target is asked for most where edges are placed, so near the border, px (σ of a blur of the silhouette), and so
-/// many times as much: a JPEG and many a camera keep less of the colours than of the brightness, and what looks the most unlike far from the
-/// border has the worst edges. Pixels that an edge mixes of both sides lie between the two and change nothing.
-///
-/// Fitted: by hand to the rms errors of tests/eye/uncertainty; not judged elsewhere.
-const BORDER_PX: f64 = 2.0;
-const BORDER_WEIGHT: f64 = 20.0;
-/// Half the width of the strip below the modelled holder that is left out, in diameters of the holder.
-///
-/// Convention: its half width, and as much again.
-const BELOW_HOLDER: f64 = 1.0;
-/// The shares of snake that pixels at the border have, once the silhouette is blurred by that.
-///
-/// Convention: ±1.6 σ of the blur.
-const BORDER_SHARES: std::ops::Range<f32> = 0.05..0.95;
-/// Lines that are nearer to each other than this, px, are not looked through.
-///
-/// Derived: a line of a fifth of a pitch is then two pixels wide; a narrower one is washed out by lens and compression, and its profile is that of the
-/// pixels that it was seen by.
-const LEAST_PITCH_PX: f64 = 10.0;
-/// How far around the straight snake the light is looked at, in its diameters.
-///
-/// Convention: six times as much sheet as snake, so that the median hardly changes where the snake is bent out of it, and near enough that a small
-/// sheet fills it.
-const LIT_DIAMETERS: f64 = 3.0;
 /// The bend of a straight snake.
 pub const STRAIGHT: Configuration = Configuration { theta: 0.0, delta: 0.0 };
 
@@ -127,52 +96,15 @@ struct Round {
     solution: Solution,
 }
 
-/// What tells snake from target, the picture around the snake seen through it, and the noise of that.
-struct Learned {
-    appearance: Appearance,
-    /// How the sheet looks; `None` until the outline is well placed.
-    print: Option<PrintProfile>,
-    plane: Plane,
-    noise: f64,
-}
-
-impl Learned {
-    /// From a picture in which a view's outline tells which pixels are snake; `None` where they do not differ.
-    fn of(
-        picture: &StraightPicture,
-        grid: &Grid,
-        view: &Projection,
-        outline: &Outline,
-        is_well_placed: bool,
-    ) -> Option<Self> {
-        let StraightPicture { frame, options, .. } = picture;
-        let mut appearance = appearance_of(frame, view, outline, is_well_placed)?;
-        appearance.light = appearance.median_light(frame, &lit_region(view));
-        let region = view.image_region(STRAIGHT, AROUND_PX);
-        let mut plane = appearance.plane_within(frame, &region);
-        let is_seen = is_well_placed && grid.kind == PatternKind::Lines;
-        let print = is_seen.then(|| print_of(picture, grid, view, outline, &appearance)).flatten();
-        if let Some(print) = &print {
-            look_through(&mut plane, &print.picture(view.lens, &grid.sheet, options.grid_pitch_mm, &region));
-        }
-        let noise = plane.noise(&region);
-        Some(Self { appearance, print, plane, noise })
-    }
-
-    /// Finds the picture's edges.
-    fn finder(&self) -> EdgeFinder<'_> {
-        EdgeFinder::with_noise(&self.plane, self.appearance.two_sided, self.noise)
-    }
-}
-
 /// The state of the fit between rounds.
 struct BaseFit<'a> {
     picture: StraightPicture<'a>,
     grid: &'a Grid,
-    coarse_tilt_sigma: f64,
+    /// Whether the grid is known roughly, and may be tilted as well as the snake.
+    is_rough: bool,
     placement: Placement,
     bias: EdgeBias,
-    learned: Option<Learned>,
+    learned: Option<Colours>,
     last: Option<Round>,
 }
 
@@ -182,7 +114,7 @@ struct BaseFit<'a> {
 ///
 /// Why the picture does not show the straight snake before this grid.
 pub fn fit_base(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Result<Rig, RigError> {
-    BaseFit::from_start(picture, start, grid, TILT_SIGMAS[0])?.rig()
+    BaseFit::from_start(picture, start, grid, false)?.rig()
 }
 
 /// The camera's pose to the base before a grid that is known roughly, whose lines the eye cannot look through yet: how far they scatter the edges
@@ -192,8 +124,7 @@ pub fn fit_base(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Re
 ///
 /// Why the picture does not show the straight snake there.
 pub fn place_base(picture: StraightPicture, start: &SnakeStart, grid: &Grid) -> Result<Pose, RigError> {
-    // The grid may be tilted as well.
-    let fit = BaseFit::from_start(picture, start, grid, seeming_tilt_sigma())?;
+    let fit = BaseFit::from_start(picture, start, grid, true)?;
     match fit.confirmed() {
         Ok(_) | Err(RigError::EdgesScattered { .. }) => Ok(fit.placement.camera_from_base(picture.options, grid)),
         Err(error) => Err(error),
@@ -207,12 +138,12 @@ struct Confirmed {
 }
 
 impl<'a> BaseFit<'a> {
-    /// The fit after all its rounds. In the coarse ones the snake is held parallel to the grid with this σ, rad.
+    /// The fit after all its rounds, before a grid that is known well or roughly.
     fn from_start(
         picture: StraightPicture<'a>,
         start: &SnakeStart,
         grid: &'a Grid,
-        coarse_tilt_sigma: f64,
+        is_rough: bool,
     ) -> Result<Self, RigError> {
         let options = picture.options;
         let placement = Placement::from_picture(picture.lens, options, grid, &start.base, start.axis);
@@ -223,7 +154,7 @@ impl<'a> BaseFit<'a> {
         let mut fit = Self {
             picture,
             grid,
-            coarse_tilt_sigma,
+            is_rough,
             placement: placement.ok_or_else(behind)?,
             bias: UNKNOWN_BIAS,
             learned: None,
@@ -248,14 +179,20 @@ impl<'a> BaseFit<'a> {
         // The model's own outline tells which pixels are snake, the better the better it lies.
         if round.is_multiple_of(LEARNING_ROUNDS) || self.learned.is_none() {
             let is_well_placed = search_px <= WELL_PLACED_PX;
-            self.learned = Learned::of(&self.picture, self.grid, &view, &outline, is_well_placed);
+            let before = self.learned.take();
+            let colours = Colours::learn(&self.picture, &view, &outline, is_well_placed, before.as_ref());
+            self.learned = match colours {
+                Some(colours) if is_well_placed => Some(colours.through(&self.picture, self.grid, &view, &outline)),
+                colours => colours,
+            };
         }
         let edges = self.edges(&view, &mut outline, search_px)?;
         let is_coarse = search_px > FINE_SEARCH_PX;
         let phase = if is_coarse { RobustPhase::Monotone } else { RobustPhase::Redescending };
         let roots = phase.roots(&edges.residuals(&view, STRAIGHT, self.bias));
+        let held = if self.is_rough { seeming_tilt_sigma() } else { TILT_SIGMAS[0] };
         let (bias_sigma_px, tilt_sigma) =
-            if is_coarse { (NO_BIAS_PX, self.coarse_tilt_sigma) } else { (BIAS_SIGMA_PX, seeming_tilt_sigma()) };
+            if is_coarse { (NO_BIAS_PX, held) } else { (BIAS_SIGMA_PX, seeming_tilt_sigma()) };
         let mut options = Options::default();
         if is_coarse {
             options.most_iterations = COARSE_ITERATIONS;
@@ -406,53 +343,4 @@ fn check_visibility(visibility: &PartVisibility, robot: &Robot) -> Result<(), Ri
         Some((part, _)) if !visibility.are_all_faintly_visible(last_part(robot)) => Err(RigError::PartNotVisible(part)),
         _ => Ok(()),
     }
-}
-
-/// How the sheet looks, learned from what neither the snake nor its border hides; `None` where too little is seen of it or of its lines.
-fn print_of(
-    StraightPicture { frame, options, .. }: &StraightPicture,
-    grid: &Grid,
-    view: &Projection,
-    outline: &Outline,
-    appearance: &Appearance,
-) -> Option<PrintProfile> {
-    if grid.sheet.length_px(view.lens, options.grid_pitch_mm) < LEAST_PITCH_PX {
-        return None;
-    }
-    let silhouette = outline.blurred_silhouette(BORDER_PX);
-    let is_target = |pixel: &Point2<f64>| silhouette.sample(pixel) < BORDER_SHARES.start;
-    PrintProfile::learn(&appearance.plane(frame), view.lens, &grid.sheet, options.grid_pitch_mm, is_target)
-}
-
-/// The part of a picture whose light tells its exposure: around the straight snake.
-pub fn lit_region(view: &Projection) -> Region {
-    view.image_region(STRAIGHT, LIT_DIAMETERS * view.diameter_px())
-}
-
-/// What tells snake from target, learned from inside and outside of the outline: of one that is well placed, at its border above all.
-///
-/// The holder goes on below what is modelled of it, for how far nobody knows: what lies there is neither.
-pub fn appearance_of(frame: &Frame, view: &Projection, outline: &Outline, is_well_placed: bool) -> Option<Appearance> {
-    let (x0, y0, x1, y1) = outline.bounds();
-    let margin = x1 - x0;
-    let silhouette = is_well_placed.then(|| outline.blurred_silhouette(BORDER_PX));
-    let is_at_border = |pixel: &Point2<f64>| {
-        silhouette.as_ref().is_some_and(|silhouette| BORDER_SHARES.contains(&silhouette.sample(pixel)))
-    };
-    let (end, axis) = view.holder_end();
-    let half_width_px = BELOW_HOLDER * view.diameter_px();
-    let is_below_holder = |pixel: &Point2<f64>| {
-        let from_end = pixel - end;
-        axis.dot(&from_end) < 0.0 && axis.perp(&from_end).abs() < half_width_px
-    };
-    Appearance::learn(frame, |x, y| {
-        let pixel = Point2::new(f64::from(x), f64::from(y));
-        let near = pixel.x > x0 - margin && pixel.x < x1 + margin && pixel.y > y0 - margin && pixel.y < y1 + margin;
-        if !near {
-            return None;
-        }
-        let is_snake = outline.covers(&pixel);
-        (is_snake || !is_below_holder(&pixel))
-            .then(|| (is_snake, if is_at_border(&pixel) { BORDER_WEIGHT } else { 1.0 }))
-    })
 }

@@ -8,6 +8,7 @@
 //! | `alignment` | moves it along its axis to where its disks and ends are |
 //! | `sketch` | what a calibration saw, for a person to look at |
 //! | `placement`, `base_problem`, `base_fit`, `tilt`, `scale` | fit the straight snake before its grid, and check the scale that was stated |
+//! | `colours` | what tells snake from target, and looks through the printed lines |
 //! | `calibrate` | the calibration from the straight picture, which calls these in order |
 //! | `base_monitor`, `drift` | whether holder and target are still where the rig says |
 //! | `refine` | the rig once more, from frames of bent snakes |
@@ -20,6 +21,7 @@ mod base_fit;
 mod base_monitor;
 mod base_problem;
 mod calibrate;
+mod colours;
 mod drift;
 mod error;
 mod follow;
@@ -33,8 +35,9 @@ mod tilt;
 mod unlike;
 
 pub use base_fit::STRAIGHT;
-pub(super) use base_fit::{StraightPicture, lit_region};
+pub(super) use base_fit::StraightPicture;
 pub(super) use calibrate::find_rig;
+pub(super) use colours::lit_region;
 pub(super) use drift::{DriftCheck, RigDriftMonitor};
 pub use error::{CalibrationStep, RigError, SnakePart};
 pub(super) use follow::{Followed, RigFollower};

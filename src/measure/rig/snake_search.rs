@@ -31,10 +31,10 @@ const MOST_PLACES: usize = 16;
 /// Derived: the disks of the paper's robot are 0.9 widths apart; four cells show them as waves. With three, which takes a third of the time, a snake of
 /// thirty photo-real rigs is lost beside its shadow.
 const COARSE_CELLS: f64 = 4.0;
-/// Cells across the snake's width in the refinement of what that search finds.
+/// Cells across the snake's width in the refinement of what that search finds: while it is turned and moved in coarse steps, and in single ones.
 ///
-/// Derived: the disks of the paper's robot are 0.9 widths apart; twelve cells show each.
-const FINE_CELLS: f64 = 12.0;
+/// Derived: the disks of the paper's robot are 0.9 widths apart; twelve cells show each. The coarse steps along and across are as long as six are.
+const REFINEMENT_CELLS: [f64; 2] = [6.0, 12.0];
 /// Directions that are searched.
 ///
 /// Derived: 6° apart; half of that moves the tip, six widths away, by 0.3 widths.
@@ -278,9 +278,9 @@ pub fn search_nearby(
     region: &PictureRegion,
     found: &[SnakeStart],
 ) -> Vec<SnakeStart> {
-    let unlike = Unlike::of(frame, width_px / FINE_CELLS, region);
-    let cells = template.cells(FINE_CELLS);
-    let mut all: Vec<SnakeStart> = found.par_iter().map(|start| refined(&unlike, &cells, width_px, start)).collect();
+    let levels =
+        REFINEMENT_CELLS.map(|per_width| (Unlike::of(frame, width_px / per_width, region), template.cells(per_width)));
+    let mut all: Vec<SnakeStart> = found.par_iter().map(|start| refined(&levels, width_px, start)).collect();
     all.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     distinct(all, SAME_WIDTHS * width_px)
 }
@@ -367,36 +367,43 @@ fn in_direction(unlike: &Unlike, offsets: &[(i64, i64, f32)], axis: Vector2<f64>
     places
 }
 
-/// The best of all starts around one, first turned and moved in coarse steps, then in the single ones around the best.
-fn refined(unlike: &Unlike, cells: &[Cell], width_px: f64, start: &SnakeStart) -> SnakeStart {
-    let gain = |base: &Point2<f64>, axis: &Vector2<f64>| {
-        let across = Vector2::new(-axis.y, axis.x);
-        let place = |cell: &Cell| base + (axis * cell.along + across * cell.across) * width_px;
-        gain_over(cells.iter().map(|cell| (unlike.at(&place(cell)), cell.body)))
-    };
-    let steps = |(reach, count): (f64, i32), every: i32| {
+/// The best of all starts around one, first turned and moved in coarse steps over the coarser cells, then in the single ones around the best.
+fn refined(levels: &[(Unlike, Vec<Cell>); 2], width_px: f64, start: &SnakeStart) -> SnakeStart {
+    let coarse = best_turned(&levels[0], width_px, *start, [TURNS, ALONG_WIDTHS, ACROSS_WIDTHS], 2);
+    let single = |(reach, count): (f64, i32)| (2.0 * reach / f64::from(count), 2);
+    best_turned(&levels[1], width_px, coarse, [TURNS, ALONG_WIDTHS, ACROSS_WIDTHS].map(single), 1)
+}
+
+/// The best of the starts around one over some cells: turned, and moved along and across, each as far and in as many steps as told, of which every
+/// so many is tried.
+fn best_turned(
+    (unlike, cells): &(Unlike, Vec<Cell>),
+    width_px: f64,
+    from: SnakeStart,
+    [turns, along, across]: [(f64, i32); 3],
+    every: i32,
+) -> SnakeStart {
+    let steps = |(reach, count): (f64, i32)| {
         (-count..=count).filter(move |k| k % every == 0).map(move |k| reach * f64::from(k) / f64::from(count))
     };
-    let (first, explained) = gain(&start.base, &start.axis);
-    let mut best = SnakeStart { gain: first, explained, ..*start };
-    let around = |from: SnakeStart, turns: (f64, i32), along: (f64, i32), across: (f64, i32), every: i32| {
-        let mut best = from;
-        let (sin_cos, origin) = (from.axis, from.base);
-        for turn in steps(turns, every) {
-            let axis = (sin_cos + Vector2::new(-sin_cos.y, sin_cos.x) * turn).normalize();
-            for (by_along, by_across) in steps(along, every).flat_map(|a| steps(across, every).map(move |b| (a, b))) {
-                let base = origin + (axis * by_along + Vector2::new(-axis.y, axis.x) * by_across) * width_px;
-                let (gain, explained) = gain(&base, &axis);
-                if gain > best.gain {
-                    best = SnakeStart { base, axis, gain, explained };
-                }
+    let at = |base: Point2<f64>, axis: Vector2<f64>| {
+        let across = Vector2::new(-axis.y, axis.x);
+        let place = |cell: &Cell| base + (axis * cell.along + across * cell.across) * width_px;
+        let (gain, explained) = gain_over(cells.iter().map(|cell| (unlike.at(&place(cell)), cell.body)));
+        SnakeStart { base, axis, gain, explained }
+    };
+    let mut best = at(from.base, from.axis);
+    for turn in steps(turns) {
+        let axis = (from.axis + Vector2::new(-from.axis.y, from.axis.x) * turn).normalize();
+        for (by_along, by_across) in steps(along).flat_map(|a| steps(across).map(move |b| (a, b))) {
+            let base = from.base + (axis * by_along + Vector2::new(-axis.y, axis.x) * by_across) * width_px;
+            let other = at(base, axis);
+            if other.gain > best.gain {
+                best = other;
             }
         }
-        best
-    };
-    best = around(best, (TURNS.0, TURNS.1), ALONG_WIDTHS, ACROSS_WIDTHS, 2);
-    let single = |(reach, count): (f64, i32)| (2.0 * reach / f64::from(count), 2);
-    around(best, single(TURNS), single(ALONG_WIDTHS), single(ACROSS_WIDTHS), 1)
+    }
+    best
 }
 
 #[cfg(test)]

@@ -28,6 +28,10 @@ const GROWING: f64 = 1.02;
 ///
 /// Convention: the second round confirms the first.
 const LINE_ROUNDS: usize = 2;
+/// Waves are looked for in a picture that is halved for as long as its longer side stays this long or longer, px.
+///
+/// Convention: a limit of time. Two hundred and fifty waves of the least length go into it, and lines are placed in the whole picture all the same.
+const WAVES_SIDE_PX: usize = 1024;
 /// Fewest windows that must show a sheet.
 ///
 /// Convention: three times four; fewer could not show its lean in both directions.
@@ -100,6 +104,7 @@ pub struct SheetHypothesis {
     pub sheet: Sheet,
     /// Distance between its lines, or side of its squares, in the middle of the sheet, px, across and along.
     pub pitch_px: [f64; 2],
+    /// Cycles per px of the reduced picture.
     waves: [Vector2<f64>; 2],
 }
 
@@ -130,6 +135,8 @@ impl SheetHypothesis {
 /// The printed sheet in a picture of which nothing is known but the camera.
 pub struct SheetSearch {
     mix: Plane,
+    reduced: Reduced,
+    /// The reduced mix with its contrast made even.
     evened: Plane,
     pitch_mm: f64,
     /// The clearest ruling's kind and waves, and the sheet that they show.
@@ -156,37 +163,40 @@ impl SheetSearch {
     pub fn new(frame: &Frame, lens: &Lens, pitch_mm: f64) -> Self {
         let mix = strongest_mix(frame);
         if mix.data.is_empty() {
-            return Self::nothing(mix.clone(), mix, pitch_mm);
+            return Self::nothing(mix, lens, pitch_mm);
         }
-        let evened = evened(&mix);
+        let reduced = Reduced::of(&mix, lens);
+        let evened = evened(&reduced.mix);
         let seeds = find_seeds(&evened);
         // Windows for lines need more waves around them than a picture of large squares has.
         let kinds = [PatternKind::Lines, PatternKind::Checkerboard];
         let clearest = seeds.iter().flat_map(|seed| kinds.map(|kind| (seed, kind))).find_map(|(seed, kind)| {
             let waves = ordered(seed.waves[0], seed.waves[1], kind);
-            let (points, fit, agreeing) = sheet_by_windows(&evened, lens, kind, pitch_mm, waves)?;
+            let (points, fit, agreeing) = reduced.sheet(&evened, kind, pitch_mm, waves)?;
             let is_ruling = fit.sheet.shape.anisotropy.abs() < MOST_ANISOTROPY;
             is_ruling.then_some((seed, kind, points, fit, agreeing))
         });
         let Some((seed, kind, points, fit, agreeing)) = clearest else {
-            return Self::nothing(evened, mix, pitch_mm);
+            return Self::nothing(mix, lens, pitch_mm);
         };
         Self {
             pitch_mm,
-            hypotheses: hypotheses(&seeds, seed, kind, &fit.sheet),
+            hypotheses: hypotheses(&seeds, seed, kind, &fit.sheet, reduced.times),
             seen: points.iter().map(|point| point.pixel).collect(),
-            reach_px: kind.window_radius() * seed.period_px(),
+            reach_px: kind.window_radius() * seed.period_px() * reduced.times,
             is_print: agreeing > LEAST_AGREEING,
             clearest: Some((kind, seed.waves, fit)),
             mix,
+            reduced,
             evened,
         }
     }
 
     /// A picture in which no sheet was found.
-    fn nothing(evened: Plane, mix: Plane, pitch_mm: f64) -> Self {
-        let (hypotheses, seen) = (Vec::new(), Vec::new());
-        Self { mix, evened, pitch_mm, clearest: None, hypotheses, seen, reach_px: 0.0, is_print: false }
+    fn nothing(mix: Plane, lens: &Lens, pitch_mm: f64) -> Self {
+        let (hypotheses, seen, reduced) = (Vec::new(), Vec::new(), Reduced::of(&mix, lens));
+        let evened = reduced.mix.clone();
+        Self { mix, reduced, evened, pitch_mm, clearest: None, hypotheses, seen, reach_px: 0.0, is_print: false }
     }
 
     /// The sheet of a hypothesis, measured by its own waves and lines beside the body that hides a part of it, if that is known; `None`
@@ -195,7 +205,7 @@ impl SheetSearch {
         let kind = hypothesis.kind;
         let waves = ordered(hypothesis.waves[0], hypothesis.waves[1], kind);
         let is_clearest = |of: &PatternKind, seen: &[Vector2<f64>; 2]| *of == kind && *seen == hypothesis.waves;
-        let measured = |plane: &Plane| Some(sheet_by_windows(plane, lens, kind, self.pitch_mm, waves)?.1);
+        let measured = |plane: &Plane| Some(self.reduced.sheet(plane, kind, self.pitch_mm, waves)?.1);
         let fit = match (&self.clearest, body) {
             (Some((of, seen, fit)), None) if is_clearest(of, seen) => fit.clone(),
             (_, None) => measured(&self.evened)?,
@@ -203,7 +213,7 @@ impl SheetSearch {
         };
         // Lines that are washed out tell less than the waves do.
         let by_lines = match kind {
-            PatternKind::Lines => self.sheet_by_lines(lens, &fit, 1.0 / waves[0].norm()),
+            PatternKind::Lines => self.sheet_by_lines(lens, &fit, self.reduced.times / waves[0].norm()),
             PatternKind::Checkerboard => None,
         };
         let by_lines = by_lines.filter(|lines| lines.turn_covariance.trace() < fit.turn_covariance.trace());
@@ -218,10 +228,10 @@ impl SheetSearch {
 
     /// The picture of even contrast without what a body covers.
     fn evened_beside(&self, body: &PictureRegion) -> Plane {
-        let (width, height) = (self.mix.width, self.mix.height);
-        let at = |k: usize| Point2::new((k % width) as f64, (k / width) as f64);
+        let (width, height) = (self.reduced.mix.width, self.reduced.mix.height);
+        let at = |k: usize| self.reduced.whole_px(&Point2::new((k % width) as f64, (k / width) as f64));
         let shown = (0..width * height).into_par_iter().map(|k| if body.contains(&at(k)) { 0.0 } else { 1.0 });
-        evened_without(&self.mix, &Plane::new(width, height, shown.collect()))
+        evened_without(&self.reduced.mix, &Plane::new(width, height, shown.collect()))
     }
 
     /// How far waves and creases take the sheet before and behind its model, mm (rms): by what neighbouring places are shifted in the picture,
@@ -244,9 +254,46 @@ impl SheetSearch {
     }
 }
 
+/// A picture halved for some times, and its lens.
+struct Reduced {
+    mix: Plane,
+    lens: Lens,
+    times: f64,
+}
+
+impl Reduced {
+    fn of(mix: &Plane, lens: &Lens) -> Self {
+        let mut reduced = Self { mix: mix.clone(), lens: lens.clone(), times: 1.0 };
+        while reduced.mix.width.max(reduced.mix.height) / 2 >= WAVES_SIDE_PX {
+            let Self { mix, lens, times } = reduced;
+            reduced = Self { mix: mix.shrunk::<2>(), lens: lens.halved(), times: 2.0 * times };
+        }
+        reduced
+    }
+
+    /// Where one of its pixels is in the whole picture.
+    fn whole_px(&self, pixel: &Point2<f64>) -> Point2<f64> {
+        (pixel + Vector2::new(0.5, 0.5)) * self.times - Vector2::new(0.5, 0.5)
+    }
+
+    /// The sheet by windows of its evened picture, see [`sheet_by_windows`], in pixels of the whole one.
+    fn sheet(
+        &self,
+        evened: &Plane,
+        kind: PatternKind,
+        pitch_mm: f64,
+        waves: [Vector2<f64>; 2],
+    ) -> Option<(Vec<TargetPoint>, SheetFit, f64)> {
+        let (mut points, fit, agreeing) = sheet_by_windows(evened, &self.lens, kind, pitch_mm, waves)?;
+        points.iter_mut().for_each(|point| point.pixel = self.whole_px(&point.pixel));
+        let (rms_px, shared_px) = (fit.rms_px * self.times, fit.shared_px * self.times);
+        Some((points, SheetFit { rms_px, shared_px, ..fit }, agreeing))
+    }
+}
+
 /// The rulings that other seeds show on the sheet of the clearest one, which was fitted as one of a kind, as lines and as squares: those that run as
-/// its waves may.
-fn hypotheses(seeds: &[Seed], clearest: &Seed, kind: PatternKind, sheet: &Sheet) -> Vec<SheetHypothesis> {
+/// its waves may. The seeds are those of a picture reduced by so many times.
+fn hypotheses(seeds: &[Seed], clearest: &Seed, kind: PatternKind, sheet: &Sheet, times: f64) -> Vec<SheetHypothesis> {
     let length_px = |waves: [Vector2<f64>; 2]| 1.0 / (waves[0].norm() * waves[1].norm()).sqrt();
     let clearest_px = length_px(clearest.waves) / kind.wavelength();
     let ratio = |seed: &Seed| seed.waves[0].norm() / seed.waves[1].norm();
@@ -259,7 +306,7 @@ fn hypotheses(seeds: &[Seed], clearest: &Seed, kind: PatternKind, sheet: &Sheet)
             SheetHypothesis {
                 kind,
                 sheet: sheet.scaled(clearest_px / pitch_px),
-                pitch_px: seed.waves.map(|wave| 1.0 / (wave.norm() * kind.wavelength())),
+                pitch_px: seed.waves.map(|wave| times / (wave.norm() * kind.wavelength())),
                 waves: seed.waves,
             }
         };

@@ -64,7 +64,7 @@ const RESOLUTION: f64 = 1e-4;
 ///
 /// Convention: the half; a snake across the sheet and noise change the slope of a picture that shows it by a tenth.
 const LEAST_CONTRAST: f32 = 0.5;
-/// Print as much like the snake as this is looked through, and up to 1, where it hides the border, less and less.
+/// Print as much like the snake as this is looked through, and up to 1 less and less; there no edge is looked for.
 ///
 /// Convention: there noise is raised to twice of what it is.
 const MOST_LIKE_SNAKE: f32 = 0.5;
@@ -181,12 +181,12 @@ impl PrintProfile {
                 }
             });
         });
-        Plane { width, height, first: Vector2::new(columns.start as f64, rows.start as f64), data }
+        Plane { width, height, first: Vector2::new(columns.start as f64, rows.start as f64), data, hidden: Vec::new() }
     }
 }
 
 /// Takes away from a plane what of the sheet is behind it, of as much of the picture or more; from a plane that does not show the print, as where
-/// something covers the sheet or it was moved, nothing.
+/// something covers the sheet or it was moved, nothing. Print that is too much like the snake hides what is before it.
 pub fn look_through(plane: &mut Plane, sheet: &Plane) {
     let offset = plane.first - sheet.first;
     let (x, y, width) = (offset.x as usize, offset.y as usize, plane.width.max(1));
@@ -196,6 +196,9 @@ pub fn look_through(plane: &mut Plane, sheet: &Plane) {
     // What was not looked at is zero, and so is what shows no sheet.
     if contrast(sampled.filter(|(b, d)| *b != 0.0 && *d != 0.0)) < LEAST_CONTRAST {
         return;
+    }
+    if sheet.data.iter().any(|&b| b > MOST_LIKE_SNAKE) {
+        plane.hidden = (0..plane.height).flat_map(|row| behind(row)).map(|&b| b > MOST_LIKE_SNAKE).collect();
     }
     for (row, values) in plane.data.chunks_exact_mut(width).enumerate() {
         for (value, &b) in values.iter_mut().zip(behind(row)) {
@@ -414,6 +417,16 @@ mod tests {
         let (seen, _) = picture(0.0);
         let lens = Scene::new(Vector3::zeros()).lens;
         assert!(PrintProfile::learn(&seen, &lens, &sheet(), 1.0, |pixel| pixel.x < 30.0 && pixel.y < 60.0).is_none());
+    }
+
+    #[test]
+    fn print_like_the_snake_hides_what_is_before_it() {
+        let value = |column: usize| if (12..15).contains(&column) { 0.8 } else { 0.1 };
+        let behind = Plane::new(40, 40, (0..40 * 40).map(|k| value(k % 40)).collect());
+        let mut plane = behind.clone();
+        look_through(&mut plane, &behind);
+        let hidden = |x: f64| plane.is_hidden(&Point2::new(x, 20.0));
+        assert_eq!([11.0, 12.0, 14.0, 15.0].map(hidden), [false, true, true, false]);
     }
 
     #[test]
