@@ -5,7 +5,6 @@ use crate::discover::posterior::Candidate;
 use crate::discover::residuals::{Problem, Residual};
 use crate::robot::Model;
 use crate::robot::effects::{ParameterSpec, RIG_ERROR};
-use crate::statistics::moments::mean;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -35,6 +34,8 @@ pub struct Member {
     pub model: Model,
     /// The covariance of the numbers in units of their scales.
     pub covariance: DMatrix<f64>,
+    /// How many times as large the variance of each number is as that of samples that do not hang together.
+    pub inflation: DVector<f64>,
     pub ln_probability: f64,
     /// What the discovery said of it.
     pub ln_given: f64,
@@ -118,13 +119,14 @@ impl Member {
         let ln_probability = candidate.probability.max(LEAST_PROBABILITY).ln();
         let mut member = Self {
             effects: candidate.effects.clone(),
+            inflation: DVector::repeat(covariance.nrows(), 1.0),
             model,
             covariance,
             ln_probability,
             ln_given: ln_probability,
             told: Vec::new(),
         };
-        member.told = member.known(time_s, 1.0);
+        member.told = member.known(time_s);
         member
     }
 
@@ -182,16 +184,22 @@ impl Member {
         Score { ln_density: -0.5 * cost - ln_volume, mean_square: white.norm_squared() / white.len() as f64 }
     }
 
-    /// How many times as large the variances of another covariance of its numbers are as those of its own, in the mean; at least once.
-    pub fn design_effect(&self, covariance: &DMatrix<f64>) -> f64 {
+    /// How many times as large the variances of another covariance of its numbers are as those of its own, number by number; at least once.
+    pub fn design_effects(&self, covariance: &DMatrix<f64>) -> DVector<f64> {
         let own = self.covariance.diagonal().component_mul(&scales(&self.model).map(|scale| scale * scale));
-        let ratios = covariance.diagonal().component_div(&own);
-        mean(ratios.iter().copied().filter(|ratio| ratio.is_finite())).max(1.0)
+        covariance.diagonal().component_div(&own).map(|ratio| if ratio.is_finite() { ratio.max(1.0) } else { 1.0 })
+    }
+
+    /// Knows each number as much less certainly, from now on; numbers beyond the last of these factors as before.
+    pub fn inflate(&mut self, factors: &DVector<f64>, time_s: f64) {
+        self.inflation.iter_mut().zip(factors).for_each(|(own, factor)| *own = *factor);
+        self.told = self.known(time_s);
     }
 
     /// What is known of each number.
-    pub fn known(&self, time_s: f64, design_effect: f64) -> Vec<Known> {
-        let sds = self.covariance.diagonal().map(|variance| (variance.max(0.0) * design_effect).sqrt());
+    pub fn known(&self, time_s: f64) -> Vec<Known> {
+        let variances = self.covariance.diagonal().component_mul(&self.inflation);
+        let sds = variances.map(|variance| variance.max(0.0).sqrt());
         let sds = sds.component_mul(&scales(&self.model));
         let values = self.model.parameter_values();
         values.into_iter().zip(sds.iter()).map(|(value, &sd)| Known { value, sd, time_s }).collect()
@@ -208,10 +216,10 @@ impl Member {
     }
 
     /// Its numbers that have moved since it was said where they are, which is hereby said.
-    pub fn moved(&mut self, time_s: f64, design_effect: f64) -> Vec<Moved> {
+    pub fn moved(&mut self, time_s: f64) -> Vec<Moved> {
         let (names, specs, of_rig) = (self.model.parameter_names(), self.model.parameter_specs(), self.of_rig());
         let mut moved = Vec::new();
-        for (j, now) in self.known(time_s, design_effect).into_iter().enumerate() {
+        for (j, now) in self.known(time_s).into_iter().enumerate() {
             let before = self.told[j];
             if of_rig[j] || (now.value - before.value).abs() <= MOVED_SIGMAS * now.sd.hypot(before.sd) {
                 continue;
@@ -224,9 +232,9 @@ impl Member {
         moved
     }
 
-    pub fn followed(&self, design_effect: f64) -> Followed {
+    pub fn followed(&self) -> Followed {
         let (names, specs) = (self.model.parameter_names(), self.model.parameter_specs());
-        let numbers = self.known(0.0, design_effect).into_iter().zip(&specs);
+        let numbers = self.known(0.0).into_iter().zip(&specs);
         let numbers = numbers.map(|(known, spec)| Number { value: known.value, sd: known.sd, unit: spec.unit });
         let named = names.into_iter().zip(numbers).zip(self.of_rig());
         let parameters = named.filter(|(_, of_rig)| !of_rig).map(|(named, _)| named).collect();

@@ -48,10 +48,11 @@ impl Bank {
         let effects = found.named.iter().map(|named| named.physics.name).collect();
         let mut bank =
             Self::of(&[Candidate { effects, probability: 1.0, model: found.model.clone() }], &found.noise, data)?;
-        let (time_s, design_effect) =
-            (data.times_s.last().copied()?, bank.leading().design_effect(&found.model.covariance()));
-        bank.members.iter_mut().for_each(|member| member.told = member.known(time_s, design_effect));
-        Some(Self { design_effect, ..bank })
+        let time_s = data.times_s.last().copied()?;
+        let factors = bank.leading().design_effects(&found.model.covariance());
+        bank.members.iter_mut().for_each(|member| member.inflate(&factors, time_s));
+        bank.design_effect = factors.mean();
+        Some(bank)
     }
 
     /// Of these structures and this noise, with which samples do not hang together.
@@ -89,8 +90,8 @@ impl Bank {
             self.weigh(&scores);
         }
         self.recent = recent;
-        let (leading, design_effect) = (self.leading_place(), self.design_effect);
-        self.members[leading].moved(time_s, design_effect)
+        let leading = self.leading_place();
+        self.members[leading].moved(time_s)
     }
 
     /// Index of the latest reading that it knows.
@@ -107,8 +108,7 @@ impl Bank {
 
     /// The structures as they stand, the most probable first.
     pub fn structures(&self) -> Vec<Followed> {
-        let mut structures: Vec<Followed> =
-            self.members.iter().map(|member| member.followed(self.design_effect)).collect();
+        let mut structures: Vec<Followed> = self.members.iter().map(Member::followed).collect();
         structures.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         structures
     }
@@ -310,10 +310,13 @@ mod tests {
             let found = discover(&truth(), &data);
             assert_eq!(found.verdict, Verdict::Partly);
             let mut bank = Bank::new(&found, &data).unwrap();
-            // About as uncertain as the discovery says, which knows that what is left hangs together, of each number by a factor of its own.
+            // As uncertain as the discovery says, which knows that what is left hangs together.
             let lambda_mm = bank.structures()[0].parameters["lambda_mm"];
             let sd_mm = found.model.estimate.unwrap().sd_lambda_mm();
-            assert!(bank.design_effect > 2.0 && (0.4..2.5).contains(&(lambda_mm.sd / sd_mm)), "{lambda_mm:?} {sd_mm}");
+            assert!(
+                bank.design_effect > 2.0 && (0.99..1.01).contains(&(lambda_mm.sd / sd_mm)),
+                "{lambda_mm:?} {sd_mm}"
+            );
             let later = log.0[batch..].chunks(20).zip(log.1[batch..].chunks(20));
             let told: Vec<Moved> = later.flat_map(|(measured, readings)| bank.add(measured, readings)).collect();
             assert!(told.is_empty(), "{told:?}");
