@@ -33,8 +33,7 @@ const LEAST_FROZEN: usize = 2;
 
 /// What is wrong with the encoders.
 pub(super) fn stuck(robot: &Robot, samples: &[Sample]) -> Option<Reason> {
-    let text =
-        columns_stuck(robot, samples).or_else(|| frozen(samples)).or_else(|| columns_stuck_in_part(robot, samples))?;
+    let text = columns_stuck(robot, samples).or_else(|| frozen(samples))?;
     let remedy =
         "repair or reconnect the encoder and log its readings anew; nothing that was learned from these can be used";
     Some(Reason::new(Code::EncoderStuck, Level::DoNotUse, text, remedy))
@@ -42,88 +41,35 @@ pub(super) fn stuck(robot: &Robot, samples: &[Sample]) -> Option<Reason> {
 
 /// Columns whose readings stand still while the snake moves, or repeat another column's.
 fn columns_stuck(robot: &Robot, samples: &[Sample]) -> Option<String> {
-    let spreads = Spreads::of(robot, samples)?;
-    spreads.still().or_else(|| spreads.repeated())
-}
-
-/// How far readings and bends spread over some samples.
-struct Spreads<'a> {
-    robot: &'a Robot,
-    samples: &'a [Sample],
-    /// What noise of the eye alone asks of a reading, mm.
-    least_asked_mm: f64,
-    /// Of each column that the bends ask anything of, the share of that which it does.
-    shares: Vec<Option<f64>>,
-    /// The largest.
-    largest: f64,
-}
-
-impl<'a> Spreads<'a> {
-    /// `None` of too few samples.
-    fn of(robot: &'a Robot, samples: &'a [Sample]) -> Option<Self> {
-        if samples.len() < LEAST_SAMPLES {
-            return None;
-        }
-        let noise = samples.iter().map(|s| s.measured.sigma_theta).sum::<f64>() / samples.len() as f64;
-        let least_asked_mm = robot.backbone_circle_radius_mm * noise * MOVED_SDS;
-        let mut spreads = Self { robot, samples, least_asked_mm, shares: Vec::new(), largest: 0.0 };
-        let by_bend = robot.displacement_by_bend();
-        let share = |i: usize| Some(spreads.read(&|s| s.q_mm[i]) / spreads.asked(by_bend[i])?);
-        spreads.shares = (0..robot.backbone_count()).map(share).collect();
-        spreads.largest = spreads.shares.iter().flatten().copied().fold(0.0, f64::max);
-        Some(spreads)
+    if samples.len() < LEAST_SAMPLES {
+        return None;
     }
-
-    /// Of a number of each sample's readings, mm.
-    fn read(&self, value: &dyn Fn(&Sample) -> f64) -> f64 {
-        robust_spread(self.samples.iter().map(value).collect())
-    }
-
-    /// Of what the bends ask of a column, mm; `None` if noise alone asks as much.
-    fn asked(&self, by_bend: Vector2<f64>) -> Option<f64> {
-        let asked = self.read(&|s| by_bend.dot(&s.measured.configuration.bend_vector()));
-        Some(asked).filter(|asked| *asked > self.least_asked_mm)
-    }
-
-    fn still(&self) -> Option<String> {
-        let is_still = |share: &Option<f64>| share.is_some_and(|share| share <= STILL * self.largest);
-        let still = self.shares.iter().zip(1..).filter(|(share, _)| is_still(share));
-        let still: Vec<String> = still.map(|(_, number)| format!("q{number}")).collect();
+    let by_bend = robot.displacement_by_bend();
+    let count = robot.backbone_count();
+    let spread = |value: &dyn Fn(&Sample) -> f64| robust_spread(samples.iter().map(value).collect());
+    let asked = |column: Vector2<f64>| spread(&|s: &Sample| column.dot(&s.measured.configuration.bend_vector()));
+    let noise = samples.iter().map(|s| s.measured.sigma_theta).sum::<f64>() / samples.len() as f64;
+    // What noise of the eye alone asks for is no motion.
+    let least_asked = robot.backbone_circle_radius_mm * noise * MOVED_SDS;
+    let share = |i: usize| (spread(&|s: &Sample| s.q_mm[i]), asked(by_bend[i]));
+    let shares: Vec<Option<f64>> =
+        (0..count).map(share).map(|(own, asked)| (asked > least_asked).then(|| own / asked)).collect();
+    let largest = shares.iter().flatten().copied().fold(0.0, f64::max);
+    let still: Vec<String> = (0..count)
+        .filter(|&i| shares[i].is_some_and(|share| share <= STILL * largest))
+        .map(|i| format!("q{}", i + 1))
+        .collect();
+    if !still.is_empty() {
         let verb = if still.len() == 1 { "stands" } else { "stand" };
-        (!still.is_empty()).then(|| format!("{} {verb} still while the snake moves", still.join(", ")))
+        return Some(format!("{} {verb} still while the snake moves", still.join(", ")));
     }
-
-    fn repeated(&self) -> Option<String> {
-        let by_bend = self.robot.displacement_by_bend();
-        let mut pairs = (0..self.shares.len()).flat_map(|i| (0..i).map(move |j| (j, i)));
-        let (j, i) = pairs.find(|&(j, i)| {
-            let own = self.read(&|s| s.q_mm[i] - s.q_mm[j]);
-            self.asked(by_bend[i] - by_bend[j]).is_some_and(|asked| own <= STILL * self.largest * asked)
-        })?;
-        Some(format!("q{} repeats q{}: the snake's motion implies different readings", i + 1, j + 1))
-    }
-}
-
-/// Columns that stand still in a part of the log, and do not change at all there, while others and the snake move.
-fn columns_stuck_in_part(robot: &Robot, samples: &[Sample]) -> Option<String> {
-    (0..robot.backbone_count()).find_map(|i| {
-        let is_same = |a: &Sample, b: &Sample| a.q_mm[i] == b.q_mm[i];
-        let part = samples.chunk_by(is_same).max_by_key(|part| part.len())?;
-        let (first, last) = (part.first()?, part.last()?);
-        let others_move = part.iter().any(|sample| sample.q_mm != first.q_mm);
-        let spreads = Spreads::of(robot, part).filter(|_| others_move)?;
-        // A log of few decimals does not change where little is asked of it.
-        spreads.asked(robot.displacement_by_bend()[i]).filter(|asked_mm| *asked_mm > resolution_mm(samples, i))?;
-        spreads.still().map(|text| format!("between frames {} and {} {text}", first.index, last.index))
-    })
-}
-
-/// The least difference of two readings of a column, mm; 0 where there is none.
-fn resolution_mm(samples: &[Sample], column: usize) -> f64 {
-    let mut readings: Vec<f64> = samples.iter().map(|sample| sample.q_mm[column]).collect();
-    readings.sort_unstable_by(f64::total_cmp);
-    let steps = readings.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0);
-    steps.min_by(f64::total_cmp).unwrap_or(0.0)
+    let pairs = (0..count).flat_map(|i| (0..i).map(move |j| (j, i)));
+    let mut same = pairs.filter(|&(j, i)| {
+        let (own, asked) = (spread(&|s: &Sample| s.q_mm[i] - s.q_mm[j]), asked(by_bend[i] - by_bend[j]));
+        asked > least_asked && own <= STILL * largest * asked
+    });
+    let (j, i) = same.next()?;
+    Some(format!("q{} repeats q{}: the snake's motion implies different readings", i + 1, j + 1))
 }
 
 /// The standard deviation without the tenth of the values that is farthest from the median, one at least.

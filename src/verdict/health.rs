@@ -13,7 +13,7 @@ use super::evidence::{Evidence, Sample, Subject};
 use super::reason::{Code, Level, Reason};
 use super::rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, NORMAL_QUANTILE, REJECTED_IN_ORDER, new_poses};
 use super::scale::LEAST_UNNAMED;
-use super::systematic::{AffineFit, ScaleFit, StepFit, agreeing};
+use super::systematic::{AffineFit, Left, ScaleFit, StepFit, StuckFit, agreeing};
 use crate::estimate::{self, LinearisedMeasurement, Weighting, Whitened, line_share};
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::chi_square;
@@ -26,10 +26,10 @@ use std::f64::consts::PI;
 ///
 /// Derived: (1 − α − α ln(1/α)) / (1 − α), and P(χ²_3 < Φ⁻¹(0.95)²) / (1 − α), with α = 0.1.
 pub(super) const TRIMMED_MEAN_SQUARE: [f64; 2] = [0.744_157, 0.623_236];
-/// A single encoder's error accounts for a gap if it leaves no more than this share of the mean square.
+/// A single encoder's scale accounts for a gap if it leaves no more than this share of the mean square.
 ///
 /// Convention: half of the rms, as where a lag is taken for the clock's.
-const LEFT_BY_A_CAUSE: f64 = 0.25;
+const LEFT_BY_A_SCALE: f64 = 0.25;
 
 /// A model that misses more than this share of the bends says nothing of them. Convention: half; it then explains three quarters of their variance.
 const MOST_MISSED: f64 = 0.5;
@@ -39,7 +39,8 @@ const MOST_MISSED: f64 = 0.5;
 pub(super) const ASKED_FOR: f64 = 0.5 * PI / 180.0;
 /// Poses on each side of a step that all readings share. Convention: as many as tell a mean from an outlier.
 const BESIDE_A_STEP: usize = 3;
-/// A step accounts for what readings have in common if it leaves no more than this share of its own size, in rms.
+/// A step accounts for what readings have in common if it leaves no more than this share of its own size, in rms; one of a single encoder, or its
+/// standing still, for the gap if it leaves no more of that.
 ///
 /// Convention: a tenth; what drifts or follows the load leaves a third.
 const LEFT_BY_A_STEP: f64 = 0.1;
@@ -48,7 +49,7 @@ const LEFT_BY_A_STEP: f64 = 0.1;
 #[derive(Clone)]
 pub(super) struct Innovation {
     /// The frame's index.
-    index: u64,
+    pub index: u64,
     /// The bending part, in units of its standard deviations.
     pub bending: Vector2<f64>,
     /// What η adds to it by a unit, likewise.
@@ -64,7 +65,7 @@ pub(super) struct Innovation {
     /// The common part, mm (√n times its mean).
     common_mm: f64,
     /// The reading, mm.
-    q_mm: PerBackbone,
+    pub q_mm: PerBackbone,
     /// Size of the bending part, mm.
     missed_mm: f64,
     /// What compensation by the naive model moves the bending part by, mm.
@@ -260,20 +261,38 @@ impl Health {
     /// homed anew alone.
     pub fn encoder_step(&self) -> Option<Reason> {
         let places = BESIDE_A_STEP..(self.all.len() + 1).saturating_sub(BESIDE_A_STEP);
-        let count = self.all.first().map_or(0, |one| one.q_mm.len());
-        let fits = (0..count).filter_map(|i| StepFit::of(&self.all, i, places.clone()));
-        let mut fits: Vec<(StepFit, f64)> = fits.map(|fit| self.with_what_is_left(fit)).collect();
-        fits.sort_by(|(_, a), (_, b)| a.total_cmp(b));
-        let ((step, left), (_, second)) = (fits.first()?, fits.get(1)?);
-        let before = self.innovations.iter().map(|one| one.bending.norm_squared()).sum();
-        let is_told = self.bending_above_noise().is_some() && explains(*left, *second, before, self.innovations.len());
-        is_told.then(|| step.reason([step.at - 1, step.at].map(|at| self.all[at].index)))
+        let fits = (0..self.encoders()).filter_map(|i| StepFit::of(&self.all, i, places.clone()));
+        let mut fits: Vec<StepFit> = fits.collect();
+        fits.sort_by(|a, b| self.sum_left(a).total_cmp(&self.sum_left(b)));
+        let (step, second) = (fits.first()?, fits.get(1)?);
+        self.accounts_for_gap(step, second).then(|| step.reason([step.at - 1, step.at].map(|at| self.all[at].index)))
     }
 
-    /// A step, and the sum of the squares that it leaves but for the largest tenth.
-    fn with_what_is_left(&self, step: StepFit) -> (StepFit, f64) {
-        let left = without_largest(step.left(&self.all), |square| *square);
-        (step, left.iter().sum())
+    /// A single encoder that stands still in a part of the log, if that accounts for the gap, and an error of another there does not.
+    pub fn encoder_stuck(&self) -> Option<Reason> {
+        let fits = (0..self.encoders()).filter_map(|i| StuckFit::of(&self.all, i, 2 * BESIDE_A_STEP));
+        let stuck = fits.min_by(|a, b| self.sum_left(a).total_cmp(&self.sum_left(b)))?;
+        let others = (0..self.encoders()).filter(|i| *i != stuck.backbone).map(|i| stuck.of_other(&self.all, i));
+        let second = others.min_by(|a, b| self.sum_left(a).total_cmp(&self.sum_left(b)))?;
+        self.accounts_for_gap(&stuck, &second).then(|| stuck.reason(&self.all))
+    }
+
+    fn encoders(&self) -> usize {
+        self.all.first().map_or(0, |one| one.q_mm.len())
+    }
+
+    /// The sum of the squares that a cause leaves but for the largest tenth.
+    fn sum_left(&self, cause: &impl Left) -> f64 {
+        without_largest(cause.left(&self.all), |square| *square).iter().sum()
+    }
+
+    /// Whether there is a gap of which a cause leaves noise or next to nothing, and the second likeliest far more.
+    fn accounts_for_gap<C: Left>(&self, cause: &C, second: &C) -> bool {
+        let numbers = cause.numbers(without_a_tenth(self.all.len()));
+        let (left, other) = (self.sum_left(cause), self.sum_left(second));
+        let before: f64 = self.innovations.iter().map(|one| one.bending.norm_squared()).sum();
+        let explains = is_noise(left, numbers) || left <= LEFT_BY_A_STEP.powi(2) * before;
+        self.bending_above_noise().is_some() && explains && is_alone(left, other, numbers)
     }
 
     /// A single encoder or actuator whose scale accounts for the gap, if no other does so nearly as well.
@@ -291,19 +310,23 @@ impl Health {
         };
         // A larger factor is another unit or a wrong sign, and the wiring check's business.
         let is_scale = (1.0 / LEAST_UNNAMED..LEAST_UNNAMED).contains(&(1.0 - best.error));
-        let explains = explains(best.left, second.left, before, self.agreeing.len());
-        (self.has_gap() && explains && is_certain && quieter && is_scale).then(|| best.reason())
+        let numbers = 2 * self.agreeing.len();
+        let explains = is_noise(best.left, numbers) || best.left <= LEFT_BY_A_SCALE * before;
+        let is_alone = is_alone(best.left, second.left, numbers);
+        (self.has_gap() && explains && is_alone && is_certain && quieter && is_scale).then(|| best.reason())
     }
 }
 
-/// Whether what is left of the squares of so many pairs is noise, or a small share of what there was, and far less than the second likeliest cause
-/// leaves.
-fn explains(left: f64, second: f64, before: f64, pairs: usize) -> bool {
-    let numbers = 2.0 * pairs as f64;
-    let is_noise = left < MEAN_SQUARE_OF_NOISE * chi_square::quantile(2 * pairs, NORMAL_QUANTILE);
-    // Twice the logarithm of the likelihood ratio where the noise's size is not known.
-    let is_alone = numbers * (second / left.max(numbers)).ln() > -2.0 * LEVEL_OF_TESTS.ln();
-    is_alone && (is_noise || left <= LEFT_BY_A_CAUSE * before)
+/// Whether the sum of so many squares is no larger than what counts as noise allows.
+fn is_noise(left: f64, numbers: usize) -> bool {
+    left < MEAN_SQUARE_OF_NOISE * chi_square::quantile(numbers, NORMAL_QUANTILE)
+}
+
+/// Whether the second likeliest cause leaves far more of so many squares: twice the logarithm of the likelihood ratio where the noise's size is not
+/// known.
+fn is_alone(left: f64, second: f64, numbers: usize) -> bool {
+    let numbers = numbers as f64;
+    numbers * (second / left.max(numbers)).ln() > -2.0 * LEVEL_OF_TESTS.ln()
 }
 
 /// Noise of the common part, mm: the scatter of its steps from one pose to the next, which a median keeps from jumps.

@@ -60,7 +60,7 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
     let gap = health.gap().filter(|_| rehomed.is_none());
     let is_wired = || check.as_ref().is_none_or(|check| check.mistake.is_none());
     let reasons = [
-        stuck,
+        stuck.or_else(|| health.encoder_stuck()),
         check.as_ref().and_then(|check| words::wiring(subject, check)),
         nothing_to_judge(evidence, log),
         unmatched(evidence, log),

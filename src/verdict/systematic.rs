@@ -172,6 +172,87 @@ impl ScaleFit {
     }
 }
 
+/// An encoder that stands still in a part of the log: its error there is free, pose by pose, beside η.
+pub(super) struct StuckFit {
+    pub backbone: usize,
+    part: Range<usize>,
+    /// How much η is changed.
+    by_eta: f64,
+}
+
+impl StuckFit {
+    /// Of the longest part in which the readings of a backbone do not change at all, and others do; `None` if there is none of as many poses.
+    pub fn of(innovations: &[Innovation], backbone: usize, least: usize) -> Option<Self> {
+        let is_same = |a: &Innovation, b: &Innovation| a.q_mm[backbone] == b.q_mm[backbone];
+        let parts = innovations.chunk_by(is_same).scan(0, |from, part| {
+            let first = *from;
+            *from += part.len();
+            Some((first..*from, part.iter().any(|one| one.q_mm != part[0].q_mm)))
+        });
+        let parts = parts.filter(|(part, others_move)| *others_move && part.len() >= least);
+        let (part, _) = parts.max_by_key(|(part, _)| part.len())?;
+        Some(Self::within(innovations, backbone, part))
+    }
+
+    /// The same of another backbone in the same part.
+    pub fn of_other(&self, innovations: &[Innovation], backbone: usize) -> Self {
+        Self::within(innovations, backbone, self.part.clone())
+    }
+
+    fn within(innovations: &[Innovation], backbone: usize, part: Range<usize>) -> Self {
+        let mut fit = Self { backbone, part, by_eta: 0.0 };
+        let (mut information, mut slope) = (0.0, 0.0);
+        for (k, one) in innovations.iter().enumerate() {
+            let (by_eta, bending) = (fit.without_free(k, one, one.by_eta), fit.without_free(k, one, one.bending));
+            information += by_eta.norm_squared();
+            slope += by_eta.dot(&bending);
+        }
+        fit.by_eta = if information > 0.0 { slope / information } else { 0.0 };
+        fit
+    }
+
+    /// What is left of a bending part once the encoder's error is free, where it is.
+    fn without_free(&self, k: usize, one: &Innovation, bending: Vector2<f64>) -> Vector2<f64> {
+        let along = one.by_reading[self.backbone];
+        match self.part.contains(&k) && along.norm_squared() > 0.0 {
+            true => bending - along * (along.dot(&bending) / along.norm_squared()),
+            false => bending,
+        }
+    }
+
+    pub fn reason(&self, innovations: &[Innovation]) -> Reason {
+        let (backbone, part) = (self.backbone + 1, &innovations[self.part.clone()]);
+        let [first, last] = [part.first(), part.last()].map(|one| one.map_or(0, |one| one.index));
+        let text = format!(
+            "between frames {first} and {last} q{backbone} stands still while the snake moves as the other readings say, which accounts for the gap"
+        );
+        let remedy =
+            "repair or reconnect the encoder and log its readings anew, or use the rows before it stood still alone";
+        Reason { backbone: Some(backbone), ..Reason::new(Code::EncoderStuck, Level::DoNotUse, text, remedy) }
+    }
+}
+
+impl Left for StuckFit {
+    fn left(&self, innovations: &[Innovation]) -> Vec<f64> {
+        let left = |(k, one): (usize, &Innovation)| {
+            self.without_free(k, one, one.bending - one.by_eta * self.by_eta).norm_squared()
+        };
+        innovations.iter().enumerate().map(left).collect()
+    }
+
+    fn numbers(&self, poses: usize) -> usize {
+        2 * poses - self.part.len()
+    }
+}
+
+/// A cause that is fitted to the bending parts of all poses.
+pub(super) trait Left {
+    /// The square that it leaves at each pose.
+    fn left(&self, innovations: &[Innovation]) -> Vec<f64>;
+    /// How many numbers of so many poses it leaves to noise, but for the few that are fitted to all of them.
+    fn numbers(&self, poses: usize) -> usize;
+}
+
 /// A step of one encoder's readings from some pose on, fitted beside η and a constant of the same encoder.
 pub(super) struct StepFit {
     pub backbone: usize,
@@ -209,15 +290,6 @@ impl StepFit {
         best.map(|(_, step)| step)
     }
 
-    /// The square that it leaves at each pose.
-    pub fn left(&self, innovations: &[Innovation]) -> Vec<f64> {
-        let left = |(k, one): (usize, &Innovation)| {
-            let reading_mm = self.x.y + if k >= self.at { self.x.z } else { 0.0 };
-            (one.bending - one.by_eta * self.x.x - one.by_reading[self.backbone] * reading_mm).norm_squared()
-        };
-        innovations.iter().enumerate().map(left).collect()
-    }
-
     /// What is told of it, between the frames of these indices.
     pub fn reason(&self, [last, first]: [u64; 2]) -> Reason {
         let (backbone, step_mm) = (self.backbone + 1, self.x.z);
@@ -232,6 +304,20 @@ impl StepFit {
         );
         let reason = Reason::new(Code::Rehomed, Level::Look, text, remedy);
         Reason { backbone: Some(backbone), ..reason }
+    }
+}
+
+impl Left for StepFit {
+    fn left(&self, innovations: &[Innovation]) -> Vec<f64> {
+        let left = |(k, one): (usize, &Innovation)| {
+            let reading_mm = self.x.y + if k >= self.at { self.x.z } else { 0.0 };
+            (one.bending - one.by_eta * self.x.x - one.by_reading[self.backbone] * reading_mm).norm_squared()
+        };
+        innovations.iter().enumerate().map(left).collect()
+    }
+
+    fn numbers(&self, poses: usize) -> usize {
+        2 * poses
     }
 }
 
