@@ -198,7 +198,7 @@ pub fn look_through(plane: &mut Plane, sheet: &Plane) {
         return;
     }
     if sheet.data.iter().any(|&b| b > MOST_LIKE_SNAKE) {
-        plane.hidden = (0..plane.height).flat_map(|row| behind(row)).map(|&b| b > MOST_LIKE_SNAKE).collect();
+        plane.hidden = (0..plane.height).flat_map(&behind).map(|&b| b > MOST_LIKE_SNAKE).collect();
     }
     for (row, values) in plane.data.chunks_exact_mut(width).enumerate() {
         for (value, &b) in values.iter_mut().zip(behind(row)) {
