@@ -6,7 +6,7 @@ use super::inputs::{NamedLog, encoders_of, files_read, model_of, model_or_paper,
 use super::measuring::Count;
 use super::shard::Shard;
 use super::trackers::open_trackers;
-use super::verdict::doubt_of_times;
+use super::verdict::unit_is_stated;
 use super::views::open_views;
 use crate::cli::failure::Failure;
 use crate::discover::{
@@ -23,7 +23,7 @@ use crate::record::{
 use crate::report::discovery::{Page, lines};
 use crate::report::verdict::verdict_page;
 use crate::robot::{DataRange, Model};
-use crate::verdict::{Code, Level, Reason, Subject, Verdict};
+use crate::verdict::{Code, Level, Reason, Subject, Verdict, doubts_of_times};
 use crate::{Error, Result};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -93,7 +93,7 @@ impl Inputs {
         readings: Vec<EncoderReading>,
         experiment: Option<&Experiment>,
     ) -> Self {
-        let doubt = doubt_of_times(&measurements, &readings, experiment);
+        let doubt = doubts_of_times(&measurements, &readings, unit_is_stated(experiment));
         Self { model, measurements, readings, doubt }
     }
 

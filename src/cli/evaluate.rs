@@ -2,13 +2,13 @@
 
 use super::console::Console;
 use super::inputs::{NamedLog, measurements_and_readings, model_or_paper, rows};
-use super::verdict::{VerdictArgs, doubt_of_times, verdict_text};
+use super::verdict::{VerdictArgs, unit_is_stated, verdict_text};
 use crate::cli::failure::Failure;
 use crate::estimate::Options;
 use crate::estimate::accuracy::{Accuracy, AngleScore, accuracy};
 use crate::estimate::gap::{Gap, gap};
 use crate::record::read_truth;
-use crate::verdict::{Code, Level, Reason, Verdict};
+use crate::verdict::{Code, Level, Reason, Verdict, doubts_of_times};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -79,7 +79,7 @@ impl Args {
         let verdict = match &log {
             Some(log) => {
                 let subject = log.subject(&model, self.encoder_sd)?;
-                let doubt = doubt_of_times(&measurements, &readings, log.experiment.as_ref());
+                let doubt = doubts_of_times(&measurements, &readings, unit_is_stated(log.experiment.as_ref()));
                 doubt.into_iter().fold(subject.verdict(&measurements, &readings), Verdict::and)
             }
             None => Verdict::of(vec![Reason::new(

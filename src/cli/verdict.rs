@@ -2,10 +2,10 @@
 
 use super::failure::Failure;
 use crate::Result;
-use crate::observation::{EncoderReading, Measurement, Wiring};
+use crate::observation::Wiring;
 use crate::record::{Experiment, Fault, Warning};
 use crate::robot::Model;
-use crate::verdict::{Code, Level, Reason, Subject, Verdict, ViewOffset, doubts_of_times};
+use crate::verdict::{Code, Level, Reason, Subject, Verdict, ViewOffset};
 
 /// What a command does with its verdict.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -79,13 +79,4 @@ fn damaged(text: String) -> Reason {
 /// Whether an experiment says in which unit the times of its log are.
 pub fn unit_is_stated(experiment: Option<&Experiment>) -> bool {
     experiment.and_then(|experiment| experiment.log.as_ref()).is_some_and(|log| log.time_unit.is_some())
-}
-
-/// A doubt of the times' unit, or of which row belongs to which frame.
-pub fn doubt_of_times(
-    measurements: &[Measurement],
-    log: &[EncoderReading],
-    experiment: Option<&Experiment>,
-) -> Option<Reason> {
-    doubts_of_times(measurements, log, unit_is_stated(experiment))
 }

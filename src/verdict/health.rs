@@ -13,7 +13,7 @@ use super::evidence::{Evidence, Sample, Subject};
 use super::reason::{Code, Level, Reason};
 use super::rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, NORMAL_QUANTILE, REJECTED_IN_ORDER, new_poses};
 use super::scale::LEAST_UNNAMED;
-use super::systematic::{AffineFit, Left, ScaleFit, StepFit, StuckFit, agreeing};
+use super::systematic::{AffineFit, Left, ScaleFit, StepFit, StuckFit, agreeing, changed_by};
 use crate::estimate::{self, LinearisedMeasurement, Weighting, Whitened, line_share};
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::chi_square;
@@ -21,6 +21,7 @@ use crate::statistics::moments::{mean, rms};
 use crate::statistics::order::{mad_scale, median};
 use nalgebra::{Matrix2, Matrix2x6, Vector2};
 use std::f64::consts::PI;
+use std::ops::Range;
 
 /// Mean square of normal values of which the largest tenth is left out: of pairs (χ² with two degrees of freedom), and of single ones.
 ///
@@ -244,11 +245,9 @@ impl Health {
         let is_step = rms(left) <= LEFT_BY_A_STEP * step.abs();
         is_step.then(|| {
             let (last, first) = (self.innovations[at - 1].index, self.innovations[at].index);
-            let side = if step_mm > 0.0 { "larger" } else { "smaller" };
             let text = format!(
-                "between frames {last} and {first} all readings become {side} by {:.3} mm, as where encoders or actuators are homed anew in the \
-                 middle of a log",
-                step_mm.abs()
+                "between frames {last} and {first} all readings become {}, as where encoders or actuators are homed anew in the middle of a log",
+                changed_by(step_mm)
             );
             let remedy = "home before the first frame; use the rows before it or those after it alone, or take the step off one part: the \
                           bends are right either way, and λ is that of one part only";
@@ -260,39 +259,41 @@ impl Health {
     /// A step of a single encoder that accounts for the gap, if no other's does so nearly as well: a counter that slipped, or an actuator that was
     /// homed anew alone.
     pub fn encoder_step(&self) -> Option<Reason> {
+        self.bending_above_noise()?;
         let places = BESIDE_A_STEP..(self.all.len() + 1).saturating_sub(BESIDE_A_STEP);
-        let fits = (0..self.encoders()).filter_map(|i| StepFit::of(&self.all, i, places.clone()));
-        let mut fits: Vec<StepFit> = fits.collect();
-        fits.sort_by(|a, b| self.sum_left(a).total_cmp(&self.sum_left(b)));
-        let (step, second) = (fits.first()?, fits.get(1)?);
-        self.accounts_for_gap(step, second).then(|| step.reason([step.at - 1, step.at].map(|at| self.all[at].index)))
+        let mut fits = self.likeliest_first(self.encoders().filter_map(|i| StepFit::of(&self.all, i, places.clone())));
+        let (step, second) = (fits.next()?, fits.next()?);
+        self.accounts_for_gap(&step, &second).then(|| step.1.reason(&self.all))
     }
 
     /// A single encoder that stands still in a part of the log, if that accounts for the gap, and an error of another there does not.
     pub fn encoder_stuck(&self) -> Option<Reason> {
-        let fits = (0..self.encoders()).filter_map(|i| StuckFit::of(&self.all, i, 2 * BESIDE_A_STEP));
-        let stuck = fits.min_by(|a, b| self.sum_left(a).total_cmp(&self.sum_left(b)))?;
-        let others = (0..self.encoders()).filter(|i| *i != stuck.backbone).map(|i| stuck.of_other(&self.all, i));
-        let second = others.min_by(|a, b| self.sum_left(a).total_cmp(&self.sum_left(b)))?;
-        self.accounts_for_gap(&stuck, &second).then(|| stuck.reason(&self.all))
+        self.bending_above_noise()?;
+        let fits = self.encoders().filter_map(|i| StuckFit::of(&self.all, i, 2 * BESIDE_A_STEP));
+        let stuck = self.likeliest_first(fits).next()?;
+        let others = self.encoders().filter(|i| *i != stuck.1.backbone).map(|i| stuck.1.of_other(&self.all, i));
+        let second = self.likeliest_first(others).next()?;
+        self.accounts_for_gap(&stuck, &second).then(|| stuck.1.reason(&self.all))
     }
 
-    fn encoders(&self) -> usize {
-        self.all.first().map_or(0, |one| one.q_mm.len())
+    fn encoders(&self) -> Range<usize> {
+        0..self.all.first().map_or(0, |one| one.q_mm.len())
     }
 
-    /// The sum of the squares that a cause leaves but for the largest tenth.
-    fn sum_left(&self, cause: &impl Left) -> f64 {
-        without_largest(cause.left(&self.all), |square| *square).iter().sum()
+    /// Causes in the order of the squares that they leave but for the largest tenth, which are summed up beside each.
+    fn likeliest_first<C: Left>(&self, causes: impl Iterator<Item = C>) -> impl Iterator<Item = (f64, C)> {
+        let left = |cause: &C| without_largest(cause.left(&self.all), |square| *square).iter().sum::<f64>();
+        let mut causes: Vec<(f64, C)> = causes.map(|cause| (left(&cause), cause)).collect();
+        causes.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        causes.into_iter()
     }
 
-    /// Whether there is a gap of which a cause leaves noise or next to nothing, and the second likeliest far more.
-    fn accounts_for_gap<C: Left>(&self, cause: &C, second: &C) -> bool {
+    /// Whether a cause leaves noise or next to nothing of the gap, and the second likeliest far more.
+    fn accounts_for_gap<C: Left>(&self, (left, cause): &(f64, C), (second, _): &(f64, C)) -> bool {
         let numbers = cause.numbers(without_a_tenth(self.all.len()));
-        let (left, other) = (self.sum_left(cause), self.sum_left(second));
         let before: f64 = self.innovations.iter().map(|one| one.bending.norm_squared()).sum();
-        let explains = is_noise(left, numbers) || left <= LEFT_BY_A_STEP.powi(2) * before;
-        self.bending_above_noise().is_some() && explains && is_alone(left, other, numbers)
+        let explains = is_noise(*left, numbers) || *left <= LEFT_BY_A_STEP.powi(2) * before;
+        explains && is_alone(*left, *second, numbers)
     }
 
     /// A single encoder or actuator whose scale accounts for the gap, if no other does so nearly as well.

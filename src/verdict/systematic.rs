@@ -255,9 +255,9 @@ pub(super) trait Left {
 
 /// A step of one encoder's readings from some pose on, fitted beside η and a constant of the same encoder.
 pub(super) struct StepFit {
-    pub backbone: usize,
+    backbone: usize,
     /// The number of the first pose after it.
-    pub at: usize,
+    at: usize,
     /// How much η, all of the readings (mm) and those from the step on (mm) are changed.
     x: Vector3<f64>,
 }
@@ -290,13 +290,12 @@ impl StepFit {
         best.map(|(_, step)| step)
     }
 
-    /// What is told of it, between the frames of these indices.
-    pub fn reason(&self, [last, first]: [u64; 2]) -> Reason {
-        let (backbone, step_mm) = (self.backbone + 1, self.x.z);
-        let side = if step_mm > 0.0 { "larger" } else { "smaller" };
+    pub fn reason(&self, innovations: &[Innovation]) -> Reason {
+        let backbone = self.backbone + 1;
+        let [last, first] = [self.at - 1, self.at].map(|at| innovations[at].index);
         let text = format!(
-            "between frames {last} and {first} the readings of backbone {backbone} become {side} by {:.3} mm, which accounts for the gap",
-            step_mm.abs()
+            "between frames {last} and {first} the readings of backbone {backbone} become {}, which accounts for the gap",
+            changed_by(self.x.z)
         );
         let remedy = format!(
             "look for a counter that slipped, or for encoder or actuator of backbone {backbone} homed anew in the middle; use the rows before it \
@@ -319,6 +318,12 @@ impl Left for StepFit {
     fn numbers(&self, poses: usize) -> usize {
         2 * poses
     }
+}
+
+/// What readings become by a step, mm.
+pub(super) fn changed_by(step_mm: f64) -> String {
+    let side = if step_mm > 0.0 { "larger" } else { "smaller" };
+    format!("{side} by {:.3} mm", step_mm.abs())
 }
 
 #[cfg(test)]

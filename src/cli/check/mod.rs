@@ -10,7 +10,7 @@ mod files;
 use super::console::Console;
 use super::inputs::{encoders_of, model_of};
 use super::trackers::{OpenTracker, open_tracker};
-use super::verdict::{VerdictArgs, doubt_of_times, reasons_of_files, subject, verdict_text};
+use super::verdict::{VerdictArgs, reasons_of_files, subject, unit_is_stated, verdict_text};
 use super::views::{rig_of, rig_picture_name, rig_reason, sheet_reason};
 use crate::camera::{FrameSource, picture_size_for};
 use crate::cli::failure::Failure;
@@ -21,7 +21,7 @@ use crate::record::{Checked, Experiment, Fault, View};
 use crate::report::decimation::keeps;
 use crate::robot::Model;
 use crate::statistics::order::median;
-use crate::verdict::{Code, Level, Reason, Subject, Verdict};
+use crate::verdict::{Code, Level, Reason, Subject, Verdict, doubts_of_times};
 use crate::{Error, Result};
 use expected::{Expected, coverage, expected, poses_of};
 use files::{files_with_remedies, frames_remedy, name_in, pictures, spelled_otherwise};
@@ -402,7 +402,7 @@ impl Inspection {
         let wiring = experiment.wiring(model.robot.backbone_count())?;
         let judged = Subject { replaced, ..subject(&learned, experiment, wiring, options.sd_encoder_mm) };
         let verdict = judged.verdict(measurements, log);
-        self.reasons.extend(doubt_of_times(measurements, log, Some(experiment)));
+        self.reasons.extend(doubts_of_times(measurements, log, unit_is_stated(Some(experiment))));
         let wired_wrong = verdict.has(Code::Wiring) || verdict.has(Code::EncoderStuck);
         // Which frames have no reading was told of all of them.
         self.reasons.extend(verdict.reasons.into_iter().filter(|reason| reason.code != Code::Files));

@@ -18,12 +18,15 @@ const AROUND_PX: f64 = 70.0;
 ///
 /// Derived: colours are learned up to a diameter beside the outline, which is half a diameter from the axis.
 const PRINT_DIAMETERS: f64 = 1.6;
-/// What tells snake from target is asked for most where edges are placed, so near the border, px (σ of a blur of the silhouette), and so
-/// many times as much: a JPEG and many a camera keep less of the colours than of the brightness, and what looks the most unlike far from the
-/// border has the worst edges. Pixels that an edge mixes of both sides lie between the two and change nothing.
+/// What tells snake from target is asked for most where edges are placed, so near the border, px (σ of a blur of the silhouette): a JPEG and many a
+/// camera keep less of the colours than of the brightness, and what looks the most unlike far from the border has the worst edges. Pixels that an
+/// edge mixes of both sides lie between the two and change nothing.
 ///
 /// Fitted: by hand to the rms errors of tests/eye/uncertainty; not judged elsewhere.
 const BORDER_PX: f64 = 2.0;
+/// How many times as much it is asked for there.
+///
+/// Fitted: as [`BORDER_PX`], and with it.
 const BORDER_WEIGHT: f64 = 20.0;
 /// Half the width of the strip below the modelled holder that is left out, in diameters of the holder.
 ///

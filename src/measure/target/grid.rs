@@ -162,10 +162,10 @@ impl SheetSearch {
     /// Looks for a sheet whose ruling may have this pitch, mm; without hypotheses where there is none.
     pub fn new(frame: &Frame, lens: &Lens, pitch_mm: f64) -> Self {
         let mix = strongest_mix(frame);
-        if mix.data.is_empty() {
-            return Self::nothing(mix, lens, pitch_mm);
-        }
         let reduced = Reduced::of(&mix, lens);
+        if mix.data.is_empty() {
+            return Self::nothing(mix, reduced, pitch_mm);
+        }
         let evened = evened(&reduced.mix);
         let seeds = find_seeds(&evened);
         // Windows for lines need more waves around them than a picture of large squares has.
@@ -177,7 +177,7 @@ impl SheetSearch {
             is_ruling.then_some((seed, kind, points, fit, agreeing))
         });
         let Some((seed, kind, points, fit, agreeing)) = clearest else {
-            return Self::nothing(mix, lens, pitch_mm);
+            return Self::nothing(mix, reduced, pitch_mm);
         };
         Self {
             pitch_mm,
@@ -193,9 +193,8 @@ impl SheetSearch {
     }
 
     /// A picture in which no sheet was found.
-    fn nothing(mix: Plane, lens: &Lens, pitch_mm: f64) -> Self {
-        let (hypotheses, seen, reduced) = (Vec::new(), Vec::new(), Reduced::of(&mix, lens));
-        let evened = reduced.mix.clone();
+    fn nothing(mix: Plane, reduced: Reduced, pitch_mm: f64) -> Self {
+        let (hypotheses, seen, evened) = (Vec::new(), Vec::new(), Plane::new(0, 0, Vec::new()));
         Self { mix, reduced, evened, pitch_mm, clearest: None, hypotheses, seen, reach_px: 0.0, is_print: false }
     }
 
