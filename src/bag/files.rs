@@ -45,7 +45,7 @@ impl From<PathBuf> for Bag {
 /// How an MCAP file begins and ends.
 ///
 /// Source: <https://mcap.dev/spec>, "Magic bytes".
-const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+pub(super) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
 impl Bag {
     /// What is named, the first of several.
@@ -166,7 +166,7 @@ fn require_mcap(path: &Path) -> Result<()> {
 }
 
 /// Whether a file ends as a finished recording does.
-fn ends_whole(path: &Path) -> bool {
+pub(super) fn ends_whole(path: &Path) -> bool {
     let end = || -> std::io::Result<Vec<u8>> {
         let mut file = File::open(path)?;
         file.seek(SeekFrom::End(-(MAGIC.len() as i64)))?;

@@ -1,39 +1,29 @@
 //! ROS 2 recordings (MCAP) without ROS: the messages of a topic, one after another, memory independent of the file's size.
 //!
-//! The file is read from its beginning on, so that one that was never finished is read as far as it goes. Chunks may be plain, zstd or
-//! lz4. The messages are CDR; those that this program knows are in [`messages`], each with the time of its header.
+//! The file is read from its beginning on, so that one that was never finished is read as far as it goes, and of one that is damaged what is
+//! whole. Chunks may be plain, zstd or lz4. The messages are CDR; those that this program knows are in [`messages`], each with the time of its
+//! header.
 //!
 //! Source: <https://mcap.dev/spec>, read by its own crate.
 
 mod cdr;
 mod files;
 pub mod messages;
+mod part;
 
 pub use cdr::{Cdr, CdrResult, CdrWriter};
 pub use files::Bag;
 pub use messages::Stamped;
 
 use crate::error::{Error, Result};
-use mcap::McapError;
-use mcap::records::Record;
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
-use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use part::{Part, RECORD_BYTES};
 use serde::Deserialize;
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 use std::fs::File;
 use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
-
-/// The longest record of a file, bytes: a chunk, or a message in it.
-///
-/// Convention: a limit on memory; recorders write chunks of some megabytes.
-const RECORD_BYTES: usize = 1 << 30;
-/// The longest record of a file that is shorter than this, bytes. No record is longer than its file but one that was packed, and memory for
-/// a record is taken before it is read: a few damaged bytes must not take a gigabyte.
-///
-/// Convention: a limit on memory; a plain picture of 21 megapixels.
-const PACKED_RECORD_BYTES: usize = 64 << 20;
 
 /// A topic of a recording, as experiment.toml names it.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -141,22 +131,18 @@ impl Topic {
     /// As [`first`](Self::first).
     pub fn all<M: Stamped>(&self) -> Result<(Vec<M>, Vec<String>)> {
         self.first::<M>()?;
-        let (mut found, mut faults, mut bad) = (Vec::new(), Vec::new(), (0, String::new()));
+        let (mut found, mut faults, mut lost, mut bad) = (Vec::new(), Vec::new(), None, (0, String::new()));
         for message in self.messages()? {
             match message.map(|message| message.decoded()) {
                 Ok(Ok(message)) => found.push(message),
                 Ok(Err(error)) => bad = (bad.0 + 1, if bad.0 == 0 { self.in_words(&error) } else { bad.1 }),
-                Err(error) => {
-                    let read = self
-                        .counted_by_summaries()?
-                        .map(|all| format!(": {} of {all} messages were read", found.len()));
-                    faults.push(format!(
-                        "{}; what follows is not read{}",
-                        self.in_words(&error),
-                        read.unwrap_or_default()
-                    ));
-                }
+                Err(error) => lost = Some(self.in_words(&error)),
             }
+        }
+        if let Some(why) = lost {
+            let read = found.len() + bad.0;
+            let of_all = self.counted_by_summaries()?.map(|all| format!(": {read} of {all} messages were read"));
+            faults.push(why + &of_all.unwrap_or_default());
         }
         match bad {
             (0, _) => {}
@@ -208,75 +194,6 @@ pub struct Messages {
     ended: bool,
 }
 
-/// One file of a recording.
-struct Part {
-    path: PathBuf,
-    file: File,
-    reader: LinearReader,
-    /// Names of types, by their number in the file.
-    schemas: HashMap<u16, String>,
-    /// Topic, type and encoding of each channel.
-    channels: HashMap<u16, (String, String, String)>,
-}
-
-impl Part {
-    fn open(path: PathBuf) -> Result<Self> {
-        let file = File::open(&path).map_err(Error::io(&path, "read"))?;
-        let length = file.metadata().map_or(0, |about| about.len());
-        let longest = usize::try_from(length).unwrap_or(usize::MAX).clamp(PACKED_RECORD_BYTES, RECORD_BYTES);
-        let options = LinearReaderOptions::default()
-            .with_validate_chunk_crcs(true)
-            .with_skip_end_magic(true)
-            .with_record_length_limit(longest);
-        let reader = LinearReader::new_with_options(options);
-        Ok(Self { path, file, reader, schemas: HashMap::new(), channels: HashMap::new() })
-    }
-
-    /// The topic's next message; `None` at the end, which an unfinished file has where it was cut off.
-    fn step(&mut self, wanted: &Topic) -> Result<Option<Message>> {
-        let damaged = |error: McapError| Error::content(&self.path, format!("no readable recording (MCAP): {error}"));
-        loop {
-            let (opcode, data) = match self.reader.next_event() {
-                None => return Ok(None),
-                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
-                    let read = self.file.read(self.reader.insert(wanted)).map_err(Error::io(&self.path, "read"))?;
-                    self.reader.notify_read(read);
-                    continue;
-                }
-                Some(Ok(LinearReadEvent::Record { opcode, data })) => (opcode, data),
-                Some(Err(McapError::UnexpectedEof | McapError::UnexpectedEoc)) => return Ok(None),
-                Some(Err(error)) => return Err(damaged(error)),
-            };
-            match mcap::parse_record(opcode, data).map_err(damaged)? {
-                Record::Schema { header, .. } => {
-                    self.schemas.insert(header.id, header.name);
-                }
-                Record::Channel(channel) => {
-                    let kind = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
-                    self.channels.insert(channel.id, (channel.topic, kind, channel.message_encoding));
-                }
-                Record::Message { header, data } => {
-                    let Some((topic, kind, encoding)) = self.channels.get(&header.channel_id) else { continue };
-                    if *topic != wanted.topic {
-                        continue;
-                    }
-                    if encoding != "cdr" {
-                        return Err(
-                            wanted.error(format!("messages are in {encoding:?}, expected cdr, as ROS 2 records"))
-                        );
-                    }
-                    return Ok(Some(Message { topic: wanted.clone(), kind: kind.clone(), cdr: data.into_owned() }));
-                }
-                _ => {}
-            }
-        }
-    }
-
-    fn topics(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.channels.values().map(|(topic, kind, _)| (topic.as_str(), kind.as_str()))
-    }
-}
-
 impl Messages {
     /// The topics seen so far with their types, by name.
     fn topics(&self) -> impl Iterator<Item = (&str, &str)> {
@@ -292,7 +209,7 @@ impl Messages {
                 return Ok(Some(message));
             }
             let Some(next) = self.files.pop_front() else { return Ok(None) };
-            let topics: Vec<_> = self.part.topics().map(|(topic, kind)| (topic.to_owned(), kind.to_owned())).collect();
+            let topics = self.part.topics().into_iter().map(|(topic, kind)| (topic.to_owned(), kind.to_owned()));
             self.seen.extend(topics);
             self.part = Part::open(next)?;
         }
@@ -307,8 +224,12 @@ impl Iterator for Messages {
             return None;
         }
         let step = self.step().transpose();
-        // Nothing can be told of what follows damage.
-        self.ended = !matches!(step, Some(Ok(_)));
+        self.ended = match &step {
+            Some(Ok(_)) => false,
+            // If nobody knows how many messages are lost, those that follow have no number.
+            Some(Err(_)) => self.part.is_over(),
+            None => true,
+        };
         step
     }
 }

@@ -80,6 +80,55 @@ fn chunks_may_be_compressed_and_a_file_may_end_anywhere() {
     }
 }
 
+/// Forty messages of one topic in chunks of a few, and what they say.
+fn forty_messages(path: &Path) -> Vec<JointState> {
+    let options = mcap::WriteOptions::new().compression(None).chunk_size(Some(400));
+    let mut writer = options.create(fs::File::create(path).unwrap()).unwrap();
+    let schema = writer.add_schema("sensor_msgs/msg/JointState", "ros2msg", b"").unwrap();
+    let channel = writer.add_channel(schema, "/joints", "cdr", &BTreeMap::new()).unwrap();
+    for k in 0..40u64 {
+        let time_ns = 1_700_000_000_000_000_000 + k;
+        let header =
+            mcap::records::MessageHeader { channel_id: channel, sequence: 0, log_time: time_ns, publish_time: time_ns };
+        let cdr = JointState::encoded(time_ns, &["b1".to_owned(), "b2".to_owned()], &[k as f64, -1.0]);
+        writer.write_to_known_channel(&header, &cdr).unwrap();
+    }
+    writer.finish().unwrap();
+    topic(path, "/joints").all().unwrap().0
+}
+
+#[test]
+fn a_damaged_chunk_costs_its_messages_alone_and_those_behind_it_keep_their_places() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let expected = forty_messages(&path);
+    let (whole, joints) = (fs::read(&path).unwrap(), topic(&path, "/joints"));
+    assert_eq!(expected.len(), 40);
+    let (mut resumed, mut lost_at_most) = (0, 0);
+    for at in (0..whole.len()).step_by(13) {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 255;
+        fs::write(&path, bytes).unwrap();
+        let read: Vec<Option<JointState>> =
+            joints.messages().unwrap().map(|message| message.ok()?.decoded().ok()).collect();
+        for (k, state) in read.iter().enumerate() {
+            assert!(state.as_ref().is_none_or(|state| *state == expected[k]), "byte {at}: message {k}");
+        }
+        let lost = read.iter().filter(|state| state.is_none()).count();
+        let (states, faults) = joints.all::<JointState>().unwrap_or_default();
+        if faults.first().is_some_and(|fault| fault.contains("this message is lost")) {
+            (resumed, lost_at_most) = (resumed + 1, lost_at_most.max(lost));
+            assert_eq!((read.len(), states.len()), (40, 40 - lost));
+            assert!(faults[0].ends_with(&format!(": {} of 40 messages were read", 40 - lost)), "{faults:?}");
+        }
+    }
+    assert!(
+        resumed > whole.len() / 13 / 2 && lost_at_most < 6,
+        "{resumed} times of {}, {lost_at_most}",
+        whole.len() / 13
+    );
+}
+
 #[test]
 fn what_is_not_there_is_named_with_what_is() {
     let golden = Path::new(GOLDEN);

@@ -67,7 +67,7 @@ enum Content {
     Decoded(Frame, Orientation),
     /// A recording's message, not decoded yet.
     Message(Box<Message>),
-    /// What a recording has from here on cannot be read, for this reason.
+    /// What a recording had here cannot be read, for this reason.
     Broken(String),
 }
 
@@ -101,7 +101,7 @@ impl SourceFrame {
             Content::Page(page) => stack::read_page(&self.path, page),
             Content::Decoded(frame, _) => Ok(frame),
             Content::Message(message) => Ok(message.decoded::<Picture>()?.frame),
-            Content::Broken(why) => Err(Error::content(&self.path, format!("{why}; the frames from here on are lost"))),
+            Content::Broken(why) => Err(Error::content(&self.path, why)),
         }
     }
 }
@@ -248,7 +248,7 @@ impl FrameSource {
                         let time_s = message.stamp_s();
                         SourceFrame { index, time_s, path, content: Content::Message(Box::new(message)) }
                     }
-                    // What follows damage is lost; the frame that stands for it says so.
+                    // The frame that stands for what is lost says so.
                     Err(why) => {
                         SourceFrame { index, time_s: None, path, content: Content::Broken(topic.in_words(&why)) }
                     }

@@ -19,8 +19,9 @@ impl Experiment {
     /// An experiment in which nothing tells times: picture files do where stamps are their names; a recording that cannot be read.
     pub fn stamps_s(&self) -> Result<Vec<(u64, f64)>> {
         let of_topic = |topic: &Topic| -> Result<Vec<(u64, f64)>> {
-            let stamp = |message: Result<Message>| Some(message.ok()?.stamp_s().unwrap_or(f64::NAN));
-            Ok((0..).zip(topic.messages()?.map_while(stamp)).collect())
+            let stamp =
+                |(index, message): (u64, Result<Message>)| Some((index, message.ok()?.stamp_s().unwrap_or(f64::NAN)));
+            Ok((0..).zip(topic.messages()?).filter_map(stamp).collect())
         };
         if let Some(topic) = self.views.iter().find_map(|view| view.frames.topic()) {
             return of_topic(topic);

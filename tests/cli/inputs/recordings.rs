@@ -262,7 +262,7 @@ fn a_recording_that_cannot_be_meant_is_told() {
                     bytes[middle] ^= 255;
                     fs::write(&path, bytes).unwrap();
                 },
-                Told(&["recording_damaged", "what follows is not read: ", " messages were read"]),
+                Told(&["recording_damaged", "this message is lost: ", " messages were read"]),
             ),
             case("ROS 1", head(b"#ROSBAG V2.0\n"), Told(&["a recording of ROS 1", "rosbags-convert --src RUN.bag"])),
             case(
