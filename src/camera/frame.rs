@@ -6,7 +6,8 @@ use crate::error::{Error, Result};
 use crate::input::{PICTURE_BYTES, read_bytes};
 use image::metadata::Orientation;
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
-use std::io::{BufRead, Cursor, Seek};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::Path;
 
 /// The largest picture that is read, in pixels; larger ones are taken for a mistake or an attack.
@@ -188,8 +189,26 @@ pub fn read_frame(path: &Path) -> Result<Frame> {
 
 /// Width and height, px, that a picture file's header tells, without decoding it; `None` where it tells none.
 pub fn picture_size(path: &Path) -> Option<(u32, u32)> {
-    let reader = if path.is_file() { ImageReader::open(path).ok()? } else { return None };
-    reader.with_guessed_format().ok()?.into_dimensions().ok()
+    header_of(path)?.with_guessed_format().ok()?.into_dimensions().ok()
+}
+
+/// Where a picture is read from. Decoders are large, and are compiled once for all of these.
+pub(super) trait PictureSource: BufRead + Seek {}
+
+impl<T: BufRead + Seek> PictureSource for T {}
+
+/// A reader of a picture.
+type PictureReader<'a> = ImageReader<Box<dyn PictureSource + 'a>>;
+
+/// A reader of a picture's bytes.
+fn reader_of(bytes: &[u8]) -> PictureReader<'_> {
+    ImageReader::new(Box::new(Cursor::new(bytes)))
+}
+
+/// A reader of a picture's file, for its header; `None` for what is no file.
+fn header_of(path: &Path) -> Option<PictureReader<'static>> {
+    let file = if path.is_file() { File::open(path).ok()? } else { return None };
+    Some(ImageReader::new(Box::new(BufReader::new(file))))
 }
 
 /// A picture as a camera file knows it: as it is stored, or turned as its mark (EXIF) asks if only that gives it the camera's width and height.
@@ -210,13 +229,11 @@ pub fn picture_size_for(path: &Path, lens: &Lens) -> Option<(u32, u32)> {
 
 /// How a picture file asks to be turned (EXIF).
 pub fn rotation_mark(path: &Path) -> Orientation {
-    let open = || ImageReader::open(path).ok().map(mark_in);
-    let found = if path.is_file() { open() } else { None };
-    found.unwrap_or(Orientation::NoTransforms)
+    header_of(path).map_or(Orientation::NoTransforms, mark_in)
 }
 
 /// How a picture asks to be turned.
-fn mark_in(reader: ImageReader<impl BufRead + Seek>) -> Orientation {
+fn mark_in(reader: PictureReader) -> Orientation {
     let read = || reader.with_guessed_format().ok()?.into_decoder().ok()?.orientation().ok();
     read().unwrap_or(Orientation::NoTransforms)
 }
@@ -226,7 +243,7 @@ fn mark_in(reader: ImageReader<impl BufRead + Seek>) -> Orientation {
 /// # Errors
 /// Those of [`decode_frame`].
 pub fn decode_frame_for(bytes: &[u8], lens: &Lens) -> std::result::Result<Frame, String> {
-    Ok(decode_frame(bytes)?.turned_for(lens, || mark_in(ImageReader::new(Cursor::new(bytes)))))
+    Ok(decode_frame(bytes)?.turned_for(lens, || mark_in(reader_of(bytes))))
 }
 
 /// A picture from the bytes of its file; see [`read_frame`].
@@ -254,8 +271,7 @@ pub fn decode_frame(bytes: &[u8]) -> std::result::Result<Frame, String> {
             return Err(format!("{found}, expected PNG, JPEG, TIFF or BMP"));
         }
     };
-    let mut reader =
-        ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| format!("unreadable picture: {e}"))?;
+    let mut reader = reader_of(bytes).with_guessed_format().map_err(|e| format!("unreadable picture: {e}"))?;
     reader.limits(limits());
     decoded(reader.into_decoder().map_err(unreadable)?)
 }

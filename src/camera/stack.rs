@@ -2,9 +2,9 @@
 //!
 //! Source: TIFF 6.0, section 2 (header and directories); the BigTIFF design of Aware Systems.
 
-use super::frame::{Frame, decoded, unreadable};
+use super::frame::{Frame, PictureSource, decoded, unreadable};
 use crate::error::{Error, Result};
-use image::codecs::tiff::TiffDecoder;
+use image::{ImageFormat, ImageReader};
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -118,8 +118,8 @@ pub fn read_page(path: &Path, page: u64) -> Result<Frame> {
         let first = if form.is_little_endian { page.to_le_bytes() } else { (page << (64 - 8 * bytes)).to_be_bytes() };
         Ok(Page { file, at: 0, patch_at: form.first_page_at(), patch: first[..bytes].to_vec() })
     };
-    let file = open().map_err(Error::io(path, "read"))?;
-    let frame = TiffDecoder::new(BufReader::new(file)).map_err(unreadable).and_then(decoded);
+    let file: Box<dyn PictureSource> = Box::new(BufReader::new(open().map_err(Error::io(path, "read"))?));
+    let frame = ImageReader::with_format(file, ImageFormat::Tiff).into_decoder().map_err(unreadable).and_then(decoded);
     frame.map_err(|why| Error::content(path, why))
 }
 
