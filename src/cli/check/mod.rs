@@ -14,14 +14,14 @@ use super::verdict::{VerdictArgs, reasons_of_files, subject, unit_is_stated, ver
 use super::views::{rig_of, rig_picture_name, rig_reason, sheet_reason};
 use crate::camera::{FrameSource, picture_size_for};
 use crate::cli::failure::Failure;
-use crate::estimate::{Options, estimate, or_one_gain};
+use crate::estimate::Options;
 use crate::measure::Eye;
 use crate::observation::{EncoderReading, Measurement, Status};
 use crate::record::{Checked, Experiment, Fault, View};
 use crate::report::decimation::keeps;
 use crate::robot::Model;
 use crate::statistics::order::median;
-use crate::verdict::{Code, Level, Reason, Subject, Verdict, doubts_of_times};
+use crate::verdict::{Code, JudgedEstimate, Level, Reason, Verdict};
 use crate::{Error, Result};
 use expected::{Expected, coverage, expected, poses_of};
 use files::{files_with_remedies, frames_remedy, name_in, pictures, spelled_otherwise};
@@ -397,12 +397,12 @@ impl Inspection {
             return Ok(());
         }
         let options = Options::default();
-        let (_, learned) = estimate(model, options, measurements, log)?;
-        let (learned, replaced) = or_one_gain(learned, measurements, log);
         let wiring = experiment.wiring(model.robot.backbone_count())?;
-        let judged = Subject { replaced, ..subject(&learned, experiment, wiring, options.sd_encoder_mm) };
-        let verdict = judged.verdict(measurements, log);
-        self.reasons.extend(doubts_of_times(measurements, log, unit_is_stated(Some(experiment))));
+        let is_stated = unit_is_stated(Some(experiment));
+        let JudgedEstimate { model: learned, verdict, .. } =
+            JudgedEstimate::of(model, options, (measurements, log), is_stated, |model| {
+                Ok(subject(model, experiment, wiring, options.sd_encoder_mm))
+            })?;
         let wired_wrong = verdict.has(Code::Wiring) || verdict.has(Code::EncoderStuck);
         // Which frames have no reading was told of all of them.
         self.reasons.extend(verdict.reasons.into_iter().filter(|reason| reason.code != Code::Files));
