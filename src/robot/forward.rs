@@ -209,12 +209,15 @@ mod tests {
             let motion = Motion { direction: mechanics.alike(1.0), ..Motion::none(usize::from(backbones)) };
             let jacobian = mechanics.line_jacobian(bend, &motion);
             let h = 1e-4;
-            let numeric = PerBackbone::from_columns([0, 1].map(|axis| {
-                let travel = |sign: f64| mechanics.travel(bend + Vector2::ith(axis, sign * h), Past::Path(&motion));
-                (travel(1.0) - travel(-1.0)) / (2.0 * h)
-            }));
-            // A difference to one side is off by half its step times the curvature, which a load's sign makes the largest.
-            prop_assert!((numeric - jacobian.line_by_bend).norm() < 2e-4, "{}", LIBRARY[k].name);
+            let travel = |axis, by| mechanics.travel(bend + Vector2::ith(axis, by), Past::Path(&motion));
+            for axis in 0..2 {
+                let column = jacobian.line_by_bend.column(axis);
+                // Where a load changes its sign within a step, the derivative is that of one side.
+                let off = [(h, -h), (h, 0.0), (0.0, -h)]
+                    .map(|(to, from)| ((travel(axis, to) - travel(axis, from)) / (to - from) - column).norm());
+                // A difference to one side is off by half its step times the curvature.
+                prop_assert!(off.into_iter().fold(f64::INFINITY, f64::min) < 2e-4, "{}: {off:?}", LIBRARY[k].name);
+            }
             let product = jacobian.bend_by_line.cross_gram(&jacobian.line_by_bend);
             prop_assert!((product - Matrix2::identity()).norm() < 1e-9);
         }
