@@ -40,7 +40,7 @@ pub use one_gain::{Replaced, or_one_gain};
 pub use options::Options;
 pub(crate) use poses::{NEW_POSE, NewPoses};
 pub(crate) use sample::Sample;
-pub use sample::{Pair, pairs_without_effects};
+pub use sample::{Pair, PlainSample, pairs_without_effects};
 pub use sequence::estimate;
 pub use sigmas::with_sigmas;
 pub use stem::{Stem, StemAngle, StemOptions, StemRow, estimate_stem};

@@ -10,6 +10,19 @@ use std::collections::HashMap;
 /// A measurement with the encoder reading of its index, where there is one.
 pub type Pair = (Measurement, Option<EncoderReading>);
 
+/// A measurement that can be used and its reading, without what the model's effects did.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlainSample {
+    /// The frame's index.
+    pub index: u64,
+    /// When the reading was taken, s.
+    pub time_s: f64,
+    /// The bend seen.
+    pub measured: Measured,
+    /// The reading, mm.
+    pub q_mm: PerBackbone,
+}
+
 /// A measurement that can be used, with its reading and with how the snake came there.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sample {

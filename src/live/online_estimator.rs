@@ -1,11 +1,10 @@
 //! The estimator of a running loop: from one measurement to the next estimate, with what is watched beside it. It is the one of `run`.
 
 use super::gap_monitor::GapMonitor;
-use super::publication::Sample;
 use super::sample_buffer::SampleBuffer;
 use super::standstill::Standstill;
 use super::status::GapStatus;
-use crate::estimate::{self, Estimator, Options, Reason, Stem, StemAngle, StemOptions, Step, Verdict};
+use crate::estimate::{self, Estimator, Options, PlainSample, Reason, Stem, StemAngle, StemOptions, Step, Verdict};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
@@ -52,7 +51,7 @@ pub struct Update {
     /// The stem's angle after it, where it is followed.
     pub stem: Option<StemAngle>,
     /// The measurement with its reading as the estimator took them; `None` where they cannot be used.
-    pub sample: Option<Sample>,
+    pub sample: Option<PlainSample>,
     /// Whether the encoders stand still while the snake moves; nothing is learned then.
     pub is_stuck: bool,
 }
@@ -124,10 +123,10 @@ impl OnlineEstimator {
         };
         let sample = reading.zip(taken.as_ref().ok()).map(|(reading, sample)| {
             let (measured, q_mm) = sample.without_effects(&model);
-            Sample { time_s: reading.time_s, measured, q_mm }
+            PlainSample { index: measurement.index, time_s: reading.time_s, measured, q_mm }
         });
         let is_stuck = match &sample {
-            Some(sample) => self.is_stuck(sample, measurement.index),
+            Some(sample) => self.is_stuck(sample),
             None => self.standstill.is_stuck(),
         };
         let step = if is_stuck {
@@ -147,10 +146,10 @@ impl OnlineEstimator {
     }
 
     /// Whether the encoders are found to stand still while the snake moves. What was learned since they stopped is then forgotten.
-    fn is_stuck(&mut self, sample: &Sample, index: u64) -> bool {
+    fn is_stuck(&mut self, sample: &PlainSample) -> bool {
         if self.standstill.add(sample) {
             let (subject, monitor) = (self.subject.clone(), self.monitor.clone());
-            self.before_standstill = Some(BeforeStandstill { subject, monitor, index });
+            self.before_standstill = Some(BeforeStandstill { subject, monitor, index: sample.index });
         }
         if self.standstill.is_stuck()
             && let Some(BeforeStandstill { subject, monitor, index }) = self.before_standstill.take()

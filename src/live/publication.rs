@@ -5,23 +5,21 @@
 //! the last poses, and whether anything is measured at all.
 //!
 //! Encoders that stand still while the snake moves, a log that contradicts the picture, or a moment's wrong restart of the estimator give
-//! an η and λ that fit the last few measurements and nothing else. So the model is compared, on the last [`POSES`] poses that the snake
-//! took, with the naive one and with the one that was published last; and nothing is published while the gap is above noise or the
-//! encoders are stuck. What was published stays then, and is marked stale.
+//! an η and λ that fit the last few measurements and nothing else. So the model is judged, as a verdict judges it, on the last [`POSES`] poses
+//! that the snake took; and nothing is published while it misses them by more than noise or the encoders are stuck. What was published stays
+//! then, and is marked stale.
 
 use super::confirmation::Confirmation;
 use super::online_estimator::Update;
 use super::status::{GapState, PublicationState, PublicationStatus};
-use crate::estimate::{NewPoses, Verdict as RowVerdict};
-use crate::observation::{Measured, Status};
-use crate::robot::{Model, PerBackbone};
-use crate::statistics::chi_square;
-use crate::statistics::moments::{mean, standard_deviation};
-use crate::verdict::{Code, Level, MEAN_SQUARE_OF_NOISE, Verdict};
+use crate::estimate::{NewPoses, PlainSample, Verdict as RowVerdict};
+use crate::observation::Status;
+use crate::robot::Model;
+use crate::verdict::{Code, Level, Subject, Verdict};
 use std::collections::VecDeque;
 use std::time::Instant;
 
-/// Poses on which models are compared, each a new one ([`NewPoses`]) after the one before. Convention: as many as the gap monitor asks
+/// Poses on which the model is judged, each a new one ([`NewPoses`]) after the one before. Convention: as many as the gap monitor asks
 /// for before it tells anything.
 const POSES: usize = 50;
 
@@ -35,22 +33,6 @@ const LEAST_POSES: usize = 5;
 ///
 /// Convention: a hand or a reflection spoils one or two; the estimator begins anew after eight that agree with each other.
 const REJECTED: usize = 3;
-
-/// A model is worse than another where the difference is more than so many standard errors.
-///
-/// Derived: chance alone exceeds it in one of 740 comparisons.
-const WORSE_SDS: f64 = 3.0;
-
-/// A measurement and its reading (mm), without what the model's effects did.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sample {
-    /// When it was taken, s.
-    pub time_s: f64,
-    /// The bend seen.
-    pub measured: Measured,
-    /// The reading, mm.
-    pub q_mm: PerBackbone,
-}
 
 /// Why a model may not be published.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -69,7 +51,7 @@ pub struct PublicationGate {
     sd_encoder_mm: f64,
     /// Whether η and λ are what is learned, and not the stem's angle, which the poses before do not tell.
     compares: bool,
-    poses: VecDeque<Sample>,
+    poses: VecDeque<PlainSample>,
     new_poses: NewPoses,
     gap: GapState,
     /// Whether the encoders stand still while the snake moves.
@@ -239,36 +221,10 @@ impl PublicationGate {
             let text = format!("{} poses were measured with a reading, and {LEAST_POSES} are needed", self.poses.len());
             return withheld(Level::Look, Code::WorkspaceNotCovered, text);
         }
-        let left = self.squares(model);
-        let naive = self.squares(&Model { estimate: None, ..model.clone() });
-        let rms = |squares: &[f64]| {
-            format!("{:.4} mm", (mean(squares.iter().copied()) / model.robot.backbone_count() as f64).sqrt())
-        };
-        let seen = format!("of ε at the last {} poses the model leaves {}", self.poses.len(), rms(&left));
-        if is_worse(&left, &naive) {
-            return red(Code::WorseThanNaive, format!("{seen}, the naive one {}", rms(&naive)));
+        match Subject::new(model, self.sd_encoder_mm).missed_bends(&Vec::from_iter(self.poses.iter().copied())) {
+            Some(missed) => withheld(missed.level, missed.code, format!("of the last poses: {}", missed.text)),
+            None => Ok(()),
         }
-        let noise = self.noise_square(model);
-        // Before the gap's own monitor has seen enough to speak.
-        if self.gap == GapState::Unknown && is_above_noise(&left, noise) {
-            let text = format!("{seen}, and noise {}", rms(&[noise]));
-            return withheld(Level::Look, Code::GapAboveNoise, text);
-        }
-        if let Some(Published { model: published, .. }) = &self.published {
-            let before = self.squares(published);
-            let [now, then] = [&left, &before].map(|squares| mean(squares.iter().copied()));
-            // Two models nearly alike differ alike at every pose, which is no chance, and no harm while noise hides it: the scatter of a mean of
-            // χ² of so many numbers.
-            let hidden = noise * (2.0 / (left.len() * model.robot.backbone_count()) as f64).sqrt();
-            if now > MEAN_SQUARE_OF_NOISE * noise && now - then > hidden && is_worse(&left, &before) {
-                return withheld(
-                    Level::Look,
-                    Code::Stale,
-                    format!("{seen}, the one published before {}", rms(&before)),
-                );
-            }
-        }
-        Ok(())
     }
 
     /// What is to be shown of a decision.
@@ -286,47 +242,6 @@ impl PublicationGate {
             reason: why.map(|why| why.text.clone()),
         }
     }
-
-    /// At each pose what a model leaves of ε: the sum of the squares over the backbones, mm².
-    fn squares(&self, model: &Model) -> Vec<f64> {
-        let model = model.plain();
-        let left = |sample: &Sample| (sample.q_mm - model.command(sample.measured.configuration)).norm_squared();
-        self.poses.iter().map(left).collect()
-    }
-
-    /// What the noise of eye and encoders leaves of it at a pose, in the mean, mm².
-    fn noise_square(&self, model: &Model) -> f64 {
-        let model = model.plain();
-        let of_eye = |sample: &Sample| {
-            let covariance = sample.measured.bend_covariance(sample.measured.configuration);
-            // What is commanded for a bend, the line's stretch with it.
-            let stretched = model.epsilon_by_bend(sample.measured.configuration.bend_vector());
-            let by_bend = model.robot.displacement_by_bend() + stretched;
-            by_bend.iter().map(|by| by.dot(&(covariance * by))).sum::<f64>()
-        };
-        let of_encoders = model.robot.backbone_count() as f64 * self.sd_encoder_mm.powi(2);
-        mean(self.poses.iter().map(of_eye)) + of_encoders
-    }
-}
-
-/// Whether squares are larger than noise of this mean square accounts for: by the factor that makes a gap, and by chance. A bend has two numbers,
-/// and their noise is most of it.
-fn is_above_noise(squares: &[f64], noise: f64) -> bool {
-    let most = MEAN_SQUARE_OF_NOISE * chi_square::quantile(2 * squares.len(), WORSE_SDS);
-    squares.iter().sum::<f64>() > most * noise / 2.0
-}
-
-/// Whether the first squares are significantly larger than the second, pose by pose (paired t-test). The test has no power for few poses; then
-/// the mean of the first must also exceed that of the second by the factor that makes a gap.
-fn is_worse(squares: &[f64], than: &[f64]) -> bool {
-    let [mean_square, other] = [squares, than].map(|squares| mean(squares.iter().copied()));
-    let differences: Vec<f64> = squares.iter().zip(than).map(|(square, than)| square - than).collect();
-    let standard_error = standard_deviation(&differences) / (differences.len() as f64).sqrt();
-    let is_few = 2 * differences.len() < POSES;
-    // What is no number is worse than anything.
-    mean_square.is_nan()
-        || mean_square - other > WORSE_SDS * standard_error
-        || is_few && mean_square > MEAN_SQUARE_OF_NOISE * other
 }
 
 #[cfg(test)]

@@ -1,7 +1,6 @@
 //! Whether the encoders stand still while the snake moves: an encoder that lost its counter, a driver that repeats its last line.
 
-use super::publication::Sample;
-use crate::estimate::NEW_POSE;
+use crate::estimate::{NEW_POSE, PlainSample};
 use crate::observation::Measured;
 
 /// Readings stand still that change by no more than so many standard deviations of a difference of two.
@@ -18,7 +17,7 @@ const LEAST_MOVED: usize = 3;
 pub struct Standstill {
     still_mm: f64,
     /// The sample since which the readings stand still.
-    since: Option<Sample>,
+    since: Option<PlainSample>,
     /// Whether the bend has moved since, be it only because pictures come after their encoders.
     is_suspect: bool,
     /// The bend once they had settled.
@@ -34,15 +33,15 @@ impl Standstill {
     }
 
     /// Takes the next sample, and says whether the readings have moved.
-    pub fn add(&mut self, sample: &Sample) -> bool {
-        let is_still = |since: &Sample| (sample.q_mm - since.q_mm).amax() <= self.still_mm;
+    pub fn add(&mut self, sample: &PlainSample) -> bool {
+        let is_still = |since: &PlainSample| (sample.q_mm - since.q_mm).amax() <= self.still_mm;
         let Some(since) = self.since.filter(is_still) else {
             *self = Self { since: Some(*sample), is_suspect: false, settled: None, moved: 0, ..*self };
             return true;
         };
         // A clock that was set back begins anew.
         let since_s = since.time_s.min(sample.time_s);
-        self.since = Some(Sample { time_s: since_s, ..since });
+        self.since = Some(PlainSample { time_s: since_s, ..since });
         self.is_suspect |= has_moved(&since.measured, &sample.measured);
         if sample.time_s - since_s >= SETTLE_S {
             let settled = self.settled.get_or_insert(sample.measured);

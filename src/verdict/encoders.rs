@@ -2,10 +2,9 @@
 //!
 //! Every spread leaves out the values farthest from the median, so that a gross reading or two decide nothing.
 
-use super::evidence::Sample;
 use super::reason::{Code, Level, Reason};
 use super::rules::REJECTED_IN_ORDER;
-use crate::estimate::NEW_POSE;
+use crate::estimate::{NEW_POSE, PlainSample};
 use crate::observation::MOVED_SDS;
 use crate::robot::Robot;
 use crate::statistics::moments::standard_deviation;
@@ -32,7 +31,7 @@ const SAME_SDS: f64 = 0.005;
 const LEAST_FROZEN: usize = 2;
 
 /// What is wrong with the encoders.
-pub(super) fn stuck(robot: &Robot, samples: &[Sample]) -> Option<Reason> {
+pub(super) fn stuck(robot: &Robot, samples: &[PlainSample]) -> Option<Reason> {
     let text = columns_stuck(robot, samples).or_else(|| frozen(samples))?;
     let remedy =
         "repair or reconnect the encoder and log its readings anew; nothing that was learned from these can be used";
@@ -40,18 +39,18 @@ pub(super) fn stuck(robot: &Robot, samples: &[Sample]) -> Option<Reason> {
 }
 
 /// Columns whose readings stand still while the snake moves, or repeat another column's.
-fn columns_stuck(robot: &Robot, samples: &[Sample]) -> Option<String> {
+fn columns_stuck(robot: &Robot, samples: &[PlainSample]) -> Option<String> {
     if samples.len() < LEAST_SAMPLES {
         return None;
     }
     let by_bend = robot.displacement_by_bend();
     let count = robot.backbone_count();
-    let spread = |value: &dyn Fn(&Sample) -> f64| robust_spread(samples.iter().map(value).collect());
-    let asked = |column: Vector2<f64>| spread(&|s: &Sample| column.dot(&s.measured.configuration.bend_vector()));
+    let spread = |value: &dyn Fn(&PlainSample) -> f64| robust_spread(samples.iter().map(value).collect());
+    let asked = |column: Vector2<f64>| spread(&|s: &PlainSample| column.dot(&s.measured.configuration.bend_vector()));
     let noise = samples.iter().map(|s| s.measured.sigma_theta).sum::<f64>() / samples.len() as f64;
     // What noise of the eye alone asks for is no motion.
     let least_asked = robot.backbone_circle_radius_mm * noise * MOVED_SDS;
-    let share = |i: usize| (spread(&|s: &Sample| s.q_mm[i]), asked(by_bend[i]));
+    let share = |i: usize| (spread(&|s: &PlainSample| s.q_mm[i]), asked(by_bend[i]));
     let shares: Vec<Option<f64>> =
         (0..count).map(share).map(|(own, asked)| (asked > least_asked).then(|| own / asked)).collect();
     let largest = shares.iter().flatten().copied().fold(0.0, f64::max);
@@ -65,7 +64,7 @@ fn columns_stuck(robot: &Robot, samples: &[Sample]) -> Option<String> {
     }
     let pairs = (0..count).flat_map(|i| (0..i).map(move |j| (j, i)));
     let mut same = pairs.filter(|&(j, i)| {
-        let (own, asked) = (spread(&|s: &Sample| s.q_mm[i] - s.q_mm[j]), asked(by_bend[i] - by_bend[j]));
+        let (own, asked) = (spread(&|s: &PlainSample| s.q_mm[i] - s.q_mm[j]), asked(by_bend[i] - by_bend[j]));
         asked > least_asked && own <= STILL * largest * asked
     });
     let (j, i) = same.next()?;
@@ -82,13 +81,13 @@ fn robust_spread(mut values: Vec<f64>) -> f64 {
 }
 
 /// Pictures that do not change at all while the readings ask for other poses: the same picture again and again.
-pub(super) fn camera_stuck(robot: &Robot, samples: &[Sample]) -> Option<Reason> {
-    let implied = |sample: &Sample| robot.bend_by_displacement().tr_mul(&sample.q_mm);
-    let is_frozen = |pair: &[Sample]| {
+pub(super) fn camera_stuck(robot: &Robot, samples: &[PlainSample]) -> Option<Reason> {
+    let implied = |sample: &PlainSample| robot.bend_by_displacement().tr_mul(&sample.q_mm);
+    let is_frozen = |pair: &[PlainSample]| {
         (implied(&pair[1]) - implied(&pair[0])).norm() > NEW_POSE
             && pair[0].measured.moved_sds(&pair[1].measured).is_some_and(|sds| sds < SAME_SDS)
     };
-    let frozen: Vec<&[Sample]> = samples.windows(2).filter(|pair| is_frozen(pair)).collect();
+    let frozen: Vec<&[PlainSample]> = samples.windows(2).filter(|pair| is_frozen(pair)).collect();
     let in_a_row = samples.windows(LEAST_FROZEN + 1).any(|row| row.windows(2).all(is_frozen));
     let (first, last) = (frozen.first()?, frozen.last()?);
     in_a_row.then(|| {
@@ -104,9 +103,10 @@ pub(super) fn camera_stuck(robot: &Robot, samples: &[Sample]) -> Option<Reason> 
 }
 
 /// Readings that do not change at all, in steps that follow each other, while the bend moves.
-fn frozen(samples: &[Sample]) -> Option<String> {
-    let is_frozen = |pair: &[Sample]| pair[0].q_mm == pair[1].q_mm && pair[0].measured.has_moved(&pair[1].measured);
-    let steps: Vec<&[Sample]> = samples.windows(2).filter(|pair| is_frozen(pair)).collect();
+fn frozen(samples: &[PlainSample]) -> Option<String> {
+    let is_frozen =
+        |pair: &[PlainSample]| pair[0].q_mm == pair[1].q_mm && pair[0].measured.has_moved(&pair[1].measured);
+    let steps: Vec<&[PlainSample]> = samples.windows(2).filter(|pair| is_frozen(pair)).collect();
     let in_a_row = samples.windows(LEAST_FROZEN + 1).any(|row| row.windows(2).all(is_frozen));
     let (first, last) = (steps.first()?, steps.last()?);
     in_a_row.then(|| {

@@ -1,11 +1,12 @@
 //! What a verdict is passed on, collected in one pass over the measurements.
 
+use super::health::Health;
 use super::reason::{Reason, Verdict};
 use super::rules;
 use super::wiring::Pose;
-use crate::estimate::{Replaced, pairs_without_effects, usable};
-use crate::observation::{EncoderReading, Measured, Measurement, Status, Wiring};
-use crate::robot::{Model, PerBackbone};
+use crate::estimate::{PlainSample, Replaced, pairs_without_effects, usable};
+use crate::observation::{EncoderReading, Measurement, Status, Wiring};
+use crate::robot::Model;
 use std::collections::BTreeMap;
 
 /// Measurements that the rules look at; of more, as many spread over the run. Convention: a resource limit, far beyond what the tests need.
@@ -42,6 +43,11 @@ impl<'a> Subject<'a> {
         rules::verdict(self, &Evidence::collect(self.model, measurements, log), log)
     }
 
+    /// Whether the model misses the bends of samples by more than noise, as the verdict judges it; red where it then is no better than none.
+    pub fn missed_bends(&self, samples: &[PlainSample]) -> Option<Reason> {
+        Health::of(self.model, self.sd_encoder_mm, samples).missed_bends()
+    }
+
     /// What keeps physics from being named of these data, where something does: encoders that stand still, or a log that is wired
     /// otherwise than it is read.
     pub fn wiring_mistake(&self, measurements: &[Measurement], log: &[EncoderReading]) -> Option<Reason> {
@@ -56,14 +62,6 @@ pub struct ViewOffset {
     pub name: String,
     /// Its `delta_offset_deg`.
     pub delta_offset_deg: f64,
-}
-
-/// A measurement with angles and its reading, without what the model's effects did.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Sample {
-    pub index: u64,
-    pub measured: Measured,
-    pub q_mm: PerBackbone,
 }
 
 /// Measured frames in a row that have no reading.
@@ -98,7 +96,7 @@ pub struct Evidence {
     /// Bends as they were measured, spread over the run.
     pub(super) poses: Vec<Pose>,
     /// Measurements with readings, without the model's effects, spread over the run.
-    pub(super) samples: Vec<Sample>,
+    pub(super) samples: Vec<PlainSample>,
 }
 
 impl Evidence {
@@ -121,7 +119,8 @@ impl Evidence {
             }
             if let Ok((measured, q_mm)) = usable(backbones, &measurement, reading.as_ref()) {
                 with_reading += 1;
-                samples.add(Sample { index, measured, q_mm });
+                let time_s = reading.map_or(f64::NAN, |reading| reading.time_s);
+                samples.add(PlainSample { index, time_s, measured, q_mm });
             }
         }
         let (frames, poses, samples) = (measurements.len(), poses.kept, samples.kept);

@@ -9,12 +9,11 @@
 //! out, as hands and reflections may spoil that many frames. The bending part is judged besides by what it has of mistakes of a known form,
 //! where noise hides them from the mean square ([`systematic`](super::systematic)).
 
-use super::evidence::{Evidence, Sample, Subject};
 use super::reason::{Code, Level, Reason};
 use super::rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, NORMAL_QUANTILE, REJECTED_IN_ORDER, new_poses};
 use super::scale::LEAST_UNNAMED;
 use super::systematic::{AffineFit, Left, ScaleFit, StepFit, StuckFit, agreeing, changed_by};
-use crate::estimate::{self, LinearisedMeasurement, Weighting, Whitened, line_share};
+use crate::estimate::{self, LinearisedMeasurement, PlainSample, Weighting, Whitened, line_share};
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::chi_square;
 use crate::statistics::moments::{mean, rms};
@@ -46,6 +45,10 @@ const BESIDE_A_STEP: usize = 3;
 /// Convention: a tenth; what drifts or follows the load leaves a third.
 const LEFT_BY_A_STEP: f64 = 0.1;
 
+/// What to do about a gap.
+const NAMED_BY_DISCOVER: &str = "`snakeloop discover` names what the model lacks; where it names nothing, check camera.yaml (focal length, \
+                                 picture size), grid_pitch_mm, standoff_mm and the straight picture";
+
 /// What the model leaves of one pose.
 #[derive(Clone)]
 pub(super) struct Innovation {
@@ -74,11 +77,11 @@ pub(super) struct Innovation {
 }
 
 impl Innovation {
-    fn of(subject: &Subject, plain: &Model, sample: &Sample) -> Option<Self> {
-        let Sample { index, measured, q_mm } = sample;
+    fn of(sd_encoder_mm: f64, plain: &Model, sample: &PlainSample) -> Option<Self> {
+        let PlainSample { index, measured, q_mm, .. } = sample;
         let robot = &plain.robot;
         let plainly = estimate::Sample { measured: *measured, q_tilde: *q_mm, came: None };
-        let one = LinearisedMeasurement::new(plain, Weighting::Measured, subject.sd_encoder_mm, &plainly);
+        let one = LinearisedMeasurement::new(plain, Weighting::Measured, sd_encoder_mm, &plainly);
         let residual = one.residual(&plain.parameters());
         let whitened = Whitened::new(&residual, &one.covariance)?;
         let whitener = one.covariance.fixed_view::<2, 2>(0, 0).into_owned().cholesky()?.l().try_inverse()?;
@@ -128,11 +131,12 @@ pub(super) struct Health {
 }
 
 impl Health {
-    pub fn of(subject: &Subject, evidence: &Evidence) -> Self {
-        let plain = subject.model.plain();
-        let poses = new_poses(&evidence.samples).filter_map(|sample| Innovation::of(subject, &plain, sample));
+    /// What a model leaves of samples, whose readings have this standard deviation, mm.
+    pub fn of(model: &Model, sd_encoder_mm: f64, samples: &[PlainSample]) -> Self {
+        let plain = model.plain();
+        let poses = new_poses(samples).filter_map(|sample| Innovation::of(sd_encoder_mm, &plain, sample));
         let innovations: Vec<Innovation> = poses.collect();
-        let noise_mm = common_noise_mm(&innovations, |one| one.common_mm).max(subject.sd_encoder_mm);
+        let noise_mm = common_noise_mm(&innovations, |one| one.common_mm).max(sd_encoder_mm);
         let common = innovations.iter().map(|one| (one.common_mm / noise_mm).powi(2)).collect();
         // QᵗQ is n r²/2 times the identity, and η's share of q̃ is k.
         let robot = &plain.robot;
@@ -142,7 +146,7 @@ impl Health {
         let (all, agreeing) = (innovations.clone(), agreeing(&innovations));
         let innovations = without_largest(innovations, |one| one.bending.norm_squared());
         let common = without_largest(common, |square| *square);
-        Self { innovations, agreeing, all, common, bend_by_mm, sd_encoder_mm: subject.sd_encoder_mm }
+        Self { innovations, agreeing, all, common, bend_by_mm, sd_encoder_mm }
     }
 
     /// The rms of the bending part in units of its noise, if it is above what counts as noise.
@@ -177,45 +181,52 @@ impl Health {
         fits
     }
 
-    /// The gap, if there is one: red if the model misses the bends by more than compensation changes them, or by a large share of what they are.
+    /// The gap, if there is one: of the bends, of the form of a known mistake, or of what the readings have in common.
     pub fn gap(&self) -> Option<Reason> {
-        let remedy = "`snakeloop discover` names what the model lacks; where it names nothing, check camera.yaml (focal length, \
-                      picture size), grid_pitch_mm, standoff_mm and the straight picture";
-        let reason = |level, text: String, remedy| Some(Reason::new(Code::GapAboveNoise, level, text, remedy));
-        let Some(times) = self.bending_above_noise() else {
-            if let Some((most, form)) = self.systematic() {
-                let text = format!(
-                    "the model misses the bends by up to {:.2}° {form} ({} poses)",
-                    most.to_degrees(),
-                    self.all.len()
-                );
-                return reason(Level::Look, text, remedy.to_owned());
-            }
-            let times = above_noise(&self.common, 1)?;
-            let text = format!(
-                "the model misses what the readings have in common by {times:.1} times the noise ({} poses)",
-                self.all.len()
-            );
-            return reason(Level::Look, text, remedy.to_owned());
+        let poses = self.all.len();
+        let systematic = || {
+            let (most, form) = self.systematic()?;
+            Some(format!("the model misses the bends by up to {:.2}° {form} ({poses} poses)", most.to_degrees()))
         };
+        let common = || {
+            let times = above_noise(&self.common, 1)?;
+            Some(format!(
+                "the model misses what the readings have in common by {times:.1} times the noise ({poses} poses)"
+            ))
+        };
+        let look = |text| Reason::new(Code::GapAboveNoise, Level::Look, text, NAMED_BY_DISCOVER);
+        self.missed_bends().or_else(|| systematic().or_else(common).map(look))
+    }
+
+    /// Bends that the model misses by more than noise: red if by more than compensation changes them, or by a large share of what they are.
+    pub fn missed_bends(&self) -> Option<Reason> {
+        let times = self.bending_above_noise()?;
         let missed_mm = rms(self.innovations.iter().map(|one| one.missed_mm));
         let compensated_mm = rms(self.innovations.iter().map(|one| one.compensated_mm));
         let missed_deg = (self.bend_by_mm * missed_mm).to_degrees();
+        let bent_deg = rms(self.innovations.iter().map(|one| one.bend.norm())).to_degrees();
+        let red = if missed_mm > compensated_mm {
+            Some(format!("all that compensation changes is {compensated_mm:.3} mm"))
+        } else if missed_deg > MOST_MISSED * bent_deg {
+            Some(format!("the bends themselves are {bent_deg:.1}°"))
+        } else {
+            None
+        };
         let text = format!(
             "the model misses the bends by {times:.1} times the noise: {missed_deg:.2}°, or {missed_mm:.3} mm of q̃ ({} poses)",
             self.all.len()
         );
-        if missed_mm > compensated_mm {
-            let text = format!("{text}; all that compensation changes is {compensated_mm:.3} mm");
-            return reason(Level::DoNotUse, text, remedy.to_owned());
-        }
-        let bent_deg = rms(self.innovations.iter().map(|one| one.bend.norm())).to_degrees();
-        if missed_deg > MOST_MISSED * bent_deg {
-            let text = format!("{text}; the bends themselves are {bent_deg:.1}°");
-            return reason(Level::DoNotUse, text, remedy.to_owned());
-        }
-        let sd = self.sd_encoder_mm;
-        reason(Level::Look, text, format!("{remedy}; if the encoders are noisier than {sd} mm, give --encoder-sd"))
+        Some(match red {
+            Some(beside) => {
+                Reason::new(Code::GapAboveNoise, Level::DoNotUse, format!("{text}; {beside}"), NAMED_BY_DISCOVER)
+            }
+            None => {
+                let sd = self.sd_encoder_mm;
+                let remedy =
+                    format!("{NAMED_BY_DISCOVER}; if the encoders are noisier than {sd} mm, give --encoder-sd");
+                Reason::new(Code::GapAboveNoise, Level::Look, text, remedy)
+            }
+        })
     }
 
     /// A step that all readings share, if it accounts for what they have in common beyond noise and the bends are explained: homed anew in the

@@ -1,14 +1,14 @@
 //! The rules of the verdict. Each is a test of a hypothesis: how probable is what was seen, were all in order?
 
 use super::encoders::{camera_stuck, stuck};
-use super::evidence::{Evidence, Sample, Subject};
+use super::evidence::{Evidence, Subject};
 use super::health::{ASKED_FOR, Health};
 use super::inputs::nothing_to_judge;
 use super::reason::{Code, Level, Reason, Verdict};
 use super::scale::{PLAUSIBLE_ETA, angles_are_radians};
 use super::wiring::{self, Mistake, WiringCheck};
 use super::words;
-use crate::estimate::{NewPoses, Replaced};
+use crate::estimate::{NewPoses, PlainSample, Replaced};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Wiring, commonest_status};
 use crate::robot::Model;
@@ -54,7 +54,7 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
     }
     let no_bend = no_bend(evidence);
     let (stuck, check) = stuck_or_miswired(subject, evidence, log, no_bend.is_none());
-    let health = Health::of(subject, evidence);
+    let health = Health::of(subject.model, subject.sd_encoder_mm, &evidence.samples);
     let rehomed = health.rehomed(subject.model);
     // What a step of all readings leaves in common is told with it.
     let gap = health.gap().filter(|_| rehomed.is_none());
@@ -125,7 +125,7 @@ fn more_often(times: usize, of: usize, p: f64) -> bool {
 }
 
 /// Samples whose bend has moved on since the last one taken.
-pub(super) fn new_poses(samples: &[Sample]) -> impl Iterator<Item = &Sample> {
+pub(super) fn new_poses(samples: &[PlainSample]) -> impl Iterator<Item = &PlainSample> {
     let mut poses = NewPoses::default();
     samples.iter().filter(move |sample| poses.is_new(sample.measured.configuration.bend_vector()))
 }
@@ -241,7 +241,7 @@ fn not_measured(evidence: &Evidence) -> Option<Reason> {
 
 /// A snake that stays straight tells nothing of η.
 fn no_bend(evidence: &Evidence) -> Option<Reason> {
-    let bent = |sample: &&Sample| {
+    let bent = |sample: &&PlainSample| {
         sample.measured.configuration.theta > STRAIGHT_SDS * sample.measured.sigma_theta.max(f64::MIN_POSITIVE)
     };
     if evidence.samples.is_empty() || evidence.samples.iter().any(|sample| bent(&sample)) {
@@ -279,12 +279,12 @@ fn out_of_range(model: &Model) -> Option<Reason> {
 fn worse_than_naive(model: &Model, evidence: &Evidence) -> Option<Reason> {
     model.estimate?;
     let (own, naive) = (model.plain(), Model { estimate: None, ..model.plain() });
-    let miss = |model: &Model, sample: &Sample| {
+    let miss = |model: &Model, sample: &PlainSample| {
         let predicted = model.forward_bend(&sample.q_mm).ok()?;
         Some((predicted - sample.measured.configuration.bend_vector()).norm())
     };
-    let poses: Vec<&Sample> = new_poses(&evidence.samples).collect();
-    let is_worse = |sample: &&&Sample| match (miss(&own, sample), miss(&naive, sample)) {
+    let poses: Vec<&PlainSample> = new_poses(&evidence.samples).collect();
+    let is_worse = |sample: &&&PlainSample| match (miss(&own, sample), miss(&naive, sample)) {
         (Some(own), Some(naive)) => naive < own,
         (None, Some(_)) => true,
         _ => false,
@@ -365,7 +365,7 @@ fn not_covered(subject: &Subject, evidence: &Evidence, check: Option<&WiringChec
 /// A direction in which the measured bends give less information than one measurement at full bend. For a gain that depends on the direction, the
 /// leverage of a full bend θ is θ²/Σ b_u², with b_u the bends' components in that direction. If it is above 1, the prediction is less certain
 /// than a measurement.
-fn unseen_direction(samples: &[Sample]) -> Option<String> {
+fn unseen_direction(samples: &[PlainSample]) -> Option<String> {
     let bends = || samples.iter().map(|sample| sample.measured.configuration.bend_vector());
     let information: Matrix2<f64> = bends().map(|bend| bend * bend.transpose()).sum();
     let least = information.symmetric_eigen();

@@ -4,9 +4,8 @@
 //! wiring check and η are one number, η = (1/g − 1)/k. A log in another unit has another g, and nothing but the range of η that
 //! robots have tells so.
 
-use super::evidence::Sample;
 use super::rules::NORMAL_QUANTILE;
-use crate::estimate::line_share;
+use crate::estimate::{PlainSample, line_share};
 use crate::robot::{MAX_THETA, Model};
 use crate::statistics::order::{mad_scale, median};
 use std::f64::consts::PI;
@@ -106,13 +105,13 @@ const MOST_SPREAD: f64 = 0.3;
 
 /// Whether the measured angles, which are taken for degrees, are radians: all are as small as radians are, and their numbers follow the
 /// bends that the readings imply as radians would.
-pub(super) fn angles_are_radians(model: &Model, samples: &[Sample]) -> bool {
-    let small = |sample: &Sample| {
+pub(super) fn angles_are_radians(model: &Model, samples: &[PlainSample]) -> bool {
+    let small = |sample: &PlainSample| {
         let psi = sample.measured.configuration;
         psi.theta_deg() <= MAX_THETA && psi.delta_deg().abs() <= PI
     };
-    let implied = |sample: &Sample| model.robot.bend_and_common(&sample.q_mm).xy().norm();
-    let bent: Vec<&Sample> = samples.iter().filter(|sample| implied(sample) > LEAST_IMPLIED).collect();
+    let implied = |sample: &PlainSample| model.robot.bend_and_common(&sample.q_mm).xy().norm();
+    let bent: Vec<&PlainSample> = samples.iter().filter(|sample| implied(sample) > LEAST_IMPLIED).collect();
     if bent.len() < LEAST_SAMPLES || !samples.iter().all(small) {
         return false;
     }
