@@ -181,8 +181,16 @@ impl PrintProfile {
                 }
             });
         });
-        Plane { width, height, first: Vector2::new(columns.start as f64, rows.start as f64), data, hidden: Vec::new() }
+        let first = Vector2::new(columns.start as f64, rows.start as f64);
+        hiding(Plane { first, ..Plane::new(width, height, data) })
     }
+}
+
+/// A picture of the sheet, with what print that is too much like the snake hides.
+fn hiding(sheet: Plane) -> Plane {
+    let hides = |&b: &f32| b > MOST_LIKE_SNAKE;
+    let hidden = if sheet.data.iter().any(hides) { sheet.data.iter().map(hides).collect() } else { Vec::new() };
+    Plane { hidden, ..sheet }
 }
 
 /// Takes away from a plane what of the sheet is behind it, of as much of the picture or more; from a plane that does not show the print, as where
@@ -190,18 +198,23 @@ impl PrintProfile {
 pub fn look_through(plane: &mut Plane, sheet: &Plane) {
     let offset = plane.first - sheet.first;
     let (x, y, width) = (offset.x as usize, offset.y as usize, plane.width.max(1));
-    let behind = |row: usize| &sheet.data[(y + row) * sheet.width + x..][..width];
+    let behind = |row: usize| {
+        let first = (y + row) * sheet.width + x;
+        first..first + width
+    };
     let rows = plane.data.chunks_exact(width).enumerate().step_by(STRIDE);
-    let sampled = rows.flat_map(|(row, values)| behind(row).iter().zip(values).step_by(STRIDE)).map(|(&b, &d)| (b, d));
+    let sampled = rows
+        .flat_map(|(row, values)| sheet.data[behind(row)].iter().zip(values).step_by(STRIDE))
+        .map(|(&b, &d)| (b, d));
     // What was not looked at is zero, and so is what shows no sheet.
     if contrast(sampled.filter(|(b, d)| *b != 0.0 && *d != 0.0)) < LEAST_CONTRAST {
         return;
     }
-    if sheet.data.iter().any(|&b| b > MOST_LIKE_SNAKE) {
-        plane.hidden = (0..plane.height).flat_map(&behind).map(|&b| b > MOST_LIKE_SNAKE).collect();
+    if !sheet.hidden.is_empty() {
+        plane.hidden = (0..plane.height).flat_map(|row| &sheet.hidden[behind(row)]).copied().collect();
     }
     for (row, values) in plane.data.chunks_exact_mut(width).enumerate() {
-        for (value, &b) in values.iter_mut().zip(behind(row)) {
+        for (value, &b) in values.iter_mut().zip(&sheet.data[behind(row)]) {
             let b = if b > MOST_LIKE_SNAKE { (1.0 - b).max(0.0) } else { b };
             *value = (*value - b) / (1.0 - b);
         }
@@ -422,8 +435,8 @@ mod tests {
     #[test]
     fn print_like_the_snake_hides_what_is_before_it() {
         let value = |column: usize| if (12..15).contains(&column) { 0.8 } else { 0.1 };
-        let behind = Plane::new(40, 40, (0..40 * 40).map(|k| value(k % 40)).collect());
-        let mut plane = behind.clone();
+        let mut plane = Plane::new(40, 40, (0..40 * 40).map(|k| value(k % 40)).collect());
+        let behind = hiding(plane.clone());
         look_through(&mut plane, &behind);
         let hidden = |x: f64| plane.is_hidden(&Point2::new(x, 20.0));
         assert_eq!([11.0, 12.0, 14.0, 15.0].map(hidden), [false, true, true, false]);
