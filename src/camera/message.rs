@@ -3,8 +3,9 @@
 //! Source: the definitions of ROS 2's package `sensor_msgs`; its `image_encodings.hpp` for the names of encodings.
 
 use super::file::{FISHEYES, WrongPart};
-use super::frame::{Frame, Samples, decode_frame};
+use super::frame::{Frame, Samples};
 use super::lens::Lens;
+use super::picture::decode_frame;
 use crate::bag::messages::{CameraInfo, CompressedImage};
 use crate::bag::{Cdr, CdrResult, Stamped, Topic};
 use crate::error::Result;

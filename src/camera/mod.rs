@@ -9,6 +9,7 @@ pub mod lens;
 mod message;
 #[cfg(feature = "opencv")]
 mod opencv;
+pub mod picture;
 pub mod source;
 mod stack;
 mod stamps;
@@ -21,11 +22,12 @@ pub use board::Board;
 pub use calibrate::{CameraCalibration, calibrate_camera};
 pub use capture::{CaptureSettings, CaptureTarget, FourCc};
 pub use file::{CameraFormat, CameraNumbers};
-pub use frame::{Frame, Sample, Samples, decode_frame, decode_frame_for, picture_size_for, read_frame, read_frame_for};
+pub use frame::{Frame, Sample, Samples};
 pub use lens::Lens;
 #[cfg(feature = "live")]
 pub(crate) use message::Picture;
 pub use opencv::Capture;
+pub use picture::{decode_frame, decode_frame_for, picture_size_for, read_frame, read_frame_for};
 pub(crate) use source::number_in_name;
 pub use source::{FrameSource, PictureFile, SourceFrame};
 #[cfg(not(feature = "opencv"))]

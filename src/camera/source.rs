@@ -1,10 +1,11 @@
 //! Where frames come from: picture files told by a glob or a numbered pattern, the pages of a TIFF stack, a video file, or a recording. What a
 //! file is its content says, not its name.
 
-use super::frame::{Frame, picture_size, read_frame, rotation_mark};
+use super::frame::Frame;
 use super::lens::Lens;
 use super::message::Picture;
 use super::opencv::Video;
+use super::picture::{picture_size, read_frame, rotation_mark};
 use super::{stack, stamps, video_mark};
 use crate::bag::{Message, Topic};
 use crate::content;

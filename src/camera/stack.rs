@@ -2,7 +2,8 @@
 //!
 //! Source: TIFF 6.0, section 2 (header and directories); the BigTIFF design of Aware Systems.
 
-use super::frame::{Frame, PictureSource, decoded, unreadable};
+use super::frame::Frame;
+use super::picture::{PictureSource, decoded, unreadable};
 use crate::error::{Error, Result};
 use image::{ImageFormat, ImageReader};
 use std::fs::File;

@@ -19,6 +19,7 @@ use crate::statistics::chi_square;
 use crate::statistics::moments::{mean, rms};
 use crate::statistics::order::{mad_scale, median};
 use nalgebra::{Matrix2, Matrix2x6, Vector2};
+use std::cell::OnceCell;
 use std::f64::consts::PI;
 use std::ops::Range;
 
@@ -119,10 +120,10 @@ impl Innovation {
 pub(super) struct Health {
     /// Of the bending part, the largest tenth left out; in order of time.
     innovations: Vec<Innovation>,
-    /// The same, but for the tenth that agrees least with any affine gap.
-    agreeing: Vec<Innovation>,
     /// All of them.
     all: Vec<Innovation>,
+    /// All but the tenth that agrees least with any affine gap; found where it is asked for, since live judges each frame by the bending part alone.
+    agreeing: OnceCell<Vec<Innovation>>,
     /// Squares of the common part in units of its noise, the largest tenth left out.
     common: Vec<f64>,
     /// ∂θ by a bending part of q̃, rad per mm.
@@ -143,10 +144,14 @@ impl Health {
         let length = robot.backbone_circle_radius_mm * (robot.backbone_count() as f64 / 2.0).sqrt();
         let bend_by_mm =
             1.0 / (length * (1.0 + plain.parameters().x * line_share(&plain)).abs().max(f64::MIN_POSITIVE));
-        let (all, agreeing) = (innovations.clone(), agreeing(&innovations));
+        let all = innovations.clone();
         let innovations = without_largest(innovations, |one| one.bending.norm_squared());
         let common = without_largest(common, |square| *square);
-        Self { innovations, agreeing, all, common, bend_by_mm, sd_encoder_mm }
+        Self { innovations, all, agreeing: OnceCell::new(), common, bend_by_mm, sd_encoder_mm }
+    }
+
+    fn agreeing(&self) -> &[Innovation] {
+        self.agreeing.get_or_init(|| agreeing(&self.all))
     }
 
     /// The rms of the bending part in units of its noise, if it is above what counts as noise.
@@ -163,7 +168,7 @@ impl Health {
     /// By how much the affine part of the gap moves a bend of the data, rad, and of which form it is; if it is more than noise accounts for, as a
     /// whole or as a single encoder's scale, and more than a table may be wrong by.
     fn systematic(&self) -> Option<(f64, String)> {
-        let affine = AffineFit::of(&self.agreeing)?;
+        let affine = AffineFit::of(self.agreeing())?;
         let most = self.bend_by_mm * affine.most_mm();
         let scale = || self.scales().into_iter().find(ScaleFit::is_beyond_chance);
         let form = match affine.is_beyond_chance() {
@@ -175,8 +180,7 @@ impl Health {
 
     /// Each encoder's scale as the gap tells it, the likeliest first.
     fn scales(&self) -> Vec<ScaleFit> {
-        let count = self.agreeing.first().map_or(0, |one| one.q_mm.len());
-        let mut fits: Vec<ScaleFit> = (0..count).filter_map(|i| ScaleFit::of(&self.agreeing, i)).collect();
+        let mut fits: Vec<ScaleFit> = self.encoders().filter_map(|i| ScaleFit::of(self.agreeing(), i)).collect();
         fits.sort_by(|a, b| a.left.total_cmp(&b.left));
         fits
     }
@@ -311,18 +315,18 @@ impl Health {
     pub fn encoder_scale(&self) -> Option<Reason> {
         let fits = self.scales();
         let (best, second) = (fits.first()?, fits.get(1)?);
-        let before: f64 = self.agreeing.iter().map(|one| one.bending.norm_squared()).sum();
+        let before: f64 = self.agreeing().iter().map(|one| one.bending.norm_squared()).sum();
         let is_certain = best.error.abs() > NORMAL_QUANTILE * MEAN_SQUARE_OF_NOISE.sqrt() * best.sd;
         // An encoder's error moves the common part as well, which the correction must make quieter; an error of the eye does not.
         let quieter = {
             let i = best.backbone;
-            let root_n = (self.agreeing[0].q_mm.len() as f64).sqrt();
+            let root_n = (self.agreeing()[0].q_mm.len() as f64).sqrt();
             let corrected = |one: &Innovation| one.common_mm - best.error * one.q_mm[i] / root_n;
-            common_noise_mm(&self.agreeing, corrected) < common_noise_mm(&self.agreeing, |one| one.common_mm)
+            common_noise_mm(self.agreeing(), corrected) < common_noise_mm(self.agreeing(), |one| one.common_mm)
         };
         // A larger factor is another unit or a wrong sign, and the wiring check's business.
         let is_scale = (1.0 / LEAST_UNNAMED..LEAST_UNNAMED).contains(&(1.0 - best.error));
-        let numbers = 2 * self.agreeing.len();
+        let numbers = 2 * self.agreeing().len();
         let explains = is_noise(best.left, numbers) || best.left <= LEFT_BY_A_SCALE * before;
         let is_alone = is_alone(best.left, second.left, numbers);
         (self.has_gap() && explains && is_alone && is_certain && quieter && is_scale).then(|| best.reason())
