@@ -249,7 +249,14 @@ impl<'a> BaseFit<'a> {
         let visibility = PartVisibility::new(&Outline::new(&view, STRAIGHT), &learned.finder());
         let are_all_visible = visibility.are_all_faintly_visible(last_part(robot));
         self.check_agreement(edges, agreeing, are_all_visible, edge_rms_px)?;
-        check_visibility(&visibility, robot)?;
+        let further_up = || {
+            let camera_from_base = view.camera_from_base * Pose::translation(0.0, 0.0, robot.disk_pitch_mm());
+            PartVisibility::new(
+                &Outline::new(&Projection { camera_from_base, ..view.clone() }, STRAIGHT),
+                &learned.finder(),
+            )
+        };
+        check_visibility(&visibility, further_up, robot)?;
         let most_rms_px = MOST_RMS_PX * edges.blur_px.max(1.0);
         if edge_rms_px > most_rms_px {
             return Err(RigError::EdgesScattered { rms_px: edge_rms_px, most_rms_px });
@@ -334,13 +341,23 @@ fn last_part(robot: &Robot) -> u8 {
     robot.body.spacer_disk_count + 1 + u8::from(robot.body.tool.is_some())
 }
 
-/// Whether holder, first and end disk, and a tool, are seen where the model says, or at least all parts faintly.
-fn check_visibility(visibility: &PartVisibility, robot: &Robot) -> Result<(), RigError> {
+/// Whether holder, first and end disk, and a tool, are seen where the model says, or at least all parts faintly. The first disk may stand before
+/// something that looks like it, if a snake one disk further up is not seen: where the model lies a disk too low, that one is.
+fn check_visibility(
+    visibility: &PartVisibility,
+    further_up: impl FnOnce() -> PartVisibility,
+    robot: &Robot,
+) -> Result<(), RigError> {
+    let last = last_part(robot);
+    if visibility.are_all_faintly_visible(last) {
+        return Ok(());
+    }
     let end = robot.body.spacer_disk_count + 1;
     let tool = robot.body.tool.map(|_| (SnakePart::Tool, end + 1));
-    let parts = [(SnakePart::Holder, 0), (SnakePart::FirstDisk, 1), (SnakePart::EndDisk, end)];
-    match parts.into_iter().chain(tool).find(|&(_, part)| !visibility.is_visible(part)) {
-        Some((part, _)) if !visibility.are_all_faintly_visible(last_part(robot)) => Err(RigError::PartNotVisible(part)),
-        _ => Ok(()),
+    let parts = [(SnakePart::Holder, 0), (SnakePart::EndDisk, end)];
+    if let Some((part, _)) = parts.into_iter().chain(tool).find(|&(_, part)| !visibility.is_visible(part)) {
+        return Err(RigError::PartNotVisible(part));
     }
+    let is_placed = visibility.is_visible(1) || !further_up().is_visible(last);
+    is_placed.then_some(()).ok_or(RigError::PartNotVisible(SnakePart::FirstDisk))
 }

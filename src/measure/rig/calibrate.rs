@@ -37,6 +37,10 @@ const MOST_RULINGS: usize = 3;
 ///
 /// Convention: a limit of time; in every picture that is accepted it was the first or the second.
 const MOST_STARTS: usize = 2;
+/// A snake that explains so many times less of the picture than another is not looked at.
+///
+/// Convention: as of one that is half as wide and explains as large a share of what is around it.
+const DWARFED: f64 = 4.0;
 /// Snakes whose widths differ by less than this share are searched for once.
 ///
 /// Derived: a twentieth of the length is a third of a width at the tip, a cell and a half.
@@ -74,7 +78,8 @@ pub fn find_rig(picture: StraightPicture, sketch: &mut RigSketch) -> Result<Rig,
     for hypothesis in &search.hypotheses {
         let outcome = tries.ruling(hypothesis, &rulings).and_then(|mut ruling| {
             // A snake that explains most of what is seen around it is asked for its edges before others are looked for.
-            let rig = ruling.explains_most().then(|| tries.rig(&mut ruling, sketch)).transpose();
+            let is_asked = ruling.explains_most() && !ruling.is_dwarfed(&rulings);
+            let rig = is_asked.then(|| tries.rig(&mut ruling, sketch)).transpose();
             rulings.push(ruling);
             rig
         });
@@ -85,8 +90,11 @@ pub fn find_rig(picture: StraightPicture, sketch: &mut RigSketch) -> Result<Rig,
         }
     }
     rulings.sort_by(|a, b| b.gain().total_cmp(&a.gain()));
-    for ruling in rulings.iter_mut().take(MOST_RULINGS).filter(|ruling| !ruling.is_tried) {
-        match tries.rig(ruling, sketch) {
+    for k in 0..rulings.len().min(MOST_RULINGS) {
+        if rulings[k].is_tried || rulings[k].is_dwarfed(&rulings) {
+            continue;
+        }
+        match tries.rig(&mut rulings[k], sketch) {
             Ok(rig) => return Ok(rig),
             Err(error) => refused = Some(error.or_further(refused)),
         }
@@ -144,12 +152,24 @@ impl Ruling {
 
     /// The share of what is seen of it and around it that a snake of this size explains.
     fn explained(&self) -> f64 {
-        self.found.first().map_or(0.0, |start| start.explained)
+        self.found.first().map_or(0.0, |start| start.fit.share)
     }
 
-    /// How well a snake of this size explains the picture.
+    /// Whether a snake of another size, whose edges were asked for, explains far more of the picture: if its edges do not confirm it, something stands
+    /// there that the model does not know, and a small thing elsewhere is not the snake.
+    fn is_dwarfed(&self, others: &[Self]) -> bool {
+        let is_larger = |other: &Self| other.squares_px2() > DWARFED * self.squares_px2();
+        others.iter().any(|other| other.is_tried && other.explains_most() && is_larger(other))
+    }
+
+    /// How well a snake of this size explains what is around it.
     fn gain(&self) -> f64 {
-        self.found.first().map_or(0.0, |start| start.gain)
+        self.found.first().map_or(0.0, |start| start.fit.gain)
+    }
+
+    /// How much of the picture a snake of this size explains, px².
+    fn squares_px2(&self) -> f64 {
+        self.found.first().map_or(0.0, |start| start.fit.squares_px2)
     }
 }
 
@@ -269,7 +289,7 @@ impl Tries<'_> {
             tried.max_by(|(_, a), (_, b)| a.gain().total_cmp(&b.gain()))?;
         let StraightPicture { frame, robot, options, lens } = self.picture;
         let start = search_nearby(frame, &self.template, width_px, self.region, &found).into_iter().next()?;
-        if found.first()?.gain <= as_stated {
+        if found.first()?.fit.gain <= as_stated {
             return None;
         }
         let other = RigOptions { grid_pitch_mm: factor * options.grid_pitch_mm, ..*options };

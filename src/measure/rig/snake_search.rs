@@ -109,10 +109,19 @@ pub struct SnakeStart {
     pub base: Point2<f64>,
     /// Direction from the holder to the tip, in the picture.
     pub axis: Vector2<f64>,
-    /// By how much log-likelihood two levels explain the cells better than one.
+    /// How well a snake there explains what is seen.
+    pub fit: StripFit,
+}
+
+/// How well two levels, one on the body and one beside it, explain a strip's cells.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct StripFit {
+    /// By how much log-likelihood better than one level, where each cell counts once, however large.
     pub gain: f64,
-    /// The share of the cells' variance that two levels explain: r².
-    pub explained: f64,
+    /// The share of the cells' variance that they explain: r².
+    pub share: f64,
+    /// The squares that they explain, summed over the strip's area, px²: how much of the picture that is.
+    pub squares_px2: f64,
 }
 
 impl SnakeStart {
@@ -221,27 +230,27 @@ impl BodyTemplate {
 /// of one, of the body's share and its square, of how unlike the sheet they are and its square, and of the product of both.
 type Sums = [f32; 6];
 
-/// The gain of log-likelihood of two levels over one, where the body is the more unlike one, of so many cells in all, and r².
-fn gain(sums: Sums, of: usize) -> (f64, f64) {
+/// How well two levels, of which the body's is the more unlike one, explain so many cells in all, each of an area (px²).
+fn strip_fit(sums: Sums, of: usize, cell_px2: f64) -> StripFit {
     let [n, body, body2, seen, seen2, both] = sums.map(f64::from);
     if n < LEAST_SEEN * of as f64 {
-        return (0.0, 0.0);
+        return StripFit::default();
     }
     let covariance = both - body * seen / n;
     let scatter = (seen2 - seen * seen / n).max(LEAST_SCATTER * n);
     let r2 = covariance * covariance / ((body2 - body * body / n).max(f64::MIN_POSITIVE) * scatter);
     let r2 = if covariance > 0.0 { r2.min(1.0 - 1e-9) } else { 0.0 };
-    (-0.5 * n * (1.0 - r2).ln(), r2)
+    StripFit { gain: -0.5 * n * (1.0 - r2).ln(), share: r2, squares_px2: r2 * scatter * cell_px2 }
 }
 
 /// The same of a strip's cells: the moments of each, and the share that the body covers.
-fn gain_over(cells: impl ExactSizeIterator<Item = ([f32; 3], f32)>) -> (f64, f64) {
+fn fit_over(cells: impl ExactSizeIterator<Item = ([f32; 3], f32)>, cell_px2: f64) -> StripFit {
     let (mut sums, of) = (Sums::default(), cells.len());
     for ([shown, seen, seen2], body) in cells {
         let terms = [shown, body * shown, body * body * shown, seen, seen2, body * seen];
         sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
     }
-    gain(sums, of)
+    strip_fit(sums, of, cell_px2)
 }
 
 /// Where a straight snake, so many px wide, may be before the part of a picture that shows the sheet, roughly, in directions that are asked
@@ -266,7 +275,7 @@ pub fn search_everywhere(
     };
     let asked = (0..DIRECTIONS).into_par_iter().map(axis).filter(|axis| is_asked(axis));
     let mut all: Vec<SnakeStart> = asked.flat_map_iter(found).collect();
-    all.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    all.sort_by(|a, b| b.fit.gain.total_cmp(&a.fit.gain));
     distinct(all, APART_WIDTHS * width_px)
 }
 
@@ -281,7 +290,7 @@ pub fn search_nearby(
     let levels =
         REFINEMENT_CELLS.map(|per_width| (Unlike::of(frame, width_px / per_width, region), template.cells(per_width)));
     let mut all: Vec<SnakeStart> = found.par_iter().map(|start| refined(&levels, width_px, start)).collect();
-    all.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    all.sort_by(|a, b| b.fit.gain.total_cmp(&a.fit.gain));
     distinct(all, SAME_WIDTHS * width_px)
 }
 
@@ -312,11 +321,11 @@ fn best_around(unlike: &Unlike, offsets: &[(i64, i64, f32)], place: SnakeStart) 
     let reach = (0.5 * COARSE_CELLS) as i64;
     let around = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (x0 + dx, y0 + dy)));
     let at = |(x, y): (i64, i64)| {
-        let (gain, explained) = gain_over(offsets.iter().map(|&(dx, dy, body)| (unlike.cell(x + dx, y + dy), body)));
-        SnakeStart { base: unlike.middle(x, y), gain, explained, ..place }
+        let cells = offsets.iter().map(|&(dx, dy, body)| (unlike.cell(x + dx, y + dy), body));
+        SnakeStart { base: unlike.middle(x, y), fit: fit_over(cells, unlike.cell_px.powi(2)), ..place }
     };
-    let none = SnakeStart { gain: 0.0, explained: 0.0, ..place };
-    around.map(at).fold(none, |best, other| if other.gain > best.gain { other } else { best })
+    let none = SnakeStart { fit: StripFit::default(), ..place };
+    around.map(at).fold(none, |best, other| if other.fit.gain > best.fit.gain { other } else { best })
 }
 
 /// The best places in one direction: every local maximum of the gain over the cells that stands out from its neighbours.
@@ -349,20 +358,22 @@ fn in_direction(unlike: &Unlike, offsets: &[(i64, i64, f32)], axis: Vector2<f64>
             }
         }
     }
-    let gains: Vec<(f64, f64)> =
-        (0..(width * height) as usize).map(|k| gain(sums.each_ref().map(|sum| sum[k]), offsets.len())).collect();
+    let cell_px2 = unlike.cell_px.powi(2);
+    let fit_at = |k: usize| strip_fit(sums.each_ref().map(|sum| sum[k]), offsets.len(), cell_px2);
+    let fits: Vec<StripFit> = (0..(width * height) as usize).map(fit_at).collect();
     let at = |x: i64, y: i64| {
-        if (0..width).contains(&x) && (0..height).contains(&y) { gains[(y * width + x) as usize] } else { (0.0, 0.0) }
+        let is_inside = (0..width).contains(&x) && (0..height).contains(&y);
+        if is_inside { fits[(y * width + x) as usize] } else { StripFit::default() }
     };
     let mut places: Vec<SnakeStart> = Vec::new();
     for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
-        let (gain, explained) = at(x, y);
-        let is_peak = gain > 0.0 && (-1..=1).all(|dy| (-1..=1).all(|dx| at(x + dx, y + dy).0 <= gain));
+        let fit = at(x, y);
+        let is_peak = fit.gain > 0.0 && (-1..=1).all(|dy| (-1..=1).all(|dx| at(x + dx, y + dy).gain <= fit.gain));
         if is_peak {
-            places.push(SnakeStart { base: unlike.middle(x, y), axis, gain, explained });
+            places.push(SnakeStart { base: unlike.middle(x, y), axis, fit });
         }
     }
-    places.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    places.sort_by(|a, b| b.fit.gain.total_cmp(&a.fit.gain));
     places.truncate(MOST_PLACES);
     places
 }
@@ -389,8 +400,8 @@ fn best_turned(
     let at = |base: Point2<f64>, axis: Vector2<f64>| {
         let across = Vector2::new(-axis.y, axis.x);
         let place = |cell: &Cell| base + (axis * cell.along + across * cell.across) * width_px;
-        let (gain, explained) = gain_over(cells.iter().map(|cell| (unlike.at(&place(cell)), cell.body)));
-        SnakeStart { base, axis, gain, explained }
+        let cells = cells.iter().map(|cell| (unlike.at(&place(cell)), cell.body));
+        SnakeStart { base, axis, fit: fit_over(cells, unlike.cell_px.powi(2)) }
     };
     let mut best = at(from.base, from.axis);
     for turn in steps(turns) {
@@ -398,7 +409,7 @@ fn best_turned(
         for (by_along, by_across) in steps(along).flat_map(|a| steps(across).map(move |b| (a, b))) {
             let base = from.base + (axis * by_along + Vector2::new(-axis.y, axis.x) * by_across) * width_px;
             let other = at(base, axis);
-            if other.gain > best.gain {
+            if other.fit.gain > best.fit.gain {
                 best = other;
             }
         }
@@ -454,7 +465,7 @@ mod tests {
             assert!((start.base - base).norm() < 6.0, "{start:?} for {base}");
             let (sin, cos) = f64::to_radians(direction_deg).sin_cos();
             assert!(start.axis.angle(&Vector2::new(sin, -cos)).to_degrees() < 1.5, "{start:?}");
-            assert!(start.explained > 0.5, "{start:?}");
+            assert!(start.fit.share > 0.5, "{start:?}");
         }
     }
 }

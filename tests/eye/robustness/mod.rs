@@ -16,11 +16,12 @@ use crate::rigs::{self, Random};
 use crate::scenes::{self, frame_of};
 use conditions::Condition;
 use disturbances::{Disturbance, disturbed};
+use nalgebra::Point3;
 use rayon::prelude::*;
 use snakeloop::geometry::{Configuration, wrap_degrees};
 use snakeloop::measure::{Eye, FrameMeasurement};
 use snakeloop::observation::Status;
-use snakeloop::simulate::scene::Scene;
+use snakeloop::simulate::scene::{Scene, Stain};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -105,6 +106,20 @@ fn assert_calibrated(seed: u64) {
 #[test]
 fn squares_do_not_hide_the_snake() {
     [1058, 6001, 7002].into_iter().for_each(assert_calibrated);
+}
+
+/// A blot as dark as the snake, on the sheet behind its first disk, leaves no edge there. Where the snake begins its other parts tell.
+#[test]
+fn a_blot_behind_the_first_disk_does_not_hide_where_the_snake_begins() {
+    let mut scene = scenes::laboratory();
+    scene.surface.colour = [45.0; 3];
+    let eye = scene.view.camera_from_base().inverse() * Point3::origin();
+    let disk = Point3::new(0.0, 0.0, scene.robot.disk_pitch_mm());
+    let behind = eye + (disk - eye) * (scene.paper.standoff_mm - eye.y) / (disk.y - eye.y);
+    scene.paper.stains.push(Stain { centre_mm: [behind.x, behind.z], radius_mm: 3.2, colour: scene.surface.colour });
+    let rig = scenes::rig(&scene, 1).unwrap();
+    let off = rig.camera_from_base.inverse() * scene.view.camera_from_base();
+    assert!(off.rotation.angle().to_degrees() < 0.3 && off.translation.vector.xz().norm() < 0.1, "{off}");
 }
 
 /// Of these rigs a shadow stands out more than the snake does, or the holder's upper part tells its direction better than the lower.
