@@ -1,6 +1,6 @@
 //! From nothing to an experiment that is fit for a run: `new`, `check`, `print`.
 
-use crate::faults::fixture::{copy_folder, rendered};
+use crate::faults::fixture::render_short;
 use crate::program::{Sandbox, all_said, json, number};
 use std::fs;
 
@@ -27,10 +27,10 @@ fn a_new_folder_is_an_experiment_that_check_says_is_empty() {
 #[test]
 fn check_predicts_what_a_run_will_know_and_names_what_does_not_fit() {
     let sandbox = Sandbox::new();
-    copy_folder(rendered(), &sandbox.join("bending"));
+    render_short(&sandbox.join("bending"), 2);
     let run = sandbox.json("run bending -o out");
     let good = sandbox.json("check bending");
-    assert_eq!(good["verdict"]["level"], run["verdict"]["level"], "{good:#}");
+    assert_eq!(good["verdict"]["level"], run["verdict"]["level"], "{good:#} {:#}", run["verdict"]);
     for name in ["sd_eta", "sd_lambda_mm"] {
         // The run's rig is refined from the frames, which makes its sigmas a little smaller.
         let ratio = number(&good["expected"], name) / number(&run, name);

@@ -221,7 +221,8 @@ fn a_snake_with_a_tool_and_uneven_disks_is_measured_as_it_is_described() {
 /// A small picture tells less, to a degree or a few, but not nothing: bends in the view's plane and askew.
 #[test]
 fn a_picture_of_a_quarter_of_the_size_is_measured() {
+    // A snake of 110 px, whose direction σ tells to 2.5° at best.
     let scene = smaller(Scene::default(), 4);
     let eye = eye(&scene);
-    check_poses(&eye, &scene, &[(40.0, 0.0), (60.0, 180.0), (50.0, 60.0), (35.0, -120.0)], 1.5, 4.0);
+    check_poses(&eye, &scene, &[(40.0, 0.0), (60.0, 180.0), (50.0, 60.0), (35.0, -120.0)], 1.5, 6.0);
 }

@@ -4,7 +4,7 @@ use super::base_fit::{STRAIGHT, StraightPicture};
 use crate::camera::Frame;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::EdgeFinder;
-use crate::measure::image::appearance::Appearance;
+use crate::measure::image::appearance::{Appearance, Separation};
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::target::{Grid, PatternKind, PrintProfile, look_through};
 use nalgebra::Point2;
@@ -18,24 +18,18 @@ const AROUND_PX: f64 = 70.0;
 ///
 /// Derived: colours are learned up to a diameter beside the outline, which is half a diameter from the axis.
 const PRINT_DIAMETERS: f64 = 1.6;
-/// What tells snake from target is asked for most where edges are placed, so near the border, px (σ of a blur of the silhouette): a JPEG and many a
-/// camera keep less of the colours than of the brightness, and what looks the most unlike far from the border has the worst edges. Pixels that an
-/// edge mixes of both sides lie between the two and change nothing.
+/// How far around the outline pixels may show snake and target at once, px (σ of a blur of the silhouette).
 ///
-/// Fitted: by hand to the rms errors of tests/eye/uncertainty; not judged elsewhere.
+/// Convention: a little more than lens and compression blur a sharp picture.
 const BORDER_PX: f64 = 2.0;
-/// How many times as much it is asked for there.
-///
-/// Fitted: as [`BORDER_PX`], and with it.
-const BORDER_WEIGHT: f64 = 20.0;
 /// Half the width of the strip below the modelled holder that is left out, in diameters of the holder.
 ///
 /// Convention: its half width, and as much again.
 const BELOW_HOLDER: f64 = 1.0;
-/// The shares of snake that pixels at the border have, once the silhouette is blurred by that.
+/// A pixel whose share of the silhouette, blurred by that, is below this shows the target alone.
 ///
-/// Convention: ±1.6 σ of the blur.
-const BORDER_SHARES: std::ops::Range<f32> = 0.05..0.95;
+/// Convention: 1.6 σ of the blur outside.
+const SNAKE_SHARE: f32 = 0.05;
 /// Lines that are nearer to each other than this, px, are not looked through.
 ///
 /// Derived: a line of a fifth of a pitch is then two pixels wide; a narrower one is washed out by lens and compression, and its profile is that of the
@@ -90,7 +84,7 @@ impl Colours {
             return self;
         }
         let silhouette = outline.blurred_silhouette(BORDER_PX);
-        let is_target = |pixel: &Point2<f64>| silhouette.sample(pixel) < BORDER_SHARES.start;
+        let is_target = |pixel: &Point2<f64>| silhouette.sample(pixel) < SNAKE_SHARE;
         let seen = self.appearance.plane(frame);
         let print = PrintProfile::learn(&seen, view.lens, &grid.sheet, options.grid_pitch_mm, is_target);
         let Some(print) = print else { return self };
@@ -136,8 +130,8 @@ pub fn lit_region(view: &Projection) -> Region {
     view.image_region(STRAIGHT, LIT_DIAMETERS * view.diameter_px())
 }
 
-/// What tells snake from target, learned from inside and outside of the outline: of one that is well placed, at its border above all. A pixel of
-/// the target counts as much as `counts` says, where that is known of it.
+/// What tells snake from target, learned from inside and outside of the outline: of one that is well placed, of all that the snake shows, of another
+/// only of the mean. A pixel of the target counts as much as `counts` says, where that is known of it.
 ///
 /// The holder goes on below what is modelled of it, for how far nobody knows: what lies there is neither.
 pub fn appearance_of(
@@ -149,17 +143,14 @@ pub fn appearance_of(
 ) -> Option<Appearance> {
     let (x0, y0, x1, y1) = outline.bounds();
     let margin = x1 - x0;
-    let silhouette = is_well_placed.then(|| outline.blurred_silhouette(BORDER_PX));
-    let is_at_border = |pixel: &Point2<f64>| {
-        silhouette.as_ref().is_some_and(|silhouette| BORDER_SHARES.contains(&silhouette.sample(pixel)))
-    };
     let (end, axis) = view.holder_end();
     let half_width_px = BELOW_HOLDER * view.diameter_px();
     let is_below_holder = |pixel: &Point2<f64>| {
         let from_end = pixel - end;
         axis.dot(&from_end) < 0.0 && axis.perp(&from_end).abs() < half_width_px
     };
-    Appearance::learn(frame, |x, y| {
+    let separation = if is_well_placed { Separation::OfPixels } else { Separation::OfMeans };
+    Appearance::learn(frame, separation, |x, y| {
         let pixel = Point2::new(f64::from(x), f64::from(y));
         let near = pixel.x > x0 - margin && pixel.x < x1 + margin && pixel.y > y0 - margin && pixel.y < y1 + margin;
         if !near {
@@ -167,7 +158,6 @@ pub fn appearance_of(
         }
         let is_snake = outline.covers(&pixel);
         let count = counts.filter(|_| !is_snake).map_or(1.0, |counts| f64::from(counts.sample(&pixel)));
-        let times = if is_at_border(&pixel) { BORDER_WEIGHT } else { 1.0 };
-        (is_snake || !is_below_holder(&pixel)).then_some((is_snake, count * times))
+        (is_snake || !is_below_holder(&pixel)).then_some((is_snake, count))
     })
 }

@@ -55,13 +55,18 @@ pub fn rendered() -> &'static Path {
     static RENDERED: OnceLock<tempfile::TempDir> = OnceLock::new();
     let folder = RENDERED.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
-        let ride = BendingExperiment { sweep_poses: 2, round_poses: 0, ..BendingExperiment::default() };
-        let mut scene = smaller(Scene::default(), 3);
-        (scene.sensor.rays_per_pixel, scene.sensor.noise) = (8, 1.0);
-        assert_eq!(write_clean(folder.path(), &ride, &scene, 1), FRAMES);
+        render_short(folder.path(), 3);
         folder
     });
     folder.path()
+}
+
+/// Renders the experiment into frames of 1/divisor of the usual width and height.
+pub fn render_short(folder: &Path, divisor: u32) {
+    let ride = BendingExperiment { sweep_poses: 2, round_poses: 0, ..BendingExperiment::default() };
+    let mut scene = smaller(Scene::default(), divisor);
+    (scene.sensor.rays_per_pixel, scene.sensor.noise) = (8, 1.0);
+    assert_eq!(write_clean(folder, &ride, &scene, 1), FRAMES);
 }
 
 /// Renders an experiment in which nothing is wrong. How many frames it has.
