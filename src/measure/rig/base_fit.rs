@@ -246,15 +246,14 @@ impl<'a> BaseFit<'a> {
         let residuals_px = edges.in_px(&edges.residuals(&view, STRAIGHT, self.bias));
         let (agreeing, edge_rms_px) = inliers(&residuals_px, roots);
         let covariance = covariance(edges, roots, solution, &view, edge_rms_px).ok_or(RigError::Undetermined)?;
-        let visibility = PartVisibility::new(&Outline::new(&view, STRAIGHT), &learned.finder());
+        let finder = learned.finder();
+        let seen_by = |view: &Projection| PartVisibility::new(&Outline::new(view, STRAIGHT), &finder);
+        let visibility = seen_by(&view);
         let are_all_visible = visibility.are_all_faintly_visible(last_part(robot));
         self.check_agreement(edges, agreeing, are_all_visible, edge_rms_px)?;
         let further_up = || {
             let camera_from_base = view.camera_from_base * Pose::translation(0.0, 0.0, robot.disk_pitch_mm());
-            PartVisibility::new(
-                &Outline::new(&Projection { camera_from_base, ..view.clone() }, STRAIGHT),
-                &learned.finder(),
-            )
+            seen_by(&Projection { camera_from_base, ..view.clone() })
         };
         check_visibility(&visibility, further_up, robot)?;
         let most_rms_px = MOST_RMS_PX * edges.blur_px.max(1.0);

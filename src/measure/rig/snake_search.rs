@@ -230,7 +230,7 @@ impl BodyTemplate {
 /// of one, of the body's share and its square, of how unlike the sheet they are and its square, and of the product of both.
 type Sums = [f32; 6];
 
-/// How well two levels, of which the body's is the more unlike one, explain so many cells in all, each of an area (px²).
+/// How well two levels explain a strip of so many cells, each of an area (px²). The body's level must be the more unlike one.
 fn strip_fit(sums: Sums, of: usize, cell_px2: f64) -> StripFit {
     let [n, body, body2, seen, seen2, both] = sums.map(f64::from);
     if n < LEAST_SEEN * of as f64 {
