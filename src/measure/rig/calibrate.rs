@@ -3,11 +3,12 @@
 use super::alignment::aligned_starts;
 use super::base_fit::{StraightPicture, fit_base, place_base};
 use super::base_problem::STANDOFF_SIGMA_MM;
+use super::body_template::BodyTemplate;
 use super::error::{CalibrationStep, RigError};
 use super::parameters::{Rig, RigOptions};
 use super::scale::{contradiction, pattern_of};
 use super::sketch::RigSketch;
-use super::snake_search::{BodyTemplate, SnakeStart, search_everywhere, search_nearby};
+use super::snake_search::{SnakeStart, search_everywhere, search_nearby};
 use crate::camera::Lens;
 use crate::measure::target::{Grid, PictureRegion, SheetHypothesis, SheetSearch};
 use nalgebra::{Point2, Point3};
@@ -243,7 +244,7 @@ impl Tries<'_> {
     /// The rig of a snake that edges confirmed before a ruling: the sheet is measured anew without what the snake hides of it.
     fn rig_at(&self, hypothesis: &SheetHypothesis, start: &SnakeStart, width_px: f64) -> Result<Rig, RigError> {
         let StraightPicture { lens, robot, options, .. } = self.picture;
-        let (body, pitch_px) = (self.template.covered(start, width_px), hypothesis.pitch_px);
+        let (body, pitch_px) = (start.covered(&self.template, width_px), hypothesis.pitch_px);
         let grid = self.search.refined(lens, hypothesis, Some(&body)).ok_or(RigError::SheetNotMeasured { pitch_px })?;
         let rig = fit_base(self.picture, start, &grid)?;
         if (rig.standoff_mm() - options.standoff_mm).abs() > FAR_OFF_SIGMAS * STANDOFF_SIGMA_MM {
@@ -268,7 +269,7 @@ impl Tries<'_> {
 
     /// The boxes of places of a snake so many px wide.
     fn strips(&self, starts: &[SnakeStart], width_px: f64) -> Vec<[Point2<f64>; 4]> {
-        starts.iter().map(|start| self.template.strip(start, width_px)).collect()
+        starts.iter().map(|start| start.strip(&self.template, width_px)).collect()
     }
 
     /// How wide the snake is if this ruling has the stated pitch, px; not positive where it would be behind the camera.
@@ -293,7 +294,7 @@ impl Tries<'_> {
             return None;
         }
         let other = RigOptions { grid_pitch_mm: factor * options.grid_pitch_mm, ..*options };
-        let body = self.template.covered(&start, width_px);
+        let body = start.covered(&self.template, width_px);
         let grid = self.search.refined(lens, clearest, Some(&body))?.with_pitch_times(factor);
         let rig = fit_base(StraightPicture { options: &other, ..self.picture }, &start, &grid).ok()?;
         sketch.see_snake(hypothesis.lines_px(), self.strips(&[start], width_px));

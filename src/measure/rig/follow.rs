@@ -4,10 +4,11 @@
 //! frame to frame the camera is found again from the holder's edges and the target's waves together; where it jumped further
 //! than they can tell, from the holder and the grid as in a first picture.
 
+use super::body_template::BodyTemplate;
 use super::calibrate::region_of;
 use super::drift::{DriftCheck, RigDriftMonitor};
 use super::parameters::Rig;
-use super::snake_search::{BodyTemplate, search_everywhere, search_nearby};
+use super::snake_search::{search_everywhere, search_nearby};
 use crate::camera::{Frame, Lens};
 use crate::geometry::{Pose, perturbed};
 use crate::measure::body::Projection;

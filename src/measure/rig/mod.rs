@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | `parameters` | the rig as data (its file, rig.toml, is `record`'s) |
 //! | `error` | why a rig could not be calibrated |
-//! | `snake_search` | finds the straight snake before a sheet whose scale is known |
+//! | `body_template`, `unlike`, `snake_search` | find the straight snake before a sheet whose scale is known |
 //! | `alignment` | moves it along its axis to where its disks and ends are |
 //! | `sketch` | what a calibration saw, for a person to look at |
 //! | `placement`, `base_problem`, `base_fit`, `tilt`, `scale` | fit the straight snake before its grid, and check the scale that was stated |
@@ -20,6 +20,7 @@ mod alignment;
 mod base_fit;
 mod base_monitor;
 mod base_problem;
+mod body_template;
 mod calibrate;
 mod colours;
 mod drift;

@@ -6,17 +6,13 @@
 //! −n/2 ln(1 − r²) of log-likelihood over a single level. Ink, clamps, table and shadows are unlike the sheet as well, but not of this form.
 //! Below the base the silhouette has a piece of the holder, and nothing is asked of what lies further down.
 
-use super::base_fit::STRAIGHT;
+use super::body_template::{BELOW, BodyTemplate, Cell};
 use super::unlike::Unlike;
-use crate::camera::{Frame, Lens};
-use crate::geometry::Pose;
-use crate::measure::body::{Outline, Projection};
-use crate::measure::image::plane::Plane;
+use crate::camera::Frame;
 use crate::measure::target::PictureRegion;
-use crate::robot::Robot;
-use nalgebra::{Point2, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::TAU;
 
 /// Cells across the snake's width in the first search, of all places.
 ///
@@ -39,30 +35,10 @@ const REFINEMENT_CELLS: [f64; 2] = [6.0, 12.0];
 ///
 /// Derived: 6° apart; half of that moves the tip, six widths away, by 0.3 widths.
 const DIRECTIONS: usize = 60;
-/// How far the strip around the body goes beside its axis, in widths.
-///
-/// Convention: half a width of sheet on either side.
-const HALF_WIDTH: f64 = 1.1;
-/// How far it goes below the base, in widths.
-///
-/// Convention: as much holder as the user is asked to show, and a fifth more.
-const BELOW: f64 = 1.2;
-/// How far it goes beyond the tip, in widths.
-///
-/// Convention: more than half a width of sheet.
-const BEYOND: f64 = 0.7;
 /// What is covered on either side of the body's axis and beyond its tip, in widths.
 ///
 /// Convention: half of its width, and a fifth of that more for blur.
 const COVERED: f64 = 0.6;
-/// How far the strip around a snake that may be bent goes above the base, in widths.
-///
-/// Convention: one disk's distance.
-const HELD_ABOVE: f64 = 0.9;
-/// How far that strip goes below the base, in widths.
-///
-/// Convention: as much holder as most pictures show.
-const HELD_BELOW: f64 = 2.0;
 /// The least share of the strip that must be in the picture, on the sheet.
 ///
 /// Convention: a majority.
@@ -93,15 +69,6 @@ const ACROSS_WIDTHS: (f64, i32) = (0.42, 5);
 ///
 /// Convention: a tenth of the range, squared; a blank sheet's cells scatter by less, and show nothing.
 const LEAST_SCATTER: f64 = 0.01;
-/// Width of the body in the drawing from which its silhouette is taken, px.
-///
-/// Convention: fine beside the fine cells.
-const DRAWN_WIDTH_PX: f64 = 36.0;
-/// How far away the drawing's camera is, in widths.
-///
-/// Convention: far enough that perspective does not matter.
-const DRAWN_FROM_WIDTHS: f64 = 60.0;
-
 /// Where a straight snake was found.
 #[derive(Debug, Clone, Copy)]
 pub struct SnakeStart {
@@ -134,95 +101,21 @@ impl SnakeStart {
     pub fn is_same(&self, other: &Self, width_px: f64) -> bool {
         self.is_near(other, SAME_WIDTHS * width_px)
     }
-}
 
-/// The straight body's silhouette in units of its width.
-pub struct BodyTemplate {
-    drawn: Plane,
-    base: Point2<f64>,
-    /// How much of the strip lies above the base, and below it, in widths.
-    above: f64,
-    below: f64,
-    length_widths: f64,
-}
-
-/// One cell of the strip around the body: where it is from the base (widths, along and across), and the share of it that the body covers.
-#[derive(Debug, Clone, Copy)]
-struct Cell {
-    along: f64,
-    across: f64,
-    body: f32,
-}
-
-impl BodyTemplate {
-    /// The corners of the strip around a body that is so many px wide: holder left and right, tip right and left.
-    pub fn strip(&self, start: &SnakeStart, width_px: f64) -> [Point2<f64>; 4] {
-        let across = Vector2::new(-start.axis.y, start.axis.x);
-        let corner = |along: f64, side: f64| start.base + (start.axis * along + across * (side * 0.5)) * width_px;
-        let tip = self.length_widths;
+    /// The corners of the strip around a body here that is so many px wide: holder left and right, tip right and left.
+    pub fn strip(&self, template: &BodyTemplate, width_px: f64) -> [Point2<f64>; 4] {
+        let across = Vector2::new(-self.axis.y, self.axis.x);
+        let corner = |along: f64, side: f64| self.base + (self.axis * along + across * (side * 0.5)) * width_px;
+        let tip = template.length_widths;
         [corner(-BELOW, -1.0), corner(-BELOW, 1.0), corner(tip, 1.0), corner(tip, -1.0)]
     }
 
-    /// What a body that is so many px wide covers at most: its strip and a little around it, and the holder below for as far as it may go.
-    pub fn covered(&self, start: &SnakeStart, width_px: f64) -> PictureRegion {
-        let across = Vector2::new(-start.axis.y, start.axis.x);
-        let corner = |along: f64, side: f64| start.base + (start.axis * along + across * (side * COVERED)) * width_px;
-        let tip = self.length_widths + COVERED;
+    /// What a body here that is so many px wide covers at most: its strip and a little around it, and the holder below for as far as it may go.
+    pub fn covered(&self, template: &BodyTemplate, width_px: f64) -> PictureRegion {
+        let across = Vector2::new(-self.axis.y, self.axis.x);
+        let corner = |along: f64, side: f64| self.base + (self.axis * along + across * (side * COVERED)) * width_px;
+        let tip = template.length_widths + COVERED;
         PictureRegion::around([corner(-tip, -1.0), corner(-tip, 1.0), corner(tip, 1.0), corner(tip, -1.0)])
-    }
-
-    /// The silhouette of a robot's holder and of the first of its snake, which hardly bends there.
-    pub fn of_holder(robot: &Robot) -> Self {
-        Self { above: HELD_ABOVE, below: HELD_BELOW, ..Self::of(robot) }
-    }
-
-    /// The silhouette of a straight robot.
-    pub fn of(robot: &Robot) -> Self {
-        let width_mm = robot.body.disk_diameter_mm;
-        let end_mm = robot.length_mm + robot.body.tool.map_or(0.0, |tool| tool.length_mm);
-        let length_widths = end_mm / width_mm;
-        let size = |widths: f64| (widths * DRAWN_WIDTH_PX).ceil() as u32;
-        let (width, height) = (size(2.0 * HALF_WIDTH + 1.0), size(length_widths + HELD_BELOW + BEYOND + 1.0));
-        let focal_px = DRAWN_WIDTH_PX * DRAWN_FROM_WIDTHS;
-        let base = Point2::new(f64::from(width) / 2.0, (length_widths + BEYOND + 0.5) * DRAWN_WIDTH_PX);
-        let lens = Lens {
-            width,
-            height,
-            focal_px: [focal_px, focal_px].into(),
-            // Square to the body's middle, so that its disks are seen edge-on.
-            centre_px: [base.x, f64::from(height) / 2.0].into(),
-            distortion: Default::default(),
-            fisheye: None,
-        };
-        let distance_mm = DRAWN_FROM_WIDTHS * width_mm;
-        let drop_mm = (base.y - f64::from(height) / 2.0) / DRAWN_WIDTH_PX * width_mm;
-        // The base's z is up in the picture, its y away from the camera.
-        let upright = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), FRAC_PI_2);
-        let camera_from_base = Pose::from_parts([0.0, drop_mm, distance_mm].into(), upright);
-        let view = Projection { lens: &lens, camera_from_base, robot };
-        let outline = Outline::new(&view, STRAIGHT);
-        let covered = |k: u32| outline.covers(&Point2::new(f64::from(k % width), f64::from(k / width)));
-        let data = (0..width * height).map(|k| if covered(k) { 1.0 } else { 0.0 }).collect();
-        let drawn = Plane::new(width as usize, height as usize, data);
-        Self { drawn, base, above: length_widths + BEYOND, below: BELOW, length_widths }
-    }
-
-    /// The strip in cells of which so many go into a width.
-    fn cells(&self, per_width: f64) -> Vec<Cell> {
-        let side_px = DRAWN_WIDTH_PX / per_width;
-        let (columns, rows) = ((HALF_WIDTH * per_width) as i32, (self.above * per_width) as i32);
-        let below = (self.below * per_width) as i32;
-        let cell = |row: i32, column: i32| {
-            let (along, across) = (f64::from(row) / per_width, f64::from(column) / per_width);
-            let middle = self.base + Vector2::new(across, -along) * DRAWN_WIDTH_PX;
-            // The mean over a lattice of places in the cell. Convention: finer than the picture's pixels.
-            const PLACES: i32 = 6;
-            let at = |k: i32| ((f64::from(k) + 0.5) / f64::from(PLACES) - 0.5) * side_px;
-            let places = (0..PLACES * PLACES).map(|k| middle + Vector2::new(at(k % PLACES), at(k / PLACES)));
-            let body = places.map(|place| self.drawn.sample(&place)).sum::<f32>() / (PLACES * PLACES) as f32;
-            Cell { along, across, body }
-        };
-        (-below..=rows).flat_map(|row| (-columns..=columns).map(move |column| cell(row, column))).collect()
     }
 }
 
@@ -419,8 +312,10 @@ fn best_turned(
 
 #[cfg(test)]
 mod tests {
+    use super::super::body_template::DRAWN_WIDTH_PX;
     use super::*;
     use crate::camera::Samples;
+    use crate::robot::Robot;
 
     /// A picture of grey paper on which the silhouette of a straight robot, so many px wide, is drawn at a place and in a direction, beside a
     /// blot and a clamp at the lower border.
