@@ -10,6 +10,7 @@ use crate::{Error, Result};
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::FilterType;
 use image::{RgbImage, imageops};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -79,21 +80,18 @@ fn picture_path(folder: &Path, view: &str, index: u64) -> PathBuf {
 /// # Errors
 /// A picture that cannot be read any more.
 pub fn pictures(experiment: &Experiment, folder: &Path, of: &[Measurement]) -> Result<Vec<Picture>> {
-    let mut pictures = Vec::new();
-    for measurement in of {
-        for view in &experiment.views {
-            let path = picture_path(folder, &view.name, measurement.index);
-            if path.exists() {
-                let drawn = image::open(&path).map_err(|e| Error::content(&path, e.to_string()))?;
-                let drawn = drawn.into_rgb8();
-                let snake = snake_in(&drawn);
-                let jpeg = jpeg(&narrowed(&drawn, PICTURE_WIDTH), 80)?;
-                let file = picture_path(Path::new("overlays"), &view.name, measurement.index).display().to_string();
-                pictures.push(Picture { caption: caption(measurement), jpeg, file, snake });
-            }
-        }
-    }
-    Ok(pictures)
+    let picture = |(measurement, view): (&Measurement, &str)| {
+        let path = picture_path(folder, view, measurement.index);
+        let drawn = image::open(&path).map_err(|e| Error::content(&path, e.to_string()))?.into_rgb8();
+        let snake = snake_in(&drawn);
+        let jpeg = jpeg(&narrowed(drawn, PICTURE_WIDTH), 80)?;
+        let file = picture_path(Path::new("overlays"), view, measurement.index).display().to_string();
+        Ok(Picture { caption: caption(measurement), jpeg, file, snake })
+    };
+    let of_views = |measurement| experiment.views.iter().map(move |view| (measurement, view.name.as_str()));
+    let drawn: Vec<(&Measurement, &str)> = of.iter().flat_map(of_views).collect();
+    let is_there = |(measurement, view): &(&Measurement, &str)| picture_path(folder, view, measurement.index).exists();
+    drawn.into_par_iter().filter(is_there).map(picture).collect()
 }
 
 /// The frame of the largest bend among these, as it was drawn, cut to the snake: its caption and the JPEG file.
@@ -113,7 +111,7 @@ pub fn closeup(experiment: &Experiment, folder: &Path, of: &[Measurement]) -> Re
     let px = |share: f64, of: u32| (share * f64::from(of)).round() as u32;
     let (wide, high) = (drawn.width(), drawn.height());
     let part = imageops::crop_imm(&drawn, px(left, wide), px(top, high), px(width, wide), px(height, high)).to_image();
-    Ok(Some((format!("{}.", caption(most)), jpeg(&narrowed(&part, CLOSEUP_WIDTH), 88)?)))
+    Ok(Some((format!("{}.", caption(most)), jpeg(&narrowed(part, CLOSEUP_WIDTH), 88)?)))
 }
 
 /// The part of a picture with the model drawn on it, with room about it; all of it where no model is drawn.
@@ -152,10 +150,12 @@ fn caption(measurement: &Measurement) -> String {
 }
 
 /// A picture made so narrow, if it is wider.
-fn narrowed(picture: &RgbImage, most: u32) -> RgbImage {
-    let width = picture.width().min(most);
-    let height = (u64::from(picture.height()) * u64::from(width) / u64::from(picture.width())).max(1) as u32;
-    imageops::resize(picture, width, height, FilterType::Triangle)
+fn narrowed(picture: RgbImage, most: u32) -> RgbImage {
+    if picture.width() <= most {
+        return picture;
+    }
+    let height = (u64::from(picture.height()) * u64::from(most) / u64::from(picture.width())).max(1) as u32;
+    imageops::resize(&picture, most, height, FilterType::Triangle)
 }
 
 pub fn jpeg(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {

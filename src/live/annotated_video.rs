@@ -8,7 +8,7 @@ use crate::observation::Measurement;
 use crate::report::overlay::{Shape, overlay};
 use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
-use image::imageops::{FilterType, resize};
+use image::imageops::thumbnail;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
@@ -106,6 +106,6 @@ impl ToDraw {
             return picture;
         }
         let height = (f64::from(picture.height()) * f64::from(MAX_WIDTH) / f64::from(picture.width())) as u32;
-        resize(&picture, MAX_WIDTH, height.max(1), FilterType::Triangle)
+        thumbnail(&picture, MAX_WIDTH, height.max(1))
     }
 }

@@ -1,6 +1,6 @@
 //! A frame with what was measured drawn on it.
 
-use crate::camera::Frame;
+use crate::camera::{Frame, Samples};
 use crate::measure::{Outline, Projection};
 use crate::observation::{Measured, Measurement, Status};
 use crate::quantity::with_sd;
@@ -151,6 +151,11 @@ fn plus_minus(angle_deg: f64, sigma: f64) -> String {
 }
 
 pub(super) fn rgb(frame: &Frame) -> RgbImage {
+    if let (Samples::Bits8(samples), 3) = (&frame.samples, frame.channels)
+        && let Some(picture) = RgbImage::from_raw(frame.width, frame.height, samples.clone())
+    {
+        return picture;
+    }
     let level = |value: f32| value.round().clamp(0.0, 255.0) as u8;
     RgbImage::from_fn(frame.width, frame.height, |x, y| match frame.channels {
         1 => Rgb([level(frame.get(x, y, 0)); 3]),
@@ -229,7 +234,6 @@ pub(super) fn label(picture: &mut RgbImage, lines: &[String], size: f64, colour:
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::Samples;
     use crate::geometry::Configuration;
     use ab_glyph::Font;
 

@@ -3,7 +3,7 @@
 //! Nothing here knows how the eye looks for outlines: a pixel is the mean of the light along rays spread over its
 //! square, each of which meets the snake's shapes, a wire or the grid target. The order of things is that of a camera:
 //!
-//! 1. rays through each pixel, in linear light, times the lamp's gradient and the lens's vignetting;
+//! 1. rays through each pixel (one, where it shows paper of one colour), in linear light, times the lamp's gradient and the lens's vignetting;
 //! 2. Gaussian blur;
 //! 3. sRGB encoding, noise, rounding to 8 bits.
 
@@ -92,6 +92,10 @@ fn trace(scene: &Scene, psi: Configuration) -> Vec<Pixel> {
             let (a, b, c, d) = (above[column], above[column + 1], below[column], below[column + 1]);
             let (middle, across, down) = ((a + b + c + d) / 4.0, (b + d - a - c) / 2.0, (c + d - a - b) / 2.0);
             let near = stage.tiles.near(column, row);
+            if let Some(light) = stage.even_target(&origin, &middle, &[across, down], near) {
+                pixel.light = light * falloff(scene, column, row);
+                continue;
+            }
             let shift = shift(column, row);
             for sample in &samples {
                 let offset = (sample + shift).map(|v| if v < 1.0 { v - 0.5 } else { v - 1.5 });
@@ -192,13 +196,41 @@ impl<'a> Stage<'a> {
     }
 
     fn target_seen(&self, origin: &Point3<f64>, direction: &Vector3<f64>) -> Radiance {
-        let distance = (self.scene.paper.standoff_mm - origin.y) / direction.y;
-        if distance.is_nan() || distance <= 0.0 {
-            return Radiance::zeros();
+        let Some(point) = self.on_target(origin, direction) else { return Radiance::zeros() };
+        self.lit(&point) * self.target.colour_at(&point)
+    }
+
+    /// The light of a pixel that shows nothing but paper of one colour, for which one ray is enough: a shadow hardly changes within it.
+    fn even_target(
+        &self,
+        origin: &Point3<f64>,
+        middle: &Vector3<f64>,
+        [across, down]: &[Vector3<f64>; 2],
+        near: &[u16],
+    ) -> Option<Radiance> {
+        if !near.is_empty() || !self.wires.is_empty() {
+            return None;
         }
-        let point = Point2::new(origin.x + distance * direction.x, origin.z + distance * direction.z);
-        let shade = self.shadow.as_ref().map_or(0.0, |shadow| shadow.at(&point));
-        (1.0 - self.scene.light.shadow * shade) * self.target.colour_at(&point)
+        let point = self.on_target(origin, middle)?;
+        let mut reach_mm = 0.0_f64;
+        for corner in [across + down, across - down] {
+            for side in [0.5, -0.5] {
+                reach_mm = reach_mm.max((self.on_target(origin, &(middle + side * corner))? - point).norm());
+            }
+        }
+        Some(self.lit(&point) * self.target.even_colour_at(&point, reach_mm)?)
+    }
+
+    /// Where a direction meets the plane of the target, (x_b, z_b), if it does so before the camera.
+    fn on_target(&self, origin: &Point3<f64>, direction: &Vector3<f64>) -> Option<Point2<f64>> {
+        let distance = (self.scene.paper.standoff_mm - origin.y) / direction.y;
+        (distance > 0.0 && distance.is_finite())
+            .then(|| Point2::new(origin.x + distance * direction.x, origin.z + distance * direction.z))
+    }
+
+    /// The share of the lamp's light that reaches a place of the target.
+    fn lit(&self, point: &Point2<f64>) -> f64 {
+        1.0 - self.scene.light.shadow * self.shadow.as_ref().map_or(0.0, |shadow| shadow.at(point))
     }
 }
 

@@ -78,7 +78,7 @@ fn a_run_takes_frames_lens_and_joints_from_a_recording() {
 fn a_run_on_what_was_exported_measures_the_same() {
     let sandbox = Sandbox::new();
     let bending = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/bending");
-    sandbox.succeed(&format!("run {} -o folder", bending.display()));
+    sandbox.succeed(&format!("run {} -o folder --overlays none", bending.display()));
     sandbox.succeed(&format!("export folder --experiment {} -o again/run.mcap", bending.display()));
     for name in ["camera.yaml", "straight.jpg"] {
         fs::copy(bending.join(name), sandbox.join("again").join(name)).unwrap();
@@ -89,7 +89,7 @@ fn a_run_on_what_was_exported_measures_the_same() {
     let settings =
         settings.replace("frames = \"frames/*.jpg\"", frames).replace("encoders = \"encoders.csv\"", encoders);
     sandbox.write("again/experiment.toml", &settings);
-    sandbox.succeed("run again -o bag");
+    sandbox.succeed("run again -o bag --overlays none");
 
     // A frame's index is its number in the folder, and its position in the recording.
     let without_index = |path: &str| -> Vec<String> {

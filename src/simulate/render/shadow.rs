@@ -61,10 +61,15 @@ impl Shadow {
     /// Darkness at (x_b, z_b), 0 to 1, interpolated between the cells' middles.
     pub fn at(&self, point: &Point2<f64>) -> f64 {
         let place = (point - self.corner) / Self::CELL - Vector2::repeat(0.5);
-        let (column, row) = (place.x.floor(), place.y.floor());
+        let (columns, rows) = (self.columns as f64, self.rows as f64);
+        if !((-1.0..columns).contains(&place.x) && (-1.0..rows).contains(&place.y)) {
+            return 0.0;
+        }
+        // A cast truncates several times as fast as a number is rounded down.
+        let [column, row] = [place.x, place.y].map(|v| ((v + 1.0) as i64 - 1) as f64);
         let cell = |dx: f64, dy: f64| {
             let (x, y) = (column + dx, row + dy);
-            let inside = x >= 0.0 && y >= 0.0 && x < self.columns as f64 && y < self.rows as f64;
+            let inside = x >= 0.0 && y >= 0.0 && x < columns && y < rows;
             if inside { self.darkness[y as usize * self.columns + x as usize] } else { 0.0 }
         };
         let (fx, fy) = (place.x - column, place.y - row);

@@ -53,7 +53,7 @@ fn of_two_runs_started_together_one_gets_in() {
     }
     for round in 0..3 {
         let start = || {
-            let mut command = sandbox.command(&format!("run experiment -o out{round} --jobs 1"));
+            let mut command = sandbox.command(&format!("run experiment -o out{round} --jobs 1 --overlays none"));
             command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
         };
         let both = [start(), start()].map(|child| all_said(&child.wait_with_output().unwrap()));
