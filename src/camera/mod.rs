@@ -10,6 +10,7 @@ mod message;
 #[cfg(feature = "opencv")]
 mod opencv;
 pub mod picture;
+mod picture_files;
 pub mod source;
 mod stack;
 mod stamps;
@@ -28,7 +29,8 @@ pub use lens::Lens;
 pub(crate) use message::Picture;
 pub use opencv::Capture;
 pub use picture::{decode_frame, decode_frame_for, picture_size_for, read_frame, read_frame_for};
-pub(crate) use source::number_in_name;
-pub use source::{FrameSource, PictureFile, SourceFrame};
+pub use picture_files::PictureFile;
+pub(crate) use picture_files::number_in_name;
+pub use source::{FrameSource, SourceFrame};
 #[cfg(not(feature = "opencv"))]
 use without_opencv as opencv;

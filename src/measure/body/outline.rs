@@ -98,16 +98,27 @@ impl Outline {
 
     /// The same with border points about `spacing_px` apart.
     pub(crate) fn spaced(view: &Projection, profile: impl Into<BendProfile>, spacing_px: f64) -> Self {
-        let distance_mm = view.camera_from_base.translation.vector.norm().max(1.0);
-        let mm_per_px = distance_mm / view.lens.focal_px.x;
-        let surfaces = Surfaces::new(view, &view.curve(profile), spacing_px, mm_per_px);
-        let cell_px = if spacing_px < SPARSE_PX { 1.0 } else { 2.0 };
-        let silhouette = Silhouette::new(view.lens, &surfaces.polygons, cell_px);
-        let candidates = &surfaces.points;
+        let (candidates, silhouette) = drawn(view, profile, spacing_px);
         let points = candidates.iter().filter_map(|point| border_point(&silhouette, view.lens, point)).collect();
         let outside =
             candidates.iter().filter(|p| p.body.s_mm > 0.0 && !view.lens.contains(&p.pixel, PICTURE_MARGIN_PX));
         Self { points, out_of_frame: outside.count() as f64 / candidates.len().max(1) as f64, silhouette }
+    }
+
+    /// Of the snake's border points alone, about `spacing_px` apart, where they are seen (px) and which way the border faces, if as much background
+    /// is beside them: what a search over thousands of bends asks, in less time.
+    pub(crate) fn free_points(
+        view: &Projection,
+        profile: impl Into<BendProfile>,
+        spacing_px: f64,
+        least_gap_px: f64,
+    ) -> impl Iterator<Item = (Point2<f64>, Unit<Vector2<f64>>)> {
+        let (candidates, silhouette) = drawn(view, profile, spacing_px);
+        candidates.into_iter().filter(|point| point.body.s_mm > 0.0).filter_map(move |point| {
+            let normal = border_normal(&silhouette, view.lens, &point)?;
+            let gap_px = silhouette.run_length(&point.pixel, normal.into_inner(), false, least_gap_px);
+            (gap_px >= least_gap_px).then_some((point.pixel, normal))
+        })
     }
 
     /// Projects the same material points at a bend that differs little, at which they are still on the border to first order. The
@@ -153,18 +164,30 @@ fn normal_of(along: Vector2<f64>, outward: Vector2<f64>) -> Option<Unit<Vector2<
     Some(if normal.dot(&outward) < 0.0 { -normal } else { normal })
 }
 
-/// The border point at a surface point; `None` if that is hidden, inside the silhouette or outside the picture.
+/// The points of the body's surface that may lie on the border, about `spacing_px` apart, and its silhouette.
+fn drawn(view: &Projection, profile: impl Into<BendProfile>, spacing_px: f64) -> (Vec<SurfacePoint>, Silhouette) {
+    let distance_mm = view.camera_from_base.translation.vector.norm().max(1.0);
+    let mm_per_px = distance_mm / view.lens.focal_px.x;
+    let Surfaces { points, polygons } = Surfaces::new(view, &view.curve(profile), spacing_px, mm_per_px);
+    let cell_px = if spacing_px < SPARSE_PX { 1.0 } else { 2.0 };
+    (points, Silhouette::new(view.lens, &polygons, cell_px))
+}
+
+/// Which way the border faces at a surface point; `None` if that is hidden, inside the silhouette or outside the picture.
+fn border_normal(silhouette: &Silhouette, lens: &Lens, point: &SurfacePoint) -> Option<Unit<Vector2<f64>>> {
+    if !lens.contains(&point.pixel, PICTURE_MARGIN_PX) {
+        return None;
+    }
+    let normal = normal_of(point.along, point.outward)?;
+    silhouette.has_border_at(&point.pixel, &normal).then_some(normal)
+}
+
+/// The border point at a surface point, if it is one.
 fn border_point(silhouette: &Silhouette, lens: &Lens, point: &SurfacePoint) -> Option<OutlinePoint> {
-    let SurfacePoint { body, piece, lateral, face_px, pixel, outward, along } = *point;
-    if !lens.contains(&pixel, PICTURE_MARGIN_PX) {
-        return None;
-    }
-    let normal = normal_of(along, outward)?;
-    if !silhouette.has_border_at(&pixel, &normal) {
-        return None;
-    }
-    let depth_px = silhouette.run_length(&pixel, -normal.into_inner(), true);
-    let gap_px = silhouette.run_length(&pixel, normal.into_inner(), false);
+    let normal = border_normal(silhouette, lens, point)?;
+    let SurfacePoint { body, piece, lateral, face_px, pixel, .. } = *point;
+    let depth_px = silhouette.run_length(&pixel, -normal.into_inner(), true, REACH_PX);
+    let gap_px = silhouette.run_length(&pixel, normal.into_inner(), false, REACH_PX);
     let predicted = Some(PredictedEdge::STRAIGHT);
     Some(OutlinePoint { body, piece, lateral, face_px, pixel, normal, gap_px, depth_px, predicted })
 }
@@ -271,6 +294,19 @@ mod tests {
         let share = outline.points.iter().filter(agreeing).count() as f64 / outline.points.len() as f64;
         // Rims and limbs that begin or end to be hidden at the new bend are no border any more.
         assert!(share > 0.9, "{share}");
+    }
+
+    #[test]
+    fn free_points_are_those_of_the_outline_that_have_room_beside_them() {
+        let scene = Scene::new(Vector3::new(0.1, -0.2, 0.3));
+        let view = scene.view();
+        for psi in [STRAIGHT, Configuration::from_degrees(60.0, 30.0), Configuration::from_degrees(100.0, -110.0)] {
+            let outline = Outline::spaced(&view, psi, 3.0);
+            let expected = outline.points.iter().filter(|point| point.body.s_mm > 0.0 && point.gap_px >= 2.5);
+            let expected: Vec<_> = expected.map(|point| (point.pixel, point.normal)).collect();
+            assert!(expected.len() > 100);
+            assert_eq!(Outline::free_points(&view, psi, 3.0, 2.5).collect::<Vec<_>>(), expected);
+        }
     }
 
     #[test]

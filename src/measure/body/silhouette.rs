@@ -71,15 +71,15 @@ impl Silhouette {
     }
 
     /// How far, px, one can go from a border pixel in a direction before the silhouette ends (`inside`) or begins; at most
-    /// [`REACH_PX`].
-    pub fn run_length(&self, from: &Point2<f64>, direction: Vector2<f64>, inside: bool) -> f64 {
+    /// `most_px`.
+    pub fn run_length(&self, from: &Point2<f64>, direction: Vector2<f64>, inside: bool, most_px: f64) -> f64 {
         let first_px = BORDER_STEP_PX + self.cell_px;
         // Away from the border the nearest cell is exact enough.
         let first = Point2::from((from.coords + direction * first_px - self.first) / self.cell_px);
-        let most = ((REACH_PX - first_px) / self.cell_px).ceil() as usize;
+        let most = ((most_px - first_px) / self.cell_px).ceil() as usize;
         let cells = self.coverage.nearest_along(first, direction).take(most);
         let passed = cells.take_while(|share| (*share > 0.5) == inside).count();
-        (first_px + passed as f64 * self.cell_px).min(REACH_PX)
+        (first_px + passed as f64 * self.cell_px).min(most_px)
     }
 
     /// The silhouette blurred by a Gaussian of this σ, px; for a raster whose cells are pixels.
@@ -163,10 +163,10 @@ mod tests {
             assert!(silhouette.has_border_at(&border, &right));
             assert!(!silhouette.has_border_at(&border, &-right));
             assert!(!silhouette.has_border_at(&Point2::new(60.0, 70.0), &right));
-            let gap_px = silhouette.run_length(&border, right, false);
+            let gap_px = silhouette.run_length(&border, right, false, REACH_PX);
             // The first step of 0.4 px, and a cell that is half covered counts as empty.
             assert!((gap_px - 6.0).abs() <= 1.5 * cell_px, "{gap_px}");
-            assert_eq!(silhouette.run_length(&border, -right, true), REACH_PX);
+            assert_eq!(silhouette.run_length(&border, -right, true, REACH_PX), REACH_PX);
         }
     }
 

@@ -78,6 +78,7 @@ impl Surfaces {
         }
         let middles_mm = robot.spacer_middles_mm();
         let mut sides = vec![[Vec::with_capacity(steps), Vec::with_capacity(steps)]; axes.len()];
+        self.points.reserve(2 * steps * axes.len());
         for step in 0..steps {
             let section = Section::new(view, curve, robot.length_mm * (step as f64 + 0.5) / steps as f64);
             let camera = section.camera_centre.coords.xy();

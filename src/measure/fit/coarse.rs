@@ -203,12 +203,10 @@ fn lattice() -> Vec<Vector2<f64>> {
 /// The pairs of pixels on both sides of the outline of a bend.
 fn pairs(view: &Projection, bend: Vector2<f64>) -> Vec<Pair> {
     let spacing_px = (PAIRS_APART * view.diameter_px()).max(Outline::SPACING_PX);
-    let outline = Outline::spaced(view, Configuration::from_bend_vector(bend), spacing_px);
-    let points = outline.points.iter().filter(|p| p.body.s_mm > 0.0 && p.gap_px >= LEAST_GAP_PX);
-    points
-        .filter_map(|p| {
-            let step = p.normal.into_inner() * PAIR_DISTANCE_PX;
-            let (inner, outer) = (nearest_pixel(view.lens, p.pixel - step), nearest_pixel(view.lens, p.pixel + step));
+    Outline::free_points(view, Configuration::from_bend_vector(bend), spacing_px, LEAST_GAP_PX)
+        .filter_map(|(pixel, normal)| {
+            let step = normal.into_inner() * PAIR_DISTANCE_PX;
+            let (inner, outer) = (nearest_pixel(view.lens, pixel - step), nearest_pixel(view.lens, pixel + step));
             Pair::new(inner, outer, view.lens.width as i32)
         })
         .collect()

@@ -122,7 +122,7 @@ fn counts(print: &PrintProfile, behind: &Plane, seen: &Plane, is_target: impl Fn
     }
     let share_seen_through = (1.0 - left / printed).max(0.0);
     let data = behind.data.iter().map(|&b| 1.0 - share_seen_through * lines(b) / most).collect();
-    Plane { data, ..behind.clone() }
+    Plane { first: behind.first, ..Plane::new(behind.width, behind.height, data) }
 }
 
 /// The part of a picture whose light tells its exposure: around the straight snake.
