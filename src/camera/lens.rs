@@ -119,9 +119,6 @@ impl Lens {
     /// The inverse of [`distort`](Self::distort), by Newton's method with halved steps where a full one does not help.
     /// NaN where there is none: outside what the distortion model can image.
     fn undistort(&self, distorted: Point2<f64>) -> Point2<f64> {
-        if self.fisheye.is_none() && self.distortion == [0.0; 12] {
-            return distorted;
-        }
         let missed = |ideal| {
             let (seen, slopes) = self.distort_with_jacobian(ideal);
             (seen - distorted, slopes)

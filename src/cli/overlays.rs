@@ -3,12 +3,11 @@
 use super::flow::MeasuredFrames;
 use crate::observation::Measurement;
 use crate::record::{Experiment, write_atomically};
-use crate::report::overlay::{angles, is_drawn_on, overlay};
+use crate::report::overlay::{angles, is_drawn_on, narrowed, overlay};
 use crate::report::run_history::is_drawn;
 use crate::report::run_page::{Part, Picture};
 use crate::{Error, Result};
 use image::codecs::jpeg::JpegEncoder;
-use image::imageops::FilterType;
 use image::{RgbImage, imageops};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -147,15 +146,6 @@ fn caption(measurement: &Measurement) -> String {
         }
         None => format!("frame {}: {}", measurement.index, measurement.status),
     }
-}
-
-/// A picture made so narrow, if it is wider.
-fn narrowed(picture: RgbImage, most: u32) -> RgbImage {
-    if picture.width() <= most {
-        return picture;
-    }
-    let height = (u64::from(picture.height()) * u64::from(most) / u64::from(picture.width())).max(1) as u32;
-    imageops::resize(&picture, most, height, FilterType::Triangle)
 }
 
 pub fn jpeg(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {

@@ -5,10 +5,9 @@ use super::low_priority::lower_priority;
 use crate::camera::Frame;
 use crate::measure::Eye;
 use crate::observation::Measurement;
-use crate::report::overlay::{Shape, overlay};
+use crate::report::overlay::{Shape, narrowed, overlay};
 use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
-use image::imageops::thumbnail;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
@@ -101,11 +100,6 @@ impl AnnotatedVideo {
 impl ToDraw {
     fn picture(&self) -> RgbImage {
         let shape = self.measurement.profile().map(|profile| Shape::of(&self.eye.projection(), profile));
-        let picture = overlay(&self.frame, &self.measurement, shape.as_ref());
-        if picture.width() <= MAX_WIDTH {
-            return picture;
-        }
-        let height = (f64::from(picture.height()) * f64::from(MAX_WIDTH) / f64::from(picture.width())) as u32;
-        thumbnail(&picture, MAX_WIDTH, height.max(1))
+        narrowed(overlay(&self.frame, &self.measurement, shape.as_ref()), MAX_WIDTH)
     }
 }

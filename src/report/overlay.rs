@@ -6,6 +6,7 @@ use crate::observation::{Measured, Measurement, Status};
 use crate::quantity::with_sd;
 use crate::robot::BendProfile;
 use ab_glyph::{FontRef, PxScale};
+use image::imageops::{FilterType, resize};
 use image::{Rgb, RgbImage};
 use imageproc::drawing::{draw_text_mut, text_size};
 use nalgebra::{Point2, Point3};
@@ -101,6 +102,15 @@ fn drawn(frame: &Frame, (measurement, lines): (&Measurement, &[String]), shape: 
     let at_right = middle_px.is_some_and(|x| x < f64::from(frame.width) / 2.0);
     label(&mut picture, lines, TEXT_PX * unit, colour, at_right);
     picture
+}
+
+/// A picture made so narrow, px, if it is wider.
+pub fn narrowed(picture: RgbImage, most: u32) -> RgbImage {
+    if picture.width() <= most {
+        return picture;
+    }
+    let height = (u64::from(picture.height()) * u64::from(most) / u64::from(picture.width())).max(1) as u32;
+    resize(&picture, most, height, FilterType::Triangle)
 }
 
 /// Whether a pixel of a picture that was drawn on, and may have been a JPEG file since, has the outline's colour.

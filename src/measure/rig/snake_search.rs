@@ -104,18 +104,20 @@ impl SnakeStart {
 
     /// The corners of the strip around a body here that is so many px wide: holder left and right, tip right and left.
     pub fn strip(&self, template: &BodyTemplate, width_px: f64) -> [Point2<f64>; 4] {
-        let across = Vector2::new(-self.axis.y, self.axis.x);
-        let corner = |along: f64, side: f64| self.base + (self.axis * along + across * (side * 0.5)) * width_px;
-        let tip = template.length_widths;
-        [corner(-BELOW, -1.0), corner(-BELOW, 1.0), corner(tip, 1.0), corner(tip, -1.0)]
+        self.corners([-BELOW, template.length_widths], 0.5, width_px)
     }
 
     /// What a body here that is so many px wide covers at most: its strip and a little around it, and the holder below for as far as it may go.
     pub fn covered(&self, template: &BodyTemplate, width_px: f64) -> PictureRegion {
-        let across = Vector2::new(-self.axis.y, self.axis.x);
-        let corner = |along: f64, side: f64| self.base + (self.axis * along + across * (side * COVERED)) * width_px;
         let tip = template.length_widths + COVERED;
-        PictureRegion::around([corner(-tip, -1.0), corner(-tip, 1.0), corner(tip, 1.0), corner(tip, -1.0)])
+        PictureRegion::around(self.corners([-tip, tip], COVERED, width_px))
+    }
+
+    /// The corners of a rectangle along the body, from and to so many widths from the base and so many to either side.
+    fn corners(&self, [from, to]: [f64; 2], beside: f64, width_px: f64) -> [Point2<f64>; 4] {
+        let across = Vector2::new(-self.axis.y, self.axis.x);
+        let at = |along: f64, aside: f64| self.base + (self.axis * along + across * aside) * width_px;
+        [at(from, -beside), at(from, beside), at(to, beside), at(to, -beside)]
     }
 }
 
