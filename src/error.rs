@@ -370,14 +370,16 @@ pub enum DataError {
     },
     /// Weighings whose line no friction explains.
     #[error(
-        "friction calibration: the weighings give the line τ̃ = {slope:.4} τ {intercept_g:+.1} g, expected a rising line \
-         that does not start below zero; check the two columns of forces"
+        "friction calibration: the weighings give the line τ̃ = {slope:.4} τ {intercept_g:+.1} g, expected a line \
+         that does not start below zero and whose slope is 1 (no friction) to {most_slope:.3} (μ = 1); check the two columns of forces and their unit"
     )]
     NotFriction {
         /// Its slope.
         slope: f64,
         /// Where it meets τ = 0, g.
         intercept_g: f64,
+        /// The slope that goes with the largest friction coefficient.
+        most_slope: f64,
     },
     /// Too few samples to tell an effect from noise.
     #[error(

@@ -4,13 +4,15 @@ use crate::arrays::shaped;
 use crate::error::{raised, wrong};
 use crate::model::PyModel;
 use crate::tables::{columns_of_csv, encoders_of, measurements_of, warn};
+use crate::verdict::PyVerdict;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use snakeloop::estimate::{Options, StemOptions, StemRow, TipForce, estimate_stem, tip_force, with_sigmas};
+use snakeloop::estimate::{Options, StemOptions, StemRow, TipForce, with_sigmas};
 use snakeloop::observation::{EncoderReading, Measurement};
 use snakeloop::record::{forces_csv, stems_csv};
 use snakeloop::robot::Model;
+use snakeloop::verdict::{JudgedForce, JudgedStem, Subject};
 
 /// The bending angle of a flexible stem, as it was followed.
 #[pyclass(name = "StemEstimate", module = "snakeloop", frozen)]
@@ -40,17 +42,25 @@ pub fn estimate_stem_of(
         sd_encoder_mm: sd_encoder_mm.unwrap_or(usual.sd_encoder_mm),
     };
     let (start, measurements, readings) = inputs(py, measurements, encoders, model)?;
-    let followed = py.detach(|| estimate_stem(&start, options, &measurements, &readings));
-    let (rows, bent) = followed.map_err(raised)?;
+    let data = (&measurements[..], &readings[..]);
+    let subject = |model| Ok(Subject::new(model, options.sd_encoder_mm));
+    let JudgedStem { rows, model: bent, verdict } =
+        py.detach(|| JudgedStem::of(&start, options, data, subject)).map_err(raised)?;
     if rows.iter().all(|row| row.reason.is_some()) {
         return Err(wrong("no measurement could be used; angles with status ok and encoder readings are needed"));
     }
     let columns = columns_of_csv(py, &stems_csv(&rows))?.unbind();
-    Ok(PyStemEstimate { rows, model: PyModel { model: bent, verdict: model.verdict.clone() }, columns })
+    Ok(PyStemEstimate { rows, model: PyModel { model: bent, verdict: Some(verdict) }, columns })
 }
 
 #[pymethods]
 impl PyStemEstimate {
+    /// Whether the angle can be relied on, and why not.
+    #[getter]
+    fn verdict(&self) -> PyVerdict {
+        PyVerdict(self.model.verdict.clone().unwrap_or_default())
+    }
+
     /// Φ after the last measurement, degrees.
     #[getter]
     fn phi_deg(&self) -> f64 {
@@ -76,7 +86,7 @@ impl PyStemEstimate {
     }
 
     fn __repr__(&self) -> String {
-        format!("<StemEstimate Φ = {:.2} ± {:.2}°>", self.phi_deg(), self.sd_phi_deg())
+        format!("<StemEstimate Φ = {:.2} ± {:.2}°: {}>", self.phi_deg(), self.sd_phi_deg(), self.verdict().0.level)
     }
 }
 
@@ -84,6 +94,7 @@ impl PyStemEstimate {
 #[pyclass(name = "TipForce", module = "snakeloop", frozen)]
 pub struct PyTipForce {
     force: TipForce,
+    verdict: PyVerdict,
     columns: Py<PyDict>,
 }
 
@@ -102,14 +113,22 @@ pub fn tip_force_of(
 ) -> PyResult<PyTipForce> {
     let sd_encoder_mm = sd_encoder_mm.unwrap_or(Options::default().sd_encoder_mm);
     let (start, measurements, readings) = inputs(py, measurements, encoders, model)?;
-    let found = py.detach(|| tip_force(&start, sd_encoder_mm, &measurements, &readings));
-    let (rows, force) = found.map_err(raised)?;
+    let data = (&measurements[..], &readings[..]);
+    let subject = |model| Ok(Subject::new(model, sd_encoder_mm));
+    let JudgedForce { rows, force, verdict } =
+        py.detach(|| JudgedForce::of(&start, sd_encoder_mm, data, subject)).map_err(raised)?;
     let columns = columns_of_csv(py, &forces_csv(&rows))?.unbind();
-    Ok(PyTipForce { force, columns })
+    Ok(PyTipForce { force, verdict: PyVerdict(verdict), columns })
 }
 
 #[pymethods]
 impl PyTipForce {
+    /// Whether the model explains the measurements under this force, and why not.
+    #[getter]
+    fn verdict(&self) -> PyVerdict {
+        self.verdict.clone()
+    }
+
     /// The force that explains all measurements together, N, shape (3,), in the base frame; it has no part along the unseen directions.
     #[getter]
     fn force_n<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
@@ -137,7 +156,7 @@ impl PyTipForce {
 
     fn __repr__(&self) -> String {
         let force = self.force.force_n;
-        format!("<TipForce ({:.3}, {:.3}, {:.3}) N>", force.x, force.y, force.z)
+        format!("<TipForce ({:.3}, {:.3}, {:.3}) N: {}>", force.x, force.y, force.z, self.verdict.0.level)
     }
 }
 

@@ -138,7 +138,7 @@ impl PyModel {
         theta_deg: Option<&Bound<'py, PyAny>>,
         delta_deg: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        tell_of_neighbours(py, &self.model)?;
+        tell_of_single_poses(py, &self.model)?;
         let grid = Grid::within_data(&self.model);
         let axis = |given: Option<&Bound<'py, PyAny>>, usual: Vec<f64>| match given {
             Some(given) => Ok(numbers_of(given)?.into_iter().collect()),
@@ -169,7 +169,7 @@ impl PyModel {
         theta_deg: Option<Bound<'py, PyAny>>,
         delta_deg: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        tell_of_neighbours(py, &self.model)?;
+        tell_of_single_poses(py, &self.model)?;
         let theta = radians_of("theta", theta, theta_deg)?;
         let delta = radians_of("delta", delta, delta_deg)?;
         let (shape, theta, delta) = broadcast(theta, delta)?;
@@ -190,7 +190,7 @@ impl PyModel {
     /// q_mm has a column for each backbone, mm. NaN where the model has no answer: a q̃ that is not finite, or that bends the
     /// snake beyond 120°.
     fn forward<'py>(&self, py: Python<'py>, q_mm: &Bound<'py, PyAny>) -> PyResult<Angles<'py>> {
-        tell_of_neighbours(py, &self.model)?;
+        tell_of_single_poses(py, &self.model)?;
         let (shape, readings) = readings_of(q_mm, self.model.robot.backbone_count())?;
         let (mut theta_deg, mut delta_deg) = (vec![f64::NAN; readings.len()], vec![f64::NAN; readings.len()]);
         by_rows(py, readings.len(), |rows| {
@@ -308,6 +308,11 @@ pub fn with_effects(mut model: Model, effects: Effects) -> PyResult<Model> {
         model.effects.push(effect);
     }
     Ok(model)
+}
+
+/// Warns of what an answer for a single pose takes for granted, as the command `table`.
+fn tell_of_single_poses(py: Python<'_>, model: &Model) -> PyResult<()> {
+    model.conditions_of_single_poses().iter().try_for_each(|condition| warn(py, condition))
 }
 
 /// Warns that what is answered holds while the neighbouring sections are at rest, where the model has a coupling with them.

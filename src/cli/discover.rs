@@ -330,7 +330,7 @@ impl Args {
                 }
                 let model = match &self.model {
                     Some(path) => read_model(path)?,
-                    None => model_of(&experiment)?,
+                    None => model_of(console, &experiment)?,
                 };
                 let Checked { rows: readings, warnings } = encoders_of(&experiment, &model)?;
                 console.warn(&warnings);

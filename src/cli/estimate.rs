@@ -5,14 +5,14 @@ use super::estimator::EstimatorArgs;
 use super::inputs::{NamedLog, WorthArgs, force_limits, measurements_and_readings, with_effects};
 use super::verdict::{VerdictArgs, unit_is_stated, verdict_text};
 use crate::cli::failure::Failure;
-use crate::estimate::{EstimateRow, Verdict as RowVerdict, estimate, estimate_stem, or_one_gain};
+use crate::estimate::{EstimateRow, Verdict as RowVerdict, estimate, or_one_gain};
 use crate::observation::{EncoderReading, Measurement, commonest_status};
 use crate::quantity::with_sd;
 use crate::record::{
     Files, OutputFolder, Provenance, estimates_csv, learned_model_toml, stems_csv, tables_marked_stale, write_together,
 };
 use crate::robot::{Effect, Estimate, ForceLimits, Model};
-use crate::verdict::{Code, JudgedEstimate, Level, Reason, Verdict, doubt_of_force_limits};
+use crate::verdict::{Code, JudgedEstimate, JudgedStem, Level, Reason, Verdict, doubt_of_force_limits};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -62,9 +62,7 @@ struct Followed {
     used: usize,
     skipped: usize,
     output: PathBuf,
-    /// What speaks against it, if something does.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    verdict: Option<Verdict>,
+    verdict: Verdict,
 }
 
 /// The verdict and the result below it.
@@ -125,11 +123,7 @@ impl Args {
         let model = with_effects(console, model, &self.effect)?;
         let (measurements, encoders) = measurements_and_readings(console, &model, &self.measurements, Some(&log))?;
         if self.stem {
-            let judged = log.subject(&model, self.estimator.options(1.0).sd_encoder_mm)?;
-            let mistake = judged.wiring_mistake(&measurements, &encoders);
-            let verdict = Verdict::of(do_not_use.as_deref().map(bad_start).into_iter().chain(mistake).collect());
-            self.follow_stem(console, (&model, &verdict, self.made_from(&log)?), &measurements, &encoders)?;
-            return self.verdict.check(&verdict);
+            return self.follow_stem(console, (&model, do_not_use.as_deref()), &log, (&measurements, &encoders));
         }
         let (encoders, doubt) = match force_limits(self.force_limits.as_deref())? {
             Some(limits) => self.without_sharing(&model, &limits, &measurements, &encoders)?,
@@ -197,20 +191,21 @@ impl Args {
     fn follow_stem(
         &self,
         console: &Console,
-        (model, verdict, made_from): (&Model, &Verdict, Provenance),
-        measurements: &[Measurement],
-        encoders: &[EncoderReading],
-    ) -> Result<()> {
-        let (rows, model) = estimate_stem(model, self.estimator.stem_options(), measurements, encoders)?;
+        (start, do_not_use): (&Model, Option<&str>),
+        log: &NamedLog,
+        data: (&[Measurement], &[EncoderReading]),
+    ) -> Result<(), Failure> {
+        let (options, made_from) = (self.estimator.stem_options(), self.made_from(log)?);
+        let JudgedStem { rows, model, verdict } =
+            JudgedStem::of(start, options, data, |model| log.subject(model, options.sd_encoder_mm))?;
+        let verdict = do_not_use.map(bad_start).into_iter().fold(verdict, Verdict::and);
         let used = rows.iter().filter(|row| row.reason.is_none()).count();
         let Some(last) = rows.last().filter(|_| used > 0) else {
             let message = "no measurement could be used; angles with status ok and encoder readings are needed";
-            return Err(Error::content(&self.measurements, message));
+            return Err(Error::content(&self.measurements, message).into());
         };
         let output = self.output.join("stem.csv");
-        // Nothing found against it is no verdict on the angle.
-        let found = Some(verdict).filter(|verdict| !verdict.reasons.is_empty());
-        let mut files = self.beside_model(learned_model_toml(&model, found, &made_from)?)?;
+        let mut files = self.beside_model(learned_model_toml(&model, Some(&verdict), &made_from)?)?;
         files.push((output.clone(), stems_csv(&rows)));
         write_together(&files)?;
         let followed = Followed {
@@ -219,18 +214,18 @@ impl Args {
             used,
             skipped: rows.len() - used,
             output,
-            verdict: found.cloned(),
+            verdict,
         };
         console.result(&followed, || {
-            let found = found.map(verdict_text).unwrap_or_default();
             format!(
-                "{found}Φ at the end  {}°\nmeasurements  {used} used, {} skipped\n{}",
+                "{}Φ at the end  {}°\nmeasurements  {used} used, {} skipped\n{}",
+                verdict_text(&followed.verdict),
                 with_sd(followed.phi_deg, followed.sd_phi_deg),
                 followed.skipped,
                 followed.output.display()
             )
         });
-        Ok(())
+        self.verdict.check(&followed.verdict)
     }
 }
 

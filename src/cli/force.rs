@@ -2,13 +2,13 @@
 
 use super::console::Console;
 use super::inputs::{NamedLog, measurements_and_readings, model_that_may_be_used};
-use super::verdict::verdict_text;
+use super::verdict::{VerdictArgs, verdict_text};
 use crate::Result;
 use crate::cli::failure::Failure;
-use crate::estimate::{Options, tip_force};
+use crate::estimate::Options;
 use crate::quantity::with_sd;
 use crate::record::{forces_csv, write_atomically};
-use crate::verdict::Verdict;
+use crate::verdict::{JudgedForce, Verdict};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -35,6 +35,8 @@ pub struct Args {
     /// Standard deviation of an encoder reading, mm
     #[arg(long, value_name = "MM", default_value_t = Options::default().sd_encoder_mm)]
     encoder_sd: f64,
+    #[command(flatten)]
+    verdict: VerdictArgs,
 }
 
 #[derive(Serialize)]
@@ -45,19 +47,17 @@ struct Found {
     unseen: Vec<[f64; 3]>,
     used: usize,
     output: PathBuf,
-    /// What speaks against it, if something does.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    verdict: Option<Verdict>,
+    verdict: Verdict,
 }
 
 impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
-        let model = model_that_may_be_used(&self.model)?;
+        let model = model_that_may_be_used(console, &self.model)?;
         let log = NamedLog::open(&self.encoders)?;
         let (measurements, readings) = measurements_and_readings(console, &model, &self.measurements, Some(&log))?;
-        let mistake = log.subject(&model, self.encoder_sd)?.wiring_mistake(&measurements, &readings);
-        let verdict = mistake.map(|mistake| Verdict::of(vec![mistake]));
-        let (rows, force) = tip_force(&model, self.encoder_sd, &measurements, &readings)?;
+        let data = (&measurements[..], &readings[..]);
+        let JudgedForce { rows, force, verdict } =
+            JudgedForce::of(&model, self.encoder_sd, data, |model| log.subject(model, self.encoder_sd))?;
         let output = self.output.join("force.csv");
         write_atomically(&output, forces_csv(&rows).as_bytes())?;
         let found = Found {
@@ -72,13 +72,13 @@ impl Args {
             let sd = force.covariance_n2.diagonal().map(|variance| variance.max(0.0).sqrt());
             let part = |name: &str, k: usize| format!("{name}  {} N\n", with_sd(force.force_n[k], sd[k]));
             let unseen = force.unseen.iter().map(|u| format!("unseen along ({:+.2}, {:+.2}, {:+.2})\n", u.x, u.y, u.z));
-            found.verdict.as_ref().map(verdict_text).unwrap_or_default()
+            verdict_text(&found.verdict)
                 + &part("Fx", 0)
                 + &part("Fy", 1)
                 + &part("Fz", 2)
                 + &unseen.collect::<String>()
                 + &format!("{} measurements\n{}", found.used, found.output.display())
         });
-        Ok(())
+        self.verdict.check(&found.verdict)
     }
 }

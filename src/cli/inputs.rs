@@ -10,7 +10,7 @@ use crate::record::{
     Checked, EncoderLog, Experiment, Matched, do_not_use_mark, read_encoders_kept, read_joints, read_log,
     read_measurements, read_model, stale_mark, verdict_mark,
 };
-use crate::robot::{Effect, ForceLimits, Model};
+use crate::robot::{Effect, ForceLimits, Friction, Model, TableRow};
 use crate::verdict::{Level, Subject};
 use crate::{Error, Result};
 use std::collections::{BTreeMap, BTreeSet};
@@ -19,15 +19,15 @@ use std::path::{Path, PathBuf};
 /// File name extensions, in lower case, of the pictures that are read.
 const PICTURE_EXTENSIONS: [&str; 6] = ["bmp", "jpg", "jpeg", "png", "tif", "tiff"];
 
+/// A pose is missed by its command if the model predicts another bend, further away than this, rad. Convention: half a degree, which a table is asked
+/// to be right to.
+const MOST_MISSED: f64 = 0.5 * std::f64::consts::PI / 180.0;
+
 /// The model in a file; without one the paper's naive one, with Table I, which is told.
 pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
     match path {
         Some(path) => {
-            let named = |what: &str, why: String| format!("{}: this model {what}: {why}", path.display());
-            console.warn(stale_mark(path).map(|why| named("is marked as stale", why)));
-            let amber = verdict_mark(path).filter(|(level, _)| *level == Level::Look.to_string());
-            console
-                .warn(amber.and_then(|(_, worst)| worst).map(|why| named("is to be looked at before it is used", why)));
+            tell_of_marks(console, path);
             read_model(path)
         }
         None => {
@@ -35,6 +35,14 @@ pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
             Ok(Model::default())
         }
     }
+}
+
+/// Warns of what a model's file says of it: that it is stale, or to be looked at.
+fn tell_of_marks(console: &Console, path: &Path) {
+    let named = |what: &str, why: String| format!("{}: this model {what}: {why}", path.display());
+    console.warn(stale_mark(path).map(|why| named("is marked as stale", why)));
+    let amber = verdict_mark(path).filter(|(level, _)| *level == Level::Look.to_string());
+    console.warn(amber.and_then(|(_, worst)| worst).map(|why| named("is to be looked at before it is used", why)));
 }
 
 /// What a command that predicts does with a model that must not be used.
@@ -51,7 +59,12 @@ impl WorthArgs {
     pub fn model(self, console: &Console, path: Option<&Path>) -> Result<(Model, Option<String>), Failure> {
         let model = model_or_paper(console, path)?;
         let Some(path) = path else { return Ok((model, None)) };
-        let Some(why) = must_not_be_used(path, &model) else { return Ok((model, None)) };
+        let Some(why) = must_not_be_used(path, &model) else {
+            // A file whose verdict says so already is not told of twice.
+            let doubt = Subject::new(&model, 0.0).doubt_of_parameters().filter(|_| verdict_mark(path).is_none());
+            console.warn(doubt.map(|doubt| format!("{}: {}; {}", path.display(), doubt.text, doubt.remedy)));
+            return Ok((model, None));
+        };
         let named = format!("{}: this model must not be used: {why}", path.display());
         if !self.even_if_bad {
             return Err(Failure::BadModel(named));
@@ -183,11 +196,26 @@ pub fn tell_of_learning(console: &Console, model: &Model) {
     });
 }
 
-/// Says that what is answered for single poses holds while the neighbouring sections are at rest, where the model has a coupling with them.
-pub fn tell_of_neighbours(console: &Console, model: &Model) {
-    if let Some(words) = model.resting_neighbours() {
-        console.say(words);
-    }
+/// Warns of what answers for single poses take for granted: neighbouring sections at rest, a bend that is come to from straight.
+pub fn tell_of_single_poses(console: &Console, model: &Model) {
+    console.warn(model.conditions_of_single_poses());
+}
+
+/// Warns of poses whose commands lead elsewhere by the model's own prediction.
+pub fn tell_of_missed_poses(console: &Console, model: &Model, rows: &[TableRow]) {
+    let missed: Vec<_> =
+        rows.iter().map(|row| (row, row.missed_by(model))).filter(|(_, by)| *by > MOST_MISSED).collect();
+    console.warn(missed.first().map(|(row, by)| {
+        let to = if by.is_finite() { format!("{:.1}° away", by.to_degrees()) } else { "beyond 120°".to_owned() };
+        format!(
+            "{} of {} poses, the first at θ = {:.0}°, δ = {:.0}°, are not where the model itself predicts that their commands lead (there: {to}): more \
+             than one bend agrees with one command, so that the snake may be anywhere; stay below these bends",
+            missed.len(),
+            rows.len(),
+            row.configuration.theta_deg(),
+            row.configuration.delta_deg()
+        )
+    }));
 }
 
 /// Measurements and, where there is a file, encoder readings of the model's robot; measurements without sigmas are given those that they show.
@@ -211,7 +239,8 @@ pub fn measurements_and_readings(
 ///
 /// # Errors
 /// A file that cannot be read, or a model that must not be used: what is learned from there on would be worth no more.
-pub fn model_that_may_be_used(path: &Path) -> Result<Model> {
+pub fn model_that_may_be_used(console: &Console, path: &Path) -> Result<Model> {
+    tell_of_marks(console, path);
     let model = read_model(path)?;
     match must_not_be_used(path, &model) {
         None => Ok(model),
@@ -227,8 +256,11 @@ pub fn model_that_may_be_used(path: &Path) -> Result<Model> {
 ///
 /// # Errors
 /// A file that cannot be read, or a model that must not be used: what is learned from there on would be worth no more.
-pub fn model_of(experiment: &Experiment) -> Result<Model> {
-    let mut model = experiment.model.as_deref().map_or_else(|| Ok(Model::default()), model_that_may_be_used)?;
+pub fn model_of(console: &Console, experiment: &Experiment) -> Result<Model> {
+    let mut model = match &experiment.model {
+        Some(path) => model_that_may_be_used(console, path)?,
+        None => Model::default(),
+    };
     if let Some(path) = &experiment.robot {
         let Model { robot, friction, .. } = read_model(path)?;
         let (of_model, of_robot) = (model.robot.backbone_count(), robot.backbone_count());
@@ -239,6 +271,12 @@ pub fn model_of(experiment: &Experiment) -> Result<Model> {
         model.robot = robot;
         if experiment.model.is_none() {
             model.friction = friction;
+        } else if friction != Friction::default() && friction != model.friction {
+            let message = format!(
+                "`robot` gives μ = {} and f_s = {} N, and `model` was learned with {} and {} N; give `model` alone, or learn it anew",
+                friction.mu, friction.static_force_n, model.friction.mu, model.friction.static_force_n
+            );
+            return Err(Error::content(&experiment.path, message));
         }
     }
     Ok(model)

@@ -1,7 +1,7 @@
 //! `invert`: the compensation for one pose, either way round.
 
 use super::console::Console;
-use super::inputs::{WorthArgs, tell_of_learning, tell_of_neighbours, with_effects};
+use super::inputs::{WorthArgs, tell_of_learning, tell_of_missed_poses, tell_of_single_poses, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::quantity::{decimal, with_sd};
@@ -97,7 +97,7 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
         let model = with_effects(console, model, &self.effect)?;
-        tell_of_neighbours(console, &model);
+        tell_of_single_poses(console, &model);
         if self.model.is_some() {
             tell_of_learning(console, &model);
         }
@@ -117,7 +117,9 @@ impl Args {
             }
             (None, Some(theta_deg), Some(delta_deg)) => {
                 console.warn(looks_like_radians(theta_deg, delta_deg));
-                Pose::wanted(&model, theta_deg, delta_deg)?
+                let row = TableRow::asked(&model, theta_deg, delta_deg)?;
+                tell_of_missed_poses(console, &model, std::slice::from_ref(&row));
+                Pose::wanted(&model, row)
             }
             _ => return Err(Failure::Usage("give --theta-deg and --delta-deg, or --qc-mm".to_owned())),
         };
@@ -141,9 +143,8 @@ fn looks_like_radians(theta_deg: f64, delta_deg: f64) -> Option<String> {
 }
 
 impl Pose {
-    fn wanted(model: &Model, theta_deg: f64, delta_deg: f64) -> Result<Self> {
-        let row = TableRow::asked(model, theta_deg, delta_deg)?;
-        Ok(Self {
+    fn wanted(model: &Model, row: TableRow) -> Self {
+        Self {
             theta_deg: row.configuration.theta_deg(),
             delta_deg: row.configuration.delta_deg(),
             q_mm: row.q_mm,
@@ -153,7 +154,7 @@ impl Pose {
             extrapolated: row.extrapolated,
             do_not_use: None,
             stale: None,
-        })
+        }
     }
 
     fn reached(model: &Model, qc_mm: PerBackbone) -> Result<Self> {

@@ -251,9 +251,9 @@ impl Args {
         node: Option<&Node>,
     ) -> Result<Setup, Failure> {
         let view = self.chosen_view(experiment)?;
-        let mut model = model_of(experiment)?;
+        let mut model = model_of(console, experiment)?;
         if let Some(path) = &self.model {
-            model = model_that_may_be_used(path)?;
+            model = model_that_may_be_used(console, path)?;
         }
         if model.neighbours() > 0 {
             return Err(Failure::Usage(

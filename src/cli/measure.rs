@@ -51,7 +51,7 @@ impl Args {
         if self.explain.is_none() {
             out.refuse_mixing(&maker("measure", &experiment), &OUTPUTS)?;
         }
-        let model = model_of(&experiment)?;
+        let model = model_of(console, &experiment)?;
         let encoders = rows(console, encoders_of(&experiment, &model)?);
         let views = open_views(console, &experiment, &model.robot, &self.output)?;
         if let Some(index) = self.explain {

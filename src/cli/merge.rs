@@ -122,13 +122,22 @@ impl Args {
             None => u64::MAX,
             Some(row) => row.as_ref().map_or(0, |row| row.index),
         };
-        let mut joined = vec![0; shards.len()];
+        let (mut joined, mut last) = (vec![0; shards.len()], None);
         loop {
             let places: Vec<u64> = shards.iter_mut().map(place).collect();
             let first = (0..shards.len()).min_by_key(|&shard| places[shard]);
             let Some((first, row)) = first.and_then(|first| Some((first, shards[first].next()?))) else { break };
             joined[first] += 1;
-            write(measurement_line(&row?))?;
+            let row = row?;
+            if last.is_some_and(|last| row.index <= last) {
+                let message = format!(
+                    "frame {} stands twice or out of order: the file was changed; measure the shard again",
+                    row.index
+                );
+                return Err(Error::content(&self.shards[first].join("measurements.csv"), message));
+            }
+            last = Some(row.index);
+            write(measurement_line(&row))?;
         }
         for ((folder, found), expected) in self.shards.iter().zip(joined).zip(rows_of) {
             if found != *expected {

@@ -192,7 +192,7 @@ impl Inputs {
             let message = "encoders is missing; `run` needs an encoder log, `measure` does without";
             return Err(Error::content(&experiment.path, message));
         }
-        let start = model_of(experiment)?;
+        let start = model_of(console, experiment)?;
         let Checked { rows: encoders, warnings } = encoders_of(experiment, &start)?;
         console.warn(&warnings);
         Ok(Self { start, encoders, warnings })
@@ -403,6 +403,7 @@ impl Summary {
 
     /// Prints the result, and what to do next.
     pub fn tell(&self, console: &Console, experiment: &Experiment) {
+        console.warn(self.model.conditions_of_single_poses());
         console.result(self, || self.text());
         console.next(self.next(experiment));
     }

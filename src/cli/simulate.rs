@@ -2,7 +2,7 @@
 
 use super::console::Console;
 use super::estimate::Parameters;
-use super::inputs::{WorthArgs, rows, tell_of_neighbours, with_effects};
+use super::inputs::{WorthArgs, rows, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::closed_loop::ClosedLoop;
@@ -127,7 +127,7 @@ impl Args {
         let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
         let mut model = with_effects(console, model, &self.effect)?;
         if self.closed_loop || trajectory.iter().any(|waypoint| waypoint.neighbours.count() < model.neighbours()) {
-            tell_of_neighbours(console, &model);
+            console.warn(model.resting_neighbours());
         }
         if self.closed_loop {
             model.estimate.get_or_insert(HIDDEN);

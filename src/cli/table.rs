@@ -1,7 +1,9 @@
 //! `table`: the compensation table on any grid.
 
 use super::console::Console;
-use super::inputs::{WorthArgs, force_limits, tell_of_learning, tell_of_neighbours, with_effects};
+use super::inputs::{
+    WorthArgs, force_limits, tell_of_learning, tell_of_missed_poses, tell_of_single_poses, with_effects,
+};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::record::{OutputFolder, Worth, stale_mark, write_compensation_rows};
@@ -60,11 +62,12 @@ impl Args {
         let _out = OutputFolder::claim(&self.output, &OUTPUTS, self.model.as_slice())?;
         let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
         let model = with_effects(console, model, &self.effect)?;
-        tell_of_neighbours(console, &model);
+        tell_of_single_poses(console, &model);
         let source = self.model.as_deref().map_or("built in".to_owned(), |path| path.display().to_string());
         let theta = self.theta_deg.unwrap_or(Grid::within_data(&model).theta);
         let grid = Grid { theta, delta: self.delta_deg };
         let mut rows = compensation_table(&model, &grid)?;
+        tell_of_missed_poses(console, &model, &rows);
         if let Some(limits) = force_limits(self.force_limits.as_deref())? {
             rows = rows.into_iter().map(|row| row.within(&model, &limits)).collect();
         }

@@ -52,9 +52,31 @@ pub struct OpenView {
 pub fn open_views(console: &Console, experiment: &Experiment, robot: &Robot, folder: &Path) -> Result<Vec<OpenView>> {
     let open = |view| OpenView::open(view, experiment, robot, &folder.join(rig_picture_name(view, experiment)));
     let views: Vec<OpenView> = experiment.views.iter().map(open).collect::<Result<_>>()?;
+    refuse_repeated(experiment, &views)?;
     let small = |view: &OpenView| Some(format!("view {}: {}", view.name, view.eye.small_picture()?));
     console.warn(views.iter().filter_map(small));
     Ok(views)
+}
+
+/// An error where two views begin with the same picture: seen once, it would count as seen twice.
+fn refuse_repeated(experiment: &Experiment, views: &[OpenView]) -> Result<()> {
+    let first = |view: &OpenView| match &view.frames {
+        FrameSource::Pictures(files) => files.first().and_then(|file| read_bytes(&file.path, PICTURE_BYTES).ok()),
+        _ => None,
+    };
+    // One camera has nothing to compare.
+    let pictures: Vec<_> = views.iter().filter(|_| views.len() > 1).map(first).collect();
+    for (k, view) in views.iter().enumerate() {
+        let same = |other: &usize| pictures.get(k).is_some_and(|own| own.is_some() && *own == pictures[*other]);
+        if let Some(other) = (0..k).find(same) {
+            let message = format!(
+                "views {:?} and {:?} begin with the same picture; `frames` of each view names the pictures of one camera",
+                views[other].name, view.name
+            );
+            return Err(Error::content(&experiment.path, message));
+        }
+    }
+    Ok(())
 }
 
 /// What views' sheets say against a result.

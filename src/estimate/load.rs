@@ -15,14 +15,19 @@
 //! measurement sees two directions of three, and a straight snake none along itself. Measurements at different bends under the same
 //! force have different blind directions and together see all three. A direction along which the force would be known to no
 //! better than [`BLIND_SD_N`] counts as unseen; the force has no part along it, and its covariance says nothing there.
+//!
+//! The blind direction of a measurement is that of the bend as it was measured, so that noise alone makes it wander, and many measurements of one pose
+//! seem to see all three. That information N = Σ (∂H/∂b σ_b)ᵗ W (∂H/∂b σ_b) is no motion of the snake: its errors are those of the residuals, and
+//! push the force by up to n N/√I of its σ, of n measurements with the information I. A direction in which that is above one counts as unseen too.
 
 use super::options::check_sd_encoder;
 use super::sample::{Follower, Log};
 use super::{LinearisedMeasurement, Sample, Weighting};
 use crate::error::{ArgumentError, DataError, Result};
 use crate::geometry::Configuration;
-use crate::observation::{EncoderReading, Measurement};
-use crate::robot::Model;
+use crate::observation::{EncoderReading, Measured, Measurement};
+use crate::robot::effects::{TIP_LOAD, physics};
+use crate::robot::{Effect, Model};
 use crate::statistics::information::SquareRootInformation;
 use nalgebra::{Matrix2, Matrix2x5, Matrix3, Matrix3x5, Vector2, Vector3};
 
@@ -40,6 +45,13 @@ pub struct TipForce {
     pub covariance_n2: Matrix3<f64>,
     /// Unit vectors along which a force cannot be told.
     pub unseen: Vec<Vector3<f64>>,
+}
+
+impl TipForce {
+    /// The force as an effect of a model that is loaded by it.
+    pub fn effect(&self) -> Option<Effect> {
+        Some(Effect::of(physics(TIP_LOAD)?, self.force_n.iter().copied().collect()))
+    }
 }
 
 /// The force that explains one measurement.
@@ -75,6 +87,10 @@ struct ForceFilter {
     information: SquareRootInformation<5>,
     /// L of the covariance L Lᵗ of (η, λ).
     root: Matrix2<f64>,
+    /// The information on F that noise of the bends makes, N⁻².
+    by_noise: Matrix3<f64>,
+    /// How many measurements were added.
+    count: usize,
 }
 
 impl ForceFilter {
@@ -83,7 +99,7 @@ impl ForceFilter {
         let root = own.eigenvectors * Matrix2::from_diagonal(&own.eigenvalues.map(|value| value.max(0.0).sqrt()));
         let mut information = SquareRootInformation::default();
         let _ = information.absorb(&Matrix2x5::identity(), &Vector2::zeros());
-        Self { information, root }
+        Self { information, root, by_noise: Matrix3::zeros(), count: 0 }
     }
 
     /// Adds one measurement; one whose covariance is not positive definite says nothing.
@@ -93,15 +109,23 @@ impl ForceFilter {
         h.fixed_columns_mut::<2>(0).copy_from(&(one.h * self.root));
         h.fixed_columns_mut::<3>(2).copy_from(&by_force(model, sample.measured.configuration));
         let residual = one.residual(&model.parameters());
-        if let (Some(h), Some(residual)) = (one.whitened(&h), one.whitened(&residual)) {
+        if let (Some(h), Some(residual)) = (one.whitened(&h), one.whitened(&residual))
             // Numbers that are not finite say nothing either.
-            let _ = self.information.absorb(&h, &residual);
+            && self.information.absorb(&h, &residual)
+        {
+            self.count += 1;
+            let wander = by_noise(model, &sample.measured).into_iter().filter_map(|part| one.whitened(&part));
+            self.by_noise += wander.map(|part| part.transpose() * part).sum::<Matrix3<f64>>();
         }
     }
 
     /// The force, once η and λ are let go within their covariance.
     fn force(&self) -> TipForce {
-        let (force_n, covariance_n2, unseen) = self.information.of_last::<3>().seen(BLIND_SD_N);
+        let is_seen = |direction: &Vector3<f64>, sd_n: f64| {
+            let by_noise = direction.dot(&(self.by_noise * direction));
+            sd_n < BLIND_SD_N && self.count as f64 * by_noise * sd_n * sd_n < 1.0
+        };
+        let (force_n, covariance_n2, unseen) = self.information.of_last::<3>().seen(is_seen);
         TipForce { force_n, covariance_n2, unseen }
     }
 }
@@ -115,6 +139,17 @@ fn by_force(model: &Model, psi: Configuration) -> Matrix3<f64> {
         model.robot.bend_and_common(&(model.robot.bend_by_displacement() * on_bend)) * scale
     });
     Matrix3::from_columns(&columns)
+}
+
+/// By how much [`by_force`] wanders with each of a measured bend's two independent errors of one standard deviation, mm/N.
+fn by_noise(model: &Model, measured: &Measured) -> [Matrix3<f64>; 2] {
+    let psi = measured.configuration;
+    let errors = measured.bend_covariance(psi).symmetric_eigen();
+    [0, 1].map(|k| {
+        let error = errors.eigenvectors.column(k) * errors.eigenvalues[k].max(0.0).sqrt();
+        let at = |sign: f64| by_force(model, Configuration::from_bend_vector(psi.bend_vector() + error * sign));
+        (at(1.0) - at(-1.0)) / 2.0
+    })
 }
 
 /// The force that explains each measurement, as the rows of force.csv, and the one force that explains all of them together.
@@ -170,7 +205,8 @@ pub fn tip_force(
 mod tests {
     use super::*;
     use crate::estimate::{Options, estimate};
-    use crate::robot::{Effect, Estimate};
+    use crate::observation::Waypoint;
+    use crate::robot::Estimate;
     use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
 
     fn model(sd_eta: f64, sd_lambda_mm: f64) -> Model {
@@ -230,6 +266,21 @@ mod tests {
         }
         let straight = by_force(&model, Configuration::new(0.0, 0.0));
         assert!((straight * Vector3::z()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn many_measurements_of_one_pose_see_two_directions_as_one_measurement_does() {
+        let robot = model(0.001, 0.0005);
+        let psi = Configuration::from_degrees(50.0, 30.0);
+        let held: Vec<Waypoint> = (0..20).map(|k| Waypoint::new(f64::from(k), psi)).collect();
+        let samples = Plant { model: robot.clone(), sd_encoder_mm: 0.0015 }.run(&held, 3);
+        let readings: Vec<_> = samples.iter().map(|sample| sample.reading).collect();
+        for seed in 0..20 {
+            let measurements = SimulatedEye::default().observe(&samples, seed);
+            let (_, found) = tip_force(&robot, 0.0015, &measurements, &readings).unwrap();
+            assert_eq!(found.unseen.len(), 1, "{found:?}");
+            assert!(found.force_n.norm() < 0.2, "{found:?}");
+        }
     }
 
     #[test]

@@ -118,7 +118,7 @@ pub fn sentence(structures: &[Followed], index: u64) -> String {
 mod tests {
     use super::*;
     use crate::live::discovery_worker::DiscoveryWorker;
-    use crate::live::publication::PublicationGate;
+    use crate::live::publication::{POSES, PublicationGate};
     use crate::live::status::{EncoderStatus, State};
     use crate::robot::{Effect, Estimate, Model};
     use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
@@ -136,7 +136,7 @@ mod tests {
         let readings: Vec<_> = samples.iter().map(|sample| sample.reading).collect();
 
         let state = State::at_start("camera 0".into(), EncoderStatus::at_rest("none", 0));
-        let gate = PublicationGate::new(0.0015, true, None);
+        let gate = PublicationGate::new(0.0015, POSES, None);
         let shared = Arc::new(SharedState::new(state, Model::default(), gate));
         let folder = tempfile::tempdir().unwrap();
         let mut worker = BankWorker::new(Arc::clone(&shared));

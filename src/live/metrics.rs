@@ -142,7 +142,7 @@ fn resident_bytes() -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::live::publication::PublicationGate;
+    use crate::live::publication::{POSES, PublicationGate};
     use crate::live::shared_state::SharedState;
     use crate::live::status::EstimateStatus;
     use crate::robot::Model;
@@ -153,7 +153,7 @@ mod tests {
         state.estimate =
             Some(EstimateStatus { eta: 1.25, sd_eta: 0.5, lambda_mm: 0.125, sd_lambda_mm: 0.25, samples: 9 });
         state.timing.state = FrameTimingState::Late;
-        let shared = SharedState::new(state, Model::default(), PublicationGate::new(0.0015, true, None));
+        let shared = SharedState::new(state, Model::default(), PublicationGate::new(0.0015, POSES, None));
         shared.lock().by_status.insert("odd \"status\"\n".into(), 3);
         shared.lock().latencies.add(0.012);
         let text = text(&shared.lock());

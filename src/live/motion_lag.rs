@@ -13,6 +13,10 @@ const MAX_LAG_S: f64 = 0.6;
 const STEP_S: f64 = 0.02;
 /// A lag with a larger standard deviation is not told, s. Convention: a display choice, one step.
 const MAX_SD_S: f64 = STEP_S;
+/// Readings that leave more than this share of the motion's squares are of another time.
+///
+/// Convention: a tenth; a play of a tenth of the travel leaves a hundredth.
+const MOST_LEFT: f64 = 0.1;
 /// Fewer measured bends tell nothing. Convention: ten for each of the six numbers that are fitted.
 const MIN_BENDS: usize = 60;
 /// Parameters of the linear function: three for each of the two components of the bend.
@@ -39,6 +43,12 @@ pub fn motion_lag(bends: &[(f64, Vector2<f64>)], mut at: impl FnMut(f64) -> Opti
     let [before, least, after] = [squares[best - 1], squares[best], squares[best + 1]];
     let curvature = (before - 2.0 * least + after) / STEP_S.powi(2);
     if !(curvature > 0.0 && before >= least && after >= least) {
+        return None;
+    }
+    // Readings that are more than the largest lag away fit at some lag by chance.
+    let mean = bends.iter().map(|(_, bend)| bend).sum::<Vector2<f64>>() / bends.len() as f64;
+    let motion: f64 = bends.iter().map(|(_, bend)| (bend - mean).norm_squared()).sum();
+    if least > MOST_LEFT * motion {
         return None;
     }
     let from_best = (before - after) / (2.0 * STEP_S) / curvature;
@@ -81,6 +91,9 @@ mod tests {
             assert!((found.seconds - lag).abs() < (4.0 * found.sd).max(1e-3), "{found:?} for {lag}");
             assert!(found.sd < 0.002);
         }
+        // Readings of another part of the motion: at some lag of the grid they fit best, and it means nothing.
+        let bends: Vec<_> = (0..600).map(|k| (f64::from(k) / 30.0, path(f64::from(k) / 30.0))).collect();
+        assert_eq!(motion_lag(&bends, |t| Some(path(t - 2.0))), None);
         let still: Vec<_> = (0..600).map(|k| (f64::from(k) / 30.0, Vector2::new(0.3, 0.1))).collect();
         assert_eq!(motion_lag(&still, |_| Some(Vector2::new(0.3, 0.1))), None);
     }

@@ -5,7 +5,7 @@
 //! the last poses, and whether anything is measured at all.
 //!
 //! Encoders that stand still while the snake moves, a log that contradicts the picture, or a moment's wrong restart of the estimator give
-//! an η and λ that fit the last few measurements and nothing else. So the model is judged, as a verdict judges it, on the last [`POSES`] poses
+//! an η and λ that fit the last few measurements and nothing else. So the model is judged, as a verdict judges it, on the last poses
 //! that the snake took; and nothing is published while it misses them by more than noise or the encoders are stuck. What was published stays
 //! then, and is marked stale.
 
@@ -21,7 +21,12 @@ use std::time::Instant;
 
 /// Poses on which the model is judged, each a new one ([`NewPoses`]) after the one before. Convention: as many as the gap monitor asks
 /// for before it tells anything.
-const POSES: usize = 50;
+pub const POSES: usize = 50;
+
+/// Poses on which a stem that is followed is judged: those before were of another angle, if it moves.
+///
+/// Convention: half a memory of the usual forgetting.
+pub const STEM_POSES: usize = 10;
 
 /// Poses without which nothing is published.
 ///
@@ -49,8 +54,8 @@ pub struct Withheld {
 #[derive(Debug, Clone)]
 pub struct PublicationGate {
     sd_encoder_mm: f64,
-    /// Whether η and λ are what is learned, and not the stem's angle, which the poses before do not tell.
-    compares: bool,
+    /// How many of the last poses the model is judged on.
+    most_poses: usize,
     poses: VecDeque<PlainSample>,
     new_poses: NewPoses,
     gap: GapState,
@@ -78,14 +83,14 @@ struct Published {
 }
 
 impl PublicationGate {
-    /// A gate for readings of this standard deviation, mm. `compares` where η and λ are learned; `published` is what stands there.
-    pub fn new(sd_encoder_mm: f64, compares: bool, published: Option<Model>) -> Self {
+    /// A gate for readings of this standard deviation, mm, that judges on so many of the last poses; `published` is what stands there.
+    pub fn new(sd_encoder_mm: f64, most_poses: usize, published: Option<Model>) -> Self {
         let published = published.map(|model| Published { model, at: Instant::now(), was_good: true });
         let (poses, new_poses, gap) = (VecDeque::new(), NewPoses::default(), GapState::Unknown);
         let confirmation = Confirmation::default();
         Self {
             sd_encoder_mm,
-            compares,
+            most_poses,
             poses,
             new_poses,
             gap,
@@ -161,7 +166,7 @@ impl PublicationGate {
             return;
         }
         if self.new_poses.is_new(sample.measured.configuration.bend_vector()) {
-            if self.poses.len() == POSES {
+            if self.poses.len() == self.most_poses {
                 self.poses.pop_front();
             }
             self.poses.push_back(sample);
@@ -213,9 +218,6 @@ impl PublicationGate {
         if self.gap == GapState::Above {
             let text = "the model leaves more of the measurements than their noise";
             return withheld(Level::Look, Code::GapAboveNoise, text.into());
-        }
-        if !self.compares {
-            return Ok(());
         }
         if self.poses.len() < LEAST_POSES {
             let text = format!("{} poses were measured with a reading, and {LEAST_POSES} are needed", self.poses.len());

@@ -345,6 +345,7 @@ async fn table(State(app): State<AppState>, query: std::result::Result<Query<Pos
         "age_s": age_s,
         "learned": learned,
         "extrapolated": u8::from(row.extrapolated),
+        "holds_if": model.conditions_of_single_poses(),
     }))
     .into_response()
 }

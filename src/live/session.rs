@@ -11,7 +11,7 @@ use super::journal::{Entry, Journal};
 use super::latency::Histogram;
 use super::online_estimator::OnlineEstimator;
 use super::pipeline::Pipeline;
-use super::publication::PublicationGate;
+use super::publication::{POSES, PublicationGate, STEM_POSES};
 use super::recent_bends::RecentBends;
 use super::setup::{Setup, View};
 use super::shared_state::SharedState;
@@ -55,7 +55,8 @@ impl Live {
         let clock = Arc::new(FrameClock::default());
         let encoders = Arc::new(encoders.open(Arc::clone(&clock)));
         let published = if resume { published_in(&output) } else { None };
-        let gate = PublicationGate::new(options.sd_encoder_mm, stem.is_none(), published);
+        let gate =
+            PublicationGate::new(options.sd_encoder_mm, if stem.is_some() { STEM_POSES } else { POSES }, published);
         let shared = Arc::new(SharedState::new(State::at_start(source_name, encoders.status()), model.clone(), gate));
         let mut tables = FinalTables::begin(&output, model.robot.backbone_count(), stem.is_some())?;
         let (journal, next_index) = open_journal(&output, resume, &mut estimator, &mut tables, &shared)?;

@@ -171,12 +171,13 @@ impl SharedState {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::live::publication::POSES;
     use crate::live::status::EncoderStatus;
     use crate::observation::Status;
 
     fn shared() -> SharedState {
         let state = State::at_start("camera 0".into(), EncoderStatus::at_rest("none", 0));
-        SharedState::new(state, Model::default(), PublicationGate::new(0.0015, true, None))
+        SharedState::new(state, Model::default(), PublicationGate::new(0.0015, POSES, None))
     }
 
     fn add(shared: &SharedState, index: u64, status: Status, verdict: RowVerdict) {

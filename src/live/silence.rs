@@ -38,8 +38,12 @@ impl Silence {
         let of_encoders = self.encoders.told(now, readings_come).map(|told| match told {
             true => "encoder readings come again".to_owned(),
             false => {
-                let why = encoders.trouble.as_ref().or(encoders.last_bad.as_ref());
-                format!("no encoder readings come: {}", why.map_or("nothing is known of why", String::as_str))
+                let why = encoders.trouble.as_ref().or(encoders.last_bad.as_ref()).cloned();
+                let why = why.unwrap_or_else(|| match encoders.readings {
+                    0 => "nothing is known of why".to_owned(),
+                    count => format!("{count} came before; a file that is complete has no more"),
+                });
+                format!("no encoder readings come: {why}")
             }
         });
         of_frames.into_iter().chain(of_encoders).collect()
@@ -84,5 +88,7 @@ mod tests {
         assert!(at(5, &gone, &refused).is_empty());
         assert_eq!(at(6, &here, &refused), ["frames come again"]);
         assert_eq!(at(7, &here, &EncoderStatus::at_rest("none", 0)), ["encoder readings come again"]);
+        let ended = "no encoder readings come: 17 came before; a file that is complete has no more";
+        assert_eq!(at(11, &here, &EncoderStatus::at_rest("lost", 17)), [ended]);
     }
 }

@@ -45,12 +45,15 @@ pub fn compensation_c_header(
     let names: Vec<String> = (1..=backbones).map(|i| format!("q_command[{}]", i - 1)).collect();
     // What could end the comment early does not belong there.
     let in_comment = |text: &str| text.replace("*/", "").replace(['\n', '\r'], " ");
-    let mark = do_not_use.map(|why| format!(" *\n * DO NOT USE: {}\n", in_comment(why)));
+    let line = |(word, text): (&str, &str)| format!(" *\n * {word}: {}\n", in_comment(text));
+    let conditions = model.conditions_of_single_poses();
+    let holds_if = conditions.iter().map(|condition| ("HOLDS IF", &condition[..]));
+    let marks: String = do_not_use.map(|why| ("DO NOT USE", why)).into_iter().chain(holds_if).map(line).collect();
     let define = do_not_use.map(|_| "#define SNAKELOOP_DO_NOT_USE 1\n".to_owned());
     let filled_in = [
         ("@VERSION@", env!("CARGO_PKG_VERSION").to_owned()),
         ("@SOURCE@", in_comment(source)),
-        ("@MARK@", mark.unwrap_or_default()),
+        ("@MARK@", marks),
         ("@DEFINE@\n", define.unwrap_or_default()),
         ("@FIRST@", theta_0.to_string()),
         ("@LAST@", theta_last.to_string()),

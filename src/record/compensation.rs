@@ -15,8 +15,9 @@
 //! | `stale` | only in a table that is marked so ([`mark_stale`](super::mark_stale)): 1 in every row |
 //!
 //! The JSON has the same rows under `rows`, the model under `model` with model.toml's keys, under `provenance` what made them,
-//! under `verdict` whether `run` or `live` found that they can be relied on, and under `do_not_use` why not, if they must not be used. A C header
-//! that stands in the folder is the same table, and is written anew with it.
+//! under `verdict` whether `run` or `live` found that they can be relied on, under `do_not_use` why not, if they must not be used, and under
+//! `holds_if` what has to be so for a command to lead to its pose, where the model's effects remember how the snake came there or follow
+//! neighbouring sections. A C header that stands in the folder is the same table, and is written anew with it.
 
 use super::c_header::compensation_c_header;
 use super::columns::{azimuth, backbone_columns, backbone_decimals, csv_text, decimals};
@@ -91,6 +92,7 @@ pub fn compensation_json(model: &Model, source: &str, grid: &Grid, rows: &[Table
     let file = CompensationFile {
         verdict: worth.verdict,
         do_not_use: worth.do_not_use,
+        holds_if: model.conditions_of_single_poses(),
         provenance: Provenance {
             program: "snakeloop",
             version: env!("CARGO_PKG_VERSION"),
@@ -169,6 +171,8 @@ struct CompensationFile<'a> {
     verdict: Option<&'a Verdict>,
     #[serde(skip_serializing_if = "Option::is_none")]
     do_not_use: Option<&'a str>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    holds_if: Vec<String>,
     provenance: Provenance<'a>,
     model: ModelFile,
     rows: Vec<JsonRow<'a>>,

@@ -153,8 +153,21 @@ fn refuse_inputs(folder: &Path, outputs: &[&str], inputs: &[PathBuf]) -> Result<
                 format!("this is an input, and the output {output} would replace it; write to another folder (-o)");
             return Err(Error::content(input, message));
         }
+        if let Some(output) = outputs.iter().find(|output| is_matched(&found, &folder, output)) {
+            let message = format!(
+                "the output {output} in {} would be read as one of these; write to another folder (-o)",
+                folder.display()
+            );
+            return Err(Error::content(input, message));
+        }
     }
     Ok(())
+}
+
+/// Whether a pattern of inputs takes in a file of this name in a folder.
+fn is_matched(pattern: &Path, folder: &Path, name: &str) -> bool {
+    let own = pattern.file_name().and_then(|own| own.to_str()).and_then(|own| glob::Pattern::new(own).ok());
+    pattern.parent() == Some(folder) && own.is_some_and(|own| own.matches(name))
 }
 
 /// The name by which a file is replaced: its folder without links, and its own name, which may be that of a link or a pattern.

@@ -87,9 +87,11 @@ pub fn verdict_mark(model: &Path) -> Option<(String, Option<String>)> {
 
 fn in_comments(text: &str) -> Option<(String, Option<String>)> {
     let mut comments = text.lines().filter_map(|line| line.trim_start().strip_prefix('#')).map(str::trim);
-    let level = comments.find_map(|line| line.strip_prefix("verdict: "))?;
+    // However a person wrote it.
+    let level =
+        comments.find_map(|line| line.to_lowercase().strip_prefix("verdict:").map(|level| level.trim().to_owned()))?;
     let worst = comments.find_map(|line| line.strip_prefix("- "));
-    Some((level.to_owned(), worst.map(str::to_owned)))
+    Some((level, worst.map(str::to_owned)))
 }
 
 /// Why the model in a file must not be used, if the verdict above its keys says so.
@@ -199,6 +201,9 @@ mod tests {
         }
         unmark_stale(path).unwrap();
         assert_eq!(files(), plain);
+        let by_hand = path.join("by_hand.toml");
+        std::fs::write(&by_hand, format!("#Verdict:DO NOT USE\n{}", plain["model.toml"])).unwrap();
+        assert!(do_not_use_mark(&by_hand).is_some());
         assert_eq!(stale_mark(&path.join("model.toml")), None);
     }
 }

@@ -20,6 +20,13 @@ use serde::{Deserialize, Serialize};
 /// Source: 3rd General Conference on Weights and Measures, 1901.
 pub const STANDARD_GRAVITY: f64 = 9.80665;
 
+/// The largest friction coefficient of a wire in its channel.
+///
+/// Convention: dry metal on metal stays below 1; the paper's cone has 0.17.
+const MOST_MU: f64 = 1.0;
+/// A slope that is beyond what friction can make by no more than so many of its standard errors may be noise. Convention: three.
+const CHANCE_SDS: f64 = 3.0;
+
 /// The friction constants of one snake cone, and how well they are known.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -146,12 +153,15 @@ impl FrictionFit {
         let intercept = tau_tilde - slope * tau;
         // The comparisons are written so that NaN fails them.
         let sensible = spread > 0.0 && slope > 0.0 && intercept >= 0.0 && phi > 0.0 && phi.is_finite();
-        if !(sensible && slope.is_finite() && intercept.is_finite()) {
-            return Err(DataError::NotFriction { slope, intercept_g: intercept }.into());
-        }
         let residuals = samples.iter().map(|s| (s.tau_tilde_g - slope * s.tau_g - intercept).powi(2));
         let variance = residuals.sum::<f64>() / (n - 2.0);
         let slope_variance = variance / spread;
+        let most_slope = (2.0 * MOST_MU * phi).exp();
+        let chance = CHANCE_SDS * slope_variance.sqrt();
+        let is_friction = slope + chance >= 1.0 && slope - chance <= most_slope;
+        if !(sensible && is_friction && slope.is_finite() && intercept.is_finite()) {
+            return Err(DataError::NotFriction { slope, intercept_g: intercept, most_slope }.into());
+        }
         let cross = -tau * slope_variance;
         let intercept_variance = variance / n + tau * tau * slope_variance;
         // μ = ln(slope)/(2φ), f_s = intercept/slope.
@@ -282,7 +292,11 @@ mod tests {
         let table = table_ii();
         let falling: Vec<_> = table.iter().map(|s| FrictionSample { tau_tilde_g: -s.tau_tilde_g, ..*s }).collect();
         let same: Vec<_> = table.iter().map(|s| FrictionSample { tau_g: 5.0, ..*s }).collect();
-        for bad in [&table[..2], &falling, &same] {
+        // Newtons in a column of grams, either way round.
+        let newtons: Vec<_> =
+            table.iter().map(|s| FrictionSample { tau_tilde_g: s.tau_tilde_g / 102.0, ..*s }).collect();
+        let grams: Vec<_> = table.iter().map(|s| FrictionSample { tau_g: s.tau_g / 102.0, ..*s }).collect();
+        for bad in [&table[..2], &falling, &same, &newtons, &grams] {
             assert!(FrictionFit::of(bad, phi()).is_err());
         }
     }

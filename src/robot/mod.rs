@@ -24,6 +24,7 @@ pub mod parameters;
 pub mod path;
 pub mod predictor;
 pub mod redundancy;
+mod single_pose;
 pub mod statics;
 pub mod table;
 pub mod uncertainty;

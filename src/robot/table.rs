@@ -170,6 +170,15 @@ impl TableRow {
         Ok(Self::new(model, Configuration::from_degrees(theta_deg, delta_deg)))
     }
 
+    /// By how much the bend that the model predicts for the command differs from the pose, rad; infinite where it predicts none within its range. A
+    /// pose that is missed is one of several bends that agree with one command.
+    pub fn missed_by(&self, model: &Model) -> f64 {
+        let bend = |psi: Configuration| psi.bend_vector();
+        model
+            .forward(&self.command_mm)
+            .map_or(f64::INFINITY, |response| (bend(response.configuration) - bend(self.configuration)).norm())
+    }
+
     /// The same pose with forces within limits.
     pub fn within(mut self, model: &Model, limits: &ForceLimits) -> Self {
         let sharing = model.sharing(self.configuration, limits);

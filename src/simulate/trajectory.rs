@@ -8,6 +8,9 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 
+/// The most poses of an experiment. Convention: a resource limit, a day at a hundred a second.
+const MOST_POSES: usize = 10_000_000;
+
 /// The paper's bending experiment: sweeps of θ up and down at fixed δ (its Fig. 10), then δ once round at a fixed θ (Fig. 11).
 #[derive(Debug, Clone, PartialEq)]
 pub struct BendingExperiment {
@@ -77,6 +80,11 @@ impl BendingExperiment {
         let out_of_range = |quantity: &str, value, unit, expected: &str| {
             Err(ArgumentError::out_of_range(quantity, value, unit, expected).into())
         };
+        let of_sweeps = self.sweep_poses.saturating_mul(2).saturating_mul(self.sweep_delta_deg.len());
+        let poses = of_sweeps.saturating_add(self.round_poses);
+        if poses > MOST_POSES {
+            return out_of_range("number of poses", poses as f64, "", &format!("at most {MOST_POSES}"));
+        }
         let workspace = 0.0..=MAX_THETA.to_degrees() + 1e-9;
         let (least, largest) = self.sweep_theta_deg;
         for (name, theta_deg) in [("least θ", least), ("largest θ", largest), ("θ of the round", self.round_theta_deg)]

@@ -75,15 +75,18 @@ impl<const N: usize> SquareRootInformation<N> {
         }
     }
 
-    /// x̂ within the directions that are known to better than `most_sd`, its covariance there, and unit vectors along the others, in which x̂ has no
-    /// part. U = W S Vᵗ: the standard deviation along a column of V is the inverse of its singular value.
-    pub fn seen(&self, most_sd: f64) -> (SVector<f64, N>, SMatrix<f64, N, N>, Vec<SVector<f64, N>>) {
+    /// x̂ within the directions that are seen, by the direction and the standard deviation along it, its covariance there, and unit vectors along the
+    /// others, in which x̂ has no part. U = W S Vᵗ: the standard deviation along a column of V is the inverse of its singular value.
+    pub fn seen(
+        &self,
+        is_seen: impl Fn(&SVector<f64, N>, f64) -> bool,
+    ) -> (SVector<f64, N>, SMatrix<f64, N, N>, Vec<SVector<f64, N>>) {
         let (mut x, mut covariance, mut unseen) = (SVector::zeros(), SMatrix::zeros(), Vec::new());
         let svd = DMatrix::from_fn(N, N, |row, column| self.upper[(row, column)]).svd(true, true);
         let (Some(w), Some(v)) = (svd.u, svd.v_t) else { return (x, covariance, unseen) };
         for (k, value) in svd.singular_values.iter().enumerate() {
             let direction = SVector::<f64, N>::from_fn(|row, _| v[(k, row)]);
-            if *value > most_sd.recip() {
+            if is_seen(&direction, value.recip()) {
                 let along = SVector::<f64, N>::from_fn(|row, _| w[(row, k)]).dot(&self.y) / value;
                 x += direction * along;
                 covariance += direction * direction.transpose() / (value * value);
@@ -177,7 +180,7 @@ mod tests {
             prop_assert!((ours - x.fixed_rows::<2>(1)).norm() <= 1e-8 * (1.0 + x.norm()));
             prop_assert!((p - covariance.fixed_view::<2, 2>(1, 1)).norm() <= 1e-8 * covariance.norm());
             // Where all is seen, what is seen is the solution.
-            let (seen, within, unseen) = filter(&rows).seen(f64::INFINITY);
+            let (seen, within, unseen) = filter(&rows).seen(|_, _| true);
             prop_assert!((seen - x).norm() <= 1e-6 * (1.0 + x.norm()) && unseen.is_empty());
             prop_assert!((within - covariance).norm() <= 1e-6 * covariance.norm());
         }
@@ -188,7 +191,7 @@ mod tests {
         let mut filter = SquareRootInformation::<3>::default();
         let h = SMatrix::<f64, 2, 3>::new(2.0, 0.0, 0.0, 0.0, 3.0, 4.0);
         assert!(filter.absorb(&h, &Vector2::new(2.0, 25.0)));
-        let (x, covariance, unseen) = filter.seen(10.0);
+        let (x, covariance, unseen) = filter.seen(|_, sd| sd < 10.0);
         assert!((x - Vector3::new(1.0, 3.0, 4.0)).norm() < 1e-12, "{x}");
         assert_eq!(unseen.len(), 1);
         assert!((unseen[0].dot(&Vector3::new(0.0, 0.8, -0.6)).abs() - 1.0).abs() < 1e-12);

@@ -7,7 +7,7 @@ use super::rules::REJECTED_IN_ORDER;
 use crate::estimate::{NEW_POSE, PlainSample};
 use crate::observation::MOVED_SDS;
 use crate::robot::Robot;
-use crate::statistics::moments::standard_deviation;
+use crate::statistics::moments::{mean, standard_deviation};
 use crate::statistics::order::median;
 use nalgebra::Vector2;
 
@@ -17,6 +17,10 @@ use nalgebra::Vector2;
 /// Convention: a tenth. The ratio of variances is then 100, which two samples of one spread exceed with a probability below 0.002 from four
 /// samples on (F distribution with 3 and 3 degrees of freedom).
 const STILL: f64 = 0.1;
+/// A column follows the bends where no more than this share of its spread is left beside them.
+///
+/// Convention: half; the bends then account for three quarters of its variance, and noise of ten samples for none.
+const MOST_BESIDE: f64 = 0.5;
 /// Fewer samples than this say nothing of spreads. Convention: see [`STILL`].
 const LEAST_SAMPLES: usize = 4;
 /// A picture is the one before again if its bend differs by less than so many standard deviations.
@@ -54,8 +58,14 @@ fn columns_stuck(robot: &Robot, samples: &[PlainSample]) -> Option<String> {
     let shares: Vec<Option<f64>> =
         (0..count).map(share).map(|(own, asked)| (asked > least_asked).then(|| own / asked)).collect();
     let largest = shares.iter().flatten().copied().fold(0.0, f64::max);
+    // Beside a column that a counter's jump spreads, the others seem to stand still, and follow the bends all the same.
+    let follows = |value: &dyn Fn(&PlainSample) -> f64, column: Vector2<f64>| {
+        let motion = |s: &PlainSample| column.dot(&s.measured.configuration.bend_vector());
+        let slope = slope(samples.iter().map(|s| (motion(s), value(s))));
+        spread(&|s: &PlainSample| value(s) - slope * motion(s)) < MOST_BESIDE * spread(value)
+    };
     let still: Vec<String> = (0..count)
-        .filter(|&i| shares[i].is_some_and(|share| share <= STILL * largest))
+        .filter(|&i| shares[i].is_some_and(|share| share <= STILL * largest) && !follows(&|s| s.q_mm[i], by_bend[i]))
         .map(|i| format!("q{}", i + 1))
         .collect();
     if !still.is_empty() {
@@ -64,11 +74,19 @@ fn columns_stuck(robot: &Robot, samples: &[PlainSample]) -> Option<String> {
     }
     let pairs = (0..count).flat_map(|i| (0..i).map(move |j| (j, i)));
     let mut same = pairs.filter(|&(j, i)| {
-        let (own, asked) = (spread(&|s: &PlainSample| s.q_mm[i] - s.q_mm[j]), asked(by_bend[i] - by_bend[j]));
-        asked > least_asked && own <= STILL * largest * asked
+        let (difference, column) = (|s: &PlainSample| s.q_mm[i] - s.q_mm[j], by_bend[i] - by_bend[j]);
+        let (own, asked) = (spread(&difference), asked(column));
+        asked > least_asked && own <= STILL * largest * asked && !follows(&difference, column)
     });
     let (j, i) = same.next()?;
     Some(format!("q{} repeats q{}: the snake's motion implies different readings", i + 1, j + 1))
+}
+
+/// The slope of a line through pairs of numbers, by least squares.
+fn slope(pairs: impl Iterator<Item = (f64, f64)> + Clone) -> f64 {
+    let [x, y] = [mean(pairs.clone().map(|(x, _)| x)), mean(pairs.clone().map(|(_, y)| y))];
+    let of = |pair: &dyn Fn(f64, f64) -> f64| pairs.clone().map(|(a, b)| pair(a - x, b - y)).sum::<f64>();
+    of(&|x, y| x * y) / of(&|x, _| x * x)
 }
 
 /// The standard deviation without the tenth of the values that is farthest from the median, one at least.

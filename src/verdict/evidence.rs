@@ -43,9 +43,20 @@ impl<'a> Subject<'a> {
         rules::verdict(self, &Evidence::collect(self.model, measurements, log), log)
     }
 
+    /// What speaks against the model whatever was measured: η or λ that no such robot has.
+    pub fn doubt_of_parameters(&self) -> Option<Reason> {
+        rules::out_of_range(self.model)
+    }
+
     /// Whether the model misses the bends of samples by more than noise, as the verdict judges it; red where it then is no better than none.
     pub fn missed_bends(&self, samples: &[PlainSample]) -> Option<Reason> {
         Health::of(self.model, self.sd_encoder_mm, samples).missed_bends()
+    }
+
+    /// What the model leaves of the measurements.
+    pub(super) fn health(&self, measurements: &[Measurement], log: &[EncoderReading]) -> Health {
+        let evidence = Evidence::collect(self.model, measurements, log);
+        Health::of(self.model, self.sd_encoder_mm, &evidence.samples)
     }
 
     /// What keeps physics from being named of these data, where something does: encoders that stand still, or a log that is wired

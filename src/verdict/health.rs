@@ -12,7 +12,7 @@
 use super::reason::{Code, Level, Reason};
 use super::rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, NORMAL_QUANTILE, REJECTED_IN_ORDER, new_poses};
 use super::scale::LEAST_UNNAMED;
-use super::systematic::{AffineFit, Left, ScaleFit, StepFit, StuckFit, agreeing, changed_by};
+use super::systematic::{AffineFit, ConstantFit, Left, ScaleFit, StepFit, StuckFit, agreeing, changed_by, step_of_one};
 use crate::estimate::{self, LinearisedMeasurement, PlainSample, Weighting, Whitened, line_share};
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::chi_square;
@@ -49,6 +49,9 @@ const LEFT_BY_A_STEP: f64 = 0.1;
 /// What to do about a gap.
 const NAMED_BY_DISCOVER: &str = "`snakeloop discover` names what the model lacks; where it names nothing, check camera.yaml (focal length, \
                                  picture size), grid_pitch_mm, standoff_mm and the straight picture";
+
+/// What to do about a gap that is the same in all poses.
+const ZEROED_BENT: &str = "zero the encoders while the snake is straight, and log anew; if they were, `snakeloop discover` names what bends it at rest";
 
 /// What the model leaves of one pose.
 #[derive(Clone)]
@@ -154,6 +157,11 @@ impl Health {
         self.agreeing.get_or_init(|| agreeing(&self.all))
     }
 
+    /// The rms of the bending part in units of its noise.
+    pub fn missed(&self) -> f64 {
+        rms(self.innovations.iter().map(|one| one.bending.norm()))
+    }
+
     /// The rms of the bending part in units of its noise, if it is above what counts as noise.
     fn bending_above_noise(&self) -> Option<f64> {
         let squares: Vec<f64> = self.innovations.iter().map(|one| one.bending.norm_squared()).collect();
@@ -185,8 +193,20 @@ impl Health {
         fits
     }
 
+    /// What speaks against a model whose log has no encoder that stands still throughout, or is wired as it is read: the gap, and which single encoder or
+    /// which homing accounts for it.
+    pub fn reasons(&self, model: &Model, is_moving: bool, is_wired: bool) -> Vec<Reason> {
+        let rehomed = self.rehomed(model);
+        // What a step of all readings leaves in common is told with it.
+        let gap = self.gap().filter(|_| rehomed.is_none());
+        let stuck = is_moving.then(|| self.encoder_stuck()).flatten();
+        let scale = is_wired.then(|| self.encoder_scale()).flatten();
+        let step = rehomed.or_else(|| is_wired.then(|| self.encoder_step()).flatten());
+        [stuck, scale, gap, step].into_iter().flatten().collect()
+    }
+
     /// The gap, if there is one: of the bends, of the form of a known mistake, or of what the readings have in common.
-    pub fn gap(&self) -> Option<Reason> {
+    fn gap(&self) -> Option<Reason> {
         let poses = self.all.len();
         let systematic = || {
             let (most, form) = self.systematic()?;
@@ -216,18 +236,19 @@ impl Health {
         } else {
             None
         };
+        let at_rest = self.at_rest();
+        let missed = if missed_deg > 180.0 { "more than 180°".to_owned() } else { format!("{missed_deg:.2}°") };
         let text = format!(
-            "the model misses the bends by {times:.1} times the noise: {missed_deg:.2}°, or {missed_mm:.3} mm of q̃ ({} poses)",
-            self.all.len()
+            "the model misses the bends by {times:.1} times the noise: {missed}, or {missed_mm:.3} mm of q̃ ({} poses){}",
+            self.all.len(),
+            at_rest.as_ref().map(|rest| format!("; {rest}")).unwrap_or_default()
         );
+        let what_to_do = if at_rest.is_some() { ZEROED_BENT } else { NAMED_BY_DISCOVER };
         Some(match red {
-            Some(beside) => {
-                Reason::new(Code::GapAboveNoise, Level::DoNotUse, format!("{text}; {beside}"), NAMED_BY_DISCOVER)
-            }
+            Some(beside) => Reason::new(Code::GapAboveNoise, Level::DoNotUse, format!("{text}; {beside}"), what_to_do),
             None => {
                 let sd = self.sd_encoder_mm;
-                let remedy =
-                    format!("{NAMED_BY_DISCOVER}; if the encoders are noisier than {sd} mm, give --encoder-sd");
+                let remedy = format!("{what_to_do}; if the encoders are noisier than {sd} mm, give --encoder-sd");
                 Reason::new(Code::GapAboveNoise, Level::Look, text, remedy)
             }
         })
@@ -235,7 +256,7 @@ impl Health {
 
     /// A step that all readings share, if it accounts for what they have in common beyond noise and the bends are explained: homed anew in the
     /// middle. A play as large as that moves the bends as well.
-    pub fn rehomed(&self, model: &Model) -> Option<Reason> {
+    fn rehomed(&self, model: &Model) -> Option<Reason> {
         if self.has_gap() {
             return None;
         }
@@ -258,8 +279,13 @@ impl Health {
         let step = centre(after) - centre(before);
         let step_mm = step / (model.robot.backbone_count() as f64).sqrt();
         let is_step = rms(left) <= LEFT_BY_A_STEP * step.abs();
+        let (last, first) = (self.innovations[at - 1].index, self.innovations[at].index);
+        // A step of one encoder moves what all have in common by a share of its size, and the bends.
+        let of_one_mm = step_mm * model.robot.backbone_count() as f64;
+        if let Some(backbone) = self.encoders().find(|&i| is_step && self.shows_step(i, at, of_one_mm)) {
+            return Some(step_of_one(backbone, [last, first], of_one_mm, ", and so do the bends that they imply"));
+        }
         is_step.then(|| {
-            let (last, first) = (self.innovations[at - 1].index, self.innovations[at].index);
             let text = format!(
                 "between frames {last} and {first} all readings become {}, as where encoders or actuators are homed anew in the middle of a log",
                 changed_by(step_mm)
@@ -271,18 +297,52 @@ impl Health {
         })
     }
 
+    /// Whether the bends show a step of one encoder's readings that is as large as this, mm, from some pose on: they are far likelier with it than without,
+    /// beside a constant of that encoder.
+    fn shows_step(&self, backbone: usize, at: usize, step_mm: f64) -> bool {
+        let poses = || self.innovations.iter().enumerate();
+        let left = |step_mm: f64| {
+            let bending = |(k, one): (usize, &Innovation)| {
+                let by_reading = one.by_reading[backbone];
+                (by_reading, one.bending - by_reading * if k >= at { step_mm } else { 0.0 })
+            };
+            let information: f64 = poses().map(|pose| bending(pose).0.norm_squared()).sum();
+            let constant = poses().map(|pose| bending(pose)).map(|(by, left)| by.dot(&left)).sum::<f64>() / information;
+            poses().map(|pose| bending(pose)).map(|(by, left)| (left - by * constant).norm_squared()).sum::<f64>()
+        };
+        left(0.0) - left(step_mm) > -2.0 * LEVEL_OF_TESTS.ln()
+    }
+
     /// A step of a single encoder that accounts for the gap, if no other's does so nearly as well: a counter that slipped, or an actuator that was
     /// homed anew alone.
-    pub fn encoder_step(&self) -> Option<Reason> {
+    fn encoder_step(&self) -> Option<Reason> {
         self.bending_above_noise()?;
         let places = BESIDE_A_STEP..(self.all.len() + 1).saturating_sub(BESIDE_A_STEP);
         let mut fits = self.likeliest_first(self.encoders().filter_map(|i| StepFit::of(&self.all, i, places.clone())));
         let (step, second) = (fits.next()?, fits.next()?);
-        self.accounts_for_gap(&step, &second).then(|| step.1.reason(&self.all))
+        // A bend that all poses are missed by is none of a step.
+        let constant = ConstantFit::of(&self.all).map_or(f64::INFINITY, |constant| self.left_by(&constant));
+        let is_step = is_alone(step.0, constant, step.1.numbers(without_a_tenth(self.all.len())));
+        (is_step && self.accounts_for_gap(&step, &second)).then(|| step.1.reason(&self.all))
+    }
+
+    /// What all poses are missed by alike, if that accounts for the gap.
+    fn at_rest(&self) -> Option<String> {
+        let constant = ConstantFit::of(&self.all)?;
+        if !self.explains_gap(self.left_by(&constant), constant.numbers(without_a_tenth(self.all.len()))) {
+            return None;
+        }
+        let rest = constant.missed_mm() * self.bend_by_mm;
+        Some(format!(
+            "all poses are missed by the same {:.2}° towards δ = {:.0}°, as where the encoders were zeroed while the snake was bent, or something bends \
+             it at rest",
+            rest.norm().to_degrees(),
+            rest.y.atan2(rest.x).to_degrees()
+        ))
     }
 
     /// A single encoder that stands still in a part of the log, if that accounts for the gap, and an error of another there does not.
-    pub fn encoder_stuck(&self) -> Option<Reason> {
+    fn encoder_stuck(&self) -> Option<Reason> {
         self.bending_above_noise()?;
         let fits = self.encoders().filter_map(|i| StuckFit::of(&self.all, i, 2 * BESIDE_A_STEP));
         let stuck = self.likeliest_first(fits).next()?;
@@ -297,22 +357,33 @@ impl Health {
 
     /// Causes in the order of the squares that they leave but for the largest tenth, which are summed up beside each.
     fn likeliest_first<C: Left>(&self, causes: impl Iterator<Item = C>) -> impl Iterator<Item = (f64, C)> {
-        let left = |cause: &C| without_largest(cause.left(&self.all), |square| *square).iter().sum::<f64>();
-        let mut causes: Vec<(f64, C)> = causes.map(|cause| (left(&cause), cause)).collect();
+        let mut causes: Vec<(f64, C)> = causes.map(|cause| (self.left_by(&cause), cause)).collect();
         causes.sort_by(|(a, _), (b, _)| a.total_cmp(b));
         causes.into_iter()
+    }
+
+    /// The squares that a cause leaves but for the largest tenth.
+    fn left_by<C: Left>(&self, cause: &C) -> f64 {
+        without_largest(cause.left(&self.all), |square| *square).iter().sum()
     }
 
     /// Whether a cause leaves noise or next to nothing of the gap, and the second likeliest far more.
     fn accounts_for_gap<C: Left>(&self, (left, cause): &(f64, C), (second, _): &(f64, C)) -> bool {
         let numbers = cause.numbers(without_a_tenth(self.all.len()));
-        let before: f64 = self.innovations.iter().map(|one| one.bending.norm_squared()).sum();
-        let explains = is_noise(*left, numbers) || *left <= LEFT_BY_A_STEP.powi(2) * before;
-        explains && is_alone(*left, *second, numbers)
+        self.explains_gap(*left, numbers) && is_alone(*left, *second, numbers)
+    }
+
+    /// Whether squares that are left of so many numbers, beside another η, are noise or next to nothing of the gap, and another η alone leaves far more.
+    fn explains_gap(&self, left: f64, numbers: usize) -> bool {
+        let sum = |of: &dyn Fn(&Innovation) -> f64| self.all.iter().map(of).sum::<f64>();
+        let by_eta = sum(&|one| one.by_eta.dot(&one.bending)) / sum(&|one| one.by_eta.norm_squared());
+        let squares = self.all.iter().map(|one| (one.bending - one.by_eta * by_eta).norm_squared()).collect();
+        let by_eta: f64 = without_largest(squares, |square| *square).iter().sum();
+        (is_noise(left, numbers) || left <= LEFT_BY_A_STEP.powi(2) * by_eta) && is_alone(left, by_eta, numbers)
     }
 
     /// A single encoder or actuator whose scale accounts for the gap, if no other does so nearly as well.
-    pub fn encoder_scale(&self) -> Option<Reason> {
+    fn encoder_scale(&self) -> Option<Reason> {
         let fits = self.scales();
         let (best, second) = (fits.first()?, fits.get(1)?);
         let before: f64 = self.agreeing().iter().map(|one| one.bending.norm_squared()).sum();

@@ -14,12 +14,15 @@ mod estimated;
 mod evidence;
 mod health;
 mod inputs;
+mod one_cause;
 mod reason;
 mod rules;
 mod scale;
 #[cfg(feature = "commands")]
 mod shared_force;
+mod stem;
 mod systematic;
+mod tip_force;
 pub mod wiring;
 mod words;
 
@@ -31,3 +34,5 @@ pub use reason::{Code, Level, Reason, Suggestion, Verdict};
 pub use rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, MOST_LAMBDA_MM, REJECTED_IN_ORDER};
 #[cfg(feature = "commands")]
 pub(crate) use shared_force::doubt_of_force_limits;
+pub use stem::JudgedStem;
+pub use tip_force::JudgedForce;

@@ -55,12 +55,10 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
     let no_bend = no_bend(evidence);
     let (stuck, check) = stuck_or_miswired(subject, evidence, log, no_bend.is_none());
     let health = Health::of(subject.model, subject.sd_encoder_mm, &evidence.samples);
-    let rehomed = health.rehomed(subject.model);
-    // What a step of all readings leaves in common is told with it.
-    let gap = health.gap().filter(|_| rehomed.is_none());
-    let is_wired = || check.as_ref().is_none_or(|check| check.mistake.is_none());
+    let is_wired = check.as_ref().is_none_or(|check| check.mistake.is_none());
+    let of_gap = health.reasons(subject.model, stuck.is_none(), is_wired);
     let reasons = [
-        stuck.or_else(|| health.encoder_stuck()),
+        stuck,
         check.as_ref().and_then(|check| words::wiring(subject, check)),
         nothing_to_judge(evidence, log),
         unmatched(evidence, log),
@@ -71,14 +69,12 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
         out_of_range(subject.model),
         worse_than_naive(subject.model, evidence),
         rejected(subject),
+        leading_nowhere(subject.model, evidence),
         replaced(subject),
         not_covered(subject, evidence, check.as_ref()).or_else(|| uncertain_table(subject.model)),
         camera_lens(subject, evidence, check.as_ref().filter(|_| health.has_gap())),
-        health.encoder_scale().filter(|_| is_wired()),
-        gap,
-        rehomed.or_else(|| health.encoder_step().filter(|_| is_wired())),
     ];
-    Verdict::of(reasons.into_iter().flatten().collect())
+    Verdict::of(reasons.into_iter().flatten().chain(of_gap).collect())
 }
 
 /// Encoders or a camera that stand still, and the wiring check, where something bends. Of few poses a wrong order of the columns may look
@@ -229,8 +225,15 @@ fn not_measured(evidence: &Evidence) -> Option<Reason> {
     let text = format!("{failed} of {frames} frames could not be measured ({})", why.join(", "));
     let moved = of(&["camera_moved", "base_moved", "grid_lost"]);
     if 2 * moved > failed {
-        let remedy = "camera or base moved: take a new picture of the straight snake, or let `--follow` find the camera anew in \
-                      every frame";
+        // What is so from the first frame to the last may have been so in the straight picture.
+        let dimensions = if moved == frames {
+            "; if neither moved, compare length, disks and tool in the robot's file with the snake"
+        } else {
+            ""
+        };
+        let remedy = format!(
+            "camera or base moved: take a new picture of the straight snake, or let `--follow` find the camera anew in every frame{dimensions}"
+        );
         return Some(Reason::new(Code::RigDrift, level, text, remedy));
     }
     let told = commonest_status(statuses).map(|told| format!("{told}. ")).unwrap_or_default();
@@ -255,7 +258,7 @@ fn no_bend(evidence: &Evidence) -> Option<Reason> {
 }
 
 /// η and λ where no robot has them: red if they are no robot's at all, amber if their σ leaves no usual value.
-fn out_of_range(model: &Model) -> Option<Reason> {
+pub(super) fn out_of_range(model: &Model) -> Option<Reason> {
     let estimate = model.estimate?;
     let remedy = "check units and radii in the robot's file and the unit of the log; if both are right, the line yields in another way \
                   than the model says: `snakeloop discover`";
@@ -309,6 +312,21 @@ fn rejected(subject: &Subject) -> Option<Reason> {
     let text = format!("{rejected} of {} measurements contradict the others and were rejected", used + rejected);
     let remedy = "look at the frames under \"Measurements not used\" in report.html (estimate.csv has all): if the overlay follows the \
                   snake there, the log or the model is wrong (`snakeloop discover`), otherwise the frame is";
+    Some(Reason::new(Code::ManyRejected, level, text, remedy))
+}
+
+/// Readings that no bend of the robot agrees with: from some row on another unit, or a counter that jumped.
+fn leading_nowhere(model: &Model, evidence: &Evidence) -> Option<Reason> {
+    let plain = model.plain();
+    let leads_nowhere = |sample: &&PlainSample| plain.forward_bend(&sample.q_mm).is_err();
+    let (of, nowhere) = (evidence.samples.len(), evidence.samples.iter().filter(leads_nowhere).count());
+    if !more_often(nowhere, of, REJECTED_IN_ORDER) {
+        return None;
+    }
+    let first = evidence.samples.iter().find(leads_nowhere)?;
+    let level = if 2 * nowhere > of { Level::DoNotUse } else { Level::Look };
+    let text = format!("{nowhere} of {of} readings lead to no bend of this robot, the first at frame {}", first.index);
+    let remedy = "look at the log from there on: another unit, a counter that jumped, another actuator's columns; use the rows before alone";
     Some(Reason::new(Code::ManyRejected, level, text, remedy))
 }
 

@@ -11,7 +11,7 @@ use super::reason::{Code, Level, Reason};
 use super::rules::LEVEL_OF_TESTS;
 use crate::statistics::binomial;
 use crate::statistics::trimmed::least_trimmed_squares;
-use nalgebra::{Matrix2, Matrix2x6, Matrix3, Matrix6, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3, Matrix6, Vector2, Vector3, Vector6};
 use std::f64::consts::PI;
 use std::ops::Range;
 
@@ -291,21 +291,14 @@ impl StepFit {
     }
 
     pub fn reason(&self, innovations: &[Innovation]) -> Reason {
-        let backbone = self.backbone + 1;
-        let [last, first] = [self.at - 1, self.at].map(|at| innovations[at].index);
-        let text = format!(
-            "between frames {last} and {first} the readings of backbone {backbone} become {}, which accounts for the gap",
-            changed_by(self.x.z)
-        );
-        let remedy = format!(
-            "look for a counter that slipped, or for encoder or actuator of backbone {backbone} homed anew in the middle; use the rows before it \
-             or those after it alone, or take the step off one part"
-        );
-        let reason = Reason::new(Code::Rehomed, Level::Look, text, remedy);
-        Reason { backbone: Some(backbone), ..reason }
+        step_of_one(
+            self.backbone,
+            [self.at - 1, self.at].map(|at| innovations[at].index),
+            self.x.z,
+            ", which accounts for the gap",
+        )
     }
 }
-
 impl Left for StepFit {
     fn left(&self, innovations: &[Innovation]) -> Vec<f64> {
         let left = |(k, one): (usize, &Innovation)| {
@@ -318,6 +311,59 @@ impl Left for StepFit {
     fn numbers(&self, poses: usize) -> usize {
         2 * poses
     }
+}
+
+/// A bend by which all poses are missed alike, fitted beside η.
+pub(super) struct ConstantFit {
+    /// How much η is changed, and the bending part of all readings, mm.
+    x: Vector3<f64>,
+}
+
+impl ConstantFit {
+    /// By least squares; `None` if the poses do not tell it from η.
+    pub fn of(innovations: &[Innovation]) -> Option<Self> {
+        let (mut information, mut slope) = (Matrix3::zeros(), Vector3::zeros());
+        for one in innovations {
+            let h = Self::columns(one);
+            information += h.transpose() * h;
+            slope += h.transpose() * one.bending;
+        }
+        Some(Self { x: information.cholesky()?.solve(&slope) })
+    }
+
+    fn columns(one: &Innovation) -> Matrix2x3<f64> {
+        Matrix2x3::from_columns(&[one.by_eta, one.whitener.column(0).into(), one.whitener.column(1).into()])
+    }
+
+    /// The bending part of the readings that is missed, mm.
+    pub fn missed_mm(&self) -> Vector2<f64> {
+        self.x.yz()
+    }
+}
+
+impl Left for ConstantFit {
+    fn left(&self, innovations: &[Innovation]) -> Vec<f64> {
+        innovations.iter().map(|one| (one.bending - Self::columns(one) * self.x).norm_squared()).collect()
+    }
+
+    fn numbers(&self, poses: usize) -> usize {
+        2 * poses
+    }
+}
+
+/// Readings of one backbone that change by a step between two frames.
+pub(super) fn step_of_one(backbone: usize, [last, first]: [u64; 2], step_mm: f64, accounts: &str) -> Reason {
+    let backbone = backbone + 1;
+    let text = format!(
+        "between frames {last} and {first} the readings of backbone {backbone} become {}{accounts}",
+        changed_by(step_mm)
+    );
+    let remedy = format!(
+        "look for a counter that slipped, or for encoder or actuator of backbone {backbone} homed anew in the middle; use the rows before it \
+         or those after it alone, or take the step off one part"
+    );
+    let reason = Reason::new(Code::Rehomed, Level::Look, text, remedy);
+    Reason { backbone: Some(backbone), ..reason }
 }
 
 /// What readings become by a step, mm.

@@ -354,6 +354,9 @@ class StemEstimate:
     """The bending angle of a flexible stem, as it was followed."""
 
     @property
+    def verdict(self) -> Verdict:
+        """Whether the angle can be relied on, and why not."""
+    @property
     def phi_deg(self) -> float:
         """Φ after the last measurement, degrees."""
     @property
@@ -385,6 +388,9 @@ def estimate_stem(
 class TipForce:
     """A force on the tip that explains measured deflections."""
 
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the model explains the measurements under this force, and why not."""
     @property
     def force_n(self) -> _Numbers:
         """The force that explains all measurements together, N, shape (3,), in the base frame.

@@ -152,7 +152,7 @@ impl Inspection {
 
     /// All that can be said once the files are there.
     fn with_data(mut self, console: &Console, experiment: &Experiment) -> Result<Summary> {
-        let model = model_of(experiment)?;
+        let model = model_of(console, experiment)?;
         self.sizes(experiment);
         let Checked { rows: log, warnings } = match encoders_of(experiment, &model) {
             Ok(checked) => checked,

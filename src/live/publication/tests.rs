@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 
 /// A gate after a verdict that finds nothing.
 fn judged_good() -> PublicationGate {
-    let mut gate = PublicationGate::new(0.0015, true, None);
+    let mut gate = PublicationGate::new(0.0015, POSES, None);
     gate.take_verdict(Verdict::default());
     gate.confirm(&Status::Ok, true);
     gate

@@ -47,6 +47,9 @@ pub use variables::Variable;
 /// The name of a bend at rest.
 pub const REST_BEND: &str = "rest_bend";
 
+/// The name of a force on the tip.
+pub const TIP_LOAD: &str = "tip_load";
+
 /// The name of the gain of a command, beside which η is told by what is known of it beforehand.
 pub const COMMAND_GAIN: &str = "command_gain";
 
@@ -230,10 +233,15 @@ impl Effect {
             expected: "name:parameter=value,parameter=value",
         };
         let (name, list) = text.split_once(':').ok_or_else(form)?;
-        let mut parameters = Vec::new();
+        let mut parameters: Vec<(String, f64)> = Vec::new();
         for pair in list.split(',') {
             let (key, value) = pair.split_once('=').ok_or_else(form)?;
-            parameters.push((key.trim().to_owned(), value.trim().parse().map_err(|_| form())?));
+            let key = key.trim().to_owned();
+            if parameters.iter().any(|(given, _)| *given == key) {
+                let expected = "each parameter once";
+                return Err(ArgumentError::Syntax { what: "effect", text: text.to_owned(), expected }.into());
+            }
+            parameters.push((key, value.trim().parse().map_err(|_| form())?));
         }
         let on = |backbones| Self::new(name.trim(), None, &parameters, backbones);
         BACKBONES.map(on).find(Result::is_ok).unwrap_or_else(|| on(*BACKBONES.start()))

@@ -110,7 +110,7 @@ pub(super) static BACKBONE_SHORTENING: Physics = Physics {
 /// A dead force on the tip, constant in {b}.
 pub(super) static TIP_LOAD: Physics = Physics {
     log_prior: FREQUENT,
-    name: "tip_load",
+    name: super::TIP_LOAD,
     equation: "Qᵗτ = ∇E − J_xbᵗ (F, 0)",
     reading: "a force of constant size and direction that pulls at the tip",
     parameters: |_| const { &[force("fx_n"), force("fy_n"), force("fz_n")] },
@@ -127,7 +127,7 @@ const fn moment(name: &'static str) -> ParameterSpec {
 
 /// A dead force and moment on the end disk, constant in {b}. It is given, not searched for: one more force explains as much as a moment.
 pub(super) static TIP_WRENCH: Physics = Physics {
-    name: "tip_load",
+    name: super::TIP_LOAD,
     form: "with moment",
     equation: "Qᵗτ = ∇E − J_xbᵗ (F, M)",
     reading: "a force and a moment of constant size and direction at the tip",

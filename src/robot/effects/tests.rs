@@ -297,6 +297,7 @@ fn what_is_written_wrongly_is_an_error_that_says_what_to_write() {
         ("load_directed_backlash:play_mm=20", "expected -1 to 1 (mm)"),
         ("load_directed_backlash:play_mm=nan", "expected -1 to 1"),
         ("load_directed_backlash", "expected name:parameter=value"),
+        ("creep:share=0.1,share=0.2,time_constant_s=2", "expected each parameter once"),
     ] {
         let error = Effect::parse(text).unwrap_err();
         assert!(error.to_string().contains(message), "{error}");
