@@ -90,7 +90,7 @@ mod tests {
 
     #[test]
     fn what_the_pose_alone_decides_has_no_condition() {
-        for effect in ["rest_bend:rest_x_deg=2,rest_y_deg=1", "creep:share=1e-5,time_constant_s=30"] {
+        for effect in ["rest_bend:x_deg=2,y_deg=1", "creep:share=1e-5,time_constant_s=30"] {
             assert_eq!(told(effect), [] as [&str; 0], "{effect}");
         }
         assert!(told("creep:share=0.2,time_constant_s=30")[0].starts_with("creep: "));

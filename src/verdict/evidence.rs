@@ -4,7 +4,7 @@ use super::health::Health;
 use super::reason::{Reason, Verdict};
 use super::rules;
 use super::wiring::Pose;
-use crate::estimate::{PlainSample, Replaced, pairs_without_effects, usable};
+use crate::estimate::{self, PlainSample, Replaced, pairs_without_effects, usable};
 use crate::observation::{EncoderReading, Measurement, Status, Wiring};
 use crate::robot::Model;
 use std::collections::BTreeMap;
@@ -75,7 +75,7 @@ pub struct ViewOffset {
     pub delta_offset_deg: f64,
 }
 
-/// Measured frames in a row that have no reading.
+/// Measured frames whose reading is missing or leads nowhere.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Gap {
     pub frames: usize,
@@ -102,6 +102,8 @@ pub struct Evidence {
     pub(super) measured: usize,
     /// Those of them that have a reading.
     pub(super) with_reading: usize,
+    /// The frames whose reading leads to no bend of the robot, as many as there are, and the first one's index.
+    pub(super) nowhere: Gap,
     /// The most measured frames in a row that have none.
     pub(super) gap: Gap,
     /// Bends as they were measured, spread over the run.
@@ -114,7 +116,7 @@ impl Evidence {
     /// Goes once through the measurements.
     fn collect(model: &Model, measurements: &[Measurement], log: &[EncoderReading]) -> Self {
         let (mut measured, mut with_reading, mut statuses) = (0, 0, BTreeMap::new());
-        let (mut gap, mut longest) = (Gap::default(), Gap::default());
+        let (mut gap, mut longest, mut nowhere) = (Gap::default(), Gap::default(), Gap::default());
         let (mut poses, mut samples) = (Spread::new(MOST_POSES), Spread::new(MOST_SAMPLES));
         let backbones = model.robot.backbone_count();
         for (as_seen, (measurement, reading)) in
@@ -128,14 +130,18 @@ impl Evidence {
                 gap = if reading.is_none() { gap.and(index) } else { Gap::default() };
                 longest = if gap.frames > longest.frames { gap } else { longest };
             }
-            if let Ok((measured, q_mm)) = usable(backbones, &measurement, reading.as_ref()) {
-                with_reading += 1;
-                let time_s = reading.map_or(f64::NAN, |reading| reading.time_s);
-                samples.add(PlainSample { index, time_s, measured, q_mm });
+            match usable(backbones, &measurement, reading.as_ref()) {
+                Ok((measured, q_mm)) => {
+                    with_reading += 1;
+                    let time_s = reading.map_or(f64::NAN, |reading| reading.time_s);
+                    samples.add(PlainSample { index, time_s, measured, q_mm });
+                }
+                Err(estimate::Reason::OutsideWorkspace) => nowhere = nowhere.and(index),
+                Err(_) => {}
             }
         }
         let (frames, poses, samples) = (measurements.len(), poses.kept, samples.kept);
-        Self { frames, statuses, measured, with_reading, gap: longest, poses, samples }
+        Self { frames, statuses, measured, with_reading, nowhere, gap: longest, poses, samples }
     }
 }
 

@@ -69,7 +69,7 @@ pub(super) fn verdict(subject: &Subject, evidence: &Evidence, log: &[EncoderRead
         out_of_range(subject.model),
         worse_than_naive(subject.model, evidence),
         rejected(subject),
-        leading_nowhere(subject.model, evidence),
+        leading_nowhere(evidence),
         replaced(subject),
         not_covered(subject, evidence, check.as_ref()).or_else(|| uncertain_table(subject.model)),
         camera_lens(subject, evidence, check.as_ref().filter(|_| health.has_gap())),
@@ -316,18 +316,15 @@ fn rejected(subject: &Subject) -> Option<Reason> {
 }
 
 /// Readings that no bend of the robot agrees with: from some row on another unit, or a counter that jumped.
-fn leading_nowhere(model: &Model, evidence: &Evidence) -> Option<Reason> {
-    let plain = model.plain();
-    let leads_nowhere = |sample: &&PlainSample| plain.forward_bend(&sample.q_mm).is_err();
-    let (of, nowhere) = (evidence.samples.len(), evidence.samples.iter().filter(leads_nowhere).count());
-    if !more_often(nowhere, of, REJECTED_IN_ORDER) {
-        return None;
-    }
-    let first = evidence.samples.iter().find(leads_nowhere)?;
-    let level = if 2 * nowhere > of { Level::DoNotUse } else { Level::Look };
-    let text = format!("{nowhere} of {of} readings lead to no bend of this robot, the first at frame {}", first.index);
-    let remedy = "look at the log from there on: another unit, a counter that jumped, another actuator's columns; use the rows before alone";
-    Some(Reason::new(Code::ManyRejected, level, text, remedy))
+fn leading_nowhere(evidence: &Evidence) -> Option<Reason> {
+    let Evidence { with_reading, nowhere, .. } = *evidence;
+    let of = with_reading + nowhere.frames;
+    more_often(nowhere.frames, of, REJECTED_IN_ORDER).then(|| {
+        let level = if nowhere.frames > with_reading { Level::DoNotUse } else { Level::Look };
+        let text = format!("{} of {of} readings lead to no bend of this robot, the first at frame {}", nowhere.frames, nowhere.from);
+        let remedy = "look at the log from there on: another unit, a counter that jumped, another actuator's columns; use the rows before alone";
+        Reason::new(Code::ManyRejected, level, text, remedy)
+    })
 }
 
 /// An estimate of one gain for all bends.
