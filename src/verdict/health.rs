@@ -300,15 +300,15 @@ impl Health {
     /// Whether the bends show a step of one encoder's readings that is as large as this, mm, from some pose on: they are far likelier with it than without,
     /// beside a constant of that encoder.
     fn shows_step(&self, backbone: usize, at: usize, step_mm: f64) -> bool {
-        let poses = || self.innovations.iter().enumerate();
+        let by_reading = |one: &Innovation| one.by_reading[backbone];
+        let information: f64 = self.innovations.iter().map(|one| by_reading(one).norm_squared()).sum();
         let left = |step_mm: f64| {
-            let bending = |(k, one): (usize, &Innovation)| {
-                let by_reading = one.by_reading[backbone];
-                (by_reading, one.bending - by_reading * if k >= at { step_mm } else { 0.0 })
-            };
-            let information: f64 = poses().map(|pose| bending(pose).0.norm_squared()).sum();
-            let constant = poses().map(|pose| bending(pose)).map(|(by, left)| by.dot(&left)).sum::<f64>() / information;
-            poses().map(|pose| bending(pose)).map(|(by, left)| (left - by * constant).norm_squared()).sum::<f64>()
+            let without =
+                |(k, one): (usize, &Innovation)| one.bending - by_reading(one) * if k >= at { step_mm } else { 0.0 };
+            let without: Vec<Vector2<f64>> = self.innovations.iter().enumerate().map(without).collect();
+            let poses = || self.innovations.iter().zip(&without);
+            let constant = poses().map(|(one, bending)| by_reading(one).dot(bending)).sum::<f64>() / information;
+            poses().map(|(one, bending)| (bending - by_reading(one) * constant).norm_squared()).sum::<f64>()
         };
         left(0.0) - left(step_mm) > -2.0 * LEVEL_OF_TESTS.ln()
     }
