@@ -303,6 +303,17 @@ pub enum GridError {
         /// The largest that is allowed, degrees.
         most_deg: f64,
     },
+    /// Commands that jump from one pose to the next, so that nothing can be interpolated between them.
+    #[error(
+        "the model's {effects} makes commands jump where a backbone does not move (by {error_deg:.2}° of bend between poses of this grid), and a C \
+         header interpolates between them; command from compensation.csv, or from `invert` for each pose"
+    )]
+    Jumps {
+        /// The effects that remember which way a backbone moved.
+        effects: String,
+        /// The largest error between two poses, degrees of bend.
+        error_deg: f64,
+    },
     /// Azimuths that do not go once round.
     #[error("a C header needs δ once round in even steps; {grid} gives {angles} angles, try -165:180:15")]
     NotRound {

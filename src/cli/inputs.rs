@@ -60,8 +60,9 @@ impl WorthArgs {
         let model = model_or_paper(console, path)?;
         let Some(path) = path else { return Ok((model, None)) };
         let Some(why) = must_not_be_used(path, &model) else {
-            // A file whose verdict says so already is not told of twice.
-            let doubt = Subject::new(&model, 0.0).doubt_of_parameters().filter(|_| verdict_mark(path).is_none());
+            // A verdict to look at it has named it, where it was not changed since.
+            let is_told = verdict_mark(path).is_some_and(|(level, _)| level == Level::Look.to_string());
+            let doubt = Subject::new(&model, 0.0).doubt_of_parameters().filter(|_| !is_told);
             console.warn(doubt.map(|doubt| format!("{}: {}; {}", path.display(), doubt.text, doubt.remedy)));
             return Ok((model, None));
         };
@@ -209,7 +210,7 @@ pub fn tell_of_missed_poses(console: &Console, model: &Model, rows: &[TableRow])
         let to = if by.is_finite() { format!("{:.1}° away", by.to_degrees()) } else { "beyond 120°".to_owned() };
         format!(
             "{} of {} poses, the first at θ = {:.0}°, δ = {:.0}°, are not where the model itself predicts that their commands lead (there: {to}): more \
-             than one bend agrees with one command, so that the snake may be anywhere; stay below these bends",
+             than one bend agrees with one command, so that the snake may be elsewhere; avoid these poses",
             missed.len(),
             rows.len(),
             row.configuration.theta_deg(),

@@ -39,7 +39,12 @@ pub fn compensation_c_header(
     }
     let error_deg = between_poses_deg(model, (&theta, &delta), rows);
     if error_deg > MOST_ERROR_DEG {
-        return Err(ArgumentError::from(GridError::TooCoarse { error_deg, most_deg: MOST_ERROR_DEG }).into());
+        let effects = model.remembering_effects().join(", ");
+        return Err(ArgumentError::from(match effects.is_empty() {
+            true => GridError::TooCoarse { error_deg, most_deg: MOST_ERROR_DEG },
+            false => GridError::Jumps { effects, error_deg },
+        })
+        .into());
     }
     let backbones = rows.first().map_or(0, |row| row.command_mm.len());
     let names: Vec<String> = (1..=backbones).map(|i| format!("q_command[{}]", i - 1)).collect();

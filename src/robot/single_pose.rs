@@ -23,12 +23,17 @@ impl Model {
         neighbours.into_iter().chain(self.outwards_only()).collect()
     }
 
-    /// That a command is for a bend that is come to from straight and where the snake rests, where effects remember the way.
-    fn outwards_only(&self) -> Option<String> {
+    /// The names of the effects by which a command depends on how the snake came to its pose.
+    pub(crate) fn remembering_effects(&self) -> Vec<&'static str> {
         // When a frame was exposed changes no command.
         let remembers =
             |effect: &&Effect| !effect.physics.is_static() && !matches!(effect.physics.changes, Changes::Exposure(_));
-        let names: Vec<&str> = self.effects.iter().filter(remembers).map(|effect| effect.physics.name).collect();
+        self.effects.iter().filter(remembers).map(|effect| effect.physics.name).collect()
+    }
+
+    /// That a command is for a bend that is come to from straight and where the snake rests, where effects remember the way.
+    fn outwards_only(&self) -> Option<String> {
+        let names = self.remembering_effects();
         if names.is_empty() {
             return None;
         }

@@ -43,9 +43,9 @@ impl<'a> Subject<'a> {
         rules::verdict(self, &Evidence::collect(self.model, measurements, log), log)
     }
 
-    /// What speaks against the model whatever was measured: η or λ that no such robot has.
+    /// What speaks against the model whatever was measured: η or λ that no such robot has, or an η of which nothing is known.
     pub fn doubt_of_parameters(&self) -> Option<Reason> {
-        rules::out_of_range(self.model)
+        rules::out_of_range(self.model).or_else(|| rules::unknown_parameters(self.model))
     }
 
     /// Whether the model misses the bends of samples by more than noise, as the verdict judges it; red where it then is no better than none.

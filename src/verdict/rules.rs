@@ -278,6 +278,12 @@ pub(super) fn out_of_range(model: &Model) -> Option<Reason> {
     Some(Reason::new(Code::ParameterOutOfRange, Level::Look, text.replace('-', "−"), remedy))
 }
 
+/// η that may have any value, whatever the poses were.
+pub(super) fn unknown_parameters(model: &Model) -> Option<Reason> {
+    let remedy = "learn the model anew, from poses that bend further";
+    unknown_eta(model).map(|text| Reason::new(Code::WorkspaceNotCovered, Level::Look, text, remedy))
+}
+
 /// Sign test: whether the naive model predicts more bends better than this one.
 fn worse_than_naive(model: &Model, evidence: &Evidence) -> Option<Reason> {
     model.estimate?;

@@ -208,6 +208,7 @@ fn a_table_says_where_its_commands_hold_if_the_line_remembers() {
     };
     let play = told("motion_directed_backlash:half_gap_mm=0.1");
     assert!(play.contains("motion_directed_backlash: a command holds where"), "{play}");
+    assert!(play.contains("motion_directed_backlash makes commands jump"), "{play}");
     let said = told("creep:share=0.2,time_constant_s=30");
     let condition = "creep: a command holds where the bend is come to from straight";
     assert!(said.contains(condition), "{said}");
@@ -221,6 +222,18 @@ fn a_table_says_where_its_commands_hold_if_the_line_remembers() {
     ));
     assert!(said.contains("are not where the model itself predicts that their commands lead"), "{said}");
     assert!(!sandbox.read("plain/compensation.json").contains("holds_if"));
+}
+
+#[test]
+fn an_eta_that_somebody_wrote_by_hand_is_told_where_a_robot_is_commanded() {
+    let (sandbox, _) = experiment(3);
+    sandbox.succeed(&format!("estimate {} -o known", data("lab")));
+    let model = sandbox.read("known/model.toml");
+    let eta = model.lines().find(|line| line.starts_with("eta = ")).unwrap();
+    sandbox.write("large.toml", &model.replace(eta, "eta = 8.0"));
+    let call = |model: &str| all_said(&sandbox.call(&format!("invert --model {model} --theta-deg 40 --delta-deg 10")));
+    assert!(call("large.toml").contains("such robots have one third to three"), "{}", call("large.toml"));
+    assert!(!call("known/model.toml").contains("warning"), "{}", call("known/model.toml"));
 }
 
 #[test]
