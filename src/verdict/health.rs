@@ -7,30 +7,25 @@
 //!
 //! Both parts are judged by their mean square, so that the size of a gap counts as well as the number of poses. The largest tenth is left
 //! out, as hands and reflections may spoil that many frames. The bending part is judged besides by what it has of mistakes of a known form,
-//! where noise hides them from the mean square ([`systematic`](super::systematic)).
+//! where noise hides them from the mean square ([`systematic`](super::systematic)). Which single cause accounts for a gap is asked in
+//! [`cause`](super::cause).
 
 use super::reason::{Code, Level, Reason};
-use super::rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, NORMAL_QUANTILE, REJECTED_IN_ORDER, new_poses};
-use super::scale::LEAST_UNNAMED;
-use super::systematic::{AffineFit, ConstantFit, Left, ScaleFit, StepFit, StuckFit, agreeing, changed_by, step_of_one};
+use super::rules::{MEAN_SQUARE_OF_NOISE, NORMAL_QUANTILE, REJECTED_IN_ORDER, new_poses};
+use super::systematic::{AffineFit, ScaleFit, agreeing};
 use crate::estimate::{self, LinearisedMeasurement, PlainSample, Weighting, Whitened, line_share};
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::chi_square;
 use crate::statistics::moments::{mean, rms};
-use crate::statistics::order::{mad_scale, median};
+use crate::statistics::order::mad_scale;
 use nalgebra::{Matrix2, Matrix2x6, Vector2};
 use std::cell::OnceCell;
 use std::f64::consts::PI;
-use std::ops::Range;
 
 /// Mean square of normal values of which the largest tenth is left out: of pairs (χ² with two degrees of freedom), and of single ones.
 ///
 /// Derived: (1 − α − α ln(1/α)) / (1 − α), and P(χ²_3 < Φ⁻¹(0.95)²) / (1 − α), with α = 0.1.
 pub(super) const TRIMMED_MEAN_SQUARE: [f64; 2] = [0.744_157, 0.623_236];
-/// A single encoder's scale accounts for a gap if it leaves no more than this share of the mean square.
-///
-/// Convention: half of the rms, as where a lag is taken for the clock's.
-const LEFT_BY_A_SCALE: f64 = 0.25;
 
 /// A model that misses more than this share of the bends says nothing of them. Convention: half; it then explains three quarters of their variance.
 const MOST_MISSED: f64 = 0.5;
@@ -38,13 +33,6 @@ const MOST_MISSED: f64 = 0.5;
 ///
 /// Convention: half a degree, which a table is asked to be right to.
 pub(super) const ASKED_FOR: f64 = 0.5 * PI / 180.0;
-/// Poses on each side of a step that all readings share. Convention: as many as tell a mean from an outlier.
-const BESIDE_A_STEP: usize = 3;
-/// A step accounts for what readings have in common if it leaves no more than this share of its own size, in rms; one of a single encoder, or its
-/// standing still, for the gap if it leaves no more of that.
-///
-/// Convention: a tenth; what drifts or follows the load leaves a third.
-const LEFT_BY_A_STEP: f64 = 0.1;
 
 /// What to do about a gap.
 const NAMED_BY_DISCOVER: &str = "`snakeloop discover` names what the model lacks; where it names nothing, check camera.yaml (focal length, \
@@ -71,7 +59,7 @@ pub(super) struct Innovation {
     /// The bend seen, rad.
     pub bend: Vector2<f64>,
     /// The common part, mm (√n times its mean).
-    common_mm: f64,
+    pub common_mm: f64,
     /// The reading, mm.
     pub q_mm: PerBackbone,
     /// Size of the bending part, mm.
@@ -122,15 +110,15 @@ impl Innovation {
 /// The innovations at poses that differ.
 pub(super) struct Health {
     /// Of the bending part, the largest tenth left out; in order of time.
-    innovations: Vec<Innovation>,
+    pub innovations: Vec<Innovation>,
     /// All of them.
-    all: Vec<Innovation>,
+    pub all: Vec<Innovation>,
     /// All but the tenth that agrees least with any affine gap; found where it is asked for, since live judges each frame by the bending part alone.
     agreeing: OnceCell<Vec<Innovation>>,
     /// Squares of the common part in units of its noise, the largest tenth left out.
     common: Vec<f64>,
     /// ∂θ by a bending part of q̃, rad per mm.
-    bend_by_mm: f64,
+    pub bend_by_mm: f64,
     sd_encoder_mm: f64,
 }
 
@@ -153,7 +141,7 @@ impl Health {
         Self { innovations, all, agreeing: OnceCell::new(), common, bend_by_mm, sd_encoder_mm }
     }
 
-    fn agreeing(&self) -> &[Innovation] {
+    pub fn agreeing(&self) -> &[Innovation] {
         self.agreeing.get_or_init(|| agreeing(&self.all))
     }
 
@@ -163,9 +151,14 @@ impl Health {
     }
 
     /// The rms of the bending part in units of its noise, if it is above what counts as noise.
-    fn bending_above_noise(&self) -> Option<f64> {
+    pub fn bending_above_noise(&self) -> Option<f64> {
         let squares: Vec<f64> = self.innovations.iter().map(|one| one.bending.norm_squared()).collect();
         above_noise(&squares, 2)
+    }
+
+    /// The same of what the readings have in common.
+    pub fn common_above_noise(&self) -> Option<f64> {
+        above_noise(&self.common, 1)
     }
 
     /// Whether the bends are missed by more than noise.
@@ -184,13 +177,6 @@ impl Health {
             false => format!("as where {}", scale()?.text()),
         };
         (most > ASKED_FOR).then_some((most, form))
-    }
-
-    /// Each encoder's scale as the gap tells it, the likeliest first.
-    fn scales(&self) -> Vec<ScaleFit> {
-        let mut fits: Vec<ScaleFit> = self.encoders().filter_map(|i| ScaleFit::of(self.agreeing(), i)).collect();
-        fits.sort_by(|a, b| a.left.total_cmp(&b.left));
-        fits
     }
 
     /// What speaks against a model whose log has no encoder that stands still throughout, or is wired as it is read: the gap, and which single encoder or
@@ -213,7 +199,7 @@ impl Health {
             Some(format!("the model misses the bends by up to {:.2}° {form} ({poses} poses)", most.to_degrees()))
         };
         let common = || {
-            let times = above_noise(&self.common, 1)?;
+            let times = self.common_above_noise()?;
             Some(format!(
                 "the model misses what the readings have in common by {times:.1} times the noise ({poses} poses)"
             ))
@@ -253,171 +239,10 @@ impl Health {
             }
         })
     }
-
-    /// A step that all readings share, if it accounts for what they have in common beyond noise and the bends are explained: homed anew in the
-    /// middle. A play as large as that moves the bends as well.
-    fn rehomed(&self, model: &Model) -> Option<Reason> {
-        if self.has_gap() {
-            return None;
-        }
-        above_noise(&self.common, 1)?;
-        let common: Vec<f64> = self.innovations.iter().map(|one| one.common_mm).collect();
-        let centre = |part: &[f64]| median(&mut part.to_vec());
-        let left = |at: usize| {
-            let (before, after) = common.split_at(at);
-            let of = |part: &[f64]| {
-                let centre = centre(part);
-                part.iter().map(|mm| (mm - centre).abs()).collect::<Vec<f64>>()
-            };
-            [of(before), of(after)].concat()
-        };
-        let places = BESIDE_A_STEP..(common.len() + 1).saturating_sub(BESIDE_A_STEP);
-        let sums = places.map(|at| (at, left(at).iter().sum::<f64>()));
-        let (at, _) = sums.min_by(|(_, a), (_, b)| a.total_cmp(b))?;
-        let left = without_largest(left(at), |mm| *mm);
-        let (before, after) = common.split_at(at);
-        let step = centre(after) - centre(before);
-        let step_mm = step / (model.robot.backbone_count() as f64).sqrt();
-        let is_step = rms(left) <= LEFT_BY_A_STEP * step.abs();
-        let (last, first) = (self.innovations[at - 1].index, self.innovations[at].index);
-        // A step of one encoder moves what all have in common by a share of its size, and the bends.
-        let of_one_mm = step_mm * model.robot.backbone_count() as f64;
-        if let Some(backbone) = self.encoders().find(|&i| is_step && self.shows_step(i, at, of_one_mm)) {
-            return Some(step_of_one(backbone, [last, first], of_one_mm, ", and so do the bends that they imply"));
-        }
-        is_step.then(|| {
-            let text = format!(
-                "between frames {last} and {first} all readings become {}, as where encoders or actuators are homed anew in the middle of a log",
-                changed_by(step_mm)
-            );
-            let remedy = "home before the first frame; use the rows before it or those after it alone, or take the step off one part: the \
-                          bends are right either way, and λ is that of one part only";
-            let is_possible = model.estimate.is_none_or(|estimate| estimate.implausible().is_none());
-            Reason::new(Code::Rehomed, if is_possible { Level::Look } else { Level::DoNotUse }, text, remedy)
-        })
-    }
-
-    /// Whether the bends show a step of one encoder's readings that is as large as this, mm, from some pose on: they are far likelier with it than without,
-    /// beside a constant of that encoder.
-    fn shows_step(&self, backbone: usize, at: usize, step_mm: f64) -> bool {
-        let by_reading = |one: &Innovation| one.by_reading[backbone];
-        let information: f64 = self.innovations.iter().map(|one| by_reading(one).norm_squared()).sum();
-        let left = |step_mm: f64| {
-            let without =
-                |(k, one): (usize, &Innovation)| one.bending - by_reading(one) * if k >= at { step_mm } else { 0.0 };
-            let without: Vec<Vector2<f64>> = self.innovations.iter().enumerate().map(without).collect();
-            let poses = || self.innovations.iter().zip(&without);
-            let constant = poses().map(|(one, bending)| by_reading(one).dot(bending)).sum::<f64>() / information;
-            poses().map(|(one, bending)| (bending - by_reading(one) * constant).norm_squared()).sum::<f64>()
-        };
-        left(0.0) - left(step_mm) > -2.0 * LEVEL_OF_TESTS.ln()
-    }
-
-    /// A step of a single encoder that accounts for the gap, if no other's does so nearly as well: a counter that slipped, or an actuator that was
-    /// homed anew alone.
-    fn encoder_step(&self) -> Option<Reason> {
-        self.bending_above_noise()?;
-        let places = BESIDE_A_STEP..(self.all.len() + 1).saturating_sub(BESIDE_A_STEP);
-        let mut fits = self.likeliest_first(self.encoders().filter_map(|i| StepFit::of(&self.all, i, places.clone())));
-        let (step, second) = (fits.next()?, fits.next()?);
-        // A bend that all poses are missed by is none of a step.
-        let constant = ConstantFit::of(&self.all).map_or(f64::INFINITY, |constant| self.left_by(&constant));
-        let is_step = is_alone(step.0, constant, step.1.numbers(without_a_tenth(self.all.len())));
-        (is_step && self.accounts_for_gap(&step, &second)).then(|| step.1.reason(&self.all))
-    }
-
-    /// What all poses are missed by alike, if that accounts for the gap.
-    fn at_rest(&self) -> Option<String> {
-        let constant = ConstantFit::of(&self.all)?;
-        if !self.explains_gap(self.left_by(&constant), constant.numbers(without_a_tenth(self.all.len()))) {
-            return None;
-        }
-        let rest = constant.missed_mm() * self.bend_by_mm;
-        Some(format!(
-            "all poses are missed by the same {:.2}° towards δ = {:.0}°, as where the encoders were zeroed while the snake was bent, or something bends \
-             it at rest",
-            rest.norm().to_degrees(),
-            rest.y.atan2(rest.x).to_degrees()
-        ))
-    }
-
-    /// A single encoder that stands still in a part of the log, if that accounts for the gap, and an error of another there does not.
-    fn encoder_stuck(&self) -> Option<Reason> {
-        self.bending_above_noise()?;
-        let fits = self.encoders().filter_map(|i| StuckFit::of(&self.all, i, 2 * BESIDE_A_STEP));
-        let stuck = self.likeliest_first(fits).next()?;
-        let others = self.encoders().filter(|i| *i != stuck.1.backbone).map(|i| stuck.1.of_other(&self.all, i));
-        let second = self.likeliest_first(others).next()?;
-        self.accounts_for_gap(&stuck, &second).then(|| stuck.1.reason(&self.all))
-    }
-
-    fn encoders(&self) -> Range<usize> {
-        0..self.all.first().map_or(0, |one| one.q_mm.len())
-    }
-
-    /// Causes in the order of the squares that they leave but for the largest tenth, which are summed up beside each.
-    fn likeliest_first<C: Left>(&self, causes: impl Iterator<Item = C>) -> impl Iterator<Item = (f64, C)> {
-        let mut causes: Vec<(f64, C)> = causes.map(|cause| (self.left_by(&cause), cause)).collect();
-        causes.sort_by(|(a, _), (b, _)| a.total_cmp(b));
-        causes.into_iter()
-    }
-
-    /// The squares that a cause leaves but for the largest tenth.
-    fn left_by<C: Left>(&self, cause: &C) -> f64 {
-        without_largest(cause.left(&self.all), |square| *square).iter().sum()
-    }
-
-    /// Whether a cause leaves noise or next to nothing of the gap, and the second likeliest far more.
-    fn accounts_for_gap<C: Left>(&self, (left, cause): &(f64, C), (second, _): &(f64, C)) -> bool {
-        let numbers = cause.numbers(without_a_tenth(self.all.len()));
-        self.explains_gap(*left, numbers) && is_alone(*left, *second, numbers)
-    }
-
-    /// Whether squares that are left of so many numbers, beside another η, are noise or next to nothing of the gap, and another η alone leaves far more.
-    fn explains_gap(&self, left: f64, numbers: usize) -> bool {
-        let sum = |of: &dyn Fn(&Innovation) -> f64| self.all.iter().map(of).sum::<f64>();
-        let by_eta = sum(&|one| one.by_eta.dot(&one.bending)) / sum(&|one| one.by_eta.norm_squared());
-        let squares = self.all.iter().map(|one| (one.bending - one.by_eta * by_eta).norm_squared()).collect();
-        let by_eta: f64 = without_largest(squares, |square| *square).iter().sum();
-        (is_noise(left, numbers) || left <= LEFT_BY_A_STEP.powi(2) * by_eta) && is_alone(left, by_eta, numbers)
-    }
-
-    /// A single encoder or actuator whose scale accounts for the gap, if no other does so nearly as well.
-    fn encoder_scale(&self) -> Option<Reason> {
-        let fits = self.scales();
-        let (best, second) = (fits.first()?, fits.get(1)?);
-        let before: f64 = self.agreeing().iter().map(|one| one.bending.norm_squared()).sum();
-        let is_certain = best.error.abs() > NORMAL_QUANTILE * MEAN_SQUARE_OF_NOISE.sqrt() * best.sd;
-        // An encoder's error moves the common part as well, which the correction must make quieter; an error of the eye does not.
-        let quieter = {
-            let i = best.backbone;
-            let root_n = (self.agreeing()[0].q_mm.len() as f64).sqrt();
-            let corrected = |one: &Innovation| one.common_mm - best.error * one.q_mm[i] / root_n;
-            common_noise_mm(self.agreeing(), corrected) < common_noise_mm(self.agreeing(), |one| one.common_mm)
-        };
-        // A larger factor is another unit or a wrong sign, and the wiring check's business.
-        let is_scale = (1.0 / LEAST_UNNAMED..LEAST_UNNAMED).contains(&(1.0 - best.error));
-        let numbers = 2 * self.agreeing().len();
-        let explains = is_noise(best.left, numbers) || best.left <= LEFT_BY_A_SCALE * before;
-        let is_alone = is_alone(best.left, second.left, numbers);
-        (self.has_gap() && explains && is_alone && is_certain && quieter && is_scale).then(|| best.reason())
-    }
-}
-
-/// Whether the sum of so many squares is no larger than what counts as noise allows.
-fn is_noise(left: f64, numbers: usize) -> bool {
-    left < MEAN_SQUARE_OF_NOISE * chi_square::quantile(numbers, NORMAL_QUANTILE)
-}
-
-/// Whether the second likeliest cause leaves far more of so many squares: twice the logarithm of the likelihood ratio where the noise's size is not
-/// known.
-fn is_alone(left: f64, second: f64, numbers: usize) -> bool {
-    let numbers = numbers as f64;
-    numbers * (second / left.max(numbers)).ln() > -2.0 * LEVEL_OF_TESTS.ln()
 }
 
 /// Noise of the common part, mm: the scatter of its steps from one pose to the next, which a median keeps from jumps.
-fn common_noise_mm(innovations: &[Innovation], common_mm: impl Fn(&Innovation) -> f64) -> f64 {
+pub(super) fn common_noise_mm(innovations: &[Innovation], common_mm: impl Fn(&Innovation) -> f64) -> f64 {
     let steps = innovations.windows(2).map(|pair| common_mm(&pair[1]) - common_mm(&pair[0]));
     mad_scale(steps) / 2f64.sqrt()
 }
@@ -428,7 +253,7 @@ pub(super) fn without_a_tenth(count: usize) -> usize {
 }
 
 /// All but the largest tenth; in their order.
-fn without_largest<T>(items: Vec<T>, size: impl Fn(&T) -> f64) -> Vec<T> {
+pub(super) fn without_largest<T>(items: Vec<T>, size: impl Fn(&T) -> f64) -> Vec<T> {
     let mut sizes: Vec<f64> = items.iter().map(&size).collect();
     sizes.sort_unstable_by(f64::total_cmp);
     match without_a_tenth(sizes.len()).checked_sub(1) {

@@ -9,6 +9,7 @@
 //! bends that were seen under every mistake of a small group and compares the likelihoods. Nothing is corrected here; the verdict
 //! says how to write the correction down ([`Wiring`](crate::observation::Wiring)).
 
+mod cause;
 mod encoders;
 mod estimated;
 mod evidence;
