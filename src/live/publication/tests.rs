@@ -1,5 +1,5 @@
 use super::*;
-use crate::estimate::Options;
+use crate::estimate::{Options, StemOptions};
 use crate::geometry::Configuration;
 use crate::live::online_estimator::OnlineEstimator;
 use crate::observation::Waypoint;
@@ -26,6 +26,8 @@ struct Bench {
     time_s: f64,
     /// What is added to all readings, mm.
     homed_mm: f64,
+    /// What is added to those of the first backbone besides, mm.
+    slipped_mm: f64,
 }
 
 impl Bench {
@@ -45,7 +47,18 @@ impl Bench {
             seed: 1,
             time_s: 0.0,
             homed_mm: 0.0,
+            slipped_mm: 0.0,
         }
+    }
+
+    /// The same robot, of which η and λ are known and the stem is followed.
+    fn with_stem() -> Self {
+        let bench = Self::new(vec![]);
+        let options = Options::default();
+        let estimator = OnlineEstimator::new(bench.plant.model.clone(), options, Some(StemOptions::default())).unwrap();
+        let mut gate = PublicationGate::new(0.0015, STEM_POSES, None);
+        gate.take_verdict(Verdict::default());
+        Self { estimator, gate, ..bench }
     }
 
     /// Goes on for so long, s; a round takes eight. Every frame's decision is looked at with the model it was made on.
@@ -68,7 +81,8 @@ impl Bench {
         let measurements = SimulatedEye::default().observe(&samples, self.seed + 1);
         for (k, (sample, measurement)) in samples.iter().zip(&measurements).enumerate() {
             let q_mm = if frozen { samples[0].reading.q_mm } else { sample.reading.q_mm };
-            let q_mm = q_mm.add_scalar(self.homed_mm);
+            let mut q_mm = q_mm.add_scalar(self.homed_mm);
+            q_mm[0] += self.slipped_mm;
             let reading = crate::observation::EncoderReading { q_mm, ..sample.reading };
             if k % Self::VERDICTS == Self::VERDICTS - 1 {
                 self.gate.take_verdict(Verdict::default());
@@ -240,5 +254,31 @@ fn encoders_that_are_homed_anew_are_noticed_within_three_frames_and_judged_befor
         bench.go(4.0, false, keep);
         let (model, _) = bench.gate.last_good().unwrap();
         assert!((model.parameters().y - 0.1765 - homed_mm).abs() < 0.02, "{homed_mm} mm: λ {}", model.parameters().y);
+    }
+}
+
+#[test]
+fn what_no_angle_of_a_stem_explains_is_not_published() {
+    for seed in [1, 100, 200] {
+        let mut bench = Bench { seed, ..Bench::with_stem() };
+        let mut published = 0;
+        bench.go(20.0, false, |_, decided, _| published += usize::from(decided.is_ok()));
+        assert!(published > 350, "seed {seed}: {published} of 400");
+        // A stem that is bent slowly, by 0.5° in each of its frames, is followed.
+        for _ in 0..20 {
+            let line = &mut bench.plant.model.robot.line;
+            *line = line.bent_through(line.total_angle() + 1f64.to_radians());
+            bench.go(0.1, false, |_, _, _| {});
+        }
+        bench.go(10.0, false, |_, _, _| {});
+        let mut last = Ok(());
+        bench.go(1.0, false, |_, decided, _| last = decided);
+        assert_eq!(last, Ok(()), "seed {seed}");
+        bench.slipped_mm = 0.2;
+        // Two seconds are half a dozen poses.
+        bench.go(2.0, false, |_, _, _| {});
+        let mut published = 0;
+        bench.go(10.0, false, |_, decided, _| published += usize::from(decided.is_ok()));
+        assert_eq!(published, 0, "seed {seed}");
     }
 }
