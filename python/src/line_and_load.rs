@@ -43,9 +43,9 @@ pub fn estimate_stem_of(
     };
     let (start, measurements, readings) = inputs(py, measurements, encoders, model)?;
     let data = (&measurements[..], &readings[..]);
-    let subject = |model| Ok(Subject::new(model, options.sd_encoder_mm));
-    let JudgedStem { rows, model: bent, verdict } =
-        py.detach(|| JudgedStem::of(&start, options, data, subject)).map_err(raised)?;
+    let judged =
+        py.detach(|| JudgedStem::of(&start, options, data, |model| Ok(Subject::new(model, options.sd_encoder_mm))));
+    let JudgedStem { rows, model: bent, verdict } = judged.map_err(raised)?;
     if rows.iter().all(|row| row.reason.is_some()) {
         return Err(wrong("no measurement could be used; angles with status ok and encoder readings are needed"));
     }
@@ -114,9 +114,9 @@ pub fn tip_force_of(
     let sd_encoder_mm = sd_encoder_mm.unwrap_or(Options::default().sd_encoder_mm);
     let (start, measurements, readings) = inputs(py, measurements, encoders, model)?;
     let data = (&measurements[..], &readings[..]);
-    let subject = |model| Ok(Subject::new(model, sd_encoder_mm));
-    let JudgedForce { rows, force, verdict } =
-        py.detach(|| JudgedForce::of(&start, sd_encoder_mm, data, subject)).map_err(raised)?;
+    let judged =
+        py.detach(|| JudgedForce::of(&start, sd_encoder_mm, data, |model| Ok(Subject::new(model, sd_encoder_mm))));
+    let JudgedForce { rows, force, verdict } = judged.map_err(raised)?;
     let columns = columns_of_csv(py, &forces_csv(&rows))?.unbind();
     Ok(PyTipForce { force, verdict: PyVerdict(verdict), columns })
 }
