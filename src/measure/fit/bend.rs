@@ -8,7 +8,7 @@ use super::correspondences::Correspondences;
 use super::edges::EdgeFinder;
 use super::linearised::{Linearised, robust_step};
 use super::noise_model::SHARP_PX;
-use super::schedule::{FitSchedule, LAST_SEARCH_PX};
+use super::schedule::FitSchedule;
 use super::state::{EdgeBias, FramePrior, STATE, State};
 use super::uncertainty::{FitCovariance, RobustPhase, inliers};
 use super::visibility::PartVisibility;
@@ -16,7 +16,6 @@ use crate::measure::body::{Outline, Piece, Projection};
 use crate::robot::{BendProfile, MAX_THETA, PROFILE};
 use nalgebra::{SMatrix, SVector, Vector2};
 use std::collections::BTreeSet;
-use std::f64::consts::{E, PI};
 
 /// From this search distance on, px, the model is close enough to the picture for the redescending loss.
 ///
@@ -115,13 +114,6 @@ impl BendFit {
     /// The share of the searched points whose edges agree with the model.
     pub fn inlier_fraction(&self) -> f64 {
         self.inliers as f64 / self.searched_points().max(1) as f64
-    }
-
-    /// How much the edges say for this fit beside clutter, whose edges lie anywhere within the last search distance w, nats for each searched point: the
-    /// mean logarithm of the ratio of both likelihoods, by the entropies ln(2w) of clutter and ln(σ√(2πe)) of edges that scatter by σ.
-    pub fn evidence(&self) -> f64 {
-        let normal = self.rms_px * (2.0 * PI * E).sqrt();
-        self.inlier_fraction() * (2.0 * LAST_SEARCH_PX / normal.max(f64::MIN_POSITIVE)).ln()
     }
 
     /// How much of each part's outline has its edge.
