@@ -10,18 +10,15 @@ use crate::record::{
     Checked, EncoderLog, Experiment, Matched, do_not_use_mark, read_encoders_kept, read_joints, read_log,
     read_measurements, read_model, stale_mark, verdict_mark,
 };
+use crate::robot::data_range::ASKED_FOR;
 use crate::robot::{Effect, ForceLimits, Friction, Model, TableRow};
-use crate::verdict::{Level, Subject};
+use crate::verdict::{Level, Subject, doubt_of_parameters};
 use crate::{Error, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// File name extensions, in lower case, of the pictures that are read.
 const PICTURE_EXTENSIONS: [&str; 6] = ["bmp", "jpg", "jpeg", "png", "tif", "tiff"];
-
-/// A pose is missed by its command if the model predicts another bend, further away than this, rad. Convention: half a degree, which a table is asked
-/// to be right to.
-const MOST_MISSED: f64 = 0.5 * std::f64::consts::PI / 180.0;
 
 /// The model in a file; without one the paper's naive one, with Table I, which is told.
 pub fn model_or_paper(console: &Console, path: Option<&Path>) -> Result<Model> {
@@ -62,7 +59,7 @@ impl WorthArgs {
         let Some(why) = must_not_be_used(path, &model) else {
             // A verdict to look at it has named it, where it was not changed since.
             let is_told = verdict_mark(path).is_some_and(|(level, _)| level == Level::Look.to_string());
-            let doubt = Subject::new(&model, 0.0).doubt_of_parameters().filter(|_| !is_told);
+            let doubt = doubt_of_parameters(&model).filter(|_| !is_told);
             console.warn(doubt.map(|doubt| format!("{}: {}; {}", path.display(), doubt.text, doubt.remedy)));
             return Ok((model, None));
         };
@@ -197,15 +194,9 @@ pub fn tell_of_learning(console: &Console, model: &Model) {
     });
 }
 
-/// Warns of what answers for single poses take for granted: neighbouring sections at rest, a bend that is come to from straight.
-pub fn tell_of_single_poses(console: &Console, model: &Model) {
-    console.warn(model.conditions_of_single_poses());
-}
-
 /// Warns of poses whose commands lead elsewhere by the model's own prediction.
 pub fn tell_of_missed_poses(console: &Console, model: &Model, rows: &[TableRow]) {
-    let missed: Vec<_> =
-        rows.iter().map(|row| (row, row.missed_by(model))).filter(|(_, by)| *by > MOST_MISSED).collect();
+    let missed: Vec<_> = rows.iter().map(|row| (row, row.missed_by(model))).filter(|(_, by)| *by > ASKED_FOR).collect();
     console.warn(missed.first().map(|(row, by)| {
         let to = if by.is_finite() { format!("{:.1}° away", by.to_degrees()) } else { "beyond 120°".to_owned() };
         format!(

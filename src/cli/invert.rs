@@ -1,7 +1,7 @@
 //! `invert`: the compensation for one pose, either way round.
 
 use super::console::Console;
-use super::inputs::{WorthArgs, tell_of_learning, tell_of_missed_poses, tell_of_single_poses, with_effects};
+use super::inputs::{WorthArgs, tell_of_learning, tell_of_missed_poses, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::quantity::{decimal, with_sd};
@@ -97,7 +97,7 @@ impl Args {
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
         let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
         let model = with_effects(console, model, &self.effect)?;
-        tell_of_single_poses(console, &model);
+        console.warn(model.conditions_of_single_poses());
         if self.model.is_some() {
             tell_of_learning(console, &model);
         }

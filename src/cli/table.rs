@@ -1,9 +1,7 @@
 //! `table`: the compensation table on any grid.
 
 use super::console::Console;
-use super::inputs::{
-    WorthArgs, force_limits, tell_of_learning, tell_of_missed_poses, tell_of_single_poses, with_effects,
-};
+use super::inputs::{WorthArgs, force_limits, tell_of_learning, tell_of_missed_poses, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::record::{OutputFolder, Worth, stale_mark, write_compensation_rows};
@@ -62,7 +60,7 @@ impl Args {
         let _out = OutputFolder::claim(&self.output, &OUTPUTS, self.model.as_slice())?;
         let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
         let model = with_effects(console, model, &self.effect)?;
-        tell_of_single_poses(console, &model);
+        console.warn(model.conditions_of_single_poses());
         let source = self.model.as_deref().map_or("built in".to_owned(), |path| path.display().to_string());
         let theta = self.theta_deg.unwrap_or(Grid::within_data(&model).theta);
         let grid = Grid { theta, delta: self.delta_deg };

@@ -64,10 +64,12 @@ fn refuse_repeated(experiment: &Experiment, views: &[OpenView]) -> Result<()> {
         FrameSource::Pictures(files) => files.first().and_then(|file| read_bytes(&file.path, PICTURE_BYTES).ok()),
         _ => None,
     };
-    // One camera has nothing to compare.
-    let pictures: Vec<_> = views.iter().filter(|_| views.len() > 1).map(first).collect();
+    if views.len() < 2 {
+        return Ok(());
+    }
+    let pictures: Vec<Option<Vec<u8>>> = views.iter().map(first).collect();
     for (k, view) in views.iter().enumerate() {
-        let same = |other: &usize| pictures.get(k).is_some_and(|own| own.is_some() && *own == pictures[*other]);
+        let same = |other: &usize| pictures[k].is_some() && pictures[k] == pictures[*other];
         if let Some(other) = (0..k).find(same) {
             let message = format!(
                 "views {:?} and {:?} begin with the same picture; `frames` of each view names the pictures of one camera",

@@ -34,8 +34,8 @@ const TOLERANCE: f64 = 0.5 * PI / 180.0;
 ///
 /// Convention: as where a verdict says that nothing bends; the gain is then known to a tenth.
 const TELLING_SDS: f64 = 10.0;
-/// What a table is asked to be right to, rad. Convention: half a degree, as where a verdict tells of a gap.
-const ASKED_FOR: f64 = 0.5 * PI / 180.0;
+/// What a table is asked to be right to, rad: a verdict tells of gaps, and `table` of poses, that are off by more. Convention: half a degree.
+pub const ASKED_FOR: f64 = 0.5 * PI / 180.0;
 /// A direction that was bent by this share of the largest bend is learned however large σ is.
 ///
 /// Convention: half; an error of the gain there moves it by half of what it moves the largest bend.

@@ -155,10 +155,11 @@ impl Health {
     /// Whether squares that are left of so many numbers, beside another η, are noise or next to nothing of the gap, and another η alone leaves far more.
     fn explains_gap(&self, left: f64, numbers: usize) -> bool {
         let sum = |of: &dyn Fn(&Innovation) -> f64| self.all.iter().map(of).sum::<f64>();
-        let by_eta = sum(&|one| one.by_eta.dot(&one.bending)) / sum(&|one| one.by_eta.norm_squared());
-        let squares = self.all.iter().map(|one| (one.bending - one.by_eta * by_eta).norm_squared()).collect();
-        let by_eta: f64 = without_largest(squares, |square| *square).iter().sum();
-        (is_noise(left, numbers) || left <= LEFT_BY_A_STEP.powi(2) * by_eta) && is_alone(left, by_eta, numbers)
+        let eta = sum(&|one| one.by_eta.dot(&one.bending)) / sum(&|one| one.by_eta.norm_squared());
+        let squares = self.all.iter().map(|one| (one.bending - one.by_eta * eta).norm_squared()).collect();
+        let left_by_eta: f64 = without_largest(squares, |square| *square).iter().sum();
+        let explains = is_noise(left, numbers) || left <= LEFT_BY_A_STEP.powi(2) * left_by_eta;
+        explains && is_alone(left, left_by_eta, numbers)
     }
 
     /// A single encoder or actuator whose scale accounts for the gap, if no other does so nearly as well.

@@ -43,11 +43,6 @@ impl<'a> Subject<'a> {
         rules::verdict(self, &Evidence::collect(self.model, measurements, log), log)
     }
 
-    /// What speaks against the model whatever was measured: η or λ that no such robot has, or an η of which nothing is known.
-    pub fn doubt_of_parameters(&self) -> Option<Reason> {
-        rules::out_of_range(self.model).or_else(|| rules::unknown_parameters(self.model))
-    }
-
     /// Whether the model misses the bends of samples by more than noise, as the verdict judges it; red where it then is no better than none.
     pub fn missed_bends(&self, samples: &[PlainSample]) -> Option<Reason> {
         Health::of(self.model, self.sd_encoder_mm, samples).missed_bends()

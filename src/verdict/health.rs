@@ -14,13 +14,13 @@ use super::reason::{Code, Level, Reason};
 use super::rules::{MEAN_SQUARE_OF_NOISE, NORMAL_QUANTILE, REJECTED_IN_ORDER, new_poses};
 use super::systematic::{AffineFit, ScaleFit, agreeing};
 use crate::estimate::{self, LinearisedMeasurement, PlainSample, Weighting, Whitened, line_share};
+use crate::robot::data_range::ASKED_FOR;
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::chi_square;
 use crate::statistics::moments::{mean, rms};
 use crate::statistics::order::mad_scale;
 use nalgebra::{Matrix2, Matrix2x6, Vector2};
 use std::cell::OnceCell;
-use std::f64::consts::PI;
 
 /// Mean square of normal values of which the largest tenth is left out: of pairs (χ² with two degrees of freedom), and of single ones.
 ///
@@ -29,10 +29,6 @@ pub(super) const TRIMMED_MEAN_SQUARE: [f64; 2] = [0.744_157, 0.623_236];
 
 /// A model that misses more than this share of the bends says nothing of them. Convention: half; it then explains three quarters of their variance.
 const MOST_MISSED: f64 = 0.5;
-/// The affine part of a gap is told if it moves a bend of the data by more than this, rad.
-///
-/// Convention: half a degree, which a table is asked to be right to.
-pub(super) const ASKED_FOR: f64 = 0.5 * PI / 180.0;
 
 /// What to do about a gap.
 const NAMED_BY_DISCOVER: &str = "`snakeloop discover` names what the model lacks; where it names nothing, check camera.yaml (focal length, \

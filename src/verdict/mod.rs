@@ -32,6 +32,8 @@ pub use evidence::{Evidence, Subject, ViewOffset};
 #[cfg(feature = "commands")]
 pub use inputs::doubts_of_times;
 pub use reason::{Code, Level, Reason, Suggestion, Verdict};
+#[cfg(feature = "commands")]
+pub(crate) use rules::doubt_of_parameters;
 pub use rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, MOST_LAMBDA_MM, REJECTED_IN_ORDER};
 #[cfg(feature = "commands")]
 pub(crate) use shared_force::doubt_of_force_limits;

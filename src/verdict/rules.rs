@@ -2,7 +2,7 @@
 
 use super::encoders::{camera_stuck, stuck};
 use super::evidence::{Evidence, Subject};
-use super::health::{ASKED_FOR, Health};
+use super::health::Health;
 use super::inputs::nothing_to_judge;
 use super::reason::{Code, Level, Reason, Verdict};
 use super::scale::{PLAUSIBLE_ETA, angles_are_radians};
@@ -12,6 +12,7 @@ use crate::estimate::{NewPoses, PlainSample, Replaced};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Wiring, commonest_status};
 use crate::robot::Model;
+use crate::robot::data_range::ASKED_FOR;
 use crate::statistics::binomial;
 use nalgebra::Matrix2;
 use std::f64::consts::PI;
@@ -258,7 +259,7 @@ fn no_bend(evidence: &Evidence) -> Option<Reason> {
 }
 
 /// η and λ where no robot has them: red if they are no robot's at all, amber if their σ leaves no usual value.
-pub(super) fn out_of_range(model: &Model) -> Option<Reason> {
+fn out_of_range(model: &Model) -> Option<Reason> {
     let estimate = model.estimate?;
     let remedy = "check units and radii in the robot's file and the unit of the log; if both are right, the line yields in another way \
                   than the model says: `snakeloop discover`";
@@ -278,10 +279,12 @@ pub(super) fn out_of_range(model: &Model) -> Option<Reason> {
     Some(Reason::new(Code::ParameterOutOfRange, Level::Look, text.replace('-', "−"), remedy))
 }
 
-/// η that may have any value, whatever the poses were.
-pub(super) fn unknown_parameters(model: &Model) -> Option<Reason> {
+/// What speaks against a model whatever was measured: η or λ that no such robot has, or an η of which nothing is known.
+#[cfg(feature = "commands")]
+pub fn doubt_of_parameters(model: &Model) -> Option<Reason> {
     let remedy = "learn the model anew, from poses that bend further";
-    unknown_eta(model).map(|text| Reason::new(Code::WorkspaceNotCovered, Level::Look, text, remedy))
+    let unknown = || unknown_eta(model).map(|text| Reason::new(Code::WorkspaceNotCovered, Level::Look, text, remedy));
+    out_of_range(model).or_else(unknown)
 }
 
 /// Sign test: whether the naive model predicts more bends better than this one.

@@ -31,18 +31,15 @@ impl JudgedStem {
     pub fn of(
         start: &Model,
         options: StemOptions,
-        (measurements, readings): (&[Measurement], &[EncoderReading]),
+        data: (&[Measurement], &[EncoderReading]),
         subject: impl for<'a> Fn(&'a Model) -> Result<Subject<'a>>,
     ) -> Result<Self> {
+        let (measurements, readings) = data;
         let (rows, model) = estimate_stem(start, options, measurements, readings)?;
-        if let Some(mistake) = subject(start)?.wiring_mistake(measurements, readings) {
-            return Ok(Self { rows, model, verdict: Verdict::of(vec![mistake]) });
-        }
         // A memory that forgets nothing holds all of them.
         let memory = (1.0 / (1.0 - options.forgetting)).ceil() as usize;
         let recent = &measurements[measurements.len().saturating_sub(memory)..];
-        let (without, left) = (subject(start)?.health(recent, readings), subject(&model)?.health(recent, readings));
-        let verdict = one_cause::verdict(&without, &left, &model, UNEXPLAINED, REMEDY);
+        let verdict = one_cause::verdict([&subject(start)?, &subject(&model)?], data, recent, [UNEXPLAINED, REMEDY]);
         Ok(Self { rows, model, verdict })
     }
 }

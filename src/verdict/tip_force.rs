@@ -31,19 +31,15 @@ impl JudgedForce {
     pub fn of(
         model: &Model,
         sd_encoder_mm: f64,
-        (measurements, readings): (&[Measurement], &[EncoderReading]),
+        data: (&[Measurement], &[EncoderReading]),
         subject: impl for<'a> Fn(&'a Model) -> Result<Subject<'a>>,
     ) -> Result<Self> {
+        let (measurements, readings) = data;
         let (rows, force) = tip_force(model, sd_encoder_mm, measurements, readings)?;
-        let unloaded = subject(model)?;
-        if let Some(mistake) = unloaded.wiring_mistake(measurements, readings) {
-            return Ok(Self { rows, force, verdict: Verdict::of(vec![mistake]) });
-        }
         let mut loaded = model.clone();
         loaded.effects.extend(force.effect());
-        let (without, left) =
-            (unloaded.health(measurements, readings), subject(&loaded)?.health(measurements, readings));
-        let verdict = one_cause::verdict(&without, &left, &loaded, UNEXPLAINED, REMEDY);
+        let subjects = [&subject(model)?, &subject(&loaded)?];
+        let verdict = one_cause::verdict(subjects, data, measurements, [UNEXPLAINED, REMEDY]);
         Ok(Self { rows, force, verdict })
     }
 }
