@@ -44,6 +44,10 @@ const STRAIGHT_SDS: f64 = 10.0;
 const ALONG_THE_AXIS: f64 = 0.173_648;
 /// So many frames in a row without a reading are not told. Convention: a logger that starts or stops within a frame of the camera.
 const LEAST_LOST: usize = 1;
+/// A shift of rows by less than this, in time, may be a late camera, s.
+///
+/// Convention: exposure, transfer and decoding of a picture take tenths of a second. Where a robot stops at each pose, the rows are further apart.
+const LONGEST_LAG_S: f64 = 0.5;
 /// The largest λ that robots have, mm. Convention: a play of a millimetre is a loose part.
 pub const MOST_LAMBDA_MM: f64 = 1.0;
 
@@ -98,7 +102,8 @@ fn stuck_or_miswired(
 }
 
 /// What keeps physics from being named: encoders that stand still, or a log whose wiring differs from what it is read as. A lag, and a
-/// shift of rows that does not explain the bends to the noise, may be physics as well, and are not reported.
+/// shift of rows that does not explain the bends to the noise, may be physics as well, and are not reported. So may a shift that is no other than a lag,
+/// if a camera or its driver may hold a picture for so long.
 pub(super) fn wiring_mistake(subject: &Subject, evidence: &Evidence, log: &[EncoderReading]) -> Option<Reason> {
     let (stuck, check) = stuck_or_miswired(subject, evidence, log, no_bend(evidence).is_none());
     if stuck.is_some() {
@@ -109,7 +114,8 @@ pub(super) fn wiring_mistake(subject: &Subject, evidence: &Evidence, log: &[Enco
         Some(Mistake::Clock { .. }) => true,
         Some(Mistake::Log(wiring)) => {
             let only_rows = Wiring { index_shift: 0, ..wiring.clone() }.is_straight();
-            only_rows && check.misfit_corrected > MEAN_SQUARE_OF_NOISE.sqrt()
+            let is_lag = check.as_a_lag_s.is_some_and(|age_s| age_s.abs() <= LONGEST_LAG_S);
+            only_rows && (is_lag || check.misfit_corrected > MEAN_SQUARE_OF_NOISE.sqrt())
         }
         _ => false,
     };

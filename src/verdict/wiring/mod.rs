@@ -79,6 +79,9 @@ pub struct WiringCheck {
     pub sd_at_rest: f64,
     /// Another wiring of columns and signs that explains the bends about as well, so that the data cannot confirm the log's own.
     pub undecided: Option<Wiring>,
+    /// Where the mistake is a shift of rows alone: the age of the readings that explains the bends about as well, s. Rows at even times show
+    /// no difference.
+    pub as_a_lag_s: Option<f64>,
 }
 
 /// Tries the log against the bends. `None` where there are too few bends with readings to say anything.
@@ -95,7 +98,9 @@ pub(super) fn check(robot: &Robot, sd_encoder_mm: f64, poses: &[Pose], log: &[En
     logs.retain(|rival| rival.internal_mm <= LOUDER * quietest_mm.max(sd_encoder_mm));
     let (columns_best, undecided) = (plainest_of_the_best(&logs), undecided(&logs));
     let view_best = best(&of_views(&samples));
-    let clock_best = best(&of_the_clock(&samples, &as_it_is));
+    let lags = of_the_clock(&samples);
+    let is_of_the_clock = |lag: &&Rival| lag.fit.scale <= LEFT_BY_A_LAG * as_it_is.scale;
+    let clock_best = best(&lags.iter().filter(is_of_the_clock).cloned().collect::<Vec<_>>());
 
     // A turn of the view by a multiple of 60° and a mirror are also permutations of the columns: those come first.
     let decisive = -LEVEL_OF_TESTS.ln();
@@ -108,7 +113,10 @@ pub(super) fn check(robot: &Robot, sd_encoder_mm: f64, poses: &[Pose], log: &[En
     }
     let chosen = chosen?;
     let found = chosen.evidence() > decisive;
+    let as_a_lag_s = best(&lags).filter(|lag| chosen.shifts_rows_alone() && chosen.ahead_of(lag) <= decisive);
+    let as_a_lag_s = as_a_lag_s.and_then(|lag| lag.age_s());
     Some(WiringCheck {
+        as_a_lag_s,
         evidence: chosen.evidence(),
         misfit: as_it_is.scale,
         misfit_corrected: chosen.fit.scale,
@@ -149,6 +157,19 @@ impl Rival {
     fn ahead_of(&self, other: &Self) -> f64 {
         let design_effect = self.fit.design_effect.max(other.fit.design_effect);
         self.evidence_under(design_effect) - other.evidence_under(design_effect)
+    }
+
+    /// Whether it says of the log that its rows stand elsewhere, and nothing else.
+    fn shifts_rows_alone(&self) -> bool {
+        matches!(&self.mistake, Mistake::Log(wiring) if Wiring { index_shift: 0, ..wiring.clone() }.is_straight())
+    }
+
+    /// The age of the readings, s, of a mistake of the clock.
+    fn age_s(&self) -> Option<f64> {
+        match self.mistake {
+            Mistake::Clock { age_s } => Some(age_s),
+            _ => None,
+        }
     }
 
     /// Whether it says that all encoders count the other way.
@@ -236,7 +257,7 @@ fn of_views(samples: &Samples) -> Vec<Rival> {
 }
 
 /// Lags between readings and frames, by interpolation in time.
-fn of_the_clock(samples: &Samples, as_it_is: &Fit) -> Vec<Rival> {
+fn of_the_clock(samples: &Samples) -> Vec<Rival> {
     let straight = Candidate::straight(samples.backbones());
     let lags = lags(samples);
     let mut rivals = Vec::new();
@@ -245,9 +266,7 @@ fn of_the_clock(samples: &Samples, as_it_is: &Fit) -> Vec<Rival> {
         let fits = common.fit(&straight, Freedom::Gain).zip(shifted.fit(&straight, Freedom::Gain));
         let Some((unshifted, fit)) = fits else { continue };
         let (gained, cost) = (fit.log_likelihood - unshifted.log_likelihood, (lags.len() as f64).ln());
-        if fit.scale <= LEFT_BY_A_LAG * as_it_is.scale {
-            rivals.push(Rival { mistake: Mistake::Clock { age_s }, internal_mm: 0.0, fit, gained, cost });
-        }
+        rivals.push(Rival { mistake: Mistake::Clock { age_s }, internal_mm: 0.0, fit, gained, cost });
     }
     rivals
 }
