@@ -10,7 +10,7 @@ use super::fit::Fit;
 use super::residuals::{Residual, stacked};
 use crate::robot::{Mechanics, PerBackbone};
 use crate::statistics::null_distribution::NullDistribution;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Vector2};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -174,11 +174,16 @@ struct Family {
 }
 
 impl Family {
-    /// Of functions with these values at each sample.
-    fn new(name: &'static str, rows: &[Vec<f64>]) -> Self {
+    /// Of functions with these values at each sample, and `noisier` with the readings' noise once more. `samples` is the number of the residuals that will be
+    /// held against them.
+    fn new(name: &'static str, [rows, noisier]: [&[Vec<f64>]; 2], samples: usize) -> Self {
         let functions = rows.first().map_or(0, Vec::len);
-        let values = DMatrix::from_fn(rows.len(), functions + 1, |k, c| if c == 0 { 1.0 } else { rows[k][c - 1] });
-        Self { name, basis: orthonormal(values) }
+        let of = |rows: &[Vec<f64>]| {
+            DMatrix::from_fn(rows.len(), functions + 1, |k, c| if c == 0 { 1.0 } else { rows[k][c - 1] })
+        };
+        let values = of(rows);
+        let noise = of(noisier) - &values;
+        Self { name, basis: orthonormal(values, noise, samples as f64) }
     }
 
     /// How much of the residuals it explains, in standard errors of what it would explain of noise, in the component of which it
@@ -195,32 +200,68 @@ impl Family {
     }
 }
 
-/// An orthonormal basis of columns; those that depend on columns before them are left out.
-fn orthonormal(columns: DMatrix<f64>) -> DMatrix<f64> {
-    let mut basis: Vec<nalgebra::DVector<f64>> = Vec::new();
-    for column in columns.column_iter() {
-        let mut own = column.into_owned();
+/// An orthonormal basis of columns; those that depend on columns before them are left out, and those of which nothing but the readings' `noise` is new.
+/// That noise is in the residuals too, which would seem to follow it: with a share f of noise in a column, n residuals follow it by up to n f, where
+/// chance makes 1.
+fn orthonormal(columns: DMatrix<f64>, noise: DMatrix<f64>, samples: f64) -> DMatrix<f64> {
+    let mut basis: Vec<[nalgebra::DVector<f64>; 2]> = Vec::new();
+    for (column, noise) in columns.column_iter().zip(noise.column_iter()) {
+        let (mut own, mut own_noise) = (column.into_owned(), noise.into_owned());
         // Twice, since one pass of Gram and Schmidt loses digits.
         for _ in 0..2 {
-            for other in &basis {
+            for [other, other_noise] in &basis {
                 let share = other.dot(&own);
                 own.axpy(-share, other, 1.0);
+                own_noise.axpy(-share, other_noise, 1.0);
             }
         }
-        if own.norm() > LEAST_INDEPENDENT * column.norm() {
-            basis.push(own.normalize());
+        let is_noise = samples * own_noise.norm_squared() > own.norm_squared();
+        if own.norm() > LEAST_INDEPENDENT * column.norm() && !is_noise {
+            let norm = own.norm();
+            basis.push([own / norm, own_noise / norm]);
         }
     }
-    if basis.is_empty() { DMatrix::zeros(columns.nrows(), 0) } else { DMatrix::from_columns(&basis) }
+    if basis.is_empty() {
+        return DMatrix::zeros(columns.nrows(), 0);
+    }
+    DMatrix::from_columns(&basis.into_iter().map(|[own, _]| own).collect::<Vec<_>>())
 }
 
 /// The families, evaluated at every so many samples of a fit.
 fn families(data: &Data, fit: &Fit, stride: usize) -> Vec<Family> {
+    let mut random = StdRng::seed_from_u64(5);
+    let mut noise = || data.sd_encoder_mm * random.sample::<f64, _>(StandardNormal);
     let log = &data.log;
     let mechanics = Mechanics::new(&fit.model);
+    let q_mm = log.own_q_mm(&fit.model);
+    let noisier_mm: Vec<PerBackbone> = q_mm.iter().map(|q| PerBackbone::from_fn(q.len(), |i| q[i] + noise())).collect();
+    let noisier = mechanics.solve_path(&log.times_s, &noisier_mm, Some(&fit.path), None);
+    let noisier: Vec<Vector2<f64>> = noisier.iter().map(|point| point.solution.bend).collect();
+    let [own, noisier] = [(&q_mm[..], &fit.path[..]), (&noisier_mm[..], &noisier[..])]
+        .map(|(q_mm, path)| functions(data, &mechanics, (q_mm, path), stride));
+    let each = own.into_iter().zip(noisier);
+    each.map(|((name, rows), (_, noisier))| {
+        // Noise turns no direction: one that it might turn is held.
+        let noisier = if name == DIRECTION { &rows } else { &noisier };
+        Family::new(name, [&rows, noisier], data.len())
+    })
+    .collect()
+}
+
+/// The name of the family that follows the direction of each backbone's motion.
+const DIRECTION: &str = "the direction of motion";
+
+/// The values of each family's functions at every so many samples, from readings (mm) and the bends that they lead to (rad).
+fn functions(
+    data: &Data,
+    mechanics: &Mechanics,
+    (q_mm, path): (&[PerBackbone], &[Vector2<f64>]),
+    stride: usize,
+) -> Vec<(&'static str, Vec<Vec<f64>>)> {
+    let log = &data.log;
     let list = |of: &PerBackbone| of.iter().copied().collect::<Vec<f64>>();
-    let motions = mechanics.motions_from_readings(&log.times_s, &fit.path, &log.own_q_mm(&fit.model));
-    let (bend, motion) = (|k: usize| fit.path[log.samples[k]], |k: usize| &motions[log.samples[k]]);
+    let motions = mechanics.motions_from_readings(&log.times_s, path, q_mm);
+    let (bend, motion) = (|k: usize| path[log.samples[k]], |k: usize| &motions[log.samples[k]]);
     let speed = |k: usize| mechanics.instant(bend(k), motion(k), |at| list(&at.arrival.speed_mm_per_s));
     let first_s = data.times_s[0];
     let duration_s = data.times_s[data.len() - 1] - first_s;
@@ -237,14 +278,14 @@ fn families(data: &Data, fit: &Fit, stride: usize) -> Vec<Family> {
         let t = (data.times_s[k] - first_s) / duration_s;
         vec![t, t * t, (9.0 * t).sin(), (9.0 * t).cos()]
     };
-    let q_tilde = |k: usize| data.q_mm[k].iter().flat_map(|q| [q.powi(2), q.powi(3)]).collect();
+    let q_tilde = |k: usize| q_mm[log.samples[k]].iter().flat_map(|q| [q.powi(2), q.powi(3)]).collect();
     let family = |name: &'static str, functions: &dyn Fn(usize) -> Vec<f64>| {
-        Family::new(name, &(0..data.len()).step_by(stride).map(functions).collect::<Vec<_>>())
+        (name, (0..data.len()).step_by(stride).map(functions).collect::<Vec<_>>())
     };
     vec![
         family("the bend θ", &theta),
         family("the azimuth δ", &delta),
-        family("the direction of motion", &|k| list(&motion(k).direction)),
+        family(DIRECTION, &|k| list(&motion(k).direction)),
         family("the speed", &speed),
         family("time", &time),
         family("q̃", &q_tilde),
@@ -261,7 +302,8 @@ mod tests {
     }
 
     fn sine(samples: usize) -> Family {
-        Family::new("a sine", &(0..samples).map(|k| vec![(0.1 * k as f64).sin()]).collect::<Vec<_>>())
+        let rows: Vec<Vec<f64>> = (0..samples).map(|k| vec![(0.1 * k as f64).sin()]).collect();
+        Family::new("a sine", [&rows, &rows], samples)
     }
 
     #[test]
@@ -300,6 +342,20 @@ mod tests {
     #[test]
     fn a_column_that_depends_on_others_adds_no_freedom() {
         let rows: Vec<Vec<f64>> = (0..50).map(|k| vec![f64::from(k), 3.0 - 2.0 * f64::from(k)]).collect();
-        assert_eq!(Family::new("a line twice", &rows).basis.ncols(), 2);
+        assert_eq!(Family::new("a line twice", [&rows, &rows], 50).basis.ncols(), 2);
+    }
+
+    #[test]
+    fn a_column_of_which_noise_alone_is_new_adds_no_freedom() {
+        // A line, and the same line read with a noise of 0.01.
+        let mut random = StdRng::seed_from_u64(2);
+        let mut read = |x: f64| x + 0.01 * random.sample::<f64, _>(StandardNormal);
+        let rows: Vec<Vec<f64>> = (0..50).map(|k| vec![f64::from(k), read(f64::from(k))]).collect();
+        let noisier: Vec<Vec<f64>> = rows.iter().map(|row| vec![row[0], read(row[1])]).collect();
+        assert_eq!(Family::new("a line twice", [&rows, &rows], 50).basis.ncols(), 3);
+        assert_eq!(Family::new("a line twice", [&rows, &noisier], 50).basis.ncols(), 2);
+        // What is larger than the noise by far stays.
+        let curved = |rows: &[Vec<f64>]| rows.iter().map(|row| vec![row[0], row[1].powi(2)]).collect::<Vec<_>>();
+        assert_eq!(Family::new("a parabola", [&curved(&rows), &curved(&noisier)], 50).basis.ncols(), 3);
     }
 }
