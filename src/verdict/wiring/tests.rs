@@ -359,6 +359,20 @@ fn physics_that_looks_like_a_mistake_is_left_to_discover() {
 }
 
 #[test]
+fn a_shift_of_rows_that_is_no_other_than_a_lag_is_left_to_discover() {
+    let model = Model::default();
+    let mistake = |interval_s: f64| {
+        let mut lab = Lab::new(9).shifted(2);
+        lab.log.iter_mut().for_each(|row| row.time_s = interval_s * row.index as f64);
+        Subject::new(&model, 0.0015).wiring_mistake(&lab.measurements, &lab.log)
+    };
+    // Two rows are 0.2 s of a camera, and not 2 s.
+    assert_eq!(mistake(0.1), None);
+    let suggestion = mistake(1.0).and_then(|reason| reason.suggestion).expect("a wiring");
+    assert_eq!(suggestion.wiring, Wiring { index_shift: 2, ..straight() });
+}
+
+#[test]
 #[ignore = "takes minutes: cargo test --release --lib no_physics_of_the_library -- --ignored"]
 fn no_physics_of_the_library_is_taken_for_a_mistake() {
     assert_physics_is_no_mistake(LIBRARY.into_iter(), 1..6);
