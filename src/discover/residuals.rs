@@ -100,13 +100,16 @@ impl<'a> Problem<'a> {
         let (mechanics, log) = (Mechanics::new(model).with_reading_noise(noise.sd_encoder_mm), &data.log);
         let q_mm = log.own_q_mm(model);
         let path = mechanics.solve_path(&log.times_s, &q_mm, None, None);
+        let start: Vec<_> = path.iter().map(|point| point.solution.bend).collect();
+        let exposed = mechanics.exposed_bends(&log.times_s, &start);
         let samples = data.measured.iter().zip(&log.samples).enumerate().map(|(k, (measured, &at))| {
             let weight = if k < noise.unknown_start { NO_WEIGHT } else { 1.0 };
             let bend = path[at].solution.bend;
             let line = mechanics.line_jacobian(bend, &path[at].motion);
-            let eye = measured.bend_covariance(Configuration::from_bend_vector(bend));
-            let seen = eye * noise.eye_factor.powi(2);
-            let floor = line.line_by_bend.map(|by| by.dot(&(seen * by))).mean() + noise.sd_encoder_mm.powi(2);
+            let seen = mechanics.apparent_bend(exposed[at]);
+            let eye = measured.bend_covariance(Configuration::from_bend_vector(seen));
+            let scattered = eye * noise.eye_factor.powi(2);
+            let floor = line.line_by_bend.map(|by| by.dot(&(scattered * by))).mean() + noise.sd_encoder_mm.powi(2);
             SampleNoise { eye, weight, whitening: whitening(&eye, &line, noise), line, floor_mm2: floor }
         });
         Self {
@@ -115,7 +118,7 @@ impl<'a> Problem<'a> {
             samples: samples.collect(),
             sd_internal_mm: noise.sd_encoder_mm.hypot(noise.discrepancy_mm).max(LEAST_SD_INTERNAL_MM),
             internal: model.robot.internal_parts().collect(),
-            start: path.iter().map(|point| point.solution.bend).collect(),
+            start,
         }
     }
 
