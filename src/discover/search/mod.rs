@@ -148,6 +148,8 @@ impl<'a> Search<'a> {
         };
         if best.excess_over(&bare) <= 0.0 {
             best = bare.clone();
+        } else {
+            best = self.under_one_noise(best);
         }
         let named = (self.given()..best.fit.model.effects.len()).map(|k| self.describe(&best, &bare, k)).collect();
         let squares = [bare.squares, best.squares, self.judged.noise_squares(&self.problem)];
