@@ -68,6 +68,9 @@ pub struct Data {
     pub library: Vec<&'static Physics>,
     /// Whether all bends lie in one plane.
     pub one_plane: bool,
+    /// Whether actuators were driven to positions that the model as given commands: of what an effect does, the part that bends nothing is then taken up
+    /// in forces, and the readings do not show it.
+    pub is_driven: bool,
     /// What was passed over or cannot be decided, in sentences.
     pub remarks: Vec<String>,
 }
@@ -153,6 +156,7 @@ impl Data {
             sd_encoder_mm,
             library,
             one_plane,
+            is_driven: false,
             remarks,
         })
     }

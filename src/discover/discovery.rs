@@ -9,10 +9,10 @@ use super::partial::Partial;
 use super::posterior::{Candidate, covariance_between};
 use super::predictive_density::Beside;
 use super::residuals::Problem;
-use super::search::{Found, Named, search};
+use super::search::{Found, Named, OPEN, search};
 use super::structure::Structure;
 use super::verdict::Verdict;
-use crate::robot::effects::RIG_ERROR;
+use crate::robot::effects::{Changes, RIG_ERROR};
 use crate::robot::{Effect, Estimate, Model, PerBackbone, Physics};
 use tracing::{info, info_span};
 
@@ -20,6 +20,11 @@ use tracing::{info, info_span};
 ///
 /// Convention: decides about a remark only.
 const UNDETERMINED_SIZES: f64 = 10.0;
+
+/// A lag is one of whole rows if it differs from that by no more than this many standard deviations.
+///
+/// Convention: the usual limit.
+const LAG_SDS: f64 = 3.0;
 
 /// So many samples are searched before all are.
 ///
@@ -81,7 +86,17 @@ pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
     };
     let model = with_estimate(model);
     let few = data.thinned(SEARCHED_FIRST);
-    let searched = Searched::new(&model, (data, &few), tell);
+    let mut searched = Searched::new(&model, (data, &few), tell);
+    let driven = Data { is_driven: true, ..data.clone() };
+    let few_driven = driven.thinned(SEARCHED_FIRST);
+    let mut about_driven = None;
+    if searched.bends_alone_show_it() {
+        tell("comparing effects of which no reading shows what bends nothing");
+        let other = Searched::new(&model, (&driven, &few_driven), tell);
+        if other.is_likelier_than(&searched) {
+            (searched, about_driven) = (other, Some(DRIVEN.to_owned()));
+        }
+    }
     let remarks = about_confounded(&confounded(&searched.problem, &searched.before), data);
     let Searched { judged, found, .. } = &searched;
     let Judged { verdict, structure_before, held_out_before, answer } = judged.clone();
@@ -104,7 +119,9 @@ pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
         .remarks
         .iter()
         .cloned()
+        .chain(about_driven)
         .chain(about_start(&answer.noise, data))
+        .chain(about_lag(&fitted, data))
         .chain(undetermined(&fitted))
         .chain(remarks);
     Discovery {
@@ -149,6 +166,10 @@ impl Judged {
         Self { verdict, structure_before, held_out_before, answer }
     }
 }
+
+/// What is said where the readings show nothing of what an effect does to their common part.
+const DRIVEN: &str = "the part of the readings that bends nothing follows the model as it was given, as of actuators that are driven to positions: the \
+                      effects were judged by the bends alone";
 
 /// A search beside noise with all that it was made from.
 struct Searched<'a> {
@@ -210,6 +231,21 @@ impl<'a> Searched<'a> {
         let after = problem.fit(&found.fit.model, Some(&found.fit.path), None);
         let judged = Judged::new(&problem, &before, &after);
         (Self { problem, before, found, judged }, noise)
+    }
+
+    /// Whether the bends miss the model as given by more than noise, and the part of the readings that bends nothing does not; and more is left than noise, or
+    /// clearly more than the noise that is stated.
+    fn bends_alone_show_it(&self) -> bool {
+        let (before, after) = (&self.judged.structure_before, &self.judged.answer);
+        let is_left = (0..2).any(|part| after.structure.exceeds_noise(part));
+        let is_left = is_left || Noise::stated(self.problem.data).is_finer_than(&after.noise);
+        before.exceeds_noise(0) && !before.exceeds_noise(1) && is_left
+    }
+
+    /// Whether what it names rules out what another search of the same samples came to.
+    fn is_likelier_than(&self, other: &Self) -> bool {
+        self.judged.verdict == Verdict::Named
+            && (other.judged.verdict != Verdict::Named || other.found.score < self.found.score + OPEN.ln())
     }
 
     /// What was found, fitted to all samples, of which those that were searched are a part.
@@ -333,6 +369,24 @@ fn about_start(noise: &Noise, data: &Data) -> Option<String> {
     ))
 }
 
+/// A lag of the camera that the data cannot tell from rows of the log that stand elsewhere: one of whole rows, at even times.
+fn about_lag(model: &Model, data: &Data) -> Option<String> {
+    let place = model.effects.iter().position(|effect| matches!(effect.physics.changes, Changes::Exposure(_)))?;
+    let (lag_s, sd_s) = (*model.effects[place].values.first()?, *model.effect_sds(place).first()?);
+    let times_s = &data.log.times_s;
+    let interval_s = (times_s[times_s.len() - 1] - times_s[0]) / (times_s.len() - 1) as f64;
+    let rows = (lag_s / interval_s).round();
+    let is_even =
+        times_s.iter().enumerate().all(|(k, time_s)| (time_s - times_s[0] - k as f64 * interval_s).abs() < interval_s);
+    let is_whole = rows != 0.0 && (lag_s - rows * interval_s).abs() < LAG_SDS * sd_s;
+    (is_even && is_whole).then(|| {
+        format!(
+            "a log whose rows stand elsewhere would say the same as a late camera: [wiring] with index_shift = {}. Uneven times tell the two apart",
+            -rows
+        )
+    })
+}
+
 /// The effects that the data cannot tell from η and λ, each form once.
 fn about_confounded(confounded: &[&Physics], data: &Data) -> Option<String> {
     let name = |physics: &&Physics| {
@@ -343,4 +397,45 @@ fn about_confounded(confounded: &[&Physics], data: &Data) -> Option<String> {
     let names: Vec<String> = confounded.iter().map(name).collect();
     let are_found = !names.is_empty();
     are_found.then(|| format!("confounded with η and λ, from which these data cannot tell them: {}", names.join(", ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::discover::fixture::{SD_ENCODER_MM, experiment, truth};
+    use crate::robot::effects::physics;
+    use crate::simulate::Sealed;
+    use nalgebra::DMatrix;
+
+    #[test]
+    fn of_actuators_that_are_driven_to_positions_the_bends_alone_name_an_effect() {
+        let hidden = physics("load_directed_backlash").unwrap();
+        let mut sealed = Sealed::of_poses(&[hidden], 3, 17, 24).unwrap();
+        let data = |of: &Sealed| Data::new(&of.measurements, &of.readings, SD_ENCODER_MM).unwrap();
+        let told = |found: &Discovery| found.remarks.iter().any(|remark| remark == DRIVEN);
+        let names = |found: &Discovery| found.named.iter().map(|named| named.physics.name).collect::<Vec<_>>();
+        let found = discover(&Model::default(), &data(&sealed));
+        assert_eq!((names(&found), told(&found)), (vec![hidden.name], false));
+        // The bends stay. What the backlash adds to all readings alike is taken up in forces: there the readings are those of the model without it.
+        let common_mm = 0.15;
+        for (k, reading) in sealed.readings.iter_mut().enumerate() {
+            let noise_mm = SD_ENCODER_MM * (1.7 * k as f64).sin();
+            reading.q_mm = reading.q_mm.add_scalar(common_mm + noise_mm - reading.q_mm.mean());
+        }
+        let found = discover(&Model::default(), &data(&sealed));
+        assert_eq!((names(&found), told(&found)), (vec![hidden.name], true));
+    }
+
+    #[test]
+    fn a_lag_of_whole_rows_at_even_times_may_be_rows_that_stand_elsewhere() {
+        let mut data = experiment(1);
+        let mut late = truth();
+        late.effects.push(Effect::parse("camera_latency:latency_s=0.2").unwrap());
+        late.set_covariance(&(DMatrix::identity(3, 3) * 1e-6));
+        data.log.times_s = (0..data.log.times_s.len()).map(|k| 0.1 * k as f64).collect();
+        assert!(about_lag(&late, &data).unwrap().contains("index_shift = -2"));
+        data.log.times_s = data.log.times_s.iter().map(|time_s| 1.3 * time_s).collect();
+        assert_eq!(about_lag(&late, &data), None);
+        assert_eq!(about_lag(&Model::default(), &data), None);
+    }
 }

@@ -49,7 +49,8 @@ pub fn hypotheses(
     admits: impl Fn(&Physics) -> bool,
 ) -> Vec<Hypothesis> {
     let is_lacking = |physics: &&Physics| {
-        admits(physics) && is_looked_for(physics, beside) && is_compatible(&fit.model, physics, beside)
+        let is_looked_for = is_looked_for(physics, beside, problem.data.is_driven);
+        admits(physics) && is_looked_for && is_compatible(&fit.model, physics, beside)
     };
     let lacking: Vec<&'static Physics> = problem.data.library.iter().copied().filter(is_lacking).collect();
     let has_periodic = lacking.iter().any(|physics| physics.is_periodic());
@@ -67,11 +68,11 @@ pub fn hypotheses(
 }
 
 /// Beside noise, the drive is not looked for: a plant that is near its model shows no row within a backlash, and says of it what
-/// `motion_directed_backlash` says; its gain is another name of η. Beside a discrepancy, neither periodic effects nor those of time are: a wave with a
+/// `motion_directed_backlash` says; its gain is another name of η. Only actuators that are driven to positions show rows within one. Beside a discrepancy, neither periodic effects nor those of time are: a wave with a
 /// pitch of its own fits any smooth gap over a few of its periods, and a drift or a creep any change from one run to the next.
-fn is_looked_for(physics: &Physics, beside: Beside) -> bool {
+fn is_looked_for(physics: &Physics, beside: Beside, is_driven: bool) -> bool {
     match beside {
-        Beside::Noise => !matches!(physics.changes, Changes::Drive(_)),
+        Beside::Noise => !matches!(physics.changes, Changes::Drive(_)) || is_driven && physics.is_hysteresis(),
         Beside::Discrepancy => !physics.in_time && !physics.is_periodic(),
     }
 }

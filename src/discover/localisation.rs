@@ -310,6 +310,7 @@ mod tests {
             sd_encoder_mm: 0.0015,
             library: Vec::new(),
             one_plane: false,
+            is_driven: false,
             remarks: Vec::new(),
         }
     }

@@ -203,7 +203,8 @@ impl<'a> Problem<'a> {
     /// nothing is no longer left of q̃.
     pub fn response(&self, k: usize, summand_mm: &PerBackbone) -> Residual {
         let noise = &self.samples[k];
-        self.residual(k, noise.line.bend_by_line.tr_mul(summand_mm), &-*summand_mm)
+        let left_mm = if self.data.is_driven { *summand_mm * 0.0 } else { -*summand_mm };
+        self.residual(k, noise.line.bend_by_line.tr_mul(summand_mm), &left_mm)
     }
 
     /// The gap of ε at sample k, mm: what the model leaves of q̃ at the measured bend.
@@ -296,8 +297,11 @@ impl<'a> Problem<'a> {
         forward: impl Iterator<Item = &'f ForwardSolution> + Clone,
     ) -> Vec<Residual> {
         let path: Vec<_> = forward.clone().map(|solution| solution.bend).collect();
-        let unexplained_mm: Vec<_> = forward.map(|solution| solution.residual_mm).collect();
         let log = &self.data.log;
+        let unexplained_mm: Vec<_> = match self.data.is_driven {
+            true => log.q_mm.iter().map(|q_mm| q_mm.add_scalar(-mechanics.common_mm())).collect(),
+            false => forward.map(|solution| solution.residual_mm).collect(),
+        };
         let exposed = mechanics.exposed_bends(&log.times_s, &path);
         let residuals = self.data.measured.iter().zip(&log.samples).enumerate().map(|(k, (measured, &at))| {
             let gap = measured.configuration.bend_vector() - mechanics.apparent_bend(exposed[at]);

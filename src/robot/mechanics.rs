@@ -72,6 +72,11 @@ pub struct Mechanics<'a> {
 }
 
 impl<'a> Mechanics<'a> {
+    /// What Eq. 18 adds to all backbones alike without effects, mm: K_c⁻¹ e^{2μφ} f_s + λ.
+    pub fn common_mm(&self) -> f64 {
+        self.line.static_friction_mm + self.line.lambda_mm
+    }
+
     /// Makes a model ready.
     pub fn new(model: &'a Model) -> Self {
         let robot = &model.robot;

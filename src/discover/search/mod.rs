@@ -25,6 +25,7 @@ use crate::robot::{Model, Physics};
 use nalgebra::Vector2;
 use rayon::prelude::*;
 use scored::Structure;
+use tracing::debug;
 
 /// The most effects beside noise, and beside a discrepancy.
 ///
@@ -62,7 +63,7 @@ const FRAME: [&str; 2] = [REST_BEND, COMMAND_GAIN];
 /// What has a smaller share of the probability of another is ruled out beside it.
 ///
 /// Convention: the usual level of 5 %.
-const OPEN: f64 = 0.05;
+pub const OPEN: f64 = 0.05;
 
 /// What a search comes to.
 #[derive(Debug, Clone)]
@@ -77,6 +78,8 @@ pub struct Found<'a> {
     pub structures: Vec<Candidate>,
     /// The squares in held-out stretches, in units of the noise's: of the model as given, of the answer, and of noise.
     pub squares: [f64; 3],
+    /// The answer's score.
+    pub score: f64,
 }
 
 /// The structure of the highest score that a search from the model as given comes to; `before` is its fit.
@@ -130,6 +133,7 @@ impl<'a> Search<'a> {
                 named: Vec::new(),
                 structures: Vec::new(),
                 squares: [0.0; 3],
+                score: f64::NEG_INFINITY,
             };
         };
         self.gap = bare.squares - self.judged.noise_squares(&self.problem);
@@ -153,7 +157,8 @@ impl<'a> Search<'a> {
         }
         let named = (self.given()..best.fit.model.effects.len()).map(|k| self.describe(&best, &bare, k)).collect();
         let squares = [bare.squares, best.squares, self.judged.noise_squares(&self.problem)];
-        Found { structures: self.open(), problem: self.problem, fit: best.fit, named, squares }
+        let score = best.score();
+        Found { structures: self.open(), problem: self.problem, fit: best.fit, named, squares, score }
     }
 
     /// The best of the structures that the likeliest single effects lead to. Where one of them leaves no more than noise, the others are not gone on from: they come
@@ -308,6 +313,8 @@ impl<'a> Search<'a> {
                 Some(_) => (),
             }
         }
+        let names = |of: &Structure| of.weighed.effects.iter().map(|physics| physics.name).collect::<Vec<_>>();
+        debug!(from = ?names(best), score = best.score(), to = ?kept.iter().map(|more| (more.last_name(), more.score())).collect::<Vec<_>>(), "gone on");
         self.gone_on_from.push(GoneOn { from: key, to: kept.clone() });
         kept
     }
