@@ -17,7 +17,7 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    BendFit, CoarseSearch, EdgeFinder, FitSchedule, POSE_VARIANCE, PartVisibility, ProfileCovariance,
+    BendFit, CoarseSearch, EdgeFinder, Evidence, FitSchedule, PartVisibility, ProfileCovariance, noise_model,
 };
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
@@ -42,11 +42,7 @@ const TRACKED_MOTION_PX: f64 = 40.0;
 /// Convention: the book's advice. In 36 photo-real frames the median σ of θ is 0.03° at 488 px; averaged over 2×2 and 3×3 px, 0.09° at 245
 /// px and 0.35° at 163 px.
 const SMALL_PX: f64 = 300.0;
-/// The share of the searched outline points whose edges must agree with the fit; with fewer the snake is occluded.
-///
-/// Fitted: by hand on renders; judged by the occluded frames of `tests/eye/robustness`.
-const LEAST_INLIERS: f64 = 0.45;
-/// With fewer than this there is no snake.
+/// If fewer of the searched outline points have edges that agree with the fit, there is no snake.
 ///
 /// Fitted: by hand on renders; it decides between two reasons, not whether there are angles.
 const LEAST_INLIERS_OF_A_SNAKE: f64 = 0.25;
@@ -55,11 +51,6 @@ const LEAST_INLIERS_OF_A_SNAKE: f64 = 0.25;
 /// Fitted: to frames of `tests/eye/robustness` that were measured falsely with 0.95, where 0.961, 0.964, 0.971 and 0.998 of the outline agree, and arcs
 /// in noise, 0.973; with it one of 1,140 is false, one of those four; not judged on others.
 const LEAST_INLIERS_OF_ANY_SHAPE: f64 = 0.965;
-/// The share of the disks that must be visible: one may be hidden and one half hidden, though not both at the tip.
-///
-/// Fitted: by hand; when the visibility of parts was first demanded and the mirrored solution tried, frames of `tests/eye/robustness` that were
-/// measured falsely went from 11 of 290 to 1 of 320.
-const LEAST_VISIBLE_DISKS: f64 = 0.6;
 /// The share of the outline outside the picture from which on the snake is out of frame.
 ///
 /// Convention: the majority.
@@ -315,17 +306,17 @@ impl Eye {
             rms_px: fit.rms_px,
             ..Quality::default()
         };
-        if let Some(status) = refusal_by_edges(fit) {
+        let evidence = fit.evidence(&self.projection());
+        if let Some(status) = refusal_by_edges(fit, &evidence) {
             return FrameMeasurement::failed(status, Some(quality));
         }
-        let by_rig = fit.by_pose * symmetric_root(&(self.rig.pose_covariance * POSE_VARIANCE));
+        let by_rig = fit.by_pose * symmetric_root(&(self.rig.pose_covariance * noise_model().pose_variance));
         let by_choice = if fit.contradicts_shape { ANY_SHAPE_VARIANCE - 1.0 } else { 0.0 };
         let of_choice = (fit.covariance - fit.doubt) * by_choice;
         let covariance = fit.covariance + fit.scatter + of_choice + by_rig * by_rig.transpose();
         let quality = Quality { shape: shape(&fit.profile, &covariance), profile: Some(fit.profile), ..quality };
-        let visibility = fit.visibility();
-        let is_end_visible = || visibility.is_end_visible() || self.mirrors_a_lamp(fit, finder);
-        if visibility.visible_disk_share() < LEAST_VISIBLE_DISKS || !is_end_visible() {
+        let mirrors_a_lamp = || evidence.before_tip() > 0.0 && self.mirrors_a_lamp(fit, finder);
+        if evidence.of_tip() <= 0.0 && !mirrors_a_lamp() {
             return FrameMeasurement::failed(Status::Occluded, Some(quality));
         }
         if let Some(status) = refusal {
@@ -377,12 +368,12 @@ fn shape(profile: &BendProfile, covariance: &ProfileCovariance) -> Option<Shape>
 }
 
 /// Why the edges of a fit do not suffice for a measurement.
-fn refusal_by_edges(fit: &BendFit) -> Option<Status> {
+fn refusal_by_edges(fit: &BendFit, evidence: &Evidence) -> Option<Status> {
     if fit.out_of_frame > OUT_OF_FRAME {
         Some(Status::OutOfFrame)
     } else if fit.inlier_fraction() < LEAST_INLIERS_OF_A_SNAKE {
         Some(Status::NoSnake)
-    } else if fit.inlier_fraction() < LEAST_INLIERS {
+    } else if evidence.total() <= 0.0 {
         Some(Status::Occluded)
     } else {
         (fit.blur_px > BLURRED_PX).then_some(Status::Blurred)

@@ -10,17 +10,19 @@
 //! of the picture's noise.
 
 use crate::rigs::{self, Random};
-use crate::scenes::{eye, eye_with, frame, frame_of, rig, smaller};
+use crate::scenes::{STRAIGHT, eye, eye_with, frame, frame_of, rig, rig_options, smaller};
 use image::RgbImage;
 use nalgebra::{DMatrix, Matrix2, Rotation2, UnitQuaternion, Vector2, Vector3};
 use rand::{SeedableRng, rngs::StdRng};
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
-use snakeloop::camera::Frame;
+use snakeloop::camera::{CameraFormat, Frame};
 use snakeloop::geometry::{Configuration, Pose};
-use snakeloop::measure::{Eye, Rig};
+use snakeloop::measure::{Eye, Rig, RigOptions};
 use snakeloop::simulate::render::render;
 use snakeloop::simulate::scene::{Scene, Sensor, Viewpoint};
+use std::fs;
+use std::path::PathBuf;
 
 /// One bend's error.
 struct Outcome {
@@ -202,6 +204,36 @@ fn over_two_hundred_renders_the_sigmas_are_those_of_the_errors() {
 #[ignore = "takes minutes: cargo test --release --test eye with_refined_rigs -- --ignored"]
 fn with_refined_rigs_the_sigmas_are_those_of_the_errors() {
     survey(rigs_of_the_survey(), 4, 8, 0).assert_as_seen(0.5);
+}
+
+/// Draws rigs with six bends each as experiments, with a truth.csv, for `tools/fit-noise`.
+#[test]
+#[ignore = "draws 24 rigs into a folder: tools/fit-noise --draw FOLDER"]
+fn rigs_are_drawn() {
+    const SEEDS: std::ops::Range<u64> = 15000..15024;
+    let folder =
+        PathBuf::from(std::env::var_os("SNAKELOOP_DRAW").expect("SNAKELOOP_DRAW names the folder to draw into"));
+    SEEDS.into_par_iter().for_each(|seed| {
+        let mut random = Random::new(seed);
+        let mut scene = rigs::varied(&mut random);
+        scene.sensor.rays_per_pixel = 16;
+        let own = folder.join(format!("own{seed}"));
+        fs::create_dir_all(own.join("frames")).unwrap();
+        let RigOptions { grid_pitch_mm, standoff_mm, .. } = rig_options(&scene);
+        let view = format!(
+            "[[view]]\nname = \"side\"\ncamera = \"camera.yaml\"\nframes = \"frames/*.png\"\nstraight = \"straight.png\"\n\
+             grid_pitch_mm = {grid_pitch_mm}\nstandoff_mm = {standoff_mm}\n"
+        );
+        fs::write(own.join("experiment.toml"), view).unwrap();
+        fs::write(own.join("camera.yaml"), scene.lens.to_file(CameraFormat::OpenCvYaml)).unwrap();
+        render(&scene, STRAIGHT, seed).save(own.join("straight.png")).unwrap();
+        let mut truth = "index,theta_deg,delta_deg\n".to_owned();
+        for (k, psi) in (0..).zip(bends(&mut random, 6)) {
+            render(&scene, psi, 1000 * seed + k).save(own.join(format!("frames/{k:05}.png"))).unwrap();
+            truth += &format!("{k},{},{}\n", psi.theta_deg(), psi.delta_deg());
+        }
+        fs::write(own.join("truth.csv"), truth).unwrap();
+    });
 }
 
 /// Rigs that nothing was chosen on, with small pictures.

@@ -4,7 +4,7 @@
 //! bends whose disks fall on their neighbours' places. Two fits are compared by their cost and by the scatter of their edges.
 
 use super::bend::{BendFit, ProfileCovariance, Start};
-use super::noise_model::DESIGN_EFFECT;
+use super::noise_model::noise_model;
 use super::schedule::LAST_SEARCH_PX;
 use super::state::State;
 use crate::geometry::Pose;
@@ -113,7 +113,7 @@ impl BendFit {
     }
 
     /// ln of the likelihood of what was found at the searched points, but for what all fits of a picture have in common: where edge and model
-    /// agree a normal error, and elsewhere an edge anywhere within the search distance. [`DESIGN_EFFECT`] neighbours count as one.
+    /// agree a normal error, and elsewhere an edge anywhere within the search distance. As many neighbours as err alike count as one.
     fn log_likelihood(&self) -> f64 {
         let agreeing = self.inlier_fraction();
         // −ln of the density of a normal error of this σ, on the average, and of one that is uniform.
@@ -121,7 +121,7 @@ impl BendFit {
         let uniform = (2.0 * LAST_SEARCH_PX).ln();
         let entropy = |share: f64| if share > 0.0 { -share * share.ln() } else { 0.0 };
         let surprise = agreeing * normal + (1.0 - agreeing) * uniform + entropy(agreeing) + entropy(1.0 - agreeing);
-        -surprise * self.searched_points() as f64 / DESIGN_EFFECT
+        -surprise * self.searched_points() as f64 / noise_model().design_effect
     }
 
     /// Where other local minima of a snake that may have any shape are looked for.

@@ -6,9 +6,10 @@
 use super::blur::{fine_filter, predict_blur};
 use super::correspondences::Correspondences;
 use super::edges::EdgeFinder;
+use super::evidence::Evidence;
 use super::linearised::{Linearised, robust_step};
 use super::noise_model::SHARP_PX;
-use super::schedule::FitSchedule;
+use super::schedule::{FitSchedule, LAST_SEARCH_PX};
 use super::state::{EdgeBias, FramePrior, STATE, State};
 use super::uncertainty::{FitCovariance, RobustPhase, inliers};
 use super::visibility::PartVisibility;
@@ -114,6 +115,12 @@ impl BendFit {
     /// The share of the searched points whose edges agree with the model.
     pub fn inlier_fraction(&self) -> f64 {
         self.inliers as f64 / self.searched_points().max(1) as f64
+    }
+
+    /// What the edges of a fit of the fine stage say for the snake.
+    pub fn evidence(&self, view: &Projection) -> Evidence {
+        let distances_px = self.edges.in_px(&self.edges.residuals(view, self.profile, self.bias));
+        Evidence::new(&self.edges, &distances_px, LAST_SEARCH_PX, (self.inlier_fraction(), self.rms_px))
     }
 
     /// How much of each part's outline has its edge.

@@ -2,7 +2,7 @@
 
 use super::edges::{Edge, EdgeFinder};
 use super::glancing::SeenFace;
-use super::noise_model::{Conditions, MODES, UNEVEN_GLARE, edge_floor_px, systematic_modes};
+use super::noise_model::{Conditions, MODES, edge_floor_px, noise_model, systematic_modes};
 use super::state::EdgeBias;
 use crate::measure::body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use crate::robot::BendProfile;
@@ -89,11 +89,11 @@ impl Correspondences {
             blurs_px.push((edge.blur_px / predicted.blur_ratio).min(LARGEST_BLUR_PX) as f32);
         }
         found.blur_px = f64::from(median(&mut blurs_px));
-        let spread_px = finder.spread_px(found.blur_px);
+        let (spread_px, uneven) = (finder.spread_px(found.blur_px), noise_model().uneven_glare);
         for (correspondence, point) in found.all.iter_mut().zip(points) {
             correspondence.face = SeenFace::behind(point, spread_px);
             if let Some(face) = correspondence.face {
-                correspondence.sigma_px = correspondence.sigma_px.hypot(face.pull_px() * UNEVEN_GLARE);
+                correspondence.sigma_px = correspondence.sigma_px.hypot(face.pull_px() * uneven);
             }
         }
         found
@@ -155,9 +155,14 @@ impl Correspondences {
         residuals.iter().zip(&self.all).map(|(r, m)| r * m.sigma_px).collect()
     }
 
+    /// The piece of the body that each edge belongs to.
+    pub fn pieces(&self) -> impl Iterator<Item = Piece> {
+        self.all.iter().map(|m| m.piece)
+    }
+
     /// The cluster of correlated edges that each edge belongs to.
     pub fn clusters(&self) -> impl Iterator<Item = Piece> {
-        self.all.iter().map(|m| m.piece.cluster())
+        self.pieces().map(Piece::cluster)
     }
 
     /// The displacements of the edges in each systematic mode of the noise model, in units of σ and times the roots of the edges'

@@ -3,7 +3,7 @@
 //! Bottom up: `edges` (sub-pixel edges near a border point), `noise_model` (how far they may be off), `glancing` (faces of disks, which
 //! mirror the target at a glancing angle), `state` (what is fitted), `shape_prior` (how far the snake departs from an arc),
 //! `correspondences` (the model's outline matched with the picture's edges), `blur` (what a blurred picture makes of the model),
-//! `uncertainty` (robust weights, covariance), `linearised` (residuals and their derivatives), `visibility` (which parts are seen),
+//! `uncertainty` (robust weights, covariance), `evidence` (what edges say for the snake), `linearised` (residuals and their derivatives), `visibility` (which parts are seen),
 //! `bend` (the fit) and `schedule` (its rounds), `coarse` (candidates for it) and `alternatives` (selection among its minima).
 
 mod alternatives;
@@ -12,6 +12,7 @@ mod blur;
 mod coarse;
 mod correspondences;
 mod edges;
+mod evidence;
 mod glancing;
 mod linearised;
 mod noise_model;
@@ -27,8 +28,9 @@ pub(super) use blur::{fine_filter, predict_blur};
 pub(super) use coarse::CoarseSearch;
 pub(super) use correspondences::Correspondences;
 pub use edges::{Edge, EdgeFinder};
+pub(super) use evidence::Evidence;
 pub(super) use linearised::Linearised;
-pub(super) use noise_model::{DESIGN_EFFECT, FRAME_BIAS_SIGMA, GLARE, GLARE_SIGMA, POSE_VARIANCE, UNKNOWN_BIAS};
+pub(super) use noise_model::noise_model;
 pub(super) use schedule::FitSchedule;
 pub use shape_prior::UNKNOWN_SHAPE_RAD;
 pub(super) use shape_prior::learned_mode_sigmas;

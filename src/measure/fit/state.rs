@@ -1,7 +1,7 @@
 //! What one picture is fitted with: the bend along the snake and the biases of its edges, and what is known of them beforehand.
 
 use super::glancing::SeenFace;
-use super::noise_model::{DESIGN_EFFECT, blur_growth};
+use super::noise_model::{blur_growth, noise_model};
 use super::shape_prior::{LARGEST_SHAPE, UNKNOWN_SHAPE_RAD};
 use crate::measure::body::Piece;
 use crate::robot::{BendProfile, MODES, PROFILE};
@@ -74,7 +74,7 @@ impl EdgeBias {
 pub(crate) const CONTRADICTION_OF_KNOWN_CHI2: f64 = 27.9;
 /// A χ² above this contradicts what is taken for granted before any sequence.
 ///
-/// Derived: its mean. Edges are weighted as if only one in [`DESIGN_EFFECT`] counted, so that unspoilt pictures of arcs have 0.1 to 1.6 in the
+/// Derived: its mean. Edges are weighted as if only one of those that err alike counted, so that unspoilt pictures of arcs have 0.1 to 1.6 in the
 /// survey of `tests/eye/robustness`, and half of those of other shapes more than 78; one that is doubted without need costs precision only.
 pub(crate) const CONTRADICTION_OF_UNKNOWN_CHI2: f64 = 6.0;
 
@@ -97,7 +97,7 @@ pub(crate) const PRIORS: usize = STATE - 2;
 
 impl FramePrior {
     /// The prior of a state's numbers from the third on: how far each is from its mean, in units of σ, and 1/σ. Edges are whitened
-    /// as if they were independent, so that the prior counts [`DESIGN_EFFECT`] times to keep its share.
+    /// as if they were independent, so that the prior counts as many times as edges err alike, to keep its share.
     pub fn rows(&self, state: &State) -> [(f64, f64); PRIORS] {
         let numbers = state.profile.to_array();
         let (biases, means) = (state.bias.to_array(), self.bias.to_array());
@@ -106,7 +106,7 @@ impl FramePrior {
                 None => (numbers[2 + k], self.mode_sigma_rad[k / 2]),
                 Some(bias) => (biases[bias] - means[bias], self.bias_sigma[bias]),
             };
-            let root = DESIGN_EFFECT.sqrt() / sigma;
+            let root = noise_model().design_effect.sqrt() / sigma;
             (offset * root, root)
         })
     }
@@ -123,7 +123,7 @@ impl FramePrior {
     /// `independent` is the covariance of the state's numbers for independent edges, which [`rows`](Self::rows) are weighted for.
     pub fn contradiction(&self, profile: &BendProfile, independent: &DMatrix<f64>) -> Option<f64> {
         let information = |prior: &Self| {
-            let of = |k: usize| DESIGN_EFFECT / prior.mode_sigma_rad[k / 2].powi(2);
+            let of = |k: usize| noise_model().design_effect / prior.mode_sigma_rad[k / 2].powi(2);
             Matrix6::from_diagonal(&Vector6::from_fn(|k, _| of(k)))
         };
         let (known, any) = (information(self), information(&self.of_any_shape()));
@@ -131,7 +131,7 @@ impl FramePrior {
         let fitted: Matrix6<f64> = independent.fixed_view::<6, 6>(2, 2).into_owned();
         let of_edges = (fitted.try_inverse()? - known + any).try_inverse()?;
         let pull = known * modes;
-        Some((modes.dot(&pull) + pull.dot(&(of_edges * pull))) / DESIGN_EFFECT)
+        Some((modes.dot(&pull) + pull.dot(&(of_edges * pull))) / noise_model().design_effect)
     }
 
     /// The prior of a snake of which nothing is known but the largest modes that any has.
@@ -197,8 +197,8 @@ mod tests {
         // What edges say of the modes, as if they were independent: some components well, some hardly, and not one by one.
         let mix = Matrix6::from_fn(|r, c| if r == c { 1.0 } else { 0.3 / (1.0 + (r as f64 - c as f64).abs()) });
         let error = sigma * mix * Matrix6::from_diagonal(&Vector6::new(0.1, 0.3, 1.0, 0.5, 2.0, 0.2));
-        let of_edges = (error * error.transpose() / DESIGN_EFFECT).try_inverse().unwrap();
-        let known = (sigma * sigma / DESIGN_EFFECT).try_inverse().unwrap();
+        let of_edges = (error * error.transpose() / noise_model().design_effect).try_inverse().unwrap();
+        let known = (sigma * sigma / noise_model().design_effect).try_inverse().unwrap();
         let fitted = (of_edges + known).try_inverse().unwrap();
         let mut mean = |times: f64| {
             let chi2 = (0..DRAWS).map(|_| {

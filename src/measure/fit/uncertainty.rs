@@ -5,7 +5,7 @@
 //! model says, see [`excess`].
 
 use super::correspondences::Correspondences;
-use super::noise_model::{DESIGN_EFFECT, OWN_VARIANCE};
+use super::noise_model::noise_model;
 use crate::measure::body::Projection;
 use crate::statistics::cluster::clustered_covariance;
 use crate::statistics::least_squares::covariance;
@@ -107,17 +107,17 @@ impl FitCovariance {
         scatter_px: f64,
     ) -> Option<Self> {
         let independent = covariance(jacobian)?;
-        let clustered = clustered_covariance(jacobian, residuals, edges.clusters(), DESIGN_EFFECT)?;
+        let clustered = clustered_covariance(jacobian, residuals, edges.clusters(), noise_model().design_effect)?;
         let systematic = systematic_covariance(edges, jacobian, &independent, view, roots, scatter_px);
         Some(Self { independent, clustered, excess: excess(residuals, roots), systematic })
     }
 
     /// The covariance of the parameters with the indices `kept`: the clustered one, widened in each direction in which it is less
-    /// than the independent one (the scores of a few clusters may agree by chance), of which [`OWN_VARIANCE`] is the frame's own, plus the
+    /// than the independent one (the scores of a few clusters may agree by chance), of which a share ([`NoiseModel::own_variance`](super::noise_model::NoiseModel::own_variance)) is the frame's own, plus the
     /// systematic one. After it comes what the [`excess`] of the edges' variance adds.
     pub fn total(&self, kept: &[usize]) -> Option<[DMatrix<f64>; 2]> {
         let block = |of: &DMatrix<f64>| DMatrix::from_fn(kept.len(), kept.len(), |r, c| of[(kept[r], kept[c])]);
-        let own = at_least(&block(&self.clustered), &block(&self.independent))? * OWN_VARIANCE;
+        let own = at_least(&block(&self.clustered), &block(&self.independent))? * noise_model().own_variance;
         let scatter = &own * (self.excess - 1.0);
         Some([own + block(&self.systematic), scatter])
     }

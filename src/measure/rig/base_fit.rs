@@ -15,8 +15,8 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose};
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    BIASES, Correspondences, DESIGN_EFFECT, EdgeBias, FINE_SEARCH_PX, PartVisibility, RobustPhase, UNKNOWN_BIAS,
-    UNKNOWN_SHAPE_RAD, excess, fine_filter, inliers, predict_blur, systematic_covariance,
+    BIASES, Correspondences, EdgeBias, FINE_SEARCH_PX, PartVisibility, RobustPhase, UNKNOWN_SHAPE_RAD, excess,
+    fine_filter, inliers, noise_model, predict_blur, systematic_covariance,
 };
 use crate::measure::target::{Grid, GridPattern};
 use crate::robot::Robot;
@@ -156,7 +156,7 @@ impl<'a> BaseFit<'a> {
             grid,
             is_rough,
             placement: placement.ok_or_else(behind)?,
-            bias: UNKNOWN_BIAS,
+            bias: noise_model().unknown_bias(),
             learned: None,
             last: None,
         };
@@ -328,7 +328,8 @@ fn covariance(
     view: &Projection,
     edge_rms_px: f64,
 ) -> Option<DMatrix<f64>> {
-    let clustered = clustered_covariance(&solution.jacobian, &solution.residuals, edges.clusters(), DESIGN_EFFECT)?;
+    let clustered =
+        clustered_covariance(&solution.jacobian, &solution.residuals, edges.clusters(), noise_model().design_effect)?;
     let independent = solution.covariance()?;
     let systematic = systematic_covariance(edges, &solution.jacobian, &independent, view, roots, edge_rms_px);
     let excess = excess(&solution.residuals, roots);

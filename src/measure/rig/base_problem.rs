@@ -5,9 +5,7 @@ use super::parameters::RigOptions;
 use super::placement::{HEIGHT, PLACEMENT, Placement, TILT};
 use crate::camera::Lens;
 use crate::measure::body::Projection;
-use crate::measure::fit::{
-    BIASES, Correspondences, DESIGN_EFFECT, EdgeBias, GLARE, GLARE_SIGMA, Linearised, STATE, State,
-};
+use crate::measure::fit::{BIASES, Correspondences, EdgeBias, Linearised, STATE, State, noise_model};
 use crate::measure::target::Grid;
 use crate::robot::Robot;
 use crate::statistics::least_squares::Problem;
@@ -19,7 +17,7 @@ use nalgebra::{DMatrix, DVector};
 pub const STANDOFF_SIGMA_MM: f64 = 0.1;
 /// The least squares of placement and biases: a row for each edge, then what is known beforehand.
 ///
-/// What is known beforehand counts against as many edges as err alike ([`DESIGN_EFFECT`]): what displaces all rims together looks like a lean. The
+/// What is known beforehand counts against as many edges as err alike (the noise model's design effect): what displaces all rims together looks like a lean. The
 /// standoff alone gives way, so that a scale that was stated wrongly shows in it.
 pub struct BaseProblem<'a> {
     pub lens: &'a Lens,
@@ -37,7 +35,8 @@ pub struct BaseProblem<'a> {
 impl BaseProblem<'_> {
     /// What is known beforehand: of which number, its mean and its standard deviation.
     fn known(&self) -> [(usize, f64, f64); 2 + BIASES] {
-        let root = DESIGN_EFFECT.sqrt();
+        let noise = noise_model();
+        let root = noise.design_effect.sqrt();
         let bias = |k: usize, mean: f64, sigma: f64| (PLACEMENT + k, mean, sigma / root);
         [
             (HEIGHT, 0.0, STANDOFF_SIGMA_MM),
@@ -45,8 +44,8 @@ impl BaseProblem<'_> {
             bias(0, 0.0, self.bias_sigma_px),
             bias(1, 0.0, self.bias_sigma_px),
             bias(2, 0.0, self.bias_sigma_px),
-            bias(3, GLARE, GLARE_SIGMA),
-            bias(4, GLARE, GLARE_SIGMA),
+            bias(3, noise.glare, noise.glare_sd),
+            bias(4, noise.glare, noise.glare_sd),
         ]
     }
 

@@ -2,8 +2,7 @@
 
 use crate::geometry::Pose;
 use crate::measure::fit::{
-    CONTRADICTION_OF_KNOWN_CHI2, CONTRADICTION_OF_UNKNOWN_CHI2, EdgeBias, FRAME_BIAS_SIGMA, FramePrior,
-    UNKNOWN_SHAPE_RAD,
+    CONTRADICTION_OF_KNOWN_CHI2, CONTRADICTION_OF_UNKNOWN_CHI2, EdgeBias, FramePrior, UNKNOWN_SHAPE_RAD, noise_model,
 };
 use crate::measure::image::appearance::Appearance;
 use crate::measure::target::{GridPattern, PrintProfile, Sheet, SheetShape};
@@ -80,7 +79,7 @@ impl Rig {
             mode_sigma_rad: self.mode_sigma_rad,
             contradiction_chi2,
             bias: self.edge_bias,
-            bias_sigma: FRAME_BIAS_SIGMA,
+            bias_sigma: noise_model().frame_bias_sigma(),
         }
     }
 

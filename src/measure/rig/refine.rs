@@ -10,8 +10,8 @@ use crate::camera::Lens;
 use crate::geometry::perturbed;
 use crate::measure::body::{Outline, Piece, Projection};
 use crate::measure::fit::{
-    BIASES, BendFit, Correspondences, EdgeFinder, FRAME_BIAS_SIGMA, FitSchedule, Linearised, RobustPhase, Start, State,
-    excess, fine_filter, fit_bend, inliers, learned_mode_sigmas, predict_blur,
+    BIASES, BendFit, Correspondences, EdgeFinder, FitSchedule, Linearised, RobustPhase, Start, State, excess,
+    fine_filter, fit_bend, inliers, learned_mode_sigmas, noise_model, predict_blur,
 };
 use crate::measure::image::plane::{Plane, Region};
 use crate::robot::{PROFILE, Robot};
@@ -98,7 +98,7 @@ pub fn refined_rig(
     planes: &[SnakePlane],
     mut starts: Vec<Start>,
 ) -> Option<Rig> {
-    let prior = Prior::new(calibrated, FRAME_BIAS_SIGMA)?;
+    let prior = Prior::new(calibrated, noise_model().frame_bias_sigma())?;
     let follow = |rig: &Rig, SnakePlane { plane, noise }: &SnakePlane, start: &mut Start, schedule: &FitSchedule| {
         let view = Projection { lens, camera_from_base: rig.camera_from_base, robot };
         let finder = EdgeFinder::with_noise(plane, rig.appearance.two_sided, *noise);
