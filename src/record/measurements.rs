@@ -81,6 +81,9 @@ const BENT_SDS: f64 = 10.0;
 /// The two covariances are one if they differ by no more than this share. Convention: above the rounding of both; a sigma that somebody scaled differs
 /// by more.
 const SAME_COVARIANCE: f64 = 0.1;
+/// They are compared in every direction, in units of their σ there, where the curve of equal θ leaves its tangent within σ across by no more than this share
+/// of σ along; else by their size. Derived: it adds the square of half of that to the variance of θ, a hundredth.
+const MOST_CURVED: f64 = 0.2;
 
 impl Indexed for Measurement {
     fn index(&self) -> u64 {
@@ -175,7 +178,13 @@ pub fn fitted_covariance(
     let covariance = Matrix2::new(xx, xy, xy, yy) * 1f64.to_radians().powi(2);
     let polar = measured.bend_covariance(*configuration);
     let is_compared = configuration.theta > BENT_SDS * sigma_theta && *sigma_delta < BENT_SDS.recip();
-    let is_same = !is_compared || (covariance - polar).norm() <= SAME_COVARIANCE * polar.norm();
+    let is_straight = configuration.theta * sigma_delta.powi(2) <= MOST_CURVED * sigma_theta;
+    let whitener = polar.cholesky().filter(|_| is_straight).and_then(|root| root.l().try_inverse());
+    let differ_by = match whitener {
+        Some(whitener) => (whitener * covariance * whitener.transpose() - Matrix2::identity()).norm(),
+        None => (covariance - polar).norm() / polar.norm(),
+    };
+    let is_same = !is_compared || differ_by <= SAME_COVARIANCE;
     Ok(Some(covariance).filter(|_| is_same_bend && is_same))
 }
 

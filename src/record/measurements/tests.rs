@@ -96,6 +96,15 @@ fn the_fits_own_covariance_stands_beside_the_angles_and_counts_as_long_as_they_a
         let changed = read_text(&text).unwrap().rows.remove(0).measured.unwrap();
         assert_eq!(changed.fitted_covariance, None, "{text}");
     }
+    // One sigma alone, along which the covariance is small beside what it is across.
+    let long = |times: f64| {
+        let polar = Measured::independent(psi, times * along, 10.0 * along / psi.theta, 0.0);
+        row(Measured { fitted_covariance: Some(turned(along, 10.0 * along)), ..polar })
+    };
+    let counts = |times| {
+        read_text(&measurements_csv(&[long(times)])).unwrap().rows.remove(0).measured.unwrap().fitted_covariance
+    };
+    assert!(counts(1.0).is_some() && counts(3.0).is_none());
     let garbled = text.replace(",1.087", ",-1.087");
     let message = read_text(&garbled).unwrap_err().to_string();
     assert!(message.contains("no covariance") || message.contains("no usable row"), "{message}");
