@@ -87,10 +87,11 @@ pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
     let model = with_estimate(model);
     let few = data.thinned(SEARCHED_FIRST);
     let mut searched = Searched::new(&model, (data, &few), tell);
-    let driven = Data { is_driven: true, ..data.clone() };
-    let few_driven = driven.thinned(SEARCHED_FIRST);
+    let (driven, few_driven);
     let mut about_driven = None;
     if searched.bends_alone_show_it() {
+        driven = Data { is_driven: true, ..data.clone() };
+        few_driven = driven.thinned(SEARCHED_FIRST);
         tell("comparing effects of which no reading shows what bends nothing");
         let other = Searched::new(&model, (&driven, &few_driven), tell);
         if other.is_likelier_than(&searched) {

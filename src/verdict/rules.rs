@@ -10,7 +10,7 @@ use super::wiring::{self, Mistake, WiringCheck};
 use super::words;
 use crate::estimate::{NewPoses, PlainSample, Replaced};
 use crate::geometry::Configuration;
-use crate::observation::{EncoderReading, Wiring, commonest_status};
+use crate::observation::{EncoderReading, commonest_status};
 use crate::robot::Model;
 use crate::robot::data_range::ASKED_FOR;
 use crate::statistics::binomial;
@@ -112,10 +112,9 @@ pub(super) fn wiring_mistake(subject: &Subject, evidence: &Evidence, log: &[Enco
     let check = check?;
     let may_be_physics = match &check.mistake {
         Some(Mistake::Clock { .. }) => true,
-        Some(Mistake::Log(wiring)) => {
-            let only_rows = Wiring { index_shift: 0, ..wiring.clone() }.is_straight();
+        Some(mistake) if mistake.shifts_rows_alone() => {
             let is_lag = check.as_a_lag_s.is_some_and(|age_s| age_s.abs() <= LONGEST_LAG_S);
-            only_rows && (is_lag || check.misfit_corrected > MEAN_SQUARE_OF_NOISE.sqrt())
+            is_lag || check.misfit_corrected > MEAN_SQUARE_OF_NOISE.sqrt()
         }
         _ => false,
     };

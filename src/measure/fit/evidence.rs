@@ -14,6 +14,7 @@
 
 use super::correspondences::Correspondences;
 use super::noise_model::noise_model;
+use super::visibility::END_DISKS;
 use crate::measure::body::Piece;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -22,10 +23,6 @@ use std::f64::consts::TAU;
 ///
 /// Fitted: to the lone frames of `tests/eye/robustness` with the seeds 13000 to 13056: of 2,821 disks of snakes that were measured rightly 50 had less evidence than clutter.
 const HIDDEN: f64 = 0.02;
-/// The end of a snake is at least as many disks.
-///
-/// Convention: one of the two may be hidden.
-const END_DISKS: usize = 2;
 
 /// Logarithms of how much likelier edges are with the snake than without it.
 #[derive(Debug, Clone)]

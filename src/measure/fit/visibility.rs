@@ -37,7 +37,7 @@ const FAINTLY_VISIBLE_SHARE: f64 = 0.4;
 /// How many disks count as the snake's end.
 ///
 /// Convention: one of the two may be hidden.
-const END_DISKS: usize = 2;
+pub(super) const END_DISKS: usize = 2;
 
 /// How much of the outline of each part has its edge where the model says.
 #[derive(Debug, Clone)]

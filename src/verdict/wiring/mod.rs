@@ -58,6 +58,13 @@ pub enum Mistake {
     },
 }
 
+impl Mistake {
+    /// Whether it says of the log that its rows stand elsewhere, and nothing else.
+    pub fn shifts_rows_alone(&self) -> bool {
+        matches!(self, Self::Log(wiring) if Wiring { index_shift: 0, ..wiring.clone() }.is_straight())
+    }
+}
+
 /// What the check found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WiringCheck {
@@ -113,7 +120,7 @@ pub(super) fn check(robot: &Robot, sd_encoder_mm: f64, poses: &[Pose], log: &[En
     }
     let chosen = chosen?;
     let found = chosen.evidence() > decisive;
-    let as_a_lag_s = best(&lags).filter(|lag| chosen.shifts_rows_alone() && chosen.ahead_of(lag) <= decisive);
+    let as_a_lag_s = best(&lags).filter(|lag| chosen.mistake.shifts_rows_alone() && chosen.ahead_of(lag) <= decisive);
     let as_a_lag_s = as_a_lag_s.and_then(|lag| lag.age_s());
     Some(WiringCheck {
         as_a_lag_s,
@@ -157,11 +164,6 @@ impl Rival {
     fn ahead_of(&self, other: &Self) -> f64 {
         let design_effect = self.fit.design_effect.max(other.fit.design_effect);
         self.evidence_under(design_effect) - other.evidence_under(design_effect)
-    }
-
-    /// Whether it says of the log that its rows stand elsewhere, and nothing else.
-    fn shifts_rows_alone(&self) -> bool {
-        matches!(&self.mistake, Mistake::Log(wiring) if Wiring { index_shift: 0, ..wiring.clone() }.is_straight())
     }
 
     /// The age of the readings, s, of a mistake of the clock.
