@@ -17,7 +17,7 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    BendFit, CoarseSearch, EdgeFinder, Evidence, FitSchedule, PartVisibility, ProfileCovariance, noise_model,
+    BendFit, CoarseSearch, EdgeFinder, FitSchedule, PartVisibility, ProfileCovariance, noise_model,
 };
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
@@ -42,10 +42,6 @@ const TRACKED_MOTION_PX: f64 = 40.0;
 /// Convention: the book's advice. In 36 photo-real frames the median σ of θ is 0.03° at 488 px; averaged over 2×2 and 3×3 px, 0.09° at 245
 /// px and 0.35° at 163 px.
 const SMALL_PX: f64 = 300.0;
-/// If fewer of the searched outline points have edges that agree with the fit, there is no snake.
-///
-/// Fitted: by hand on renders; it decides between two reasons, not whether there are angles.
-const LEAST_INLIERS_OF_A_SNAKE: f64 = 0.25;
 /// The share that must agree with the fit of a lone frame that contradicts what is known of the snake's shape.
 ///
 /// Fitted: to frames of `tests/eye/robustness` that were measured falsely with 0.95, where 0.961, 0.964, 0.971 and 0.998 of the outline agree, and arcs
@@ -95,8 +91,6 @@ pub(super) struct MeasurementStages {
 struct Conclusion {
     /// The local minima, best first.
     fits: Vec<BendFit>,
-    /// Whether another bend explained the picture in the fine stage as well as the best one so far.
-    has_alternative: bool,
     /// What was tried.
     attempts: Vec<Attempt>,
     drift: DriftCheck,
@@ -104,10 +98,10 @@ struct Conclusion {
 }
 
 impl Conclusion {
-    /// Whether a snake was measured that needs no comparison with other candidates, and its mirrored solution came not near to it.
+    /// Whether a snake was measured that needs no comparison with other candidates.
     fn is_certain(&self) -> bool {
         let is_unrivalled = self.fits.first().is_some_and(BendFit::is_unrivalled);
-        self.measurement.status == Status::Ok && is_unrivalled && !self.has_alternative
+        self.measurement.status == Status::Ok && is_unrivalled
     }
 }
 
@@ -283,7 +277,7 @@ impl Eye {
         let select = || fitter.select(minima, known.unwrap_or_default(), fine);
         let check = || drift.unwrap_or_else(|| self.drift_monitor.check(frame, &fitter.finder));
         let (selection, drift) = rayon::join(select, check);
-        let Selection { fits, has_fine_fit, has_alternative, attempts, refusal } = selection;
+        let Selection { fits, has_fine_fit, attempts, refusal } = selection;
         let mut measurement = match fits.first().filter(|_| has_fine_fit) {
             Some(best) => self.verdict(best, refusal, &fitter.finder),
             None => FrameMeasurement::failed(Status::NoSnake, None),
@@ -295,7 +289,7 @@ impl Eye {
         if let Some(status) = drift.status() {
             measurement = FrameMeasurement::failed(status, measurement.quality);
         }
-        Conclusion { fits, has_alternative, attempts, drift, measurement }
+        Conclusion { fits, attempts, drift, measurement }
     }
 
     /// The measurement of a fit that can be believed, or why it cannot.
@@ -306,8 +300,8 @@ impl Eye {
             rms_px: fit.rms_px,
             ..Quality::default()
         };
-        let evidence = fit.evidence(&self.projection());
-        if let Some(status) = refusal_by_edges(fit, &evidence) {
+        let evidence = &fit.evidence;
+        if let Some(status) = refusal_by_edges(fit) {
             return FrameMeasurement::failed(status, Some(quality));
         }
         let by_rig = fit.by_pose * symmetric_root(&(self.rig.pose_covariance * noise_model().pose_variance));
@@ -368,13 +362,12 @@ fn shape(profile: &BendProfile, covariance: &ProfileCovariance) -> Option<Shape>
 }
 
 /// Why the edges of a fit do not suffice for a measurement.
-fn refusal_by_edges(fit: &BendFit, evidence: &Evidence) -> Option<Status> {
+fn refusal_by_edges(fit: &BendFit) -> Option<Status> {
     if fit.out_of_frame > OUT_OF_FRAME {
         Some(Status::OutOfFrame)
-    } else if fit.inlier_fraction() < LEAST_INLIERS_OF_A_SNAKE {
-        Some(Status::NoSnake)
-    } else if evidence.total() <= 0.0 {
-        Some(Status::Occluded)
+    } else if fit.evidence.total() <= 0.0 {
+        // Of a snake that is half hidden the tubes near the base are seen.
+        Some(if fit.evidence.of_tubes() > 0.0 { Status::Occluded } else { Status::NoSnake })
     } else {
         (fit.blur_px > BLURRED_PX).then_some(Status::Blurred)
     }

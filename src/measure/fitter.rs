@@ -6,11 +6,6 @@ use super::rig::Rig;
 use crate::robot::BendProfile;
 use nalgebra::Vector2;
 
-/// Refined fits that end within this distance of each other, rad, are one local minimum.
-///
-/// Convention: five times what they have converged to.
-pub(super) const SAME_MINIMUM_RAD: f64 = 5e-3;
-
 /// Fits the snake's bend to one picture, as a rig sees it.
 pub(super) struct Fitter<'a> {
     pub view: Projection<'a>,

@@ -1,7 +1,7 @@
 //! The local minima of a frame's fit, from the candidates of the coarse search.
 
-use super::fit::{BendFit, FitSchedule, distinct};
-use super::fitter::{Fitter, SAME_MINIMUM_RAD};
+use super::fit::{BendFit, FitSchedule, SAME_MINIMUM_RAD, distinct};
+use super::fitter::Fitter;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 

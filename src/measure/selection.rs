@@ -1,7 +1,7 @@
 //! The selection among the local minima of a frame's fit: which of them the picture shows, and whether another explains it as well.
 
-use super::fit::{Alternative, BendFit, EDGE_ON_RAD, FitSchedule, distinct};
-use super::fitter::{Fitter, SAME_MINIMUM_RAD};
+use super::fit::{BendFit, Decision, EDGE_ON_RAD, FitSchedule, Mode, SAME_MINIMUM_RAD, distinct};
+use super::fitter::Fitter;
 use crate::observation::Status;
 use rayon::prelude::*;
 
@@ -40,56 +40,16 @@ pub(super) struct Selection {
     pub fits: Vec<BendFit>,
     /// Whether there is a first and its fit in the fine stage succeeded.
     pub has_fine_fit: bool,
-    /// Whether another bend explained the picture in the fine stage as well as the best one so far.
-    pub has_alternative: bool,
     /// What was tried.
     pub attempts: Vec<Attempt>,
-    /// Why the first is not to be relied on, if another one explains the picture as well: another bend, or the same snake of another shape.
+    /// Why the first is not to be relied on, if another one may be what the picture shows: another bend, or the same snake of another shape.
     pub refusal: Option<Status>,
 }
 
 impl Selection {
     /// None of these minima has a fit in the fine stage.
     fn without_fine_fit(fits: Vec<BendFit>, attempts: Vec<Attempt>) -> Self {
-        Self { fits, has_fine_fit: false, has_alternative: false, attempts, refusal: None }
-    }
-}
-
-/// The best of the fits in the fine stage that were weighed so far, and what the others mean beside it.
-struct Weighing {
-    best: BendFit,
-    /// The snake's diameter in the picture, px.
-    diameter_px: f64,
-    /// See [`Selection`].
-    has_alternative: bool,
-    refusal: Option<Status>,
-}
-
-impl Weighing {
-    /// Weighs another fit, which may have ended at the same bend in the fine stage, or prove to be worse. Where both explain the picture alike
-    /// and neither is likelier, the picture is refused with this status.
-    fn weigh(&mut self, other: BendFit, status: Status) {
-        let compare = |other: &BendFit, best: &BendFit| Alternative::of(other, best, self.diameter_px);
-        let best = &self.best;
-        let compared = compare(&other, best);
-        self.has_alternative |= compared == Alternative::AsGood;
-        match compared {
-            Alternative::EdgeOn => self.best = best.clone().or_edge_on(other),
-            Alternative::AsGood if compare(best, &other) == Alternative::Worse => self.best = other,
-            Alternative::AsGood if other.has_likelier_shape_than(best) => self.best = other,
-            Alternative::AsGood if !best.has_likelier_shape_than(&other) => _ = self.refusal.get_or_insert(status),
-            Alternative::AsGood | Alternative::Worse => {}
-        }
-    }
-
-    /// Weighs what the best becomes if the snake may have any shape.
-    fn weigh_any_shape(&mut self, any_shape: Option<BendFit>) {
-        let Some(any_shape) = any_shape else { return };
-        match self.best.clone().whatever_shape(&any_shape, self.diameter_px) {
-            Some(best) => self.best = best,
-            None if Alternative::of(&any_shape, &self.best, self.diameter_px) == Alternative::Worse => {}
-            None => _ = self.refusal.get_or_insert(Status::UnknownShape),
-        }
+        Self { fits, has_fine_fit: false, attempts, refusal: None }
     }
 }
 
@@ -101,24 +61,34 @@ impl Fitter<'_> {
         let Some(first) = fits.first() else { return Selection::without_fine_fit(fits, attempts) };
         let (finest, mirrored) = self.attempt_with_mirrored(first, &mut attempts, fine);
         let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
-        let Some(best) = finest else { return Selection::without_fine_fit(fits, attempts) };
-        let diameter_px = self.view.diameter_px();
-        let mut weighing = Weighing { best, diameter_px, has_alternative: false, refusal: None };
-        for other in self.alternatives(&fits, &attempts, fine) {
-            weighing.weigh(other, Status::Ambiguous);
-        }
+        let Some(finest) = finest else { return Selection::without_fine_fit(fits, attempts) };
+        let others = self.alternatives(&fits, &attempts, fine);
+        let mut modes: Vec<Mode> = std::iter::once(finest).chain(others).map(Mode::of_another_bend).collect();
         // From a shape that the sequence told a fit starts in the right minimum.
-        if weighing.best.contradicts_shape && !self.rig.is_shape_known() {
-            for other in self.other_shapes(&weighing.best, fine) {
-                weighing.weigh(other, Status::UnknownShape);
-            }
+        if !self.rig.is_shape_known() {
+            self.add_any_shape(&mut modes, fine);
+            self.add_other_shapes(&mut modes, fine);
         }
-        if !weighing.best.contradicts_shape && !self.rig.is_shape_known() && !weighing.best.is_unrivalled() {
-            weighing.weigh_any_shape(self.fit_any_shape(weighing.best.start(), fine));
-        }
-        let Weighing { best, has_alternative, refusal, .. } = weighing;
-        fits[0] = best;
-        Selection { fits, has_fine_fit: true, has_alternative, attempts, refusal }
+        let decision = Decision::between(modes, self.view.diameter_px());
+        let Some(Decision { fit, refusal }) = decision else { return Selection::without_fine_fit(fits, attempts) };
+        fits[0] = fit;
+        Selection { fits, has_fine_fit: true, attempts, refusal }
+    }
+
+    /// Adds what the heaviest mode becomes if the snake may have any shape: where part of the outline is hidden, what is left of it may not
+    /// contradict a shape that the snake does not have.
+    fn add_any_shape(&self, modes: &mut Vec<Mode>, fine: &FitSchedule) {
+        let best = Mode::heaviest(modes).filter(|best| !best.contradicts_shape && !best.is_unrivalled());
+        let any_shape = best.and_then(|best| self.fit_any_shape(best.start(), fine));
+        modes.extend(any_shape.map(Mode::of_another_shape));
+    }
+
+    /// Adds snakes of other shapes that look like that of the heaviest mode, if that contradicts what is known of the shape.
+    fn add_other_shapes(&self, modes: &mut Vec<Mode>, fine: &FitSchedule) {
+        let Some(best) = Mode::heaviest(modes).filter(|best| best.contradicts_shape) else { return };
+        let starts = best.shapes_beside(&self.view).into_par_iter();
+        let others: Vec<BendFit> = starts.filter_map(|start| self.fit_any_shape(start, fine)).collect();
+        modes.extend(others.into_iter().map(Mode::of_another_shape));
     }
 
     /// The fit in the fine stage of a minimum, or of its mirrored solution where that is the better one, and the mirrored solutions that
@@ -167,11 +137,5 @@ impl Fitter<'_> {
         };
         let may_be = others.par_iter().filter(|other| other.cost <= ALTERNATIVE_COST_RATIO * first.cost);
         may_be.filter_map(fit_fine).collect()
-    }
-
-    /// The fits in the fine stage of snakes of other shapes that look like this one.
-    fn other_shapes(&self, fit: &BendFit, fine: &FitSchedule) -> Vec<BendFit> {
-        let starts = fit.shapes_beside(&self.view).into_par_iter();
-        starts.filter_map(|start| self.fit_any_shape(start, fine)).collect()
     }
 }

@@ -9,7 +9,7 @@ use super::edges::EdgeFinder;
 use super::evidence::Evidence;
 use super::linearised::{Linearised, robust_step};
 use super::noise_model::SHARP_PX;
-use super::schedule::{FitSchedule, LAST_SEARCH_PX};
+use super::schedule::FitSchedule;
 use super::state::{EdgeBias, FramePrior, STATE, State};
 use super::uncertainty::{FitCovariance, RobustPhase, inliers};
 use super::visibility::PartVisibility;
@@ -79,6 +79,8 @@ pub(crate) struct BendFit {
     /// By how much the covariance is wider, since this picture's edges scatter more than they may (see [`excess`](super::excess)), rad². The choice
     /// between fits and what is learned of the snake's shape do not know of it: a few such frames would make a snake an arc for certain in all others.
     pub scatter: ProfileCovariance,
+    /// By how much this picture's edges scatter more than they may, see [`excess`](super::excess); zero of a coarse fit.
+    pub excess: f64,
     /// What of the covariance is doubt between this fit and others of the same snake seen edge-on, rad².
     pub doubt: ProfileCovariance,
     /// Change of the profile's numbers with the camera's pose (see [`perturbed`](crate::geometry::perturbed)); zero of a coarse fit as well.
@@ -97,6 +99,8 @@ pub(crate) struct BendFit {
     /// The mean over all searched points of the squared distance, cut off at the last search distance, in units of that: 0 if every
     /// point has its edge where the model says, 1 if none has.
     pub cost: f64,
+    /// What the edges say for the snake, in the fine stage; a coarse fit's is not looked at.
+    pub evidence: Evidence,
     /// The edges of the last round.
     edges: Correspondences,
 }
@@ -115,12 +119,6 @@ impl BendFit {
     /// The share of the searched points whose edges agree with the model.
     pub fn inlier_fraction(&self) -> f64 {
         self.inliers as f64 / self.searched_points().max(1) as f64
-    }
-
-    /// What the edges of a fit of the fine stage say for the snake.
-    pub fn evidence(&self, view: &Projection) -> Evidence {
-        let distances_px = self.edges.in_px(&self.edges.residuals(view, self.profile, self.bias));
-        Evidence::new(&self.edges, &distances_px, LAST_SEARCH_PX, (self.inlier_fraction(), self.rms_px))
     }
 
     /// How much of each part's outline has its edge.
@@ -197,6 +195,17 @@ struct Fitting<'a> {
     /// The outline, and the bend at which it was drawn.
     drawn: Option<(BendProfile, Outline)>,
     last: Option<Round>,
+}
+
+/// What a fit of the fine stage leaves uncertain; see the fields of [`BendFit`].
+#[derive(Default)]
+struct Uncertainty {
+    covariance: ProfileCovariance,
+    scatter: ProfileCovariance,
+    /// See [`excess`](super::excess).
+    excess: f64,
+    by_pose: SMatrix<f64, PROFILE, 6>,
+    contradicts_shape: bool,
 }
 
 /// What a round of matching leaves.
@@ -315,29 +324,30 @@ impl<'a> Fitting<'a> {
         if edges.clusters().collect::<BTreeSet<_>>().len() <= STATE || self.state.profile.tip.norm() > MAX_THETA {
             return None;
         }
-        let uncertainty = if self.schedule.is_fine { self.uncertainty(rms_px)? } else { Default::default() };
-        let ([covariance, scatter], by_pose, contradicts_shape) = uncertainty;
+        let uncertainty = if self.schedule.is_fine { self.uncertainty(rms_px)? } else { Uncertainty::default() };
+        let agreeing = inliers as f64 / edges.searched().len().max(1) as f64;
         Some(BendFit {
             origin: self.origin,
             profile: self.state.profile,
             bias: self.state.bias,
-            covariance,
-            scatter,
+            covariance: uncertainty.covariance,
+            scatter: uncertainty.scatter,
+            excess: uncertainty.excess,
             doubt: ProfileCovariance::zeros(),
-            by_pose,
+            by_pose: uncertainty.by_pose,
             inliers,
             rms_px,
             blur_px: edges.blur_px,
-            contradicts_shape,
+            contradicts_shape: uncertainty.contradicts_shape,
             out_of_frame: self.drawn?.1.out_of_frame,
             cost: cost(edges, &distances_px, *search_px),
+            evidence: Evidence::new(edges, &distances_px, *search_px, agreeing, uncertainty.excess),
             edges: self.last?.edges,
         })
     }
 
-    /// The covariance of the profile's numbers and what scatter adds to it, their change with the camera's pose, and whether the edges contradict the
-    /// prior of the snake's shape.
-    fn uncertainty(&self, rms_px: f64) -> Option<([ProfileCovariance; 2], SMatrix<f64, PROFILE, 6>, bool)> {
+    /// What the edges of the last round leave uncertain.
+    fn uncertainty(&self, rms_px: f64) -> Option<Uncertainty> {
         let Self { view, state, prior, .. } = self;
         let Round { edges, roots, .. } = self.last.as_ref()?;
         let linear = Linearised::new(edges, view, state, roots, Some(prior));
@@ -345,11 +355,14 @@ impl<'a> Fitting<'a> {
         let gain = &covariance.independent * linear.by_state.tr_mul(&linear.by_pose);
         let total = covariance.total(&std::array::from_fn::<_, PROFILE, _>(|k| k))?;
         let contradiction = prior.contradiction(&state.profile, &covariance.independent)?;
-        Some((
-            total.map(|part| part.fixed_view::<PROFILE, PROFILE>(0, 0).into_owned()),
-            SMatrix::from_fn(|row, column| -gain[(row, column)]),
-            contradiction > prior.contradiction_chi2,
-        ))
+        let [own, scatter] = total.map(|part| part.fixed_view::<PROFILE, PROFILE>(0, 0).into_owned());
+        Some(Uncertainty {
+            covariance: own,
+            scatter,
+            excess: covariance.excess,
+            by_pose: SMatrix::from_fn(|row, column| -gain[(row, column)]),
+            contradicts_shape: contradiction > prior.contradiction_chi2,
+        })
     }
 }
 

@@ -1,16 +1,20 @@
 //! The evidence of a picture's edges: how much likelier they are with a snake where a fit puts it than without one.
 //!
 //! Where a snake is, the edge near a point of its outline lies a normal error from the model, unless something covers it. Where none is, what looks like
-//! an edge lies anywhere within the search distance. With the share a of the points whose edges agree and their scatter s, an edge found at the
+//! an edge lies anywhere within the search distance. With the share a of the points whose edges agree, an edge of standard deviation σ found at the
 //! distance d within ±w has the ratio of densities
 //!
 //! ```text
-//! a N(d; 0, s²) · 2w + (1 − a) ,
+//! a N(d; 0, e σ²) · 2w + (1 − a) ,
 //! ```
 //!
-//! and a point without an edge 1 − a. The logarithms are added up over the points of each part; as many neighbours as err alike count as one
+//! and a point without an edge 1 − a. The factor e is by how much the agreeing edges' variance exceeds what σ says ([`excess`](super::excess)). The logarithms
+//! are added up over the points of each part; as many neighbours as err alike count as one
 //! ([`NoiseModel::design_effect`](super::noise_model::NoiseModel::design_effect)). The bend is what its tip does, so that it is known only as far as the outline
 //! up to the tip speaks for the snake.
+//!
+//! An edge that a printed line or a highlight beside it may displace has a large σ, so that it says little wherever it lies. What compares two fits
+//! must not take many such edges for a bad fit, nor a wrong fit whose edges happen to scatter less for a good one.
 
 use super::correspondences::Correspondences;
 use super::noise_model::noise_model;
@@ -33,27 +37,42 @@ pub(crate) struct Evidence {
 }
 
 impl Evidence {
-    /// Of the searched points of a fit, the distances (px) of whose edges have the scatter `rms_px` about the model where they agree with it, as the
-    /// share `agreeing` of all points does.
-    pub fn new(edges: &Correspondences, distances_px: &[f64], search_px: f64, (agreeing, rms_px): (f64, f64)) -> Self {
+    /// Of the searched points of a fit. The edges lie these distances (px) from the model; a share `agreeing` of all points have edges that agree with
+    /// it, with a variance that exceeds what their σ say by this factor.
+    pub fn new(edges: &Correspondences, distances_px: &[f64], search_px: f64, agreeing: f64, excess: f64) -> Self {
         let points = edges.searched().len().max(1) as f64;
         // No share that a picture shows is known more exactly than to one point.
         let share = agreeing.clamp(1.0 / points, 1.0 - 1.0 / points);
-        let height = share * 2.0 * search_px / (rms_px.max(f64::MIN_POSITIVE) * TAU.sqrt());
-        let found = |distance_px: &f64| (height * (-0.5 * (distance_px / rms_px).powi(2)).exp() + 1.0 - share).ln();
+        let found = |distance_px: f64, sigma_px: f64| {
+            let spread_px = sigma_px * excess.sqrt();
+            let density = (-0.5 * (distance_px / spread_px).powi(2)).exp() / (spread_px * TAU.sqrt());
+            (share * density * 2.0 * search_px + 1.0 - share).ln()
+        };
         let missing = (1.0 - share).ln();
         let mut parts: BTreeMap<Option<u8>, f64> = BTreeMap::new();
         let mut add = |piece: Piece, ratio: f64| *parts.entry(piece.disk()).or_default() += ratio;
         edges.searched().iter().for_each(|(piece, _)| add(*piece, missing));
-        edges.pieces().zip(distances_px).for_each(|(piece, distance_px)| add(piece, found(distance_px) - missing));
+        let found = edges.all.iter().zip(distances_px).map(|(edge, px)| (edge.piece, found(*px, edge.sigma_px)));
+        found.for_each(|(piece, ratio)| add(piece, ratio - missing));
         let alike = noise_model().design_effect;
         let tubes = parts.remove(&None).unwrap_or(0.0) / alike;
         Self { tubes, disks: parts.into_values().map(|sum| or_hidden(sum / alike)).collect() }
     }
 
+    /// Edges that say so much for the snake, wherever they are.
+    #[cfg(test)]
+    pub fn amounting_to(total: f64) -> Self {
+        Self { disks: Vec::new(), tubes: total }
+    }
+
     /// Of the whole outline.
     pub fn total(&self) -> f64 {
         self.tubes + self.disks.iter().sum::<f64>()
+    }
+
+    /// Of the tubes between the disks.
+    pub fn of_tubes(&self) -> f64 {
+        self.tubes
     }
 
     /// Of the disks from one of them on to the tip, at least [`END_DISKS`], from where on it is least: tubes look alike all along the snake.
@@ -105,7 +124,7 @@ mod tests {
         let displacements_px: Vec<f64> = outline.points.iter().map(|_| draw(&mut random)).collect();
         let edges = Correspondences::displaced(&outline, &displacements_px, RMS_PX);
         let distances_px: Vec<f64> = edges.searched().iter().filter_map(|(_, edge)| Some((*edge)?.offset_px)).collect();
-        Evidence::new(&edges, &distances_px, SEARCH_PX, (agreeing, RMS_PX))
+        Evidence::new(&edges, &distances_px, SEARCH_PX, agreeing, 1.0)
     }
 
     /// The mean of the logarithm is the relative entropy of both densities.

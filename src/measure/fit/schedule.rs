@@ -10,7 +10,7 @@ pub(crate) const CONVERGED_RAD: f64 = 1e-3;
 /// The last search distance of all fits, px.
 ///
 /// Fitted: by hand on renders, as the others; judged by `tests/eye/robustness`.
-pub(super) const LAST_SEARCH_PX: f64 = 3.0;
+const LAST_SEARCH_PX: f64 = 3.0;
 
 /// How a picture is fitted: the rounds, and what is done in each.
 #[derive(Debug, Clone, Copy)]

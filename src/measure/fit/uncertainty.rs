@@ -90,7 +90,7 @@ pub(super) struct FitCovariance {
     /// Cluster-robust: correlated along each piece of the body.
     clustered: DMatrix<f64>,
     /// See [`excess`].
-    excess: f64,
+    pub excess: f64,
     /// From the systematic modes.
     systematic: DMatrix<f64>,
 }

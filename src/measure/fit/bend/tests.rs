@@ -1,10 +1,13 @@
-use super::super::alternatives::{Alternative, mirrored};
+use super::super::alternatives::mirrored;
 use super::super::coarse::CoarseSearch;
+use super::super::decision::{Decision, Mode};
+use super::super::evidence::Evidence;
 use super::super::linearised::REWEIGHTING_TOLERANCE;
 use super::*;
 use crate::geometry::Configuration;
 use crate::measure::fixture::Scene;
 use crate::measure::image::plane::Plane;
+use crate::observation::Status;
 use nalgebra::{Point2, Vector3};
 use rand::{SeedableRng, rngs::StdRng};
 use rand_distr::{Distribution, Normal};
@@ -117,32 +120,49 @@ fn the_coarse_search_hands_on_the_bend_or_its_mirrored_solution() {
     }
 }
 
+/// A mode this far from a fit, rad, whose edges say so much more for it.
+fn mode(fit: &BendFit, apart_rad: f64, says: f64) -> Mode {
+    let tip = fit.bend() + Vector2::new(apart_rad, 0.0);
+    let evidence = Evidence::amounting_to(fit.evidence.total() + says);
+    Mode::of_another_bend(BendFit { profile: BendProfile { tip, ..fit.profile }, evidence, ..fit.clone() })
+}
+
 #[test]
-fn alternatives_are_told_apart_by_distance_cost_and_scatter() {
+fn another_snake_with_more_than_a_twentieth_of_the_mass_leaves_the_picture_undecided() {
     let scene = Scene::new(Vector3::new(0.05, -0.1, 0.0));
     let bend = Vector2::new(0.6, 0.35);
-    let best = BendFit { cost: 0.1, rms_px: 0.2, ..fitted(&scene, &picture(&scene, bend), bend) };
-    let moved = |apart: f64| BendProfile { tip: best.bend() + Vector2::new(apart, 0.0), ..best.profile };
-    let compare = |apart: f64, cost: f64, rms_px: f64| {
-        let other = BendFit { profile: moved(apart), cost, rms_px, ..best.clone() };
-        Alternative::of(&other, &best, 52.0)
+    let fit = fitted(&scene, &picture(&scene, bend), bend);
+    let decided = |others: &[(f64, f64)], diameter_px: f64| {
+        let modes = others.iter().chain(&[(0.0, 0.0)]).map(|&(apart_rad, says)| mode(&fit, apart_rad, says));
+        Decision::between(modes.collect(), diameter_px).unwrap()
     };
-    assert_eq!(compare(0.05, 0.5, 0.9), Alternative::EdgeOn);
-    assert_eq!(compare(0.3, 0.14, 0.25), Alternative::AsGood);
-    assert_eq!(compare(0.3, 0.16, 0.25), Alternative::Worse);
-    assert_eq!(compare(0.3, 0.14, 0.27), Alternative::Worse);
+    assert_eq!(decided(&[(0.3, -2.9)], 52.0).refusal, Some(Status::Ambiguous));
+    assert_eq!(decided(&[(0.3, -3.1)], 52.0).refusal, None);
+    // Two others have twice the mass of one, and one of them that was met twice has not.
+    assert_eq!(decided(&[(0.3, -3.1), (-0.3, -3.1)], 52.0).refusal, Some(Status::Ambiguous));
+    assert_eq!(decided(&[(0.3, -3.1), (0.301, -3.1)], 52.0).refusal, None);
     // In a coarse picture rims open alike further apart.
-    let other = BendFit { profile: moved(0.3), ..best.clone() };
-    assert_eq!(Alternative::of(&other, &best, 12.0), Alternative::EdgeOn);
-    // Two equally likely values ±a/2 about their mean have the variance a²/4.
-    let other = BendFit { profile: moved(0.04), cost: 0.12, ..best.clone() };
-    let joined = best.clone().or_edge_on(other.clone());
-    assert_eq!(joined.profile, best.profile);
-    // A fit that was free to take any shape, and took one, has a little less cost whatever the snake is.
-    let mut free = BendFit { cost: 0.09, contradicts_shape: true, ..other };
-    free.profile.modes[0] = Vector2::new(0.0, 0.04);
-    assert_eq!(best.clone().or_edge_on(free.clone()).profile, best.profile);
-    assert_eq!(best.clone().or_edge_on(BendFit { cost: 0.06, ..free.clone() }).profile, free.profile);
-    let added = joined.covariance - best.covariance;
-    assert!((added[(0, 0)] - 4e-4).abs() < 1e-12 && added[(1, 1)].abs() < 1e-12);
+    assert_eq!(decided(&[(0.3, -2.9)], 12.0).refusal, None);
+    let heaviest = decided(&[(0.3, 4.0)], 52.0);
+    assert!(heaviest.refusal.is_none() && (heaviest.fit.bend().x - fit.bend().x - 0.3).abs() < 1e-12);
+}
+
+/// Against the moments of two values with probabilities: the mean p a, the variance p (1 − p) a².
+#[test]
+fn of_a_snake_seen_edge_on_the_answer_is_the_mixture_of_its_modes() {
+    let scene = Scene::new(Vector3::new(0.05, -0.1, 0.0));
+    let bend = Vector2::new(0.6, 0.35);
+    let fit = fitted(&scene, &picture(&scene, bend), bend);
+    for (says, share) in [(0.0, 0.5), (-(3.0_f64.ln()), 0.25)] {
+        let modes = vec![mode(&fit, 0.04, says), mode(&fit, 0.0, 0.0)];
+        let joined = Decision::between(modes, 52.0).unwrap().fit;
+        let added = joined.covariance - fit.covariance;
+        assert!((joined.bend() - fit.bend() - Vector2::new(share * 0.04, 0.0)).norm() < 1e-12, "{}", joined.bend());
+        assert!((added[(0, 0)] - share * (1.0 - share) * 0.04 * 0.04).abs() < 1e-12 && added[(1, 1)].abs() < 1e-12);
+    }
+    // A shape that no snake is likely to have counts against a mode whose edges say as much for it.
+    let mut shaped = mode(&fit, 0.04, 0.0);
+    shaped.fit.profile.modes[0] = Vector2::new(0.0, 0.1);
+    let joined = Decision::between(vec![shaped, mode(&fit, 0.0, 0.0)], 52.0).unwrap().fit;
+    assert!((joined.bend() - fit.bend()).norm() < 0.004, "{}", joined.bend() - fit.bend());
 }
