@@ -144,7 +144,7 @@ impl Mechanics<'_> {
             point = next;
         }
         let residual = (target - point.1).component_div(&self.travel_by_reading(q_tilde));
-        ForwardSolution { bend: point.0, residual_mm: self.statics.robot().internal_part(&residual), converged }
+        ForwardSolution { bend: point.0, residual_mm: self.internal_part(&residual), converged }
     }
 
     /// ∂(q + ε)/∂b at a bend whose travel is known, mm per rad; by differences where effects add to ε.

@@ -11,7 +11,8 @@
 //! do, and they are what a [`Friction`] carries.
 
 use crate::error::{DataError, Result};
-use crate::statistics::moments::{mean, rms};
+use crate::statistics::line::Line;
+use crate::statistics::moments::rms;
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
 
@@ -145,12 +146,8 @@ impl FrictionFit {
         if samples.len() < 3 {
             return Err(DataError::TooFewWeighings { found: samples.len(), needed: 3 }.into());
         }
-        let mean = |value: fn(&FrictionSample) -> f64| mean(samples.iter().map(value));
-        let (tau, tau_tilde) = (mean(|s| s.tau_g), mean(|s| s.tau_tilde_g));
-        let spread: f64 = samples.iter().map(|s| (s.tau_g - tau).powi(2)).sum();
-        let joint: f64 = samples.iter().map(|s| (s.tau_g - tau) * (s.tau_tilde_g - tau_tilde)).sum();
-        let slope = joint / spread;
-        let intercept = tau_tilde - slope * tau;
+        let Line { slope, intercept, mean_x: tau, spread_x: spread } =
+            Line::through(samples.iter().map(|s| (s.tau_g, s.tau_tilde_g)));
         // The comparisons are written so that NaN fails them.
         let sensible = spread > 0.0 && slope > 0.0 && intercept >= 0.0 && phi > 0.0 && phi.is_finite();
         let residuals = samples.iter().map(|s| (s.tau_tilde_g - slope * s.tau_g - intercept).powi(2));

@@ -91,11 +91,6 @@ impl Robot {
         (self.backbone_directions() * (coordinates.xy() * -(2.0 / n).sqrt())).add_scalar(coordinates.z / n.sqrt())
     }
 
-    /// The part of displacements that bends nothing.
-    pub fn internal_part(&self, q_mm: &PerBackbone) -> PerBackbone {
-        *q_mm - self.displacement_by_bend() * self.bend_by_displacement().tr_mul(q_mm)
-    }
-
     /// Eq. 1: the joint displacements q (mm) of a configuration.
     pub fn joint_displacements(&self, psi: Configuration) -> PerBackbone {
         self.displacement_by_bend() * psi.bend_vector()

@@ -136,6 +136,13 @@ impl<'a> Mechanics<'a> {
         self.line_of(q_tilde, Past::Path(motion)) - self.travel(bend, Past::Path(motion))
     }
 
+    /// The part of displacements that bends nothing, (1 − Q Q⁺) q; Q is n r²/2 times the transpose of Q⁺.
+    pub(super) fn internal_part(&self, q_mm: &PerBackbone) -> PerBackbone {
+        let robot = self.statics.robot();
+        let squares = 0.5 * robot.backbone_count() as f64 * robot.backbone_circle_radius_mm.powi(2);
+        *q_mm - self.bend_by_q * (self.bend_by_q.tr_mul(q_mm) * squares)
+    }
+
     /// The same for every backbone.
     pub(super) fn alike(&self, value: f64) -> PerBackbone {
         PerBackbone::repeat(self.statics.robot().backbone_count(), value)

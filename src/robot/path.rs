@@ -116,10 +116,10 @@ impl Mechanics<'_> {
     ) -> Vec<ForwardSolution> {
         let mut last: Option<PathPoint> = None;
         let follow = |(k, (near, jacobian)): (usize, (&PathPoint, &LineJacobian))| {
-            let mut point = changed.approach(last.as_ref(), times_s[k], &q_tilde[k]);
+            let next = changed.approach(last.as_ref(), times_s[k], &q_tilde[k]);
+            let point = last.insert(next);
             point.motion.direction = near.motion.direction;
             point.solution = changed.one_step(&q_tilde[k], &point.motion, &near.solution, jacobian);
-            last = Some(point);
             point.solution
         };
         path.iter().zip(jacobians).enumerate().map(follow).collect()
@@ -138,7 +138,7 @@ impl Mechanics<'_> {
         let residual = (misfit - jacobian.line_by_bend * step).component_div(&self.travel_by_reading(q_tilde));
         ForwardSolution {
             bend: near.bend + step,
-            residual_mm: self.statics.robot().internal_part(&residual),
+            residual_mm: self.internal_part(&residual),
             converged: near.converged,
         }
     }

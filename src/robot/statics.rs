@@ -248,6 +248,7 @@ impl Robot {
 mod tests {
     use super::*;
     use crate::geometry::Configuration;
+    use crate::robot::{Mechanics, Model};
     use approx::assert_relative_eq;
     use nalgebra::Vector3;
     use proptest::prelude::*;
@@ -377,8 +378,10 @@ mod tests {
             assert!((parts[0] - parts[0].map(|_| parts[0].mean())).norm() < 1e-12, "the first is the common part");
             let any = PerBackbone::from_fn(parts[0].len(), |i| (1.7 * i as f64).sin());
             let sum = parts.iter().fold(any * 0.0, |sum, part| sum + *part * part.dot(&any));
-            assert!((sum - robot.internal_part(&any)).norm() < 1e-12);
-            assert!((robot.internal_part(&sum) - sum).norm() < 1e-12);
+            let model = Model { robot, ..Model::default() };
+            let mechanics = Mechanics::new(&model);
+            assert!((sum - mechanics.internal_part(&any)).norm() < 1e-12);
+            assert!((mechanics.internal_part(&sum) - sum).norm() < 1e-12);
         }
     }
 }

@@ -14,6 +14,7 @@
 //! | [`cluster`] | cluster-robust covariance of a fit whose errors come in groups |
 //! | [`correlation`] | autocorrelation and design effect of errors that come in order |
 //! | [`information`] | square-root information filter: recursive least squares with a forgetting factor |
+//! | [`line`] | a straight line through pairs of numbers |
 //! | [`order`] | median, MAD and quantiles |
 //! | [`moments`] | mean, standard deviation and root mean square |
 //! | [`bootstrap`] | seeded bootstrap over blocks |
@@ -28,6 +29,7 @@ pub mod cluster;
 pub mod correlation;
 pub mod information;
 pub mod least_squares;
+pub mod line;
 pub mod moments;
 pub mod normal_equations;
 pub mod null_distribution;

@@ -7,7 +7,8 @@ use super::rules::REJECTED_IN_ORDER;
 use crate::estimate::{NEW_POSE, PlainSample};
 use crate::observation::MOVED_SDS;
 use crate::robot::Robot;
-use crate::statistics::moments::{mean, standard_deviation};
+use crate::statistics::line::Line;
+use crate::statistics::moments::standard_deviation;
 use crate::statistics::order::median;
 use nalgebra::Vector2;
 
@@ -61,7 +62,7 @@ fn columns_stuck(robot: &Robot, samples: &[PlainSample]) -> Option<String> {
     // Beside a column that a counter's jump spreads, the others seem to stand still, and follow the bends all the same.
     let follows = |value: &dyn Fn(&PlainSample) -> f64, column: Vector2<f64>| {
         let motion = |s: &PlainSample| column.dot(&s.measured.configuration.bend_vector());
-        let slope = slope(samples.iter().map(|s| (motion(s), value(s))));
+        let slope = Line::through(samples.iter().map(|s| (motion(s), value(s)))).slope;
         spread(&|s: &PlainSample| value(s) - slope * motion(s)) < MOST_BESIDE * spread(value)
     };
     let still: Vec<String> = (0..count)
@@ -80,13 +81,6 @@ fn columns_stuck(robot: &Robot, samples: &[PlainSample]) -> Option<String> {
     });
     let (j, i) = same.next()?;
     Some(format!("q{} repeats q{}: the snake's motion implies different readings", i + 1, j + 1))
-}
-
-/// The slope of a line through pairs of numbers, by least squares.
-fn slope(pairs: impl Iterator<Item = (f64, f64)> + Clone) -> f64 {
-    let [x, y] = [mean(pairs.clone().map(|(x, _)| x)), mean(pairs.clone().map(|(_, y)| y))];
-    let of = |pair: &dyn Fn(f64, f64) -> f64| pairs.clone().map(|(a, b)| pair(a - x, b - y)).sum::<f64>();
-    of(&|x, y| x * y) / of(&|x, _| x * x)
 }
 
 /// The standard deviation without the tenth of the values that is farthest from the median, one at least.
