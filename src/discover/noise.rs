@@ -43,6 +43,11 @@ const HALVINGS: usize = 20;
 /// Convention: five times the standard error of a learned sigma at a few hundred samples.
 const FINER: f64 = 0.75;
 
+/// The least standard deviation that the parts of q̃ which bend nothing are weighted with, mm.
+///
+/// Convention: a numerical guard against an encoder noise of zero.
+const LEAST_SD_INTERNAL_MM: f64 = 1e-5;
+
 /// What scatters, and what the model is known to miss besides.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Noise {
@@ -68,6 +73,11 @@ impl Noise {
             discrepancy_mm: 0.0,
             unknown_start: 0,
         }
+    }
+
+    /// The standard deviation of each part of q̃ that bends nothing, without a discrepancy, mm.
+    pub fn sd_internal_mm(&self) -> f64 {
+        self.sd_encoder_mm.max(LEAST_SD_INTERNAL_MM)
     }
 
     /// From the residuals of a fit, with what was stated as the prior.

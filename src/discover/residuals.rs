@@ -12,6 +12,7 @@
 use super::data::Data;
 use super::noise::Noise;
 use crate::geometry::Configuration;
+use crate::robot::effects::Role;
 use crate::robot::{ForwardSolution, LineJacobian, Mechanics, Model, PathPoint, PerBackbone};
 use crate::statistics::moments::mean;
 use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2};
@@ -21,11 +22,6 @@ use std::ops::Range;
 ///
 /// Convention: a numerical step; the residuals are known to about 1e-9 of it.
 const DIFFERENCE_STEP: f64 = 1e-3;
-
-/// The least standard deviation that the parts of q̃ which bend nothing are weighted with, mm.
-///
-/// Convention: a numerical guard against an encoder noise of zero.
-const LEAST_SD_INTERNAL_MM: f64 = 1e-5;
 
 /// The weight of samples at a start that nobody knows.
 ///
@@ -87,6 +83,7 @@ impl Prediction {
 pub struct Linearised {
     points: Vec<PathPoint>,
     lines: Vec<LineJacobian>,
+    residuals: Vec<Residual>,
 }
 
 /// The residuals of all samples as one vector.
@@ -116,7 +113,7 @@ impl<'a> Problem<'a> {
             data,
             noise: *noise,
             samples: samples.collect(),
-            sd_internal_mm: noise.sd_encoder_mm.hypot(noise.discrepancy_mm).max(LEAST_SD_INTERNAL_MM),
+            sd_internal_mm: noise.sd_internal_mm().hypot(noise.discrepancy_mm),
             internal: model.robot.internal_parts().collect(),
             start,
         }
@@ -150,13 +147,17 @@ impl<'a> Problem<'a> {
         let (mechanics, log) = (self.mechanics(model).keeping_directions(), &self.data.log);
         let first = (log.samples[0] == 0).then(|| self.data.measured[0].configuration.bend_vector());
         let points = mechanics.solve_path(&log.times_s, &log.own_q_mm(model), Some(guess), first);
-        Linearised { lines: self.lines(&mechanics, &points), points }
+        let residuals = self.whitened(&mechanics, points.iter().map(|point| &point.solution));
+        Linearised { lines: self.lines(&mechanics, &points), points, residuals }
     }
 
-    /// The residuals of a model near the one of a path, and their derivatives by some of its parameters over their scales, to first order.
+    /// The residuals of a model that has these parameters beyond the one of a path, and their derivatives by them over their scales, to first order.
     pub fn near(&self, path: &Linearised, model: &Model, parameters: Range<usize>) -> (Vec<Residual>, DMatrix<f64>) {
         let about = (&path.points[..], &path.lines[..]);
-        let residuals = self.first_order(model, about);
+        let (values, specs) = (model.parameter_values(), model.parameter_specs());
+        let changes_nothing =
+            parameters.clone().all(|j| values[j] == 0.0 || !matches!(specs[j].role, Role::Size { .. }));
+        let residuals = if changes_nothing { path.residuals.clone() } else { self.first_order(model, about) };
         let columns = self.differences(model, about, &residuals, parameters);
         (residuals, columns)
     }
@@ -232,15 +233,6 @@ impl<'a> Problem<'a> {
         mean(self.samples.iter().map(|sample| covariance(&sample.eye, &sample.line, &noise).trace())) / 2.0
     }
 
-    /// The cost that noise alone would leave of all residuals, in squares of noise and discrepancy.
-    pub fn expected_cost(&self) -> f64 {
-        let bend = self.bend_noise_rad2();
-        let of_bend = bend / (bend + self.noise.discrepancy_rad.powi(2));
-        let of_internal = (self.noise.sd_encoder_mm / self.sd_internal_mm).powi(2).min(1.0);
-        let known = self.data.len() - self.noise.unknown_start;
-        known as f64 * (2.0 * of_bend + (self.data.backbones() - 2) as f64 * of_internal)
-    }
-
     /// The residuals of one of the parts of q̃ that bend nothing, mm.
     pub fn internal_mm<'r>(&'r self, residuals: &'r [Residual], part: usize) -> impl Iterator<Item = f64> + 'r {
         residuals.iter().zip(&self.samples).map(move |(r, sample)| r[2 + part] * self.sd_internal_mm / sample.weight)
@@ -270,11 +262,6 @@ impl<'a> Problem<'a> {
     /// What turns whitened residuals of the parts that bend nothing at sample k into mm.
     pub fn internal_unit_mm(&self, k: usize) -> f64 {
         self.sd_internal_mm / self.samples[k].weight
-    }
-
-    /// The standard deviation of each part that bends nothing, without a discrepancy, mm.
-    pub fn noise_internal_mm(&self) -> f64 {
-        self.noise.sd_encoder_mm.max(LEAST_SD_INTERNAL_MM)
     }
 
     /// The covariance of the bend at sample k under a noise, rad².

@@ -79,6 +79,25 @@ struct Kind {
     independent: f64,
 }
 
+/// What turns a sample's whitened residual into its components.
+#[derive(Debug, Clone, Copy)]
+struct Units {
+    /// Of the bend, rad.
+    bend: Matrix2<f64>,
+    /// Of each part that bends nothing, mm.
+    internal_mm: f64,
+}
+
+impl Units {
+    /// Component c of a whitened residual.
+    fn component(&self, whitened: &[f64], c: usize) -> f64 {
+        match c {
+            0 | 1 => self.bend[(c, 0)] * whitened[0] + self.bend[(c, 1)] * whitened[1],
+            _ => self.internal_mm * whitened[c],
+        }
+    }
+}
+
 /// The samples that structures are judged on, the same for all.
 #[derive(Debug, Clone)]
 pub struct Judged {
@@ -142,10 +161,10 @@ impl Judged {
         let mut judged = Self { rows, half_range, main_direction, components, units: Vec::new(), kinds: kinds(beside) };
         let (mut left, mut noise) = (vec![0.0; n], vec![0.0; n]);
         for row in &judged.rows {
-            let own = judged.components_of(problem, row.sample, &fit.residuals[row.sample]);
+            let (units, residual) = (judged.units(problem, row.sample), &fit.residuals[row.sample]);
             let variances = judged.noise_variances(problem, row.sample);
             for c in 0..n {
-                left[c] += own[c] * own[c];
+                left[c] += units.component(residual, c).powi(2);
                 noise[c] += variances[c];
             }
         }
@@ -161,12 +180,10 @@ impl Judged {
         self.main_direction.unwrap_or_else(own)
     }
 
-    /// The components of a sample's whitened residual, rad and mm.
-    fn components_of(&self, problem: &Problem, sample: usize, whitened: &Residual) -> Residual {
-        let bend =
-            self.directions(problem, sample) * problem.bend_unit(sample) * Vector2::new(whitened[0], whitened[1]);
-        let internal = problem.internal_unit_mm(sample);
-        Residual::from_fn(whitened.len(), |c| if c < 2 { bend[c] } else { whitened[c] * internal })
+    /// What turns a sample's whitened residual into its components, rad and mm.
+    fn units(&self, problem: &Problem, sample: usize) -> Units {
+        let bend = self.directions(problem, sample) * problem.bend_unit(sample);
+        Units { bend, internal_mm: problem.internal_unit_mm(sample) }
     }
 
     /// The variances of the noise alone of each component of a sample, rad² and mm².
@@ -174,7 +191,7 @@ impl Judged {
         let covariance = problem.bend_covariance(sample, &Noise { discrepancy_rad: 0.0, ..problem.noise });
         let directions = self.directions(problem, sample);
         let bend = (directions * covariance * directions.transpose()).diagonal();
-        let internal = problem.noise_internal_mm().powi(2);
+        let internal = problem.noise.sd_internal_mm().powi(2);
         Residual::from_fn(problem.data.backbones(), |c| if c < 2 { bend[c] } else { internal })
     }
 
@@ -189,15 +206,16 @@ impl Judged {
 
     /// Of a converged fit.
     pub fn of_fit(&self, problem: &Problem, fit: &Fit) -> Option<Density> {
-        self.density(problem, &fit.residuals, &fit.jacobian, &prior_precision(&fit.model))
+        self.density(problem, &fit.residuals, &[&fit.jacobian], &prior_precision(&fit.model))
     }
 
-    /// Of whitened residuals, their derivatives by the parameters, and how precisely these are known beforehand; none where the rows do not determine it.
+    /// Of whitened residuals, their derivatives by the parameters, in blocks of columns, and how precisely these are known beforehand; none where the rows do
+    /// not determine it.
     pub fn density(
         &self,
         problem: &Problem,
         residuals: &[Residual],
-        jacobian: &DMatrix<f64>,
+        jacobian: &[&DMatrix<f64>],
         precision: &DVector<f64>,
     ) -> Option<Density> {
         let mut rows = Rows::new(self, problem, residuals, jacobian)?;

@@ -48,23 +48,21 @@ impl<'a> Rows<'a> {
         judged: &'a Judged,
         problem: &Problem,
         residuals: &[Residual],
-        jacobian: &DMatrix<f64>,
+        jacobian: &[&DMatrix<f64>],
     ) -> Option<Self> {
-        let (n, p) = (problem.data.backbones(), jacobian.ncols());
+        let (n, p) = (problem.data.backbones(), jacobian.iter().map(|block| block.ncols()).sum::<usize>());
         let mut values = vec![DMatrix::zeros(p + 1, judged.rows.len()); judged.components.len()];
         let mut noise = vec![Vec::with_capacity(judged.rows.len()); judged.components.len()];
         for (place, row) in judged.rows.iter().enumerate() {
-            let k = row.sample;
-            for column in 0..=p {
-                let whitened = match column == p {
-                    true => residuals[k],
-                    false => Residual::from_fn(n, |c| jacobian[(n * k + c, column)]),
-                };
-                let own = judged.components_of(problem, k, &whitened);
-                judged.components.iter().zip(&mut values).for_each(|(&c, values)| values[(column, place)] = own[c]);
-            }
+            let (k, units) = (row.sample, judged.units(problem, row.sample));
             let variances = judged.noise_variances(problem, k);
-            judged.components.iter().zip(&mut noise).for_each(|(&c, noise)| noise.push(variances[c]));
+            for ((&c, values), noise) in judged.components.iter().zip(&mut values).zip(&mut noise) {
+                let columns = jacobian.iter().flat_map(|block| block.column_iter());
+                let slopes = columns.map(|column| units.component(&column.as_slice()[n * k..n * (k + 1)], c));
+                let all = slopes.chain([units.component(&residuals[k], c)]);
+                values.column_mut(place).iter_mut().zip(all).for_each(|(value, own)| *value = own);
+                noise.push(variances[c]);
+            }
         }
         values.iter_mut().for_each(clip);
         let is_finite = values.iter().all(|values| values.iter().all(|value| value.is_finite()));
@@ -161,10 +159,11 @@ impl<'a> Rows<'a> {
     pub(super) fn equations(&self, place: usize, kind: Kind) -> Vec<Equations> {
         let values = &self.values[place];
         let mut each = vec![Equations::zero(values.nrows()); STRETCHES];
-        let mut state = DVector::zeros(values.nrows());
+        let (mut state, mut innovation) = (DVector::zeros(values.nrows()), DVector::zeros(values.nrows()));
         for (at, (row, step)) in self.judged.rows.iter().zip(self.filter(place, kind)).enumerate() {
             state *= step.kept;
-            let innovation = values.column(at) - &state;
+            innovation.copy_from(&values.column(at));
+            innovation -= &state;
             state.axpy(step.gain, &innovation, 1.0);
             each[row.stretch].add(&innovation, step.variance);
         }

@@ -69,13 +69,7 @@ impl Structure {
         self.weighed.score()
     }
 
-    /// Whether both have the same effects, each in the same form.
-    fn has_effects_of(&self, other: &Self) -> bool {
-        let own = &self.weighed.effects;
-        own.len() == other.weighed.effects.len() && other.weighed.effects.iter().all(|physics| own.contains(physics))
-    }
-
-    /// Its effects, in the order of their names.
+    /// Its effects, each in its form, in the order of their names.
     pub(super) fn effects(&self) -> Vec<&'static Physics> {
         let mut effects = self.weighed.effects.clone();
         effects.sort_by_key(|physics| (physics.name, physics.form));
@@ -100,7 +94,7 @@ impl Structure {
         if other.is_richer_form_of(self) {
             return other.excess_over(self) <= 0.0;
         }
-        let least = if self.has_effects_of(other) { -OPEN.ln() } else { LEAST_GAIN };
+        let least = if self.effects() == other.effects() { -OPEN.ln() } else { LEAST_GAIN };
         self.score() > other.score() + least
     }
 
@@ -128,18 +122,16 @@ impl Search<'_> {
         let (problem, start, own) =
             (&self.problem, &hypothesis.start, fit.parameter_count()..hypothesis.start.parameter_count());
         let changes_others = self.beside == Beside::Discrepancy && hypothesis.physics.is_hysteresis();
-        let (residuals, jacobian) = if changes_others {
+        let precision = prior_precision(start);
+        let density = if changes_others {
             let prediction = problem.predict(start, Some(&fit.path));
             let jacobian = problem.jacobian(start, &prediction, 0..own.end);
-            (prediction.residuals, jacobian)
+            self.judged.density(problem, &prediction.residuals, &[&jacobian], &precision)?
         } else {
             let (residuals, columns) = problem.near(path, start, own);
-            let mut all = DMatrix::zeros(columns.nrows(), fit.parameter_count() + columns.ncols());
-            all.columns_mut(0, fit.parameter_count()).copy_from(&fit.jacobian);
-            all.columns_mut(fit.parameter_count(), columns.ncols()).copy_from(&columns);
-            (residuals, all)
+            self.judged.density(problem, &residuals, &[&fit.jacobian, &columns], &precision)?
         };
-        Some(self.judged.density(problem, &residuals, &jacobian, &prior_precision(start))?.total())
+        Some(density.total())
     }
 
     /// The structures of models, each fitted from its values and from a path near its own; those whose fits do not converge are left out.
