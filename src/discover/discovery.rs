@@ -85,64 +85,41 @@ pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
         tell(stage);
     };
     let model = with_estimate(model);
-    let few = data.thinned(SEARCHED_FIRST);
-    let mut searched = Searched::new(&model, (data, &few), tell);
-    let (driven, few_driven);
-    let mut about_driven = None;
-    if searched.bends_alone_show_it() {
-        driven = Data { is_driven: true, ..data.clone() };
-        few_driven = driven.thinned(SEARCHED_FIRST);
-        tell("comparing effects of which no reading shows what bends nothing");
-        let other = Searched::new(&model, (&driven, &few_driven), tell);
-        if other.is_likelier_than(&searched) {
-            (searched, about_driven) = (other, Some(DRIVEN.to_owned()));
-        }
-    }
-    let remarks = about_confounded(&confounded(&searched.problem, &searched.before), data);
-    let Searched { judged, found, .. } = &searched;
-    let Judged { verdict, structure_before, held_out_before, answer } = judged.clone();
-    let (verdict, answer, held_out_before, structures) = match verdict {
-        Verdict::Named | Verdict::None => {
-            let named = if verdict == Verdict::Named { found.named.clone() } else { Vec::new() };
-            let between = covariance_between(&found.structures, &answer.model, searched.problem.data);
-            let mut model = answer.model.clone();
-            model.set_covariance(&(model.covariance() + between));
-            (verdict, Answer { model, named, ..answer }, held_out_before, found.structures.clone())
-        }
-        _ => {
-            let (verdict, answer, held_out_before) = partly_answered(&searched, (&model, data), tell);
-            (verdict, answer, held_out_before, Vec::new())
-        }
-    };
+    let driven = Data { is_driven: true, ..data.clone() };
+    let [few, few_driven] = [data, &driven].map(|data| data.thinned(SEARCHED_FIRST));
+    let (searched, is_driven) = Searched::likeliest(&model, [(data, &few), (&driven, &few_driven)], tell);
+    let (Judged { verdict, structure_before, held_out_before: before, answer }, structures) =
+        searched.answered((&model, data), tell);
     info!(verdict = verdict.word(), effects = ?answer.named.iter().map(|named| named.physics.name).collect::<Vec<_>>(), "answered");
     let fitted = with_origin(answer.model, data);
     let remarks = data
         .remarks
         .iter()
         .cloned()
-        .chain(about_driven)
+        .chain(is_driven.then(|| DRIVEN.to_owned()))
         .chain(about_start(&answer.noise, data))
+        .chain(about_correlated_noise(&answer.structure, &answer.held_out.gap, data))
         .chain(about_lag(&fitted, data))
         .chain(undetermined(&fitted))
-        .chain(remarks);
+        .chain(about_confounded(&confounded(&searched.problem, &searched.before), data));
     Discovery {
         verdict,
         named: answer.named,
         noise: answer.noise,
         structures,
-        before: held_out_before.gap,
+        before: before.gap,
         after: answer.held_out.gap,
         noise_floor_mm: searched.problem.noise_floor_mm(),
         structure_after: answer.structure,
         structure_before,
-        residuals_mm: held_out_before.eps_mm.into_iter().zip(answer.held_out.eps_mm).map(|(a, b)| [a, b]).collect(),
+        residuals_mm: before.eps_mm.into_iter().zip(answer.held_out.eps_mm).map(|(a, b)| [a, b]).collect(),
         samples: data.len(),
         remarks: remarks.collect(),
         model: fitted,
     }
 }
 
-/// What the search beside noise says, before a partial answer is thought of.
+/// What a search says.
 #[derive(Clone)]
 struct Judged {
     verdict: Verdict,
@@ -183,6 +160,32 @@ struct Searched<'a> {
 }
 
 impl<'a> Searched<'a> {
+    /// The search of the samples as they are, unless the bends alone show what is missing and the search of the same samples as of actuators that are driven to
+    /// positions is likelier; and whether it is. Both with a part of their samples.
+    fn likeliest(model: &Model, [plain, driven]: [(&'a Data, &'a Data); 2], tell: Tell) -> (Self, bool) {
+        let searched = Self::new(model, plain, tell);
+        if !searched.bends_alone_show_it() {
+            return (searched, false);
+        }
+        tell("comparing effects of which no reading shows what bends nothing");
+        let other = Self::new(model, driven, tell);
+        if other.is_likelier_than(&searched) { (other, true) } else { (searched, false) }
+    }
+
+    /// The answer, with the structures that are left open: what was found, or what helps where that does not account for the gap.
+    fn answered(&self, (given, data): (&Model, &Data), tell: Tell) -> (Judged, Vec<Candidate>) {
+        let mut judged = self.judged.clone();
+        match judged.verdict {
+            Verdict::Named => judged.answer.named.clone_from(&self.found.named),
+            Verdict::None => (),
+            Verdict::Partly | Verdict::Unexplained => return (self.partly_answered((given, data), tell), Vec::new()),
+        }
+        let model = &mut judged.answer.model;
+        let between = covariance_between(&self.found.structures, model, self.problem.data);
+        model.set_covariance(&(model.covariance() + between));
+        (judged, self.found.structures.clone())
+    }
+
     /// Of many samples a part, `few`, is searched, and what was found is fitted to all. All are searched where they show more than that accounts
     /// for, unless the part does so as well, or actuators are said to be driven: that is asked second, and a search of thousands of rows takes a minute.
     fn new(model: &Model, (data, few): (&'a Data, &'a Data), tell: Tell) -> Self {
@@ -234,13 +237,42 @@ impl<'a> Searched<'a> {
         (Self { problem, before, found, judged }, noise)
     }
 
+    /// The answer where the library does not account for the gap: what helps all the same, or nothing.
+    fn partly_answered(&self, (given, data): (&Model, &Data), tell: Tell) -> Judged {
+        tell("looking for effects that help beside others");
+        let anew = self.problem.fit(given, None, None);
+        let searched = Partial::new(&self.problem, [&self.before, &anew]);
+        let mut partial = searched.clone();
+        if self.problem.data.len() < data.len() {
+            tell("fitting what was found to all samples");
+            partial = partial.of(data);
+        }
+        let [before, after] = [&partial.before, &partial.after].map(|fit| HeldOutResiduals::new(&partial.problem, fit));
+        let helps = !partial.named.is_empty() && after.gap.theta_deg < before.gap.theta_deg;
+        let [fit, of_searched] = match helps {
+            true => [&partial.after, &searched.after],
+            false => [&partial.before, &searched.before],
+        };
+        // What the residuals follow is told in units of the noise.
+        let of_searched = self.problem.evaluated(&of_searched.model, Some(&of_searched.path));
+        let answer = Answer {
+            model: partial.model(fit),
+            named: if helps { partial.named.clone() } else { Vec::new() },
+            noise: partial.problem.noise,
+            held_out: if helps { after } else { before.clone() },
+            structure: Structure::new(&self.problem, &of_searched),
+        };
+        let verdict = if helps { Verdict::Partly } else { Verdict::Unexplained };
+        Judged { verdict, held_out_before: before, answer, ..self.judged.clone() }
+    }
+
     /// Whether the bends miss the model as given by more than noise, and the part of the readings that bends nothing does not; and more is left than noise, or
     /// clearly more than the noise that is stated.
     fn bends_alone_show_it(&self) -> bool {
         let (before, after) = (&self.judged.structure_before, &self.judged.answer);
-        let is_left = (0..2).any(|part| after.structure.exceeds_noise(part));
+        let is_left = (0..2).any(|part| after.structure.exceeds_learned(part));
         let is_left = is_left || Noise::stated(self.problem.data).is_finer_than(&after.noise);
-        before.exceeds_noise(0) && !before.exceeds_noise(1) && is_left
+        before.exceeds_learned(0) && !before.exceeds_noise(1) && is_left
     }
 
     /// Whether what it names rules out what another search of the same samples came to.
@@ -275,42 +307,9 @@ impl Answer {
             named: Vec::new(),
             noise: problem.noise,
             held_out: HeldOutResiduals::new(problem, fit),
-            structure: Structure::new(problem.data, fit),
+            structure: Structure::new(problem, fit),
         }
     }
-}
-
-/// The answer where the library does not account for the gap: what helps all the same, or nothing; and the held-out residuals before.
-fn partly_answered(
-    searched: &Searched,
-    (given, data): (&Model, &Data),
-    tell: Tell,
-) -> (Verdict, Answer, HeldOutResiduals) {
-    tell("looking for effects that help beside others");
-    let problem = &searched.problem;
-    let anew = problem.fit(given, None, None);
-    let mut partial = Partial::new(problem, [&searched.before, &anew]);
-    // What the residuals follow is told in units of the noise.
-    let structure = |fit: &Fit| Structure::new(problem.data, &problem.evaluated(&fit.model, Some(&fit.path)));
-    let of_searched = [partial.before.clone(), partial.after.clone()];
-    if problem.data.len() < data.len() {
-        tell("fitting what was found to all samples");
-        partial = partial.of(data);
-    }
-    let before = HeldOutResiduals::new(&partial.problem, &partial.before);
-    let held_out = HeldOutResiduals::new(&partial.problem, &partial.after);
-    let helps = !partial.named.is_empty() && held_out.gap.theta_deg < before.gap.theta_deg;
-    let (verdict, named) =
-        if helps { (Verdict::Partly, partial.named.clone()) } else { (Verdict::Unexplained, Vec::new()) };
-    let fit = if helps { &partial.after } else { &partial.before };
-    let answer = Answer {
-        model: partial.model(fit),
-        named,
-        noise: partial.problem.noise,
-        held_out: if helps { held_out } else { before.clone() },
-        structure: structure(&of_searched[usize::from(helps)]),
-    };
-    (verdict, answer, before)
 }
 
 /// [`discover`] for measurements that come from frames. They share the error of their rig, which is fitted as a nuisance parameter
@@ -370,6 +369,21 @@ fn about_start(noise: &Noise, data: &Data) -> Option<String> {
     ))
 }
 
+/// A bend whose residuals hang together from one sample to the next, and are no larger than the noise that is stated.
+fn about_correlated_noise(structure: &Structure, gap: &Gap, data: &Data) -> Option<String> {
+    if structure.exceeds_noise(0) || !structure.exceeds_learned(0) {
+        return None;
+    }
+    let count = data.len() as f64;
+    let correlation = structure.successive[..2].iter().copied().fold(0.0, f64::max) / count.sqrt();
+    let interval_s = (data.times_s[data.len() - 1] - data.times_s[0]) / (count - 1.0);
+    Some(format!(
+        "what is left of the bend ({:.2}° in θ) is no larger than the noise that is stated, and alike from one sample to the next: a correlation of          {correlation:.2}, with a length of {:.1} s, as of a tracker that filters. No effect follows it, and none need be looked for",
+        gap.theta_deg,
+        interval_s / -correlation.min(1.0 - f64::EPSILON).ln()
+    ))
+}
+
 /// A lag of the camera that the data cannot tell from rows of the log that stand elsewhere: one of whole rows, at even times.
 fn about_lag(model: &Model, data: &Data) -> Option<String> {
     let place = model.effects.iter().position(|effect| matches!(effect.physics.changes, Changes::Exposure(_)))?;
@@ -404,9 +418,10 @@ fn about_confounded(confounded: &[&Physics], data: &Data) -> Option<String> {
 mod tests {
     use super::*;
     use crate::discover::fixture::{SD_ENCODER_MM, experiment, truth};
+    use crate::geometry::Configuration;
     use crate::robot::effects::physics;
     use crate::simulate::Sealed;
-    use nalgebra::DMatrix;
+    use nalgebra::{DMatrix, Rotation2, Vector2};
 
     #[test]
     fn of_actuators_that_are_driven_to_positions_the_bends_alone_name_an_effect() {
@@ -425,6 +440,26 @@ mod tests {
         }
         let found = discover(&Model::default(), &data(&sealed));
         assert_eq!((names(&found), told(&found)), (vec![hidden.name], true));
+    }
+
+    #[test]
+    fn noise_that_hangs_together_is_none_as_long_as_it_is_no_larger_than_stated() {
+        let told = |size: f64| {
+            let mut sealed = Sealed::of_poses(&[], 5, 17, 24).unwrap();
+            let (kept, mut held) = (0.7f64, Vector2::zeros());
+            for (measurement, shown) in sealed.measurements.iter_mut().zip(&sealed.shown) {
+                let (own, truth) = (measurement.measured.as_mut().unwrap(), shown.configuration);
+                let turn = Rotation2::new(truth.delta);
+                let error = turn.inverse() * (own.configuration.bend_vector() - truth.bend_vector());
+                held = held * kept + error * (1.0 - kept * kept).sqrt();
+                own.configuration = Configuration::from_bend_vector(truth.bend_vector() + turn * held * size);
+            }
+            let data = Data::new(&sealed.measurements, &sealed.readings, SD_ENCODER_MM).unwrap();
+            let found = discover(&Model::default(), &data);
+            (found.verdict, found.remarks.iter().any(|remark| remark.contains("alike from one sample to the next")))
+        };
+        assert_eq!(told(1.0), (Verdict::None, true));
+        assert!(!told(3.0).1);
     }
 
     #[test]

@@ -92,16 +92,17 @@ pub fn normal_equations(jacobian: &DMatrix<f64>, residuals: &[Residual]) -> (DMa
     weighted_normal_equations(jacobian, &residuals, &residuals.map(|r| LOSS.weight(r)))
 }
 
-/// The residual of what is known beforehand of η, and its derivative by η over its scale; none where no gain stands beside η.
-fn prior_of_eta(model: &Model) -> Option<(f64, f64)> {
+/// The residual of what is known beforehand of η, and its derivative by η over its scale; 0 where no gain stands beside η.
+fn prior_of_eta(model: &Model) -> (f64, f64) {
     let has_gain = model.effects.iter().any(|effect| effect.physics.name == COMMAND_GAIN);
-    has_gain.then(|| ((model.parameters().x - 1.0) / SD_ETA_BESIDE_GAIN, ETA.typical / SD_ETA_BESIDE_GAIN))
+    let precision = if has_gain { SD_ETA_BESIDE_GAIN.recip() } else { 0.0 };
+    ((model.parameters().x - 1.0) * precision, ETA.typical * precision)
 }
 
 /// How precisely each parameter is known beforehand, in units of its scale.
 pub fn prior_precision(model: &Model) -> DVector<f64> {
     let mut precision = DVector::repeat(model.parameter_count(), LEAST_INFORMATION);
-    precision[0] += prior_of_eta(model).map_or(0.0, |(_, slope)| slope * slope);
+    precision[0] += prior_of_eta(model).1.powi(2);
     precision
 }
 
@@ -144,8 +145,7 @@ impl Problem<'_> {
             least_relative_decrease,
         };
         let x = coordinates.at_values(start.parameter_values().into_iter());
-        let has_prior = prior_of_eta(start).is_some();
-        let weights = weights.map(|weights| if has_prior { weights.push(1.0) } else { weights });
+        let weights = weights.map(|weights| weights.push(1.0));
         let objective = Objective { problem: self, start, guess, coordinates, weights };
         match least_squares::solve(&objective, x, &options) {
             Ok(solution) => {
@@ -153,7 +153,7 @@ impl Problem<'_> {
                 let least_squares::Solution { parameters, evaluation, cost, jacobian, .. } = solution;
                 let evaluation = evaluation.0;
                 let path = evaluation.path();
-                let cost = cost - prior_of_eta(&model).map_or(0.0, |(residual, _)| LOSS.rho(residual));
+                let cost = cost - LOSS.rho(prior_of_eta(&model).0);
                 let mut jacobian = jacobian.rows(0, self.data.residual_count()).into_owned();
                 let slopes = objective.coordinates.slopes(&parameters);
                 jacobian.column_iter_mut().zip(slopes.iter()).for_each(|(mut column, slope)| column /= *slope);
@@ -181,10 +181,7 @@ impl Problem<'_> {
 
     /// The fitted model with its covariance, (JᵗWJ)⁻¹.
     pub fn with_covariance(&self, fit: &Fit) -> Model {
-        match inverse_information(fit) {
-            Some(covariance) => self.with_given_covariance(fit, &covariance),
-            None => fit.model.clone(),
-        }
+        self.with_given_covariance(fit, inverse_information(fit))
     }
 
     /// The fitted model with a covariance that allows for residuals which hang together within sweeps. With too few sweeps for that,
@@ -204,15 +201,13 @@ impl Problem<'_> {
         let clusters = (0..count).map(|row| data.sweeps[row / n]);
         let clustered = clustered_covariance(&jacobian, &residuals, clusters, 1.0);
         let by_sweeps = data.len() as f64 / data.sweep_count() as f64;
-        match clustered.or_else(|| Some(inverse_information(fit)? * by_sweeps)) {
-            Some(covariance) => self.with_given_covariance(fit, &covariance),
-            None => fit.model.clone(),
-        }
+        self.with_given_covariance(fit, clustered.or_else(|| Some(inverse_information(fit)? * by_sweeps)))
     }
 
-    /// With the covariance of the parameters in units of their scales.
-    fn with_given_covariance(&self, fit: &Fit, inverse: &DMatrix<f64>) -> Model {
+    /// With the covariance of the parameters in units of their scales, if there is one.
+    fn with_given_covariance(&self, fit: &Fit, inverse: Option<DMatrix<f64>>) -> Model {
         let mut model = fit.model.clone();
+        let Some(inverse) = inverse else { return model };
         let specs = model.parameter_specs();
         if let Some(estimate) = &mut model.estimate {
             estimate.samples = self.data.len();
@@ -285,21 +280,17 @@ impl Objective<'_> {
 }
 
 impl least_squares::Problem for Objective<'_> {
-    /// What the model predicts, and the residual of what is known beforehand.
-    type Evaluation = (Prediction, Option<f64>);
+    /// What the model predicts, and the residual of what is known beforehand, which is the last.
+    type Evaluation = (Prediction, f64);
 
     fn evaluate(&self, x: &DVector<f64>, near: Option<&Self::Evaluation>) -> Option<Self::Evaluation> {
         let (model, path) = (self.model(x), near.map(|near| near.0.path()));
         let prediction = self.problem.predict(&model, path.as_deref().or(self.guess));
-        Some((prediction, prior_of_eta(&model).map(|(residual, _)| residual)))
+        Some((prediction, prior_of_eta(&model).0))
     }
 
     fn residuals(&self, (prediction, prior): &Self::Evaluation) -> DVector<f64> {
-        let own = stacked(&prediction.residuals);
-        match prior {
-            Some(prior) => own.push(*prior),
-            None => own,
-        }
+        stacked(&prediction.residuals).push(*prior)
     }
 
     fn jacobian(&self, x: &DVector<f64>, (prediction, _): &Self::Evaluation) -> DMatrix<f64> {
@@ -307,10 +298,9 @@ impl least_squares::Problem for Objective<'_> {
         let mut own = self.problem.jacobian(&model, prediction, 0..x.len());
         let slopes = self.coordinates.slopes(x);
         own.column_iter_mut().zip(slopes.iter()).for_each(|(mut column, slope)| column *= *slope);
-        let Some((_, slope)) = prior_of_eta(&model) else { return own };
         let rows = own.nrows();
         let mut all = own.insert_row(rows, 0.0);
-        all[(rows, 0)] = slope;
+        all[(rows, 0)] = prior_of_eta(&model).1;
         all
     }
 

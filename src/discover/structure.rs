@@ -3,17 +3,21 @@
 //! Whitened residuals of a model that lacks nothing are independent and of unit variance. Three statistics are compared with
 //! their null distribution: the mean square, the correlation of successive samples, and the share that families of functions of
 //! bend, motion and time explain. A mean square above noise alone may come from sigmas that are stated too small, so something is
-//! only said to be missing where the residuals have an order as well.
+//! only said to be missing where the residuals have an order as well. Noise is learned from what changes from one sample to the next, and the noise of a
+//! tracker that filters does not: residuals that are no larger than the noise that is stated are that noise, whatever their order.
 
 use super::data::Data;
 use super::fit::Fit;
-use super::residuals::{Residual, stacked};
+use super::noise::Noise;
+use super::residuals::{Problem, Residual, stacked};
 use crate::robot::{Mechanics, PerBackbone};
+use crate::statistics::chi_square;
+use crate::statistics::correlation::autoregressive_design_effect;
 use crate::statistics::null_distribution::NullDistribution;
-use nalgebra::{DMatrix, Vector2};
+use nalgebra::{DMatrix, DVector, DVectorView, Vector2};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
-use rand_distr::StandardNormal;
+use rand_distr::{ChiSquared, StandardNormal};
 
 /// Residuals count as this many standard deviations at most, so that a few samples far out make no structure.
 ///
@@ -29,11 +33,6 @@ const LEVEL: f64 = 0.01;
 ///
 /// Derived: ten of them lie beyond the quantile at half of [`LEVEL`].
 const DRAWS: usize = 2000;
-
-/// The most samples of a draw. The statistics' null distributions hardly depend on their number.
-///
-/// Convention: a bound on computing time.
-const MOST_SAMPLES: usize = 320;
 
 /// Columns shorter than this share of their length after orthogonalisation depend on the others.
 ///
@@ -65,6 +64,8 @@ pub struct Structure {
     /// How much of the residuals each family of functions explains beyond what it would of noise, in standard errors; the largest
     /// first.
     pub follows: Vec<(&'static str, f64)>,
+    /// Whether the bend, and what bends nothing, are no larger than the noise that is stated.
+    pub is_as_stated: [bool; 2],
     /// What noise alone reaches.
     pub noise: NoiseQuantiles,
 }
@@ -83,12 +84,13 @@ pub struct NoiseQuantiles {
 
 impl Structure {
     /// Of a fit's residuals.
-    pub fn new(data: &Data, fit: &Fit) -> Self {
+    pub fn new(problem: &Problem, fit: &Fit) -> Self {
+        let data = problem.data;
         let clipped: Vec<Residual> =
             fit.residuals.iter().map(|r| r.map(|r| r.clamp(-MOST_SIGMAS, MOST_SIGMAS))).collect();
         let n = data.backbones();
         let clipped = DMatrix::from_row_slice(data.len(), n, stacked(&clipped).as_slice());
-        let families = families(data, fit, 1);
+        let families = families(data, fit);
         let mut follows: Vec<(&'static str, f64)> =
             families.iter().map(|family| (family.name, family.explained(&clipped))).collect();
         follows.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -102,12 +104,18 @@ impl Structure {
             mean_square: [mean_square(0, BEND), mean_square(BEND, n - BEND)],
             successive: clipped.column_iter().map(|r| successive(r.iter().copied())).collect(),
             follows,
-            noise: NoiseQuantiles::new(data, fit),
+            is_as_stated: is_as_stated(problem, fit),
+            noise: NoiseQuantiles::new(data, &families),
         }
     }
 
-    /// Whether a part (0 the bend, 1 what bends nothing) is more than noise: larger, and with an order.
+    /// Whether a part (0 the bend, 1 what bends nothing) is more than noise: than the one that was learned, and the one that is stated.
     pub fn exceeds_noise(&self, part: usize) -> bool {
+        !self.is_as_stated[part] && self.exceeds_learned(part)
+    }
+
+    /// Whether a part is more than the noise that was learned: larger, and with an order.
+    pub fn exceeds_learned(&self, part: usize) -> bool {
         let own = if part == 0 { &self.successive[..BEND] } else { &self.successive[BEND..] };
         let largest = own.iter().fold(0.0f64, |most, correlation| most.max(correlation.abs()));
         let follows = self.follows.first().map_or(0.0, |(_, explained)| *explained);
@@ -121,41 +129,63 @@ impl Structure {
     }
 }
 
+/// Whether the bend, and what bends nothing, are no larger than a stated noise that is as alike from one sample to the next as they are.
+fn is_as_stated(problem: &Problem, fit: &Fit) -> [bool; 2] {
+    let (data, stated) = (problem.data, Noise::stated(problem.data));
+    let residuals = data.residual_count();
+    let freedom = residuals as f64 / (residuals - fit.parameter_count().min(residuals - 1)) as f64;
+    let is_as_large = |columns: &[Vec<f64>]| {
+        let known = columns.iter().map(|column| &column[problem.noise.unknown_start..]);
+        let clipped: Vec<Vec<f64>> =
+            known.map(|column| column.iter().map(|r| r.clamp(-MOST_SIGMAS, MOST_SIGMAS)).collect()).collect();
+        let count = clipped.iter().map(Vec::len).sum::<usize>() as f64;
+        let squares: f64 = clipped.iter().flatten().map(|r| r * r).sum();
+        let products: f64 = clipped.iter().flat_map(|column| column.windows(2)).map(|pair| pair[0] * pair[1]).sum();
+        // The squares of a first-order autoregression are one of the correlation's square.
+        let independent = count / autoregressive_design_effect((products / squares).powi(2));
+        squares / count * freedom <= mean_square_quantile(independent)
+    };
+    let internal = |part: usize| problem.internal_mm(&fit.residuals, part).map(|mm| mm / stated.sd_internal_mm());
+    let internal: Vec<Vec<f64>> = (0..data.backbones() - BEND).map(|part| internal(part).collect()).collect();
+    [is_as_large(&problem.bend_whitened_by(&stated, &fit.residuals)), is_as_large(&internal)]
+}
+
 impl NoiseQuantiles {
-    /// Simulated on the functions of the families. What the fit takes of noise is left in it, which makes the quantiles larger by
-    /// a little.
-    fn new(data: &Data, fit: &Fit) -> Self {
-        let stride = data.len().div_ceil(MOST_SAMPLES);
-        let families = families(data, fit, stride);
-        let (samples, n) = (data.len().div_ceil(stride), data.backbones());
+    /// The largest of what the families explain is simulated within the span of their functions, since nothing else of noise is explained. What the fit takes of
+    /// noise is left in it, which makes the quantiles larger by a little. The correlation of successive values of noise is normal, of unit variance.
+    fn new(data: &Data, families: &[Family]) -> Self {
+        let (samples, n) = (data.len(), data.backbones());
+        let bases: Vec<_> = families.iter().flat_map(|family| family.basis.column_iter()).collect();
+        let bases = DMatrix::from_columns(&bases);
+        let span = orthonormal(&bases, &(&bases * 0.0), 0.0);
+        let within: Vec<DMatrix<f64>> = families.iter().map(|family| family.basis.tr_mul(&span)).collect();
+        let beyond = ChiSquared::new(samples.saturating_sub(span.ncols()).max(1) as f64);
         let mut random = StdRng::seed_from_u64(3);
-        let [mut bend, mut internal, mut explained] = [const { Vec::new() }; 3];
-        for _ in 0..DRAWS {
-            let noise = DMatrix::from_fn(samples, n, |_, _| random.sample::<f64, _>(StandardNormal));
-            let largest = |first: usize, count: usize| {
-                let columns = noise.columns(first, count);
-                columns.column_iter().map(|r| successive(r.iter().copied()).abs()).fold(0.0, f64::max)
-            };
-            bend.push(largest(0, BEND));
-            internal.push(largest(BEND, n - BEND));
-            explained.push(families.iter().map(|family| family.explained(&noise)).fold(0.0, f64::max));
-        }
-        let quantile = |draws: Vec<f64>| NullDistribution::new(draws).quantile(1.0 - LEVEL / 2.0);
-        let mean_square = |count: usize| mean_square_quantile((count * data.len()) as f64);
+        let mut explained = || {
+            let noise = DVector::from_fn(span.ncols(), |_, _| random.sample::<f64, _>(StandardNormal));
+            let all = noise.norm_squared() + beyond.as_ref().map_or(0.0, |beyond| random.sample(beyond));
+            within.iter().map(|own| in_standard_errors(&(own * &noise), all, samples)).fold(0.0, f64::max)
+        };
+        let mut random = StdRng::seed_from_u64(4);
+        let mut successive = || random.sample::<f64, _>(StandardNormal).abs();
+        let mean_square = |count: usize| mean_square_quantile((count * samples) as f64);
         Self {
             mean_square: [mean_square(BEND), mean_square(n - BEND)],
-            successive: [quantile(bend), quantile(internal)],
-            follows: quantile(explained),
+            successive: [BEND, n - BEND].map(|count| quantile_of_largest(count, &mut successive)),
+            follows: quantile_of_largest(n, &mut explained),
         }
     }
 }
 
+/// What the largest of so many draws exceeds in half of [`LEVEL`] of all cases.
+fn quantile_of_largest(count: usize, draw: &mut dyn FnMut() -> f64) -> f64 {
+    let largest = (0..DRAWS).map(|_| (0..count).map(|_| draw()).fold(0.0, f64::max)).collect();
+    NullDistribution::new(largest).quantile(1.0 - LEVEL / 2.0)
+}
+
 /// The quantile of χ²_f / f at 1 − [`LEVEL`].
-///
-/// Source: Wilson and Hilferty 1931, The distribution of chi-square, Proc. Natl. Acad. Sci. 17:684.
 pub fn mean_square_quantile(freedom: f64) -> f64 {
-    let variance = 2.0 / (9.0 * freedom);
-    (1.0 - variance + NORMAL_QUANTILE * variance.sqrt()).powi(3)
+    chi_square::quantile(freedom, NORMAL_QUANTILE) / freedom
 }
 
 /// The correlation of successive values in standard errors, √n times the lag-one autocorrelation about zero.
@@ -183,28 +213,30 @@ impl Family {
         };
         let values = of(rows);
         let noise = of(noisier) - &values;
-        Self { name, basis: orthonormal(values, noise, samples as f64) }
+        Self { name, basis: orthonormal(&values, &noise, samples as f64) }
     }
 
-    /// How much of the residuals it explains, in standard errors of what it would explain of noise, in the component of which it
-    /// explains most: (χ² − f) / √(2 f) for f functions.
+    /// How much of the residuals it explains, in the component of which it explains most.
     fn explained(&self, residuals: &DMatrix<f64>) -> f64 {
-        let projections = self.basis.tr_mul(residuals);
-        let freedom = self.basis.ncols() as f64;
-        let of_component = |c: usize| {
-            let squares = projections.column(c).norm_squared();
-            let variance = (residuals.column(c).norm_squared() - squares) / residuals.nrows() as f64;
-            (squares / variance.max(LEAST_VARIANCE) - freedom) / (2.0 * freedom).sqrt()
-        };
-        (0..residuals.ncols()).map(of_component).fold(0.0, f64::max)
+        let of_component =
+            |own: DVectorView<f64>| in_standard_errors(&self.basis.tr_mul(&own), own.norm_squared(), residuals.nrows());
+        residuals.column_iter().map(of_component).fold(0.0, f64::max)
     }
+}
+
+/// What projections on f functions explain of the squares of so many samples, in standard errors of what they would explain of noise:
+/// (χ² − f) / √(2 f).
+fn in_standard_errors(projections: &DVector<f64>, all: f64, samples: usize) -> f64 {
+    let (squares, freedom) = (projections.norm_squared(), projections.len() as f64);
+    let variance = (all - squares) / samples as f64;
+    (squares / variance.max(LEAST_VARIANCE) - freedom) / (2.0 * freedom).sqrt()
 }
 
 /// An orthonormal basis of columns; those that depend on columns before them are left out, and those of which nothing but the readings' `noise` is new.
 /// That noise is in the residuals too, which would seem to follow it: with a share f of noise in a column, n residuals follow it by up to n f, where
 /// chance makes 1.
-fn orthonormal(columns: DMatrix<f64>, noise: DMatrix<f64>, samples: f64) -> DMatrix<f64> {
-    let mut basis: Vec<[nalgebra::DVector<f64>; 2]> = Vec::new();
+fn orthonormal(columns: &DMatrix<f64>, noise: &DMatrix<f64>, samples: f64) -> DMatrix<f64> {
+    let mut basis: Vec<[DVector<f64>; 2]> = Vec::new();
     for (column, noise) in columns.column_iter().zip(noise.column_iter()) {
         let (mut own, mut own_noise) = (column.into_owned(), noise.into_owned());
         // Twice, since one pass of Gram and Schmidt loses digits.
@@ -227,8 +259,8 @@ fn orthonormal(columns: DMatrix<f64>, noise: DMatrix<f64>, samples: f64) -> DMat
     DMatrix::from_columns(&basis.into_iter().map(|[own, _]| own).collect::<Vec<_>>())
 }
 
-/// The families, evaluated at every so many samples of a fit.
-fn families(data: &Data, fit: &Fit, stride: usize) -> Vec<Family> {
+/// The families at the samples of a fit.
+fn families(data: &Data, fit: &Fit) -> Vec<Family> {
     let mut random = StdRng::seed_from_u64(5);
     let mut noise = || data.sd_encoder_mm * random.sample::<f64, _>(StandardNormal);
     let log = &data.log;
@@ -238,7 +270,7 @@ fn families(data: &Data, fit: &Fit, stride: usize) -> Vec<Family> {
     let noisier = mechanics.solve_path(&log.times_s, &noisier_mm, Some(&fit.path), None);
     let noisier: Vec<Vector2<f64>> = noisier.iter().map(|point| point.solution.bend).collect();
     let [own, noisier] = [(&q_mm[..], &fit.path[..]), (&noisier_mm[..], &noisier[..])]
-        .map(|(q_mm, path)| functions(data, &mechanics, (q_mm, path), stride));
+        .map(|(q_mm, path)| functions(data, &mechanics, (q_mm, path)));
     let each = own.into_iter().zip(noisier);
     each.map(|((name, rows), (_, noisier))| {
         // Noise turns no direction: one that it might turn is held.
@@ -251,12 +283,11 @@ fn families(data: &Data, fit: &Fit, stride: usize) -> Vec<Family> {
 /// The name of the family that follows the direction of each backbone's motion.
 const DIRECTION: &str = "the direction of motion";
 
-/// The values of each family's functions at every so many samples, from readings (mm) and the bends that they lead to (rad).
+/// The values of each family's functions at every sample, from readings (mm) and the bends that they lead to (rad).
 fn functions(
     data: &Data,
     mechanics: &Mechanics,
     (q_mm, path): (&[PerBackbone], &[Vector2<f64>]),
-    stride: usize,
 ) -> Vec<(&'static str, Vec<Vec<f64>>)> {
     let log = &data.log;
     let list = |of: &PerBackbone| of.iter().copied().collect::<Vec<f64>>();
@@ -280,7 +311,7 @@ fn functions(
     };
     let q_tilde = |k: usize| q_mm[log.samples[k]].iter().flat_map(|q| [q.powi(2), q.powi(3)]).collect();
     let family = |name: &'static str, functions: &dyn Fn(usize) -> Vec<f64>| {
-        (name, (0..data.len()).step_by(stride).map(functions).collect::<Vec<_>>())
+        (name, (0..data.len()).map(functions).collect::<Vec<_>>())
     };
     vec![
         family("the bend θ", &theta),

@@ -37,10 +37,11 @@ impl Verdict {
     }
 
     /// From whether the search found effects, and the structure of the residuals before and after; whether the answer is a partial one
-    /// is another question.
+    /// is another question. Effects are to account for all but the noise that was learned; without any, a gap that is no larger than the noise that is stated
+    /// is none.
     pub fn new(found_effects: bool, before: &Structure, after: &Structure) -> Self {
         let accounts_for =
-            |part: usize| !after.exceeds_noise(part) || after.excess(part) < LEFT_BY_FORM * before.excess(part);
+            |part: usize| !after.exceeds_learned(part) || after.excess(part) < LEFT_BY_FORM * before.excess(part);
         let parts = [0, 1];
         match found_effects {
             true if parts.into_iter().all(accounts_for) => Self::Named,
@@ -59,7 +60,7 @@ mod tests {
     fn structure(mean_square: [f64; 2], has_order: bool) -> Structure {
         let noise = NoiseQuantiles { mean_square: [1.1, 1.2], successive: [3.0, 2.8], follows: 5.0 };
         let successive = vec![if has_order { 3.5 } else { 1.0 }; 3];
-        Structure { mean_square, successive, follows: vec![("time", 2.0)], noise }
+        Structure { mean_square, successive, follows: vec![("time", 2.0)], is_as_stated: [false; 2], noise }
     }
 
     #[test]
@@ -71,6 +72,9 @@ mod tests {
             // Sigmas that are stated too small: large, and without an order.
             (false, structure([3.0, 3.0], false), Verdict::None),
             (false, gap.clone(), Verdict::Unexplained),
+            // As large as the noise that is stated, which hangs together from one sample to the next.
+            (false, Structure { is_as_stated: [true; 2], ..structure([1.8, 1.0], true) }, Verdict::None),
+            (false, Structure { is_as_stated: [true, false], ..gap.clone() }, Verdict::Unexplained),
             (true, noise, Verdict::Named),
             // The form of the effect leaves (1.5 − 1) / (20 − 1) = 2.6 % of the bend's gap, or (2 − 1) / 19 = 5.3 %.
             (true, structure([1.5, 1.0], true), Verdict::Named),

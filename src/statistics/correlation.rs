@@ -21,7 +21,7 @@ use nalgebra::SVector;
 const MOST_AUTOCORRELATION: f64 = 0.9;
 
 /// The design effect of a first-order autoregression of correlation ρ, with ρ between 0 and 0.9.
-fn autoregressive_design_effect(rho: f64) -> f64 {
+pub fn autoregressive_design_effect(rho: f64) -> f64 {
     let rho = rho.clamp(0.0, MOST_AUTOCORRELATION);
     (1.0 + rho) / (1.0 - rho)
 }
@@ -142,6 +142,18 @@ mod tests {
         let ratio = squares / f64::from(draws) * count as f64 / autoregressive_design_effect(rho);
         // 3000 squares scatter by 2.6 %, and 400 is not infinity by 0.5 %.
         assert!((ratio - 1.0).abs() < 0.09, "{ratio}");
+    }
+
+    #[test]
+    fn the_variance_of_a_mean_square_grows_by_the_design_effect_of_the_correlations_square() {
+        let mut random = StdRng::seed_from_u64(4);
+        let (rho, count) = (0.6f64, 200);
+        let squares = |series: Vec<f64>| mean(series.iter().map(|e| e * e));
+        let all: Vec<f64> = (0..2000).map(|_| squares(autoregression(rho, count, &mut random))).collect();
+        let middle = mean(all.iter().copied());
+        let variance = mean(all.iter().map(|own| (own / middle - 1.0).powi(2)));
+        let expected = 2.0 / count as f64 * autoregressive_design_effect(rho.powi(2));
+        assert!((variance / expected - 1.0).abs() < 0.15, "{variance} {expected}");
     }
 
     #[test]

@@ -193,7 +193,7 @@ impl Health {
 
 /// Whether the sum of so many squares is no larger than what counts as noise allows.
 fn is_noise(left: f64, numbers: usize) -> bool {
-    left < MEAN_SQUARE_OF_NOISE * chi_square::quantile(numbers, NORMAL_QUANTILE)
+    left < MEAN_SQUARE_OF_NOISE * chi_square::quantile(numbers as f64, NORMAL_QUANTILE)
 }
 
 /// Whether the second likeliest cause leaves far more of so many squares: twice the logarithm of the likelihood ratio where the noise's size is not

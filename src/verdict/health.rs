@@ -263,7 +263,7 @@ fn above_noise(squares: &[f64], numbers: usize) -> Option<f64> {
     let nominal = numbers as f64 * TRIMMED_MEAN_SQUARE[2 - numbers];
     let most = MEAN_SQUARE_OF_NOISE
         * TRIMMED_MEAN_SQUARE[2 - numbers]
-        * chi_square::quantile(numbers * squares.len(), NORMAL_QUANTILE);
+        * chi_square::quantile((numbers * squares.len()) as f64, NORMAL_QUANTILE);
     let times = (mean(squares.iter().copied()) / nominal).sqrt();
     (!squares.is_empty() && squares.iter().sum::<f64>() > most).then_some(times)
 }
