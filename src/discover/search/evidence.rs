@@ -7,6 +7,7 @@ use crate::discover::posterior::Candidate;
 use crate::discover::predictive_density::Beside;
 use crate::discover::structure_weights::{RESAMPLES, Weighed, weights};
 use crate::robot::Physics;
+use std::collections::BTreeMap;
 
 /// What speaks for an effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -49,31 +50,30 @@ impl Search<'_> {
         let simpler = self.problem.fit(&best.fit.model.without_effect(k), Some(&best.fit.path), None);
         let simpler = self.structure(simpler).unwrap_or_else(|| bare.clone());
         let removed = simpler.squares - best.squares;
-        let weights = weights(&self.weighed());
-        let probability = |holds: &dyn Fn(&Weighed) -> bool| {
-            let own = self.scored.iter().zip(&weights).filter(|(own, _)| holds(&own.weighed));
-            own.map(|(_, weight)| weight).sum::<f64>()
-        };
-        let mut alike: Vec<&'static str> = Vec::new();
-        let mut alternatives: Vec<(&'static str, f64)> = Vec::new();
-        let in_its_place = |of: &Weighed, other: &str| of.has(other) && !of.has(physics.name);
-        for other in
-            self.scored.iter().filter(|other| !other.weighed.has(physics.name)).flat_map(|o| &o.weighed.effects)
-        {
-            if has(&best.fit.model, other.name) || alternatives.iter().any(|(name, _)| *name == other.name) {
-                continue;
-            }
-            let others = self.scored.iter().filter(|own| in_its_place(&own.weighed, other.name));
-            let score = others.map(Structure::score).fold(f64::NEG_INFINITY, f64::max);
-            alternatives.push((other.name, 2.0 * (best.score() - score)));
-            let may_be = self.beside == Beside::Noise || physics.is_hysteresis() && other.is_hysteresis();
-            if may_be && score > best.score() + OPEN.ln() {
-                alike.push(other.name);
+        // The best score with each other effect in its place.
+        let mut rivals: BTreeMap<&'static str, (&'static Physics, f64)> = BTreeMap::new();
+        for own in self.scored.iter().filter(|own| !own.weighed.has(physics.name)) {
+            for other in own.weighed.effects.iter().filter(|other| !has(&best.fit.model, other.name)) {
+                let (_, score) = rivals.entry(other.name).or_insert((other, f64::NEG_INFINITY));
+                *score = score.max(own.score());
             }
         }
+        let is_alike = |(other, score): &&(&'static Physics, f64)| {
+            let may_be = self.beside == Beside::Noise || physics.is_hysteresis() && other.is_hysteresis();
+            may_be && *score > best.score() + OPEN.ln()
+        };
+        let alike: Vec<&'static str> = rivals.values().filter(is_alike).map(|(other, _)| other.name).collect();
+        let worse = |(name, (_, score)): (&&'static str, &(_, f64))| (*name, 2.0 * (best.score() - score));
+        let mut alternatives: Vec<(&'static str, f64)> = rivals.iter().map(worse).collect();
         alternatives.sort_by(|a, b| a.1.total_cmp(&b.1));
         let of_one_loop = |own: &Weighed| self.beside == Beside::Discrepancy && alike.iter().any(|name| own.has(name));
-        let inclusion = probability(&|own| own.has(physics.name) || of_one_loop(own));
+        let weights = weights(&self.weighed());
+        let with_it = self
+            .scored
+            .iter()
+            .zip(&weights)
+            .filter(|(own, _)| own.weighed.has(physics.name) || of_one_loop(&own.weighed));
+        let inclusion = with_it.map(|(_, weight)| weight).sum();
         Named {
             physics,
             evidence: Evidence {

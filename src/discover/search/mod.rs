@@ -16,11 +16,12 @@ pub use evidence::{Evidence, Named};
 
 use super::fit::Fit;
 use super::hypotheses::{Hypothesis, has, hypotheses};
+use super::noise::Noise;
 use super::posterior::Candidate;
 use super::predictive_density::{Beside, Judged};
 use super::residuals::Problem;
 use super::structure::mean_square_quantile;
-use crate::robot::effects::{COMMAND_GAIN, Changes, Effect, REST_BEND, physics};
+use crate::robot::effects::{COMMAND_GAIN, Effect, REST_BEND, physics};
 use crate::robot::{Model, Physics};
 use nalgebra::Vector2;
 use rayon::prelude::*;
@@ -47,10 +48,10 @@ const HOPELESS: f64 = 30.0;
 /// Convention: a bound on computing time.
 const FITTED: usize = 8;
 
-/// Fits of one form from different starts among them.
+/// Fits of one form from different starts among them, and of one effect in all its forms.
 ///
-/// Convention: a bound on computing time.
-const FITTED_PER_FORM: usize = 2;
+/// Convention: a bound on computing time; half of them are of other effects.
+const FITTED_OF_ONE: [usize; 2] = [2, FITTED / 2];
 
 /// Beside a discrepancy an effect takes at least this share of the gap beyond noise away, on stretches that it was not fitted to.
 ///
@@ -107,22 +108,11 @@ struct Search<'a> {
     /// Every structure that was fitted to convergence.
     scored: Vec<Structure>,
     /// What one effect more brought to the structures that were gone on from.
-    gone_on_from: Vec<GoneOn>,
+    gone_on_from: Vec<(GoneOnFrom, Vec<Structure>)>,
 }
 
-/// What one effect more brought to a structure.
-struct GoneOn {
-    /// The structure's effects, and which were admitted.
-    from: (Vec<&'static Physics>, Admits),
-    to: Vec<Structure>,
-}
-
-/// Which effects are admitted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Admits {
-    All,
-    Hystereses,
-}
+/// The effects of a structure, whether only hystereses were admitted beside them, and under which noise.
+type GoneOnFrom = (Vec<&'static Physics>, bool, Noise);
 
 impl<'a> Search<'a> {
     fn found(mut self) -> Found<'a> {
@@ -141,8 +131,7 @@ impl<'a> Search<'a> {
             Beside::Noise => {
                 let best = self.best_of_beam(&bare);
                 let is_hopeless = best.squares > HOPELESS * self.judged.noise_squares(&self.problem);
-                let best = if is_hopeless { best } else { self.settled(best) };
-                self.with_what_is_likelier_than_a_lag(best)
+                if is_hopeless { best } else { self.settled(best) }
             }
             Beside::Discrepancy => {
                 let framed = self.with_frame().unwrap_or_else(|| bare.clone());
@@ -154,6 +143,9 @@ impl<'a> Search<'a> {
             best = bare.clone();
         } else {
             best = self.under_one_noise(best);
+            if self.beside == Beside::Noise {
+                best = self.with_what_is_likelier(best);
+            }
         }
         let named = (self.given()..best.fit.model.effects.len()).map(|k| self.describe(&best, &bare, k)).collect();
         let squares = [bare.squares, best.squares, self.judged.noise_squares(&self.problem)];
@@ -166,16 +158,15 @@ impl<'a> Search<'a> {
     fn best_of_beam(&mut self, bare: &Structure) -> Structure {
         let problem = self.problem.clone();
         let (mut best, mut under) = (bare.clone(), problem.clone());
-        for first in self.with_one_more(bare, &bare.fit, Admits::All).into_iter().take(BEAM_WIDTH) {
+        for first in self.with_one_more(bare, &bare.fit, false).into_iter().take(BEAM_WIDTH) {
             self.problem = problem.clone();
             let first = self.under_its_own_discrepancy(first);
             let grown = self.grown(first);
             if grown.score() > best.score() {
                 (best, under) = (grown, self.problem.clone());
             }
-            if best.squares
-                < self.judged.noise_squares(&under) * mean_square_quantile(self.problem.data.residual_count() as f64)
-            {
+            let noise = self.judged.noise_squares(&under);
+            if best.squares < noise * mean_square_quantile(self.problem.data.residual_count() as f64) {
                 break;
             }
         }
@@ -186,7 +177,9 @@ impl<'a> Search<'a> {
     /// A structure with what is asked for beside it.
     fn grown(&mut self, mut best: Structure) -> Structure {
         while best.fit.model.effects.len() < self.given() + MOST_EFFECTS[self.beside as usize] {
-            let Some(better) = self.with_one_more(&best, &best.fit, Admits::All).into_iter().next() else { break };
+            let Some(better) = self.with_one_more(&best, &best.fit, false).into_iter().next() else {
+                break;
+            };
             best = self.under_its_own_discrepancy(better);
         }
         best
@@ -224,84 +217,53 @@ impl<'a> Search<'a> {
             }
             let other = others.iter().filter_map(|without| self.exchanged(&best, without));
             let other = other.max_by(|a, b| a.score().total_cmp(&b.score()));
-            match other.filter(|other| other.takes_the_place_of(&best)) {
-                Some(other) => best = self.under_its_own_discrepancy(other),
-                None => match self.with_one_for_two(&best, &others) {
-                    Some(other) => best = self.under_its_own_discrepancy(other),
-                    None => break,
-                },
-            }
+            let Some(other) = other.filter(|other| other.takes_the_place_of(&best)) else { break };
+            best = self.under_its_own_discrepancy(other);
         }
         best
-    }
-
-    /// The best with one effect in the place of two, where these are not asked for beside it: what is nearly the right effect is put right by another.
-    /// Beside noise alone; `others` lack one effect each.
-    fn with_one_for_two(&mut self, best: &Structure, others: &[Structure]) -> Option<Structure> {
-        let least = self.given() + 3;
-        if self.beside == Beside::Discrepancy || best.fit.model.effects.len() < least {
-            return None;
-        }
-        let mut models: Vec<Model> = Vec::new();
-        for without in others {
-            let effects = self.given()..without.fit.model.effects.len();
-            models.extend(effects.map(|k| without.fit.model.without_effect(k)));
-        }
-        let name = |model: &Model| model.effects.iter().map(|effect| effect.physics.name).collect::<Vec<_>>();
-        models.sort_by_key(name);
-        models.dedup_by_key(|model| name(model));
-        let starts = models.into_iter().map(|model| (model, best.fit.path.clone())).collect();
-        let simplest = self.structures(starts);
-        let with_one: Vec<Structure> = simplest
-            .iter()
-            .filter_map(|simple| self.with_one_more(simple, &simple.fit, Admits::All).into_iter().next())
-            .collect();
-        let one = with_one.into_iter().max_by(|a, b| a.score().total_cmp(&b.score()))?;
-        (!self.asks_for(best, &one)).then_some(one)
     }
 
     /// The best with another effect in the place of the one that `without` lacks of `best`: with any beside noise, and beside a discrepancy with a hysteresis
     /// in the place of a hysteresis. The fits begin with the other effects as they are in `best`: without the one, they may have gone far.
     fn exchanged(&mut self, best: &Structure, without: &Structure) -> Option<Structure> {
         let has_hysteresis = |of: &Structure| of.fit.model.effects.iter().any(|e| e.physics.is_hysteresis());
-        let admits = match self.beside {
-            Beside::Noise => Admits::All,
-            Beside::Discrepancy if has_hysteresis(best) && !has_hysteresis(without) => Admits::Hystereses,
-            Beside::Discrepancy => return None,
-        };
+        let hystereses_alone = self.beside == Beside::Discrepancy;
+        if hystereses_alone && !(has_hysteresis(best) && !has_hysteresis(without)) {
+            return None;
+        }
         let is_lacking = |&k: &usize| !without.weighed.has(best.fit.model.effects[k].physics.name);
         let lacking = (self.given()..best.fit.model.effects.len()).find(is_lacking)?;
         let from = self.problem.evaluated(&best.fit.model.without_effect(lacking), Some(&best.fit.path));
-        self.with_one_more(without, &from, admits).into_iter().next()
+        self.with_one_more(without, &from, hystereses_alone).into_iter().next()
     }
 
-    /// Play or friction in the place of a clock's lag, where the data do not rule it out.
-    fn with_what_is_likelier_than_a_lag(&mut self, best: Structure) -> Structure {
-        let yields_to = |effect: &Effect| match effect.physics.changes {
-            Changes::Exposure(_) => effect.physics.yields_to,
-            _ => &[],
+    /// With what physics makes likelier in the place of an effect, where the data do not rule it out.
+    fn with_what_is_likelier(&self, mut best: Structure) -> Structure {
+        let more = |one: &Structure, other: &Structure| {
+            let mut more = one.weighed.effects.iter().filter(|physics| !other.weighed.has(physics.name)).copied();
+            more.next().filter(|_| more.next().is_none())
         };
-        let effects = &best.fit.model.effects;
-        let lag = effects.iter().skip(self.given()).find(|effect| !yields_to(effect).is_empty());
-        let Some(lag) = lag else { return best };
-        let is_in_its_place = |other: &&Structure| {
-            other.fit.model.effects.len() == effects.len()
-                && !other.weighed.has(lag.physics.name)
-                && yields_to(lag).iter().any(|name| other.weighed.has(name) && !best.weighed.has(name))
-                && other.score() > best.score() + OPEN.ln()
+        let is_likelier = |other: &&Structure, best: &Structure| {
+            let yields = more(best, other)
+                .zip(more(other, best))
+                .is_some_and(|(own, in_its_place)| own.yields_to.contains(&in_its_place.name));
+            yields && other.noise == best.noise && other.score() > best.score() + OPEN.ln()
         };
-        let other = self.scored.iter().filter(is_in_its_place).max_by(|a, b| a.score().total_cmp(&b.score()));
-        other.cloned().unwrap_or(best)
+        let by_score = |a: &&Structure, b: &&Structure| a.score().total_cmp(&b.score());
+        while let Some(other) = self.scored.iter().filter(|other| is_likelier(other, &best)).max_by(by_score) {
+            best = other.clone();
+        }
+        best
     }
 
     /// The structures with one effect more that is asked for beside `best`, the best first, one for each name: of its forms the best, unless a plainer
-    /// one is about as good. What was gone on from once is not gone on from again.
-    fn with_one_more(&mut self, best: &Structure, from: &Fit, admits: Admits) -> Vec<Structure> {
-        let key = (best.effects(), admits);
-        if let Some(gone_on) = self.gone_on_from.iter().find(|gone_on| gone_on.from == key) {
-            return gone_on.to.clone();
+    /// one is about as good. What was gone on from once under a noise is not gone on from again.
+    fn with_one_more(&mut self, best: &Structure, from: &Fit, hystereses_alone: bool) -> Vec<Structure> {
+        let key = (best.effects(), hystereses_alone, self.problem.noise);
+        if let Some((_, to)) = self.gone_on_from.iter().find(|(from, _)| *from == key) {
+            return to.clone();
         }
-        let starts = self.promising(best, from, admits);
+        let starts = self.promising(best, from, hystereses_alone);
         let mut asked = self.structures_of_best(starts);
         asked.retain(|more| self.asks_for(more, best));
         asked.sort_by(|a, b| b.score().total_cmp(&a.score()));
@@ -315,14 +277,14 @@ impl<'a> Search<'a> {
         }
         let names = |of: &Structure| of.weighed.effects.iter().map(|physics| physics.name).collect::<Vec<_>>();
         debug!(from = ?names(best), score = best.score(), to = ?kept.iter().map(|more| (more.last_name(), more.score())).collect::<Vec<_>>(), "gone on");
-        self.gone_on_from.push(GoneOn { from: key, to: kept.clone() });
+        self.gone_on_from.push((key, kept.clone()));
         kept
     }
 
     /// The starts beside the model of `from` that a linear step about them scores highest, and does not rule out beside `best`.
-    fn promising(&self, best: &Structure, from: &Fit, admits: Admits) -> Vec<(Model, Vec<Vector2<f64>>)> {
+    fn promising(&self, best: &Structure, from: &Fit, hystereses_alone: bool) -> Vec<(Model, Vec<Vector2<f64>>)> {
         let half_mm = self.judged.half_range * self.before.model.robot.backbone_circle_radius_mm;
-        let is_admitted = |physics: &Physics| admits == Admits::All || physics.is_hysteresis();
+        let is_admitted = |physics: &Physics| !hystereses_alone || physics.is_hysteresis();
         let hypotheses = hypotheses(&self.problem, from, (self.beside, half_mm), is_admitted);
         let path = self.problem.linearised(&from.model, &from.path);
         let promised = hypotheses.into_par_iter().filter_map(|hypothesis| {
@@ -334,7 +296,8 @@ impl<'a> Search<'a> {
         let mut chosen: Vec<Hypothesis> = Vec::new();
         for (_, hypothesis) in promised {
             let of_its_form = chosen.iter().filter(|other| other.physics == hypothesis.physics).count();
-            if chosen.len() < FITTED && of_its_form < FITTED_PER_FORM {
+            let of_its_name = chosen.iter().filter(|other| other.physics.name == hypothesis.physics.name).count();
+            if chosen.len() < FITTED && of_its_form < FITTED_OF_ONE[0] && of_its_name < FITTED_OF_ONE[1] {
                 chosen.push(hypothesis);
             }
         }

@@ -143,6 +143,8 @@ pub(super) static TENDON_SLACK: Physics = Physics {
     changes: Changes::Line(|at, p| {
         PerBackbone::from_fn(p.len(), |i| -0.5 * p[i] * (1.0 - (at.q_mm[i] / SMOOTH_TRAVEL_MM).tanh()))
     }),
+    // The same slack s in all lines is λ − s/2 and a dead band of s/2 in each.
+    yields_to: &["dead_band", "load_directed_backlash"],
     ..LINEAR
 };
 
@@ -154,6 +156,8 @@ pub(super) static DEAD_BAND: Physics = Physics {
     reading: "a dead band in each actuator on either side of rest, in which its travel moves nothing",
     parameters: |backbones| &DEAD_BANDS[..backbones],
     changes: Changes::Line(|at, p| PerBackbone::from_fn(p.len(), |i| p[i] * (at.q_mm[i] / SMOOTH_TRAVEL_MM).tanh())),
+    // The same band in all actuators is one backlash that the load takes up.
+    yields_to: &["load_directed_backlash"],
     ..LINEAR
 };
 
