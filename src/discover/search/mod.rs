@@ -228,7 +228,7 @@ impl<'a> Search<'a> {
     fn exchanged(&mut self, best: &Structure, without: &Structure) -> Option<Structure> {
         let has_hysteresis = |of: &Structure| of.fit.model.effects.iter().any(|e| e.physics.is_hysteresis());
         let hystereses_alone = self.beside == Beside::Discrepancy;
-        if hystereses_alone && !(has_hysteresis(best) && !has_hysteresis(without)) {
+        if hystereses_alone && (!has_hysteresis(best) || has_hysteresis(without)) {
             return None;
         }
         let is_lacking = |&k: &usize| !without.weighed.has(best.fit.model.effects[k].physics.name);
