@@ -113,6 +113,10 @@ pub fn find_rig(picture: StraightPicture, sketch: &mut RigSketch) -> Result<Rig,
             };
             Err(contradiction.unwrap_or_else(no_snake))
         }
+        // Edges may confirm a small thing for the snake where a larger one explains the picture better.
+        Some(error @ RigError::PitchContradiction { .. }) => {
+            Err(tries.contradiction(best.map_or(0.0, Ruling::gain), sketch).unwrap_or(error))
+        }
         error => Err(error.unwrap_or(RigError::NoSheet)),
     }
 }
