@@ -248,9 +248,9 @@ fn a_slice_of_them_has_the_sigmas_that_it_had() {
 }
 
 /// The last disk of this snake is seen edge-on: a fit that starts on the wrong side ends in a local minimum in which the disk tilts the other way,
-/// 2.3° off in the bend's direction away from the camera.
+/// 2.3° off in the bend's direction away from the camera. The edges do not decide between both, so that the answer lies between them, and σ says so.
 #[test]
-fn a_last_disk_seen_edge_on_is_not_tilted_the_other_way() {
+fn a_last_disk_seen_edge_on_is_not_tilted_the_other_way_for_certain() {
     const SEED: u64 = 5412;
     let mut random = Random::new(SEED);
     let mut scene = rigs::varied(&mut random);
@@ -259,9 +259,9 @@ fn a_last_disk_seen_edge_on_is_not_tilted_the_other_way() {
     let psi = bends(&mut random, 12)[10];
     let bend = eye.measure(&frame(&scene, psi, 1000 * SEED + 2)).bend.unwrap();
     let off = bend.vector - psi.bend_vector();
-    assert!(off.norm().to_degrees() < 1.0, "{:?}°", off.map(f64::to_degrees));
+    assert!(off.norm().to_degrees() < 2.0, "{:?}°", off.map(f64::to_degrees));
     let chi2 = off.dot(&(bend.covariance.try_inverse().unwrap() * off));
-    assert!(chi2 < 9.0, "χ² {chi2}");
+    assert!(chi2 < 4.0, "χ² {chi2}");
 }
 
 /// Adds a camera's noise to a picture.
