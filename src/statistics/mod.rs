@@ -14,7 +14,7 @@
 //! | [`cluster`] | cluster-robust covariance of a fit whose errors come in groups |
 //! | [`correlation`] | autocorrelation and design effect of errors that come in order |
 //! | [`information`] | square-root information filter: recursive least squares with a forgetting factor |
-//! | [`line`] | a straight line through pairs of numbers |
+//! | [`line`](mod@line) | a straight line through pairs of numbers |
 //! | [`order`] | median, MAD and quantiles |
 //! | [`moments`] | mean, standard deviation and root mean square |
 //! | [`bootstrap`] | seeded bootstrap over blocks |
