@@ -2,7 +2,7 @@
 
 use crate::geometry::{Configuration, perturbed};
 use crate::measure::body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
-use crate::measure::fit::{EdgeBias, EdgeFinder};
+use crate::measure::fit::{EdgeBias, EdgeFinder, noise_model};
 use crate::measure::target::{DETECTION_SIGMAS, GridShift, RobustLinear};
 use nalgebra::{DMatrix, DVector, Matrix3, Point2, Vector2, Vector3, Vector6};
 
@@ -27,18 +27,10 @@ const SEARCHES_PX: [f64; 3] = [12.0, 5.0, 4.0];
 ///
 /// Convention: about the widest search.
 const SHIFT_SIGMA_PX: f64 = 10.0;
-/// Systematic error of an edge of the holder, px (1σ).
-///
-/// Fitted: by hand on the project's renders (tests/eye/drift.rs), so that rigs at rest are seen at rest; not judged elsewhere.
-const EDGE_SIGMA_PX: f64 = 0.06;
 /// How far the light of a frame may shift the holder's edges outwards, px (1σ).
 ///
 /// Fitted: by hand on the project's renders (tests/eye/drift.rs); not judged elsewhere.
 pub const LIGHT_SIGMA_PX: f64 = 0.1;
-/// How many neighbouring edges err alike and count as one.
-///
-/// Fitted: by hand on the project's renders (tests/eye/drift.rs), so that rigs at rest are seen at rest; not judged elsewhere.
-pub const DESIGN_EFFECT: f64 = 4.0;
 /// A holder that is found further from its place than this, px, has moved: light and shadow take it less far.
 ///
 /// Fitted: by hand on the project's renders (tests/eye/drift.rs), whose holders at rest are found within 0.35 px; not judged elsewhere.
@@ -146,7 +138,7 @@ impl BaseMonitor {
             fit = Some(found);
         }
         let found = fit?;
-        let covariance = found.covariance.fixed_view::<3, 3>(0, 0) * DESIGN_EFFECT;
+        let covariance = found.covariance.fixed_view::<3, 3>(0, 0) * noise_model().design_effect;
         (found.agreeing as f64 >= enough).then_some(BaseShift { by, covariance })
     }
 
@@ -172,7 +164,7 @@ impl BaseMonitor {
                 arm,
                 is_side: matches!(point.piece, Piece::HolderSide(_)),
                 distance_px: offset_px + normal.dot(&shift) - self.bias.of(point.piece),
-                sigma_px: sigma_px.hypot(EDGE_SIGMA_PX),
+                sigma_px: sigma_px.hypot(noise_model().edge_floor_px),
             })
         };
         self.places.iter().filter_map(&mut near).collect()
@@ -238,7 +230,7 @@ mod tests {
         // The noise that the edges state with their systematic error, 0.08 ⊕ 0.06 px, is the 0.1 px that they have.
         let shifts: Vec<BaseShift> = (0..300).filter_map(|seed| seen(Vector3::zeros(), 0.0, seed)).collect();
         let mean = shifts.iter().map(|shift| shift.by.x.powi(2)).sum::<f64>() / shifts.len() as f64;
-        let predicted = shifts[0].covariance[(0, 0)] / DESIGN_EFFECT;
+        let predicted = shifts[0].covariance[(0, 0)] / noise_model().design_effect;
         // 300 draws tell a variance to 8 %; the prediction also allows for light, which here is none.
         assert!(mean < 1.25 * predicted && mean > 0.1 * predicted, "{mean} seen, {predicted} predicted");
     }

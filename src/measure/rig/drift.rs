@@ -4,11 +4,11 @@
 //! rig puts them; the target is asked for the phases of its waves in a few windows. A shift by a whole number of pitches leaves the phases as
 //! they were, but not the holder.
 
-use super::base_monitor::{BaseMonitor, BaseShift, DESIGN_EFFECT, HolderEdge, LIGHT_SIGMA_PX};
+use super::base_monitor::{BaseMonitor, BaseShift, HolderEdge, LIGHT_SIGMA_PX};
 use super::parameters::Rig;
 use crate::camera::{Frame, Lens};
 use crate::measure::body::Projection;
-use crate::measure::fit::EdgeFinder;
+use crate::measure::fit::{EdgeFinder, noise_model};
 use crate::measure::target::{DETECTION_SIGMAS, GridPhaseMonitor, GridShift, PHASE_SIGMA_PX, RobustLinear};
 use crate::observation::Status;
 use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
@@ -97,7 +97,7 @@ impl RigDriftMonitor {
         let found = RobustLinear::fit(&design, &seen, &prior, true)?;
         let by = found.parameters.fixed_rows::<6>(0).into_owned();
         let px = (&by_camera * by).norm() / (seen_px.len() as f64).sqrt();
-        let covariance = found.covariance.fixed_view::<6, 6>(0, 0) * DESIGN_EFFECT;
+        let covariance = found.covariance.fixed_view::<6, 6>(0, 0) * noise_model().design_effect;
         let agrees = found.agreeing as f64 > LEAST_AGREEING * seen.len() as f64;
         agrees.then_some(CameraMotion { by, covariance, px })
     }
