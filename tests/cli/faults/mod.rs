@@ -305,7 +305,7 @@ fn shards_that_follow_the_camera_go_through_all_frames_and_merge_to_what_one_run
     let rows = sandbox.read("whole/measurements.csv");
     // In pictures this small a bend towards the camera may be refused.
     assert!(rows.matches(",ok,").count() >= FRAMES - 1, "{rows}");
-    // It is followed, and not merely near enough.
+    // It is followed, and not merely near enough. The last frame is shifted by 16 px, further than the holder is looked for.
     let still = all_said(&sandbox.call("run experiment -o part1"));
-    assert!(still.contains("camera_moved 7"), "{still}");
+    assert!(still.contains("frames measured  1 of 8") && still.contains("camera_moved 6"), "{still}");
 }
