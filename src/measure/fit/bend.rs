@@ -99,7 +99,7 @@ pub(crate) struct BendFit {
     /// The mean over all searched points of the squared distance, cut off at the last search distance, in units of that: 0 if every
     /// point has its edge where the model says, 1 if none has.
     pub cost: f64,
-    /// What the edges say for the snake, in the fine stage; a coarse fit's is not looked at.
+    /// What the edges say for the snake; nothing in a coarse fit, which is not asked.
     pub evidence: Evidence,
     /// The edges of the last round.
     edges: Correspondences,
@@ -200,6 +200,7 @@ struct Fitting<'a> {
 /// What a fit of the fine stage leaves uncertain; see the fields of [`BendFit`].
 #[derive(Default)]
 struct Uncertainty {
+    evidence: Evidence,
     covariance: ProfileCovariance,
     scatter: ProfileCovariance,
     /// See [`excess`](super::excess).
@@ -324,8 +325,10 @@ impl<'a> Fitting<'a> {
         if edges.clusters().collect::<BTreeSet<_>>().len() <= STATE || self.state.profile.tip.norm() > MAX_THETA {
             return None;
         }
-        let uncertainty = if self.schedule.is_fine { self.uncertainty(rms_px)? } else { Uncertainty::default() };
-        let agreeing = inliers as f64 / edges.searched().len().max(1) as f64;
+        let uncertainty = match self.schedule.is_fine {
+            true => self.uncertainty(&distances_px, (inliers, rms_px))?,
+            false => Uncertainty::default(),
+        };
         Some(BendFit {
             origin: self.origin,
             profile: self.state.profile,
@@ -341,22 +344,24 @@ impl<'a> Fitting<'a> {
             contradicts_shape: uncertainty.contradicts_shape,
             out_of_frame: self.drawn?.1.out_of_frame,
             cost: cost(edges, &distances_px, *search_px),
-            evidence: Evidence::new(edges, &distances_px, *search_px, agreeing, uncertainty.excess),
+            evidence: uncertainty.evidence,
             edges: self.last?.edges,
         })
     }
 
-    /// What the edges of the last round leave uncertain.
-    fn uncertainty(&self, rms_px: f64) -> Option<Uncertainty> {
+    /// What the edges of the last round leave uncertain, which lie these distances (px) from the model. So many of them are inliers, with this scatter.
+    fn uncertainty(&self, distances_px: &[f64], (inliers, rms_px): (usize, f64)) -> Option<Uncertainty> {
         let Self { view, state, prior, .. } = self;
-        let Round { edges, roots, .. } = self.last.as_ref()?;
+        let Round { edges, roots, search_px } = self.last.as_ref()?;
         let linear = Linearised::new(edges, view, state, roots, Some(prior));
         let covariance = FitCovariance::new(edges, &linear.by_state, &linear.residuals, view, roots, rms_px)?;
         let gain = &covariance.independent * linear.by_state.tr_mul(&linear.by_pose);
         let total = covariance.total(&std::array::from_fn::<_, PROFILE, _>(|k| k))?;
         let contradiction = prior.contradiction(&state.profile, &covariance.independent)?;
         let [own, scatter] = total.map(|part| part.fixed_view::<PROFILE, PROFILE>(0, 0).into_owned());
+        let agreeing = inliers as f64 / edges.searched().len().max(1) as f64;
         Some(Uncertainty {
+            evidence: Evidence::new(edges, distances_px, *search_px, agreeing, covariance.excess),
             covariance: own,
             scatter,
             excess: covariance.excess,

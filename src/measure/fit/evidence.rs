@@ -29,7 +29,7 @@ use std::f64::consts::TAU;
 const HIDDEN: f64 = 0.02;
 
 /// Logarithms of how much likelier edges are with the snake than without it.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Evidence {
     /// Of each disk, by its number, from the base on; it may be hidden.
     disks: Vec<f64>,

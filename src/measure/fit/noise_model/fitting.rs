@@ -17,8 +17,13 @@ use std::sync::{PoisonError, RwLock};
 
 /// Degrees of freedom of the t of one rig's errors.
 const FREEDOM: f64 = 6.0;
-/// What a bend that is not measured costs, and a straight picture that is refused: a model that loses what it cannot explain is no better one.
+/// What a bend that is not measured costs: a model that loses what it cannot explain is no better one.
+///
+/// Convention: as much as an error of 4.9 σ (½ · 4.9² = 12).
 const LOST: f64 = 12.0;
+/// What a straight picture that is refused costs.
+///
+/// Convention: as much as four of its bends.
 const REFUSED: f64 = 50.0;
 /// The factors by which a number is changed, the coarse one first.
 const FACTORS: [f64; 2] = [1.5, 1.2];
