@@ -16,9 +16,7 @@ use super::selection::{Attempt, Selection};
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
-use crate::measure::fit::{
-    BendFit, CoarseSearch, EdgeFinder, FitSchedule, PartVisibility, ProfileCovariance, noise_model,
-};
+use crate::measure::fit::{BendFit, CoarseSearch, EdgeFinder, FitSchedule, ProfileCovariance, noise_model};
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::measurement::{Bend, FrameMeasurement};
@@ -279,7 +277,7 @@ impl Eye {
         let (selection, drift) = rayon::join(select, check);
         let Selection { fits, has_fine_fit, attempts, refusal } = selection;
         let mut measurement = match fits.first().filter(|_| has_fine_fit) {
-            Some(best) => self.verdict(best, refusal, &fitter.finder),
+            Some(best) => self.verdict(best, refusal),
             None => FrameMeasurement::failed(Status::NoSnake, None),
         };
         if let Some(quality) = &mut measurement.quality {
@@ -293,24 +291,22 @@ impl Eye {
     }
 
     /// The measurement of a fit that can be believed, or why it cannot.
-    fn verdict(&self, fit: &BendFit, refusal: Option<Status>, finder: &EdgeFinder) -> FrameMeasurement {
+    fn verdict(&self, fit: &BendFit, refusal: Option<Status>) -> FrameMeasurement {
         let quality = Quality {
             edges: fit.inliers,
             inlier_fraction: fit.inlier_fraction(),
             rms_px: fit.rms_px,
             ..Quality::default()
         };
-        let evidence = &fit.evidence;
         if let Some(status) = refusal_by_edges(fit) {
             return FrameMeasurement::failed(status, Some(quality));
         }
         let by_rig = fit.by_pose * symmetric_root(&(self.rig.pose_covariance * noise_model().pose_variance));
-        let by_choice = if fit.contradicts_shape { ANY_SHAPE_VARIANCE - 1.0 } else { 0.0 };
+        let by_choice = if fit.of_any_shape { ANY_SHAPE_VARIANCE - 1.0 } else { 0.0 };
         let of_choice = (fit.covariance - fit.doubt) * by_choice;
         let covariance = fit.covariance + fit.scatter + of_choice + by_rig * by_rig.transpose();
         let quality = Quality { shape: shape(&fit.profile, &covariance), profile: Some(fit.profile), ..quality };
-        let mirrors_a_lamp = || evidence.before_tip() > 0.0 && self.mirrors_a_lamp(fit, finder);
-        if evidence.of_tip() <= 0.0 && !mirrors_a_lamp() {
+        if !fit.evidence.shows_tip() {
             return FrameMeasurement::failed(Status::Occluded, Some(quality));
         }
         if let Some(status) = refusal {
@@ -318,19 +314,12 @@ impl Eye {
         }
         // With any shape a fit has local minima of its own. From a shape that the sequence told it starts in the right one; else one
         // that leaves part of the outline unexplained is not to be relied on.
-        if fit.contradicts_shape && !self.rig.is_shape_known() && fit.inlier_fraction() < LEAST_INLIERS_OF_ANY_SHAPE {
+        if fit.of_any_shape && !self.rig.is_shape_known() && fit.inlier_fraction() < LEAST_INLIERS_OF_ANY_SHAPE {
             return FrameMeasurement::failed(Status::UnknownShape, Some(quality));
         }
         let covariance = covariance.fixed_view::<2, 2>(0, 0).into_owned();
         let by_rig = by_rig.fixed_rows::<2>(0).into_owned();
         FrameMeasurement::of(Bend { vector: fit.bend(), covariance, by_rig }, quality)
-    }
-
-    /// Whether the snake's end is visible though it is as unlike the snake as the target is, or more: a face that mirrors a lamp shines, and its
-    /// border is an edge the other way round.
-    fn mirrors_a_lamp(&self, fit: &BendFit, finder: &EdgeFinder) -> bool {
-        let outline = Outline::new(&self.projection(), fit.profile);
-        PartVisibility::new(&outline, &finder.either_way()).is_end_visible()
     }
 }
 
@@ -369,6 +358,6 @@ fn refusal_by_edges(fit: &BendFit) -> Option<Status> {
         // Of a snake that is half hidden the tubes near the base are seen.
         Some(if fit.evidence.of_tubes() > 0.0 { Status::Occluded } else { Status::NoSnake })
     } else {
-        (fit.blur_px > BLURRED_PX).then_some(Status::Blurred)
+        (fit.blur.px > BLURRED_PX).then_some(Status::Blurred)
     }
 }

@@ -18,7 +18,7 @@ impl Fitter<'_> {
     /// Where a fit starts that knows nothing but a bend.
     pub fn start(&self, bend: Vector2<f64>) -> Start {
         let state = State { profile: BendProfile::arc(bend), bias: self.rig.edge_bias };
-        Start { state, blur_px: None, origin: bend }
+        Start { state, blur: None, origin: bend }
     }
 
     /// The bend that looks alike with depth the other way round.
@@ -31,13 +31,12 @@ impl Fitter<'_> {
         fit_bend(&self.view, &self.finder, start, self.rig.prior(), schedule)
     }
 
-    /// The fit in the fine stage; with any shape where the picture contradicts what is known of the snake's.
-    pub fn fit_fine(&self, start: Start, schedule: &FitSchedule) -> Option<BendFit> {
-        let fit = self.fit(start, schedule)?;
-        if !fit.contradicts_shape {
-            return Some(fit);
-        }
-        self.fit_any_shape(fit.start(), schedule).or(Some(fit))
+    /// The fits in the fine stage: of a snake whose shape is about as the rig says and, if the picture contradicts that, of one of any shape. None if
+    /// the edges determine none.
+    pub fn fit_fine(&self, start: Start, schedule: &FitSchedule) -> Vec<BendFit> {
+        let Some(fit) = self.fit(start, schedule) else { return Vec::new() };
+        let any_shape = if fit.contradicts_shape { self.fit_any_shape(fit.start(), schedule) } else { None };
+        std::iter::once(fit).chain(any_shape).collect()
     }
 
     /// The fit in the fine stage of a snake that may have any shape.
@@ -46,7 +45,16 @@ impl Fitter<'_> {
         // Edges may lie further from the wrong shape than the fine stage searches.
         let refined = fit_bend(&self.view, &self.finder, start, any_shape, &FitSchedule::FROM_NEAR)?;
         let mut fit = fit_bend(&self.view, &self.finder, refined.start(), any_shape, schedule)?;
-        fit.contradicts_shape = true;
+        fit.of_any_shape = true;
         Some(fit)
+    }
+
+    /// The fits in the fine stage of the snake of another fit whose faces may mirror a lamp: their borders are edges the other way round.
+    pub fn fit_mirroring(&self, fit: &BendFit, schedule: &FitSchedule) -> Vec<BendFit> {
+        let either_way = Fitter { finder: self.finder.either_way(), view: self.view.clone(), ..*self };
+        let Some(refined) = either_way.fit(fit.start(), &FitSchedule::FROM_NEAR) else { return Vec::new() };
+        let mut fits = either_way.fit_fine(refined.start(), schedule);
+        fits.iter_mut().for_each(|fit| fit.evidence.assume_a_mirrored_lamp());
+        fits
     }
 }

@@ -1,6 +1,6 @@
 //! The selection among the local minima of a frame's fit: which of them the picture shows, and whether another explains it as well.
 
-use super::fit::{BendFit, Decision, EDGE_ON_RAD, FitSchedule, Mode, SAME_MINIMUM_RAD, distinct};
+use super::fit::{BendFit, Decision, EDGE_ON_RAD, FitSchedule, SAME_MINIMUM_RAD, distinct, heaviest};
 use super::fitter::Fitter;
 use crate::observation::Status;
 use rayon::prelude::*;
@@ -21,8 +21,8 @@ pub(super) struct Attempt {
     pub minimum: BendFit,
     /// The fit of its mirrored solution, where that is not hopeless beside it.
     pub mirrored: Option<BendFit>,
-    /// Its fit in the fine stage.
-    pub finest: Option<BendFit>,
+    /// Its fits in the fine stage.
+    pub finest: Vec<BendFit>,
 }
 
 impl Attempt {
@@ -61,14 +61,17 @@ impl Fitter<'_> {
         let Some(first) = fits.first() else { return Selection::without_fine_fit(fits, attempts) };
         let (finest, mirrored) = self.attempt_with_mirrored(first, &mut attempts, fine);
         let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
-        let Some(finest) = finest else { return Selection::without_fine_fit(fits, attempts) };
+        if finest.is_empty() {
+            return Selection::without_fine_fit(fits, attempts);
+        }
         let others = self.alternatives(&fits, &attempts, fine);
-        let mut modes: Vec<Mode> = std::iter::once(finest).chain(others).map(Mode::of_another_bend).collect();
+        let mut modes: Vec<BendFit> = finest.into_iter().chain(others).collect();
         // From a shape that the sequence told a fit starts in the right minimum.
         if !self.rig.is_shape_known() {
             self.add_any_shape(&mut modes, fine);
             self.add_other_shapes(&mut modes, fine);
         }
+        self.add_mirroring(&mut modes, fine);
         let decision = Decision::between(modes, self.view.diameter_px());
         let Some(Decision { fit, refusal }) = decision else { return Selection::without_fine_fit(fits, attempts) };
         fits[0] = fit;
@@ -77,28 +80,38 @@ impl Fitter<'_> {
 
     /// Adds what the heaviest mode becomes if the snake may have any shape: where part of the outline is hidden, what is left of it may not
     /// contradict a shape that the snake does not have.
-    fn add_any_shape(&self, modes: &mut Vec<Mode>, fine: &FitSchedule) {
-        let best = Mode::heaviest(modes).filter(|best| !best.contradicts_shape && !best.is_unrivalled());
+    fn add_any_shape(&self, modes: &mut Vec<BendFit>, fine: &FitSchedule) {
+        let best =
+            heaviest(modes).filter(|best| !(best.of_any_shape || best.contradicts_shape || best.is_unrivalled()));
         let any_shape = best.and_then(|best| self.fit_any_shape(best.start(), fine));
-        modes.extend(any_shape.map(Mode::of_another_shape));
+        modes.extend(any_shape);
     }
 
     /// Adds snakes of other shapes that look like that of the heaviest mode, if that contradicts what is known of the shape.
-    fn add_other_shapes(&self, modes: &mut Vec<Mode>, fine: &FitSchedule) {
-        let Some(best) = Mode::heaviest(modes).filter(|best| best.contradicts_shape) else { return };
+    fn add_other_shapes(&self, modes: &mut Vec<BendFit>, fine: &FitSchedule) {
+        let Some(best) = heaviest(modes).filter(|best| best.of_any_shape) else { return };
         let starts = best.shapes_beside(&self.view).into_par_iter();
         let others: Vec<BendFit> = starts.filter_map(|start| self.fit_any_shape(start, fine)).collect();
-        modes.extend(others.into_iter().map(Mode::of_another_shape));
+        modes.extend(others);
     }
 
-    /// The fit in the fine stage of a minimum, or of its mirrored solution where that is the better one, and the mirrored solutions that
+    /// Adds the snakes of modes whose faces mirror a lamp, if the end of the heaviest one is not seen as it should be and the disks before it are.
+    fn add_mirroring(&self, modes: &mut Vec<BendFit>, fine: &FitSchedule) {
+        let is_end_alone_unseen = |fit: &BendFit| !fit.evidence.shows_tip() && fit.evidence.before_tip() > 0.0;
+        if heaviest(modes).is_some_and(is_end_alone_unseen) {
+            let mirroring = modes.par_iter().flat_map_iter(|fit| self.fit_mirroring(fit, fine));
+            modes.extend(mirroring.collect::<Vec<_>>());
+        }
+    }
+
+    /// The fits in the fine stage of a minimum, or of its mirrored solution where that is the better one, and the mirrored solutions that
     /// were met.
     fn attempt_with_mirrored(
         &self,
         minimum: &BendFit,
         attempts: &mut Vec<Attempt>,
         fine: &FitSchedule,
-    ) -> (Option<BendFit>, Vec<BendFit>) {
+    ) -> (Vec<BendFit>, Vec<BendFit>) {
         let mut last = self.attempt(minimum, attempts, fine);
         let mut mirrored = Vec::new();
         // The mirrored solution is seldom the better one. It is then tried itself, with a mirrored solution of its own, which need not be where
@@ -136,6 +149,6 @@ impl Fitter<'_> {
             None => self.fit_fine(other.start(), fine),
         };
         let may_be = others.par_iter().filter(|other| other.cost <= ALTERNATIVE_COST_RATIO * first.cost);
-        may_be.filter_map(fit_fine).collect()
+        may_be.flat_map_iter(fit_fine).collect()
     }
 }

@@ -3,12 +3,11 @@
 //! Each round draws the model's outline, searches the picture's edges near it, and moves bend and edge bias to where the edges agree
 //! with the model best (Gauss–Newton with iteratively reweighted least squares). The search distances shrink from round to round.
 
-use super::blur::{fine_filter, predict_blur};
+use super::blur::{Blur, Filters};
 use super::correspondences::Correspondences;
 use super::edges::EdgeFinder;
 use super::evidence::Evidence;
 use super::linearised::{Linearised, robust_step};
-use super::noise_model::SHARP_PX;
 use super::schedule::FitSchedule;
 use super::state::{EdgeBias, FramePrior, STATE, State};
 use super::uncertainty::{FitCovariance, RobustPhase, inliers};
@@ -89,11 +88,13 @@ pub(crate) struct BendFit {
     pub inliers: usize,
     /// Root mean square of their distances from it, px.
     pub rms_px: f64,
-    /// Median blur of the edges, σ in px.
-    pub blur_px: f64,
+    /// The blur of the edges.
+    pub blur: Blur,
     /// Whether this picture's edges contradict what was known of the snake's shape, see [`FramePrior::contradiction`]. Only
     /// a fit of the fine stage asks.
     pub contradicts_shape: bool,
+    /// Whether the snake may have any shape in this fit.
+    pub of_any_shape: bool,
     /// Share of the outline that lies outside the picture.
     pub out_of_frame: f64,
     /// The mean over all searched points of the squared distance, cut off at the last search distance, in units of that: 0 if every
@@ -134,7 +135,7 @@ impl BendFit {
     /// Where another fit may go on from here.
     pub fn start(&self) -> Start {
         let state = State { profile: self.profile, bias: self.bias };
-        Start { state, blur_px: Some(self.blur_px), origin: self.origin }
+        Start { state, blur: Some(self.blur.clone()), origin: self.origin }
     }
 }
 
@@ -142,11 +143,11 @@ impl BendFit {
 pub(crate) type ProfileCovariance = SMatrix<f64, PROFILE, PROFILE>;
 
 /// Where a fit starts.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(crate) struct Start {
     pub state: State,
-    /// The blur of the picture's edges, σ in px, if it is known.
-    pub blur_px: Option<f64>,
+    /// The blur of the picture's edges, if it is known.
+    pub blur: Option<Blur>,
     /// The tip's bend vector where the first of the fits started that led here, rad.
     pub origin: Vector2<f64>,
 }
@@ -188,9 +189,9 @@ struct Fitting<'a> {
     state: State,
     phase: RobustPhase,
     /// The blur that the model is given, in the fine stage.
-    blur_px: Option<f64>,
-    /// The finder with the filter in use.
-    filtered: EdgeFinder<'a>,
+    blur: Option<Blur>,
+    /// The filters in use.
+    filters: Filters<'a>,
     spacing_px: f64,
     /// The outline, and the bend at which it was drawn.
     drawn: Option<(BendProfile, Outline)>,
@@ -225,34 +226,36 @@ impl<'a> Fitting<'a> {
         prior: FramePrior,
         schedule: &'a FitSchedule,
     ) -> Self {
-        let blur_px = start.blur_px.filter(|_| schedule.is_fine);
+        let blur = start.blur.filter(|_| schedule.is_fine);
         Self {
             view,
             finder,
             schedule,
-            prior: blur_px.map_or(prior, |blur_px| prior.at_blur(blur_px)),
+            prior: blur.as_ref().map_or(prior, |blur| prior.at_blur(blur.px)),
             origin: start.origin,
             state: start.state,
             phase: if schedule.is_fine { RobustPhase::Redescending } else { RobustPhase::Monotone },
-            blur_px,
-            filtered: blur_px.map_or_else(|| finder.clone(), |blur_px| fine_filter(finder, view, blur_px)),
+            filters: blur
+                .as_ref()
+                .map_or_else(|| Filters::uniform(finder.clone()), |blur| Filters::fine(finder, view, blur.clone())),
+            blur,
             spacing_px: if schedule.is_fine { Outline::SPACING_PX } else { view.coarse_spacing_px() },
             drawn: None,
             last: None,
         }
     }
 
-    /// Adapts the edge filter to the blur of the last round's edges: a picture that was taken for sharper than it is was searched
-    /// with too narrow a filter.
+    /// Adapts the edge filters to the blur of the last round's edges.
     fn follow_blur(&mut self) {
         let Some(Round { edges, .. }) = &self.last else { return };
-        match &mut self.blur_px {
-            None => self.filtered = self.finder.coarse_for_blur(edges.blur_px),
-            Some(blur_px) if edges.blur_px > SHARP_PX => {
-                *blur_px = edges.blur_px;
-                self.filtered = fine_filter(self.finder, self.view, edges.blur_px);
-            }
-            Some(_) => {}
+        let Some(blur) = &mut self.blur else {
+            self.filters = Filters::coarse(self.finder, edges.blur.clone());
+            return;
+        };
+        let followed = blur.following(&edges.blur);
+        if followed != *blur {
+            self.filters = Filters::fine(self.finder, self.view, followed.clone());
+            *blur = followed;
         }
     }
 
@@ -266,8 +269,8 @@ impl<'a> Fitting<'a> {
             }
             _ => {
                 let mut outline = Outline::spaced(view, state.profile, self.spacing_px);
-                if let Some(blur_px) = self.blur_px {
-                    predict_blur(&mut outline, blur_px, &self.filtered);
+                if self.blur.is_some() {
+                    self.filters.predict(&mut outline);
                 }
                 (state.profile, outline)
             }
@@ -277,7 +280,7 @@ impl<'a> Fitting<'a> {
     /// Searches the outline's edges and moves the state to them; returns by how much the bend moved, rad.
     fn match_and_move(&mut self, search_px: f64) -> Option<f64> {
         let (_, outline) = self.drawn.as_ref()?;
-        let edges = Correspondences::find(outline, &self.filtered, search_px, Piece::bends);
+        let edges = Correspondences::find(outline, &self.filters, search_px, Piece::bends);
         if edges.len() as f64 * self.spacing_px < LEAST_MATCHED_PX {
             return None;
         }
@@ -340,8 +343,9 @@ impl<'a> Fitting<'a> {
             by_pose: uncertainty.by_pose,
             inliers,
             rms_px,
-            blur_px: edges.blur_px,
+            blur: edges.blur.clone(),
             contradicts_shape: uncertainty.contradicts_shape,
+            of_any_shape: false,
             out_of_frame: self.drawn?.1.out_of_frame,
             cost: cost(edges, &distances_px, *search_px),
             evidence: uncertainty.evidence,

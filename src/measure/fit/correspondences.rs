@@ -1,35 +1,25 @@
 //! Correspondences between a model's outline and a picture's edges, and their distances for any other state of the model.
 
-use super::edges::{Edge, EdgeFinder};
+use super::blur::{Blur, Filters, is_clear};
+use super::edges::Edge;
 use super::glancing::SeenFace;
 use super::noise_model::{Conditions, MODES, edge_floor_px, noise_model, systematic_modes};
 use super::state::EdgeBias;
-use crate::measure::body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
+use crate::measure::body::{BodyPoint, Outline, Piece, Projection};
 use crate::robot::BendProfile;
-use crate::statistics::order::median;
 use nalgebra::{DVector, Point2, Point3, Vector2};
 
-/// The least distance from an outline point to another part of the snake and to the snake's other side, px: nearer, the edge filter
-/// sees both.
-///
-/// Derived: the usual filter (σ = 1.2 px) ends at 3.6 px.
-const CLEAR_PX: f64 = 4.0;
 /// The largest blur that an edge may be given, σ in px: where a picture is flat, the estimate has no bound.
 ///
 /// Convention: a guard, twice the blur from which on a frame is called blurred.
 const LARGEST_BLUR_PX: f64 = 10.0;
-
-/// Whether only one edge lies within the edge filter at an outline point.
-pub(super) fn is_clear(point: &OutlinePoint) -> bool {
-    point.gap_px >= CLEAR_PX && point.depth_px >= CLEAR_PX
-}
 
 /// A border point of the model and the edge that was found near it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Correspondence {
     pub body: BodyPoint,
     pub piece: Piece,
-    /// See [`OutlinePoint::lateral`].
+    /// See [`OutlinePoint::lateral`](crate::measure::body::OutlinePoint::lateral).
     pub lateral: f64,
     /// Where the edge is, corrected by what blur does to the model's own edge, px.
     pub seen: Point2<f64>,
@@ -51,23 +41,27 @@ pub(crate) struct Correspondences {
     pub(super) section_of: Vec<usize>,
     /// The outline points that were searched, by their pieces, and the edge found near each.
     searched: Vec<(Piece, Option<Edge>)>,
-    /// Median blur of the edges, σ in px.
-    pub blur_px: f64,
+    /// The blur of the edges.
+    pub blur: Blur,
 }
 
 impl Correspondences {
     /// Searches an edge within `search_px` of each outline point whose piece is wanted and which is clear of other parts.
-    pub fn find(outline: &Outline, finder: &EdgeFinder, search_px: f64, is_wanted: impl Fn(Piece) -> bool) -> Self {
+    pub fn find(outline: &Outline, filters: &Filters, search_px: f64, is_wanted: impl Fn(Piece) -> bool) -> Self {
         let mut found = Self {
             all: Vec::with_capacity(outline.points.len()),
             sections_mm: Vec::new(),
             section_of: Vec::with_capacity(outline.points.len()),
             searched: Vec::with_capacity(outline.points.len()),
-            blur_px: 0.0,
+            blur: Blur::uniform(0.0),
         };
-        let mut blurs_px = Vec::with_capacity(outline.points.len());
+        let mut blurs = Vec::with_capacity(outline.points.len());
         let mut points = Vec::with_capacity(outline.points.len());
-        for point in outline.points.iter().filter(|p| is_clear(p) && is_wanted(p.piece) && !finder.is_hidden(p)) {
+        for point in outline.points.iter().filter(|p| is_clear(p) && is_wanted(p.piece)) {
+            let finder = filters.at(point.piece);
+            if finder.is_hidden(point) {
+                continue;
+            }
             let edge = finder.find(point, search_px);
             found.searched.push((point.piece, edge));
             let (Some(edge), Some(predicted)) = (edge, point.predicted) else { continue };
@@ -86,12 +80,13 @@ impl Correspondences {
                 face: None,
             });
             points.push(point);
-            blurs_px.push((edge.blur_px / predicted.blur_ratio).min(LARGEST_BLUR_PX) as f32);
+            blurs.push((point.piece, (edge.blur_px / predicted.blur_ratio).min(LARGEST_BLUR_PX) as f32));
         }
-        found.blur_px = f64::from(median(&mut blurs_px));
-        let (spread_px, uneven) = (finder.spread_px(found.blur_px), noise_model().uneven_glare);
+        found.blur = Blur::of(&blurs);
+        let uneven = noise_model().uneven_glare;
         for (correspondence, point) in found.all.iter_mut().zip(points) {
-            correspondence.face = SeenFace::behind(point, spread_px);
+            correspondence.face =
+                SeenFace::behind(point, filters.at(point.piece).spread_px(found.blur.at(point.piece)));
             if let Some(face) = correspondence.face {
                 correspondence.sigma_px = correspondence.sigma_px.hypot(face.pull_px() * uneven);
             }
@@ -105,7 +100,8 @@ impl Correspondences {
     pub fn displaced(outline: &Outline, displacements_px: &[f64], sigma_px: f64) -> Self {
         /// The edges' blur after the filter. Convention: that of sharp pictures; for tests.
         const SPREAD_PX: f64 = 1.5;
-        let mut edges = Self { all: vec![], sections_mm: vec![], section_of: vec![], searched: vec![], blur_px: 1.0 };
+        let mut edges =
+            Self { all: vec![], sections_mm: vec![], section_of: vec![], searched: vec![], blur: Blur::uniform(1.0) };
         let points = outline.points.iter().zip(displacements_px);
         for (point, displacement_px) in points.filter(|(point, _)| is_clear(point) && point.piece.bends()) {
             if edges.sections_mm.last() != Some(&point.body.s_mm) {
@@ -115,7 +111,7 @@ impl Correspondences {
             edges.searched.push((point.piece, Some(Edge { offset_px: *displacement_px, sigma_px, blur_px: 1.0 })));
             let normal = point.normal.into_inner();
             let seen = point.pixel + normal * *displacement_px;
-            let OutlinePoint { body, piece, lateral, .. } = *point;
+            let crate::measure::body::OutlinePoint { body, piece, lateral, .. } = *point;
             let face = SeenFace::behind(point, SPREAD_PX);
             edges.all.push(Correspondence { body, piece, lateral, seen, normal, sigma_px, face });
         }
@@ -168,14 +164,15 @@ impl Correspondences {
     /// The displacements of the edges in each systematic mode of the noise model, in units of σ and times the roots of the edges'
     /// weights.
     pub fn systematic_modes(&self, view: &Projection, roots: &[f64], scatter_px: f64) -> Vec<DVector<f64>> {
-        let conditions = Conditions { blur_px: self.blur_px, diameter_px: view.diameter_px(), scatter_px };
-        let growth = conditions.growth();
+        let growth = |piece: Piece| {
+            Conditions { blur_px: self.blur.at(piece), diameter_px: view.diameter_px(), scatter_px }.growth()
+        };
         let of_edge = |m: &Correspondence| {
             let along = 2.0 * m.body.s_mm / view.robot.length_mm - 1.0;
             systematic_modes(m.piece, m.lateral, along, &m.normal)
         };
         let edges: Vec<[f64; MODES]> = self.all.iter().map(of_edge).collect();
-        let weight = |(m, root): (&Correspondence, &f64)| root * growth / m.sigma_px;
+        let weight = |(m, root): (&Correspondence, &f64)| root * growth(m.piece) / m.sigma_px;
         let weights: Vec<f64> = self.all.iter().zip(roots).map(weight).collect();
         let mode = |k: usize| DVector::from_fn(self.len(), |edge, _| weights[edge] * edges[edge][k]);
         (0..MODES).map(mode).collect()

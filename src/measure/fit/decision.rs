@@ -5,9 +5,10 @@
 //! its edges and the prior probability of its shape. A bend is told if its mode holds nearly all of the mass.
 
 use super::bend::BendFit;
+use super::evidence::DECIDING_ODDS;
 use crate::observation::Status;
 use crate::robot::{MODES, PROFILE};
-use nalgebra::{SVector, Vector2};
+use nalgebra::SVector;
 
 /// Refined fits that end within this distance of each other, rad, are one local minimum.
 ///
@@ -23,37 +24,8 @@ pub(crate) const EDGE_ON_RAD: f64 = 0.1;
 const EDGE_ON_PX: f64 = 2.0;
 /// The share of the posterior's mass that one mode must hold for its bend to be told.
 ///
-/// Convention: odds of 20 to 1, the usual 5 % of a wrong decision.
-const DECIDING_SHARE: f64 = 20.0 / 21.0;
-
-/// A fit of the fine stage: a mode of the posterior of one picture.
-#[derive(Debug, Clone)]
-pub(crate) struct Mode {
-    pub fit: BendFit,
-    /// Why the picture tells no bend if this mode is another snake than the heaviest one and holds too much of the mass beside it.
-    pub doubt: Status,
-}
-
-impl Mode {
-    pub fn of_another_bend(fit: BendFit) -> Self {
-        Self { fit, doubt: Status::Ambiguous }
-    }
-
-    pub fn of_another_shape(fit: BendFit) -> Self {
-        Self { fit, doubt: Status::UnknownShape }
-    }
-
-    /// The fit that holds most of the mass.
-    pub fn heaviest(modes: &[Self]) -> Option<&BendFit> {
-        let dispersion = Self::dispersion(modes);
-        modes.iter().map(|mode| &mode.fit).max_by(|a, b| a.log_mass(dispersion).total_cmp(&b.log_mass(dispersion)))
-    }
-
-    /// By how much the variance of the picture's edges exceeds what their σ say, about the mode that explains them best.
-    fn dispersion(modes: &[Self]) -> f64 {
-        modes.iter().map(|mode| mode.fit.excess).reduce(f64::min).unwrap_or(1.0)
-    }
-}
+/// Derived: the share at the odds that decide.
+const DECIDING_SHARE: f64 = DECIDING_ODDS / (1.0 + DECIDING_ODDS);
 
 /// The heaviest mode of a picture's posterior, and what the others leave in doubt.
 #[derive(Debug, Clone)]
@@ -65,23 +37,33 @@ pub(crate) struct Decision {
 }
 
 impl Decision {
-    /// Decides between the modes of the posterior of one picture, in which the snake is `diameter_px` wide. `None` of no modes.
-    pub fn between(mut modes: Vec<Mode>, diameter_px: f64) -> Option<Self> {
-        let dispersion = Mode::dispersion(&modes);
-        let log_mass = |mode: &Mode| mode.fit.log_mass(dispersion);
-        modes.sort_by(|a, b| log_mass(b).total_cmp(&log_mass(a)));
-        let heaviest = modes.first()?.fit.clone();
-        let mass = |mode: &Mode| (log_mass(mode) - heaviest.log_mass(dispersion)).exp();
+    /// Decides between the modes of the posterior of one picture, which are fits of the fine stage; the snake is `diameter_px` wide in it. `None` of no modes.
+    pub fn between(mut modes: Vec<BendFit>, diameter_px: f64) -> Option<Self> {
+        let dispersion = dispersion(&modes);
+        modes.sort_by(|a, b| b.log_mass(dispersion).total_cmp(&a.log_mass(dispersion)));
+        let heaviest = modes.first()?.clone();
+        let mass = |fit: &BendFit| (fit.log_mass(dispersion) - heaviest.log_mass(dispersion)).exp();
         let edge_on_rad = EDGE_ON_RAD.max(2.0 * EDGE_ON_PX / diameter_px);
-        let is_edge_on = |mode: &Mode| (mode.fit.bend() - heaviest.bend()).norm() < edge_on_rad;
-        let (same, others): (Vec<&Mode>, Vec<&Mode>) =
-            separate(&modes, SAME_MINIMUM_RAD, |mode| mode.fit.bend()).into_iter().partition(|mode| is_edge_on(mode));
-        let [own, of_others] = [&same, &others].map(|modes| modes.iter().copied().map(mass).sum::<f64>());
+        let is_edge_on = |fit: &BendFit| (fit.bend() - heaviest.bend()).norm() < edge_on_rad;
+        let (same, others): (Vec<BendFit>, Vec<BendFit>) =
+            separate(modes, SAME_MINIMUM_RAD).into_iter().partition(|fit| is_edge_on(fit));
+        let [own, of_others] = [&same, &others].map(|modes| modes.iter().map(mass).sum::<f64>());
         let is_decided = own >= DECIDING_SHARE * (own + of_others);
-        let refusal = others.first().filter(|_| !is_decided).map(|other| other.doubt.clone());
-        let shares: Vec<(&BendFit, f64)> = same.into_iter().map(|mode| (&mode.fit, mass(mode) / own)).collect();
+        let refusal = others.first().filter(|_| !is_decided).map(|other| heaviest.doubt_beside(other));
+        let shares: Vec<(&BendFit, f64)> = same.iter().map(|fit| (fit, mass(fit) / own)).collect();
         Some(Self { fit: heaviest.joined(&shares), refusal })
     }
+}
+
+/// The mode that holds most of the mass.
+pub(crate) fn heaviest(modes: &[BendFit]) -> Option<&BendFit> {
+    let dispersion = dispersion(modes);
+    modes.iter().max_by(|a, b| a.log_mass(dispersion).total_cmp(&b.log_mass(dispersion)))
+}
+
+/// By how much the variance of the picture's edges exceeds what their σ say, about the mode that explains them best.
+fn dispersion(modes: &[BendFit]) -> f64 {
+    modes.iter().map(|fit| fit.excess).reduce(f64::min).unwrap_or(1.0)
 }
 
 impl BendFit {
@@ -108,8 +90,14 @@ impl BendFit {
         (0..MODES).map(of_mode).sum()
     }
 
-    /// This fit at the mean of modes with these shares of their mass, of which it is one, with their scatter in its covariance. It contradicts what is
-    /// known of the snake's shape if they do.
+    /// Why the picture tells no bend if another mode holds too much of the mass beside this one: it is the same snake of another shape if one start led
+    /// to both.
+    fn doubt_beside(&self, other: &Self) -> Status {
+        if self.origin == other.origin { Status::UnknownShape } else { Status::Ambiguous }
+    }
+
+    /// This fit at the mean of modes with these shares of their mass, of which it is one, with their scatter in its covariance. It is of any shape if
+    /// they are.
     fn joined(mut self, modes: &[(&Self, f64)]) -> Self {
         let from_here = |fit: &Self| SVector::from(fit.profile.to_array()) - SVector::from(self.profile.to_array());
         let apart: Vec<_> = modes.iter().map(|(fit, share)| (from_here(fit), *share)).collect();
@@ -119,8 +107,8 @@ impl BendFit {
         self.doubt = apart.iter().map(scatter).sum();
         self.covariance += self.doubt;
         self.profile = self.profile.stepped(mean.as_slice());
-        let contradicting: f64 = modes.iter().filter(|(fit, _)| fit.contradicts_shape).map(|(_, share)| share).sum();
-        self.contradicts_shape = contradicting >= DECIDING_SHARE;
+        let of_any_shape: f64 = modes.iter().filter(|(fit, _)| fit.of_any_shape).map(|(_, share)| share).sum();
+        self.of_any_shape = of_any_shape >= DECIDING_SHARE;
         self
     }
 }
@@ -128,14 +116,14 @@ impl BendFit {
 /// Local minima, least cost first; of those that ended within `apart_rad` of each other only the first.
 pub(crate) fn distinct(mut fits: Vec<BendFit>, apart_rad: f64) -> Vec<BendFit> {
     fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-    separate(fits, apart_rad, BendFit::bend)
+    separate(fits, apart_rad)
 }
 
 /// Of those whose bends lie within `apart_rad` of each other only the first.
-fn separate<T>(all: impl IntoIterator<Item = T>, apart_rad: f64, bend: impl Fn(&T) -> Vector2<f64>) -> Vec<T> {
-    let mut kept: Vec<T> = Vec::new();
+fn separate(all: Vec<BendFit>, apart_rad: f64) -> Vec<BendFit> {
+    let mut kept: Vec<BendFit> = Vec::new();
     for one in all {
-        if kept.iter().all(|other| (bend(other) - bend(&one)).norm() > apart_rad) {
+        if kept.iter().all(|other| (other.bend() - one.bend()).norm() > apart_rad) {
             kept.push(one);
         }
     }

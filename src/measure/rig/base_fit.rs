@@ -15,8 +15,8 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose};
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{
-    BIASES, Correspondences, EdgeBias, FINE_SEARCH_PX, PartVisibility, RobustPhase, UNKNOWN_SHAPE_RAD, excess,
-    fine_filter, inliers, noise_model, predict_blur, systematic_covariance,
+    BIASES, Correspondences, EdgeBias, FINE_SEARCH_PX, Filters, PartVisibility, RobustPhase, UNKNOWN_SHAPE_RAD, excess,
+    inliers, noise_model, systematic_covariance,
 };
 use crate::measure::target::{Grid, GridPattern};
 use crate::robot::Robot;
@@ -205,16 +205,17 @@ impl<'a> BaseFit<'a> {
 
     /// The picture's edges near the outline, looked for with the filter that suits the blur of those found before.
     fn edges(&self, view: &Projection, outline: &mut Outline, search_px: f64) -> Result<Correspondences, RigError> {
-        let mut finder = self.learned.as_ref().ok_or(RigError::NoContrast)?.finder();
-        if let Some(Round { edges, .. }) = &self.last {
-            if search_px > FINE_SEARCH_PX {
-                finder = finder.coarse_for_blur(edges.blur_px);
-            } else {
-                finder = fine_filter(&finder, view, edges.blur_px);
-                predict_blur(outline, edges.blur_px, &finder);
+        let finder = self.learned.as_ref().ok_or(RigError::NoContrast)?.finder();
+        let filters = match &self.last {
+            None => Filters::uniform(finder),
+            Some(Round { edges, .. }) if search_px > FINE_SEARCH_PX => Filters::coarse(&finder, edges.blur.clone()),
+            Some(Round { edges, .. }) => {
+                let fine = Filters::fine(&finder, view, edges.blur.clone());
+                fine.predict(outline);
+                fine
             }
-        }
-        let edges = Correspondences::find(outline, &finder, search_px, |_| true);
+        };
+        let edges = Correspondences::find(outline, &filters, search_px, |_| true);
         let (found, places) = (edges.len(), edges.searched().len());
         let is_enough = found >= FEWEST_EDGES && found as f64 >= LEAST_SHARE * places as f64;
         if is_enough { Ok(edges) } else { Err(RigError::TooFewEdges { edges: found, places }) }
@@ -256,7 +257,7 @@ impl<'a> BaseFit<'a> {
             seen_by(&Projection { camera_from_base, ..view.clone() })
         };
         check_visibility(&visibility, further_up, robot)?;
-        let most_rms_px = MOST_RMS_PX * edges.blur_px.max(1.0);
+        let most_rms_px = MOST_RMS_PX * edges.blur.px.max(1.0);
         if edge_rms_px > most_rms_px {
             return Err(RigError::EdgesScattered { rms_px: edge_rms_px, most_rms_px });
         }
@@ -310,7 +311,7 @@ impl<'a> BaseFit<'a> {
         let agreeing = agreeing as f64 / edges.searched().len().max(1) as f64;
         let [side, tube, rim, ..] = self.bias.to_array();
         let bias_px = [side, tube, rim].into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
-        let most_bias_px = MOST_BIAS_PX * edges.blur_px.max(1.0);
+        let most_bias_px = MOST_BIAS_PX * edges.blur.px.max(1.0);
         let is_confirmed = agreeing >= LEAST_AGREEING || is_confirmed_throughout;
         if !is_confirmed || bias_px.abs() > most_bias_px {
             let least_agreeing = LEAST_AGREEING;

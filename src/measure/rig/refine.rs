@@ -10,8 +10,8 @@ use crate::camera::Lens;
 use crate::geometry::perturbed;
 use crate::measure::body::{Outline, Piece, Projection};
 use crate::measure::fit::{
-    BIASES, BendFit, Correspondences, EdgeFinder, FitSchedule, Linearised, RobustPhase, Start, State, excess,
-    fine_filter, fit_bend, inliers, learned_mode_sigmas, noise_model, predict_blur,
+    BIASES, BendFit, Correspondences, EdgeFinder, Filters, FitSchedule, Linearised, RobustPhase, Start, State, excess,
+    fit_bend, inliers, learned_mode_sigmas, noise_model,
 };
 use crate::measure::image::plane::{Plane, Region};
 use crate::robot::{PROFILE, Robot};
@@ -103,7 +103,7 @@ pub fn refined_rig(
         let view = Projection { lens, camera_from_base: rig.camera_from_base, robot };
         let finder = EdgeFinder::with_noise(plane, rig.appearance.two_sided, *noise);
         start.state.bias = rig.edge_bias;
-        let fit = fit_bend(&view, &finder, *start, rig.prior(), schedule)?;
+        let fit = fit_bend(&view, &finder, start.clone(), rig.prior(), schedule)?;
         *start = fit.start();
         Some(fit)
     };
@@ -157,9 +157,9 @@ fn shared_evidence(
     let finder = EdgeFinder::with_noise(plane, rig.appearance.two_sided, *noise);
     let (prior, state) = (rig.prior(), &State { profile: fit.profile, bias: rig.edge_bias });
     let mut outline = Outline::new(view, state.profile);
-    let finder = fine_filter(&finder, view, fit.blur_px);
-    predict_blur(&mut outline, fit.blur_px, &finder);
-    let edges = Correspondences::find(&outline, &finder, SEARCH_PX, |_| true);
+    let filters = Filters::fine(&finder, view, fit.blur.clone());
+    filters.predict(&mut outline);
+    let edges = Correspondences::find(&outline, &filters, SEARCH_PX, |_| true);
     let residuals = edges.residuals(view, state.profile, state.bias);
     let roots = RobustPhase::Redescending.roots(&residuals);
     let (_, scatter_px) = inliers(&edges.in_px(&residuals), &roots);

@@ -1,6 +1,6 @@
 use super::super::alternatives::mirrored;
 use super::super::coarse::CoarseSearch;
-use super::super::decision::{Decision, Mode};
+use super::super::decision::Decision;
 use super::super::evidence::Evidence;
 use super::super::linearised::REWEIGHTING_TOLERANCE;
 use super::*;
@@ -37,7 +37,7 @@ fn picture(scene: &Scene, bend: Vector2<f64>) -> Plane {
 
 fn fitted(scene: &Scene, plane: &Plane, start: Vector2<f64>) -> BendFit {
     let (view, finder) = (scene.view(), EdgeFinder::new(plane, false));
-    let start = Start { state: state(start), blur_px: None, origin: start };
+    let start = Start { state: state(start), blur: None, origin: start };
     let coarse = fit_bend(&view, &finder, start, FramePrior::FIXTURE, &COARSE).unwrap();
     fit_bend(&view, &finder, coarse.start(), FramePrior::FIXTURE, &FINE).unwrap()
 }
@@ -76,7 +76,7 @@ fn a_bend_is_found_in_a_picture_of_its_silhouette_from_some_degrees_away() {
         let error = (fit.bend() - bend).norm();
         assert!(error < 1e-3, "{error} rad");
         assert!(fit.inlier_fraction() > 0.9 && fit.rms_px < 0.1, "{} {}", fit.inlier_fraction(), fit.rms_px);
-        assert!((fit.blur_px - 1.0).abs() < 0.25, "{}", fit.blur_px);
+        assert!((fit.blur.px - 1.0).abs() < 0.25, "{:?}", fit.blur);
         assert!(fit.explains_all(), "{}", fit.cost);
     }
 }
@@ -120,11 +120,11 @@ fn the_coarse_search_hands_on_the_bend_or_its_mirrored_solution() {
     }
 }
 
-/// A mode this far from a fit, rad, whose edges say so much more for it.
-fn mode(fit: &BendFit, apart_rad: f64, says: f64) -> Mode {
+/// A mode this far from a fit, rad, that was reached from another start, and whose edges say so much more for it.
+fn mode(fit: &BendFit, apart_rad: f64, says: f64) -> BendFit {
     let tip = fit.bend() + Vector2::new(apart_rad, 0.0);
     let evidence = Evidence::amounting_to(fit.evidence.total() + says);
-    Mode::of_another_bend(BendFit { profile: BendProfile { tip, ..fit.profile }, evidence, ..fit.clone() })
+    BendFit { origin: tip, profile: BendProfile { tip, ..fit.profile }, evidence, ..fit.clone() }
 }
 
 #[test]
@@ -143,6 +143,10 @@ fn another_snake_with_more_than_a_twentieth_of_the_mass_leaves_the_picture_undec
     assert_eq!(decided(&[(0.3, -3.1), (0.301, -3.1)], 52.0).refusal, None);
     // In a coarse picture rims open alike further apart.
     assert_eq!(decided(&[(0.3, -2.9)], 12.0).refusal, None);
+    // What one start leads to is one snake, of one shape or another.
+    let shaped = BendFit { origin: mode(&fit, 0.0, 0.0).origin, ..mode(&fit, 0.3, -2.9) };
+    let of_another_shape = Decision::between(vec![shaped, mode(&fit, 0.0, 0.0)], 52.0).unwrap();
+    assert_eq!(of_another_shape.refusal, Some(Status::UnknownShape));
     let heaviest = decided(&[(0.3, 4.0)], 52.0);
     assert!(heaviest.refusal.is_none() && (heaviest.fit.bend().x - fit.bend().x - 0.3).abs() < 1e-12);
 }
@@ -162,7 +166,7 @@ fn of_a_snake_seen_edge_on_the_answer_is_the_mixture_of_its_modes() {
     }
     // A shape that no snake is likely to have counts against a mode whose edges say as much for it.
     let mut shaped = mode(&fit, 0.04, 0.0);
-    shaped.fit.profile.modes[0] = Vector2::new(0.0, 0.1);
+    shaped.profile.modes[0] = Vector2::new(0.0, 0.1);
     let joined = Decision::between(vec![shaped, mode(&fit, 0.0, 0.0)], 52.0).unwrap().fit;
     assert!((joined.bend() - fit.bend()).norm() < 0.004, "{}", joined.bend() - fit.bend());
 }

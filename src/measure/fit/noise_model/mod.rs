@@ -138,7 +138,7 @@ pub(super) fn blur_growth(blur_px: f64) -> f64 {
 /// What the size of the systematic modes depends on.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Conditions {
-    /// Median blur of the edges, σ in px.
+    /// The blur where the edge is, σ in px.
     pub blur_px: f64,
     /// The snake's diameter in the picture, px.
     pub diameter_px: f64,
