@@ -4,7 +4,7 @@ use crate::geometry::{Configuration, perturbed};
 use crate::measure::body::{BodyPoint, Outline, OutlinePoint, Piece, Projection};
 use crate::measure::fit::{EdgeBias, EdgeFinder, noise_model};
 use crate::measure::target::{DETECTION_SIGMAS, GridShift, RobustLinear};
-use nalgebra::{DMatrix, DVector, Matrix3, Point2, Vector2, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x6, Matrix6, Point2, RowVector6, Vector2, Vector3, Vector6};
 
 /// Edges need this much of free background and of snake on their sides, px, for the edge filter's assumptions to hold.
 ///
@@ -66,7 +66,7 @@ impl BaseShift {
         self.covariance.cholesky().map_or(0.0, |factor| off.dot(&factor.solve(&off)))
     }
 
-    /// Whether the holder is not where the rig says.
+    /// Whether the holder is not where the rig says, as well as it knows.
     pub fn is_elsewhere(&self) -> bool {
         self.by.norm() > MOVED_PX && self.distance2(&Vector3::zeros()) > DETECTION_SIGMAS.powi(2)
     }
@@ -85,6 +85,8 @@ pub struct BaseMonitor {
     /// The middle of these places.
     pub middle: Point2<f64>,
     bias: EdgeBias,
+    /// The covariance of the shift of a holder at rest: how well the rig knows where it is seen.
+    at_rest: Matrix3<f64>,
 }
 
 /// An edge of the holder.
@@ -100,7 +102,8 @@ pub struct HolderEdge {
 }
 
 impl BaseMonitor {
-    pub fn new(view: &Projection, bias: EdgeBias) -> Self {
+    /// For a view whose pose is known with this covariance (see [`perturbed`]) and whose light displaces the holder's edges by this bias.
+    pub fn new(view: &Projection, pose_covariance: &Matrix6<f64>, bias: EdgeBias) -> Self {
         let is_clear = |p: &OutlinePoint| {
             matches!(p.piece, Piece::HolderSide(_) | Piece::BaseRim) && p.gap_px >= CLEAR_PX && p.depth_px >= CLEAR_PX
         };
@@ -108,7 +111,23 @@ impl BaseMonitor {
         let step = clear.len().div_ceil(MOST_PLACES).max(1);
         let places: Vec<OutlinePoint> = clear.into_iter().step_by(step).collect();
         let sum = places.iter().map(|p| p.pixel.coords).sum::<Vector2<f64>>();
-        Self { middle: Point2::from(sum / places.len().max(1) as f64), places, bias }
+        let middle = Point2::from(sum / places.len().max(1) as f64);
+        let mut monitor = Self { middle, places, bias, at_rest: Matrix3::zeros() };
+        let by_camera = monitor.shift_by_camera(view);
+        monitor.at_rest = by_camera * pose_covariance * by_camera.transpose();
+        monitor
+    }
+
+    /// The holder's shift with each component of the camera's motion (see [`perturbed`]): the least-squares shift of its places.
+    fn shift_by_camera(&self, view: &Projection) -> Matrix3x6<f64> {
+        let (mut information, mut moved) =
+            (Matrix3::from_diagonal_element(SHIFT_SIGMA_PX.powi(-2)), Matrix3x6::zeros());
+        for edge in self.edges_near(&Vector3::zeros(), |_| Some((0.0, 0.0))) {
+            let by_shift = edge.by_shift();
+            information += by_shift * by_shift.transpose();
+            moved += by_shift * RowVector6::from(edge.by_camera(view));
+        }
+        information.cholesky().map_or_else(Matrix3x6::zeros, |factor| factor.solve(&moved))
     }
 
     /// The holder's shift and turn in the picture; `None` where too little of it is seen.
@@ -128,8 +147,8 @@ impl BaseMonitor {
                 return None;
             }
             let row = |e: &HolderEdge| {
-                let (x, y) = (e.normal.x, e.normal.y);
-                [x, y, y * e.arm.x - x * e.arm.y, f64::from(e.is_side), f64::from(!e.is_side)]
+                let by_shift = e.by_shift();
+                [by_shift.x, by_shift.y, by_shift.z, f64::from(e.is_side), f64::from(!e.is_side)]
             };
             let design = DMatrix::from_fn(edges.len(), 5, |r, c| row(&edges[r])[c] / edges[r].sigma_px);
             let seen = DVector::from_fn(edges.len(), |r, _| edges[r].distance_px / edges[r].sigma_px);
@@ -138,7 +157,7 @@ impl BaseMonitor {
             fit = Some(found);
         }
         let found = fit?;
-        let covariance = found.covariance.fixed_view::<3, 3>(0, 0) * noise_model().design_effect;
+        let covariance = found.covariance.fixed_view::<3, 3>(0, 0) * noise_model().design_effect + self.at_rest;
         (found.agreeing as f64 >= enough).then_some(BaseShift { by, covariance })
     }
 
@@ -172,6 +191,11 @@ impl BaseMonitor {
 }
 
 impl HolderEdge {
+    /// How far the border moves outwards, px, with each component of the holder's shift (see [`BaseShift`]).
+    fn by_shift(&self) -> Vector3<f64> {
+        self.normal.push(self.normal.y * self.arm.x - self.normal.x * self.arm.y)
+    }
+
     /// How far the border moves outwards, px, with each component of the camera's motion (see [`perturbed`]).
     pub fn by_camera(&self, view: &Projection) -> [f64; 6] {
         let pixel = |axis: usize, step: f64| {
@@ -198,7 +222,7 @@ mod tests {
     fn seen(moved: Vector3<f64>, light_px: f64, seed: u64) -> Option<BaseShift> {
         let (lens, robot) = (Scene::default().lens, Robot::default());
         let view = Projection { lens: &lens, camera_from_base: rig().camera_from_base, robot: &robot };
-        let monitor = BaseMonitor::new(&view, EdgeBias::default());
+        let monitor = BaseMonitor::new(&view, &Matrix6::zeros(), EdgeBias::default());
         let mut random = StdRng::seed_from_u64(seed);
         let noise = Normal::new(0.0, 0.1).unwrap();
         let true_place = |point: &OutlinePoint| {
@@ -233,6 +257,29 @@ mod tests {
         let predicted = shifts[0].covariance[(0, 0)] / noise_model().design_effect;
         // 300 draws tell a variance to 8 %; the prediction also allows for light, which here is none.
         assert!(mean < 1.25 * predicted && mean > 0.1 * predicted, "{mean} seen, {predicted} predicted");
+    }
+
+    /// A camera that is turned and moved by what its pose leaves open shows the holder elsewhere by no more than that.
+    #[test]
+    fn the_shift_of_a_holder_at_rest_scatters_as_the_pose_does() {
+        let (lens, robot) = (Scene::default().lens, Robot::default());
+        let view = Projection { lens: &lens, camera_from_base: rig().camera_from_base, robot: &robot };
+        let sd = Vector6::new(1e-3, 1e-3, 2e-3, 0.02, 0.03, 0.1);
+        let covariance = Matrix6::from_diagonal(&sd.component_mul(&sd));
+        let monitor = BaseMonitor::new(&view, &covariance, EdgeBias::default());
+        let mut random = StdRng::seed_from_u64(4);
+        let mut chi2 = 0.0;
+        for _ in 0..100 {
+            let by = sd.map(|sd| sd * Normal::new(0.0, 1.0).unwrap().sample(&mut random));
+            let moved = Projection { camera_from_base: perturbed(&view.camera_from_base, &by), ..view.clone() };
+            let shift = monitor.shift_of(|point, _| {
+                let offset = moved.holder_pixel(&point.body) - point.pixel;
+                Some((point.normal.dot(&offset), 1e-3))
+            });
+            chi2 += shift.unwrap().distance2(&Vector3::zeros()) / 100.0;
+        }
+        // Three degrees of freedom, the mean of 100 draws; the noise that the edges state widens the covariance.
+        assert!((1.5..3.6).contains(&chi2), "{chi2}");
     }
 
     #[test]

@@ -62,7 +62,7 @@ pub struct RigDriftMonitor {
 impl RigDriftMonitor {
     pub fn new(lens: &Lens, rig: &Rig, view: &Projection) -> Self {
         let grid = GridPhaseMonitor::new(lens, &rig.sheet(), rig.standoff_mm(), rig.grid_pitch_mm, &rig.pattern);
-        Self { base: BaseMonitor::new(view, rig.edge_bias), grid }
+        Self { base: BaseMonitor::new(view, &rig.pose_covariance, rig.edge_bias), grid }
     }
 
     /// Looks at holder and target in one frame, whose edges the finder finds.

@@ -145,6 +145,9 @@ fn moved_rig(rig: &Rig, by: &Shared, covariance: &SharedInformation) -> Rig {
 
 /// Looks at a frame whose bend is known nearly, and lets the bend follow pose and bias.
 ///
+/// Only edges of what bends are asked. The holder's err alike in the straight picture and in every frame, since light and camera stay;
+/// the straight picture's pose has them already.
+///
 /// `None` where the edges do not determine the bend.
 fn shared_evidence(
     lens: &Lens,
@@ -159,7 +162,7 @@ fn shared_evidence(
     let mut outline = Outline::new(view, state.profile);
     let filters = Filters::fine(&finder, view, fit.blur.clone());
     filters.predict(&mut outline);
-    let edges = Correspondences::find(&outline, &filters, SEARCH_PX, |_| true);
+    let edges = Correspondences::find(&outline, &filters, SEARCH_PX, Piece::bends);
     let residuals = edges.residuals(view, state.profile, state.bias);
     let roots = RobustPhase::Redescending.roots(&residuals);
     let (_, scatter_px) = inliers(&edges.in_px(&residuals), &roots);
