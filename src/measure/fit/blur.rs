@@ -159,12 +159,15 @@ impl<'a> Filters<'a> {
     /// sharper in both.
     pub fn predict(&self, outline: &mut Outline) {
         for (step, finder) in self.by_step.iter().enumerate() {
+            let is_of_step = |point: &OutlinePoint| is_clear(point) && self.blur.step(point.piece) == step;
+            if !outline.points.iter().any(is_of_step) {
+                continue;
+            }
             let blur_px = self.blur.after(step);
             let silhouette = outline.blurred_silhouette(blur_px);
             let finder = finder.for_model(&silhouette);
             let search_px = PREDICTION_SEARCH_PX * (blur_px / SHARP_PX).max(1.0);
-            let points = outline.points.iter_mut().filter(|point| is_clear(point));
-            for point in points.filter(|point| self.blur.step(point.piece) == step) {
+            for point in outline.points.iter_mut().filter(|point| is_of_step(point)) {
                 point.predicted = finder.find(point, search_px).map(|edge| PredictedEdge {
                     offset_px: edge.offset_px,
                     blur_ratio: (edge.blur_px / blur_px).max(LEAST_BLUR_RATIO),
