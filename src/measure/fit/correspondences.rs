@@ -25,7 +25,9 @@ pub(super) struct Correspondence {
     pub seen: Point2<f64>,
     /// Outward normal of the border.
     pub normal: Vector2<f64>,
-    /// Standard deviation of the edge along the normal, px.
+    /// Standard deviation of the edge along the normal, px: of the picture's noise, ...
+    pub noise_px: f64,
+    /// ... and in all, with what displaces the edge alike in every picture that shows it there.
     pub sigma_px: f64,
     /// The flat face behind it, if there is one.
     pub face: Option<SeenFace>,
@@ -76,6 +78,7 @@ impl Correspondences {
                 lateral: point.lateral,
                 seen: point.pixel + point.normal.into_inner() * (edge.offset_px - predicted.offset_px),
                 normal: point.normal.into_inner(),
+                noise_px: edge.sigma_px,
                 sigma_px: (edge.sigma_px.powi(2) + edge_floor_px(point.piece).powi(2)).sqrt(),
                 face: None,
             });
@@ -113,7 +116,8 @@ impl Correspondences {
             let seen = point.pixel + normal * *displacement_px;
             let crate::measure::body::OutlinePoint { body, piece, lateral, .. } = *point;
             let face = SeenFace::behind(point, SPREAD_PX);
-            edges.all.push(Correspondence { body, piece, lateral, seen, normal, sigma_px, face });
+            let noise_px = sigma_px;
+            edges.all.push(Correspondence { body, piece, lateral, seen, normal, noise_px, sigma_px, face });
         }
         edges
     }
@@ -151,6 +155,15 @@ impl Correspondences {
         residuals.iter().zip(&self.all).map(|(r, m)| r * m.sigma_px).collect()
     }
 
+    /// The roots of the shares of the edges' information that each of so many frames adds to a straight picture, see [`share_of_news`]. Edges of what bends
+    /// are elsewhere in each frame, and new.
+    pub fn roots_of_news(&self, frames: usize) -> impl Iterator<Item = f64> {
+        self.all.iter().map(move |m| {
+            let of_noise = (m.noise_px / m.sigma_px).powi(2);
+            if m.piece.bends() { 1.0 } else { share_of_news(of_noise, frames as f64).sqrt() }
+        })
+    }
+
     /// The piece of the body that each edge belongs to.
     pub fn pieces(&self) -> impl Iterator<Item = Piece> {
         self.all.iter().map(|m| m.piece)
@@ -176,5 +189,33 @@ impl Correspondences {
         let weights: Vec<f64> = self.all.iter().zip(roots).map(weight).collect();
         let mode = |k: usize| DVector::from_fn(self.len(), |edge, _| weights[edge] * edges[edge][k]);
         (0..MODES).map(mode).collect()
+    }
+}
+
+/// The share of its information that an edge at rest adds in each of `frames` frames to the picture before them, if this share of its variance is the
+/// pictures' noise and the rest displaces it alike in all of them.
+///
+/// Derived: with a variance of 1, a of it noise, one picture tells 1 of the edge, and N + 1 pictures tell 1/(1 − a + a/(N + 1)). The difference is N times
+/// a/(1 + N (1 − a)).
+fn share_of_news(of_noise: f64, frames: f64) -> f64 {
+    of_noise / (1.0 + frames * (1.0 - of_noise))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use approx::assert_relative_eq;
+    use nalgebra::DMatrix;
+
+    #[test]
+    fn what_frames_add_to_the_straight_picture_is_what_all_pictures_tell_together() {
+        for (of_noise, frames) in [(1.0, 5), (0.7, 8), (0.1, 20), (0.3, 1)] {
+            let pictures = frames + 1;
+            let covariance = DMatrix::from_fn(pictures, pictures, |r, c| 1.0 - of_noise * f64::from(u8::from(r != c)));
+            let all = DVector::from_element(pictures, 1.0);
+            let information = all.dot(&covariance.cholesky().unwrap().solve(&all));
+            let share = share_of_news(of_noise, frames as f64);
+            assert_relative_eq!(1.0 + frames as f64 * share, information, max_relative = 1e-12);
+        }
     }
 }

@@ -120,7 +120,7 @@ pub fn refined_rig(
     for _ in 0..ROUNDS {
         let evidence = |(frame, start): (&SnakePlane, &mut Start)| {
             let fit = follow(&rig, frame, start, &FOLLOWING)?;
-            shared_evidence(lens, robot, &rig, frame, &fit)
+            shared_evidence(lens, robot, &rig, frame, &fit, planes.len())
         };
         let evidence: Vec<SharedEvidence> = planes.par_iter().zip(&mut starts).filter_map(evidence).collect();
         if evidence.len() < FEWEST_FRAMES {
@@ -145,8 +145,8 @@ fn moved_rig(rig: &Rig, by: &Shared, covariance: &SharedInformation) -> Rig {
 
 /// Looks at a frame whose bend is known nearly, and lets the bend follow pose and bias.
 ///
-/// Only edges of what bends are asked. The holder's err alike in the straight picture and in every frame, since light and camera stay;
-/// the straight picture's pose has them already.
+/// Edges of the holder count for what one of so many `frames` adds to them: but for noise they err alike in the straight picture and in every frame, since
+/// light and camera stay, and the straight picture's pose has that already.
 ///
 /// `None` where the edges do not determine the bend.
 fn shared_evidence(
@@ -155,6 +155,7 @@ fn shared_evidence(
     rig: &Rig,
     SnakePlane { plane, noise }: &SnakePlane,
     fit: &BendFit,
+    frames: usize,
 ) -> Option<SharedEvidence> {
     let view = &Projection { lens, camera_from_base: rig.camera_from_base, robot };
     let finder = EdgeFinder::with_noise(plane, rig.appearance.two_sided, *noise);
@@ -162,12 +163,13 @@ fn shared_evidence(
     let mut outline = Outline::new(view, state.profile);
     let filters = Filters::fine(&finder, view, fit.blur.clone());
     filters.predict(&mut outline);
-    let edges = Correspondences::find(&outline, &filters, SEARCH_PX, Piece::bends);
+    let edges = Correspondences::find(&outline, &filters, SEARCH_PX, |_| true);
     let residuals = edges.residuals(view, state.profile, state.bias);
     let roots = RobustPhase::Redescending.roots(&residuals);
     let (_, scatter_px) = inliers(&edges.in_px(&residuals), &roots);
-    let Linearised { residuals, by_state, by_pose } = Linearised::new(&edges, view, state, &roots, None);
-    let excess = excess(&residuals, &roots);
+    let counted: Vec<f64> = roots.iter().zip(edges.roots_of_news(frames)).map(|(root, news)| root * news).collect();
+    let Linearised { residuals, by_state, by_pose } = Linearised::new(&edges, view, state, &counted, None);
+    let excess = excess(&residuals, &counted);
     let (bend, bias) = (by_state.columns(0, PROFILE).into_owned(), by_state.columns(PROFILE, BIASES));
     let shared =
         DMatrix::from_fn(by_pose.nrows(), SHARED, |r, c| if c < 6 { by_pose[(r, c)] } else { bias[(r, c - 6)] });
@@ -179,7 +181,7 @@ fn shared_evidence(
     for (k, cluster) in edges.clusters().enumerate() {
         clusters.entry(cluster).or_insert_with(NormalEquations::none).add_row(&row(k), residuals[k]);
     }
-    let modes = edges.systematic_modes(view, &roots, scatter_px);
+    let modes = edges.systematic_modes(view, &counted, scatter_px);
     let modes = modes.iter().map(|mode| Shared::from_iterator(projected.tr_mul(mode).iter().copied()));
     Some(SharedEvidence { clusters, modes: modes.collect(), excess })
 }
