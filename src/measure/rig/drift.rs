@@ -4,7 +4,7 @@
 //! rig puts them; the target is asked for the phases of its waves in a few windows. A shift by a whole number of pitches leaves the phases as
 //! they were, but not the holder.
 
-use super::base_monitor::{BaseMonitor, BaseShift, HolderEdge, LIGHT_SIGMA_PX};
+use super::base_monitor::{BaseMonitor, BaseShift, HolderEdge, LIGHT_SIGMA_PX, SHADED_PX};
 use super::parameters::Rig;
 use crate::camera::{Frame, Lens};
 use crate::measure::body::Projection;
@@ -13,10 +13,6 @@ use crate::measure::target::{DETECTION_SIGMAS, GridPhaseMonitor, GridShift, PHAS
 use crate::observation::Status;
 use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
 
-/// A target that is found further from its place than this, px, has moved: light and shadow take it less far.
-///
-/// Fitted: by hand on the project's renders (tests/eye/drift.rs), whose targets at rest are found within 0.2 px; not judged elsewhere.
-const GRID_MOVED_PX: f64 = 0.4;
 /// What moved by less than this, px, or by less than so many of its sigmas, need not be followed.
 ///
 /// Convention: a tenth of a pixel changes the angles by less than their sigmas; 3 σ are exceeded in 3 of 1000 frames, which are then followed
@@ -135,19 +131,22 @@ impl DriftCheck {
 
     /// Why angles of this frame would be wrong, if they would.
     ///
-    /// A holder that is elsewhere means that camera or base moved: the camera, if the target is elsewhere too. A target that
-    /// only slid in its own plane, behind a holder that did not go with it, changes no angle.
+    /// A holder that is elsewhere means that camera or base moved: the camera, if the target is elsewhere too. Where the holder went with the target, both
+    /// together tell it. A target that only slid in its own plane, behind a holder that did not go with it, changes no angle.
     pub fn status(&self) -> Option<Status> {
-        let slid = self.grid.filter(|grid| grid.px > GRID_MOVED_PX.max(DETECTION_SIGMAS * grid.sigma_px));
+        let is_sure = |departure2: f64| departure2 > DETECTION_SIGMAS.powi(2);
+        let slid = self.grid.is_some_and(|grid| is_sure((grid.px / grid.sigma_px.hypot(SHADED_PX)).powi(2)));
         let leans = self.grid.is_some_and(|grid| grid.out_of_plane > 1.0);
-        match (self.base, slid) {
-            (Some(base), _) if base.is_elsewhere() => {
-                let stayed = slid.is_none() && self.grid.is_some_and(|grid| !base.went_with(&grid));
-                Some(if stayed { Status::BaseMoved } else { Status::CameraMoved })
+        match (self.base, self.grid) {
+            (Some(base), Some(grid))
+                if base.went_with(&grid) && is_sure(base.departure2() + grid.departure2_at_base(SHADED_PX)) =>
+            {
+                Some(Status::CameraMoved)
             }
-            (Some(base), Some(grid)) if base.went_with(&grid) => Some(Status::CameraMoved),
-            (None, Some(_)) => Some(Status::CameraMoved),
-            (Some(_), Some(grid)) if grid.may_be_a_turn => Some(Status::CameraMoved),
+            (Some(base), Some(_)) if is_sure(base.departure2()) && !slid => Some(Status::BaseMoved),
+            (Some(base), _) if is_sure(base.departure2()) => Some(Status::CameraMoved),
+            (None, Some(_)) if slid => Some(Status::CameraMoved),
+            (Some(_), Some(grid)) if slid && grid.may_be_a_turn => Some(Status::CameraMoved),
             _ if leans => Some(Status::CameraMoved),
             _ => None,
         }
@@ -158,7 +157,7 @@ impl DriftCheck {
 mod tests {
     use super::*;
     use crate::geometry::Pose;
-    use nalgebra::{Matrix3, Vector2};
+    use nalgebra::{Matrix2, Matrix3, Vector2};
 
     fn base(x: f64, y: f64) -> Option<BaseShift> {
         Some(BaseShift { by: Vector3::new(x, y, 0.0), covariance: Matrix3::identity() * 0.01 })
@@ -166,8 +165,16 @@ mod tests {
 
     fn grid(px: f64, at_base: [f64; 2], may_be_a_turn: bool) -> Option<GridShift> {
         let at_base = Vector2::from(at_base);
-        let camera_from_grid = Pose::identity();
-        Some(GridShift { px, sigma_px: 0.05, at_base, out_of_plane: 0.2, may_be_a_turn, camera_from_grid })
+        let (at_base_covariance, camera_from_grid) = (Matrix2::identity() * 0.0025, Pose::identity());
+        Some(GridShift {
+            px,
+            sigma_px: 0.05,
+            at_base,
+            at_base_covariance,
+            out_of_plane: 0.2,
+            may_be_a_turn,
+            camera_from_grid,
+        })
     }
 
     #[test]

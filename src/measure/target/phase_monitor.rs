@@ -80,6 +80,8 @@ pub struct GridShift {
     pub sigma_px: f64,
     /// The shift in the picture at the place that was asked for, px.
     pub at_base: Vector2<f64>,
+    /// Its covariance.
+    pub at_base_covariance: Matrix2<f64>,
     /// The part that no sliding in its own plane explains, turns about the target's axes and a lift, in units of what may come from
     /// waviness or noise.
     pub out_of_plane: f64,
@@ -87,6 +89,14 @@ pub struct GridShift {
     pub may_be_a_turn: bool,
     /// The camera's pose to the target where it is now.
     pub camera_from_grid: Pose,
+}
+
+impl GridShift {
+    /// Squared distance of the shift at the base from none, in units of its covariance and of what light does to a target at rest (px, 1σ).
+    pub fn departure2_at_base(&self, shaded_px: f64) -> f64 {
+        let covariance = self.at_base_covariance + Matrix2::identity() * shaded_px.powi(2);
+        covariance.cholesky().map_or(0.0, |factor| self.at_base.dot(&factor.solve(&self.at_base)))
+    }
 }
 
 /// Measures phases of the target's waves in a few windows, and the motion of the target that they tell.
@@ -161,12 +171,20 @@ impl GridPhaseMonitor {
         let variance_px = (&self.by_motion * &covariance * self.by_motion.transpose()).trace() / count;
         let moved = moved_target(&self.sheet, motion.as_slice());
         let place_mm = self.sheet.place_at(&self.lens, base)?;
+        let seen_at = |by: &DVector<f64>| {
+            let seen = moved_target(&self.sheet, by.as_slice()).project(&self.lens, &place_mm);
+            DVector::from_column_slice(seen.coords.as_slice())
+        };
+        let by_motion = central_differences(seen_at, &DVector::zeros(6), &DVector::from_column_slice(&STEPS));
+        let at_base_covariance =
+            (&by_motion * &covariance * by_motion.transpose()).fixed_view::<2, 2>(0, 0).into_owned();
         let motion = Vector6::from_column_slice(motion.as_slice());
         let covariance: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
         Some(GridShift {
             px: (&self.by_motion * motion).norm() / count.sqrt(),
             sigma_px: variance_px.sqrt(),
             at_base: moved.project(&self.lens, &place_mm) - base,
+            at_base_covariance,
             out_of_plane: out_of_plane(&motion, &covariance),
             may_be_a_turn: self.may_be_a_turn(&motion, &covariance, &place_mm)?,
             camera_from_grid: moved.camera_from_grid,
