@@ -63,10 +63,15 @@ pub fn rendered() -> &'static Path {
 
 /// Renders the experiment into frames of 1/divisor of the usual width and height.
 pub fn render_short(folder: &Path, divisor: u32) {
+    render_short_seeded(folder, divisor, 1);
+}
+
+/// The same with this seed of all noise.
+pub fn render_short_seeded(folder: &Path, divisor: u32, seed: u64) {
     let ride = BendingExperiment { sweep_poses: 2, round_poses: 0, ..BendingExperiment::default() };
     let mut scene = smaller(Scene::default(), divisor);
     (scene.sensor.rays_per_pixel, scene.sensor.noise) = (8, 1.0);
-    assert_eq!(write_clean(folder, &ride, &scene, 1), FRAMES);
+    assert_eq!(write_clean(folder, &ride, &scene, seed), FRAMES);
 }
 
 /// Renders an experiment in which nothing is wrong. How many frames it has.
