@@ -8,6 +8,7 @@
 use super::data::Data;
 use super::fit::Fit;
 use super::residuals::Problem;
+use crate::statistics::correlation::squares_and_products;
 use crate::statistics::moments::mean;
 use crate::statistics::order::mad_scale;
 
@@ -138,8 +139,7 @@ impl Noise {
 
 /// The variance of what does not hang together from one value to the next.
 fn noise_variance(values: &[f64]) -> f64 {
-    let squares: f64 = values.iter().map(|v| v * v).sum();
-    let products: f64 = values.windows(2).map(|pair| pair[0] * pair[1]).sum();
+    let [squares, products] = squares_and_products(values);
     if products <= CORRELATED * squares / (values.len() as f64).sqrt() {
         return mad_scale(values.iter().copied()).powi(2);
     }

@@ -11,9 +11,9 @@ use super::fit::Fit;
 use super::noise::Noise;
 use super::residuals::{Problem, Residual, stacked};
 use crate::robot::{Mechanics, PerBackbone};
-use crate::statistics::chi_square;
-use crate::statistics::correlation::autoregressive_design_effect;
+use crate::statistics::correlation::{autoregressive_design_effect, squares_and_products};
 use crate::statistics::null_distribution::NullDistribution;
+use crate::statistics::{chi_square, normal};
 use nalgebra::{DMatrix, DVector, DVectorView, Vector2};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -29,10 +29,10 @@ const MOST_SIGMAS: f64 = 6.0;
 /// Convention: the level of the test.
 const LEVEL: f64 = 0.01;
 
-/// Draws of noise, of what the families explain and of the correlation of successive values.
+/// Draws of what the families explain of noise.
 ///
-/// Derived: ten and a thousand of them lie beyond the quantile at half of [`LEVEL`], which is then known to 5 % and to 0.4 % of its value.
-const DRAWS: [usize; 2] = [2000, 200_000];
+/// Derived: ten of them lie beyond the quantile at half of [`LEVEL`], which is then known to 5 % of its value.
+const DRAWS: usize = 2000;
 
 /// Columns shorter than this share of their length after orthogonalisation depend on the others.
 ///
@@ -43,11 +43,6 @@ const LEAST_INDEPENDENT: f64 = 1e-6;
 ///
 /// Convention: a numerical guard.
 const LEAST_VARIANCE: f64 = 1e-12;
-
-/// The quantile of the standard normal distribution at 1 − [`LEVEL`].
-///
-/// Source: any table of the normal distribution.
-const NORMAL_QUANTILE: f64 = 2.326_348;
 
 /// The components of a residual that belong to the bend; the others are parts of q̃ that bend nothing.
 ///
@@ -102,9 +97,9 @@ impl Structure {
         };
         Self {
             mean_square: [mean_square(0, BEND), mean_square(BEND, n - BEND)],
-            successive: clipped.column_iter().map(|r| successive(r.iter().copied())).collect(),
+            successive: clipped.as_slice().chunks(data.len()).map(successive).collect(),
             follows,
-            is_as_stated: is_as_stated(problem, fit),
+            is_as_stated: is_as_stated(problem, fit, freedom),
             noise: NoiseQuantiles::new(data, &families),
         }
     }
@@ -129,18 +124,17 @@ impl Structure {
     }
 }
 
-/// Whether the bend, and what bends nothing, are no larger than a stated noise that is as alike from one sample to the next as they are.
-fn is_as_stated(problem: &Problem, fit: &Fit) -> [bool; 2] {
+/// Whether the bend, and what bends nothing, are no larger than a stated noise that is as alike from one sample to the next as they are; `freedom` is the
+/// share of their squares that the parameters took.
+fn is_as_stated(problem: &Problem, fit: &Fit, freedom: f64) -> [bool; 2] {
     let (data, stated) = (problem.data, Noise::stated(problem.data));
-    let residuals = data.residual_count();
-    let freedom = residuals as f64 / (residuals - fit.parameter_count().min(residuals - 1)) as f64;
     let is_as_large = |columns: &[Vec<f64>]| {
         let known = columns.iter().map(|column| &column[problem.noise.unknown_start..]);
         let clipped: Vec<Vec<f64>> =
             known.map(|column| column.iter().map(|r| r.clamp(-MOST_SIGMAS, MOST_SIGMAS)).collect()).collect();
         let count = clipped.iter().map(Vec::len).sum::<usize>() as f64;
-        let squares: f64 = clipped.iter().flatten().map(|r| r * r).sum();
-        let products: f64 = clipped.iter().flat_map(|column| column.windows(2)).map(|pair| pair[0] * pair[1]).sum();
+        let sums = clipped.iter().map(|column| squares_and_products(column));
+        let [squares, products] = sums.fold([0.0; 2], |sum, own| [sum[0] + own[0], sum[1] + own[1]]);
         // The squares of a first-order autoregression are one of the correlation's square.
         let independent = count / autoregressive_design_effect((products / squares).powi(2));
         squares / count * freedom <= mean_square_quantile(independent)
@@ -152,7 +146,8 @@ fn is_as_stated(problem: &Problem, fit: &Fit) -> [bool; 2] {
 
 impl NoiseQuantiles {
     /// The largest of what the families explain is simulated within the span of their functions, since nothing else of noise is explained. What the fit takes of
-    /// noise is left in it, which makes the quantiles larger by a little. The correlation of successive values of noise is normal, of unit variance.
+    /// noise is left in it, which makes the quantiles larger by a little. The correlation of successive values of noise is normal, of unit variance, and that of
+    /// one component independent of the others'.
     fn new(data: &Data, families: &[Family]) -> Self {
         let (samples, n) = (data.len(), data.backbones());
         let bases: Vec<_> = families.iter().flat_map(|family| family.basis.column_iter()).collect();
@@ -166,33 +161,28 @@ impl NoiseQuantiles {
             let all = noise.norm_squared() + beyond.as_ref().map_or(0.0, |beyond| random.sample(beyond));
             within.iter().map(|own| in_standard_errors(&(own * &noise), all, samples)).fold(0.0, f64::max)
         };
-        let mut random = StdRng::seed_from_u64(4);
-        let mut successive = || random.sample::<f64, _>(StandardNormal).abs();
+        let largest = (0..DRAWS).map(|_| (0..n).map(|_| explained()).fold(0.0, f64::max)).collect();
+        // One of both signs for each component.
+        let successive =
+            |count: usize| normal::upper_quantile(0.5 * (1.0 - (1.0 - 0.5 * LEVEL).powf(1.0 / count as f64)));
         let mean_square = |count: usize| mean_square_quantile((count * samples) as f64);
         Self {
             mean_square: [mean_square(BEND), mean_square(n - BEND)],
-            successive: [BEND, n - BEND].map(|count| quantile_of_largest(count, DRAWS[1], &mut successive)),
-            follows: quantile_of_largest(n, DRAWS[0], &mut explained),
+            successive: [BEND, n - BEND].map(successive),
+            follows: NullDistribution::new(largest).quantile(1.0 - 0.5 * LEVEL),
         }
     }
 }
 
-/// What the largest of so many draws exceeds in half of [`LEVEL`] of all cases.
-fn quantile_of_largest(count: usize, draws: usize, draw: &mut dyn FnMut() -> f64) -> f64 {
-    let largest = (0..draws).map(|_| (0..count).map(|_| draw()).fold(0.0, f64::max)).collect();
-    NullDistribution::new(largest).quantile(1.0 - LEVEL / 2.0)
-}
-
 /// The quantile of χ²_f / f at 1 − [`LEVEL`].
 pub fn mean_square_quantile(freedom: f64) -> f64 {
-    chi_square::quantile(freedom, NORMAL_QUANTILE) / freedom
+    chi_square::quantile(freedom, normal::upper_quantile(LEVEL)) / freedom
 }
 
 /// The correlation of successive values in standard errors, √n times the lag-one autocorrelation about zero.
-fn successive(values: impl Iterator<Item = f64> + Clone) -> f64 {
-    let squares: f64 = values.clone().map(|r| r * r).sum();
-    let products: f64 = values.clone().zip(values.clone().skip(1)).map(|(a, b)| a * b).sum();
-    if squares > 0.0 { products / squares * (values.count() as f64).sqrt() } else { 0.0 }
+fn successive(values: &[f64]) -> f64 {
+    let [squares, products] = squares_and_products(values);
+    if squares > 0.0 { products / squares * (values.len() as f64).sqrt() } else { 0.0 }
 }
 
 /// Functions that residuals may follow.
@@ -363,9 +353,9 @@ mod tests {
 
     #[test]
     fn successive_values_that_alternate_are_anticorrelated_and_noise_is_not() {
-        let alternating = (0..100).map(|k| if k % 2 == 0 { 1.0 } else { -1.0 });
-        assert!((successive(alternating) + 9.9).abs() < 1e-9);
-        let of_noise: Vec<f64> = (0..400).map(|seed| successive(noise(300, seed).iter().copied())).collect();
+        let alternating: Vec<f64> = (0..100).map(|k| if k % 2 == 0 { 1.0 } else { -1.0 }).collect();
+        assert!((successive(&alternating) + 9.9).abs() < 1e-9);
+        let of_noise: Vec<f64> = (0..400).map(|seed| successive(noise(300, seed).as_slice())).collect();
         let square = of_noise.iter().map(|z| z * z).sum::<f64>() / 400.0;
         assert!((square - 1.0).abs() < 0.25, "{square}");
     }

@@ -26,6 +26,13 @@ pub fn autoregressive_design_effect(rho: f64) -> f64 {
     (1.0 + rho) / (1.0 - rho)
 }
 
+/// The sum of the squares of values that come in order, and of the products of each with the next: the second over the first is their first
+/// autocorrelation about zero.
+pub fn squares_and_products(values: &[f64]) -> [f64; 2] {
+    let products: f64 = values.windows(2).map(|pair| pair[0] * pair[1]).sum();
+    [values.iter().map(|value| value * value).sum(), products]
+}
+
 /// Running sums over whitened residuals of D numbers each, with a forgetting factor: their reduced χ² and first autocorrelation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SerialScatter<const D: usize> {

@@ -11,6 +11,7 @@
 //! | [`robust`] | losses of Huber and Tukey, weights in units of the MAD, iteratively reweighted least squares (IRLS) |
 //! | [`trimmed`] | least trimmed squares (LTS): a start that outliers cannot spoil |
 //! | [`chi_square`] | quantiles of χ² |
+//! | [`normal`] | quantiles of the normal distribution |
 //! | [`cluster`] | cluster-robust covariance of a fit whose errors come in groups |
 //! | [`correlation`] | autocorrelation and design effect of errors that come in order |
 //! | [`information`] | square-root information filter: recursive least squares with a forgetting factor |
@@ -31,6 +32,7 @@ pub mod information;
 pub mod least_squares;
 pub mod line;
 pub mod moments;
+pub mod normal;
 pub mod normal_equations;
 pub mod null_distribution;
 pub mod order;
