@@ -8,6 +8,7 @@
 
 use super::fit::Fit;
 use super::residuals::Problem;
+use crate::statistics::moments::rms;
 use crate::statistics::order::mad_scale;
 use crate::statistics::robust::{Irls, Loss, TUKEY_LIMIT};
 use nalgebra::{DMatrix, DVector, Rotation2, Vector2};
@@ -48,7 +49,8 @@ fn outside(measured: &[Vector2<f64>], implied: &[Vector2<f64>], begin_with: usiz
         irls.fit(&own_design, &own, rest).map(|fit| values + &design * fit.parameters)
     });
     let [Some(x), Some(y)] = residuals else { return 0 };
-    let scale = mad_scale(x.iter().skip(begin_with).chain(y.iter().skip(begin_with)).copied());
+    // Of each axis by itself: in one plane the other has hardly any, and the median of both together would lie at the edge between them.
+    let scale = rms([&x, &y].map(|own| mad_scale(own.iter().skip(begin_with).copied())));
     let is_outside = |k: &usize| x[*k].hypot(y[*k]) > OUTSIDE * scale;
     let count = (0..begin_with).take_while(is_outside).count();
     if count < begin_with { count } else { 0 }
@@ -78,6 +80,23 @@ mod tests {
             let count = outside(&measured, &implied, 20);
             assert!((5..=9).contains(&count), "{count}");
         }
+    }
+
+    #[test]
+    fn in_one_plane_the_start_is_told_by_what_scatters_in_it() {
+        let of_start = |start: f64, seed: u64| {
+            let mut random = StdRng::seed_from_u64(seed);
+            let implied = |k: usize| Vector2::new(0.8 * (0.3 * k as f64).sin(), 1e-9 * (7.0 * k as f64).sin());
+            let measured = |k: usize| {
+                let noise: f64 = random.sample(StandardNormal);
+                let moved = if k < 6 { start } else { 0.0 };
+                Vector2::new(0.7 * implied(k).x + 0.1 + moved + 0.03 * noise, 1e-9 * (k as f64).cos())
+            };
+            let measured: Vec<_> = (0..100).map(measured).collect();
+            outside(&measured, &(0..100).map(implied).collect::<Vec<_>>(), 20)
+        };
+        assert!((0..200).map(|seed| of_start(0.0, seed)).sum::<usize>() <= 6);
+        assert!((0..10).all(|seed| (6..=7).contains(&of_start(0.6, seed))));
     }
 
     #[test]
