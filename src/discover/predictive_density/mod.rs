@@ -36,6 +36,12 @@ pub const STRETCHES: usize = 6;
 /// Convention: a discrepancy that changes more quickly is taken for noise.
 const SPACING: f64 = 0.05;
 
+/// Standard deviations of a reading to which a travel is known, as a displacement of the backbones: one that is short of the [`SPACING`] by less has come to
+/// it. Quantised or evenly stepped commands come to it exactly, but for rounding, which would decide at every row.
+///
+/// Derived: √(2 · 2/3), a travel being the difference of two bends, each the mean of three readings with the weights ⅔ cos of their azimuths.
+const READING_SDS: f64 = 1.154_7;
+
 /// The lengths along which a discrepancy may be correlated, in halves of the range.
 ///
 /// Convention: from the [`SPACING`] to the whole range, each about twice the one before. What goes on for longer is a bend at rest, or a gain.
@@ -139,13 +145,14 @@ impl Judged {
         let (low, high) = commands.iter().fold((commands[0], commands[0]), |(low, high), u| (low.inf(u), high.sup(u)));
         let half_range = (0.5 * (high - low).amax()).max(f64::MIN_POSITIVE);
         let spacing = if beside == Beside::Noise { 0.0 } else { SPACING };
+        let known_to = READING_SDS * data.sd_encoder_mm / (model.robot.backbone_circle_radius_mm * half_range);
         let (mut rows, mut travel, mut at) = (Vec::new(), f64::INFINITY, data.log.samples[0]);
         for sample in problem.noise.unknown_start..data.len() {
             for step in at..data.log.samples[sample] {
                 travel += (commands[step + 1] - commands[step]).norm() / half_range;
             }
             at = data.log.samples[sample];
-            if travel >= spacing {
+            if travel + known_to >= spacing {
                 rows.push(Row { sample, travel, stretch: 0 });
                 travel = 0.0;
             }
