@@ -140,7 +140,7 @@ impl Judged {
         let with = with.filter(|with| with.held_out.gap.eps_mm < held_out_before.gap.eps_mm);
         let helps = with.is_some();
         let answer = with.unwrap_or(without);
-        let verdict = Verdict::new(helps, &structure_before, &answer.structure);
+        let verdict = Verdict::new(helps, problem.data.is_driven, &structure_before, &answer.structure);
         Self { verdict, structure_before, held_out_before, answer }
     }
 }

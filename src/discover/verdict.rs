@@ -38,14 +38,15 @@ impl Verdict {
 
     /// From whether the search found effects, and the structure of the residuals before and after; whether the answer is a partial one
     /// is another question. Effects are to account for all but the noise that was learned; without any, a gap that is no larger than the noise that is stated
-    /// is none.
-    pub fn new(found_effects: bool, before: &Structure, after: &Structure) -> Self {
+    /// is none. Of actuators that are driven to positions the bend alone is to be accounted for: what bends nothing follows their commands, and no effect
+    /// could change what it leaves.
+    pub fn new(found_effects: bool, is_driven: bool, before: &Structure, after: &Structure) -> Self {
         let accounts_for =
             |part: usize| !after.exceeds_learned(part) || after.excess(part) < LEFT_BY_FORM * before.excess(part);
-        let parts = [0, 1];
+        let parts = if is_driven { 0..1 } else { 0..2 };
         match found_effects {
-            true if parts.into_iter().all(accounts_for) => Self::Named,
-            false if !parts.into_iter().any(|part| after.exceeds_noise(part)) => Self::None,
+            true if parts.clone().all(accounts_for) => Self::Named,
+            false if !parts.clone().any(|part| after.exceeds_noise(part)) => Self::None,
             _ => Self::Unexplained,
         }
     }
@@ -81,7 +82,10 @@ mod tests {
             (true, structure([2.0, 1.0], true), Verdict::Unexplained),
             (true, structure([1.0, 3.0], true), Verdict::Unexplained),
         ] {
-            assert_eq!(Verdict::new(found_effects, &gap, &after), expected, "{after:?}");
+            assert_eq!(Verdict::new(found_effects, false, &gap, &after), expected, "{after:?}");
         }
+        let readings_alone = structure([1.0, 3.0], true);
+        assert_eq!(Verdict::new(true, true, &gap, &readings_alone), Verdict::Named);
+        assert_eq!(Verdict::new(true, true, &gap, &structure([3.0, 1.0], true)), Verdict::Unexplained);
     }
 }
