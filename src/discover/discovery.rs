@@ -9,7 +9,7 @@ use super::partial::Partial;
 use super::posterior::{Candidate, covariance_between};
 use super::predictive_density::Beside;
 use super::residuals::Problem;
-use super::search::{Found, Named, OPEN, search};
+use super::search::{Found, Named, OPEN, most_promising, search};
 use super::structure::Structure;
 use super::verdict::Verdict;
 use crate::robot::effects::{Changes, RIG_ERROR};
@@ -161,15 +161,46 @@ struct Searched<'a> {
 
 impl<'a> Searched<'a> {
     /// The search of the samples as they are, unless the bends alone show what is missing and the search of the same samples as of actuators that are driven to
-    /// positions is likelier; and whether it is. Both with a part of their samples.
+    /// positions is likelier; and whether it is. Both with a part of their samples. Where what only such actuators show promises most, they are searched first:
+    /// if what the bends alone follow has no name, it has none either with more to account for.
     fn likeliest(model: &Model, [plain, driven]: [(&'a Data, &'a Data); 2], tell: Tell) -> (Self, bool) {
-        let searched = Self::new(model, plain, tell);
-        if !searched.bends_alone_show_it() {
+        tell("learning the noise");
+        let (learned, rough) = Self::noise_of(model, plain.0);
+        let [problem, as_driven] = [plain.1, driven.1].map(|few| Problem::new(few, &learned, &rough));
+        let before = Structure::new(&problem, &problem.fit(&rough, None, None));
+        let bends_alone_show_it = before.exceeds_learned(0) && !before.exceeds_noise(1);
+        let search_driven = || {
+            tell("comparing effects of which no reading shows what bends nothing");
+            let (learned, rough) = Self::noise_of(model, driven.0);
+            Self::new((&learned, &rough), driven, tell)
+        };
+        let is_of_drive = |physics: &'static Physics| matches!(physics.changes, Changes::Drive(_));
+        let promises_most = || most_promising(&as_driven, &as_driven.fit(&rough, None, None));
+        let other = (bends_alone_show_it && promises_most().is_some_and(is_of_drive)).then(search_driven);
+        if let Some(other) = other.as_ref().filter(|other| other.judged.verdict != Verdict::Named) {
+            return (Self::of_nothing(plain.1, &other.problem.noise, &rough), false);
+        }
+        let searched = Self::new((&learned, &rough), plain, tell);
+        if !bends_alone_show_it || !searched.leaves_more_than_noise() {
             return (searched, false);
         }
-        tell("comparing effects of which no reading shows what bends nothing");
-        let other = Self::new(model, driven, tell);
+        let other = other.unwrap_or_else(search_driven);
         if other.is_likelier_than(&searched) { (other, true) } else { (searched, false) }
+    }
+
+    /// The noise, and a rough fit of the model. From all samples: between thinned ones effects change as quickly as noise.
+    fn noise_of(model: &Model, data: &Data) -> (Noise, Model) {
+        let stated = Problem::new(data, &Noise::stated(data), model);
+        let rough = stated.fit(model, None, None);
+        (Noise::learned(&stated, &rough), rough.model)
+    }
+
+    /// A search that found nothing.
+    fn of_nothing(data: &'a Data, noise: &Noise, model: &Model) -> Self {
+        let problem = Problem::new(data, noise, model);
+        let before = problem.fit(model, None, None);
+        let judged = Judged::new(&problem, &before, &before);
+        Self { found: Found::nothing(problem.clone(), before.clone()), problem, before, judged }
     }
 
     /// The answer, with the structures that are left open: what was found, or what helps where that does not account for the gap.
@@ -188,14 +219,9 @@ impl<'a> Searched<'a> {
 
     /// Of many samples a part, `few`, is searched, and what was found is fitted to all. All are searched where they show more than that accounts
     /// for, unless the part does so as well, or actuators are said to be driven: that is asked second, and a search of thousands of rows takes a minute.
-    fn new(model: &Model, (data, few): (&'a Data, &'a Data), tell: Tell) -> Self {
-        tell("learning the noise");
-        let stated = Problem::new(data, &Noise::stated(data), model);
-        let rough = stated.fit(model, None, None);
-        // From all samples: between thinned ones effects change as quickly as noise.
-        let learned = Noise::learned(&stated, &rough);
+    fn new((learned, rough): (&Noise, &Model), (data, few): (&'a Data, &'a Data), tell: Tell) -> Self {
         tell("comparing effects");
-        let searched = Self::of(few, &learned, &rough.model);
+        let searched = Self::of(few, learned, rough);
         if few.len() == data.len() || searched.judged.verdict == Verdict::Unexplained {
             return searched;
         }
@@ -203,7 +229,7 @@ impl<'a> Searched<'a> {
         let judged = searched.judged_on(data);
         if judged.verdict == Verdict::Unexplained && !data.is_driven {
             tell("comparing effects on all samples");
-            return Self::of(data, &learned, &rough.model);
+            return Self::of(data, learned, rough);
         }
         Self { judged, ..searched }
     }
@@ -266,13 +292,11 @@ impl<'a> Searched<'a> {
         Judged { verdict, held_out_before: before, answer, ..self.judged.clone() }
     }
 
-    /// Whether the bends miss the model as given by more than noise, and the part of the readings that bends nothing does not; and more is left than noise, or
-    /// clearly more than the noise that is stated.
-    fn bends_alone_show_it(&self) -> bool {
-        let (before, after) = (&self.judged.structure_before, &self.judged.answer);
+    /// Whether more is left than noise, or clearly more than the noise that is stated.
+    fn leaves_more_than_noise(&self) -> bool {
+        let after = &self.judged.answer;
         let is_left = (0..2).any(|part| after.structure.exceeds_learned(part));
-        let is_left = is_left || Noise::stated(self.problem.data).is_finer_than(&after.noise);
-        before.exceeds_learned(0) && !before.exceeds_noise(1) && is_left
+        is_left || Noise::stated(self.problem.data).is_finer_than(&after.noise)
     }
 
     /// Whether what it names rules out what another search of the same samples came to.

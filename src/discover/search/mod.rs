@@ -38,7 +38,7 @@ const MOST_EFFECTS: [usize; 2] = [3, 8];
 /// Convention: a bound on computing time.
 const BEAM_WIDTH: usize = 3;
 
-/// Where the best of the beam leaves squares of so many times the noise's, no exchange of effects is tried beside noise.
+/// Where the best of the beam leaves squares of so many times the noise's, neither the rest of the beam nor an exchange of effects is tried beside noise.
 ///
 /// Convention: a bound on computing time; an rms of five times the noise is no effect taken for one that looks alike.
 const HOPELESS: f64 = 30.0;
@@ -83,19 +83,25 @@ pub struct Found<'a> {
     pub score: f64,
 }
 
+impl<'a> Found<'a> {
+    /// No effects, and no structure that was scored.
+    pub fn nothing(problem: Problem<'a>, fit: Fit) -> Self {
+        let score = f64::NEG_INFINITY;
+        Self { problem, fit, named: Vec::new(), structures: Vec::new(), squares: [0.0; 3], score }
+    }
+}
+
 /// The structure of the highest score that a search from the model as given comes to; `before` is its fit.
 pub fn search<'a>(problem: &Problem<'a>, before: &Fit, beside: Beside) -> Found<'a> {
-    let judged = Judged::new(problem, before, beside);
-    Search {
-        problem: problem.clone(),
-        judged,
-        before: before.clone(),
-        beside,
-        gap: 0.0,
-        scored: Vec::new(),
-        gone_on_from: Vec::new(),
-    }
-    .found()
+    Search::new(problem, before, beside).found()
+}
+
+/// The effect that a linear step about the model as given scores highest beside noise, if any does better than nothing.
+pub fn most_promising(problem: &Problem, before: &Fit) -> Option<&'static Physics> {
+    let mut search = Search::new(problem, before, Beside::Noise);
+    let bare = search.structure(before.clone())?;
+    let (model, _) = search.promising(&bare, &bare.fit, false).into_iter().next()?;
+    model.effects.last().map(|effect| effect.physics)
 }
 
 struct Search<'a> {
@@ -115,16 +121,21 @@ struct Search<'a> {
 type GoneOnFrom = (Vec<&'static Physics>, bool, Noise);
 
 impl<'a> Search<'a> {
+    fn new(problem: &Problem<'a>, before: &Fit, beside: Beside) -> Self {
+        Self {
+            problem: problem.clone(),
+            judged: Judged::new(problem, before, beside),
+            before: before.clone(),
+            beside,
+            gap: 0.0,
+            scored: Vec::new(),
+            gone_on_from: Vec::new(),
+        }
+    }
+
     fn found(mut self) -> Found<'a> {
         let Some(bare) = self.structure(self.before.clone()) else {
-            return Found {
-                problem: self.problem,
-                fit: self.before,
-                named: Vec::new(),
-                structures: Vec::new(),
-                squares: [0.0; 3],
-                score: f64::NEG_INFINITY,
-            };
+            return Found::nothing(self.problem, self.before);
         };
         self.gap = bare.squares - self.judged.noise_squares(&self.problem);
         let mut best = match self.beside {
@@ -154,7 +165,7 @@ impl<'a> Search<'a> {
     }
 
     /// The best of the structures that the likeliest single effects lead to. Where one of them leaves no more than noise, the others are not gone on from: they come
-    /// at best to its equal, with an effect more.
+    /// at best to its equal, with an effect more. Nor are they where it is [`HOPELESS`].
     fn best_of_beam(&mut self, bare: &Structure) -> Structure {
         let problem = self.problem.clone();
         let (mut best, mut under) = (bare.clone(), problem.clone());
@@ -166,7 +177,8 @@ impl<'a> Search<'a> {
                 (best, under) = (grown, self.problem.clone());
             }
             let noise = self.judged.noise_squares(&under);
-            if best.squares < noise * mean_square_quantile(self.problem.data.residual_count() as f64) {
+            let is_noise = best.squares < noise * mean_square_quantile(self.problem.data.residual_count() as f64);
+            if is_noise || best.squares > HOPELESS * noise {
                 break;
             }
         }
