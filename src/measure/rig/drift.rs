@@ -135,21 +135,17 @@ impl DriftCheck {
     /// together tell it. A target that only slid in its own plane, behind a holder that did not go with it, changes no angle.
     pub fn status(&self) -> Option<Status> {
         let is_sure = |departure2: f64| departure2 > DETECTION_SIGMAS.powi(2);
-        let slid = self.grid.is_some_and(|grid| is_sure((grid.px / grid.sigma_px.hypot(SHADED_PX)).powi(2)));
-        let leans = self.grid.is_some_and(|grid| grid.out_of_plane > 1.0);
-        match (self.base, self.grid) {
-            (Some(base), Some(grid))
-                if base.went_with(&grid) && is_sure(base.departure2() + grid.departure2_at_base(SHADED_PX)) =>
-            {
-                Some(Status::CameraMoved)
-            }
-            (Some(base), Some(_)) if is_sure(base.departure2()) && !slid => Some(Status::BaseMoved),
-            (Some(base), _) if is_sure(base.departure2()) => Some(Status::CameraMoved),
-            (None, Some(_)) if slid => Some(Status::CameraMoved),
-            (Some(_), Some(grid)) if slid && grid.may_be_a_turn => Some(Status::CameraMoved),
-            _ if leans => Some(Status::CameraMoved),
-            _ => None,
+        let went_together = self.base.zip(self.grid).is_some_and(|(base, grid)| {
+            base.went_with(&grid) && is_sure(base.departure2() + grid.departure2_at_base(SHADED_PX))
+        });
+        let is_elsewhere = self.base.is_some_and(|base| is_sure(base.departure2()));
+        let slid = self.grid.filter(|grid| is_sure((grid.px / grid.sigma_px.hypot(SHADED_PX)).powi(2)));
+        if is_elsewhere && !went_together && self.grid.is_some() && slid.is_none() {
+            return Some(Status::BaseMoved);
         }
+        let turned = slid.is_some_and(|grid| self.base.is_none() || grid.may_be_a_turn);
+        let leans = self.grid.is_some_and(|grid| grid.out_of_plane > 1.0);
+        (went_together || is_elsewhere || turned || leans).then_some(Status::CameraMoved)
     }
 }
 

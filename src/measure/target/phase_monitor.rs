@@ -11,7 +11,9 @@ use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::statistics::least_squares::central_differences;
 use crate::statistics::order::mad_scale;
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix6, Point2, Translation3, UnitQuaternion, Vector2, Vector3, Vector6};
+use nalgebra::{
+    DMatrix, DVector, Matrix2, Matrix2x6, Matrix6, Point2, Translation3, UnitQuaternion, Vector2, Vector3, Vector6,
+};
 use rustfft::num_complex::Complex;
 use std::f64::consts::{PI, TAU};
 
@@ -171,20 +173,18 @@ impl GridPhaseMonitor {
         let variance_px = (&self.by_motion * &covariance * self.by_motion.transpose()).trace() / count;
         let moved = moved_target(&self.sheet, motion.as_slice());
         let place_mm = self.sheet.place_at(&self.lens, base)?;
-        let seen_at = |by: &DVector<f64>| {
-            let seen = moved_target(&self.sheet, by.as_slice()).project(&self.lens, &place_mm);
-            DVector::from_column_slice(seen.coords.as_slice())
-        };
-        let by_motion = central_differences(seen_at, &DVector::zeros(6), &DVector::from_column_slice(&STEPS));
-        let at_base_covariance =
-            (&by_motion * &covariance * by_motion.transpose()).fixed_view::<2, 2>(0, 0).into_owned();
+        let (_, arm, by_point, _) = self.sheet.project_with_jacobian(&self.lens, &place_mm);
+        let from_grid = self.sheet.camera_from_grid.rotation.to_rotation_matrix().into_inner();
+        let mut at_base_by_motion = Matrix2x6::zeros();
+        at_base_by_motion.fixed_columns_mut::<3>(0).copy_from(&(by_point * from_grid));
+        at_base_by_motion.fixed_columns_mut::<3>(3).copy_from(&(-by_point * arm.cross_matrix() * from_grid));
         let motion = Vector6::from_column_slice(motion.as_slice());
         let covariance: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
         Some(GridShift {
             px: (&self.by_motion * motion).norm() / count.sqrt(),
             sigma_px: variance_px.sqrt(),
             at_base: moved.project(&self.lens, &place_mm) - base,
-            at_base_covariance,
+            at_base_covariance: at_base_by_motion * covariance * at_base_by_motion.transpose(),
             out_of_plane: out_of_plane(&motion, &covariance),
             may_be_a_turn: self.may_be_a_turn(&motion, &covariance, &place_mm)?,
             camera_from_grid: moved.camera_from_grid,
