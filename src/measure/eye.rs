@@ -314,8 +314,10 @@ impl Eye {
         }
         // With any shape a fit has local minima of its own. From a shape that the sequence told it starts in the right one; else one
         // that leaves part of the outline unexplained is not to be relied on.
-        let is_of_unlikely_shape = fit.of_any_shape || fit.contradicts_shape;
-        if is_of_unlikely_shape && !self.rig.is_shape_known() && fit.inlier_fraction() < LEAST_INLIERS_OF_ANY_SHAPE {
+        if fit.is_of_unlikely_shape()
+            && !self.rig.is_shape_known()
+            && fit.inlier_fraction() < LEAST_INLIERS_OF_ANY_SHAPE
+        {
             return FrameMeasurement::failed(Status::UnknownShape, Some(quality));
         }
         let covariance = covariance.fixed_view::<2, 2>(0, 0).into_owned();

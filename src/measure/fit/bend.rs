@@ -91,7 +91,7 @@ pub(crate) struct BendFit {
     /// The blur of the edges.
     pub blur: Blur,
     /// Whether this picture's edges contradict what was known of the snake's shape, see [`FramePrior::contradiction`]. Only
-    /// a fit of the fine stage asks.
+    /// a fit of the fine stage asks. Of modes that were joined, whether nearly all of their mass is [of an unlikely shape](Self::is_of_unlikely_shape).
     pub contradicts_shape: bool,
     /// Whether the snake may have any shape in this fit.
     pub of_any_shape: bool,
@@ -110,6 +110,11 @@ impl BendFit {
     /// The tip's bend vector, rad.
     pub fn bend(&self) -> Vector2<f64> {
         self.profile.tip
+    }
+
+    /// Whether the snake is not taken to have about the shape that was known of it: it may have any, or the picture's edges contradict what was known.
+    pub fn is_of_unlikely_shape(&self) -> bool {
+        self.of_any_shape || self.contradicts_shape
     }
 
     /// The number of outline points at which an edge was searched.

@@ -96,8 +96,8 @@ impl BendFit {
         if self.origin == other.origin { Status::UnknownShape } else { Status::Ambiguous }
     }
 
-    /// This fit at the mean of modes with these shares of their mass, of which it is one, with their scatter in its covariance. It is of any shape if
-    /// they are.
+    /// This fit at the mean of modes with these shares of their mass, of which it is one, with their scatter in its covariance. It is of any shape, or of
+    /// an unlikely one, if they are.
     fn joined(mut self, modes: &[(&Self, f64)]) -> Self {
         let from_here = |fit: &Self| SVector::from(fit.profile.to_array()) - SVector::from(self.profile.to_array());
         let apart: Vec<_> = modes.iter().map(|(fit, share)| (from_here(fit), *share)).collect();
@@ -107,8 +107,12 @@ impl BendFit {
         self.doubt = apart.iter().map(scatter).sum();
         self.covariance += self.doubt;
         self.profile = self.profile.stepped(mean.as_slice());
-        let of_any_shape: f64 = modes.iter().filter(|(fit, _)| fit.of_any_shape).map(|(_, share)| share).sum();
-        self.of_any_shape = of_any_shape >= DECIDING_SHARE;
+        let are_all = |property: fn(&Self) -> bool| {
+            let share: f64 = modes.iter().filter(|(fit, _)| property(fit)).map(|(_, share)| share).sum();
+            share >= DECIDING_SHARE
+        };
+        self.contradicts_shape = are_all(Self::is_of_unlikely_shape);
+        self.of_any_shape = are_all(|fit| fit.of_any_shape);
         self
     }
 }

@@ -170,3 +170,20 @@ fn of_a_snake_seen_edge_on_the_answer_is_the_mixture_of_its_modes() {
     let joined = Decision::between(vec![shaped, mode(&fit, 0.0, 0.0)], 52.0).unwrap().fit;
     assert!((joined.bend() - fit.bend()).norm() < 0.004, "{}", joined.bend() - fit.bend());
 }
+
+/// Modes of one snake that hold three and two fifths of the mass.
+#[test]
+fn a_shape_is_unlikely_unless_a_likely_one_holds_more_than_a_twentieth_of_the_mass() {
+    let scene = Scene::new(Vector3::new(0.05, -0.1, 0.0));
+    let bend = Vector2::new(0.6, 0.35);
+    let fit = fitted(&scene, &picture(&scene, bend), bend);
+    let any = BendFit { of_any_shape: true, ..mode(&fit, 0.04, 1.5_f64.ln()) };
+    let beside = |contradicts_shape: bool, says: f64| {
+        let near_an_arc = BendFit { contradicts_shape, ..mode(&fit, 0.0, says) };
+        Decision::between(vec![any.clone(), near_an_arc], 52.0).unwrap().fit
+    };
+    let contradicted = beside(true, 0.0);
+    assert!(contradicted.is_of_unlikely_shape() && !contradicted.of_any_shape);
+    assert!(!beside(false, 0.0).is_of_unlikely_shape());
+    assert!(beside(false, -4.0).is_of_unlikely_shape());
+}
