@@ -16,7 +16,9 @@ use super::selection::{Attempt, Selection};
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
-use crate::measure::fit::{BendFit, CoarseSearch, EdgeFinder, FitSchedule, ProfileCovariance, noise_model};
+use crate::measure::fit::{
+    BendFit, CoarseSearch, EXPLAINING_SHARE, EdgeFinder, FitSchedule, ProfileCovariance, noise_model,
+};
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::measurement::{Bend, FrameMeasurement};
@@ -40,11 +42,6 @@ const TRACKED_MOTION_PX: f64 = 40.0;
 /// Convention: the book's advice. In 36 photo-real frames the median σ of θ is 0.03° at 488 px; averaged over 2×2 and 3×3 px, 0.09° at 245
 /// px and 0.35° at 163 px.
 const SMALL_PX: f64 = 300.0;
-/// The share that must agree with the fit of a lone frame that contradicts what is known of the snake's shape.
-///
-/// Fitted: to frames of `tests/eye/robustness` that were measured falsely with 0.95, where 0.961, 0.964, 0.971 and 0.998 of the outline agree, and arcs
-/// in noise, 0.973; with it one of 1,140 is false, one of those four; not judged on others.
-const LEAST_INLIERS_OF_ANY_SHAPE: f64 = 0.965;
 /// The share of the outline outside the picture from which on the snake is out of frame.
 ///
 /// Convention: the majority.
@@ -98,8 +95,7 @@ struct Conclusion {
 impl Conclusion {
     /// Whether a snake was measured that needs no comparison with other candidates.
     fn is_certain(&self) -> bool {
-        let is_unrivalled = self.fits.first().is_some_and(BendFit::is_unrivalled);
-        self.measurement.status == Status::Ok && is_unrivalled
+        self.measurement.status == Status::Ok && self.fits.first().is_some_and(BendFit::explains_all)
     }
 }
 
@@ -183,15 +179,7 @@ impl Eye {
     /// does not give a snake that agrees with nearly all of the outline. Says the same as [`measure`](Self::measure) to about a hundredth of a
     /// degree, sooner.
     pub fn track(&self, frame: &Frame, last: Vector2<f64>) -> FrameMeasurement {
-        let near = self.conclude_near(frame, last, |_| true).filter(Conclusion::is_certain);
-        near.map_or_else(|| self.measure(frame), |near| near.measurement)
-    }
-
-    /// Measures a snake that is taken for straight: searches everywhere only where a straight start does not lead to a bend that explains
-    /// all of the outline.
-    pub(super) fn measure_straight(&self, frame: &Frame) -> FrameMeasurement {
-        let near = self.conclude_near(frame, Vector2::zeros(), BendFit::explains_all);
-        let near = near.filter(|near| near.measurement.status == Status::Ok);
+        let near = self.conclude_near(frame, last).filter(Conclusion::is_certain);
         near.map_or_else(|| self.measure(frame), |near| near.measurement)
     }
 
@@ -215,13 +203,8 @@ impl Eye {
         MeasurementStages { candidates, fits, measurement }
     }
 
-    /// What a fit from the last bend finds, if it is enough to go by and lies within the region that was looked at.
-    fn conclude_near(
-        &self,
-        frame: &Frame,
-        last: Vector2<f64>,
-        is_enough: impl Fn(&BendFit) -> bool,
-    ) -> Option<Conclusion> {
+    /// What a fit from the last bend finds, if it lies within the region that was looked at.
+    fn conclude_near(&self, frame: &Frame, last: Vector2<f64>) -> Option<Conclusion> {
         if self.unusable(frame).is_some() {
             return None;
         }
@@ -229,7 +212,7 @@ impl Eye {
         let region = view.image_region(BendProfile::arc(last), TRACKED_MOTION_PX);
         let plane = self.plane(frame, &region);
         let fitter = self.fitter(EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region));
-        let near = fitter.fit(fitter.start(last), &FitSchedule::FROM_NEAR).filter(is_enough)?;
+        let near = fitter.fit(fitter.start(last), &FitSchedule::FROM_NEAR)?;
         // A snake that reaches out of the region was not seen whole.
         if !region.contains(&view.image_region(near.profile, Outline::REACH_PX)) {
             return None;
@@ -314,10 +297,7 @@ impl Eye {
         }
         // With any shape a fit has local minima of its own. From a shape that the sequence told it starts in the right one; else one
         // that leaves part of the outline unexplained is not to be relied on.
-        if fit.is_of_unlikely_shape()
-            && !self.rig.is_shape_known()
-            && fit.inlier_fraction() < LEAST_INLIERS_OF_ANY_SHAPE
-        {
+        if fit.is_of_unlikely_shape() && !self.rig.is_shape_known() && fit.inlier_fraction() < EXPLAINING_SHARE {
             return FrameMeasurement::failed(Status::UnknownShape, Some(quality));
         }
         let covariance = covariance.fixed_view::<2, 2>(0, 0).into_owned();

@@ -81,7 +81,7 @@ impl Fitter<'_> {
     /// Adds what the heaviest mode becomes if the snake may have any shape: where part of the outline is hidden, what is left of it may not
     /// contradict a shape that the snake does not have.
     fn add_any_shape(&self, modes: &mut Vec<BendFit>, fine: &FitSchedule) {
-        let best = heaviest(modes).filter(|best| !(best.is_of_unlikely_shape() || best.is_unrivalled()));
+        let best = heaviest(modes).filter(|best| !(best.is_of_unlikely_shape() || best.explains_all()));
         let any_shape = best.and_then(|best| self.fit_any_shape(best.start(), fine));
         modes.extend(any_shape);
     }

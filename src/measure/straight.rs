@@ -7,6 +7,7 @@ use super::eye::Eye;
 use super::rig::{Rig, RigError, RigOptions, RigSketch, StraightPicture, find_rig};
 use crate::camera::{Frame, Lens};
 use crate::robot::Robot;
+use nalgebra::Vector2;
 
 /// A snake that is bent by more than this in the straight picture, degrees, and this many of its σ, is not straight.
 ///
@@ -37,7 +38,7 @@ pub fn sketched_rig(
 
 /// The rig, unless the eye sees a bent snake through it.
 fn unbent(frame: &Frame, lens: &Lens, robot: &Robot, rig: Rig) -> Result<Rig, RigError> {
-    let seen = Eye::new(lens.clone(), rig.clone(), robot.clone()).measure_straight(frame).measured;
+    let seen = Eye::new(lens.clone(), rig.clone(), robot.clone()).track(frame, Vector2::zeros()).measured;
     if let Some(bend) = seen {
         let (theta_deg, sigma_deg) = (bend.configuration.theta_deg(), bend.sigma_theta.to_degrees());
         if theta_deg > MOST_BEND_DEG.max(BENT_SIGMAS * sigma_deg) {
