@@ -48,10 +48,10 @@ const HOPELESS: f64 = 30.0;
 /// Convention: a bound on computing time.
 const FITTED: usize = 8;
 
-/// Fits of one form from different starts among them, and of one effect in all its forms.
+/// Fits of one effect among them, each in another form.
 ///
 /// Convention: a bound on computing time; half of them are of other effects.
-const FITTED_OF_ONE: [usize; 2] = [2, FITTED / 2];
+const FITTED_OF_ONE: usize = FITTED / 2;
 
 /// Beside a discrepancy an effect takes at least this share of the gap beyond noise away, on stretches that it was not fitted to.
 ///
@@ -307,9 +307,9 @@ impl<'a> Search<'a> {
         promised.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut chosen: Vec<Hypothesis> = Vec::new();
         for (_, hypothesis) in promised {
-            let of_its_form = chosen.iter().filter(|other| other.physics == hypothesis.physics).count();
+            let has_form = chosen.iter().any(|other| other.physics == hypothesis.physics);
             let of_its_name = chosen.iter().filter(|other| other.physics.name == hypothesis.physics.name).count();
-            if chosen.len() < FITTED && of_its_form < FITTED_OF_ONE[0] && of_its_name < FITTED_OF_ONE[1] {
+            if chosen.len() < FITTED && !has_form && of_its_name < FITTED_OF_ONE {
                 chosen.push(hypothesis);
             }
         }
