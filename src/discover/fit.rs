@@ -2,7 +2,7 @@
 
 use super::residuals::{Prediction, Problem, Residual, stacked};
 use crate::robot::Model;
-use crate::robot::effects::{COMMAND_GAIN, ParameterSpec, Role};
+use crate::robot::effects::{COMMAND_GAIN, ParameterSpec};
 use crate::robot::model::ETA;
 use crate::statistics::cluster::clustered_covariance;
 use crate::statistics::least_squares::{self, Options};
@@ -36,7 +36,7 @@ const CONVERGED_SHARE: f64 = 1e-4;
 /// Convention: a tenth of what a [structure](super::search) may still promise.
 const ROUGHLY_CONVERGED_SHARE: f64 = 0.01;
 
-/// One step changes a shape by this factor at most.
+/// One step changes what is positive by this factor at most.
 ///
 /// Convention: half of what lies between two starts of a time constant.
 const MOST_FACTOR: f64 = 2.0;
@@ -224,7 +224,7 @@ fn inverse_information(fit: &Fit) -> Option<DMatrix<f64>> {
     (information + DMatrix::from_diagonal(&prior_precision(&fit.model))).cholesky().map(|factor| factor.inverse())
 }
 
-/// The coordinates in which a fit moves: parameters over their scales; of a shape that is positive, the logarithm of that. A time constant or a
+/// The coordinates in which a fit moves: parameters over their scales; of what is positive, the logarithm of that. η, a time constant or a
 /// pitch is known to within a factor: a linear step would carry it from a hundred seconds beyond its least.
 struct Coordinates {
     typical: DVector<f64>,
@@ -233,8 +233,8 @@ struct Coordinates {
 
 impl Coordinates {
     fn of(model: &Model) -> Self {
-        let is_positive_shape = |spec: &ParameterSpec| matches!(spec.role, Role::Shape { .. }) && spec.range.0 > 0.0;
-        Self { typical: scales(model), is_logarithm: model.parameter_specs().iter().map(is_positive_shape).collect() }
+        let is_positive = |spec: &ParameterSpec| spec.range.0 > 0.0;
+        Self { typical: scales(model), is_logarithm: model.parameter_specs().iter().map(is_positive).collect() }
     }
 
     fn at_values(&self, values: impl Iterator<Item = f64>) -> DVector<f64> {
@@ -295,12 +295,12 @@ impl least_squares::Problem for Objective<'_> {
 
     fn jacobian(&self, x: &DVector<f64>, (prediction, _): &Self::Evaluation) -> DMatrix<f64> {
         let model = self.model(x);
-        let mut own = self.problem.jacobian(&model, prediction, 0..x.len());
-        let slopes = self.coordinates.slopes(x);
-        own.column_iter_mut().zip(slopes.iter()).for_each(|(mut column, slope)| column *= *slope);
+        let own = self.problem.jacobian(&model, prediction, 0..x.len());
         let rows = own.nrows();
         let mut all = own.insert_row(rows, 0.0);
         all[(rows, 0)] = prior_of_eta(&model).1;
+        let slopes = self.coordinates.slopes(x);
+        all.column_iter_mut().zip(slopes.iter()).for_each(|(mut column, slope)| column *= *slope);
         all
     }
 
@@ -339,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn a_positive_shape_is_fitted_by_its_logarithm() {
+    fn what_is_positive_is_fitted_by_its_logarithm() {
         let mut model = truth();
         model.effects.push(Effect::parse("creep:share=0.1,time_constant_s=8").unwrap());
         let coordinates = Coordinates::of(&model);
@@ -348,7 +348,11 @@ mod tests {
         assert!(coordinates.values(&x).iter().zip(&values).all(|(a, b)| (a / b - 1.0).abs() < 1e-12));
         // 0.5 s is the time constant's typical size.
         assert!((x[3] - 16f64.ln()).abs() < 1e-12 && (coordinates.slopes(&x)[3] - 16.0).abs() < 1e-9, "{x}");
-        assert_eq!(coordinates.slopes(&x).iter().take(3).copied().collect::<Vec<_>>(), [1.0; 3]);
+        // η is 40 of its typical size; λ and a share may be negative or nothing.
+        assert!(
+            (coordinates.slopes(&x)[0] - 40.0).abs() < 1e-9
+                && coordinates.slopes(&x).rows(1, 2) == x.rows(1, 2).map(|_| 1.0)
+        );
     }
 
     #[test]
