@@ -8,9 +8,10 @@ use super::predictive_density::Beside;
 use super::residuals::Problem;
 use super::search::{Named, search};
 use super::start::unknown_start;
+use super::structure::mean_square_quantile;
 use crate::discover::data::Data;
 use crate::robot::Model;
-use crate::statistics::moments::rms;
+use crate::statistics::moments::{mean, rms};
 use nalgebra::Vector2;
 
 /// Effects are only looked for where the model as given misses this share of the bends (rms). Where it is nearer, what the library
@@ -18,11 +19,6 @@ use nalgebra::Vector2;
 ///
 /// Convention: 0.06 is 1° of 16°.
 const LEAST_GAP: f64 = 0.06;
-
-/// An answer takes at least this share of the gap beyond noise away, on stretches that it was not fitted to. What takes less is the trace of something else.
-///
-/// Convention: a ninth less of the rms.
-const LEAST_REMOVED: f64 = 0.2;
 
 /// A partial answer.
 #[derive(Debug, Clone)]
@@ -56,10 +52,6 @@ impl<'a> Partial<'a> {
             return nothing;
         }
         let found = search(&nothing.problem, &nothing.before, Beside::Discrepancy);
-        let [before, after, noise] = found.squares;
-        if before - after < LEAST_REMOVED * (before - noise) {
-            return nothing;
-        }
         let before = found.problem.fit(&nothing.before.model, Some(&nothing.before.path), None);
         Self { problem: found.problem, before, after: found.fit, named: found.named }
     }
@@ -70,8 +62,9 @@ impl<'a> Partial<'a> {
         let bends: Vec<Vector2<f64>> = known.map(|m| m.configuration.bend_vector()).collect();
         let gap = (bend_squares(&self.problem, &self.before) / bends.len() as f64).sqrt();
         let middle = bends.iter().sum::<Vector2<f64>>() / bends.len().max(1) as f64;
+        let still = 2.0 * self.problem.bend_noise_rad2() * mean_square_quantile(2.0 * bends.len() as f64);
         gap < LEAST_GAP * rms(bends.iter().map(|bend| bend.norm()))
-            || rms(bends.iter().map(|bend| (bend - middle).norm())) < gap
+            || mean(bends.iter().map(|bend| (bend - middle).norm_squared())) <= still
     }
 
     /// The same answer fitted to all samples, of which its own were a part.
@@ -95,4 +88,27 @@ impl<'a> Partial<'a> {
 fn bend_squares(problem: &Problem, fit: &Fit) -> f64 {
     let known = problem.noise.unknown_start..problem.data.len();
     known.map(|k| problem.bend_gap(&fit.residuals, k).norm_squared()).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::discover::fixture::{experiment, truth};
+    use crate::geometry::Configuration;
+
+    #[test]
+    fn a_picture_stands_still_where_it_shows_no_more_than_noise_move_however_far_off_the_model_is() {
+        let is_still = |seen: fn(Vector2<f64>) -> Vector2<f64>| {
+            let mut data = experiment(1);
+            for measured in &mut data.measured {
+                measured.configuration = Configuration::from_bend_vector(seen(measured.configuration.bend_vector()));
+            }
+            let problem = Problem::new(&data, &Noise::stated(&data), &truth());
+            let before = problem.evaluated(&truth(), None);
+            Partial { problem, after: before.clone(), before, named: Vec::new() }.is_near_or_still()
+        };
+        assert!(is_still(|_| Vector2::new(0.5, 0.3)));
+        // A tenth of the bends, about another rest: a constant would be nearer to them than the model.
+        assert!(!is_still(|bend| bend * 0.1 + Vector2::new(0.5, 0.3)));
+    }
 }

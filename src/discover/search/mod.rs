@@ -77,8 +77,6 @@ pub struct Found<'a> {
     pub named: Vec<Named>,
     /// The structures that the data leave open, the most probable first.
     pub structures: Vec<Candidate>,
-    /// The squares in held-out stretches, in units of the noise's: of the model as given, of the answer, and of noise.
-    pub squares: [f64; 3],
     /// The answer's score.
     pub score: f64,
 }
@@ -87,7 +85,7 @@ impl<'a> Found<'a> {
     /// No effects, and no structure that was scored.
     pub fn nothing(problem: Problem<'a>, fit: Fit) -> Self {
         let score = f64::NEG_INFINITY;
-        Self { problem, fit, named: Vec::new(), structures: Vec::new(), squares: [0.0; 3], score }
+        Self { problem, fit, named: Vec::new(), structures: Vec::new(), score }
     }
 }
 
@@ -159,9 +157,8 @@ impl<'a> Search<'a> {
             }
         }
         let named = (self.given()..best.fit.model.effects.len()).map(|k| self.describe(&best, &bare, k)).collect();
-        let squares = [bare.squares, best.squares, self.judged.noise_squares(&self.problem)];
         let score = best.score();
-        Found { structures: self.open(), problem: self.problem, fit: best.fit, named, squares, score }
+        Found { structures: self.open(), problem: self.problem, fit: best.fit, named, score }
     }
 
     /// The best of the structures that the likeliest single effects lead to. Where one of them leaves no more than noise, the others are not gone on from: they come
