@@ -83,6 +83,12 @@ impl Motion {
         let zero = PerBackbone::repeat(backbones, 0.0);
         Self { direction: zero, before: Before::at_rest(backbones), step_s: 0.0, elapsed_s: 0.0, ahead_mm: zero }
     }
+
+    /// Going on for so long.
+    pub(super) fn go_on(&mut self, step_s: f64) {
+        self.step_s = step_s.max(0.0);
+        self.elapsed_s += step_s;
+    }
 }
 
 /// What a model's effects need to know of the path, beside the bend and the time.
@@ -204,9 +210,9 @@ impl History {
         self.creep_time_constant_s.is_some() || self.speed
     }
 
-    /// Whether a reading's bend depends on the readings before it.
-    pub fn is_any(&self) -> bool {
-        self.direction || self.drive || self.goes_by_time() || self.has_hysteresis()
+    /// Whether a reading's bend depends on where the snake stood at the readings before it; what the drive remembers, the readings alone tell.
+    pub fn is_of_snake(&self) -> bool {
+        self.direction || self.goes_by_time() || self.has_hysteresis()
     }
 
     /// Gives the play of one formula more its place, if there is one left.

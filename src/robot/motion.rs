@@ -58,7 +58,11 @@ impl Mechanics<'_> {
             let q_mm = self.statics.q_mm(bends[k]);
             let mut motion = match motions.last() {
                 None => Motion { direction: self.away_from_straight(&q_mm), ..self.first_motion() },
-                Some(last) => self.next_motion(last, bends[k - 1], times_s[k] - times_s[k - 1]),
+                Some(last) => {
+                    let mut next = Motion { before: self.behind(last, bends[k - 1]), ..*last };
+                    next.go_on(times_s[k] - times_s[k - 1]);
+                    next
+                }
             };
             let read = travels.filter(|_| k > 0).map(|travels| travels[k] - travels[k - 1]);
             let clear = read.map(|read| self.clear_steps(&read));
@@ -87,12 +91,6 @@ impl Mechanics<'_> {
             motion.before.crept_load_n = None;
         }
         motion
-    }
-
-    /// The motion that goes on from one that came to a bend, for so long; its directions are still those of before.
-    pub(super) fn next_motion(&self, last: &Motion, bend: Vector2<f64>, step_s: f64) -> Motion {
-        let before = if self.history.is_any() { self.behind(last, bend) } else { last.before };
-        Motion { before, step_s: step_s.max(0.0), elapsed_s: last.elapsed_s + step_s, ..*last }
     }
 
     /// What encoders and an eye without noise observe while the snake takes these bends.

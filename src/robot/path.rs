@@ -82,26 +82,42 @@ impl Mechanics<'_> {
 
     /// How the snake comes to a reading, as far as what came before and the reading itself tell; its bend is still the one before.
     fn approach(&self, before: Option<&PathPoint>, time_s: f64, q_tilde: &PerBackbone) -> PathPoint {
-        let reading_mm = *q_tilde - self.encoder_errors(q_tilde);
-        let zero = self.alike(0.0);
-        let mut point = match before {
-            Some(before) => {
-                let motion = self.next_motion(&before.motion, before.solution.bend, time_s - before.time_s);
-                PathPoint { motion, time_s, reading_mm, ..*before }
-            }
-            None => PathPoint {
-                motion: self.first_motion(),
-                solution: ForwardSolution { bend: Vector2::zeros(), residual_mm: zero, converged: false },
-                time_s,
-                reading_mm,
-                drive: self.drive_at_rest(),
-                extreme_mm: zero,
-            },
-        };
-        if self.drive.is_some() {
-            point.motion.ahead_mm = reading_mm - self.driven(&mut point.drive, &reading_mm);
+        let mut point = before.copied().unwrap_or_else(|| self.at_rest(time_s));
+        if before.is_some() {
+            self.go_on_to(&mut point, time_s);
         }
+        self.take(&mut point, q_tilde);
         point
+    }
+
+    /// A straight snake at rest when the first reading comes.
+    fn at_rest(&self, time_s: f64) -> PathPoint {
+        let zero = self.alike(0.0);
+        PathPoint {
+            motion: self.first_motion(),
+            solution: ForwardSolution { bend: Vector2::zeros(), residual_mm: zero, converged: false },
+            time_s,
+            reading_mm: zero,
+            drive: self.drive_at_rest(),
+            extreme_mm: zero,
+        }
+    }
+
+    /// Leads a point on to the time of the next reading.
+    fn go_on_to(&self, point: &mut PathPoint, time_s: f64) {
+        if self.history.is_of_snake() {
+            point.motion.before = self.behind(&point.motion, point.solution.bend);
+        }
+        point.motion.go_on(time_s - point.time_s);
+        point.time_s = time_s;
+    }
+
+    /// What a reading itself tells of a point.
+    fn take(&self, point: &mut PathPoint, q_tilde: &PerBackbone) {
+        point.reading_mm = *q_tilde - self.encoder_errors(q_tilde);
+        if self.drive.is_some() {
+            point.motion.ahead_mm = point.reading_mm - self.driven(&mut point.drive, &point.reading_mm);
+        }
     }
 
     /// How a change of the model near a path changes what it predicts, to first order. `path` is this model's, and `jacobians` its
@@ -114,10 +130,12 @@ impl Mechanics<'_> {
         (times_s, q_tilde): (&[f64], &[PerBackbone]),
         (path, jacobians): (&[PathPoint], &[LineJacobian]),
     ) -> Vec<ForwardSolution> {
-        let mut last: Option<PathPoint> = None;
+        let mut point = changed.at_rest(times_s.first().copied().unwrap_or_default());
         let follow = |(k, (near, jacobian)): (usize, (&PathPoint, &LineJacobian))| {
-            let next = changed.approach(last.as_ref(), times_s[k], &q_tilde[k]);
-            let point = last.insert(next);
+            if k > 0 {
+                changed.go_on_to(&mut point, times_s[k]);
+            }
+            changed.take(&mut point, &q_tilde[k]);
             point.motion.direction = near.motion.direction;
             point.solution = changed.one_step(&q_tilde[k], &point.motion, &near.solution, jacobian);
             point.solution
