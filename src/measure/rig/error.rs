@@ -132,7 +132,7 @@ pub enum RigError {
     /// Too little of the outline agrees with the model.
     #[error(
         "only {:.0} % of the straight snake's outline agrees with the model (edges lie {bias_px:.2} px outside it); is the snake \
-         unbent, in focus, unlike the grid target in colour and of the robot's dimensions?",
+         unbent, in focus, unlike the grid target in colour and of the robot's dimensions, and are grid_pitch_mm and standoff_mm right?",
         100.0 * agreeing
     )]
     ModelDisagrees {
@@ -150,7 +150,7 @@ pub enum RigError {
     /// The edges lie about the model as edges of anything else would.
     #[error(
         "edges lie {rms_px:.2} px (rms) about the straight snake's outline, where at most {most_rms_px:.2} px could be its own; is the \
-         snake unbent, in focus and of the robot's dimensions?"
+         snake unbent, in focus and of the robot's dimensions, and are grid_pitch_mm and standoff_mm right?"
     )]
     EdgesScattered {
         /// Scatter of the agreeing edges about the model, px.
@@ -169,7 +169,9 @@ pub enum RigError {
         sigma_deg: f64,
     },
     /// A part of the snake is not where the model says.
-    #[error("{0} is not where the model says; is the snake unbent, and all of it in the picture?")]
+    #[error(
+        "{0} is not where the model says; is the snake unbent, and all of it in the picture, and are grid_pitch_mm and standoff_mm right?"
+    )]
     PartNotVisible(SnakePart),
     /// Snake and grid do not tell the camera's direction.
     #[error(
