@@ -16,9 +16,7 @@ use super::selection::{Attempt, Selection};
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
-use crate::measure::fit::{
-    BendFit, CoarseSearch, EXPLAINING_SHARE, EdgeFinder, FitSchedule, ProfileCovariance, noise_model,
-};
+use crate::measure::fit::{BendFit, CoarseSearch, EdgeFinder, FitSchedule, ProfileCovariance, noise_model};
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::measurement::{Bend, FrameMeasurement};
@@ -297,7 +295,7 @@ impl Eye {
         }
         // With any shape a fit has local minima of its own. From a shape that the sequence told it starts in the right one; else one
         // that leaves part of the outline unexplained is not to be relied on.
-        if fit.is_of_unlikely_shape() && !self.rig.is_shape_known() && fit.inlier_fraction() < EXPLAINING_SHARE {
+        if fit.is_of_unlikely_shape() && !self.rig.is_shape_known() && !fit.explains_outline() {
             return FrameMeasurement::failed(Status::UnknownShape, Some(quality));
         }
         let covariance = covariance.fixed_view::<2, 2>(0, 0).into_owned();

@@ -23,7 +23,7 @@ mod state;
 mod uncertainty;
 mod visibility;
 
-pub(super) use alternatives::{EXPLAINING_SHARE, mirrored};
+pub(super) use alternatives::mirrored;
 pub(super) use bend::{BendFit, FINE_SEARCH_PX, ProfileCovariance, Start, fit_bend};
 pub(super) use blur::Filters;
 pub(super) use coarse::CoarseSearch;

@@ -131,8 +131,7 @@ pub enum RigError {
     Undetermined,
     /// Too little of the outline agrees with the model.
     #[error(
-        "only {:.0} % of the straight snake's outline agrees with the model (edges lie {bias_px:.2} px outside it); is the snake \
-         unbent, in focus, unlike the grid target in colour and of the robot's dimensions, and are grid_pitch_mm and standoff_mm right?",
+        "only {:.0} % of the straight snake's outline agrees with the model (edges lie {bias_px:.2} px outside it); {IS_ALL_AS_STATED}",
         100.0 * agreeing
     )]
     ModelDisagrees {
@@ -239,15 +238,16 @@ pub enum CalibrationStep {
     Scale,
 }
 
+/// What to look at where the outline is not found as the model has it.
+const IS_ALL_AS_STATED: &str = "is the snake unbent, in focus, unlike the grid target in colour and of the robot's dimensions, and are grid_pitch_mm \
+                                and standoff_mm right?";
+
 fn few_edges(edges: usize, places: usize) -> String {
     if places == 0 {
         return "by the grid target and the standoff the straight snake would lie outside the picture; check standoff_mm and grid_pitch_mm"
             .to_owned();
     }
-    format!(
-        "only {edges} of {places} places on the straight snake's outline show an edge; is the snake unbent, in focus, unlike the grid target in \
-         colour and of the robot's dimensions?"
-    )
+    format!("only {edges} of {places} places on the straight snake's outline show an edge; {IS_ALL_AS_STATED}")
 }
 
 impl RigError {
