@@ -137,14 +137,28 @@ impl BaseMonitor {
         self.shift_of(|point, search_px| finder.find(point, search_px).map(|edge| (edge.offset_px, edge.sigma_px)))
     }
 
-    /// The same from a function that gives, near a place of the border, how far outside it an edge lies and the edge's σ, px.
+    /// The same from a function that gives, near a place of the border, how far outside it an edge lies and the edge's σ, px: of the shift that is
+    /// found coarsely first and the one that is found near rest the one that the edges tell better. What is printed beside the holder may have stronger
+    /// edges than the holder has, and edges of both agree on no shift.
     fn shift_of(&self, mut edge: impl FnMut(&OutlinePoint, f64) -> Option<(f64, f64)>) -> Option<BaseShift> {
+        let near_rest = self.shift_within(&SEARCHES_PX[SEARCHES_PX.len() - 1..], &mut edge);
+        let found = [self.shift_within(&SEARCHES_PX, &mut edge), near_rest].into_iter().flatten();
+        let volume = |shift: &BaseShift| shift.covariance.determinant();
+        found.min_by(|one, other| volume(one).total_cmp(&volume(other)))
+    }
+
+    /// The shift from searches within these distances, px, one after the other.
+    fn shift_within(
+        &self,
+        searches_px: &[f64],
+        edge: &mut impl FnMut(&OutlinePoint, f64) -> Option<(f64, f64)>,
+    ) -> Option<BaseShift> {
         let enough = (LEAST_SHARE * self.places.len() as f64).max(FEWEST_PLACES);
         let prior = [SHIFT_SIGMA_PX, SHIFT_SIGMA_PX, SHIFT_SIGMA_PX, LIGHT_SIGMA_PX, LIGHT_SIGMA_PX];
         let mut by = Vector3::zeros();
         let mut fit = None;
-        for (round, search_px) in SEARCHES_PX.into_iter().enumerate() {
-            let edges = self.edges_near(&by, |point| edge(point, search_px));
+        for search_px in searches_px {
+            let edges = self.edges_near(&by, |point| edge(point, *search_px));
             if (edges.len() as f64) < enough {
                 return None;
             }
@@ -154,7 +168,8 @@ impl BaseMonitor {
             };
             let design = DMatrix::from_fn(edges.len(), 5, |r, c| row(&edges[r])[c] / edges[r].sigma_px);
             let seen = DVector::from_fn(edges.len(), |r, _| edges[r].distance_px / edges[r].sigma_px);
-            let found = RobustLinear::fit(&design, &seen, &prior, round > 0)?;
+            let is_coarse = *search_px == SEARCHES_PX[0];
+            let found = RobustLinear::fit(&design, &seen, &prior, !is_coarse)?;
             by = found.parameters.fixed_rows::<3>(0).into_owned();
             fit = Some(found);
         }
@@ -252,6 +267,25 @@ mod tests {
                 assert!((shift.by.x - moved.x).abs() < 0.3, "{moved}: {shift:?}");
             }
         }
+    }
+
+    #[test]
+    fn strong_edges_beside_a_holder_at_rest_do_not_move_it() {
+        let (lens, robot) = (Scene::default().lens, Robot::default());
+        let view = Projection { lens: &lens, camera_from_base: rig().camera_from_base, robot: &robot };
+        let monitor = BaseMonitor::new(&view, &Matrix6::zeros(), EdgeBias::default());
+        // Wherever the search reaches as far, print 6 px to the right has the stronger edge at three of five places.
+        let mut place = 0;
+        let seen = |point: &OutlinePoint, search_px: f64| {
+            place += 1;
+            let at = |right_px: f64| {
+                point.normal.dot(&(view.holder_pixel(&point.body) + Vector2::new(right_px, 0.0) - point.pixel))
+            };
+            let found = [at(6.0), at(0.0)].into_iter().skip(usize::from(place % 5 < 2));
+            found.into_iter().find(|offset_px| offset_px.abs() < search_px).map(|offset_px| (offset_px, 0.08))
+        };
+        let shift = monitor.shift_of(seen).unwrap();
+        assert!(shift.by.norm() < 0.05, "{shift:?}");
     }
 
     #[test]

@@ -155,7 +155,7 @@ impl SheetSearch {
     /// The distance of the lines of a grid of this picture, in units of the stated one, if every other line is missing, or there are as many
     /// between.
     pub fn other_ruling(&self, lens: &Lens, grid: &Grid) -> Option<f64> {
-        let lines = Lines { plane: &self.mix, lens, pitch_mm: self.pitch_mm };
+        let lines = Lines { plane: &self.mix, lens, kind: grid.kind, pitch_mm: self.pitch_mm };
         (grid.kind == PatternKind::Lines).then(|| lines.other_ruling(&grid.sheet)).flatten()
     }
 
@@ -211,11 +211,10 @@ impl SheetSearch {
             (_, Some(body)) => measured(&self.evened_beside(body))?,
         };
         // Lines that are washed out tell less than the waves do.
-        let by_lines = match kind {
-            PatternKind::Lines => self.sheet_by_lines(lens, &fit, self.reduced.times / waves[0].norm()),
-            PatternKind::Checkerboard => None,
-        };
-        let by_lines = by_lines.filter(|lines| lines.turn_covariance.trace() < fit.turn_covariance.trace());
+        let pitch_px = self.reduced.times / waves[0].norm() / kind.wavelength();
+        let by_lines = self
+            .sheet_by_lines(lens, kind, &fit, pitch_px)
+            .filter(|lines| lines.turn_covariance.trace() < fit.turn_covariance.trace());
         let waves_mm = self.waves_mm(lens, &fit);
         let SheetFit { sheet, turn_covariance: seen, rms_px, .. } = by_lines.unwrap_or(fit);
         let to_camera = sheet.camera_from_grid.rotation.to_rotation_matrix().into_inner();
@@ -243,13 +242,17 @@ impl SheetSearch {
     }
 
     /// The sheet from the lines themselves, from the one that the waves gave; `None` where the lines are not where the waves put them.
-    fn sheet_by_lines(&self, lens: &Lens, by_waves: &SheetFit, period_px: f64) -> Option<SheetFit> {
-        let lines = Lines { plane: &self.mix, lens, pitch_mm: self.pitch_mm };
-        let mut fit = lines.fit_sheet(&lines.put_origin_on_a_line(&by_waves.sheet)?)?;
+    fn sheet_by_lines(&self, lens: &Lens, kind: PatternKind, by_waves: &SheetFit, pitch_px: f64) -> Option<SheetFit> {
+        let lines = Lines { plane: &self.mix, lens, kind, pitch_mm: self.pitch_mm };
+        let start = match kind {
+            PatternKind::Lines => lines.put_origin_on_a_line(&by_waves.sheet)?,
+            PatternKind::Checkerboard => by_waves.sheet.clone(),
+        };
+        let mut fit = lines.fit_sheet(&start)?;
         for _ in 1..LINE_ROUNDS {
             fit = lines.fit_sheet(&fit.sheet)?;
         }
-        (fit.rms_px <= MOST_SCATTER * period_px).then_some(fit)
+        (fit.rms_px <= MOST_SCATTER * pitch_px).then_some(fit)
     }
 }
 

@@ -1,12 +1,15 @@
-//! The printed lines themselves, placed one by one once a pose tells where to look.
+//! The printed lines themselves, or the borders of a checkerboard's squares, placed one by one once a pose tells where to look.
 //!
 //! The waves average over windows that cannot reach the picture's border and that shadows and the snake cut into; the
-//! lines are seen everywhere, and each place of each line is a measurement of its own.
+//! lines are seen everywhere, and each place of each line is a measurement of its own. Large squares have few waves in a picture, which its light
+//! then shifts; their borders are as sharp as those of small ones.
 
+use super::pattern::PatternKind;
 use super::sheet::{Sheet, SheetShape};
 use super::sheet_fit::{SeenPlace, SheetFit, fit_distances};
 use crate::camera::Lens;
 use crate::measure::image::plane::Plane;
+use crate::statistics::order::median;
 use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
@@ -23,7 +26,7 @@ pub(super) const MOST_SCATTER: f64 = 0.044;
 ///
 /// Convention: half a pixel, which bilinear samples resolve.
 const STEP_PX: f64 = 0.5;
-/// Half width of the second difference that finds a line's middle, in pitches, and the least, px.
+/// Half width of the difference that finds a line's middle or a border, in pitches, and the least, px.
 ///
 /// Convention: lines are a tenth of a pitch to a fifth wide, blurred ones more, and none is seen thinner than two pixels.
 const HALF_WIDTH: f64 = 0.1;
@@ -66,10 +69,11 @@ const ALONG: f64 = 0.3;
 /// Convention: a limit of time; the means are over hundreds of places.
 const SAMPLED: usize = 20;
 
-/// Looks for lines in a picture.
+/// Looks for lines, or the borders of squares, in a picture.
 pub(super) struct Lines<'a> {
     pub plane: &'a Plane,
     pub lens: &'a Lens,
+    pub kind: PatternKind,
     pub pitch_mm: f64,
 }
 
@@ -78,22 +82,55 @@ struct LinePlace {
     target_mm: Point2<f64>,
     seen: Point2<f64>,
     normal: Vector2<f64>,
-    /// How much darker it is than its surroundings; negative if lighter.
+    /// How much darker it is than its surroundings; negative if lighter. At a border of squares the step from one to the other, of one sign on the
+    /// whole sheet.
     darkness: f64,
+    /// 1, or −1 at a border of squares at which the step has the other sign along the normal.
+    side: f64,
     /// The axis that its line is square to, and the line's number.
     axis: usize,
     line: i64,
 }
 
 impl Lines<'_> {
-    /// Fits the sheet to the lines' places, looked for where a sheet that is nearly right puts them.
+    /// Fits the sheet to the lines' places, looked for where a sheet that is nearly right puts them. A sheet of lines is counted from where two of
+    /// them cross, one of squares from the middle of one.
     pub fn fit_sheet(&self, start: &Sheet) -> Option<SheetFit> {
+        let to_line = match self.kind {
+            PatternKind::Lines => Vector2::zeros(),
+            PatternKind::Checkerboard => Vector2::repeat(self.pitch_mm / 2.0),
+        };
+        let start = start.counted_from(to_line);
+        let places = of_one_kind(self.places(&start, None)?)?;
+        let fit = self.fit_places(&places, &start, 0.0)?;
+        let fit = match self.kind {
+            PatternKind::Lines => fit,
+            PatternKind::Checkerboard => {
+                let spread_px = self.spread_px(&places, &fit.sheet);
+                self.fit_places(&places, &fit.sheet, spread_px)?
+            }
+        };
+        Some(SheetFit { sheet: fit.sheet.counted_from(-to_line), ..fit })
+    }
+
+    /// Fits the sheet to places, of which those at borders are displaced by so much to the side of the squares whose step is negative.
+    fn fit_places(&self, places: &[LinePlace], start: &Sheet, spread_px: f64) -> Option<SheetFit> {
         let place = |place: &LinePlace| {
             let along = place.normal.transpose();
-            SeenPlace { lattice_mm: place.target_mm, seen: place.seen, along }
+            let seen = place.seen - place.normal * (place.side * spread_px);
+            SeenPlace { lattice_mm: place.target_mm, seen, along }
         };
-        let places: Vec<_> = of_one_kind(self.places(start, None)?)?.iter().map(place).collect();
+        let places: Vec<_> = places.iter().map(place).collect();
         fit_distances(self.lens, &places, start, DESIGN_EFFECT)
+    }
+
+    /// How far the borders of a sheet are displaced from one kind of squares to the other, px (the median): ink spreads, and so does light that
+    /// is too much for the sensor.
+    fn spread_px(&self, places: &[LinePlace], sheet: &Sheet) -> f64 {
+        let displaced = |place: &LinePlace| {
+            place.side * place.normal.dot(&(place.seen - sheet.project(self.lens, &place.target_mm)))
+        };
+        median(&mut places.iter().map(displaced).collect::<Vec<f64>>())
     }
 
     /// The waves' crests are the lines if these are light, and half way between them if they are dark. Lines are the
@@ -146,7 +183,7 @@ impl Lines<'_> {
                 let mut target_mm = Point2::origin();
                 target_mm[axis] = line as f64 * self.pitch_mm;
                 target_mm[1 - axis] = (between as f64 + 0.5) * self.pitch_mm;
-                self.place(sheet, target_mm, axis, line)
+                self.place(sheet, target_mm, axis, [line, between])
             })
         };
         let all: Vec<(usize, i64)> =
@@ -157,12 +194,14 @@ impl Lines<'_> {
     /// The lines square to each of the target's axes that may be in the picture; `None` where they are too many.
     fn lines_in_view(&self, sheet: &Sheet) -> Option<[RangeInclusive<i64>; 2]> {
         let size = Vector2::new(self.plane.width as f64 - 1.0, self.plane.height as f64 - 1.0);
+        let window_mm = self.kind.window_radius() * self.kind.wavelength() * self.pitch_mm;
         let mut reach = [(f64::MAX, f64::MIN); 2];
         for (x, y) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
             let place_mm = sheet.place_at(self.lens, &Point2::new(x * size.x, y * size.y))?;
             for axis in 0..2 {
                 // The sheet ends where the last windows saw it, or soon after.
-                let end = SheetShape::BEYOND * sheet.shape.half_mm[axis];
+                let half_mm = sheet.shape.half_mm[axis];
+                let end = (SheetShape::BEYOND * half_mm).max(half_mm + window_mm);
                 let place_mm =
                     (place_mm[axis] - sheet.shape.centre_mm[axis]).clamp(-end, end) + sheet.shape.centre_mm[axis];
                 let line = place_mm / self.pitch_mm;
@@ -173,8 +212,14 @@ impl Lines<'_> {
         few.then(|| reach.map(|(low, high)| (low.ceil() as i64)..=(high.floor() as i64)))
     }
 
-    /// The line square to an axis at a place of the target, where the picture shows it there.
-    fn place(&self, sheet: &Sheet, target_mm: Point2<f64>, axis: usize, line: i64) -> Option<LinePlace> {
+    /// The line of a number square to an axis at a place of the target, behind a crossing line of a number, where the picture shows it there.
+    fn place(
+        &self,
+        sheet: &Sheet,
+        target_mm: Point2<f64>,
+        axis: usize,
+        [line, crossing]: [i64; 2],
+    ) -> Option<LinePlace> {
         let pixel = sheet.project(self.lens, &target_mm);
         if !self.lens.contains(&pixel, MARGIN_PX) {
             return None;
@@ -182,14 +227,22 @@ impl Lines<'_> {
         let mut ahead = target_mm;
         ahead[1 - axis] += ALONG * self.pitch_mm;
         let along = (sheet.project(self.lens, &ahead) - pixel) / ALONG;
-        let (darkness, seen, normal) = ridge(self.plane, &pixel, along)?;
-        Some(LinePlace { target_mm, seen, normal, darkness, axis, line })
+        let (found, seen, normal) = found_across(self.plane, self.kind, &pixel, along)?;
+        // From square to square along a line the step across it changes its sign, and seen along both axes one turns the other way.
+        let is_turned = self.kind == PatternKind::Checkerboard && (line + crossing + axis as i64).rem_euclid(2) == 1;
+        let side = if is_turned { -1.0 } else { 1.0 };
+        Some(LinePlace { target_mm, seen, normal, darkness: side * found, side, axis, line })
     }
 }
 
-/// The middle of the darkest or lightest stripe near a pixel, along a vector of one pitch: how much darker than its surroundings it
-/// is, its place and the line's normal.
-fn ridge(plane: &Plane, pixel: &Point2<f64>, along: Vector2<f64>) -> Option<(f64, Point2<f64>, Vector2<f64>)> {
+/// The middle of the darkest or lightest stripe near a pixel, or of squares the highest step, along a vector of one pitch: how much darker than its
+/// surroundings it is, or how high, its place and the line's normal.
+fn found_across(
+    plane: &Plane,
+    kind: PatternKind,
+    pixel: &Point2<f64>,
+    along: Vector2<f64>,
+) -> Option<(f64, Point2<f64>, Vector2<f64>)> {
     let pitch_px = along.norm();
     let direction = along / pitch_px;
     let normal = Vector2::new(-direction.y, direction.x);
@@ -204,9 +257,15 @@ fn ridge(plane: &Plane, pixel: &Point2<f64>, along: Vector2<f64>) -> Option<(f64
             sum / (2 * rows + 1) as f64
         })
         .collect();
-    // A second difference about as wide as a line finds its middle whatever the target's slope of brightness.
-    let curve = |k: usize| profile[k - half_width] + profile[k + half_width] - 2.0 * profile[k];
-    let smooth = |k: usize| curve(k - 1) + 2.0 * curve(k) + curve(k + 1);
+    let difference = |k: usize| match kind {
+        // A second difference about as wide as a line finds its middle whatever the target's slope of brightness.
+        PatternKind::Lines => profile[k - half_width] + profile[k + half_width] - 2.0 * profile[k],
+        // The means of both sides differ most at the step.
+        PatternKind::Checkerboard => {
+            (1..=half_width).map(|j| profile[k + j] - profile[k - j]).sum::<f64>() / half_width as f64
+        }
+    };
+    let smooth = |k: usize| difference(k - 1) + 2.0 * difference(k) + difference(k + 1);
     let inner = half_width + 2..profile.len().saturating_sub(half_width + 2);
     let best = inner.clone().max_by(|&a, &b| smooth(a).abs().total_cmp(&smooth(b).abs()))?;
     if best == inner.start || best + 1 == inner.end {
@@ -265,7 +324,7 @@ mod tests {
         let (lens, sheet) = lens_and_sheet();
         for sign in [-1.0, 1.0] {
             let plane = noisy(ruled(&lens, &sheet, sign, 1.0), 3.0, 1);
-            let lines = Lines { plane: &plane, lens: &lens, pitch_mm: 1.0 };
+            let lines = Lines { plane: &plane, lens: &lens, kind: PatternKind::Lines, pitch_mm: 1.0 };
             // Off by half a pitch along both axes, as the waves leave it.
             for start in [sheet.clone(), sheet.counted_from(Vector2::new(0.5, 0.5))] {
                 let start = lines.put_origin_on_a_line(&start).unwrap();
@@ -287,18 +346,62 @@ mod tests {
         }
     }
 
+    /// Squares of 60 px with borders blurred by 0.8 px, under light that falls off to one side, the lighter ones grown by `spread_px` on all sides.
+    fn squares(lens: &Lens, sheet: &Sheet, pitch_mm: f64, spread_px: f64) -> Plane {
+        let (width, height) = (lens.width as usize, lens.height as usize);
+        let value = |k: usize| {
+            let pixel = Point2::new((k % width) as f64, (k / width) as f64);
+            let (place, gradient) = sheet.at(lens, &pixel).unwrap();
+            // −1 to 1 along an axis; its product with the other axis' is above 0 where the square is light.
+            let side = |axis: usize| {
+                let px = pitch_mm / gradient.row(axis).norm();
+                let cell = (place[axis] / pitch_mm).round();
+                let to_border_px = (0.5 - (place[axis] / pitch_mm - cell).abs()) * px;
+                let sign = if cell.rem_euclid(2.0) == 0.0 { 1.0 } else { -1.0 };
+                (sign, to_border_px)
+            };
+            let [(a, a_px), (b, b_px)] = [side(0), side(1)];
+            let (sign, nearest_px) = (a * b, a_px.min(b_px));
+            let grown_px = nearest_px + sign * spread_px;
+            (150.0 + 60.0 * sign * (grown_px / 0.8).tanh()) * (1.0 + 0.3 * pixel.x / width as f64)
+        };
+        Plane::new(width, height, (0..width * height).map(|k| value(k) as f32).collect())
+    }
+
+    #[test]
+    fn large_squares_give_their_sheet_by_their_borders_though_ink_spreads_and_light_falls_off() {
+        let (lens, sheet) = lens_and_sheet();
+        for spread_px in [-0.5, 0.0, 0.5] {
+            let plane = noisy(squares(&lens, &sheet, 4.0, spread_px), 3.0, 1);
+            let lines = Lines { plane: &plane, lens: &lens, kind: PatternKind::Checkerboard, pitch_mm: 4.0 };
+            let near = Vector6::new(4e-3, -4e-3, 2e-3, 0.2, -0.15, 1.0);
+            let near = Sheet { camera_from_grid: perturbed(&sheet.camera_from_grid, &near), ..sheet.clone() };
+            let fit = lines.fit_sheet(&near).and_then(|fit| lines.fit_sheet(&fit.sheet)).unwrap();
+            for place in [Point2::new(0.0, 0.0), Point2::new(8.0, 4.0), Point2::new(-8.0, -4.0)] {
+                let off = fit.sheet.project(&lens, &place) - sheet.project(&lens, &place);
+                assert!(off.norm() < 0.1, "{spread_px}: {off}");
+            }
+            let turn = fit.sheet.camera_from_grid.rotation * sheet.camera_from_grid.rotation.inverse();
+            for axis in 0..3 {
+                let sigma = fit.turn_covariance[(axis, axis)].sqrt();
+                assert!(turn.scaled_axis()[axis].abs() < 4.0 * sigma, "{spread_px}: {turn} {fit:?}");
+            }
+            assert!(fit.rms_px < 0.2, "{spread_px}: {}", fit.rms_px);
+        }
+    }
+
     #[test]
     fn every_other_line_that_is_missing_is_noticed() {
         let (lens, sheet) = lens_and_sheet();
         for (every, expected) in [(1.0, None), (2.0, Some(2.0)), (0.5, Some(0.5))] {
             let plane = noisy(ruled(&lens, &sheet, -1.0, every), 3.0, 2);
-            let lines = Lines { plane: &plane, lens: &lens, pitch_mm: 1.0 };
+            let lines = Lines { plane: &plane, lens: &lens, kind: PatternKind::Lines, pitch_mm: 1.0 };
             assert_eq!(lines.other_ruling(&sheet), expected);
         }
     }
 
     #[test]
-    fn a_ridge_is_found_where_it_is_to_a_twentieth_of_a_pixel() {
+    fn a_line_is_found_where_it_is_to_a_twentieth_of_a_pixel() {
         for offset in [-1.3, 0.0, 0.4, 2.2] {
             let line = |y: usize| (-0.5 * ((y as f64 - 30.0 - offset) / 1.0).powi(2)).exp();
             // Under a gradient of brightness.
@@ -307,11 +410,12 @@ mod tests {
                 60,
                 (0..3600).map(|k| (200.0 - 80.0 * line(k / 60) + 0.5 * (k / 60) as f64) as f32).collect(),
             );
-            let (darkness, seen, normal) = ridge(&plane, &Point2::new(30.0, 30.0), Vector2::new(20.0, 0.0)).unwrap();
+            let (darkness, seen, normal) =
+                found_across(&plane, PatternKind::Lines, &Point2::new(30.0, 30.0), Vector2::new(20.0, 0.0)).unwrap();
             assert!(darkness > 0.0 && normal == Vector2::new(0.0, 1.0));
             assert!((seen.y - 30.0 - offset).abs() < 0.05, "{} for {offset}", seen.y - 30.0);
         }
         let flat = Plane::new(60, 60, vec![100.0; 3600]);
-        assert!(ridge(&flat, &Point2::new(30.0, 30.0), Vector2::new(20.0, 0.0)).is_none());
+        assert!(found_across(&flat, PatternKind::Lines, &Point2::new(30.0, 30.0), Vector2::new(20.0, 0.0)).is_none());
     }
 }
