@@ -9,7 +9,7 @@ use super::partial::Partial;
 use super::posterior::{Candidate, covariance_between};
 use super::predictive_density::Beside;
 use super::residuals::Problem;
-use super::search::{Found, Named, OPEN, most_promising, search};
+use super::search::{Found, Named, OPEN, search};
 use super::structure::Structure;
 use super::verdict::Verdict;
 use crate::robot::effects::{Changes, RIG_ERROR};
@@ -89,7 +89,7 @@ pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
     let [few, few_driven] = [data, &driven].map(|data| data.thinned(SEARCHED_FIRST));
     let (searched, is_driven) = Searched::likeliest(&model, [(data, &few), (&driven, &few_driven)], tell);
     let (Judged { verdict, structure_before, held_out_before: before, answer }, structures) =
-        searched.answered((&model, data), tell);
+        searched.answered(data, tell);
     info!(verdict = verdict.word(), effects = ?answer.named.iter().map(|named| named.physics.name).collect::<Vec<_>>(), "answered");
     let fitted = with_origin(answer.model, data);
     let remarks = data
@@ -160,31 +160,18 @@ struct Searched<'a> {
 }
 
 impl<'a> Searched<'a> {
-    /// The search of the samples as they are, unless the bends alone show what is missing and the search of the same samples as of actuators that are driven to
-    /// positions is likelier; and whether it is. Both with a part of their samples. Where what only such actuators show promises most, they are searched first:
-    /// if what the bends alone follow has no name, it has none either with more to account for.
+    /// The search of the samples as they are, unless the bends alone show what is missing, more than noise is left of them, and the search of the same samples
+    /// as of actuators that are driven to positions is likelier; and whether it is. Both with a part of their samples.
     fn likeliest(model: &Model, [plain, driven]: [(&'a Data, &'a Data); 2], tell: Tell) -> (Self, bool) {
         tell("learning the noise");
-        let (learned, rough) = Self::noise_of(model, plain.0);
-        let [problem, as_driven] = [plain.1, driven.1].map(|few| Problem::new(few, &learned, &rough));
-        let before = Structure::new(&problem, &problem.fit(&rough, None, None));
+        let searched = Self::new(model, plain, tell);
+        let before = &searched.judged.structure_before;
         let bends_alone_show_it = before.exceeds_learned(0) && !before.exceeds_noise(1);
-        let search_driven = || {
-            tell("comparing effects of which no reading shows what bends nothing");
-            let (learned, rough) = Self::noise_of(model, driven.0);
-            Self::new((&learned, &rough), driven, tell)
-        };
-        let is_of_drive = |physics: &'static Physics| matches!(physics.changes, Changes::Drive(_));
-        let promises_most = || most_promising(&as_driven, &as_driven.fit(&rough, None, None));
-        let other = (bends_alone_show_it && promises_most().is_some_and(is_of_drive)).then(search_driven);
-        if let Some(other) = other.as_ref().filter(|other| other.judged.verdict != Verdict::Named) {
-            return (Self::of_nothing(plain.1, &other.problem.noise, &rough), false);
-        }
-        let searched = Self::new((&learned, &rough), plain, tell);
         if !bends_alone_show_it || !searched.leaves_more_than_noise() {
             return (searched, false);
         }
-        let other = other.unwrap_or_else(search_driven);
+        tell("learning the noise of actuators that are driven to positions");
+        let other = Self::new(model, driven, tell);
         if other.is_likelier_than(&searched) { (other, true) } else { (searched, false) }
     }
 
@@ -195,21 +182,13 @@ impl<'a> Searched<'a> {
         (Noise::learned(&stated, &rough), rough.model)
     }
 
-    /// A search that found nothing.
-    fn of_nothing(data: &'a Data, noise: &Noise, model: &Model) -> Self {
-        let problem = Problem::new(data, noise, model);
-        let before = problem.fit(model, None, None);
-        let judged = Judged::new(&problem, &before, &before);
-        Self { found: Found::nothing(problem.clone(), before.clone()), problem, before, judged }
-    }
-
     /// The answer, with the structures that are left open: what was found, or what helps where that does not account for the gap.
-    fn answered(&self, (given, data): (&Model, &Data), tell: Tell) -> (Judged, Vec<Candidate>) {
+    fn answered(&self, data: &Data, tell: Tell) -> (Judged, Vec<Candidate>) {
         let mut judged = self.judged.clone();
         match judged.verdict {
             Verdict::Named => judged.answer.named.clone_from(&self.found.named),
             Verdict::None => (),
-            Verdict::Partly | Verdict::Unexplained => return (self.partly_answered((given, data), tell), Vec::new()),
+            Verdict::Partly | Verdict::Unexplained => return (self.partly_answered(data, tell), Vec::new()),
         }
         let model = &mut judged.answer.model;
         let between = covariance_between(&self.found.structures, model, self.problem.data);
@@ -217,21 +196,18 @@ impl<'a> Searched<'a> {
         (judged, self.found.structures.clone())
     }
 
-    /// Of many samples a part, `few`, is searched, and what was found is fitted to all. All are searched where they show more than that accounts
-    /// for, unless the part does so as well, or actuators are said to be driven: that is asked second, and a search of thousands of rows takes a minute.
-    fn new((learned, rough): (&Noise, &Model), (data, few): (&'a Data, &'a Data), tell: Tell) -> Self {
+    /// Of many samples a part, `few`, is searched, and what was found is fitted to all.
+    fn new(model: &Model, (data, few): (&'a Data, &'a Data), tell: Tell) -> Self {
+        let (learned, rough) = &Self::noise_of(model, data);
         tell("comparing effects");
         let searched = Self::of(few, learned, rough);
         if few.len() == data.len() || searched.judged.verdict == Verdict::Unexplained {
             return searched;
         }
         tell("fitting what was found to all samples");
-        let judged = searched.judged_on(data);
-        if judged.verdict == Verdict::Unexplained && !data.is_driven {
-            tell("comparing effects on all samples");
-            return Self::of(data, learned, rough);
-        }
-        Self { judged, ..searched }
+        let problem = Problem::new(data, &searched.problem.noise, &searched.found.fit.model);
+        let [before, after] = [&searched.before, &searched.found.fit].map(|fit| problem.fit(&fit.model, None, None));
+        Self { judged: Judged::new(&problem, &before, &after), ..searched }
     }
 
     /// The search takes the finer of what was stated and learned: what effects do from one sample to the next looks like noise until they are found. If
@@ -264,31 +240,19 @@ impl<'a> Searched<'a> {
     }
 
     /// The answer where the library does not account for the gap: what helps all the same, or nothing.
-    fn partly_answered(&self, (given, data): (&Model, &Data), tell: Tell) -> Judged {
+    fn partly_answered(&self, data: &Data, tell: Tell) -> Judged {
         tell("looking for effects that help beside others");
-        let anew = self.problem.fit(given, None, None);
-        let searched = Partial::new(&self.problem, [&self.before, &anew]);
-        let mut partial = searched.clone();
-        if self.problem.data.len() < data.len() {
-            tell("fitting what was found to all samples");
-            partial = partial.of(data);
-        }
+        let searched = Partial::new(&self.problem, &self.before);
+        let partial = searched.of(data);
         let [before, after] = [&partial.before, &partial.after].map(|fit| HeldOutResiduals::new(&partial.problem, fit));
         let helps = !partial.named.is_empty() && after.gap.theta_deg < before.gap.theta_deg;
-        let [fit, of_searched] = match helps {
-            true => [&partial.after, &searched.after],
-            false => [&partial.before, &searched.before],
+        let (verdict, fit, held_out, named) = match helps {
+            true => (Verdict::Partly, &partial.after, after, searched.named),
+            false => (Verdict::Unexplained, &partial.before, before.clone(), Vec::new()),
         };
         // What the residuals follow is told in units of the noise.
-        let of_searched = self.problem.evaluated(&of_searched.model, Some(&of_searched.path));
-        let answer = Answer {
-            model: partial.model(fit),
-            named: if helps { partial.named.clone() } else { Vec::new() },
-            noise: partial.problem.noise,
-            held_out: if helps { after } else { before.clone() },
-            structure: Structure::new(&self.problem, &of_searched),
-        };
-        let verdict = if helps { Verdict::Partly } else { Verdict::Unexplained };
+        let structure = Structure::new(&self.problem, &self.problem.evaluated(&fit.model, None));
+        let answer = Answer { model: partial.model(fit), named, noise: partial.problem.noise, held_out, structure };
         Judged { verdict, held_out_before: before, answer, ..self.judged.clone() }
     }
 
@@ -303,13 +267,6 @@ impl<'a> Searched<'a> {
     fn is_likelier_than(&self, other: &Self) -> bool {
         self.judged.verdict == Verdict::Named
             && (other.judged.verdict != Verdict::Named || other.found.score < self.found.score + OPEN.ln())
-    }
-
-    /// What was found, fitted to all samples, of which those that were searched are a part.
-    fn judged_on(&self, data: &Data) -> Judged {
-        let problem = Problem::new(data, &self.problem.noise, &self.found.fit.model);
-        let [before, after] = [&self.before, &self.found.fit].map(|fit| problem.fit(&fit.model, None, None));
-        Judged::new(&problem, &before, &after)
     }
 }
 

@@ -34,18 +34,15 @@ pub struct Partial<'a> {
 }
 
 impl<'a> Partial<'a> {
-    /// Of the samples under their noise; the search starts from the better of the two fits of the model as given.
-    pub fn new(problem: &Problem<'a>, [one, other]: [&Fit; 2]) -> Self {
-        let one_is_better = bend_squares(problem, one) < bend_squares(problem, other);
-        let mut problem = problem.clone();
-        let mut before = if one_is_better { one.clone() } else { other.clone() };
+    /// Of the samples under their noise; `before` is the fit of the model as given.
+    pub fn new(problem: &Problem<'a>, before: &Fit) -> Self {
+        let (mut problem, mut before) = (problem.clone(), before.clone());
         let unknown_start = unknown_start(&problem, &before);
         // The weights follow from the discrepancy, and the discrepancy from the fit.
         for _ in 0..2 {
             let noise = Noise { unknown_start, ..problem.noise }.with_discrepancy(&problem, &before);
             problem = Problem::new(problem.data, &noise, &before.model);
-            let [one, other] = [one, other].map(|fit| problem.fit(&fit.model, None, None));
-            before = if one.cost < other.cost { one } else { other };
+            before = problem.fit(&before.model, None, None);
         }
         let nothing = Self { problem, after: before.clone(), before, named: Vec::new() };
         if nothing.is_near_or_still() {

@@ -23,7 +23,7 @@ use crate::robot::{Effect, Mechanics, Model, Motion, PerBackbone, Play};
 use crate::statistics::moments::{mean, rms};
 use nalgebra::{DMatrix, DVector, Rotation2, Vector2};
 use rayon::prelude::*;
-use selection::{Cells, Selection, Sums, Tried};
+use selection::{Blocks, Selection, Sums, Tried};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use terms::{SCALE, Shape, Shared, Term, dictionary};
@@ -97,10 +97,10 @@ fn proposed(found: &Discovery, data: &Data) -> ProposedLaw {
     let problem = Problem::new(data, &found.noise, &found.model);
     let fit = problem.fit(&found.model, None, None);
     let candidates = Candidates::new(&problem, &fit);
-    let cells = candidates.cells();
-    let judged = Judged::new(&candidates, &cells);
+    let blocks = candidates.blocks();
+    let judged = Judged::new(&candidates, &blocks);
     let (before_mm, after_mm) = (judged.rms_mm(0), judged.rms_mm(1));
-    match judged.helps().then(|| candidates.fitted(&cells)).flatten() {
+    match judged.helps().then(|| candidates.fitted(&blocks)).flatten() {
         Some(model) => {
             let law = in_words(&model);
             let words = format!(
@@ -195,24 +195,24 @@ impl<'a> Candidates<'a> {
         self.problem.response(k, &(self.states.summand_mm(term, *tried, k) / *scale))
     }
 
-    fn cells(&self) -> Cells {
+    fn blocks(&self) -> Blocks {
         let (data, columns) = (self.problem.data, self.columns());
-        let blocks = data.blocks();
-        let mut cells: Cells = std::array::from_fn(|_| std::array::from_fn(|_| Sums::zero(columns)));
+        let of_sweep = data.blocks();
+        let mut blocks: Blocks = std::array::from_fn(|_| Sums::zero(columns));
         for &k in &self.samples {
             let residuals = DVector::from_iterator(data.backbones(), self.residuals[k].iter().copied());
             let mut rows = DMatrix::zeros(data.backbones(), columns);
             for (column, mut place) in rows.column_iter_mut().enumerate() {
                 place.iter_mut().zip(&self.column(column, k)).for_each(|(place, value)| *place = *value);
             }
-            cells[blocks[data.sweeps[k]]][data.fold(k)].add(&rows, &residuals);
+            blocks[of_sweep[data.sweeps[k]]].add(&rows, &residuals);
         }
-        cells
+        blocks
     }
 
-    fn selection(&self, cells: &Cells, without: Option<usize>) -> Selection {
+    fn selection(&self, blocks: &Blocks, without: Option<usize>) -> Selection {
         let tried: Vec<Option<Tried>> = self.all.iter().map(|candidate| candidate.tried).collect();
-        Selection::new(cells, (self.fit.parameter_count(), &tried), without)
+        Selection::new(blocks, (self.fit.parameter_count(), &tried), without)
     }
 
     /// The model with the law that was selected, which holds within the values of the samples that were seen; none where there is no law.
@@ -235,8 +235,8 @@ impl<'a> Candidates<'a> {
     }
 
     /// The model with the law of all samples, fitted; none where there is no law, or where it does not help as it stands.
-    fn fitted(&self, cells: &Cells) -> Option<Model> {
-        let start = self.start(&self.selection(cells, None), |_| true)?;
+    fn fitted(&self, blocks: &Blocks) -> Option<Model> {
+        let start = self.start(&self.selection(blocks, None), |_| true)?;
         let fitted = self.problem.fit(&start, Some(&self.fit.path), None);
         let gap = |fit: &Fit| HeldOutResiduals::new(self.problem, fit).gap.eps_mm;
         (gap(&fitted) < gap(self.fit)).then(|| self.problem.with_clustered_covariance(&fitted))
@@ -259,14 +259,15 @@ struct Judged {
 }
 
 impl Judged {
-    fn new(candidates: &Candidates, cells: &Cells) -> Self {
+    fn new(candidates: &Candidates, blocks: &Blocks) -> Self {
         let Candidates { problem, fit, .. } = candidates;
         let (data, of_sweep) = (problem.data, problem.data.blocks());
         let block = |block: usize| {
             let is_seen = |k: usize| of_sweep[data.sweeps[k]] != block;
             let fitted = |start: &Model| problem.fit_to(start, Some(&fit.path), is_seen);
             let base = fitted(&fit.model);
-            let with = candidates.start(&candidates.selection(cells, Some(block)), is_seen).map(|start| fitted(&start));
+            let with =
+                candidates.start(&candidates.selection(blocks, Some(block)), is_seen).map(|start| fitted(&start));
             let sides = [&base, with.as_ref().unwrap_or(&base)];
             let left = |k: usize| {
                 sides.map(|fit| {

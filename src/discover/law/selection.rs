@@ -70,14 +70,14 @@ impl Sums {
     }
 }
 
-/// The sums of every block of sweeps that follow each other and every fold of sweeps dealt in turn: `cells[block][fold]`.
-pub type Cells = [[Sums; FOLDS]; FOLDS];
+/// The sums of every block of sweeps that follow each other.
+pub type Blocks = [Sums; FOLDS];
 
-fn total<'a>(columns: usize, cells: impl Iterator<Item = &'a Sums>) -> Sums {
-    cells.fold(Sums::zero(columns), Sums::plus)
+fn total<'a>(columns: usize, blocks: impl Iterator<Item = &'a Sums>) -> Sums {
+    blocks.fold(Sums::zero(columns), Sums::plus)
 }
 
-/// What a fit sees, and what it is judged on.
+/// What a fit sees, and the block that it is judged on.
 struct Split {
     seen: Sums,
     held_out: Sums,
@@ -88,9 +88,7 @@ pub struct Selection {
     fixed: usize,
     columns: usize,
     /// One for each block.
-    blocks: Vec<Split>,
-    /// One for each fold.
-    folds: Vec<Split>,
+    splits: Vec<Split>,
     seen: Sums,
     /// The value of a shared parameter that a column has, none for those without.
     tried: Vec<Option<Tried>>,
@@ -106,26 +104,15 @@ pub struct Tried {
 }
 
 impl Selection {
-    /// Of all cells but those of the block `without`.
-    pub fn new(cells: &Cells, (fixed, tried): (usize, &[Option<Tried>]), without: Option<usize>) -> Self {
+    /// Of all blocks but the one `without`.
+    pub fn new(blocks: &Blocks, (fixed, tried): (usize, &[Option<Tried>]), without: Option<usize>) -> Self {
         let columns = fixed + tried.len();
-        let used = || {
-            let cells = cells.iter().enumerate().filter(move |(block, _)| Some(*block) != without);
-            cells.flat_map(|(block, folds)| folds.iter().enumerate().map(move |(fold, sums)| (block, fold, sums)))
+        let used = || (0..FOLDS).filter(|block| Some(*block) != without);
+        let sum = |is_seen: &dyn Fn(usize) -> bool| {
+            total(columns, used().filter(|block| is_seen(*block)).map(|block| &blocks[block]))
         };
-        let split = |is_out: &dyn Fn(usize, usize) -> bool| Split {
-            seen: total(columns, used().filter(|(b, f, _)| !is_out(*b, *f)).map(|(_, _, sums)| sums)),
-            held_out: total(columns, used().filter(|(b, f, _)| is_out(*b, *f)).map(|(_, _, sums)| sums)),
-        };
-        let blocks = (0..FOLDS).filter(|block| Some(*block) != without);
-        Self {
-            fixed,
-            columns,
-            blocks: blocks.map(|block| split(&|b, _| b == block)).collect(),
-            folds: (0..FOLDS).map(|fold| split(&|_, f| f == fold)).collect(),
-            seen: total(columns, used().map(|(_, _, sums)| sums)),
-            tried: tried.to_vec(),
-        }
+        let split = |out: usize| Split { seen: sum(&|block| block != out), held_out: blocks[out].clone() };
+        Self { fixed, columns, splits: used().map(split).collect(), seen: sum(&|_| true), tried: tried.to_vec() }
     }
 
     /// The columns that help, those of every fit first.
@@ -173,11 +160,10 @@ impl Selection {
         }
     }
 
-    /// What a set of columns leaves on what its fits did not see: the mean of both partitions.
+    /// What a set of columns leaves on what its fits did not see.
     fn cost(&self, columns: &[usize]) -> Option<f64> {
         let cost = |split: &Split| Some(split.held_out.cost(columns, &split.seen.solution(columns)?));
-        let costs = self.blocks.iter().chain(&self.folds).map(cost);
-        Some(0.5 * costs.sum::<Option<f64>>()?)
+        self.splits.iter().map(cost).sum()
     }
 
     /// The coefficients of some columns, fitted to all that the selection saw.
@@ -194,23 +180,23 @@ mod tests {
     use rand_distr::StandardNormal;
 
     /// 500 rows of 40 columns of noise; the residual is made of the columns `truth`, and noise.
-    fn cells(truth: &[(usize, f64)], seed: u64) -> Cells {
+    fn blocks(truth: &[(usize, f64)], seed: u64) -> Blocks {
         let mut random = StdRng::seed_from_u64(seed);
-        let mut cells: Cells = std::array::from_fn(|_| std::array::from_fn(|_| Sums::zero(40)));
+        let mut blocks: Blocks = std::array::from_fn(|_| Sums::zero(40));
         for k in 0..500 {
             let rows = DMatrix::from_fn(1, 40, |_, _| random.sample::<f64, _>(StandardNormal));
             let noise: f64 = random.sample(StandardNormal);
             let sum: f64 = truth.iter().map(|(column, weight)| weight * rows[(0, *column)]).sum();
-            cells[k / 100][k % 5].add(&rows, &DVector::from_element(1, noise - sum));
+            blocks[k / 100].add(&rows, &DVector::from_element(1, noise - sum));
         }
-        cells
+        blocks
     }
 
     #[test]
     fn the_columns_of_which_the_residuals_are_made_are_chosen_and_no_others() {
         for seed in 0..8 {
-            let cells = cells(&[(0, 0.3), (17, 1.0), (31, -0.6)], seed);
-            let selection = Selection::new(&cells, (2, &[None; 38]), None);
+            let blocks = blocks(&[(0, 0.3), (17, 1.0), (31, -0.6)], seed);
+            let selection = Selection::new(&blocks, (2, &[None; 38]), None);
             let mut columns = selection.columns();
             let x = selection.solution(&columns).unwrap();
             assert!((x[2] - 1.0).abs() < 0.2, "{x}");
@@ -222,18 +208,18 @@ mod tests {
     #[test]
     fn of_noise_nothing_is_made() {
         let laws =
-            (0..20).filter(|seed| Selection::new(&cells(&[], *seed), (1, &[None; 39]), None).columns().len() > 1);
+            (0..20).filter(|seed| Selection::new(&blocks(&[], *seed), (1, &[None; 39]), None).columns().len() > 1);
         assert!(laws.count() <= 1);
     }
 
     #[test]
     fn a_law_has_one_width_of_play_and_one_scale() {
-        let cells = cells(&[(10, 1.0), (11, 0.5), (12, 0.5), (13, 0.5)], 3);
+        let blocks = blocks(&[(10, 1.0), (11, 0.5), (12, 0.5), (13, 0.5)], 3);
         let mut tried = [None; 39];
         let of = |shared, place| Some(Tried { shared, place });
         (tried[9], tried[10], tried[11]) = (of(Shared::HalfGap, 0), of(Shared::HalfGap, 1), of(Shared::HalfGap, 0));
         tried[12] = of(Shared::Scale, 1);
-        let mut columns = Selection::new(&cells, (1, &tried), None).columns();
+        let mut columns = Selection::new(&blocks, (1, &tried), None).columns();
         columns.sort_unstable();
         assert_eq!(columns, [0, 10, 12, 13]);
     }

@@ -16,7 +16,6 @@ pub use evidence::{Evidence, Named};
 
 use super::fit::Fit;
 use super::hypotheses::{Hypothesis, has, hypotheses};
-use super::noise::Noise;
 use super::posterior::Candidate;
 use super::predictive_density::{Beside, Judged};
 use super::residuals::Problem;
@@ -81,25 +80,9 @@ pub struct Found<'a> {
     pub score: f64,
 }
 
-impl<'a> Found<'a> {
-    /// No effects, and no structure that was scored.
-    pub fn nothing(problem: Problem<'a>, fit: Fit) -> Self {
-        let score = f64::NEG_INFINITY;
-        Self { problem, fit, named: Vec::new(), structures: Vec::new(), score }
-    }
-}
-
 /// The structure of the highest score that a search from the model as given comes to; `before` is its fit.
 pub fn search<'a>(problem: &Problem<'a>, before: &Fit, beside: Beside) -> Found<'a> {
     Search::new(problem, before, beside).found()
-}
-
-/// The effect that a linear step about the model as given scores highest beside noise, if any does better than nothing.
-pub fn most_promising(problem: &Problem, before: &Fit) -> Option<&'static Physics> {
-    let mut search = Search::new(problem, before, Beside::Noise);
-    let bare = search.structure(before.clone())?;
-    let (model, _) = search.promising(&bare, &bare.fit, false).into_iter().next()?;
-    model.effects.last().map(|effect| effect.physics)
 }
 
 struct Search<'a> {
@@ -115,8 +98,8 @@ struct Search<'a> {
     gone_on_from: Vec<(GoneOnFrom, Vec<Structure>)>,
 }
 
-/// The effects of a structure, whether only hystereses were admitted beside them, and under which noise.
-type GoneOnFrom = (Vec<&'static Physics>, bool, Noise);
+/// The effects of a structure, and whether only hystereses were admitted beside them.
+type GoneOnFrom = (Vec<&'static Physics>, bool);
 
 impl<'a> Search<'a> {
     fn new(problem: &Problem<'a>, before: &Fit, beside: Beside) -> Self {
@@ -133,7 +116,8 @@ impl<'a> Search<'a> {
 
     fn found(mut self) -> Found<'a> {
         let Some(bare) = self.structure(self.before.clone()) else {
-            return Found::nothing(self.problem, self.before);
+            let score = f64::NEG_INFINITY;
+            return Found { problem: self.problem, fit: self.before, named: Vec::new(), structures: Vec::new(), score };
         };
         self.gap = bare.squares - self.judged.noise_squares(&self.problem);
         let mut best = match self.beside {
@@ -150,36 +134,30 @@ impl<'a> Search<'a> {
         };
         if best.excess_over(&bare) <= 0.0 {
             best = bare.clone();
-        } else {
-            best = self.under_one_noise(best);
-            if self.beside == Beside::Noise {
-                best = self.with_what_is_likelier(best);
-            }
         }
         let named = (self.given()..best.fit.model.effects.len()).map(|k| self.describe(&best, &bare, k)).collect();
-        let score = best.score();
-        Found { structures: self.open(), problem: self.problem, fit: best.fit, named, score }
+        // What the answer leaves belongs to the noise of its numbers.
+        let noise = self.problem.noise.with_discrepancy(&self.problem, &best.fit);
+        let problem = Problem::new(self.problem.data, &noise, &best.fit.model);
+        let fit = problem.fit(&best.fit.model, Some(&best.fit.path), None);
+        Found { structures: self.open(), problem, fit, named, score: best.score() }
     }
 
     /// The best of the structures that the likeliest single effects lead to. Where one of them leaves no more than noise, the others are not gone on from: they come
     /// at best to its equal, with an effect more. Nor are they where it is [`HOPELESS`].
     fn best_of_beam(&mut self, bare: &Structure) -> Structure {
-        let problem = self.problem.clone();
-        let (mut best, mut under) = (bare.clone(), problem.clone());
+        let noise = self.judged.noise_squares(&self.problem);
+        let mut best = bare.clone();
         for first in self.with_one_more(bare, &bare.fit, false).into_iter().take(BEAM_WIDTH) {
-            self.problem = problem.clone();
-            let first = self.under_its_own_discrepancy(first);
             let grown = self.grown(first);
             if grown.score() > best.score() {
-                (best, under) = (grown, self.problem.clone());
+                best = grown;
             }
-            let noise = self.judged.noise_squares(&under);
             let is_noise = best.squares < noise * mean_square_quantile(self.problem.data.residual_count() as f64);
             if is_noise || best.squares > HOPELESS * noise {
                 break;
             }
         }
-        self.problem = under;
         best
     }
 
@@ -189,7 +167,7 @@ impl<'a> Search<'a> {
             let Some(better) = self.with_one_more(&best, &best.fit, false).into_iter().next() else {
                 break;
             };
-            best = self.under_its_own_discrepancy(better);
+            best = better;
         }
         best
     }
@@ -209,8 +187,7 @@ impl<'a> Search<'a> {
             model.effects.push(Effect::of(physics, vec![0.0; physics.parameters_on(backbones).len()]));
         }
         let fit = self.problem.fit(&model, Some(&self.before.path), None);
-        let structure = self.structure(fit)?;
-        Some(self.under_its_own_discrepancy(structure))
+        self.structure(fit)
     }
 
     /// What is not asked for beside the rest dropped, and another effect put in the place of one where that is better.
@@ -221,13 +198,13 @@ impl<'a> Search<'a> {
             let others = self.structures(simpler);
             let not_asked = others.iter().filter(|simpler| !simpler.is_at_end && !self.asks_for(&best, simpler));
             if let Some(simpler) = not_asked.min_by(|a, b| best.excess_over(a).total_cmp(&best.excess_over(b))) {
-                best = self.under_its_own_discrepancy(simpler.clone());
+                best = simpler.clone();
                 continue;
             }
             let other = others.iter().filter_map(|without| self.exchanged(&best, without));
             let other = other.max_by(|a, b| a.score().total_cmp(&b.score()));
             let Some(other) = other.filter(|other| other.takes_the_place_of(&best)) else { break };
-            best = self.under_its_own_discrepancy(other);
+            best = other;
         }
         best
     }
@@ -246,29 +223,10 @@ impl<'a> Search<'a> {
         self.with_one_more(without, &from, hystereses_alone).into_iter().next()
     }
 
-    /// With what physics makes likelier in the place of an effect, where the data do not rule it out.
-    fn with_what_is_likelier(&self, mut best: Structure) -> Structure {
-        let more = |one: &Structure, other: &Structure| {
-            let mut more = one.weighed.effects.iter().filter(|physics| !other.weighed.has(physics.name)).copied();
-            more.next().filter(|_| more.next().is_none())
-        };
-        let is_likelier = |other: &&Structure, best: &Structure| {
-            let yields = more(best, other)
-                .zip(more(other, best))
-                .is_some_and(|(own, in_its_place)| own.yields_to.contains(&in_its_place.name));
-            yields && other.noise == best.noise && other.score() > best.score() + OPEN.ln()
-        };
-        let by_score = |a: &&Structure, b: &&Structure| a.score().total_cmp(&b.score());
-        while let Some(other) = self.scored.iter().filter(|other| is_likelier(other, &best)).max_by(by_score) {
-            best = other.clone();
-        }
-        best
-    }
-
     /// The structures with one effect more that is asked for beside `best`, the best first, one for each name: of its forms the best, unless a plainer
-    /// one is about as good. What was gone on from once under a noise is not gone on from again.
+    /// one is about as good. What was gone on from once is not gone on from again.
     fn with_one_more(&mut self, best: &Structure, from: &Fit, hystereses_alone: bool) -> Vec<Structure> {
-        let key = (best.effects(), hystereses_alone, self.problem.noise);
+        let key = (best.effects(), hystereses_alone);
         if let Some((_, to)) = self.gone_on_from.iter().find(|(from, _)| *from == key) {
             return to.clone();
         }

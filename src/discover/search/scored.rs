@@ -3,9 +3,8 @@
 use super::{FRAME, OPEN, Search};
 use crate::discover::fit::{Fit, normal_equations, prior_precision};
 use crate::discover::hypotheses::Hypothesis;
-use crate::discover::noise::Noise;
 use crate::discover::predictive_density::Beside;
-use crate::discover::residuals::{Linearised, Problem};
+use crate::discover::residuals::Linearised;
 use crate::discover::structure_weights::{Weighed, probability_over};
 use crate::robot::effects::{Effect, ParameterSpec, Role};
 use crate::robot::{Model, Physics};
@@ -57,8 +56,6 @@ pub(super) struct Structure {
     pub(super) weighed: Weighed,
     /// The squares that the refits without each stretch leave in it, in units of the noise's.
     pub(super) squares: f64,
-    /// What it was scored under: scores are compared under one noise.
-    pub(super) noise: Noise,
     /// Whether a parameter lies at the end of its range, where it is not what the effect means: such a structure is no answer, but another effect
     /// beside it may bring the parameter back.
     pub(super) is_at_end: bool,
@@ -181,7 +178,7 @@ impl Search<'_> {
         let effects = fit.model.effects.iter().skip(self.given()).map(|effect| effect.physics).collect();
         let weighed = Weighed { effects, stretches: density.stretches, log_prior: self.log_prior(&fit.model) };
         let is_at_end = self.is_at_end(&fit.model);
-        Some(Structure { fit, weighed, squares: density.squares, noise: self.problem.noise, is_at_end })
+        Some(Structure { fit, weighed, squares: density.squares, is_at_end })
     }
 
     /// Whether every effect beyond those that were given is there.
@@ -198,41 +195,6 @@ impl Search<'_> {
         let is_at_end = |(spec, value): (&ParameterSpec, &f64)| !is_inside(spec, *value);
         let effects = model.effects.iter().skip(self.given());
         effects.flat_map(|effect| effect.parameters().iter().zip(&effect.values)).any(is_at_end)
-    }
-
-    /// A structure fitted anew where its own discrepancy, which is smaller than that of the structure before, belongs to the noise.
-    pub(super) fn under_its_own_discrepancy(&mut self, structure: Structure) -> Structure {
-        let noise = self.problem.noise.with_discrepancy(&self.problem, &structure.fit);
-        self.problem = Problem::new(self.problem.data, &noise, &structure.fit.model);
-        let fit = self.problem.fit(&structure.fit.model, Some(&structure.fit.path), None);
-        self.structure(fit).unwrap_or(structure)
-    }
-
-    /// What no structure of its own noise ruled out, scored anew under the noise that `best` leaves, and the best of all. A structure that was as good as
-    /// another before one of the two was fitted under its own discrepancy would seem to be far worse than it since.
-    pub(super) fn under_one_noise(&mut self, best: Structure) -> Structure {
-        let noise = self.problem.noise;
-        let is_open = |own: &&Structure| {
-            let of_its_noise = self.scored.iter().filter(|other| other.noise == own.noise).map(Structure::score);
-            own.noise != noise && own.score() > of_its_noise.fold(f64::NEG_INFINITY, f64::max) + OPEN.ln()
-        };
-        let has_new_score =
-            |own: &&Structure| self.scored.iter().any(|other| other.noise == noise && other.effects() == own.effects());
-        let mut open: Vec<Structure> =
-            self.scored.iter().filter(is_open).filter(|own| !has_new_score(own)).cloned().collect();
-        open.sort_by(|a, b| b.score().total_cmp(&a.score()));
-        let mut each: Vec<Structure> = Vec::new();
-        for own in open {
-            if each.iter().all(|other| other.effects() != own.effects()) {
-                each.push(own);
-            }
-        }
-        self.scored.retain(|own| own.noise == noise || each.iter().all(|other| other.effects() != own.effects()));
-        let anew = self.structures(each.into_iter().map(|own| (own.fit.model, own.fit.path)).collect());
-        let is_exchange =
-            |other: &Structure| other.weighed.effects.len() == best.weighed.effects.len() && !other.is_at_end;
-        let better = anew.into_iter().filter(|other| is_exchange(other) && other.takes_the_place_of(&best));
-        better.max_by(|a, b| a.score().total_cmp(&b.score())).unwrap_or(best)
     }
 
     /// The logarithm of what is expected beforehand of a model's effects beyond those that were given.
@@ -269,19 +231,15 @@ fn promises(fit: &Fit) -> f64 {
 mod tests {
     use super::*;
     use crate::discover::fixture::{experiment, truth};
+    use crate::discover::noise::Noise;
+    use crate::discover::residuals::Problem;
     use crate::robot::effects::{COMMAND_GAIN, physics};
 
     /// A structure with these effects and this score, at the true model.
     fn structure(problem: &Problem, names: &[&str], stretch: f64, log_prior: f64) -> Structure {
         let effects = names.iter().filter_map(|name| physics(name)).collect();
         let weighed = Weighed { effects, stretches: [stretch; 6], log_prior };
-        Structure {
-            fit: problem.evaluated(&truth(), None),
-            weighed,
-            squares: 0.0,
-            noise: problem.noise,
-            is_at_end: false,
-        }
+        Structure { fit: problem.evaluated(&truth(), None), weighed, squares: 0.0, is_at_end: false }
     }
 
     #[test]

@@ -38,7 +38,6 @@ pub(super) static ACTUATOR_OFFSET: Physics = Physics {
     reading: "actuators whose zeros differ from each other",
     parameters: |backbones| &OFFSETS[..backbones - 1],
     changes: Changes::Encoders(|_, p| summing_to_zero(p)),
-    yields_to: &["rest_bend"],
     ..LINEAR
 };
 

@@ -50,14 +50,5 @@ pub(super) static CAMERA_LATENCY: Physics = Physics {
     parameters: |_| const { &[ParameterSpec::positive("latency_s", "s", (-2.0, 2.0), 0.05)] },
     changes: Changes::Exposure(|p| p[0]),
     in_time: true,
-    yields_to: &[
-        "motion_directed_backlash",
-        "play_at_bend",
-        "capstan_play",
-        "distributed_friction",
-        "bouc_wen",
-        "disc_friction",
-        "cone_friction_reversal",
-    ],
     ..LINEAR
 };

@@ -144,7 +144,6 @@ pub(super) static TENDON_SLACK: Physics = Physics {
         PerBackbone::from_fn(p.len(), |i| -0.5 * p[i] * (1.0 - (at.q_mm[i] / SMOOTH_TRAVEL_MM).tanh()))
     }),
     // The same slack s in all lines is λ − s/2 and a dead band of s/2 in each.
-    yields_to: &["dead_band", "load_directed_backlash"],
     ..LINEAR
 };
 
@@ -157,7 +156,6 @@ pub(super) static DEAD_BAND: Physics = Physics {
     parameters: |backbones| &DEAD_BANDS[..backbones],
     changes: Changes::Line(|at, p| PerBackbone::from_fn(p.len(), |i| p[i] * (at.q_mm[i] / SMOOTH_TRAVEL_MM).tanh())),
     // The same band in all actuators is one backlash that the load takes up.
-    yields_to: &["load_directed_backlash"],
     ..LINEAR
 };
 

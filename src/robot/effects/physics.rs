@@ -186,8 +186,6 @@ pub struct Physics {
     pub prior_penalty: f64,
     /// The logarithm of the odds beforehand that any machine with cable or rod drives has it, where a discrepancy beside it is expected.
     pub log_prior: f64,
-    /// Effects that are named in its place where the data do not decide: physics makes them likelier.
-    pub yields_to: &'static [&'static str],
     /// What it is confounded with by its equation; a search finds out what a given experiment confounds besides.
     pub confounded_with: &'static [Confounded],
 }
@@ -232,7 +230,6 @@ pub(super) const LINEAR: Physics = Physics {
     largest_size: None,
     prior_penalty: 0.0,
     log_prior: UNUSUAL,
-    yields_to: &[],
     confounded_with: &[],
 };
 

@@ -117,7 +117,6 @@ pub(super) static TIP_LOAD: Physics = Physics {
     changes: Changes::Snake(|snake, p| {
         snake.add_wrench(Vector6::new(p[0], p[1], p[2], 0.0, 0.0, 0.0));
     }),
-    yields_to: &["rest_bend", "dead_weight"],
     ..LINEAR
 };
 
