@@ -95,11 +95,8 @@ struct Search<'a> {
     /// Every structure that was fitted to convergence.
     scored: Vec<Structure>,
     /// What one effect more brought to the structures that were gone on from.
-    gone_on_from: Vec<(GoneOnFrom, Vec<Structure>)>,
+    gone_on_from: Vec<(Vec<&'static Physics>, Vec<Structure>)>,
 }
-
-/// The effects of a structure, and whether only hystereses were admitted beside them.
-type GoneOnFrom = (Vec<&'static Physics>, bool);
 
 impl<'a> Search<'a> {
     fn new(problem: &Problem<'a>, before: &Fit, beside: Beside) -> Self {
@@ -148,7 +145,7 @@ impl<'a> Search<'a> {
     fn best_of_beam(&mut self, bare: &Structure) -> Structure {
         let noise = self.judged.noise_squares(&self.problem);
         let mut best = bare.clone();
-        for first in self.with_one_more(bare, &bare.fit, false).into_iter().take(BEAM_WIDTH) {
+        for first in self.with_one_more(bare, &bare.fit).into_iter().take(BEAM_WIDTH) {
             let grown = self.grown(first);
             if grown.score() > best.score() {
                 best = grown;
@@ -164,7 +161,7 @@ impl<'a> Search<'a> {
     /// A structure with what is asked for beside it.
     fn grown(&mut self, mut best: Structure) -> Structure {
         while best.fit.model.effects.len() < self.given() + MOST_EFFECTS[self.beside as usize] {
-            let Some(better) = self.with_one_more(&best, &best.fit, false).into_iter().next() else {
+            let Some(better) = self.with_one_more(&best, &best.fit).into_iter().next() else {
                 break;
             };
             best = better;
@@ -190,7 +187,8 @@ impl<'a> Search<'a> {
         self.structure(fit)
     }
 
-    /// What is not asked for beside the rest dropped, and another effect put in the place of one where that is better.
+    /// What is not asked for beside the rest dropped, and beside noise another effect put in the place of one where that is better. Beside a discrepancy all
+    /// that could take the place of a hysteresis was compared with it when it was found.
     fn settled(&mut self, mut best: Structure) -> Structure {
         for _ in 0..2 * MOST_EFFECTS[self.beside as usize] {
             let effects = self.given()..best.fit.model.effects.len();
@@ -201,6 +199,9 @@ impl<'a> Search<'a> {
                 best = simpler.clone();
                 continue;
             }
+            if self.beside == Beside::Discrepancy {
+                break;
+            }
             let other = others.iter().filter_map(|without| self.exchanged(&best, without));
             let other = other.max_by(|a, b| a.score().total_cmp(&b.score()));
             let Some(other) = other.filter(|other| other.takes_the_place_of(&best)) else { break };
@@ -209,28 +210,23 @@ impl<'a> Search<'a> {
         best
     }
 
-    /// The best with another effect in the place of the one that `without` lacks of `best`: with any beside noise, and beside a discrepancy with a hysteresis
-    /// in the place of a hysteresis. The fits begin with the other effects as they are in `best`: without the one, they may have gone far.
+    /// The best with another effect in the place of the one that `without` lacks of `best`. The fits begin with the other effects as they are in `best`:
+    /// without the one, they may have gone far.
     fn exchanged(&mut self, best: &Structure, without: &Structure) -> Option<Structure> {
-        let has_hysteresis = |of: &Structure| of.fit.model.effects.iter().any(|e| e.physics.is_hysteresis());
-        let hystereses_alone = self.beside == Beside::Discrepancy;
-        if hystereses_alone && (!has_hysteresis(best) || has_hysteresis(without)) {
-            return None;
-        }
         let is_lacking = |&k: &usize| !without.weighed.has(best.fit.model.effects[k].physics.name);
         let lacking = (self.given()..best.fit.model.effects.len()).find(is_lacking)?;
         let from = self.problem.evaluated(&best.fit.model.without_effect(lacking), Some(&best.fit.path));
-        self.with_one_more(without, &from, hystereses_alone).into_iter().next()
+        self.with_one_more(without, &from).into_iter().next()
     }
 
     /// The structures with one effect more that is asked for beside `best`, the best first, one for each name: of its forms the best, unless a plainer
     /// one is about as good. What was gone on from once is not gone on from again.
-    fn with_one_more(&mut self, best: &Structure, from: &Fit, hystereses_alone: bool) -> Vec<Structure> {
-        let key = (best.effects(), hystereses_alone);
+    fn with_one_more(&mut self, best: &Structure, from: &Fit) -> Vec<Structure> {
+        let key = best.effects();
         if let Some((_, to)) = self.gone_on_from.iter().find(|(from, _)| *from == key) {
             return to.clone();
         }
-        let starts = self.promising(best, from, hystereses_alone);
+        let starts = self.promising(best, from);
         let mut asked = self.structures_of_best(starts);
         asked.retain(|more| self.asks_for(more, best));
         asked.sort_by(|a, b| b.score().total_cmp(&a.score()));
@@ -249,10 +245,9 @@ impl<'a> Search<'a> {
     }
 
     /// The starts beside the model of `from` that a linear step about them scores highest, and does not rule out beside `best`.
-    fn promising(&self, best: &Structure, from: &Fit, hystereses_alone: bool) -> Vec<(Model, Vec<Vector2<f64>>)> {
+    fn promising(&self, best: &Structure, from: &Fit) -> Vec<(Model, Vec<Vector2<f64>>)> {
         let half_mm = self.judged.half_range * self.before.model.robot.backbone_circle_radius_mm;
-        let is_admitted = |physics: &Physics| !hystereses_alone || physics.is_hysteresis();
-        let hypotheses = hypotheses(&self.problem, from, (self.beside, half_mm), is_admitted);
+        let hypotheses = hypotheses(&self.problem, from, (self.beside, half_mm), |_| true);
         let path = self.problem.linearised(&from.model, &from.path);
         let promised = hypotheses.into_par_iter().filter_map(|hypothesis| {
             let score = self.promised((from, &path), &hypothesis)? + self.log_prior(&hypothesis.start);
