@@ -242,12 +242,11 @@ impl<'a> Searched<'a> {
     /// The answer where the library does not account for the gap: what helps all the same, or nothing.
     fn partly_answered(&self, data: &Data, tell: Tell) -> Judged {
         tell("looking for effects that help beside others");
-        let searched = Partial::new(&self.problem, &self.before);
-        let partial = searched.of(data);
+        let partial = Partial::new(&self.problem, &self.before).of(data);
         let [before, after] = [&partial.before, &partial.after].map(|fit| HeldOutResiduals::new(&partial.problem, fit));
         let helps = !partial.named.is_empty() && after.gap.theta_deg < before.gap.theta_deg;
         let (verdict, fit, held_out, named) = match helps {
-            true => (Verdict::Partly, &partial.after, after, searched.named),
+            true => (Verdict::Partly, &partial.after, after, partial.named.clone()),
             false => (Verdict::Unexplained, &partial.before, before.clone(), Vec::new()),
         };
         // What the residuals follow is told in units of the noise.

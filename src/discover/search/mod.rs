@@ -164,7 +164,7 @@ impl<'a> Search<'a> {
             let Some(better) = self.with_one_more(&best, &best.fit).into_iter().next() else {
                 break;
             };
-            best = better;
+            best = self.under_its_own_discrepancy(better);
         }
         best
     }
@@ -184,7 +184,8 @@ impl<'a> Search<'a> {
             model.effects.push(Effect::of(physics, vec![0.0; physics.parameters_on(backbones).len()]));
         }
         let fit = self.problem.fit(&model, Some(&self.before.path), None);
-        self.structure(fit)
+        let structure = self.structure(fit)?;
+        Some(self.under_its_own_discrepancy(structure))
     }
 
     /// What is not asked for beside the rest dropped, and beside noise another effect put in the place of one where that is better. Beside a discrepancy all

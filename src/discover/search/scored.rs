@@ -4,7 +4,7 @@ use super::{FRAME, OPEN, Search};
 use crate::discover::fit::{Fit, normal_equations, prior_precision};
 use crate::discover::hypotheses::Hypothesis;
 use crate::discover::predictive_density::Beside;
-use crate::discover::residuals::Linearised;
+use crate::discover::residuals::{Linearised, Problem};
 use crate::discover::structure_weights::{Weighed, probability_over};
 use crate::robot::effects::{Effect, ParameterSpec, Role};
 use crate::robot::{Model, Physics};
@@ -197,6 +197,18 @@ impl Search<'_> {
         effects.flat_map(|effect| effect.parameters().iter().zip(&effect.values)).any(is_at_end)
     }
 
+    /// A structure fitted anew where its own discrepancy, which is smaller than that of the structure before, belongs to the noise: under a large one of the
+    /// bends, fits follow what bends nothing.
+    pub(super) fn under_its_own_discrepancy(&mut self, structure: Structure) -> Structure {
+        if self.beside == Beside::Noise {
+            return structure;
+        }
+        let noise = self.problem.noise.with_discrepancy(&self.problem, &structure.fit);
+        self.problem = Problem::new(self.problem.data, &noise, &structure.fit.model);
+        let fit = self.problem.fit(&structure.fit.model, Some(&structure.fit.path), None);
+        self.structure(fit).unwrap_or(structure)
+    }
+
     /// The logarithm of what is expected beforehand of a model's effects beyond those that were given.
     pub(super) fn log_prior(&self, model: &Model) -> f64 {
         let of_effect = |effect: &Effect| match self.beside {
@@ -232,7 +244,6 @@ mod tests {
     use super::*;
     use crate::discover::fixture::{experiment, truth};
     use crate::discover::noise::Noise;
-    use crate::discover::residuals::Problem;
     use crate::robot::effects::{COMMAND_GAIN, physics};
 
     /// A structure with these effects and this score, at the true model.
