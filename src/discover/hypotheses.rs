@@ -77,20 +77,23 @@ fn is_looked_for(physics: &Physics, beside: Beside, is_driven: bool) -> bool {
     }
 }
 
-/// Whether a model may have it besides its own. Beside a discrepancy it has one hysteresis at most: two of them describe one loop.
+/// Whether a model may have it besides its own, of which none tells of it already. Beside a discrepancy it has one hysteresis at most: two of them
+/// describe one loop.
 fn is_compatible(model: &Model, physics: &Physics, beside: Beside) -> bool {
     let has_hysteresis = || model.effects.iter().any(|effect| effect.physics.is_hysteresis());
     let is_second = beside == Beside::Discrepancy && physics.is_hysteresis() && has_hysteresis();
-    !has(model, physics.name) && !is_second
+    let is_told = model.effects.iter().any(|effect| effect.physics.includes.contains(&physics.name));
+    !has(model, physics.name) && !is_told && !is_second
 }
 
 /// Where the fits of an effect start: of what has a width or a travel, over the range of the commands.
 fn starts_over(physics: &Physics, backbones: usize, half_mm: f64) -> Vec<Vec<f64>> {
     let given: Vec<Vec<f64>> = physics.given_starts(backbones).collect();
     let specs = physics.parameters_on(backbones);
-    let with = |first: f64, second: Option<f64>| {
-        let mut values = given[0].clone();
-        values[0] = first;
+    let mut shapes: Vec<&[f64]> = given.iter().map(|start| &start[1..]).collect();
+    shapes.dedup();
+    let with = |first: f64, second: Option<f64>, shape: &[f64]| {
+        let mut values = [&[first], shape].concat();
         if let (Some(value), Some(second)) = (values.get_mut(1), second) {
             *value = second;
         }
@@ -99,9 +102,11 @@ fn starts_over(physics: &Physics, backbones: usize, half_mm: f64) -> Vec<Vec<f64
     let is_width = specs[0].name == "half_gap_mm" && given.iter().any(|start| start[0] > 0.0);
     match specs.get(1) {
         Some(travel) if is_width && travel.unit == "mm" => {
-            TRAVELS.iter().map(|share| with(GAP * half_mm, Some(share * half_mm))).collect()
+            TRAVELS.iter().map(|share| with(GAP * half_mm, Some(share * half_mm), shapes[0])).collect()
         }
-        _ if is_width => WIDTHS.iter().map(|share| with(share * half_mm, None)).collect(),
+        _ if is_width => {
+            shapes.iter().flat_map(|shape| WIDTHS.map(|share| with(share * half_mm, None, shape))).collect()
+        }
         _ => given,
     }
 }
@@ -118,4 +123,22 @@ pub fn best_with(problem: &Problem, fit: &Fit, name: &str) -> Fit {
         .map(|hypothesis| problem.fit(&hypothesis.start, Some(&fit.path), None))
         .min_by(|a, b| a.bic().total_cmp(&b.bic()))
         .unwrap_or_else(|| fit.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::discover::fixture::truth;
+    use crate::robot::effects::{forms, physics};
+
+    #[test]
+    fn a_backlash_that_is_wider_to_one_side_is_tried_to_all_sides_and_stands_beside_no_bend_at_rest() {
+        let uneven = forms("backlash").find(|physics| physics.form == "wider to one side").unwrap();
+        let starts = starts_over(uneven, 3, 1.0);
+        assert_eq!(starts.len(), 4 * WIDTHS.len());
+        assert!(starts.iter().all(|start| WIDTHS.contains(&start[0]) && start[1].abs() + start[2].abs() == 0.4));
+        let model = Hypothesis::new(&truth(), uneven, starts[0].clone()).start;
+        let stands = |name| is_compatible(&model, physics(name).unwrap(), Beside::Discrepancy);
+        assert!(!stands("rest_bend") && stands("command_gain") && !stands("bouc_wen"));
+    }
 }

@@ -51,6 +51,8 @@ pub struct Drive {
     pub growth_per_rad: f64,
     /// By which share widths differ from their mean at most: they are spread evenly.
     pub spread: f64,
+    /// Where in that backlash a straight snake stands at rest, from its middle, in half widths.
+    pub at_rest: Vector2<f64>,
     /// Half the gap of a friction that turns round gradually, mm at the backbones' circle.
     pub friction_half_mm: f64,
     /// The travel over which it does, mm.
@@ -81,7 +83,7 @@ impl Drive {
     /// Where the plays and the friction stand after a command u (rad) on a circle of this radius (mm), and what they hold back of it, rad.
     fn held(&self, state: &DriveState, u: Vector2<f64>, radius_mm: f64) -> (DriveState, Vector2<f64>) {
         let moved = u - state.commanded;
-        let behind = state.commanded - mean(&state.plays);
+        let behind = state.commanded - self.of_plays(state, radius_mm);
         let half = self.bend_half_mm / radius_mm * (1.0 + self.growth_per_rad * behind.norm());
         let mut next = DriveState { commanded: u, ..*state };
         for (j, play) in next.plays.iter_mut().enumerate() {
@@ -92,19 +94,29 @@ impl Drive {
         if self.friction_half_mm > 0.0 {
             next.friction = bouc_wen_after(state.friction, moved, self.friction_travel_mm / radius_mm);
         }
-        (next, mean(&next.plays) + next.friction * (self.friction_half_mm / radius_mm))
+        (next, self.holds_back(&next, radius_mm))
+    }
+
+    /// By how much a command is ahead of what the plays pass on, rad: nothing at rest, wherever in its play the snake then stands.
+    fn of_plays(&self, state: &DriveState, radius_mm: f64) -> Vector2<f64> {
+        mean(&state.plays) - self.at_rest * (self.bend_half_mm / radius_mm)
+    }
+
+    /// By how much it is ahead of what is passed on in all, rad.
+    fn holds_back(&self, state: &DriveState, radius_mm: f64) -> Vector2<f64> {
+        self.of_plays(state, radius_mm) + state.friction * (self.friction_half_mm / radius_mm)
     }
 
     /// The furthest command (rad) in the direction of the motion of which this (rad) is passed on.
     fn command(&self, state: &DriveState, passed: Vector2<f64>, radius_mm: f64) -> Vector2<f64> {
-        let held = mean(&state.plays) + state.friction * (self.friction_half_mm / radius_mm);
-        let step = passed - (state.commanded - held);
+        let step = passed - (state.commanded - self.holds_back(state, radius_mm));
         let length = step.norm();
         if length * radius_mm < STILL_MM {
             return state.commanded;
         }
-        let behind = (state.commanded - mean(&state.plays)).norm();
-        let widest_mm = self.bend_half_mm * (1.0 + self.growth_per_rad * behind) * (1.0 + self.spread);
+        let behind = (state.commanded - self.of_plays(state, radius_mm)).norm();
+        let widest_mm =
+            self.bend_half_mm * ((1.0 + self.growth_per_rad * behind) * (1.0 + self.spread) + self.at_rest.norm());
         let mut u = passed + step * ((widest_mm + self.friction_half_mm) / (radius_mm * length));
         for _ in 0..MOST_STEPS {
             let next = passed + self.held(state, u, radius_mm).1;
@@ -123,14 +135,16 @@ fn mean(plays: &[Vector2<f64>; DRIVE_PLAYS]) -> Vector2<f64> {
 }
 
 impl Mechanics<'_> {
-    /// The drive of a straight snake at rest, in the middle of all plays.
+    /// The drive of a straight snake at rest.
     pub(super) fn drive_at_rest(&self) -> DriveState {
         let nothing = self.alike(0.0);
+        let stands =
+            self.drive.map_or_else(Vector2::zeros, |drive| drive.at_rest * drive.bend_half_mm) / self.radius_mm();
         DriveState {
             reading_mm: self.travel(Vector2::zeros(), Past::Pose(nothing)),
             ahead_mm: nothing,
             commanded: Vector2::zeros(),
-            plays: [Vector2::zeros(); DRIVE_PLAYS],
+            plays: [stands; DRIVE_PLAYS],
             friction: Vector2::zeros(),
         }
     }
@@ -266,6 +280,20 @@ mod tests {
     }
 
     #[test]
+    fn a_backlash_that_is_wider_to_one_side_holds_on_longer_there() {
+        let model = model(&[("backlash", "wider to one side", &[0.3, 0.4, 0.0])]);
+        let mechanics = Mechanics::new(&model);
+        let (q, half) = (model.robot.displacement_by_bend(), 0.3 / model.robot.backbone_circle_radius_mm);
+        let (mut state, mut y) = (mechanics.drive_at_rest(), 0.0f64);
+        for u in commands().into_iter().map(|u| u.x) {
+            y = y.clamp(u - 0.6 * half, u + 1.4 * half);
+            assert!(
+                (mechanics.driven(&mut state, &(q * Vector2::new(u, 0.0))) - q * Vector2::new(y, 0.0)).amax() < 1e-12
+            );
+        }
+    }
+
+    #[test]
     fn a_gain_multiplies_the_bend_and_leaves_the_common_part() {
         let model = model(&[("command_gain", "", &[1.5])]);
         let q = model.robot.displacement_by_bend();
@@ -276,11 +304,12 @@ mod tests {
 
     #[test]
     fn readings_that_a_path_of_lines_asks_for_lead_along_it() {
-        let cases: [&[(&str, &str, &[f64])]; 6] = [
+        let cases: [&[(&str, &str, &[f64])]; 7] = [
             &[("backlash", "", &[0.3])],
             &[("backlash", "per backbone", &[0.2])],
             &[("backlash", "grows with the bend", &[0.2, 1.0])],
             &[("backlash", "spread widths", &[0.3, 0.8])],
+            &[("backlash", "wider to one side", &[0.3, 0.4, -0.2])],
             &[("bouc_wen", "of the command", &[0.4, 0.3])],
             &[("backlash", "spread widths", &[0.3, 0.5]), ("command_gain", "", &[0.8])],
         ];

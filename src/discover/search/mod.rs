@@ -251,6 +251,7 @@ impl<'a> Search<'a> {
         let hypotheses = hypotheses(&self.problem, from, (self.beside, half_mm), |_| true);
         let path = self.problem.linearised(&from.model, &from.path);
         let promised = hypotheses.into_par_iter().filter_map(|hypothesis| {
+            let hypothesis = self.in_the_place_of_what_it_includes(hypothesis);
             let score = self.promised((from, &path), &hypothesis)? + self.log_prior(&hypothesis.start);
             (score > best.score() + OPEN.ln()).then_some((score, hypothesis))
         });
@@ -265,6 +266,17 @@ impl<'a> Search<'a> {
             }
         }
         chosen.into_iter().map(|hypothesis| (hypothesis.start, from.path.clone())).collect()
+    }
+
+    /// A hypothesis beside a discrepancy without the effects that it tells of as well.
+    fn in_the_place_of_what_it_includes(&self, Hypothesis { physics, mut start }: Hypothesis) -> Hypothesis {
+        let is_included = |effect: &Effect| physics.includes.contains(&effect.physics.name);
+        if self.beside == Beside::Discrepancy {
+            while let Some(k) = (self.given()..start.effects.len()).find(|&k| is_included(&start.effects[k])) {
+                start = start.without_effect(k);
+            }
+        }
+        Hypothesis { physics, start }
     }
 
     fn given(&self) -> usize {

@@ -1,6 +1,7 @@
 //! The drive: backlash and friction on the side of the motors, and the gain of a command (see [`Drive`](crate::robot::drive::Drive)).
 
 use super::physics::{Changes, Confounded, FREQUENT, LINEAR, OPEN, ParameterSpec, Physics, Poses, Role, Starts, USUAL};
+use nalgebra::Vector2;
 
 /// Half the width of a backlash, up to the whole travel of such robots.
 const HALF_GAP: ParameterSpec = ParameterSpec::positive("half_gap_mm", "mm", (0.0, 20.0), 0.05);
@@ -47,6 +48,37 @@ pub(super) static BACKLASH_GROWING: Physics = Physics {
     parameters: |_| const { &[HALF_GAP, GROWTH] },
     starts: Starts::At(&[&[0.06, 1.0], &[0.25, 1.0], &[1.0, 1.0], &[4.0, 1.0]]),
     changes: Changes::Drive(|drive, p| (drive.bend_half_mm, drive.growth_per_rad) = (p[0], p[1])),
+    ..OF_THE_DRIVE
+};
+
+/// Where a straight snake at rest stands in its backlash, from the middle, in half widths. Two parts of 0.7 lie within the end.
+const AT_REST: [ParameterSpec; 2] = {
+    const fn along(name: &'static str) -> ParameterSpec {
+        let role = Role::Shape { example: 0.4, drawn: (0.2, 0.6) };
+        ParameterSpec { name, unit: "1", range: (-0.7, 0.7), typical: 0.1, role }
+    }
+    [along("at_rest_x"), along("at_rest_y")]
+};
+
+/// Of the bend, and wider to one side of a straight snake at rest than to the other: one cable has more slack than the one against it. A log of
+/// few cycles shows it as a bend at rest, but for its start, which it then contradicts.
+pub(super) static BACKLASH_UNEVEN: Physics = Physics {
+    log_prior: FREQUENT,
+    form: "wider to one side",
+    equation: "y follows only as far as |u − y + w s| ≤ w asks, w = a / r, from y = 0 at u = 0",
+    parameters: |_| const { &[HALF_GAP, AT_REST[0], AT_REST[1]] },
+    includes: &["rest_bend"],
+    starts: Starts::At(&[
+        &[0.25, 0.4, 0.0],
+        &[1.0, 0.4, 0.0],
+        &[0.25, -0.4, 0.0],
+        &[1.0, -0.4, 0.0],
+        &[0.25, 0.0, 0.4],
+        &[1.0, 0.0, 0.4],
+        &[0.25, 0.0, -0.4],
+        &[1.0, 0.0, -0.4],
+    ]),
+    changes: Changes::Drive(|drive, p| (drive.bend_half_mm, drive.at_rest) = (p[0], Vector2::new(p[1], p[2]))),
     ..OF_THE_DRIVE
 };
 

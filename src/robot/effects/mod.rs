@@ -112,11 +112,12 @@ pub static COUPLINGS: [&Physics; 3] =
     [&section::SECTION_COUPLING, &section::SECTION_COUPLING_SECOND, &section::SECTION_COUPLING_BOTH];
 
 /// What the drive does between the readings and the lines, which `discover` searches for as well.
-pub static DRIVE: [&Physics; 6] = [
+pub static DRIVE: [&Physics; 7] = [
     &drive::BACKLASH,
     &drive::BACKLASH_PER_BACKBONE,
     &drive::BACKLASH_GROWING,
     &drive::BACKLASH_SPREAD,
+    &drive::BACKLASH_UNEVEN,
     &drive::FRICTION_OF_THE_COMMAND,
     &drive::COMMAND_GAIN,
 ];

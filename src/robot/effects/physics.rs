@@ -182,6 +182,8 @@ pub struct Physics {
     pub follows_neighbour: [bool; NEIGHBOURS],
     /// The largest first parameter for which its equation has one answer, given the others; none where any has.
     pub largest_size: Option<fn(&[f64]) -> f64>,
+    /// Effects that it tells of as well: they are not looked for beside it, and beside a discrepancy it is tried in their place.
+    pub includes: &'static [&'static str],
     /// What it must gain in Schwarz's criterion beyond the price of its parameters before it is believed.
     pub prior_penalty: f64,
     /// The logarithm of the odds beforehand that any machine with cable or rod drives has it, where a discrepancy beside it is expected.
@@ -228,6 +230,7 @@ pub(super) const LINEAR: Physics = Physics {
     in_time: false,
     follows_neighbour: [false; NEIGHBOURS],
     largest_size: None,
+    includes: &[],
     prior_penalty: 0.0,
     log_prior: UNUSUAL,
     confounded_with: &[],
