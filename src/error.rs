@@ -69,7 +69,7 @@ pub enum Error {
     #[error("the work was ended before it was done")]
     Ended,
     /// The work needs OpenCV and this build has none.
-    #[error("{what} needs OpenCV, which this build leaves out; build with the `opencv` feature (the default)")]
+    #[error("{what} needs OpenCV, which this build leaves out; build with the feature `opencv`")]
     NoOpenCv {
         /// What was asked for.
         what: String,

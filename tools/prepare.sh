@@ -1,7 +1,7 @@
 # Sourced by quickstart and test: checks what the build needs and installs what is missing.
 #
-# Sets `features` to the cargo arguments that build the program on this machine: empty where OpenCV can be used, those that
-# leave it out where it cannot.
+# Sets `features` to the cargo arguments that build the program on this machine: those that take OpenCV in where it can be used, none where
+# it cannot.
 
 say() { printf '\n== %s\n' "$*" >&2; }
 
@@ -61,9 +61,9 @@ prepare() {
     ensure_packages libopencv-dev clang libclang-dev pkg-config g++ || true
   fi
   if has_opencv; then
-    features=""
+    features="--features opencv"
   else
-    features="--no-default-features --features cli"
+    features=""
     say "OpenCV is not here and could not be installed (Debian: libopencv-dev clang libclang-dev pkg-config)."
     echo "Going on without it: no video files, camera devices and lens calibration; all else works." >&2
   fi

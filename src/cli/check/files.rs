@@ -53,7 +53,7 @@ pub fn spelled_otherwise(missing: &Path) -> Option<String> {
 pub fn frames_remedy(experiment: &Experiment, view: &View, why: &Error) -> String {
     match why {
         Error::NoOpenCv { .. } => {
-            return "use a build with OpenCV (the default), or take the pictures out: ffmpeg -i VIDEO frames/%05d.png"
+            return "use a build with OpenCV (tools/quickstart makes one), or take the pictures out: ffmpeg -i VIDEO frames/%05d.png"
                 .to_owned();
         }
         Error::Content { message, .. } if message.starts_with("no number") => {
