@@ -129,7 +129,16 @@ impl<'a> Search<'a> {
                 self.settled(grown)
             }
         };
-        if best.excess_over(&bare) <= 0.0 {
+        let is_better = match self.beside {
+            Beside::Noise => best.excess_over(&bare) > 0.0,
+            // The whole answer must be clear, also where each part of it is expected: a gain of nothing would be named. Both are scored under the
+            // discrepancy that the answer leaves.
+            Beside::Discrepancy => {
+                let fit = self.problem.fit(&bare.fit.model, Some(&bare.fit.path), None);
+                self.structure(fit).is_none_or(|bare| best.is_clear_beside(&bare))
+            }
+        };
+        if !is_better {
             best = bare.clone();
         }
         let named = (self.given()..best.fit.model.effects.len()).map(|k| self.describe(&best, &bare, k)).collect();

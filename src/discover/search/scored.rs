@@ -109,6 +109,11 @@ impl Structure {
         let asked = if is_expected { 0.5 } else { CLEARLY };
         probability_over(&self.weighed, &other.weighed) - asked
     }
+
+    /// Whether it is clearly better than another, whatever is expected.
+    pub(super) fn is_clear_beside(&self, other: &Self) -> bool {
+        probability_over(&self.weighed, &other.weighed) > CLEARLY
+    }
 }
 
 impl Search<'_> {
