@@ -123,7 +123,9 @@ impl SheetHypothesis {
 
     /// The vectors in the picture from one line to the next, across and along, px.
     pub fn lines_px(&self) -> [Vector2<f64>; 2] {
-        [0, 1].map(|k| self.waves[k].normalize() * self.pitch_px[k])
+        // A checkerboard's waves run along the diagonals of its squares.
+        let square_to_lines = self.kind.gradients(self.waves);
+        [0, 1].map(|k| square_to_lines[k].normalize() * self.pitch_px[k])
     }
 
     /// Depth (camera z), mm, at which a line of sight meets the sheet.
@@ -353,4 +355,24 @@ fn sheet_by_windows(
         }
     }
     Some((points, fit, windows.agreeing()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Pose;
+
+    #[test]
+    fn the_lines_of_a_checkerboard_run_along_its_squares() {
+        let waves = [Vector2::new(0.05, 0.05), Vector2::new(0.05, -0.05)];
+        let sheet = Sheet::flat(Pose::identity());
+        let seen = SheetHypothesis { kind: PatternKind::Checkerboard, sheet, pitch_px: [10.0; 2], waves };
+        let off = |kind, expected: [[f64; 2]; 2]| {
+            let lines = SheetHypothesis { kind, ..seen.clone() }.lines_px();
+            lines.into_iter().zip(expected).map(|(line, expected)| (line - Vector2::from(expected)).norm()).sum::<f64>()
+        };
+        assert!(off(PatternKind::Checkerboard, [[10.0, 0.0], [0.0, 10.0]]) < 1e-9);
+        let along = 10.0 * FRAC_1_SQRT_2;
+        assert!(off(PatternKind::Lines, [[along, along], [along, -along]]) < 1e-9);
+    }
 }
