@@ -135,7 +135,7 @@ impl<'a> Search<'a> {
             // discrepancy that the answer leaves.
             Beside::Discrepancy => {
                 let fit = self.problem.fit(&bare.fit.model, Some(&bare.fit.path), None);
-                self.structure(fit).is_none_or(|bare| best.is_clear_beside(&bare))
+                self.scored(fit).is_none_or(|bare| best.is_clear_beside(&bare))
             }
         };
         if !is_better {

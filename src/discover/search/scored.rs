@@ -167,7 +167,7 @@ impl Search<'_> {
     }
 
     /// A fit with its score, gone on with until it has converged or brings nothing more; none where it does not converge.
-    fn scored(&self, mut fit: Fit) -> Option<Structure> {
+    pub(super) fn scored(&self, mut fit: Fit) -> Option<Structure> {
         for _ in 0..RESTARTS {
             if promises(&fit) < PROMISES {
                 break;

@@ -179,12 +179,7 @@ impl Lines<'_> {
         let of_line = |axis: usize, line: i64| {
             let crossing = lines[1 - axis].clone();
             let every = most.map_or(1, |most| crossing.clone().count() / most).max(1);
-            crossing.step_by(every).filter_map(move |between| {
-                let mut target_mm = Point2::origin();
-                target_mm[axis] = line as f64 * self.pitch_mm;
-                target_mm[1 - axis] = (between as f64 + 0.5) * self.pitch_mm;
-                self.place(sheet, target_mm, axis, [line, between])
-            })
+            crossing.step_by(every).filter_map(move |between| self.place(sheet, axis, [line, between]))
         };
         let all: Vec<(usize, i64)> =
             (0..2).flat_map(|axis| lines[axis].clone().map(move |line| (axis, line))).collect();
@@ -212,14 +207,11 @@ impl Lines<'_> {
         few.then(|| reach.map(|(low, high)| (low.ceil() as i64)..=(high.floor() as i64)))
     }
 
-    /// The line of a number square to an axis at a place of the target, behind a crossing line of a number, where the picture shows it there.
-    fn place(
-        &self,
-        sheet: &Sheet,
-        target_mm: Point2<f64>,
-        axis: usize,
-        [line, crossing]: [i64; 2],
-    ) -> Option<LinePlace> {
+    /// The line of a number square to an axis, half a pitch behind a crossing line of a number, where the picture shows it there.
+    fn place(&self, sheet: &Sheet, axis: usize, [line, crossing]: [i64; 2]) -> Option<LinePlace> {
+        let mut target_mm = Point2::origin();
+        target_mm[axis] = line as f64 * self.pitch_mm;
+        target_mm[1 - axis] = (crossing as f64 + 0.5) * self.pitch_mm;
         let pixel = sheet.project(self.lens, &target_mm);
         if !self.lens.contains(&pixel, MARGIN_PX) {
             return None;
@@ -290,21 +282,28 @@ mod tests {
     use super::*;
     use crate::geometry::{Pose, perturbed};
     use crate::measure::target::phases::tests::noisy;
-    use nalgebra::Vector6;
+    use nalgebra::{Matrix2, Vector6};
 
-    /// Lines 2 px wide (σ 0.8 px) in both directions, `sign` times 60 from grey 150, so many mm apart on a sheet.
-    fn ruled(lens: &Lens, sheet: &Sheet, sign: f64, every: f64) -> Plane {
+    /// A sheet whose grey follows from the pixel, the place of the sheet that it shows and that place's gradient.
+    fn drawn(lens: &Lens, sheet: &Sheet, grey: impl Fn(Point2<f64>, Point2<f64>, Matrix2<f64>) -> f64) -> Plane {
         let (width, height) = (lens.width as usize, lens.height as usize);
         let value = |k: usize| {
             let pixel = Point2::new((k % width) as f64, (k / width) as f64);
             let (place, gradient) = sheet.at(lens, &pixel).unwrap();
+            grey(pixel, place, gradient) as f32
+        };
+        Plane::new(width, height, (0..width * height).map(value).collect())
+    }
+
+    /// Lines 2 px wide (σ 0.8 px) in both directions, `sign` times 60 from grey 150, so many mm apart on a sheet.
+    fn ruled(lens: &Lens, sheet: &Sheet, sign: f64, every: f64) -> Plane {
+        drawn(lens, sheet, |_, place, gradient| {
             let line = |axis: usize| {
                 let distance_px = (place[axis] - every * (place[axis] / every).round()) / gradient.row(axis).norm();
                 (-0.5 * (distance_px / 0.8).powi(2)).exp()
             };
             150.0 + sign * 60.0 * line(0).max(line(1))
-        };
-        Plane::new(width, height, (0..width * height).map(|k| value(k) as f32).collect())
+        })
     }
 
     /// A lens of 400 × 300 px, and a sheet that fills its picture.
@@ -346,13 +345,10 @@ mod tests {
         }
     }
 
-    /// Squares of 60 px with borders blurred by 0.8 px, under light that falls off to one side, the lighter ones grown by `spread_px` on all sides.
+    /// Squares with borders blurred by 0.8 px, under light that falls off to one side, the lighter ones grown by `spread_px` on all sides.
     fn squares(lens: &Lens, sheet: &Sheet, pitch_mm: f64, spread_px: f64) -> Plane {
-        let (width, height) = (lens.width as usize, lens.height as usize);
-        let value = |k: usize| {
-            let pixel = Point2::new((k % width) as f64, (k / width) as f64);
-            let (place, gradient) = sheet.at(lens, &pixel).unwrap();
-            // −1 to 1 along an axis; its product with the other axis' is above 0 where the square is light.
+        drawn(lens, sheet, |pixel, place, gradient| {
+            // The sign of the cell along an axis, whose product with the other axis' is above 0 where the square is light, and how far its border is.
             let side = |axis: usize| {
                 let px = pitch_mm / gradient.row(axis).norm();
                 let cell = (place[axis] / pitch_mm).round();
@@ -363,9 +359,8 @@ mod tests {
             let [(a, a_px), (b, b_px)] = [side(0), side(1)];
             let (sign, nearest_px) = (a * b, a_px.min(b_px));
             let grown_px = nearest_px + sign * spread_px;
-            (150.0 + 60.0 * sign * (grown_px / 0.8).tanh()) * (1.0 + 0.3 * pixel.x / width as f64)
-        };
-        Plane::new(width, height, (0..width * height).map(|k| value(k) as f32).collect())
+            (150.0 + 60.0 * sign * (grown_px / 0.8).tanh()) * (1.0 + 0.3 * pixel.x / f64::from(lens.width))
+        })
     }
 
     #[test]

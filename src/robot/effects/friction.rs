@@ -133,7 +133,7 @@ const fn slack(name: &'static str) -> ParameterSpec {
 static SLACKS: [ParameterSpec; 8] = per_backbone!(slack, "slack_", "_mm");
 static DEAD_BANDS: [ParameterSpec; 8] = per_backbone!(slack, "dead_band_", "_mm");
 
-/// Lines that only pull: the first part of each pull takes up slack.
+/// Lines that only pull: the first part of each pull takes up slack. The same slack s in all lines is λ − s/2 and a dead band of s/2 in each.
 pub(super) static TENDON_SLACK: Physics = Physics {
     log_prior: FREQUENT,
     name: "tendon_slack",
@@ -143,11 +143,10 @@ pub(super) static TENDON_SLACK: Physics = Physics {
     changes: Changes::Line(|at, p| {
         PerBackbone::from_fn(p.len(), |i| -0.5 * p[i] * (1.0 - (at.q_mm[i] / SMOOTH_TRAVEL_MM).tanh()))
     }),
-    // The same slack s in all lines is λ − s/2 and a dead band of s/2 in each.
     ..LINEAR
 };
 
-/// A part of the travel on either side of rest that moves nothing.
+/// A part of the travel on either side of rest that moves nothing. The same band in all actuators is one backlash that the load takes up.
 pub(super) static DEAD_BAND: Physics = Physics {
     log_prior: FREQUENT,
     name: "dead_band",
@@ -155,7 +154,6 @@ pub(super) static DEAD_BAND: Physics = Physics {
     reading: "a dead band in each actuator on either side of rest, in which its travel moves nothing",
     parameters: |backbones| &DEAD_BANDS[..backbones],
     changes: Changes::Line(|at, p| PerBackbone::from_fn(p.len(), |i| p[i] * (at.q_mm[i] / SMOOTH_TRAVEL_MM).tanh())),
-    // The same band in all actuators is one backlash that the load takes up.
     ..LINEAR
 };
 
