@@ -41,7 +41,7 @@ pub(super) const DEFAULT_SD_ENCODER_MM: f64 = 0.0015;
 ///
 /// Derived: the two numbers of a bend's residual are beyond 4.5 σ with probability e^(−4.5²/2) = 4·10⁻⁵, the common part with 7·10⁻⁶, so
 /// that noise alone rejects one measurement in 20,000.
-const DEFAULT_GATE_SD: f64 = 4.5;
+pub(super) const DEFAULT_GATE_SD: f64 = 4.5;
 
 impl Options {
     /// # Errors

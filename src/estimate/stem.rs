@@ -14,14 +14,15 @@
 //!
 //! Forgetting trades noise for lag: with a factor f a stem that bends steadily is followed f/(1 − f) measurements late, and the noise
 //! is that of (1 + f)/(1 − f) measurements. The reported standard deviation holds the measurements' noise, what the errors of
-//! η, λ, μ and f_s do to Φ, and, where predictions miss by more than both, as they do while the stem moves, that excess.
+//! η, λ, μ and f_s do to Φ, and, where predictions miss by more than both, as they do while the stem moves, that excess. A measurement
+//! beyond the estimator's gate pulls no more than one at the gate (Huber's loss): rejected, a stem that jumps would never be found again.
 //! A bend's own part of the signal is small beside the stretch in the holder, so a straight snake says next to nothing.
 //!
 //! η and λ of a model that was estimated with the line at a known angle share their errors with μ and f_s; at that angle these
 //! cancel, and Φ is known best near it.
 
 use super::friction::parameters_by_friction;
-use super::options::{DEFAULT_SD_ENCODER_MM, check_forgetting, check_sd_encoder};
+use super::options::{DEFAULT_GATE_SD, DEFAULT_SD_ENCODER_MM, check_forgetting, check_sd_encoder};
 use super::sample::{Follower, Log};
 use super::{LinearisedMeasurement, Reason, Sample, Weighting};
 use crate::error::{ArgumentError, Result};
@@ -39,15 +40,6 @@ const PRIOR_SD: f64 = PI;
 ///
 /// Convention: a numerical guard that keeps ln y finite where noise makes y negative.
 const LEAST_FACTOR: f64 = 0.2;
-/// The limit of Huber's loss, in standard deviations: beyond it a measurement loses weight.
-///
-/// Fitted: chosen on the simulated stems of this file's tests; not judged elsewhere. Noise alone is beyond it once in 370 times.
-const CLIP_SD: f64 = 3.0;
-/// How many innovations of nominal size the running scatter starts with.
-///
-/// Fitted: chosen on the simulated stems of this file's tests, so that the first few innovations do not rule the sigma; not judged
-/// elsewhere.
-const NOMINAL: f64 = 10.0;
 /// The forgetting factor where none is given.
 ///
 /// Convention: a default that `--forgetting` replaces; a memory of 1/(1 − 0.95) = 20 measurements.
@@ -111,7 +103,7 @@ pub struct Stem {
     least_information: f64,
     /// ∂(information · y)/∂(η, λ, f_s), by which their errors move y.
     by_parameters: Vector3<f64>,
-    /// Squared whitened innovations and how many they are, faded.
+    /// Squared whitened innovations and how many they are, faded; one of nominal size is the first.
     scatter: (f64, f64),
 }
 
@@ -140,7 +132,7 @@ impl Stem {
             noise: information,
             least_information: information,
             by_parameters: Vector3::zeros(),
-            scatter: (NOMINAL, NOMINAL),
+            scatter: (1.0, 1.0),
         })
     }
 
@@ -197,13 +189,13 @@ impl Stem {
         }
         let innovation = by_factor.dot(&(weight * linearised.residual(&bent.parameters()))) / gained;
         let distance = innovation / (1.0 / gained + self.variance()).sqrt();
-        let share = Loss::Huber(CLIP_SD).weight(distance);
+        let share = Loss::Huber(DEFAULT_GATE_SD).weight(distance);
         self.noise += gained * share.powi(2);
         gained *= share;
         let static_part = ones * (self.factor * cone_compliance);
         let by_errors = [stretch, ones, static_part].map(|by| by_factor.dot(&(weight * by)) * share);
         self.by_parameters -= Vector3::from(by_errors);
-        self.scatter.0 += distance.powi(2).min(CLIP_SD.powi(2));
+        self.scatter.0 += distance.powi(2).min(DEFAULT_GATE_SD.powi(2));
         self.scatter.1 += 1.0;
         self.information += gained;
         self.factor = (self.factor + innovation * gained / self.information).max(LEAST_FACTOR);
