@@ -3,14 +3,12 @@
 
 use crate::arrays::numbers_of;
 use crate::error::{raised, wrong};
-use nalgebra::Matrix2x6;
 use numpy::IntoPyArray;
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
-use snakeloop::geometry::Configuration;
-use snakeloop::observation::{EncoderReading, Measured, Measurement, Quality};
-use snakeloop::record::{Checked, fitted_covariance, read_encoders, read_measurements};
+use snakeloop::observation::{EncoderReading, Measurement};
+use snakeloop::record::{Checked, MeasurementRow, NUMBERS, read_encoders, read_measurements};
 use snakeloop::robot::{BACKBONES, Model, NEIGHBOURS, Neighbours, PerBackbone};
 use std::collections::HashSet;
 use std::ffi::CString;
@@ -20,11 +18,6 @@ use std::path::PathBuf;
 ///
 /// Derived: 2⁵³.
 const LARGEST_INDEX: f64 = 9_007_199_254_740_992.0;
-
-/// The rig's errors of measurements.csv, by the number in their columns' names.
-///
-/// Derived: a pose has six.
-const BY_RIG: [usize; 6] = [1, 2, 3, 4, 5, 6];
 
 /// The columns of tables that hold words. All others hold numbers.
 ///
@@ -40,53 +33,21 @@ pub fn measurements_of(source: &Bound<'_, PyAny>) -> PyResult<Vec<Measurement>> 
         return rows(source.py(), read_measurements(&path).map_err(raised)?);
     }
     let table = Table::new("measurements", source)?;
-    let (theta, delta) = (table.numbers("theta_deg")?, table.numbers("delta_deg")?);
-    let sigma_theta = table.optional_numbers("sigma_theta_deg")?;
-    let sigma_delta = table.optional_numbers("sigma_delta_deg")?;
-    let (correlation, times_s) = (table.optional_numbers("rho_theta_delta")?, table.times_s()?);
-    let (inliers, rms_px) = (table.optional_numbers("inlier_fraction")?, table.optional_numbers("rms_px")?);
-    let statuses = table.words("status")?;
+    let (times_s, statuses) = (table.times_s()?, table.words("status")?);
     let views = if source.contains("view")? { table.words("view")? } else { Vec::new() };
-    let columns =
-        |names: Vec<String>| names.iter().map(|name| table.optional_numbers(name)).collect::<PyResult<Vec<_>>>();
-    let of_fit: Vec<Vec<f64>> =
-        columns(["bend_x_deg", "bend_y_deg", "var_xx", "var_xy", "var_yy"].map(str::to_owned).to_vec())?;
-    let axes = |k: &usize| ["x", "y"].map(|axis| format!("bend_{axis}_by_rig{k}_deg"));
-    let by_rig: Vec<Vec<f64>> = columns(BY_RIG.iter().flat_map(axes).collect())?;
-    let measured = |k: usize| -> PyResult<Option<Measured>> {
-        if !(theta[k].is_finite() && delta[k].is_finite()) {
-            return Ok(None);
-        }
-        let or_zero = |number: f64| if number.is_nan() { 0.0 } else { number };
-        let configuration = Configuration::from_degrees(theta[k], delta[k]);
-        let (sigma_theta, sigma_delta) = (sigma_theta[k].to_radians(), sigma_delta[k].to_radians());
-        let measured = Measured::independent(configuration, sigma_theta, sigma_delta, or_zero(correlation[k]));
-        let of_bend: Vec<f64> = of_fit.iter().map(|column| column[k]).collect();
-        let fitted = match of_bend[..] {
-            [x, y, xx, xy, yy] if of_bend.iter().all(|part| part.is_finite()) => {
-                fitted_covariance(&measured, [x, y], [xx, xy, yy])
-            }
-            _ => Ok(None),
-        };
-        let broken = |why: String| wrong(format!("measurements: index {}: {why}", table.indices[k]));
-        let by_rig = Matrix2x6::from_iterator(by_rig.iter().map(|column| or_zero(column[k]).to_radians()));
-        Ok(Some(Measured { fitted_covariance: fitted.map_err(broken)?, by_rig, ..measured }))
+    let column = |name: &&str| {
+        if ["theta_deg", "delta_deg"].contains(name) { table.numbers(name) } else { table.optional_numbers(name) }
     };
+    let columns: Vec<Vec<f64>> = NUMBERS.iter().map(column).collect::<PyResult<_>>()?;
     let measurement = |k: usize| {
-        // Its presence tells that the measurement comes from a frame.
-        let quality = (inliers[k].is_finite() && rms_px[k].is_finite()).then(|| Quality {
-            inlier_fraction: inliers[k],
-            rms_px: rms_px[k],
-            ..Quality::default()
-        });
-        Ok(Measurement {
+        let row = MeasurementRow {
             index: table.indices[k],
             time_s: Some(times_s[k]).filter(|time_s| time_s.is_finite()),
-            status: statuses[k].parse().unwrap_or_else(|never| match never {}),
-            measured: measured(k)?,
-            quality,
-            view: views.get(k).filter(|name| !name.is_empty()).cloned(),
-        })
+            status: statuses[k].clone(),
+            view: views.get(k).cloned().unwrap_or_default(),
+            numbers: std::array::from_fn(|at| columns[at][k]),
+        };
+        row.try_into().map_err(|why: String| wrong(format!("measurements: index {}: {why}", table.indices[k])))
     };
     (0..table.indices.len()).map(measurement).collect()
 }

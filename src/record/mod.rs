@@ -15,6 +15,7 @@ mod interpolation;
 mod joints;
 pub mod journal;
 mod log;
+mod measurement_row;
 pub mod measurements;
 pub mod model;
 mod output;
@@ -49,9 +50,8 @@ pub(crate) use interpolation::Neighbouring;
 pub use joints::read_joints;
 pub use journal::{JOURNAL, MeasurementJournal, difference};
 pub use log::{LogKeys, LogProposal, ReadingUnit, TimeUnit, read_log};
-pub use measurements::{
-    MeasurementRows, fitted_covariance, measurement_line, measurements_csv, measurements_header, read_measurements,
-};
+pub use measurement_row::{MeasurementRow, NUMBERS};
+pub use measurements::{MeasurementRows, measurement_line, measurements_csv, measurements_header, read_measurements};
 pub use model::{learned_model_toml, model_json, model_toml, read_model, robot_of, write_model};
 pub use output::OutputFolder;
 pub use provenance::Provenance;

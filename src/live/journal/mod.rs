@@ -20,7 +20,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// The journal's name in the output folder.
 pub const JOURNAL: &str = "journal.jsonl";
 
-/// A longer line is no entry, bytes. Convention: a resource limit, some twenty times what an entry has.
+/// A longer line is no entry, bytes. Convention: a resource limit, some ten times what an entry has.
 const MAX_LINE: usize = 16_384;
 
 /// A journal that is being written.
@@ -319,11 +319,20 @@ mod tests {
     #[test]
     fn a_line_of_an_earlier_version_is_read() {
         let folder = tempfile::tempdir().unwrap();
-        let line = r#"{"index":3,"time_s":0.5,"status":"ok","angles":[30.0,-20.0,0.1,0.2,0.0],"quality":[400,0.9,0.2],"q_mm":[0.1,0.2,0.3]}"#;
-        std::fs::write(folder.path().join(JOURNAL), format!("{line}\n")).unwrap();
+        let first = r#"{"index":3,"time_s":0.5,"status":"ok","angles":[30.0,-20.0,0.1,0.2,0.0],"quality":[400,0.9,0.2],"q_mm":[0.1,0.2,0.3]}"#;
+        let last = r#"{"index":4,"status":"ok","angles":[30.0,-20.0,0.1,0.2,0.5],"quality":[400,0.9,0.2],"moved_px":[0.5,null],"shape":[31.0,0.1,2.0,0.2,-3.0,0.3,7.5],"by_rig":[[1.0,2.0],[3.0,4.0],[0.0,0.0],[0.0,0.0],[0.0,0.0],[5.0,6.0]],"bend_covariance_rad2":[3e-6,1e-6,2e-6]}"#;
+        std::fs::write(folder.path().join(JOURNAL), format!("{first}\n{last}\n")).unwrap();
         let entries = entries_in(folder.path());
-        let [Entry::Measured(measurement, Some(reading))] = &entries[..] else { panic!("{entries:?}") };
-        assert_eq!((measurement.index, measurement.quality.unwrap().shape, reading.time_s), (3, None, 0.5));
+        let [Entry::Measured(first, Some(reading)), Entry::Measured(last, None)] = &entries[..] else {
+            panic!("{entries:?}")
+        };
+        assert_eq!((first.index, first.quality.unwrap().shape, reading.time_s), (3, None, 0.5));
+        let (measured, quality) = (last.measured.unwrap(), last.quality.unwrap());
+        assert_eq!((measured.correlation, quality.base_moved_px, quality.grid_moved_px), (0.5, Some(0.5), None));
+        assert_eq!(measured.fitted_covariance, Some(nalgebra::Matrix2::new(3e-6, 1e-6, 1e-6, 2e-6)));
+        assert_eq!(measured.by_rig.column(5).as_slice(), [5.0, 6.0].map(f64::to_radians));
+        let shape = quality.shape.unwrap();
+        assert_eq!((shape.tip_theta, shape.across, shape.chi2), (31f64.to_radians(), -3f64.to_radians(), 7.5));
     }
 
     #[test]

@@ -1,7 +1,13 @@
 use super::*;
+use crate::geometry::Configuration;
+use crate::observation::{Measured, Quality, Status};
 use crate::record::write_atomically;
 use approx::assert_abs_diff_eq;
+use nalgebra::Matrix2;
 use proptest::prelude::*;
+
+/// The columns that the design fixes.
+const FIXED: [&str; 7] = ["index", "time_s", "theta_deg", "delta_deg", "sigma_theta_deg", "sigma_delta_deg", "status"];
 
 fn read_text(text: &str) -> Result<Checked<Measurement>> {
     let folder = tempfile::tempdir().unwrap();
