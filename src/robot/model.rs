@@ -3,6 +3,7 @@
 use super::effects::ParameterSpec;
 use super::{DataRange, Effect, Friction, Robot};
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
+use std::ops::Range;
 
 /// η as a parameter.
 pub static ETA: ParameterSpec = ParameterSpec::positive("eta", "1", (0.05, 10.0), 0.03);
@@ -87,38 +88,34 @@ impl Model {
         self.estimate.map_or(Matrix2::zeros(), |estimate| estimate.covariance)
     }
 
-    /// The effects, each with its place in the list and the index of its first parameter.
-    fn placed_effects(&self) -> impl Iterator<Item = (usize, usize, &Effect)> {
-        self.effects.iter().enumerate().scan(2, |next, (k, effect)| {
-            let first = *next;
-            *next += effect.values.len();
-            Some((k, first, effect))
-        })
-    }
-
     /// The number of parameters, 2 + m.
     pub fn parameter_count(&self) -> usize {
-        2 + self.placed_effects().map(|(_, _, effect)| effect.values.len()).sum::<usize>()
+        2 + self.effects.iter().map(|effect| effect.values.len()).sum::<usize>()
+    }
+
+    /// Which of the parameters are those of an effect of the list.
+    fn parameters_of(&self, k: usize) -> Range<usize> {
+        let first = 2 + self.effects[..k].iter().map(|effect| effect.values.len()).sum::<usize>();
+        first..first + self.effects[k].values.len()
     }
 
     /// What is known of each parameter.
     pub fn parameter_specs(&self) -> Vec<ParameterSpec> {
-        let of_effects = self.placed_effects().flat_map(|(_, _, effect)| effect.parameters().iter().copied());
+        let of_effects = self.effects.iter().flat_map(|effect| effect.parameters().iter().copied());
         [ETA, LAMBDA].into_iter().chain(of_effects).collect()
     }
 
     /// The parameters' names, those of an effect as `effect.parameter`.
     pub fn parameter_names(&self) -> Vec<String> {
         let name = |effect: &Effect, spec: &ParameterSpec| format!("{}.{}", effect.physics.name, spec.name);
-        let of_effects =
-            self.placed_effects().flat_map(|(_, _, e)| e.parameters().iter().map(move |spec| name(e, spec)));
+        let of_effects = self.effects.iter().flat_map(|e| e.parameters().iter().map(move |spec| name(e, spec)));
         [ETA.name, LAMBDA.name].map(str::to_owned).into_iter().chain(of_effects).collect()
     }
 
     /// The parameters' values.
     pub fn parameter_values(&self) -> Vec<f64> {
         let x = self.parameters();
-        let of_effects = self.placed_effects().flat_map(|(_, _, effect)| effect.values.iter().copied());
+        let of_effects = self.effects.iter().flat_map(|effect| effect.values.iter().copied());
         [x.x, x.y].into_iter().chain(of_effects).collect()
     }
 
@@ -128,9 +125,8 @@ impl Model {
         let covariance = self.parameter_covariance();
         let samples = self.estimate.map_or(0, |estimate| estimate.samples);
         model.estimate = Some(Estimate { eta: values[0], lambda_mm: values[1], covariance, samples });
-        for (k, first, effect) in self.placed_effects() {
-            model.effects[k].values.copy_from_slice(&values[first..first + effect.values.len()]);
-        }
+        let of_effects = model.effects.iter_mut().flat_map(|effect| &mut effect.values);
+        of_effects.zip(&values[2..]).for_each(|(own, value)| *own = *value);
         model
     }
 
@@ -159,21 +155,15 @@ impl Model {
     /// Standard deviations of the values of an effect of the list; 0 where they are given and not estimated.
     pub fn effect_sds(&self, k: usize) -> Vec<f64> {
         let covariance = self.covariance();
-        let first = self.placed_effects().find(|(place, _, _)| *place == k).map(|(_, first, _)| first);
-        let sd = |j: usize| first.map_or(0.0, |first| covariance[(first + j, first + j)].max(0.0).sqrt());
-        (0..self.effects[k].values.len()).map(sd).collect()
+        self.parameters_of(k).map(|j| covariance[(j, j)].max(0.0).sqrt()).collect()
     }
 
     /// The model without effect k of its list; what is known of the other parameters stays.
     pub fn without_effect(&self, k: usize) -> Self {
-        let mut model = self.clone();
-        if let Some((_, first, effect)) = self.placed_effects().find(|(place, _, _)| *place == k) {
-            let covariance = self.covariance().remove_rows(first, effect.values.len());
-            model.effects.remove(k);
-            model.set_covariance(&covariance.remove_columns(first, effect.values.len()));
-        } else {
-            model.effects.remove(k);
-        }
+        let (mut model, own) = (self.clone(), self.parameters_of(k));
+        let covariance = self.covariance().remove_rows(own.start, own.len());
+        model.effects.remove(k);
+        model.set_covariance(&covariance.remove_columns(own.start, own.len()));
         model
     }
 
