@@ -29,7 +29,7 @@ use crate::error::{ArgumentError, Result};
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
 use crate::statistics::robust::Loss;
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix4, Vector3, Vector4};
 use std::f64::consts::PI;
 
 /// The standard deviation of Φ before the first measurement, about the model's, rad.
@@ -209,12 +209,8 @@ impl Stem {
         let by_factor = 1.0 / (self.factor * mu);
         let noise = by_factor.powi(2) * self.variance() * (self.scatter.0 / self.scatter.1).max(1.0);
         let [by_eta, by_lambda, by_static] = (self.by_parameters * (by_factor / self.information)).into();
-        let by_estimate = Vector2::new(by_eta, by_lambda);
-        let by_friction = Vector2::new(-phi / mu, by_static);
-        let (estimate, friction, cross) = self.covariances();
-        let known = by_estimate.dot(&(estimate * by_estimate))
-            + by_friction.dot(&(friction * by_friction))
-            + 2.0 * by_estimate.dot(&(cross * by_friction));
+        let by_errors = Vector4::new(by_eta, by_lambda, -phi / mu, by_static);
+        let known = by_errors.dot(&(self.covariance() * by_errors));
         StemAngle { phi, sd: (noise + known.max(0.0)).sqrt() }
     }
 
@@ -239,8 +235,8 @@ impl Stem {
         self.scatter.1 *= self.options.forgetting;
     }
 
-    /// Covariances of (η, λ), of (μ, f_s), and between them.
-    fn covariances(&self) -> (Matrix2<f64>, Matrix2<f64>, Matrix2<f64>) {
+    /// Covariance of (η, λ, μ, f_s).
+    fn covariance(&self) -> Matrix4<f64> {
         let estimate = self.model.parameter_covariance();
         let friction = self.model.friction.covariance();
         let by_friction = parameters_by_friction(&self.model, self.model.parameters().x);
@@ -248,7 +244,12 @@ impl Stem {
         // An estimate that knows η and λ better than μ and f_s allow did not come from an estimation with these.
         let shared = rest.symmetric_eigenvalues().min() > -1e-6 * estimate.norm();
         let cross = if shared { by_friction * friction } else { Matrix2::zeros() };
-        (estimate, friction, cross)
+        Matrix4::from_fn(|a, b| match (a / 2, b / 2) {
+            (0, 0) => estimate[(a, b)],
+            (0, _) => cross[(a, b - 2)],
+            (_, 0) => cross[(b, a - 2)],
+            _ => friction[(a - 2, b - 2)],
+        })
     }
 }
 
@@ -290,6 +291,7 @@ mod tests {
     use crate::observation::Truth;
     use crate::robot::{Estimate, Friction, PerBackbone};
     use crate::simulate::{Sample, SimulatedEye};
+    use nalgebra::Vector2;
     use rand::SeedableRng;
     use rand::rngs::StdRng;
     use rand_distr::{Distribution, StandardNormal};
