@@ -20,12 +20,13 @@
 use super::consistency::Whitened;
 use super::friction::friction_covariance;
 use super::gate::{Gate, squared_distances};
-use super::initial::{AGREEING, InitialEstimate, MOST, Undecided};
+use super::initial::{InitialEstimate, MOST, Undecided};
 use super::sample::Follower;
 use super::{Consistency, InformationFilter, LinearisedMeasurement, Options, Reason, Sample, Verdict};
 use crate::error::Result;
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::{DataRange, Estimate, Mechanics, Model, PerBackbone};
+use crate::statistics::trimmed::majority;
 
 /// A verdict on an earlier measurement that a later one overturned.
 #[derive(Debug, Clone, PartialEq)]
@@ -218,7 +219,8 @@ impl Estimator {
             return Some(outlier);
         }
         let fresh = InitialEstimate::of(&self.undecided, &self.model, &self.options);
-        let Some(initial) = fresh.filter(|initial| initial.agreeing().count() >= AGREEING) else {
+        // One more than the majority, so that chance does not end a good estimate.
+        let Some(initial) = fresh.filter(|initial| initial.agreeing().count() > majority(MOST)) else {
             return Some(outlier);
         };
         step.revisions = self.revise(&initial);

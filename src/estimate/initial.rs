@@ -14,10 +14,6 @@ use nalgebra::{Matrix2, Vector2};
 /// Fitted: chosen on the simulated experiments of `tests/library/estimator.rs`, whose first two measurements are outliers; not judged elsewhere. Least
 /// trimmed squares of eight bears three outliers.
 pub(super) const MOST: usize = 8;
-/// How many of [`MOST`] must agree with each other for an estimate that replaces a running one.
-///
-/// Fitted: chosen with [`MOST`]; one more than the majority, so that chance does not end a good estimate.
-pub(super) const AGREEING: usize = 6;
 /// Concentration steps from each pair.
 ///
 /// Source: Rousseeuw and Van Driessen 2006, who take two before they choose among starts.
