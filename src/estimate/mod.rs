@@ -35,7 +35,7 @@ pub use filter::InformationFilter;
 pub use history::{EstimateRow, EtaLambda, Verdict};
 pub use linearised::{LinearisedMeasurement, Weighting};
 pub use load::{BLIND_SD_N, ForceRow, MeasuredForce, TipForce, tip_force};
-pub(crate) use one_gain::line_share;
+pub(crate) use one_gain::{MOST_JUDGED, line_share};
 pub use one_gain::{Replaced, or_one_gain};
 pub use options::Options;
 pub(crate) use poses::{NEW_POSE, NewPoses};

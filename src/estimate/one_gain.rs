@@ -8,6 +8,7 @@
 
 use super::filter::KNOWN_SD;
 use super::friction::friction_covariance;
+use super::initial::MOST;
 use super::usable::usable;
 use super::{NewPoses, pairs_without_effects};
 use crate::observation::{EncoderReading, Measurement};
@@ -16,11 +17,12 @@ use crate::statistics::binomial;
 use crate::statistics::correlation::SerialScatter;
 use crate::statistics::order::{mad_scale, median};
 use crate::statistics::robust::{HUBER_LIMIT, Loss};
+use crate::statistics::spread::Spread;
 use nalgebra::{Matrix2, Vector1, Vector2};
 use std::f64::consts::PI;
 
-/// Bends that are compared and fitted; of more, as many spread over the run. Convention: a resource limit.
-const MOST: usize = 2000;
+/// Measurements that a result is judged by; of more, as many spread over the run. Convention: a resource limit, far beyond what the tests need.
+pub(crate) const MOST_JUDGED: usize = 2000;
 /// The probability with which an estimate that is as good as one gain is kept for better. Convention: that of the verdict's tests.
 const LEVEL: f64 = 0.001;
 /// Rounds of reweighting. Convention: each changes the gain by a share of the one before; ten are beyond its digits.
@@ -32,8 +34,6 @@ const BEND: f64 = 0.5;
 ///
 /// Derived: √(2 ln 2), of the Rayleigh distribution.
 const MEDIAN_SIZE: f64 = 1.177_410;
-/// Bends that are needed. Convention: as many as the recursion judges together.
-const LEAST: usize = 8;
 
 /// That one gain took the recursion's place, and why.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,7 +47,7 @@ pub struct Replaced {
 /// The model, with its estimate replaced by one gain for all bends if the estimate is missing or its σ of η is above 1. An estimate that
 /// predicts more bends better than the gain (sign test over poses) is kept.
 pub fn or_one_gain(model: Model, measurements: &[Measurement], log: &[EncoderReading]) -> (Model, Option<Replaced>) {
-    let (mut points, mut every, mut seen) = (Vec::new(), 1, 0usize);
+    let mut points = Spread::new(MOST_JUDGED);
     let mut poses = NewPoses::default();
     let mut learned = DataRange::default();
     for (measurement, reading) in pairs_without_effects(&model, measurements, log) {
@@ -59,19 +59,9 @@ pub fn or_one_gain(model: Model, measurements: &[Measurement], log: &[EncoderRea
         if !poses.is_new(bend) {
             continue;
         }
-        seen += 1;
-        if seen.is_multiple_of(every) {
-            points.push((bend, q_mm));
-        }
-        if points.len() > MOST {
-            let mut keep = false;
-            points.retain(|_| {
-                keep = !keep;
-                keep
-            });
-            every *= 2;
-        }
+        points.add((bend, q_mm));
     }
+    let points = points.kept;
     let Some(estimate) = one_gain(&model, &points) else { return (model, None) };
     let candidate = Model { learned: Some(learned), ..model.with_estimate(Some(estimate)) };
     let miss = |model: &Model, bend: Vector2<f64>, q: &_| model.plain().forward_bend(q).map(|b| (b - bend).norm()).ok();
@@ -103,8 +93,8 @@ fn one_gain(model: &Model, points: &[(Vector2<f64>, PerBackbone)]) -> Option<Est
         let scale = (median(&mut sizes.clone()) / MEDIAN_SIZE).max(f64::MIN_POSITIVE);
         weights = sizes.iter().map(|size| Loss::Huber(HUBER_LIMIT).weight(size / scale)).collect();
     }
-    // Fewer than this are fitted by anything.
-    if points.len() < LEAST || !gain.is_finite() || gain <= 0.0 {
+    // Fewer than the recursion judges together are fitted by anything.
+    if points.len() < MOST || !gain.is_finite() || gain <= 0.0 {
         return None;
     }
     let mut scatter = SerialScatter::<2>::new(1);

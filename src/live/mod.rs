@@ -45,7 +45,6 @@ pub mod ros2;
 #[cfg(not(feature = "ros2"))]
 #[path = "without_ros2.rs"]
 pub mod ros2;
-mod sample_buffer;
 pub mod server;
 mod session;
 mod setup;

@@ -1,13 +1,16 @@
 //! The estimator of a running loop: from one measurement to the next estimate, with what is watched beside it. It is the one of `run`.
 
 use super::gap_monitor::GapMonitor;
-use super::sample_buffer::SampleBuffer;
 use super::standstill::Standstill;
 use super::status::GapStatus;
 use crate::estimate::{self, Estimator, Options, PlainSample, Reason, Stem, StemAngle, StemOptions, Step, Verdict};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
+use crate::statistics::spread::Spread;
+
+/// Samples that are kept for `discover`, spread over the run. Convention: a resource limit; `discover` takes the longer the more there are.
+const MOST_SAMPLES: usize = 500;
 
 /// What is estimated.
 #[derive(Debug, Clone)]
@@ -26,7 +29,7 @@ pub struct OnlineEstimator {
     stem: Option<StemOptions>,
     subject: Subject,
     monitor: GapMonitor,
-    samples: SampleBuffer,
+    samples: Spread<(Measurement, EncoderReading)>,
     standstill: Standstill,
     before_standstill: Option<BeforeStandstill>,
 }
@@ -66,7 +69,7 @@ impl OnlineEstimator {
             None => Subject::Parameters(Box::new(Estimator::new(&start, options)?)),
             Some(options) => Subject::Stem(Box::new(Stem::new(&start, options)?)),
         };
-        let (monitor, samples) = (GapMonitor::default(), SampleBuffer::default());
+        let (monitor, samples) = (GapMonitor::default(), Spread::new(MOST_SAMPLES));
         let standstill = Standstill::new(options.sd_encoder_mm);
         Ok(Self { start, options, stem, subject, monitor, samples, standstill, before_standstill: None })
     }
@@ -108,7 +111,7 @@ impl OnlineEstimator {
 
     /// What `discover` works on: the model to start from, and samples spread over the run.
     pub fn samples(&self) -> (Model, Vec<Measurement>, Vec<EncoderReading>) {
-        let (measurements, readings) = self.samples.samples();
+        let (measurements, readings) = self.samples.kept.iter().cloned().unzip();
         (self.start.clone(), measurements, readings)
     }
 
@@ -132,7 +135,7 @@ impl OnlineEstimator {
         let step = if is_stuck {
             self.subject.learn(Err(Reason::NoEncoderReading))
         } else {
-            reading.into_iter().for_each(|reading| self.samples.add(measurement, reading));
+            reading.into_iter().for_each(|reading| self.samples.add((measurement.clone(), *reading)));
             self.subject.learn(taken)
         };
         let consistency = match &self.subject {
@@ -155,7 +158,7 @@ impl OnlineEstimator {
             && let Some(BeforeStandstill { subject, monitor, index }) = self.before_standstill.take()
         {
             (self.subject, self.monitor) = (subject, monitor);
-            self.samples.forget_from(index);
+            self.samples.kept.retain(|(measurement, _)| measurement.index < index);
         }
         self.standstill.is_stuck()
     }

@@ -21,6 +21,7 @@
 //! | [`bootstrap`] | seeded bootstrap over blocks |
 //! | [`sign_flip`] | whether paired gains have a mean above zero |
 //! | [`binomial`] | the exact binomial test, and the sign test of a median |
+//! | [`spread`] | a bounded number of things, spread evenly over all that come |
 //! | [`null_distribution`] | quantiles of a statistic that was simulated under the null hypothesis |
 
 pub mod binomial;
@@ -39,4 +40,5 @@ pub mod order;
 pub mod projection;
 pub mod robust;
 pub mod sign_flip;
+pub mod spread;
 pub mod trimmed;

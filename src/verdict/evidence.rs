@@ -4,13 +4,12 @@ use super::health::Health;
 use super::reason::{Reason, Verdict};
 use super::rules;
 use super::wiring::Pose;
-use crate::estimate::{self, PlainSample, Replaced, pairs_without_effects, usable};
+use crate::estimate::{self, MOST_JUDGED, PlainSample, Replaced, pairs_without_effects, usable};
 use crate::observation::{EncoderReading, Measurement, Status, Wiring};
 use crate::robot::Model;
+use crate::statistics::spread::Spread;
 use std::collections::BTreeMap;
 
-/// Measurements that the rules look at; of more, as many spread over the run. Convention: a resource limit, far beyond what the tests need.
-const MOST_SAMPLES: usize = 2000;
 /// Bends that the wiring check looks at. Convention: a resource limit; every hypothesis is fitted to all of them.
 const MOST_POSES: usize = 300;
 
@@ -112,7 +111,7 @@ impl Evidence {
     fn collect(model: &Model, measurements: &[Measurement], log: &[EncoderReading]) -> Self {
         let (mut measured, mut with_reading, mut statuses) = (0, 0, BTreeMap::new());
         let (mut gap, mut longest, mut nowhere) = (Gap::default(), Gap::default(), Gap::default());
-        let (mut poses, mut samples) = (Spread::new(MOST_POSES), Spread::new(MOST_SAMPLES));
+        let (mut poses, mut samples) = (Spread::new(MOST_POSES), Spread::new(MOST_JUDGED));
         let backbones = model.robot.backbone_count();
         for (as_seen, (measurement, reading)) in
             measurements.iter().zip(pairs_without_effects(model, measurements, log))
@@ -137,50 +136,5 @@ impl Evidence {
         }
         let (frames, poses, samples) = (measurements.len(), poses.kept, samples.kept);
         Self { frames, statuses, measured, with_reading, nowhere, gap: longest, poses, samples }
-    }
-}
-
-/// Things that come one at a time, of which a bounded number is kept, spread evenly over all.
-struct Spread<T> {
-    most: usize,
-    every: usize,
-    seen: usize,
-    kept: Vec<T>,
-}
-
-impl<T> Spread<T> {
-    fn new(most: usize) -> Self {
-        Self { most, every: 1, seen: 0, kept: Vec::new() }
-    }
-
-    fn add(&mut self, thing: T) {
-        if self.seen.is_multiple_of(self.every) {
-            self.kept.push(thing);
-        }
-        self.seen += 1;
-        if self.kept.len() > self.most {
-            let mut place = 0;
-            self.kept.retain(|_| {
-                place += 1;
-                place % 2 == 1
-            });
-            self.every *= 2;
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_spread_keeps_a_bounded_number_at_even_distances() {
-        for count in [0, 5, 10, 11, 1000, 12_345] {
-            let mut spread = Spread::new(10);
-            (0..count).for_each(|k| spread.add(k));
-            assert!(spread.kept.len() <= 10 && spread.kept.len() >= count.min(5), "{count}");
-            let steps: Vec<usize> = spread.kept.windows(2).map(|pair| pair[1] - pair[0]).collect();
-            assert!(steps.iter().all(|step| *step == spread.every), "{count}: {steps:?}");
-        }
     }
 }

@@ -5,6 +5,7 @@
 
 use super::evidence::Evidence;
 use super::reason::{Code, Level, Reason};
+use crate::estimate::MOST_JUDGED;
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measurement, Status};
 use crate::statistics::order::median;
@@ -46,12 +47,9 @@ pub(super) fn nothing_to_judge(evidence: &Evidence, log: &[EncoderReading]) -> O
     Some(Reason::new(Code::NothingToJudge, Level::DoNotUse, text, remedy))
 }
 
-/// Rows by which the unit of the times is told. Convention: a resource limit, far beyond what is needed.
-const TIMED: usize = 2000;
-
 /// What is odd about the times of measurements and of the log that belongs to them. `unit_is_stated` says that somebody wrote the unit down.
 pub fn doubts_of_times(measurements: &[Measurement], log: &[EncoderReading], unit_is_stated: bool) -> Option<Reason> {
-    let measurements = &measurements[..measurements.len().min(TIMED)];
+    let measurements = &measurements[..measurements.len().min(MOST_JUDGED)];
     let times_s: BTreeMap<u64, f64> = log.iter().map(|reading| (reading.index, reading.time_s)).collect();
     if let Some(reason) = other_rate(measurements, &times_s) {
         return Some(reason);

@@ -7,7 +7,7 @@
 use super::health::without_a_tenth;
 use super::reason::{Code, Level, Reason};
 use super::rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE};
-use crate::estimate::{NewPoses, Pair, pairs_without_effects, usable};
+use crate::estimate::{MOST_JUDGED, NewPoses, Pair, pairs_without_effects, usable};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::{ForceLimits, Model};
@@ -21,8 +21,6 @@ const MULTIPLES: [f64; 8] = [0.25, 1.0 / 3.0, 0.5, 2.0 / 3.0, 1.5, 2.0, 3.0, 4.0
 ///
 /// Convention: a tenth of the largest λ that robots have.
 const MATTERS_MM: f64 = 0.1;
-/// Poses that are looked at. Convention: a resource limit, far beyond what the test needs.
-const MOST_POSES: usize = 2000;
 
 /// A reason where the readings do not show the force that the limits tell. The model has the η by which the bends are explained.
 pub fn doubt_of_force_limits(
@@ -109,7 +107,7 @@ impl Poses {
             let psi = measured.configuration;
             new_poses.is_new(psi.bend_vector()).then(|| (psi, (q_mm - plain.command(psi)).mean()))
         };
-        let all = pairs_without_effects(model, measurements, readings).filter_map(pose).take(MOST_POSES).collect();
+        let all = pairs_without_effects(model, measurements, readings).filter_map(pose).take(MOST_JUDGED).collect();
         Self { all, plain, sd_encoder_mm }
     }
 
