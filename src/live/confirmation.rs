@@ -3,17 +3,14 @@
 //! A table stays right while nobody looks, or becomes wrong: nothing tells. A camera that was pushed, a lens cap, a cable that was pulled and a loop
 //! that is paused are all noticed by the same rule.
 
+use super::silence::PATIENCE;
 use crate::observation::Status;
 use crate::statistics::order::median;
 use crate::verdict::Code;
 use std::collections::VecDeque;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-/// A shorter time without a measurement is not told.
-///
-/// Convention: what it takes a network camera to answer.
-const PATIENCE: Duration = Duration::from_secs(3);
-/// Nor is one of fewer than so many usual steps from one measurement to the next. Convention: two frames of a slow camera may fail.
+/// A time without a measurement is not told if it is shorter than [`PATIENCE`], or than so many usual steps from one measurement to the next. Convention: two frames of a slow camera may fail.
 const STEPS: f64 = 3.0;
 /// Steps whose median is the usual one. Convention: few, so that another rate is the usual one after some frames.
 const USUAL: usize = 9;
@@ -80,6 +77,7 @@ impl Confirmation {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Duration;
 
     /// A run of frames at a step, s, then `silence_s` without a measurement, in which frames of a status come.
     fn after(step_s: f64, silence_s: f64, instead: Option<Status>) -> Option<(Code, String)> {

@@ -18,6 +18,7 @@
 //! (Monte-Carlo with independent values; tested in `cusum.rs`.)
 
 use super::cusum::{Cusum, event_log_ratio, variance_log_ratio};
+use super::publication::POSES;
 use super::status::{GapState, GapStatus};
 use crate::estimate::{Consistency, NewPoses, Verdict, Whitened};
 use crate::verdict::{MEAN_SQUARE_OF_NOISE, REJECTED_IN_ORDER};
@@ -31,8 +32,6 @@ const POSES_BETWEEN_FALSE_ALARMS: f64 = 1e6;
 ///
 /// Convention: three times the share that may be rejected although all is in order.
 const REJECTED_TOO_MANY: f64 = 0.3;
-/// Measurements used before the verdict is told. Convention: twice what `discover` needs to decide anything.
-const MIN_USED: usize = 50;
 /// Measurements over which the share of rejected ones is shown. Convention: a display choice.
 const RECENT: usize = 100;
 
@@ -99,7 +98,7 @@ impl GapMonitor {
     fn state(&self) -> GapState {
         let tests = [self.bending, self.common, self.rejections];
         match tests.iter().any(Cusum::is_changed) {
-            _ if self.used < MIN_USED && !self.rejections.is_changed() => GapState::Unknown,
+            _ if self.used < POSES && !self.rejections.is_changed() => GapState::Unknown,
             true => GapState::Above,
             false => GapState::Noise,
         }
@@ -154,7 +153,7 @@ mod tests {
     #[test]
     fn noise_is_noise_and_a_gap_is_found_within_a_hundred_poses() {
         let mut scenario = Scenario::new();
-        assert_eq!(scenario.see(MIN_USED - 1, NEW_POSE, 1.0), GapState::Unknown);
+        assert_eq!(scenario.see(POSES - 1, NEW_POSE, 1.0), GapState::Unknown);
         assert_eq!(scenario.see(20_000, NEW_POSE, 1.0), GapState::Noise);
         assert_eq!(scenario.see(2000, NEW_POSE, 1.3), GapState::Noise, "sigmas slightly too small are no gap");
         assert_eq!(scenario.see(100, NEW_POSE, MEAN_SQUARE_OF_NOISE), GapState::Above);
@@ -164,7 +163,7 @@ mod tests {
     #[test]
     fn an_error_that_stands_still_with_the_snake_is_counted_once() {
         let mut scenario = Scenario::new();
-        scenario.see(MIN_USED, NEW_POSE, 1.0);
+        scenario.see(POSES, NEW_POSE, 1.0);
         assert_eq!(scenario.see(10_000, 0.0, 9.0), GapState::Noise);
         assert_eq!(scenario.see(60, NEW_POSE, 9.0), GapState::Above);
     }
@@ -172,7 +171,7 @@ mod tests {
     #[test]
     fn rejections_in_numbers_raise_an_alarm() {
         let mut scenario = Scenario::new();
-        scenario.see(MIN_USED, NEW_POSE, 1.0);
+        scenario.see(POSES, NEW_POSE, 1.0);
         assert_eq!(scenario.reject(1000, 0.0), GapState::Noise, "at one pose");
         assert_eq!(scenario.reject(20, NEW_POSE), GapState::Above);
         let shown = scenario.monitor.add(None, Verdict::Skipped, None, None);

@@ -19,8 +19,8 @@ use crate::verdict::{Code, Level, Subject, Verdict};
 use std::collections::VecDeque;
 use std::time::Instant;
 
-/// Poses on which the model is judged, each a new one ([`NewPoses`]) after the one before. Convention: as many as the gap monitor asks
-/// for before it tells anything.
+/// Poses on which the model is judged, each a new one ([`NewPoses`]) after the one before; as many measurements are used before a gap is told.
+/// Convention: twice what `discover` needs to decide anything.
 pub const POSES: usize = 50;
 
 /// Poses on which a stem that is followed is judged: those before were of another angle, if it moves.

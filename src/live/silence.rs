@@ -4,7 +4,7 @@ use super::status::{EncoderStatus, SourceState, SourceStatus};
 use std::time::{Duration, Instant};
 
 /// Nothing is told of a silence shorter than this. Convention: what it takes a network camera to answer.
-const PATIENCE: Duration = Duration::from_secs(3);
+pub(super) const PATIENCE: Duration = Duration::from_secs(3);
 
 /// What was told so far.
 #[derive(Debug)]
