@@ -28,8 +28,9 @@ use super::{LinearisedMeasurement, Reason, Sample, Weighting};
 use crate::error::{ArgumentError, Result};
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
+use crate::statistics::correlation::SerialScatter;
 use crate::statistics::robust::Loss;
-use nalgebra::{Matrix2, Matrix4, Vector3, Vector4};
+use nalgebra::{Matrix2, Matrix4, Vector1, Vector3, Vector4};
 use std::f64::consts::PI;
 
 /// The standard deviation of Φ before the first measurement, about the model's, rad.
@@ -103,8 +104,8 @@ pub struct Stem {
     least_information: f64,
     /// ∂(information · y)/∂(η, λ, f_s), by which their errors move y.
     by_parameters: Vector3<f64>,
-    /// Squared whitened innovations and how many they are, faded; one of nominal size is the first.
-    scatter: (f64, f64),
+    /// How the innovations compare with what is promised.
+    scatter: SerialScatter<1>,
 }
 
 impl Stem {
@@ -132,7 +133,7 @@ impl Stem {
             noise: information,
             least_information: information,
             by_parameters: Vector3::zeros(),
-            scatter: (1.0, 1.0),
+            scatter: SerialScatter::new(0),
         })
     }
 
@@ -182,11 +183,11 @@ impl Stem {
         let by_factor = (tau * eta + ones * bent.friction.static_force_n) * cone_compliance;
         let Some(weight) = linearised.covariance.try_inverse() else { return Err(Reason::NotFinite) };
 
-        self.forget();
         let mut gained = by_factor.dot(&(weight * by_factor));
         if !(gained > 0.0 && gained.is_finite()) {
             return Err(Reason::NotFinite);
         }
+        self.forget();
         let innovation = by_factor.dot(&(weight * linearised.residual(&bent.parameters()))) / gained;
         let distance = innovation / (1.0 / gained + self.variance()).sqrt();
         let share = Loss::Huber(DEFAULT_GATE_SD).weight(distance);
@@ -195,8 +196,7 @@ impl Stem {
         let static_part = ones * (self.factor * cone_compliance);
         let by_errors = [stretch, ones, static_part].map(|by| by_factor.dot(&(weight * by)) * share);
         self.by_parameters -= Vector3::from(by_errors);
-        self.scatter.0 += distance.powi(2).min(DEFAULT_GATE_SD.powi(2));
-        self.scatter.1 += 1.0;
+        self.scatter.add(Vector1::new(distance.clamp(-DEFAULT_GATE_SD, DEFAULT_GATE_SD)));
         self.information += gained;
         self.factor = (self.factor + innovation * gained / self.information).max(LEAST_FACTOR);
         Ok(self.angle())
@@ -207,7 +207,7 @@ impl Stem {
         let mu = self.model.friction.mu;
         let phi = self.factor.ln() / mu;
         let by_factor = 1.0 / (self.factor * mu);
-        let noise = by_factor.powi(2) * self.variance() * (self.scatter.0 / self.scatter.1).max(1.0);
+        let noise = by_factor.powi(2) * self.variance() * self.scatter.reduced_chi_square().max(1.0);
         let [by_eta, by_lambda, by_static] = (self.by_parameters * (by_factor / self.information)).into();
         let by_errors = Vector4::new(by_eta, by_lambda, -phi / mu, by_static);
         let known = by_errors.dot(&(self.covariance() * by_errors));
@@ -231,8 +231,7 @@ impl Stem {
         self.by_parameters *= kept / self.information;
         self.noise *= (kept / self.information).powi(2);
         self.information = kept;
-        self.scatter.0 *= self.options.forgetting;
-        self.scatter.1 *= self.options.forgetting;
+        self.scatter.forget(self.options.forgetting);
     }
 
     /// Covariance of (η, λ, μ, f_s).
