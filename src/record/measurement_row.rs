@@ -54,10 +54,12 @@ pub const NUMBERS: [&str; 34] = [
 const ANGLES: Range<usize> = 0..4;
 const BEND: Range<usize> = 4..6;
 const COVARIANCE: Range<usize> = 6..9;
+/// Derived: from the order as well.
 const CORRELATION: usize = 9;
 const FIT: Range<usize> = 10..13;
 const MOVED: Range<usize> = 13..15;
 const SHAPE: Range<usize> = 15..21;
+/// Derived: from the order as well.
 const SHAPE_CHI2: usize = 21;
 /// In the order of a matrix of two rows, column by column.
 const BY_RIG: Range<usize> = 22..34;
