@@ -5,7 +5,7 @@ use super::estimator::EstimatorArgs;
 use super::inputs::{NamedLog, WorthArgs, force_limits, measurements_and_readings, with_effects};
 use super::verdict::{VerdictArgs, unit_is_stated, verdict_text};
 use crate::cli::failure::Failure;
-use crate::estimate::{EstimateRow, Verdict as RowVerdict, estimate, or_one_gain};
+use crate::estimate::{EstimateRow, EtaLambda, Verdict as RowVerdict, estimate, or_one_gain};
 use crate::observation::{EncoderReading, Measurement, commonest_status};
 use crate::quantity::with_sd;
 use crate::record::{
@@ -78,7 +78,7 @@ struct Summary {
 pub struct Estimated {
     /// `None` where the measurements do not pin them.
     #[serde(flatten)]
-    pub parameters: Option<Parameters>,
+    pub parameters: Option<EtaLambda>,
     pub used: usize,
     pub rejected: usize,
     pub skipped: usize,
@@ -86,22 +86,6 @@ pub struct Estimated {
     pub reasons: BTreeMap<String, usize>,
     /// The first frames whose measurement was rejected.
     pub rejected_frames: Vec<u64>,
-}
-
-/// η and λ with their standard deviations.
-#[derive(Debug, Clone, Copy, Serialize)]
-pub struct Parameters {
-    pub eta: f64,
-    pub sd_eta: f64,
-    pub lambda_mm: f64,
-    pub sd_lambda_mm: f64,
-}
-
-impl Parameters {
-    pub fn of(estimate: Estimate) -> Self {
-        let (sd_eta, sd_lambda_mm) = (estimate.sd_eta(), estimate.sd_lambda_mm());
-        Self { eta: estimate.eta, sd_eta, lambda_mm: estimate.lambda_mm, sd_lambda_mm }
-    }
 }
 
 impl Args {
@@ -251,7 +235,7 @@ impl Estimated {
             *reasons.entry(row.reason.clone()).or_default() += 1;
         }
         Self {
-            parameters: estimate.map(Parameters::of),
+            parameters: estimate.map(EtaLambda::from),
             used: count(RowVerdict::Used),
             rejected: count(RowVerdict::Rejected),
             skipped: count(RowVerdict::Skipped),
@@ -278,7 +262,7 @@ impl Estimated {
 
     /// Lines for people.
     pub fn text(&self) -> String {
-        let lines = self.parameters.map(|Parameters { eta, sd_eta, lambda_mm, sd_lambda_mm }| {
+        let lines = self.parameters.map(|EtaLambda { eta, sd_eta, lambda_mm, sd_lambda_mm }| {
             format!("η             {}\nλ             {} mm\n", with_sd(eta, sd_eta), with_sd(lambda_mm, sd_lambda_mm))
         });
         format!("{}measurements  {}\n", lines.unwrap_or_default(), self.counts())

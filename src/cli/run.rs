@@ -1,7 +1,7 @@
 //! `run`: the main job, from frames and encoders to a compensation table and a report.
 
 use super::console::{Caller, Console};
-use super::estimate::{Estimated, Parameters};
+use super::estimate::Estimated;
 use super::flow::{MeasuredFrames, Throughput};
 use super::inputs::{encoders_of, files_read, maker, model_of};
 use super::measuring::{self, Count, Measured, MeasuringArgs};
@@ -12,6 +12,7 @@ use super::trackers::open_trackers;
 use super::verdict::{VerdictArgs, reasons_of_files, subject, unit_is_stated, verdict_text};
 use super::views::{open_views, reasons_of_sheets, rig_picture_name};
 use crate::cli::failure::Failure;
+use crate::estimate::EtaLambda;
 use crate::estimate::gap::{Gap, gap};
 use crate::input::read_text;
 use crate::observation::{EncoderReading, Measurement};
@@ -366,7 +367,7 @@ impl Summary {
             ("frames measured", format!("{measured} of {}{failed}", self.frames)),
             ("measurements", estimated.counts()),
         ];
-        if let Some(Parameters { eta, sd_eta, lambda_mm, sd_lambda_mm }) = estimated.parameters {
+        if let Some(EtaLambda { eta, sd_eta, lambda_mm, sd_lambda_mm }) = estimated.parameters {
             lines.push(("force scale η", with_sd(eta, sd_eta)));
             lines.push(("backlash λ", format!("{} mm", with_sd(lambda_mm, sd_lambda_mm))));
         }

@@ -1,11 +1,11 @@
 //! `simulate`: what the encoders of a robot with hidden η and λ read during a bending experiment.
 
 use super::console::Console;
-use super::estimate::Parameters;
 use super::inputs::{WorthArgs, rows, with_effects};
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::closed_loop::ClosedLoop;
+use crate::estimate::EtaLambda;
 use crate::observation::Waypoint;
 use crate::quantity::with_sd;
 use crate::record::{
@@ -105,10 +105,10 @@ struct Closed {
     /// The same of the last one.
     table_error_after_deg: f64,
     /// What the snake obeyed.
-    hidden: Parameters,
+    hidden: EtaLambda,
     /// What was learned; `None` where too little was measured.
     #[serde(flatten)]
-    learned: Option<Parameters>,
+    learned: Option<EtaLambda>,
     /// Why the model that the snake obeys must not be used.
     #[serde(skip_serializing_if = "Option::is_none")]
     do_not_use: Option<String>,
@@ -191,8 +191,8 @@ impl Args {
             frames: cycles.len(),
             table_error_before_deg: first,
             table_error_after_deg: cycles.last().map_or(first, |cycle| cycle.table_error_deg),
-            hidden: Parameters::of(simulation.plant.estimate.unwrap_or(HIDDEN)),
-            learned: model.estimate.map(Parameters::of),
+            hidden: EtaLambda::from(simulation.plant.estimate.unwrap_or(HIDDEN)),
+            learned: model.estimate.map(EtaLambda::from),
             do_not_use,
             output: self.output.clone(),
         };
@@ -229,7 +229,7 @@ impl Closed {
         let mut text = format!("{frames} frames; the table's error fell from {before:.2}° to {after:.3}° rms\n");
         text += &match learned {
             None => "η was not learned: too few frames were measured\n".to_owned(),
-            Some(Parameters { eta, sd_eta, lambda_mm, sd_lambda_mm }) => format!(
+            Some(EtaLambda { eta, sd_eta, lambda_mm, sd_lambda_mm }) => format!(
                 "η {} learned, {:.4} hidden\n\
                  λ {} mm, {:.4} mm hidden: it moves no bend, and a closed loop cannot see it\n",
                 with_sd(*eta, *sd_eta),

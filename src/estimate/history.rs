@@ -1,6 +1,7 @@
 //! What the estimator says of each measurement: whether it was used, and the estimate after it.
 
-use crate::robot::PerBackbone;
+use crate::robot::{Estimate, PerBackbone};
+use serde::Serialize;
 use std::fmt;
 
 /// What became of a measurement in the estimator.
@@ -25,16 +26,23 @@ impl fmt::Display for Verdict {
 }
 
 /// η and λ with their standard deviations.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct EtaLambda {
     /// η, the scale of the actuation forces.
     pub eta: f64,
-    /// λ, the backlash, mm.
-    pub lambda_mm: f64,
     /// Standard deviation of η.
     pub sd_eta: f64,
+    /// λ, the backlash, mm.
+    pub lambda_mm: f64,
     /// Standard deviation of λ, mm.
     pub sd_lambda_mm: f64,
+}
+
+impl From<Estimate> for EtaLambda {
+    fn from(estimate: Estimate) -> Self {
+        let (sd_eta, sd_lambda_mm) = (estimate.sd_eta(), estimate.sd_lambda_mm());
+        Self { eta: estimate.eta, sd_eta, lambda_mm: estimate.lambda_mm, sd_lambda_mm }
+    }
 }
 
 /// One row of estimate.csv: one measurement and the estimate after it.

@@ -39,12 +39,7 @@ fn row(measurement: &Measurement, step: Step) -> EstimateRow {
     EstimateRow {
         index: measurement.index,
         time_s: measurement.time_s,
-        estimate: step.estimate.map(|estimate| EtaLambda {
-            eta: estimate.eta,
-            lambda_mm: estimate.lambda_mm,
-            sd_eta: estimate.sd_eta(),
-            sd_lambda_mm: estimate.sd_lambda_mm(),
-        }),
+        estimate: step.estimate.map(EtaLambda::from),
         verdict: step.verdict,
         reason: step.reason.map(|reason| reason.to_string()).unwrap_or_default(),
         residual_mm: step.residual_mm,

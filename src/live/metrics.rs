@@ -3,6 +3,7 @@
 use super::latency::Histogram;
 use super::shared_state::LiveState;
 use super::status::{EncoderStatus, FrameTimingState, FrameTimingStatus, GapStatus, SourceState, SourceStatus, State};
+use crate::estimate::EtaLambda;
 use std::fmt::Write;
 
 /// Upper ends of the latency buckets, s. Convention: a display choice.
@@ -98,11 +99,13 @@ impl Exposition {
     }
 
     fn estimates(&mut self, state: &State) {
-        if let Some(estimate) = &state.estimate {
-            self.gauge("eta", "Estimate of eta.", estimate.eta);
-            self.gauge("eta_sd", "Its standard deviation.", estimate.sd_eta);
-            self.gauge("lambda_millimetres", "Estimate of lambda.", estimate.lambda_mm);
-            self.gauge("lambda_sd_millimetres", "Its standard deviation.", estimate.sd_lambda_mm);
+        if let Some(EtaLambda { eta, sd_eta, lambda_mm, sd_lambda_mm }) =
+            state.estimate.map(|estimate| estimate.parameters)
+        {
+            self.gauge("eta", "Estimate of eta.", eta);
+            self.gauge("eta_sd", "Its standard deviation.", sd_eta);
+            self.gauge("lambda_millimetres", "Estimate of lambda.", lambda_mm);
+            self.gauge("lambda_sd_millimetres", "Its standard deviation.", sd_lambda_mm);
         }
         if let Some(stem) = &state.stem {
             self.gauge("stem_degrees", "Total bending angle of the stem.", stem.phi_deg);
@@ -150,8 +153,10 @@ mod tests {
     #[test]
     fn every_metric_has_its_help_its_type_and_its_value() {
         let mut state = State::at_start("camera 0".into(), EncoderStatus::at_rest("log", 24));
-        state.estimate =
-            Some(EstimateStatus { eta: 1.25, sd_eta: 0.5, lambda_mm: 0.125, sd_lambda_mm: 0.25, samples: 9 });
+        state.estimate = Some(EstimateStatus {
+            parameters: EtaLambda { eta: 1.25, sd_eta: 0.5, lambda_mm: 0.125, sd_lambda_mm: 0.25 },
+            samples: 9,
+        });
         state.timing.state = FrameTimingState::Late;
         let shared = SharedState::new(state, Model::default(), PublicationGate::new(0.0015, POSES, None));
         shared.lock().by_status.insert("odd \"status\"\n".into(), 3);

@@ -5,7 +5,7 @@
 
 use crate::camera::CaptureSettings;
 use crate::discover::Followed;
-use crate::estimate::{StemAngle, Verdict};
+use crate::estimate::{EtaLambda, StemAngle, Verdict};
 use crate::observation::{Measurement, commonest_status};
 use crate::robot::{Model, PerBackbone};
 use crate::verdict::{Code, Level, Reason, Verdict as RunVerdict};
@@ -152,14 +152,9 @@ fn largest_sigma(covariance: &Matrix2<f64>) -> f64 {
 /// η and λ with their standard deviations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct EstimateStatus {
-    /// η.
-    pub eta: f64,
-    /// Its standard deviation.
-    pub sd_eta: f64,
-    /// λ, mm.
-    pub lambda_mm: f64,
-    /// Its standard deviation, mm.
-    pub sd_lambda_mm: f64,
+    /// Both, as they stand.
+    #[serde(flatten)]
+    pub parameters: EtaLambda,
     /// Number of measurements that it was estimated from.
     pub samples: usize,
 }
@@ -167,13 +162,7 @@ pub struct EstimateStatus {
 impl EstimateStatus {
     /// The estimate of a model; `None` where it has none.
     pub fn of(model: &Model) -> Option<Self> {
-        model.estimate.map(|estimate| Self {
-            eta: estimate.eta,
-            sd_eta: estimate.sd_eta(),
-            lambda_mm: estimate.lambda_mm,
-            sd_lambda_mm: estimate.sd_lambda_mm(),
-            samples: estimate.samples,
-        })
+        model.estimate.map(|estimate| Self { parameters: estimate.into(), samples: estimate.samples })
     }
 }
 

@@ -4,6 +4,7 @@ use super::commands::{Answer, Command, Commands};
 use super::shared_state::SharedState;
 use super::status::{FrameTimingState, GapState, SourceState, State};
 use crate::error::{Error, Result};
+use crate::estimate::EtaLambda;
 use ratatui::Frame;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
 use ratatui::layout::{Constraint, Layout};
@@ -168,10 +169,10 @@ fn measurements(state: &State) -> Vec<Line<'static>> {
 }
 
 fn estimates(state: &State) -> Vec<Line<'static>> {
-    let mut lines = match &state.estimate {
-        Some(estimate) => vec![
-            Line::from(format!("η {:.4} ± {:.4}", estimate.eta, estimate.sd_eta)).bold(),
-            Line::from(format!("λ {:.4} ± {:.4} mm", estimate.lambda_mm, estimate.sd_lambda_mm)).bold(),
+    let mut lines = match state.estimate.map(|estimate| estimate.parameters) {
+        Some(EtaLambda { eta, sd_eta, lambda_mm, sd_lambda_mm }) => vec![
+            Line::from(format!("η {eta:.4} ± {sd_eta:.4}")).bold(),
+            Line::from(format!("λ {lambda_mm:.4} ± {sd_lambda_mm:.4} mm")).bold(),
         ],
         None => vec![Line::from("η and λ are not known yet")],
     };
@@ -210,8 +211,10 @@ mod tests {
             terminal.backend().to_string()
         };
         assert!(screen(&state, 80, 24).contains("nothing measured yet"));
-        state.estimate =
-            Some(EstimateStatus { eta: 1.2211, sd_eta: 0.001, lambda_mm: 0.1767, sd_lambda_mm: 0.0005, samples: 36 });
+        state.estimate = Some(EstimateStatus {
+            parameters: EtaLambda { eta: 1.2211, sd_eta: 0.001, lambda_mm: 0.1767, sd_lambda_mm: 0.0005 },
+            samples: 36,
+        });
         state.gap.state = GapState::Above;
         state.stem = Some(StemStatus { phi_deg: 131.26, sd_phi_deg: 2.4 });
         let followed = Some("play_at_bend 97 %, as of frame 812".into());
