@@ -8,7 +8,7 @@
 //! 3. Coarse fits: each candidate is fitted from wide search distances; the best one's mirrored solution as well.
 //! 4. Refinement: the best of them are fitted until they converge.
 //! 5. Selection among the local minima: the best is fitted in the fine stage, and so is every other that may explain the picture
-//!    as well.
+//!    as well, its mirrored solution among them.
 //! 6. Verdict: the status, and for [`Status::Ok`] the bend with its covariance, to which the rig's uncertainty is added.
 
 use super::fitter::Fitter;
@@ -31,10 +31,11 @@ use std::sync::{Arc, OnceLock};
 ///
 /// Fitted: by hand on renders; judged by `tests/eye/robustness`.
 const CANDIDATES: usize = 6;
-/// How far the snake's outline may move between two frames of a tracked sequence, px.
+/// How far around the last outline of a tracked sequence a frame is looked at, px.
 ///
-/// Convention: a snake that moves further is searched everywhere, which takes longer but costs no accuracy.
-const TRACKED_MOTION_PX: f64 = 40.0;
+/// Convention: twice the first search distance of [`FitSchedule::FROM_NEAR`]; a snake that moves further is searched everywhere, which takes longer
+/// but costs no accuracy.
+const TRACKED_REACH_PX: f64 = 28.0;
 /// A snake that is shorter in the picture is called small, px.
 ///
 /// Convention: the book's advice. In 36 photo-real frames the median σ of θ is 0.03° at 488 px; averaged over 2×2 and 3×3 px, 0.09° at 245
@@ -207,7 +208,7 @@ impl Eye {
             return None;
         }
         let view = self.projection();
-        let region = view.image_region(BendProfile::arc(last), TRACKED_MOTION_PX);
+        let region = view.image_region(BendProfile::arc(last), TRACKED_REACH_PX);
         let plane = self.plane(frame, &region);
         let fitter = self.fitter(EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region));
         let near = fitter.fit(fitter.start(last), &FitSchedule::FROM_NEAR)?;

@@ -3,6 +3,7 @@
 use super::fit::{BendFit, Decision, EDGE_ON_RAD, FitSchedule, SAME_MINIMUM_RAD, distinct, heaviest};
 use super::fitter::Fitter;
 use crate::observation::Status;
+use nalgebra::Vector2;
 use rayon::prelude::*;
 
 /// An alternative is fitted in the fine stage if its cost is at most this many times the best one's.
@@ -10,10 +11,6 @@ use rayon::prelude::*;
 /// Fitted: by hand on renders, for speed; judged by `tests/eye/robustness`. The stages so far search fewer points, and two ways to the same bend were seen to
 /// end with costs of 0.0125 and 0.0164.
 const ALTERNATIVE_COST_RATIO: f64 = 2.0;
-/// How often the better of a bend and its mirrored solution is tried in its place.
-///
-/// Convention: an iteration cap; once is nearly always enough, and twice was seen.
-const MIRRORED_AGAIN: usize = 3;
 
 /// What a minimum leads to.
 pub(super) struct Attempt {
@@ -23,15 +20,6 @@ pub(super) struct Attempt {
     pub mirrored: Option<BendFit>,
     /// Its fits in the fine stage.
     pub finest: Vec<BendFit>,
-}
-
-impl Attempt {
-    /// The mirrored solution, where it is another minimum and the better one.
-    fn better_mirrored(&self) -> Option<&BendFit> {
-        let Self { minimum, mirrored, .. } = self;
-        let is_another = |other: &BendFit| (other.bend() - minimum.bend()).norm() > SAME_MINIMUM_RAD;
-        mirrored.as_ref().filter(|other| is_another(other) && other.cost < minimum.cost)
-    }
 }
 
 /// The outcome of the selection among local minima.
@@ -57,14 +45,12 @@ impl Fitter<'_> {
     /// Fits the best of some local minima in the fine stage, and finds out whether another one explains the picture as well. What was
     /// attempted before is not fitted again.
     pub fn select(&self, minima: Vec<BendFit>, mut attempts: Vec<Attempt>, fine: &FitSchedule) -> Selection {
-        let fits = distinct(minima, SAME_MINIMUM_RAD);
-        let Some(first) = fits.first() else { return Selection::without_fine_fit(fits, attempts) };
-        let (finest, mirrored) = self.attempt_with_mirrored(first, &mut attempts, fine);
-        let mut fits = distinct(fits.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
-        if finest.is_empty() {
-            return Selection::without_fine_fit(fits, attempts);
-        }
-        let others = self.alternatives(&fits, &attempts, fine);
+        let minima = distinct(minima, SAME_MINIMUM_RAD);
+        let Some(first) = minima.first().cloned() else { return Selection::without_fine_fit(minima, attempts) };
+        let Attempt { mirrored, finest, .. } = self.attempt(&first, &mut attempts, fine);
+        let (mirrored, finest) = (mirrored.clone(), finest.clone());
+        let mut fits = distinct(minima.into_iter().chain(mirrored).collect(), SAME_MINIMUM_RAD);
+        let others = self.alternatives(&fits, first.bend(), &attempts, fine);
         let mut modes: Vec<BendFit> = finest.into_iter().chain(others).collect();
         // From a shape that the sequence told a fit starts in the right minimum.
         if !self.rig.is_shape_known() {
@@ -103,31 +89,10 @@ impl Fitter<'_> {
         }
     }
 
-    /// The fits in the fine stage of a minimum, or of its mirrored solution where that is the better one, and the mirrored solutions that
-    /// were met.
-    fn attempt_with_mirrored(
-        &self,
-        minimum: &BendFit,
-        attempts: &mut Vec<Attempt>,
-        fine: &FitSchedule,
-    ) -> (Vec<BendFit>, Vec<BendFit>) {
-        let mut last = self.attempt(minimum, attempts, fine);
-        let mut mirrored = Vec::new();
-        // The mirrored solution is seldom the better one. It is then tried itself, with a mirrored solution of its own, which need not be where
-        // the fit before it ended.
-        for _ in 0..MIRRORED_AGAIN {
-            let Some(better) = attempts[last].better_mirrored().cloned() else { break };
-            last = self.attempt(&better, attempts, fine);
-            mirrored.push(better);
-        }
-        mirrored.extend(attempts[last].mirrored.clone());
-        (attempts[last].finest.clone(), mirrored)
-    }
-
-    /// Fits a minimum in the fine stage, and beside it its mirrored solution, unless that was done before; says which of the attempts it is.
-    fn attempt(&self, minimum: &BendFit, attempts: &mut Vec<Attempt>, fine: &FitSchedule) -> usize {
+    /// Fits a minimum in the fine stage, and beside it its mirrored solution, unless that was done before.
+    fn attempt<'a>(&self, minimum: &BendFit, attempts: &'a mut Vec<Attempt>, fine: &FitSchedule) -> &'a Attempt {
         if let Some(known) = attempts.iter().position(|attempt| attempt.minimum.is_same_fit(minimum)) {
-            return known;
+            return &attempts[known];
         }
         let bend = self.mirrored(minimum.bend());
         let is_close = (bend - minimum.bend()).norm() < EDGE_ON_RAD;
@@ -136,18 +101,24 @@ impl Fitter<'_> {
         // The longer of both is begun at once; the other waits for a free core.
         let (finest, mirrored) = rayon::join(|| self.fit_fine(minimum.start(), fine), mirrored);
         attempts.push(Attempt { minimum: minimum.clone(), mirrored, finest });
-        attempts.len() - 1
+        &attempts[attempts.len() - 1]
     }
 
-    /// The fits in the fine stage of the minima after the first that may explain the picture as well. Side by side, since a frame with several
-    /// may take three times as long as others.
-    fn alternatives(&self, fits: &[BendFit], attempts: &[Attempt], fine: &FitSchedule) -> Vec<BendFit> {
-        let [first, others @ ..] = fits else { return Vec::new() };
-        let fit_fine = |other: &BendFit| match attempts.iter().find(|attempt| attempt.minimum.is_same_fit(other)) {
+    /// The fits in the fine stage of the minima beside the first, at `first`, that may explain the picture as well. Side by side, since a frame with
+    /// several may take three times as long as others.
+    fn alternatives(
+        &self,
+        fits: &[BendFit],
+        first: Vector2<f64>,
+        attempts: &[Attempt],
+        fine: &FitSchedule,
+    ) -> Vec<BendFit> {
+        let most_cost = ALTERNATIVE_COST_RATIO * fits.first().map_or(0.0, |best| best.cost);
+        let may_be = |fit: &&BendFit| fit.cost <= most_cost && (fit.bend() - first).norm() > SAME_MINIMUM_RAD;
+        let fit_fine = |fit: &BendFit| match attempts.iter().find(|attempt| attempt.minimum.is_same_fit(fit)) {
             Some(known) => known.finest.clone(),
-            None => self.fit_fine(other.start(), fine),
+            None => self.fit_fine(fit.start(), fine),
         };
-        let may_be = others.par_iter().filter(|other| other.cost <= ALTERNATIVE_COST_RATIO * first.cost);
-        may_be.flat_map_iter(fit_fine).collect()
+        fits.par_iter().filter(may_be).flat_map_iter(fit_fine).collect()
     }
 }

@@ -15,6 +15,7 @@
 //! Methodology 28, 2002, Eq. 8; J. G. MacKinnon, M. Ø. Nielsen, M. D. Webb, "Cluster-robust inference: a guide to empirical practice",
 //! J. Econometrics 232, 2023, section 4, which recommend it.
 
+use super::least_squares::covariance;
 use super::normal_equations::normal_equations;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
@@ -31,12 +32,12 @@ pub fn clustered_covariance<K: Ord>(
     prior_variance: f64,
 ) -> Option<DMatrix<f64>> {
     let parameters = jacobian.ncols();
-    let bread = jacobian.tr_mul(jacobian).cholesky()?.inverse();
-    let mut clustered: BTreeMap<K, Vec<usize>> = BTreeMap::new();
+    let bread = covariance(jacobian)?;
+    let mut groups: BTreeMap<K, Vec<usize>> = BTreeMap::new();
     for (row, name) in clusters.into_iter().take(jacobian.nrows()).enumerate() {
-        clustered.entry(name).or_default().push(row);
+        groups.entry(name).or_default().push(row);
     }
-    if clustered.len() <= parameters {
+    if groups.len() <= parameters {
         return None;
     }
     let normal = |rows: &[usize]| {
@@ -44,18 +45,18 @@ pub fn clustered_covariance<K: Ord>(
         normal_equations(&jacobian.select_rows(rows), &residuals.select_rows(rows), &weights)
     };
     let mut meat = DMatrix::zeros(parameters, parameters);
-    for rows in clustered.values() {
+    for rows in groups.values() {
         let (information, score) = normal(rows);
         let without = DMatrix::identity(parameters, parameters) - information * &bread;
         let score = without.lu().solve(&score)?;
         meat.ger(1.0, &score, &score, 1.0);
     }
-    let first_prior = clustered.values().map(Vec::len).sum();
+    let first_prior = groups.values().map(Vec::len).sum();
     let (priors, _) = normal(&(first_prior..jacobian.nrows()).collect::<Vec<_>>());
     let priors = priors * prior_variance;
-    let count = clustered.len() as f64;
-    let covariance = &bread * (meat * ((count - 1.0) / count) + priors) * &bread;
-    covariance.iter().all(|value| value.is_finite()).then_some(covariance)
+    let count = groups.len() as f64;
+    let clustered = &bread * (meat * ((count - 1.0) / count) + priors) * &bread;
+    clustered.iter().all(|value| value.is_finite()).then_some(clustered)
 }
 
 #[cfg(test)]

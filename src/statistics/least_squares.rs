@@ -22,7 +22,7 @@
 //! or an evaluation has more to it than residuals (a path that the next evaluation starts from), implement [`Problem`] and call
 //! [`solve`].
 
-use super::normal_equations::normal_equations;
+use super::normal_equations::{information, normal_equations};
 use super::robust::Loss;
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
@@ -155,7 +155,7 @@ impl<E> Solution<E> {
 /// (JᵗJ)⁻¹: the parameters' covariance if the residuals, whose Jacobian this is, are independent and in units of their σ. `None` if
 /// the data leave a parameter undetermined.
 pub fn covariance(jacobian: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    Some(jacobian.tr_mul(jacobian).cholesky()?.inverse())
+    Some(information(jacobian).cholesky()?.inverse())
 }
 
 /// The Jacobian of a function at `x` by central differences, (f(x + h) − f(x − h))/2h for each parameter's step h.

@@ -11,6 +11,18 @@ const ROWS: usize = 128;
 /// Convention: four registers of two numbers, which every x86-64 and ARM64 processor has.
 const PARTS: usize = 8;
 
+/// JᵗJ.
+pub fn information(jacobian: &DMatrix<f64>) -> DMatrix<f64> {
+    let (rows, parameters) = jacobian.shape();
+    let column = |k: usize| &jacobian.as_slice()[k * rows..][..rows];
+    let mut information = DMatrix::zeros(parameters, parameters);
+    for k in 0..parameters {
+        (k..parameters).for_each(|other| information[(other, k)] = dot(column(k), column(other)));
+    }
+    information.fill_upper_triangle_with_lower_triangle();
+    information
+}
+
 /// JᵗWJ and JᵗWr with W = diag(weights): a step −(JᵗWJ)⁻¹JᵗWr minimises Σ w r² of the linearised residuals.
 pub fn normal_equations(
     jacobian: &DMatrix<f64>,

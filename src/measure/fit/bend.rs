@@ -43,17 +43,13 @@ const REPROJECTED_RAD: f64 = 0.03;
 ///
 /// Convention: an iteration cap; the next round goes on from there.
 const LINEARISATIONS: usize = 4;
-/// Beside another fit one with more than so many times its cost, before the first step within the last search distance, is hopeless: it
-/// would go on for up to twenty rounds in vain.
+/// Beside another fit one with more than so many times its cost, after a step within a wider distance than the last, is hopeless: it would go on
+/// for up to twenty rounds in vain.
 ///
-/// Fitted: to 905 mirrored fits of the photo-realistic frames and rigs; of the 27 that ended at another bend and within twice the best cost, from
-/// which on none counts, none had more than 2.4 times. Judged by `tests/eye/robustness`.
-const HOPELESS_COST_RATIO: f64 = 4.0;
-/// The same after the last step within a wider distance.
-///
-/// Fitted: to 432 such fits; of the 55 that ended at another bend and within twice the best cost none had more than 6.4 times, and of the hopeless
-/// ones 85 % have more than this. Judged by `tests/eye/robustness`.
-const HOPELESS_AFAR_COST_RATIO: f64 = 10.0;
+/// Fitted: to 432 mirrored fits of the photo-realistic frames and rigs; of the 55 that ended at another bend and within twice the best cost, from
+/// which on none counts, none had more than 6.4 times before the last distance, and of the hopeless ones 85 % have more than this. Judged by
+/// `tests/eye/robustness`.
+const HOPELESS_COST_RATIO: f64 = 10.0;
 /// The longest step of the bend, rad.
 ///
 /// Convention: a trust region, a tenth of the range of bends.
@@ -289,11 +285,6 @@ impl<'a> Fitting<'a> {
         if edges.len() as f64 * self.spacing_px < LEAST_MATCHED_PX {
             return None;
         }
-        let is_last = self.schedule.searches_px.last() == Some(&search_px);
-        let has_arrived = is_last && self.last.as_ref().is_none_or(|last| last.search_px != search_px);
-        if has_arrived && self.is_hopeless(&edges, HOPELESS_COST_RATIO) {
-            return None;
-        }
         let phase = if search_px > FINE_SEARCH_PX { RobustPhase::Monotone } else { self.phase };
         let before = self.state.profile;
         let tolerance = self.schedule.reweighting_tolerance();
@@ -306,22 +297,22 @@ impl<'a> Fitting<'a> {
             self.phase = RobustPhase::Redescending;
         }
         self.state = state;
-        let arrives_next = self.schedule.searches_px.iter().rev().nth(1) == Some(&search_px);
-        if arrives_next && self.is_hopeless(&edges, HOPELESS_AFAR_COST_RATIO) {
+        if self.schedule.searches_px.last() != Some(&search_px) && self.is_hopeless(&edges) {
             return None;
         }
         self.last = Some(Round { edges, roots, search_px });
         Some(moved_rad)
     }
 
-    /// Whether the fit has more than so many times the cost of the fit beside it, both within the last search distance.
-    fn is_hopeless(&self, edges: &Correspondences, cost_ratio: f64) -> bool {
+    /// Whether the fit has many times the cost of the fit beside it, both within the last search distance.
+    fn is_hopeless(&self, edges: &Correspondences) -> bool {
         let FitSchedule { searches_px, rival_cost, .. } = *self.schedule;
         let own_cost = |last_px: &f64| {
             let distances_px = edges.in_px(&edges.residuals(self.view, self.state.profile, self.state.bias));
             cost(edges, &distances_px, *last_px)
         };
-        rival_cost.is_finite() && searches_px.last().is_some_and(|last_px| own_cost(last_px) > cost_ratio * rival_cost)
+        rival_cost.is_finite()
+            && searches_px.last().is_some_and(|last_px| own_cost(last_px) > HOPELESS_COST_RATIO * rival_cost)
     }
 
     /// The fit from the last round; with its covariance in the fine stage.

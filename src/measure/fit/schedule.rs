@@ -7,6 +7,11 @@ use super::linearised::{COARSE_REWEIGHTING_TOLERANCE, REWEIGHTING_TOLERANCE};
 ///
 /// Derived: L/2 · 1e-3 = 0.013 mm for L = 26 mm, half a pixel at 38 px/mm.
 pub(crate) const CONVERGED_RAD: f64 = 1e-3;
+/// The fine stage has converged when a round moves the bend by less than this, rad.
+///
+/// Derived: a round, which draws the outline and searches its edges anew, moves the bend by about a seventh of what the round before it did. What
+/// is left is 0.02°, below the sigma of any picture.
+const FINELY_CONVERGED_RAD: f64 = 2e-3;
 /// The last search distance of all fits, px.
 ///
 /// Fitted: by hand on renders, as the others; judged by `tests/eye/robustness`.
@@ -50,7 +55,13 @@ impl FitSchedule {
     /// The same from a start that is closer than the lattice: the last frame's bend, or a mirrored solution.
     pub const FROM_NEAR: Self = Self { searches_px: &[14.0, 6.0, LAST_SEARCH_PX], ..Self::REFINEMENT };
     /// The fine stage.
-    pub const FINE: Self = Self { searches_px: &[LAST_SEARCH_PX], rounds: 9, is_fine: true, ..Self::REFINEMENT };
+    pub const FINE: Self = Self {
+        searches_px: &[LAST_SEARCH_PX],
+        rounds: 9,
+        is_fine: true,
+        converged_rad: FINELY_CONVERGED_RAD,
+        ..Self::REFINEMENT
+    };
     /// The fine stage of a tracked sequence, which must keep up with the camera: another round would change the bend by a hundredth of a
     /// degree.
     pub const TRACKED_FINE: Self = Self { rounds: 1, ..Self::FINE };

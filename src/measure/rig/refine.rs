@@ -44,7 +44,7 @@ const SEARCH_PX: f64 = 3.0;
 ///
 /// Convention: as the fine stage of a measurement, which it comes from.
 const SHAPE: FitSchedule =
-    FitSchedule { searches_px: &[SEARCH_PX], rounds: 2, is_fine: true, converged_rad: 2e-5, rival_cost: f64::INFINITY };
+    FitSchedule { searches_px: &[SEARCH_PX], rounds: 2, converged_rad: 2e-5, ..FitSchedule::FINE };
 /// ... and follows in a round.
 ///
 /// Derived: what of the bend is not followed yet is eliminated, so that one round is enough for a Gauss–Newton step of all.

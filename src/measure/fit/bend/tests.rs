@@ -12,15 +12,8 @@ use nalgebra::{Point2, Vector3};
 use rand::{SeedableRng, rngs::StdRng};
 use rand_distr::{Distribution, Normal};
 
-const COARSE: FitSchedule = FitSchedule {
-    searches_px: &[14.0, 6.0, 3.0],
-    rounds: 20,
-    is_fine: false,
-    converged_rad: 1e-4,
-    rival_cost: f64::INFINITY,
-};
-const FINE: FitSchedule =
-    FitSchedule { searches_px: &[3.0], rounds: 9, is_fine: true, converged_rad: 1e-5, rival_cost: f64::INFINITY };
+const COARSE: FitSchedule = FitSchedule { converged_rad: 1e-4, ..FitSchedule::FROM_NEAR };
+const FINE: FitSchedule = FitSchedule { converged_rad: 1e-5, ..FitSchedule::FINE };
 
 fn state(bend: Vector2<f64>) -> State {
     State { profile: BendProfile::arc(bend), bias: EdgeBias::default() }
