@@ -98,9 +98,11 @@ impl Health {
         let places = BESIDE_A_STEP..(self.all.len() + 1).saturating_sub(BESIDE_A_STEP);
         let mut fits = self.likeliest_first(self.encoders().filter_map(|i| StepFit::of(&self.all, i, places.clone())));
         let (step, second) = (fits.next()?, fits.next()?);
-        // A bend that all poses are missed by is none of a step.
-        let constant = ConstantFit::of(&self.all).map_or(f64::INFINITY, |constant| self.left_by(&constant));
-        let is_step = is_alone(step.0, constant, step.1.numbers(without_a_tenth(self.all.len())));
+        // A bend that all poses are missed by is none of a step, and neither is what grows with a reading.
+        let constant = ConstantFit::of(&self.all).map(|constant| self.left_by(&constant));
+        let scale = self.scales().first().map(|scale| self.left_by(scale));
+        let numbers = step.1.numbers(without_a_tenth(self.all.len()));
+        let is_step = constant.into_iter().chain(scale).all(|other| is_alone(step.0, other, numbers));
         (is_step && self.accounts_for_gap(&step, &second)).then(|| step.1.reason(&self.all))
     }
 

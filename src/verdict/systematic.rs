@@ -118,6 +118,8 @@ fn chance_of_six(distance: f64, left: f64, pairs: usize) -> f64 {
 /// One encoder's relative error e, fitted beside η: of what is read a share of 1 − e is moved.
 pub(super) struct ScaleFit {
     pub backbone: usize,
+    /// How much η is changed.
+    by_eta: f64,
     pub error: f64,
     pub sd: f64,
     /// Sum of the squares that are left.
@@ -135,11 +137,12 @@ impl ScaleFit {
         }
         let covariance = information.cholesky()?.inverse();
         let x = covariance * slope;
-        let part = |one: &Innovation| one.by_eta * x.x + one.by_scale(backbone) * x.y;
-        let left: f64 = innovations.iter().map(|one| (one.bending - part(one)).norm_squared()).sum();
+        let mut fit = Self { backbone, by_eta: x.x, error: x.y, sd: 0.0, left: 0.0 };
+        fit.left = fit.left(innovations).iter().sum();
         let noise = TRIMMED_MEAN_SQUARE[0];
-        let variance = (left / (2.0 * innovations.len() as f64 * noise)).max(1.0) / noise;
-        Some(Self { backbone, error: x.y, sd: (variance * covariance[(1, 1)]).sqrt(), left })
+        let variance = (fit.left / (2.0 * innovations.len() as f64 * noise)).max(1.0) / noise;
+        fit.sd = (variance * covariance[(1, 1)]).sqrt();
+        Some(fit)
     }
 
     /// Whether noise accounts for it less often than the level of the tests.
@@ -169,6 +172,17 @@ impl ScaleFit {
         );
         let reason = Reason::new(Code::EncoderScale, Level::Look, text, remedy);
         Reason { backbone: Some(backbone), scale: Some((scale * 1e4).round() / 1e4), ..reason }
+    }
+}
+
+impl Left for ScaleFit {
+    fn left(&self, innovations: &[Innovation]) -> Vec<f64> {
+        let part = |one: &Innovation| one.by_eta * self.by_eta + one.by_scale(self.backbone) * self.error;
+        innovations.iter().map(|one| (one.bending - part(one)).norm_squared()).collect()
+    }
+
+    fn numbers(&self, poses: usize) -> usize {
+        2 * poses
     }
 }
 

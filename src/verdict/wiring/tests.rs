@@ -156,6 +156,13 @@ fn a_scale_of_one_encoder_is_named_and_never_called_good() {
         assert_eq!((found.backbone, verdict.has(Code::GapAboveNoise)), (Some(backbone + 1), true), "{verdict:#?}");
         assert!((found.scale.unwrap() * scale - 1.0).abs() < 0.04, "{backbone}, {scale}: {found:#?}");
     }
+    // What grows with a reading is no step of another encoder at some frame.
+    for k in 0..24 {
+        let scale = [0.95, 1.05, 0.98, 1.1][k as usize % 4];
+        let lab = Lab::new(30 + k).readings(|q| [0, 1, 2].map(|i| if i as u64 == k % 3 { scale * q[i] } else { q[i] }));
+        let verdict = lab.verdict();
+        assert!(!verdict.has(Code::Rehomed), "{k}, {scale}: {verdict:#?}");
+    }
     // Two per cent are half a degree of the table and hardly more than the noise of this eye: told more often than not.
     let told = (0..6).filter(|&k| {
         let lab = Lab::new(20 + k).readings(|q| [0, 1, 2].map(|i| if i as u64 == k % 3 { 1.02 * q[i] } else { q[i] }));
