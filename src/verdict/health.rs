@@ -30,6 +30,9 @@ pub(super) const TRIMMED_MEAN_SQUARE: [f64; 2] = [0.744_157, 0.623_236];
 /// A model that misses more than this share of the bends says nothing of them. Convention: half; it then explains three quarters of their variance.
 const MOST_MISSED: f64 = 0.5;
 
+/// A gap is surely no larger than it seems and so many of its standard deviations. Convention: 95 %.
+const SURELY_SDS: f64 = 2.0;
+
 /// What to do about a gap.
 const NAMED_BY_DISCOVER: &str = "`snakeloop discover` names what the model lacks; where it names nothing, check camera.yaml (focal length, \
                                  picture size), grid_pitch_mm, standoff_mm and the straight picture";
@@ -163,16 +166,17 @@ impl Health {
     }
 
     /// By how much the affine part of the gap moves a bend of the data, rad, and of which form it is; if it is more than noise accounts for, as a
-    /// whole or as a single encoder's scale, and more than a table may be wrong by.
+    /// whole or as a single encoder's scale, and may be more than a table may be wrong by.
     fn systematic(&self) -> Option<(f64, String)> {
         let affine = AffineFit::of(self.agreeing())?;
         let most = self.bend_by_mm * affine.most_mm();
         let scale = || self.scales().into_iter().find(ScaleFit::is_beyond_chance);
-        let form = match affine.is_beyond_chance() {
-            true => "in proportion to the bend or by a constant".to_owned(),
-            false => format!("as where {}", scale()?.text()),
+        let (sds, form) = match affine.is_beyond_chance() {
+            true => (affine.sds(), "in proportion to the bend or by a constant".to_owned()),
+            false => scale().map(|scale| (scale.sds(), format!("as where {}", scale.text())))?,
         };
-        (most > ASKED_FOR).then_some((most, form))
+        // What is as large as so many of its standard deviations is as uncertain as their inverse.
+        (most * (1.0 + SURELY_SDS / sds) > ASKED_FOR).then_some((most, form))
     }
 
     /// What speaks against a model whose log has no encoder that stands still throughout, or is wired as it is read: the gap, and which single encoder or

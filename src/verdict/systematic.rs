@@ -90,6 +90,11 @@ impl AffineFit {
         chance_of_six(self.distance, self.left, self.poses) < LEVEL_OF_TESTS
     }
 
+    /// How many standard deviations it is from none.
+    pub fn sds(&self) -> f64 {
+        self.distance.sqrt()
+    }
+
     /// How far it moves the farthest bends at the most, towards any azimuth, as a bending part of q̃, mm.
     pub fn most_mm(&self) -> f64 {
         let moved = |k: u32| {
@@ -147,7 +152,12 @@ impl ScaleFit {
 
     /// Whether noise accounts for it less often than the level of the tests.
     pub fn is_beyond_chance(&self) -> bool {
-        self.error.abs() > SCALE_SDS * self.sd
+        self.sds() > SCALE_SDS
+    }
+
+    /// How many standard deviations it is from none.
+    pub fn sds(&self) -> f64 {
+        self.error.abs() / self.sd
     }
 
     /// What of the reading is motion: the residual is e times the reading.
