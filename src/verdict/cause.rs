@@ -169,7 +169,7 @@ impl Health {
         let fits = self.scales();
         let (best, second) = (fits.first()?, fits.get(1)?);
         let before: f64 = self.agreeing().iter().map(|one| one.bending.norm_squared()).sum();
-        let is_certain = best.error.abs() > NORMAL_QUANTILE * MEAN_SQUARE_OF_NOISE.sqrt() * best.sd;
+        let is_certain = best.sds() > NORMAL_QUANTILE * MEAN_SQUARE_OF_NOISE.sqrt();
         // An encoder's error moves the common part as well, which the correction must make quieter; an error of the eye does not.
         let quieter = {
             let i = best.backbone;
@@ -180,15 +180,15 @@ impl Health {
         // A larger factor is another unit or a wrong sign, and the wiring check's business.
         let is_scale = (1.0 / LEAST_UNNAMED..LEAST_UNNAMED).contains(&(1.0 - best.error));
         let numbers = 2 * self.agreeing().len();
-        let explains = is_noise(best.left, numbers) || best.left <= LEFT_BY_A_SCALE * before;
-        let is_alone = is_alone(best.left, second.left, numbers);
+        let explains = is_noise(best.squares_left, numbers) || best.squares_left <= LEFT_BY_A_SCALE * before;
+        let is_alone = is_alone(best.squares_left, second.squares_left, numbers);
         (self.has_gap() && explains && is_alone && is_certain && quieter && is_scale).then(|| best.reason())
     }
 
     /// Each encoder's scale as the gap tells it, the likeliest first.
     pub fn scales(&self) -> Vec<ScaleFit> {
         let mut fits: Vec<ScaleFit> = self.encoders().filter_map(|i| ScaleFit::of(self.agreeing(), i)).collect();
-        fits.sort_by(|a, b| a.left.total_cmp(&b.left));
+        fits.sort_by(|a, b| a.squares_left.total_cmp(&b.squares_left));
         fits
     }
 }

@@ -127,8 +127,8 @@ pub(super) struct ScaleFit {
     by_eta: f64,
     pub error: f64,
     pub sd: f64,
-    /// Sum of the squares that are left.
-    pub left: f64,
+    /// Sum of the squares that it leaves of those to which it was fitted.
+    pub squares_left: f64,
 }
 
 impl ScaleFit {
@@ -142,10 +142,10 @@ impl ScaleFit {
         }
         let covariance = information.cholesky()?.inverse();
         let x = covariance * slope;
-        let mut fit = Self { backbone, by_eta: x.x, error: x.y, sd: 0.0, left: 0.0 };
-        fit.left = fit.left(innovations).iter().sum();
+        let mut fit = Self { backbone, by_eta: x.x, error: x.y, sd: 0.0, squares_left: 0.0 };
+        fit.squares_left = fit.left(innovations).iter().sum();
         let noise = TRIMMED_MEAN_SQUARE[0];
-        let variance = (fit.left / (2.0 * innovations.len() as f64 * noise)).max(1.0) / noise;
+        let variance = (fit.squares_left / (2.0 * innovations.len() as f64 * noise)).max(1.0) / noise;
         fit.sd = (variance * covariance[(1, 1)]).sqrt();
         Some(fit)
     }
