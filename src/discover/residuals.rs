@@ -18,11 +18,6 @@ use crate::statistics::moments::mean;
 use nalgebra::{DMatrix, DVector, Matrix2, Rotation2, Vector2};
 use std::ops::Range;
 
-/// The step of a difference quotient, in units of each parameter's scale.
-///
-/// Convention: a numerical step; the residuals are known to about 1e-9 of it.
-const DIFFERENCE_STEP: f64 = 1e-3;
-
 /// The weight of samples at a start that nobody knows.
 ///
 /// Convention: numerical; none, but so that their gap can be had back from their residuals.
@@ -181,16 +176,12 @@ impl<'a> Problem<'a> {
         residuals: &[Residual],
         parameters: Range<usize>,
     ) -> DMatrix<f64> {
-        let (x, specs, n) = (model.parameter_values(), model.parameter_specs(), self.data.backbones());
+        let (specs, n) = (model.parameter_specs(), self.data.backbones());
         let mut jacobian = DMatrix::zeros(self.data.residual_count(), parameters.len());
         for (column, j) in parameters.enumerate() {
-            let spec = &specs[j];
-            // Towards the inside, where the range ends.
-            let outside = x[j] + DIFFERENCE_STEP * spec.typical > spec.range.1;
-            let h = if outside { -DIFFERENCE_STEP } else { DIFFERENCE_STEP };
-            let mut nudged = x.clone();
-            nudged[j] += h * spec.typical;
-            let moved = self.first_order(&model.with_parameter_values(&nudged), about);
+            let (nudged, step) = model.nudged(j);
+            let h = step / specs[j].typical;
+            let moved = self.first_order(&nudged, about);
             for (k, (after, before)) in moved.iter().zip(residuals).enumerate() {
                 for c in 0..n {
                     jacobian[(n * k + c, column)] = (after[c] - before[c]) / h;

@@ -10,6 +10,11 @@ pub static ETA: ParameterSpec = ParameterSpec::positive("eta", "1", (0.05, 10.0)
 /// λ as a parameter.
 pub static LAMBDA: ParameterSpec = ParameterSpec::size("lambda_mm", "mm", 2.0, 0.02);
 
+/// Step of differences by a parameter, in its typical sizes: central differences are good to the step's square.
+///
+/// Convention: numerical.
+pub(super) const PARAMETER_STEP: f64 = 1e-3;
+
 /// The estimated parameters x = (η, λ) of Eq. 18.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimate {
@@ -191,6 +196,16 @@ impl Model {
         model
     }
 
+    /// The model with one of its parameters moved by a small step, for difference quotients, and the step. It leads towards the inside where
+    /// the parameter's range ends.
+    pub(crate) fn nudged(&self, parameter: usize) -> (Self, f64) {
+        let (mut values, spec) = (self.parameter_values(), self.parameter_specs()[parameter]);
+        let step = PARAMETER_STEP * spec.typical;
+        let step = if values[parameter] + step > spec.range.1 { -step } else { step };
+        values[parameter] += step;
+        (self.with_parameter_values(&values), step)
+    }
+
     /// This model without its effects.
     pub fn plain(&self) -> Self {
         Self { effects: Vec::new(), effects_covariance: DMatrix::zeros(0, 0), ..self.clone() }
@@ -285,5 +300,17 @@ mod tests {
         // Without η and λ nothing moves with the effects.
         let none = model.with_estimate(None).covariance();
         assert!(none.view((0, 0), (2, 5)).amax() == 0.0 && none.view((2, 2), (3, 3)) == own);
+    }
+
+    #[test]
+    fn a_nudge_stays_within_the_range() {
+        let (mut model, _) = with_covariance();
+        let most = model.parameter_specs()[3].range.1;
+        for (value, sign) in [(0.1, 1.0), (most, -1.0)] {
+            model.effects[1].values[0] = value;
+            let (nudged, step) = model.nudged(3);
+            assert!(step * sign > 0.0 && (nudged.effects[1].values[0] - value - step).abs() < 1e-15);
+            assert!(nudged.effects[1].values[0] <= most && nudged.effects[0] == model.effects[0]);
+        }
     }
 }

@@ -59,7 +59,7 @@ impl Mechanics<'_> {
     ) -> PathPoint {
         let near = near.or(before.map(|before| before.solution.bend));
         let near = near.unwrap_or_else(|| self.solve(q_tilde, None, Vector2::zeros()).bend);
-        let mut point = self.approach(before, time_s, q_tilde);
+        let mut point = self.approach(before.copied(), time_s, q_tilde);
         let motion = point.motion;
         if !self.history.direction {
             point.solution = self.solve(q_tilde, Some(&motion), near);
@@ -81,12 +81,15 @@ impl Mechanics<'_> {
     }
 
     /// How the snake comes to a reading, as far as what came before and the reading itself tell; its bend is still the one before.
-    fn approach(&self, before: Option<&PathPoint>, time_s: f64, q_tilde: &PerBackbone) -> PathPoint {
-        let mut point = before.copied().unwrap_or_else(|| self.at_rest(time_s));
-        if before.is_some() {
-            self.go_on_to(&mut point, time_s);
+    fn approach(&self, before: Option<PathPoint>, time_s: f64, q_tilde: &PerBackbone) -> PathPoint {
+        let mut point = match before {
+            Some(before) => self.gone_on_to(before, time_s),
+            None => self.at_rest(time_s),
+        };
+        point.reading_mm = *q_tilde - self.encoder_errors(q_tilde);
+        if self.drive.is_some() {
+            point.motion.ahead_mm = point.reading_mm - self.driven(&mut point.drive, &point.reading_mm);
         }
-        self.take(&mut point, q_tilde);
         point
     }
 
@@ -103,44 +106,47 @@ impl Mechanics<'_> {
         }
     }
 
-    /// Leads a point on to the time of the next reading.
-    fn go_on_to(&self, point: &mut PathPoint, time_s: f64) {
+    /// A point led on to the time of the next reading.
+    fn gone_on_to(&self, mut point: PathPoint, time_s: f64) -> PathPoint {
         if self.history.is_of_snake() {
             point.motion.before = self.behind(&point.motion, point.solution.bend);
         }
         point.motion.go_on(time_s - point.time_s);
         point.time_s = time_s;
+        point
     }
 
-    /// What a reading itself tells of a point.
-    fn take(&self, point: &mut PathPoint, q_tilde: &PerBackbone) {
-        point.reading_mm = *q_tilde - self.encoder_errors(q_tilde);
-        if self.drive.is_some() {
-            point.motion.ahead_mm = point.reading_mm - self.driven(&mut point.drive, &point.reading_mm);
-        }
-    }
-
-    /// How a change of the model near a path changes what it predicts, to first order. `path` is this model's, and `jacobians` its
-    /// derivatives there.
-    ///
-    /// Nothing is solved anew: at the bends of the path the changed model leaves a misfit, and the derivative says which step of
-    /// the bend takes it up. What the changed model remembers follows the changed path.
+    /// How a change of the model near a path changes what it predicts, to first order. `path` is the path of the unchanged model, and
+    /// `jacobians` its derivatives there.
     pub fn perturbed_path(
         changed: &Mechanics,
         (times_s, q_tilde): (&[f64], &[PerBackbone]),
         (path, jacobians): (&[PathPoint], &[LineJacobian]),
     ) -> Vec<ForwardSolution> {
-        let mut point = changed.at_rest(times_s.first().copied().unwrap_or_default());
-        let follow = |(k, (near, jacobian)): (usize, (&PathPoint, &LineJacobian))| {
-            if k > 0 {
-                changed.go_on_to(&mut point, times_s[k]);
-            }
-            changed.take(&mut point, &q_tilde[k]);
-            point.motion.direction = near.motion.direction;
-            point.solution = changed.one_step(&q_tilde[k], &point.motion, &near.solution, jacobian);
+        let mut before = None;
+        let follow = |(k, near): (usize, (&PathPoint, &LineJacobian))| {
+            let point = changed.step_near(before.take(), times_s[k], &q_tilde[k], near);
+            before = Some(point);
             point.solution
         };
         path.iter().zip(jacobians).enumerate().map(follow).collect()
+    }
+
+    /// Where a reading leads by this model if it leads to `near`, with its derivative there, by one that is hardly another.
+    ///
+    /// Nothing is solved anew: at the bend of the other model this one leaves a misfit, and the derivative says which step of the bend
+    /// takes it up. `before` is this model's own point, so that what it remembers follows its own path.
+    pub(super) fn step_near(
+        &self,
+        before: Option<PathPoint>,
+        time_s: f64,
+        q_tilde: &PerBackbone,
+        (near, jacobian): (&PathPoint, &LineJacobian),
+    ) -> PathPoint {
+        let mut point = self.approach(before, time_s, q_tilde);
+        point.motion.direction = near.motion.direction;
+        point.solution = self.one_step(q_tilde, &point.motion, &near.solution, jacobian);
+        point
     }
 
     /// One Newton step from a solution, with a derivative that is nearly this model's.

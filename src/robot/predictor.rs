@@ -2,6 +2,7 @@
 //! past, so that a program that waits for the next reading and one that has the whole file see the same.
 
 use super::PerBackbone;
+use super::forward::LineJacobian;
 use super::mechanics::Mechanics;
 use super::path::PathPoint;
 use nalgebra::Vector2;
@@ -44,6 +45,30 @@ impl Predictor {
         q_tilde: &PerBackbone,
         seen: Option<Vector2<f64>>,
     ) -> Predicted {
+        let near = seen.map(|seen| mechanics.true_bend(seen));
+        self.lead(mechanics, time_s, q_tilde, |before| mechanics.step(before.as_ref(), time_s, q_tilde, near, seen))
+    }
+
+    /// What a model predicts of a reading that leads to `near`, with its derivative there, by one that is hardly another; to first order. The
+    /// memory is this model's own: every reading must have been predicted by it.
+    pub fn predict_near(
+        &mut self,
+        mechanics: &Mechanics,
+        time_s: f64,
+        q_tilde: &PerBackbone,
+        near: (&PathPoint, &LineJacobian),
+    ) -> Predicted {
+        self.lead(mechanics, time_s, q_tilde, |before| mechanics.step_near(before, time_s, q_tilde, near))
+    }
+
+    /// Goes on to a reading, to which `step` leads from the point before.
+    fn lead(
+        &mut self,
+        mechanics: &Mechanics,
+        time_s: f64,
+        q_tilde: &PerBackbone,
+        step: impl FnOnce(Option<PathPoint>) -> PathPoint,
+    ) -> Predicted {
         let is_new = self.latest.is_none_or(|(time, q, _)| (time, q) != (time_s, *q_tilde));
         let delay_s = mechanics.exposed_before_s();
         if is_new && let Some((time, _, point)) = self.latest.take() {
@@ -52,8 +77,7 @@ impl Predictor {
                 self.remember(time, point.solution.bend);
             }
         }
-        let near = seen.map(|seen| mechanics.true_bend(seen));
-        let point = mechanics.step(self.before.as_ref(), time_s, q_tilde, near, seen);
+        let point = step(self.before);
         self.latest = Some((time_s, *q_tilde, point));
         Predicted { point, shown: self.shown(time_s, time_s - delay_s, point.solution.bend) }
     }

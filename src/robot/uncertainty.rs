@@ -7,15 +7,10 @@
 use super::PerBackbone;
 use super::compensation::polar;
 use super::mechanics::Mechanics;
-use super::model::Model;
+use super::model::{Model, PARAMETER_STEP};
 use crate::error::Result;
 use crate::geometry::Configuration;
 use nalgebra::{DVector, Matrix2, Matrix2xX, Vector2};
-
-/// Step of the differences by a parameter, in its typical sizes: the differences are good to the step's square.
-///
-/// Convention: numerical.
-const PARAMETER_STEP: f64 = 1e-3;
 
 impl Model {
     /// Standard deviations of [`command`](Self::command), mm, from the covariance of all parameters, and from what the model may miss
