@@ -15,7 +15,7 @@
 
 use super::LinearisedMeasurement;
 use crate::statistics::correlation::SerialScatter;
-use nalgebra::{Matrix2, Matrix3, Vector1, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector1, Vector2, Vector3};
 
 /// One residual, split into its parts and divided by what their covariances promise.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,12 +35,6 @@ impl Whitened {
             common: residual.z / covariance[(2, 2)].sqrt(),
         })
     }
-
-    /// The innovation of a measurement that had no part in an estimate x with its covariance.
-    pub fn innovation(linearised: &LinearisedMeasurement, x: &Vector2<f64>, covariance: &Matrix2<f64>) -> Option<Self> {
-        let predicted = linearised.h * covariance * linearised.h.transpose() + linearised.covariance;
-        Self::new(&linearised.residual(x), &predicted)
-    }
 }
 
 /// The running comparison of residuals with their promised covariances.
@@ -51,14 +45,14 @@ pub struct Consistency {
 }
 
 impl Consistency {
-    /// Of the residuals that a fit of η and λ leaves of its own measurements.
+    /// Of the residuals that a fit leaves of its own measurements.
     pub(super) fn of_fit<'a>(
-        x: &Vector2<f64>,
+        x: &DVector<f64>,
         measurements: impl IntoIterator<Item = &'a LinearisedMeasurement>,
     ) -> Self {
         let mut consistency = Self { bending: SerialScatter::new(1), common: SerialScatter::new(1) };
         for linearised in measurements {
-            if let Some(whitened) = Whitened::new(&linearised.residual(x), &linearised.covariance) {
+            if let Some(whitened) = Whitened::new(&linearised.residual(x.as_slice()), &linearised.covariance) {
                 consistency.add(&whitened);
             }
         }
@@ -87,12 +81,13 @@ impl Consistency {
         self.common.reduced_chi_square()
     }
 
-    /// A covariance of (η, λ) as promised, inflated to what the residuals show.
-    pub(super) fn inflate(&self, covariance: &Matrix2<f64>) -> Matrix2<f64> {
-        let scale = Matrix2::from_diagonal(
-            &Vector2::new(self.bending.variance_inflation(), self.common.variance_inflation()).map(f64::sqrt),
-        );
-        scale * covariance * scale
+    /// A covariance of η, λ and effects' parameters as promised, of which the part that measurements make is inflated to what the residuals show;
+    /// `by_prior` is the part that what was known before them makes. Either part of the residuals may tell of an effect.
+    pub(super) fn inflate(&self, covariance: &DMatrix<f64>, by_prior: &DMatrix<f64>) -> DMatrix<f64> {
+        let (of_eta, of_lambda) = (self.bending.variance_inflation(), self.common.variance_inflation());
+        let scale = |k: usize| [of_eta, of_lambda].get(k).copied().unwrap_or(of_eta.max(of_lambda)).sqrt();
+        let n = covariance.nrows();
+        DMatrix::from_fn(n, n, |a, b| by_prior[(a, b)] + scale(a) * (covariance[(a, b)] - by_prior[(a, b)]) * scale(b))
     }
 }
 

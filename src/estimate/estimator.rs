@@ -1,4 +1,4 @@
-//! The recursive estimator: measurements in, one at a time, η and λ out.
+//! The recursive estimator: measurements in, one at a time; η, λ and what is uncertain in the model's effects out.
 //!
 //! # How a measurement is judged
 //!
@@ -13,11 +13,12 @@
 //! # What the reported covariance holds
 //!
 //! The measurements' own (Eq. 21 with V_v measured rather than assumed), inflated by what the residuals show
-//! ([`Consistency`](super::Consistency)); with the rig's errors counted once and not once for each measurement
-//! ([`covariance_by_rig`](InformationFilter::covariance_by_rig)); plus what the friction constants' own uncertainty shifts: a wrong f_s moves λ,
-//! a wrong μ scales η, and no number of measurements averages that away.
+//! ([`Consistency`](super::Consistency)), and that of what was known of the effects beforehand, which is not inflated; with the rig's errors
+//! counted once and not once for each measurement ([`covariance_by_rig`](InformationFilter::covariance_by_rig)); plus what the friction
+//! constants' own uncertainty shifts: a wrong f_s moves λ, a wrong μ scales η, and no number of measurements averages that away.
 
 use super::consistency::Whitened;
+use super::effects::EffectsPrior;
 use super::friction::friction_covariance;
 use super::gate::{Gate, squared_distances};
 use super::initial::{InitialEstimate, MOST, Undecided};
@@ -27,6 +28,7 @@ use crate::error::Result;
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::{DataRange, Estimate, Mechanics, Model, PerBackbone};
 use crate::statistics::trimmed::majority;
+use nalgebra::{DMatrix, DVector};
 
 /// A verdict on an earlier measurement that a later one overturned.
 #[derive(Debug, Clone, PartialEq)]
@@ -57,19 +59,24 @@ pub struct Step {
     pub restarted: bool,
 }
 
-/// The recursive estimator of η and λ.
+/// The recursive estimator of η, λ and the uncertain parameters of the effects.
 #[derive(Debug, Clone)]
 pub struct Estimator {
-    /// The model that was given, with what was known of its effects.
+    /// The model that was given.
     given: Model,
-    /// The same, with the estimate as it stands and the bends that it was learned on.
+    /// The same, with the estimate as it stands and the bends that it was learned on. Measurements are linearised about it: until the first ones
+    /// are judged for good its effects are as they were given, since so these measurements came.
     model: Model,
+    /// What is known of the effects beforehand.
+    prior: EffectsPrior,
     /// What the effects remember.
     follower: Follower,
     options: Options,
     updates: usize,
     /// `None` until the first measurements are judged for good.
     running: Option<(InformationFilter, Consistency)>,
+    /// x̂ and its covariance as they were last published.
+    published: Option<(DVector<f64>, DMatrix<f64>)>,
     /// Measurements whose verdict may still change: the first ones, or those rejected in a row since the last one used.
     undecided: Vec<Undecided>,
     gate: Gate,
@@ -77,21 +84,35 @@ pub struct Estimator {
 
 impl Estimator {
     /// Starts with nothing known of η and λ: an estimate that the model already has is not used, since it may come from
-    /// the very measurements to follow. The model's effects are obeyed as they are given.
+    /// the very measurements to follow. What the model says of its effects must come from other measurements: an effect's parameters with a
+    /// standard deviation are estimated as well, from there on, and all others are obeyed as they are given.
     ///
     /// # Errors
     /// [`ArgumentError::OutOfRange`](crate::error::ArgumentError::OutOfRange) for an option out of its range.
     pub fn new(model: &Model, options: Options) -> Result<Self> {
         options.check()?;
-        let given = model.clone();
-        let model = Model { estimate: None, learned: None, ..model.clone() };
-        let (follower, gate) = (Follower::default(), Gate::new(options.gate));
-        Ok(Self { given, model, follower, options, updates: 0, running: None, undecided: Vec::new(), gate })
+        let prior = EffectsPrior::of(model);
+        Ok(Self {
+            given: model.clone(),
+            model: model.without_estimate(),
+            follower: Follower::by_parameters(prior.parameters()),
+            prior,
+            options,
+            updates: 0,
+            running: None,
+            published: None,
+            undecided: Vec::new(),
+            gate: Gate::new(options.gate),
+        })
     }
 
-    /// The model with the estimate as it stands. What is uncertain in its effects makes the estimate uncertain besides.
+    /// The model with the estimate as it stands.
     pub fn model(&self) -> Model {
-        Model { learned: self.model.learned, ..self.given.with_estimate(self.model.estimate) }
+        let mut model = self.model.clone();
+        if let Some((x, covariance)) = &self.published {
+            self.prior.place(&mut model, x, covariance);
+        }
+        model
     }
 
     /// How residuals compare with their promised covariances; `None` while the first measurements are being judged.
@@ -149,8 +170,8 @@ impl Estimator {
 
     fn judge(&mut self, sample: Undecided, step: &mut Step) {
         let linearised = sample.linearised(&self.model, &self.options);
-        step.residual_mm = self.model.estimate.map(|_| self.residual_mm(&sample.sample, &linearised));
-        step.reason = match self.running {
+        step.residual_mm = self.published.as_ref().map(|(x, _)| self.residual_mm(x, &sample.sample, &linearised));
+        step.reason = match self.running.take() {
             None => self.first_measurement(sample, step),
             Some((filter, consistency)) => self.next_measurement(filter, consistency, sample, &linearised, step),
         };
@@ -161,7 +182,7 @@ impl Estimator {
     /// One of the first measurements: all of them are judged anew, and for good once there are enough.
     fn first_measurement(&mut self, sample: Undecided, step: &mut Step) -> Option<Reason> {
         self.hold(sample);
-        let initial = InitialEstimate::of(&self.undecided, &self.model, &self.options)?;
+        let initial = InitialEstimate::of(&self.undecided, &self.model, &self.prior, &self.options)?;
         step.revisions = self.revise(&initial);
         let own = initial.outliers.last().cloned().flatten();
         if self.undecided.len() == MOST {
@@ -184,14 +205,18 @@ impl Estimator {
         step: &mut Step,
     ) -> Option<Reason> {
         let predicted = filter.solution().and_then(|(x, covariance)| {
-            let whitened = Whitened::innovation(linearised, &x, &covariance)?;
-            Some((whitened, squared_distances(linearised, &x, &covariance)?))
+            let (residual, predicted) = (linearised.residual(x.as_slice()), linearised.predicted(&covariance));
+            Some((Whitened::new(&residual, &predicted)?, squared_distances(linearised, &residual, &predicted)?))
         });
-        let Some((whitened, distances)) = predicted else { return Some(Reason::NotFinite) };
+        let Some((whitened, distances)) = predicted else {
+            self.running = Some((filter, consistency));
+            return Some(Reason::NotFinite);
+        };
         step.innovation = Some(whitened);
         let outlier = self.gate.outlier(&distances);
         self.gate.remember(distances);
         if let Some(outlier) = outlier {
+            self.running = Some((filter, consistency));
             return self.reject(sample, outlier, step);
         }
         self.undecided.clear();
@@ -207,8 +232,7 @@ impl Estimator {
             measured.sigma_theta,
             measured.sigma_delta,
         );
-        self.publish(&filter, &consistency);
-        self.running = Some((filter, consistency));
+        self.go_on(filter, consistency);
         None
     }
 
@@ -218,7 +242,7 @@ impl Estimator {
         if self.undecided.len() < MOST {
             return Some(outlier);
         }
-        let fresh = InitialEstimate::of(&self.undecided, &self.model, &self.options);
+        let fresh = InitialEstimate::of(&self.undecided, &self.model, &self.prior, &self.options);
         // One more than the majority, so that chance does not end a good estimate.
         let Some(initial) = fresh.filter(|initial| initial.agreeing().count() > majority(MOST)) else {
             return Some(outlier);
@@ -266,14 +290,22 @@ impl Estimator {
         let consistency = Consistency::of_fit(&initial.x, initial.agreeing());
         self.undecided.clear();
         self.gate.restart(initial.squared_distances());
-        self.publish(&initial.filter, &consistency);
-        self.running = Some((initial.filter, consistency));
+        self.go_on(initial.filter, consistency);
+    }
+
+    /// Publishes what the recursion has arrived at, and linearises about it from now on.
+    fn go_on(&mut self, filter: InformationFilter, consistency: Consistency) {
+        self.publish(&filter, &consistency);
+        self.running = Some((filter, consistency));
+        if let Some((x, covariance)) = &self.published {
+            self.prior.place(&mut self.model, x, covariance);
+        }
     }
 
     /// Measured ε less what the estimate predicts, per backbone, mm.
-    fn residual_mm(&self, sample: &Sample, linearised: &LinearisedMeasurement) -> PerBackbone {
+    fn residual_mm(&self, x: &DVector<f64>, sample: &Sample, linearised: &LinearisedMeasurement) -> PerBackbone {
         let robot = &self.model.robot;
-        let told = linearised.residual(&self.model.parameters());
+        let told = linearised.residual(x.as_slice());
         // What the linearised measurement leaves out of the readings: the parts that neither bend nor are common to all.
         let mechanics = Mechanics::new(&self.model);
         let left = match &sample.came {
@@ -283,18 +315,18 @@ impl Estimator {
         robot.from_bend_and_common(&(told - robot.bend_and_common(&left))) + left
     }
 
-    /// Makes a filter's estimate the model's, with its honest covariance.
+    /// Makes a filter's x̂ the estimate, with its honest covariance.
     fn publish(&mut self, filter: &InformationFilter, consistency: &Consistency) {
         let Some((x, covariance)) = filter.solution() else { return };
-        let covariance = consistency.inflate(&covariance)
-            + filter.covariance_by_rig(&covariance)
-            + friction_covariance(&self.model, x.x);
-        self.model.estimate = Some(Estimate {
-            eta: x.x,
-            lambda_mm: x.y,
-            // Rounding leaves the last digits of the two halves apart.
-            covariance: (covariance + covariance.transpose()) / 2.0,
-            samples: filter.measurements(),
-        });
+        let mut honest = consistency.inflate(&covariance, &filter.covariance_by_prior(&covariance))
+            + filter.covariance_by_rig(&covariance);
+        let mut of_estimate = honest.fixed_view_mut::<2, 2>(0, 0);
+        of_estimate += friction_covariance(&self.model, x[0]);
+        // Rounding leaves the last digits of the two halves apart.
+        let honest = (&honest + honest.transpose()) / 2.0;
+        let covariance = honest.fixed_view::<2, 2>(0, 0).into_owned();
+        let samples = filter.measurements();
+        self.model.estimate = Some(Estimate { eta: x[0], lambda_mm: x[1], covariance, samples });
+        self.published = Some((x, honest));
     }
 }

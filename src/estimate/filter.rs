@@ -1,12 +1,13 @@
-//! The recursion of Eq. 19 as a square-root information filter of x = (η, λ).
+//! The recursion of Eq. 19 as a square-root information filter of x = (η, λ, uncertain parameters of the effects).
 //!
 //! Eq. 19's P_k = (HᵗR⁻¹H)⁻¹ over all measurements so far and its x̂ are what [`SquareRootInformation`] arrives at; each linearised
-//! measurement is whitened by its own covariance R before it is absorbed. There is no prior: the first measurements alone make the
-//! first estimate.
+//! measurement is whitened by its own covariance R before it is absorbed. Of η and λ there is no prior: the first measurements alone make the
+//! first estimate. What is known beforehand of the effects stands beside what the measurements say, so that forgetting these leads back to it.
 
 use super::LinearisedMeasurement;
+use super::effects::EffectsPrior;
 use crate::statistics::information::SquareRootInformation;
-use nalgebra::{Matrix2, Matrix2x6, Vector2};
+use nalgebra::{DMatrix, DVector, Matrix6xX};
 
 /// The largest standard deviation of η, and of λ in mm, with which they count as known; an estimate with a larger one is not given.
 ///
@@ -17,24 +18,38 @@ pub(super) const KNOWN_SD: f64 = 1.0;
 /// Convention: half of [`KNOWN_SD`], so that an estimate that was known does not cease to be while nothing excites it.
 const FORGOTTEN_SD: f64 = 0.5;
 
-/// What all measurements so far say about x = (η, λ).
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+/// What all measurements so far say about x.
+#[derive(Debug, Clone, PartialEq)]
 pub struct InformationFilter {
-    information: SquareRootInformation<2>,
+    /// What is known beforehand of the effects, if anything is uncertain there, ...
+    prior: Option<SquareRootInformation>,
+    /// ... and what the measurements say.
+    information: SquareRootInformation,
     measurements: usize,
-    /// Σ HᵗR⁻¹C over the measurements, C being what the rig's unit errors do to each.
-    by_rig: Matrix2x6<f64>,
+    /// Σ CᵗR⁻¹H over the measurements, C being what the rig's unit errors do to each.
+    by_rig: Matrix6xX<f64>,
     /// Σ HᵗR⁻¹CCᵗR⁻¹H: what their share of R counts for where it is taken for each measurement's own.
-    of_rig: Matrix2<f64>,
+    of_rig: DMatrix<f64>,
+}
+
+impl Default for InformationFilter {
+    /// Of η and λ, of which nothing is known.
+    fn default() -> Self {
+        Self::new(&EffectsPrior::default())
+    }
 }
 
 impl InformationFilter {
-    /// What these measurements say together.
-    pub fn of<'a>(measurements: impl IntoIterator<Item = &'a LinearisedMeasurement>) -> Self {
-        measurements.into_iter().fold(Self::default(), |mut filter, linearised| {
-            filter.absorb(linearised);
-            filter
-        })
+    /// Of η, λ and the parameters of effects of which something is known beforehand.
+    pub(super) fn new(prior: &EffectsPrior) -> Self {
+        let n = prior.count();
+        Self {
+            prior: prior.information.clone(),
+            information: SquareRootInformation::none(n),
+            measurements: 0,
+            by_rig: Matrix6xX::zeros(n),
+            of_rig: DMatrix::zeros(n, n),
+        }
     }
 
     /// Adds a measurement. One whose covariance is not positive definite, or whose numbers or their squares are not all finite,
@@ -45,14 +60,14 @@ impl InformationFilter {
         let (Some(h), Some(z), Some(by_rig)) = whitened else { return };
         if self.information.absorb(&h, &z) {
             self.measurements += 1;
-            let by_rig = h.transpose() * by_rig;
+            let by_rig = by_rig.tr_mul(&h);
+            self.of_rig += by_rig.tr_mul(&by_rig);
             self.by_rig += by_rig;
-            self.of_rig += by_rig * by_rig.transpose();
         }
     }
 
-    /// Multiplies all information so far by the forgetting factor in (0, 1], but lets no direction's standard deviation grow beyond
-    /// 0.5, see [`SquareRootInformation::forget`]. x̂ does not move.
+    /// Multiplies all that the measurements said by the forgetting factor in (0, 1], but lets no direction's standard deviation grow beyond
+    /// 0.5, see [`SquareRootInformation::forget`]. Without a prior x̂ does not move; with one it goes back towards it.
     pub fn forget(&mut self, factor: f64) {
         self.information.forget(factor, FORGOTTEN_SD);
         self.by_rig *= factor;
@@ -64,14 +79,24 @@ impl InformationFilter {
     /// their part of P.
     ///
     /// Source: the consider covariance of Schmidt, Application of state-space methods to navigation problems, 1966.
-    pub fn covariance_by_rig(&self, covariance: &Matrix2<f64>) -> Matrix2<f64> {
-        covariance * (self.by_rig * self.by_rig.transpose() - self.of_rig) * covariance
+    pub fn covariance_by_rig(&self, covariance: &DMatrix<f64>) -> DMatrix<f64> {
+        covariance * (self.by_rig.tr_mul(&self.by_rig) - &self.of_rig) * covariance
     }
 
-    /// x̂ and P, without inflation; `None` while the measurements do not pin both parameters.
-    pub fn solution(&self) -> Option<(Vector2<f64>, Matrix2<f64>)> {
-        let known = |p: &Matrix2<f64>| p.diagonal().iter().all(|variance| *variance < KNOWN_SD.powi(2));
-        self.information.solution().filter(|(_, covariance)| known(covariance))
+    /// The part of P that the uncertainty of what was known beforehand makes, P times its information times P.
+    pub(super) fn covariance_by_prior(&self, covariance: &DMatrix<f64>) -> DMatrix<f64> {
+        let information = self.prior.as_ref().map(|prior| covariance * prior.matrix() * covariance);
+        information.unwrap_or_else(|| covariance * 0.0)
+    }
+
+    /// x̂ and P, without inflation; `None` while the measurements do not pin η and λ.
+    pub fn solution(&self) -> Option<(DVector<f64>, DMatrix<f64>)> {
+        let known = |p: &DMatrix<f64>| (0..2).all(|k| p[(k, k)] < KNOWN_SD.powi(2));
+        let solution = match &self.prior {
+            None => self.information.solution(),
+            Some(prior) => self.information.clone().and(prior).solution(),
+        };
+        solution.filter(|(_, covariance)| known(covariance))
     }
 
     /// How many measurements were added.
@@ -83,13 +108,19 @@ impl InformationFilter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Matrix3, Matrix3x2, Matrix3x6, Vector3};
+    use nalgebra::{Matrix2, Matrix3, Matrix3x6, Matrix3xX, Vector2, Vector3};
     use proptest::prelude::*;
+
+    fn of<'a>(rows: impl IntoIterator<Item = &'a LinearisedMeasurement>) -> InformationFilter {
+        let mut filter = InformationFilter::default();
+        rows.into_iter().for_each(|row| filter.absorb(row));
+        filter
+    }
 
     fn any_measurement() -> impl Strategy<Value = LinearisedMeasurement> {
         (proptest::array::uniform3(-2.0..2.0f64), proptest::array::uniform3(-1.0..1.0f64), 1e-3..1.0f64).prop_map(
             |(z, elastic, sd)| {
-                let h = Matrix3x2::from_columns(&[Vector3::from(elastic), Vector3::repeat(1.0)]);
+                let h = Matrix3xX::from_columns(&[Vector3::from(elastic), Vector3::repeat(1.0)]);
                 let skew = Vector3::from(elastic) * sd;
                 let covariance = Matrix3::identity() * sd.powi(2) + skew * skew.transpose();
                 LinearisedMeasurement { z: z.into(), h, covariance, by_rig: Matrix3x6::zeros() }
@@ -101,7 +132,7 @@ mod tests {
     fn straight() -> LinearisedMeasurement {
         LinearisedMeasurement {
             z: Vector3::repeat(0.2),
-            h: Matrix3x2::from_columns(&[Vector3::zeros(), Vector3::repeat(1.0)]),
+            h: Matrix3xX::from_columns(&[Vector3::zeros(), Vector3::repeat(1.0)]),
             covariance: Matrix3::identity() * 1e-4,
             by_rig: Matrix3x6::zeros(),
         }
@@ -113,13 +144,13 @@ mod tests {
             let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
             for row in &rows {
                 let weight = row.covariance.try_inverse().unwrap();
-                information += row.h.transpose() * weight * row.h;
+                information += row.h.transpose() * weight * &row.h;
                 right += row.h.transpose() * weight * row.z;
             }
             let covariance = information.try_inverse().unwrap();
             prop_assume!(covariance.diagonal().max() < 0.9);
-            let (ours, p) = InformationFilter::of(&rows).solution().unwrap();
-            prop_assert!((ours - covariance * right).norm() <= 1e-9 * ours.norm(), "{ours}");
+            let (ours, p) = of(&rows).solution().unwrap();
+            prop_assert!((&ours - covariance * right).norm() <= 1e-9 * ours.norm(), "{ours}");
             prop_assert!((p - covariance).norm() <= 1e-9 * covariance.norm());
         }
 
@@ -130,7 +161,7 @@ mod tests {
             let largest = |filter: &InformationFilter| {
                 filter.information.solution().map(|(_, p)| p.symmetric_eigenvalues())
             };
-            let mut filter = InformationFilter::of(&rows);
+            let mut filter = of(&rows);
             prop_assume!(largest(&filter).is_some_and(|own| own.max() < FORGOTTEN_SD.powi(2)));
             for _ in 0..2000 {
                 filter.forget(factor);
@@ -138,13 +169,13 @@ mod tests {
             }
             let own = largest(&filter).unwrap();
             prop_assert!(own.min() > 0.0 && own.max() <= (1.0 + 1e-9) * FORGOTTEN_SD.powi(2), "{own}");
-            prop_assert!((filter.solution().unwrap().0.y - 0.2).abs() < 1e-3);
+            prop_assert!((filter.solution().unwrap().0[1] - 0.2).abs() < 1e-3);
         }
     }
 
     #[test]
     fn a_straight_snake_alone_tells_nothing_of_eta() {
-        assert!(InformationFilter::of(&[straight(), straight(), straight()]).solution().is_none());
+        assert!(of(&[straight(), straight(), straight()]).solution().is_none());
     }
 
     #[test]
@@ -152,7 +183,7 @@ mod tests {
         let mut filter = InformationFilter::default();
         let bad = |covariance| LinearisedMeasurement {
             z: Vector3::zeros(),
-            h: Matrix3x2::repeat(1.0),
+            h: Matrix3xX::repeat(2, 1.0),
             covariance,
             by_rig: Matrix3x6::zeros(),
         };

@@ -9,7 +9,7 @@
 use super::consistency::Whitened;
 use super::{LinearisedMeasurement, Reason};
 use crate::statistics::order::median;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 
 /// Measurements over which the gate takes its typical distance.
@@ -82,22 +82,21 @@ pub(super) fn outlier<'a>(
     beyond(0).map(Reason::BendOutlier).or_else(|| beyond(1).map(Reason::CommonOutlier))
 }
 
-/// The distances of a measurement from what an estimate x with its covariance predicts, as the gate sees them; `None` where its
-/// covariance is not positive definite.
+/// The distances of a residual from 0, as the gate sees them, by its covariance H P Hᵗ + R, mm²; `None` where that is not positive definite.
 pub(super) fn squared_distances(
     linearised: &LinearisedMeasurement,
-    x: &Vector2<f64>,
-    covariance: &Matrix2<f64>,
+    residual: &Vector3<f64>,
+    predicted: &Matrix3<f64>,
 ) -> Option<SquaredDistances> {
-    let whitened = Whitened::innovation(&trusted(linearised), x, covariance)?;
+    let whitened = Whitened::new(residual, &(predicted + distrust(linearised)))?;
     Some([whitened.bending.norm_squared(), whitened.common.powi(2)])
 }
 
-/// A measurement with no more trust in the model's common part than it deserves.
-pub(super) fn trusted(linearised: &LinearisedMeasurement) -> LinearisedMeasurement {
+/// What is added to a measurement's covariance because the model's common part deserves no more trust, mm².
+pub(super) fn distrust(linearised: &LinearisedMeasurement) -> Matrix3<f64> {
     // λ's column of H: a mm in every backbone.
     let common = linearised.h.column(1) * COMMON_TRUST_MM;
-    LinearisedMeasurement { covariance: linearised.covariance + common * common.transpose(), ..*linearised }
+    common * common.transpose()
 }
 
 #[cfg(test)]

@@ -3,11 +3,12 @@
 //! Least trimmed squares over all pairs of the measurements finds the majority that agrees best; those within the gate of the
 //! majority's estimate join it. With two measurements there is one pair: the paper's first estimate.
 
-use super::gate::{self, SquaredDistances, squared_distances, trusted};
+use super::effects::EffectsPrior;
+use super::gate::{self, SquaredDistances, distrust, squared_distances};
 use super::{InformationFilter, LinearisedMeasurement, Options, Reason, Sample};
 use crate::robot::{Estimate, Model};
 use crate::statistics::trimmed::{least_trimmed_squares, majority, subsets};
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{DMatrix, DVector, Vector3};
 
 /// The most measurements that are taken together.
 ///
@@ -24,7 +25,7 @@ const CONCENTRATION_STEPS: usize = 2;
 const GATE_ROUNDS: usize = 2;
 
 /// A measurement whose verdict may still change.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct Undecided {
     /// Counted in updates of the estimator from 0.
     pub update: usize,
@@ -44,8 +45,8 @@ impl Undecided {
 pub(super) struct InitialEstimate {
     /// The information of the measurements that are no outliers.
     pub filter: InformationFilter,
-    pub x: Vector2<f64>,
-    pub covariance: Matrix2<f64>,
+    pub x: DVector<f64>,
+    pub covariance: DMatrix<f64>,
     /// All measurements, linearised.
     pub linearised: Vec<LinearisedMeasurement>,
     /// For each, why it is an outlier.
@@ -53,24 +54,30 @@ pub(super) struct InitialEstimate {
 }
 
 impl InitialEstimate {
-    /// Of these samples, on the robot and the friction of `model`; `None` while they do not pin both parameters.
-    pub fn of(samples: &[Undecided], model: &Model, options: &Options) -> Option<Self> {
+    /// Of these samples, on the robot and the friction of `model`, and of what is known of its effects beforehand; `None` while they do not
+    /// pin η and λ.
+    pub fn of(samples: &[Undecided], model: &Model, prior: &EffectsPrior, options: &Options) -> Option<Self> {
         let linearised_under = |model: &Model| samples.iter().map(|sample| sample.linearised(model, options)).collect();
         // Weights need an η; that of the naive model does for a first estimate, that of the first for the second.
-        let naive = Model { estimate: None, ..model.clone() };
-        let first = Self::trimmed(linearised_under(&naive), options.gate)?;
-        let estimate = Estimate { eta: first.x.x, lambda_mm: first.x.y, covariance: first.covariance, samples: 0 };
+        let naive = model.without_estimate();
+        let first = Self::trimmed(linearised_under(&naive), prior, options.gate)?;
+        let covariance = first.covariance.fixed_view::<2, 2>(0, 0).into_owned();
+        let estimate = Estimate { eta: first.x[0], lambda_mm: first.x[1], covariance, samples: 0 };
         if estimate.eta <= 0.0 {
             return Some(first);
         }
         let informed = Model { estimate: Some(estimate), ..naive };
-        Self::trimmed(linearised_under(&informed), options.gate).or(Some(first))
+        Self::trimmed(linearised_under(&informed), prior, options.gate).or(Some(first))
     }
 
     /// Least trimmed squares, and all within the gate of it.
-    fn trimmed(linearised: Vec<LinearisedMeasurement>, gate_sds: f64) -> Option<Self> {
+    fn trimmed(linearised: Vec<LinearisedMeasurement>, prior: &EffectsPrior, gate_sds: f64) -> Option<Self> {
         let count = linearised.len();
-        let filter = |members: &[usize]| InformationFilter::of(members.iter().map(|&k| &linearised[k]));
+        let filter = |members: &[usize]| {
+            let mut filter = InformationFilter::new(prior);
+            members.iter().for_each(|&k| filter.absorb(&linearised[k]));
+            filter
+        };
         let kept = least_trimmed_squares(
             count,
             majority(count),
@@ -83,7 +90,7 @@ impl InitialEstimate {
         let mut outliers = vec![None; count];
         for _ in 0..GATE_ROUNDS {
             let (x, covariance) = filter(&members).solution()?;
-            let distances: Vec<_> = linearised.iter().map(|one| squared_distances(one, &x, &covariance)).collect();
+            let distances: Vec<_> = linearised.iter().map(|one| distances_from(one, &x, &covariance)).collect();
             outliers = gated(&distances, gate_sds);
             members = (0..count).filter(|&k| outliers[k].is_none()).collect();
         }
@@ -99,8 +106,17 @@ impl InitialEstimate {
 
     /// All measurements' distances from the estimate.
     pub fn squared_distances(&self) -> impl Iterator<Item = SquaredDistances> {
-        self.linearised.iter().filter_map(|one| squared_distances(one, &self.x, &self.covariance))
+        self.linearised.iter().filter_map(|one| distances_from(one, &self.x, &self.covariance))
     }
+}
+
+/// The distances of a measurement from what an x̂ with its covariance predicts.
+fn distances_from(
+    one: &LinearisedMeasurement,
+    x: &DVector<f64>,
+    covariance: &DMatrix<f64>,
+) -> Option<SquaredDistances> {
+    squared_distances(one, &one.residual(x.as_slice()), &one.predicted(covariance))
 }
 
 /// Which distances are beyond the gate; of two neither is, since two measurements always agree.
@@ -114,9 +130,11 @@ fn gated(distances: &[Option<SquaredDistances>], gate_sds: f64) -> Vec<Option<Re
 }
 
 /// rᵗR⁻¹r of a measurement at x, as the gate trusts it; infinite where R is not positive definite.
-fn squared_misfit(linearised: &LinearisedMeasurement, x: &Vector2<f64>) -> f64 {
-    let residual = linearised.residual(x);
-    trusted(linearised).whitened(&residual).map_or(f64::INFINITY, |whitened| whitened.norm_squared())
+fn squared_misfit(linearised: &LinearisedMeasurement, x: &DVector<f64>) -> f64 {
+    let factor = (linearised.covariance + distrust(linearised)).cholesky();
+    let whitened =
+        factor.and_then(|factor| factor.l_dirty().solve_lower_triangular(&linearised.residual(x.as_slice())));
+    whitened.map_or(f64::INFINITY, |whitened: Vector3<f64>| whitened.norm_squared())
 }
 
 #[cfg(test)]
@@ -124,6 +142,7 @@ mod tests {
     use super::*;
     use crate::geometry::Configuration;
     use crate::observation::Measured;
+    use nalgebra::{Matrix2, Vector2};
 
     /// Exact measurements of a robot with η = 1.221 and λ = 0.1765 mm; those in `wrong` are of a bend 10° off.
     fn samples(count: usize, wrong: &[usize]) -> Vec<Undecided> {
@@ -145,19 +164,30 @@ mod tests {
     #[test]
     fn any_three_outliers_of_eight_are_named_and_have_no_say() {
         for wrong in subsets(8, 3, 100, 0) {
-            let found = InitialEstimate::of(&samples(8, &wrong), &Model::default(), &Options::default()).unwrap();
+            let found = InitialEstimate::of(
+                &samples(8, &wrong),
+                &Model::default(),
+                &EffectsPrior::default(),
+                &Options::default(),
+            )
+            .unwrap();
             let named: Vec<usize> = (0..8).filter(|&k| found.outliers[k].is_some()).collect();
             assert_eq!(named, wrong);
-            assert!((found.x - Vector2::new(1.221, 0.1765)).norm() < 1e-3, "{}", found.x);
+            assert!((&found.x - Vector2::new(1.221, 0.1765)).norm() < 1e-3, "{}", found.x);
             assert_eq!(found.filter.measurements(), 5);
         }
     }
 
     #[test]
     fn two_measurements_are_the_papers_first_estimate_and_one_is_none() {
-        let found = InitialEstimate::of(&samples(2, &[]), &Model::default(), &Options::default()).unwrap();
-        assert!((found.x - Vector2::new(1.221, 0.1765)).norm() < 1e-3, "{}", found.x);
+        let found =
+            InitialEstimate::of(&samples(2, &[]), &Model::default(), &EffectsPrior::default(), &Options::default())
+                .unwrap();
+        assert!((&found.x - Vector2::new(1.221, 0.1765)).norm() < 1e-3, "{}", found.x);
         assert_eq!(found.outliers, [None, None]);
-        assert!(InitialEstimate::of(&samples(1, &[]), &Model::default(), &Options::default()).is_none());
+        assert!(
+            InitialEstimate::of(&samples(1, &[]), &Model::default(), &EffectsPrior::default(), &Options::default())
+                .is_none()
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! One measurement linearised: its equations for x = (η, λ), which are rows of Eq. 20, and their covariance.
+//! One measurement linearised: its equations for x = (η, λ), which are rows of Eq. 20, and for the uncertain parameters of the model's
+//! effects, and their covariance.
 //!
 //! Eq. 20 (with the inverses of K_d and K_c that Eq. 18 needs) says z = H x with z = q̃ − q(ψ) − ε_0 and H of
 //! [`Model::epsilon_by_parameters`]. Both sides are computed from the measured ψ, which is noisy; the encoders hardly
@@ -26,7 +27,8 @@
 //! mean of both, so H soon depends on the quiet encoders alone, and the bias dies away with the number of measurements.
 //!
 //! **Effects.** The travel of the lines, its slope A and its derivatives by x are those of the model with its effects, along the path that led to
-//! the reading ([`Mechanics::step`]). Nothing is taken off the data.
+//! the reading ([`Mechanics::step`]). Nothing is taken off the data. H has a column more for each uncertain parameter of the effects: the
+//! difference quotient of the same equations by models that have this parameter nudged, each with a memory of its own.
 //!
 //! **Standing straight.** A bend that cannot be told from none has an H that is noise alone, and a long time of that would,
 //! with forgetting, pull η to where the noise is. Such a measurement takes b* = 0, where H says nothing of η and λ alone is learnt.
@@ -34,7 +36,11 @@
 use super::Sample;
 use crate::geometry::Configuration;
 use crate::robot::{MAX_THETA, Mechanics, Model, Motion, PerBackbone, Robot};
-use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix3x6, SMatrix, Vector2, Vector3};
+use nalgebra::allocator::Allocator;
+use nalgebra::{
+    Const, DMatrix, DefaultAllocator, Dim, Matrix2, Matrix2xX, Matrix3, Matrix3x2, Matrix3x6, Matrix3xX, OMatrix,
+    Vector2, Vector3,
+};
 
 /// How measurements are weighted against each other.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,12 +56,12 @@ pub enum Weighting {
 }
 
 /// One measurement's equations z = H x + noise: two for the bend, one for the common part.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct LinearisedMeasurement {
     /// z, mm.
     pub z: Vector3<f64>,
-    /// H: columns for η (mm) and λ (1).
-    pub h: Matrix3x2<f64>,
+    /// H: columns for η (mm), for λ (1), and for each uncertain parameter of the effects in its unit of the estimator (mm).
+    pub h: Matrix3xX<f64>,
     /// Covariance of the noise, mm².
     pub covariance: Matrix3<f64>,
     /// The part of the noise that the other measurements before the same rig share, mm, for each of its six unit errors; `covariance` holds
@@ -65,13 +71,21 @@ pub struct LinearisedMeasurement {
 
 impl LinearisedMeasurement {
     /// z − H x, mm.
-    pub fn residual(&self, x: &Vector2<f64>) -> Vector3<f64> {
-        self.z - self.h * x
+    pub fn residual(&self, x: &[f64]) -> Vector3<f64> {
+        self.h.column_iter().zip(x).fold(self.z, |left, (h, x)| left - h * *x)
+    }
+
+    /// H P Hᵗ + R, mm²: how the residuals of an x̂ in which this measurement had no part scatter, by its covariance.
+    pub(super) fn predicted(&self, covariance: &DMatrix<f64>) -> Matrix3<f64> {
+        &self.h * covariance * self.h.transpose() + self.covariance
     }
 
     /// Columns of three rows in units of the measurement's standard deviations: L⁻¹ times them, with L Lᵗ its covariance; `None` where that is not
     /// positive definite.
-    pub(super) fn whitened<const C: usize>(&self, columns: &SMatrix<f64, 3, C>) -> Option<SMatrix<f64, 3, C>> {
+    pub(super) fn whitened<C: Dim>(&self, columns: &OMatrix<f64, Const<3>, C>) -> Option<OMatrix<f64, Const<3>, C>>
+    where
+        DefaultAllocator: Allocator<Const<3>, C>,
+    {
         self.covariance.cholesky()?.l_dirty().solve_lower_triangular(columns)
     }
 
@@ -88,9 +102,20 @@ impl LinearisedMeasurement {
         };
         let robot = &model.robot;
         let slope = mechanics.line_jacobian(at, motion).line_by_bend;
-        let h = bend_and_common_by(robot, &mechanics.travel_by_parameters(at, motion));
         let left_mm = mechanics.misfit_mm(&sample.q_tilde, at, motion) - slope * (bend - at);
-        let z = robot.bend_and_common(&left_mm) + h * model.parameters();
+        let own = bend_and_common_by(robot, &mechanics.travel_by_parameters(at, motion));
+        let mut z = robot.bend_and_common(&left_mm) + own * model.parameters();
+        let mut h = Matrix3xX::zeros(2 + sample.nudged().len());
+        h.fixed_columns_mut::<2>(0).copy_from(&own);
+        for (k, nudged) in sample.nudged().iter().enumerate() {
+            let by_parameter = nudged.difference(model, |mechanics| {
+                let bend = mechanics.true_bend(measured.configuration.bend_vector()) + nudged.since_frame;
+                left_mm - mechanics.misfit_mm(&nudged.q_tilde, at, &nudged.motion) + slope * (bend - at)
+            });
+            let column = robot.bend_and_common(&by_parameter) * nudged.unit;
+            z += column * (nudged.value / nudged.unit);
+            h.set_column(2 + k, &column);
+        }
         let slope = bend_and_common_by(robot, &slope);
         let (covariance, by_rig) = match weighting {
             Weighting::Flat { sigma_deg } => {
@@ -127,15 +152,23 @@ fn smoothed(
     bend: Vector2<f64>,
 ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     model.estimate?;
-    let near = sample.came.map_or(bend, |came| came.solution.bend);
+    let near = sample.came.as_ref().map_or(bend, |came| came.solution.bend);
     let solution = mechanics.solve(&sample.q_tilde, Some(motion), near);
     let implied = solution.bend;
     if !solution.converged || implied.norm() > MAX_THETA {
         return None;
     }
     let by_line = mechanics.line_jacobian(implied, motion).bend_by_line;
-    let by_parameters = by_line.cross_gram(&mechanics.travel_by_parameters(implied, motion));
-    let implied_covariance = by_parameters * model.parameter_covariance() * by_parameters.transpose()
+    let mut by_parameters = Matrix2xX::zeros(model.parameter_count());
+    let own = by_line.cross_gram(&mechanics.travel_by_parameters(implied, motion));
+    by_parameters.fixed_columns_mut::<2>(0).copy_from(&own);
+    for nudged in sample.nudged() {
+        let misfit_mm = mechanics.misfit_mm(&sample.q_tilde, implied, motion);
+        let by_parameter = nudged
+            .difference(model, |mechanics| misfit_mm - mechanics.misfit_mm(&nudged.q_tilde, implied, &nudged.motion));
+        by_parameters.set_column(nudged.parameter, &by_line.tr_mul(&by_parameter));
+    }
+    let implied_covariance = &by_parameters * model.covariance() * by_parameters.transpose()
         + by_line.cross_gram(&by_line) * sd_encoder_mm.powi(2);
     // Taken at the implied bend, too: weights that followed the noise would favour one sign of it.
     let bend_covariance = sample.measured.bend_covariance(Configuration::from_bend_vector(implied));
@@ -200,7 +233,7 @@ mod tests {
             for weighting in [Weighting::Measured, Weighting::Flat { sigma_deg: 1.0 }] {
                 let linearised = LinearisedMeasurement::new(&model, weighting, 1.5e-3, &of_plain(measured, q_tilde));
                 // A bend that counts as straight is linearised there: at 0.3° its third order is 7e-10 mm.
-                prop_assert!(linearised.residual(&model.parameters()).norm() < 1e-9);
+                prop_assert!(linearised.residual(model.parameters().as_slice()).norm() < 1e-9);
             }
         }
     }

@@ -29,7 +29,7 @@ use crate::observation::{EncoderReading, Measured, Measurement};
 use crate::robot::effects::{TIP_LOAD, physics};
 use crate::robot::{Effect, Model};
 use crate::statistics::information::SquareRootInformation;
-use nalgebra::{Matrix2, Matrix2x5, Matrix3, Matrix3x5, Vector2, Vector3};
+use nalgebra::{DVector, Matrix2, Matrix2xX, Matrix3, Matrix3xX, Vector2, Vector3};
 
 /// The standard deviation, N, from which a direction counts as unseen.
 ///
@@ -84,7 +84,7 @@ pub struct ForceRow {
 /// covariance that has no inverse, such as that of η and λ that are known exactly.
 #[derive(Debug, Clone)]
 struct ForceFilter {
-    information: SquareRootInformation<5>,
+    information: SquareRootInformation,
     /// L of the covariance L Lᵗ of (η, λ).
     root: Matrix2<f64>,
     /// The information on F that noise of the bends makes, N⁻².
@@ -97,18 +97,18 @@ impl ForceFilter {
     fn new(model: &Model) -> Self {
         let own = model.parameter_covariance().symmetric_eigen();
         let root = own.eigenvectors * Matrix2::from_diagonal(&own.eigenvalues.map(|value| value.max(0.0).sqrt()));
-        let mut information = SquareRootInformation::default();
-        let _ = information.absorb(&Matrix2x5::identity(), &Vector2::zeros());
+        let mut information = SquareRootInformation::none(5);
+        let _ = information.absorb(&Matrix2xX::identity(5), &Vector2::zeros());
         Self { information, root, by_noise: Matrix3::zeros(), count: 0 }
     }
 
     /// Adds one measurement; one whose covariance is not positive definite says nothing.
     fn add(&mut self, model: &Model, sd_encoder_mm: f64, sample: &Sample) {
         let one = LinearisedMeasurement::new(model, Weighting::Measured, sd_encoder_mm, sample);
-        let mut h = Matrix3x5::zeros();
-        h.fixed_columns_mut::<2>(0).copy_from(&(one.h * self.root));
+        let mut h = Matrix3xX::zeros(5);
+        h.fixed_columns_mut::<2>(0).copy_from(&(&one.h * self.root));
         h.fixed_columns_mut::<3>(2).copy_from(&by_force(model, sample.measured.configuration));
-        let residual = one.residual(&model.parameters());
+        let residual = one.residual(model.parameters().as_slice());
         if let (Some(h), Some(residual)) = (one.whitened(&h), one.whitened(&residual))
             // Numbers that are not finite say nothing either.
             && self.information.absorb(&h, &residual)
@@ -121,12 +121,17 @@ impl ForceFilter {
 
     /// The force, once η and λ are let go within their covariance.
     fn force(&self) -> TipForce {
-        let is_seen = |direction: &Vector3<f64>, sd_n: f64| {
+        let is_seen = |direction: &DVector<f64>, sd_n: f64| {
             let by_noise = direction.dot(&(self.by_noise * direction));
             sd_n < BLIND_SD_N && self.count as f64 * by_noise * sd_n * sd_n < 1.0
         };
-        let (force_n, covariance_n2, unseen) = self.information.of_last::<3>().seen(is_seen);
-        TipForce { force_n, covariance_n2, unseen }
+        let (force_n, covariance_n2, unseen) = self.information.of_last(3).seen(is_seen);
+        let in_space = |vector: &DVector<f64>| vector.fixed_rows::<3>(0).into_owned();
+        TipForce {
+            force_n: in_space(&force_n),
+            covariance_n2: covariance_n2.fixed_view::<3, 3>(0, 0).into_owned(),
+            unseen: unseen.iter().map(in_space).collect(),
+        }
     }
 }
 

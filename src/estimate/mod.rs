@@ -1,8 +1,8 @@
 //! From measurements to the force scale η and the backlash λ: the recursive estimator of Eq. 19–22, with an outlier gate and a forgetting
 //! factor. The module also tells how well a model explains measurements.
 //!
-//! Each measurement becomes a [`LinearisedMeasurement`]: linear equations for x = (η, λ) with their covariance. An [`InformationFilter`] in
-//! square-root form holds the sum of their information. [`Consistency`] compares the scatter of the residuals with their covariance, and
+//! Each measurement becomes a [`LinearisedMeasurement`]: linear equations for x, which is η, λ and what is uncertain of the model's effects, with their
+//! covariance. An [`InformationFilter`] in square-root form holds the sum of their information. [`Consistency`] compares the scatter of the residuals with their covariance, and
 //! scales the reported standard deviations accordingly. The [`Estimator`] combines these; [`estimate`] takes a whole sequence through it.
 //!
 //! [`mod@gap`] is the part of the measurements that a model leaves unexplained, [`mod@accuracy`] the error of measurements against a known
@@ -11,6 +11,7 @@
 
 pub mod accuracy;
 mod consistency;
+mod effects;
 mod estimator;
 mod filter;
 mod friction;

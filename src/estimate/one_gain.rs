@@ -63,7 +63,7 @@ pub fn or_one_gain(model: Model, measurements: &[Measurement], log: &[EncoderRea
     }
     let points = points.kept;
     let Some(estimate) = one_gain(&model, &points) else { return (model, None) };
-    let candidate = Model { learned: Some(learned), ..model.with_estimate(Some(estimate)) };
+    let candidate = Model { learned: Some(learned), estimate: Some(estimate), ..model.without_estimate() };
     let miss = |model: &Model, bend: Vector2<f64>, q: &_| model.plain().forward_bend(q).map(|b| (b - bend).norm()).ok();
     let better = |&&(bend, ref q): &&(Vector2<f64>, _)| match (miss(&candidate, bend, q), miss(&model, bend, q)) {
         (Some(one), Some(own)) => one < own,

@@ -3,8 +3,9 @@
 use super::{Reason, usable};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measured, Measurement};
-use crate::robot::{ForwardSolution, Mechanics, Model, Motion, PerBackbone, Predictor};
+use crate::robot::{ForwardSolution, Mechanics, Model, Motion, PathPoint, PerBackbone, Predicted, Predictor};
 use nalgebra::Vector2;
+use std::cell::LazyCell;
 use std::collections::HashMap;
 
 /// A measurement with the encoder reading of its index, where there is one.
@@ -24,7 +25,7 @@ pub struct PlainSample {
 }
 
 /// A measurement that can be used, with its reading and with how the snake came there.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(crate) struct Sample {
     /// What the eye measured.
     pub measured: Measured,
@@ -35,7 +36,7 @@ pub(crate) struct Sample {
 }
 
 /// How the snake came to a reading, by a model with effects.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(crate) struct Came {
     /// The motion to it.
     pub motion: Motion,
@@ -43,18 +44,50 @@ pub(crate) struct Came {
     pub solution: ForwardSolution,
     /// The bend at the reading less the one that its frame shows, rad.
     pub since_frame: Vector2<f64>,
+    /// The same by models each of which has one uncertain parameter of the effects [nudged](Model::nudged).
+    pub nudged: Vec<Nudged>,
+}
+
+/// How the snake came to a reading by a model with one parameter nudged.
+#[derive(Debug, Clone)]
+pub(crate) struct Nudged {
+    /// Which of the model's parameters it is.
+    pub parameter: usize,
+    /// Its value before.
+    pub value: f64,
+    /// The unit in which it is estimated.
+    pub unit: f64,
+    /// The reading, less what neighbouring sections added, mm.
+    pub q_tilde: PerBackbone,
+    /// The motion to it.
+    pub motion: Motion,
+    /// The bend at the reading less the one that its frame shows, rad.
+    pub since_frame: Vector2<f64>,
+}
+
+impl Nudged {
+    /// The difference quotient of a change in mm that a model with the parameter nudged makes, mm per unit of the parameter.
+    pub fn difference(&self, model: &Model, change_mm: impl FnOnce(&Mechanics) -> PerBackbone) -> PerBackbone {
+        let (nudged, step) = model.nudged(self.parameter);
+        change_mm(&Mechanics::new(&nudged)) / step
+    }
 }
 
 impl Sample {
     /// The motion to the reading; none for a model without effects, to which none matters.
     pub fn motion(&self) -> Motion {
-        self.came.map_or_else(|| Motion::none(self.q_tilde.len()), |came| came.motion)
+        self.came.as_ref().map_or_else(|| Motion::none(self.q_tilde.len()), |came| came.motion)
+    }
+
+    /// How the snake came to the reading by nudged models; none for a model whose effects have no uncertain parameter.
+    pub fn nudged(&self) -> &[Nudged] {
+        self.came.as_ref().map_or(&[], |came| &came.nudged)
     }
 
     /// The bend at the reading, from the measured one, rad.
     pub fn true_bend(&self, mechanics: &Mechanics) -> Vector2<f64> {
         let measured = self.measured.configuration.bend_vector();
-        self.came.map_or(measured, |came| mechanics.true_bend(measured) + came.since_frame)
+        self.came.as_ref().map_or(measured, |came| mechanics.true_bend(measured) + came.since_frame)
     }
 
     /// The measurement and the reading as they would have been without the effects of a model, the one that it came by.
@@ -71,12 +104,20 @@ impl Sample {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Follower {
     predictor: Predictor,
+    /// What the effects remember if one of the model's parameters is nudged: which, its unit, and its predictor.
+    nudged: Vec<(usize, f64, Predictor)>,
 }
 
 impl Follower {
+    /// One that tells how what is remembered depends on these parameters, each with its unit, as well.
+    pub fn by_parameters(parameters: impl Iterator<Item = (usize, f64)>) -> Self {
+        let nudged = parameters.map(|(parameter, unit)| (parameter, unit, Predictor::default())).collect();
+        Self { predictor: Predictor::default(), nudged }
+    }
+
     /// Takes a reading whose frame was not measured: it drives whatever has a memory.
     pub fn pass(&mut self, model: &Model, reading: &EncoderReading) {
-        self.follow(model, &reading.beside_resting_neighbours(model), None);
+        self.follow(model, reading, None);
     }
 
     /// Takes a measurement and its reading.
@@ -92,19 +133,36 @@ impl Follower {
         let own = reading.map(|reading| reading.beside_resting_neighbours(model));
         let used = usable(model.robot.backbone_count(), measurement, own.as_ref());
         let seen = used.as_ref().ok().map(|(measured, _)| measured.configuration.bend_vector());
-        let came = own.and_then(|own| self.follow(model, &own, seen));
-        used.map(|(measured, q_tilde)| Sample { measured, q_tilde, came })
+        let came = reading.and_then(|reading| self.follow(model, reading, seen));
+        let (measured, q_tilde) = used?;
+        // A reading of no time leads nowhere where the way matters.
+        if came.is_none() && !model.effects.is_empty() {
+            return Err(Reason::NotFinite);
+        }
+        Ok(Sample { measured, q_tilde, came })
     }
 
-    /// Follows a reading from which what neighbouring sections added is taken off.
-    fn follow(&mut self, model: &Model, own: &EncoderReading, seen: Option<Vector2<f64>>) -> Option<Came> {
-        let is_one = own.q_mm.len() == model.robot.backbone_count() && is_finite(own);
+    fn follow(&mut self, model: &Model, reading: &EncoderReading, seen: Option<Vector2<f64>>) -> Option<Came> {
+        let own = reading.beside_resting_neighbours(model);
+        let is_one = own.q_mm.len() == model.robot.backbone_count() && is_finite(&own);
         if model.effects.is_empty() || !is_one {
             return None;
         }
-        let predicted = self.predictor.predict(&Mechanics::new(model), own.time_s, &own.q_mm, seen);
-        let solution = predicted.point.solution;
-        Some(Came { motion: predicted.point.motion, solution, since_frame: solution.bend - predicted.shown })
+        let mechanics = Mechanics::new(model);
+        let predicted = self.predictor.predict(&mechanics, own.time_s, &own.q_mm, seen);
+        let PathPoint { motion, solution, .. } = predicted.point;
+        let line = LazyCell::new(|| mechanics.line_jacobian(solution.bend, &motion));
+        let nudged = self.nudged.iter_mut().map(|(parameter, unit, predictor)| {
+            let (nudged, _) = model.nudged(*parameter);
+            let q_tilde = reading.beside_resting_neighbours(&nudged).q_mm;
+            let near = (&predicted.point, &*line);
+            let Predicted { point, shown } =
+                predictor.predict_near(&Mechanics::new(&nudged), own.time_s, &q_tilde, near);
+            let (motion, since_frame) = (point.motion, point.solution.bend - shown);
+            let value = model.parameter_values()[*parameter];
+            Nudged { parameter: *parameter, value, unit: *unit, q_tilde, motion, since_frame }
+        });
+        Some(Came { motion, solution, since_frame: solution.bend - predicted.shown, nudged: nudged.collect() })
     }
 }
 

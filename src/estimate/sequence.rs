@@ -7,10 +7,10 @@ use crate::error::Result;
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
 
-/// Estimates η and λ from all measurements, in order, each with the encoder reading of its index.
+/// Estimates η, λ and the uncertain parameters of the model's effects from all measurements, in order, each with the encoder reading of its index.
 ///
 /// Gives the rows of estimate.csv, with verdicts as they stood at the end, and the model with its estimate (the model
-/// as it was given, less an estimate it had, where the measurements do not pin one). The model's effects are obeyed, and stay in the model.
+/// as it was given, less an estimate it had, where the measurements do not pin one). Effects that are known exactly are obeyed as they are.
 ///
 /// # Errors
 /// [`ArgumentError::OutOfRange`](crate::error::ArgumentError::OutOfRange) for an option out of its range.

@@ -188,7 +188,7 @@ impl Stem {
             return Err(Reason::NotFinite);
         }
         self.forget();
-        let innovation = by_factor.dot(&(weight * linearised.residual(&bent.parameters()))) / gained;
+        let innovation = by_factor.dot(&(weight * linearised.residual(bent.parameters().as_slice()))) / gained;
         let distance = innovation / (1.0 / gained + self.variance()).sqrt();
         let share = Loss::Huber(DEFAULT_GATE_SD).weight(distance);
         self.noise += gained * share.powi(2);

@@ -119,7 +119,7 @@ impl OnlineEstimator {
     pub fn update(&mut self, measurement: &Measurement, reading: Option<&EncoderReading>) -> Update {
         let model = self.model();
         let taken = self.subject.take(measurement, reading);
-        let came = taken.as_ref().ok().and_then(|sample| sample.came);
+        let came = taken.as_ref().ok().and_then(|sample| sample.came.as_ref());
         let expected = match came {
             Some(came) => Some(Configuration::from_bend_vector(came.solution.bend)),
             None => reading.and_then(|reading| Some(model.forward(&reading.q_mm).ok()?.configuration)),
@@ -207,13 +207,17 @@ mod tests {
     use crate::live::status::GapState;
     use crate::robot::{Effect, Estimate};
     use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
-    use nalgebra::Matrix2;
+    use nalgebra::{DMatrix, Matrix2};
 
     #[test]
     fn learns_what_the_estimator_learns_from_the_whole_file() {
         let truth = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
-        for effects in [vec![], vec![Effect::parse("load_directed_backlash:play_mm=0.08").unwrap()]] {
-            let start = Model { effects, ..Model::default() };
+        let backlash = || Effect::parse("load_directed_backlash:play_mm=0.08").unwrap();
+        for (effects, sd_mm) in [(vec![], 0.0), (vec![backlash()], 0.0), (vec![backlash()], 0.02)] {
+            let mut start = Model { effects, ..Model::default() };
+            if sd_mm > 0.0 {
+                start.effects_covariance = DMatrix::from_row_slice(1, 3, &[0.0, 0.0, sd_mm * sd_mm]);
+            }
             let plant = Model { estimate: Some(truth), ..start.clone() };
             let (measurements, readings) = experiment(&plant);
             let mut estimator = OnlineEstimator::new(start.clone(), Options::default(), None).unwrap();
@@ -221,8 +225,14 @@ mod tests {
                 estimator.update(measurement, Some(reading));
             }
             let (_, whole) = estimate(&start, Options::default(), &measurements, &readings).unwrap();
-            let (ours, theirs) = (estimator.model().parameters(), whole.parameters());
-            assert!((ours - theirs).amax() < 1e-12, "{ours} {theirs}");
+            let model = estimator.model();
+            for (ours, theirs) in model.parameter_values().iter().zip(whole.parameter_values()) {
+                assert!((ours - theirs).abs() < 1e-12, "{ours} {theirs}");
+            }
+            assert!((model.covariance() - whole.covariance()).amax() < 1e-12);
+            let is_learned = sd_mm > 0.0 && model.effect_sds(0)[0] < sd_mm / 2.0;
+            assert!(is_learned || model.effects == start.effects, "{:?}", model.effects);
+            let ours = model.parameters();
             assert!((ours.x - 1.221).abs() < 0.03 && (ours.y - 0.1765).abs() < 0.01, "{ours}");
         }
     }

@@ -16,7 +16,7 @@ use crate::estimate::{InformationFilter, LinearisedMeasurement};
 use crate::geometry::Configuration;
 use crate::robot::{Model, PerBackbone};
 use crate::statistics::moments::{mean, rms};
-use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix3x6, RowVector2, Vector2};
+use nalgebra::{Matrix2, Matrix3, Matrix3x6, Matrix3xX, RowVector2, Vector2};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -104,7 +104,8 @@ fn experiment(seed: u64) -> AfterEach {
             let noise = Vector2::from_fn(|_, _| -> f64 { StandardNormal.sample(&mut random) });
             let seen = truth.bend_vector() + noise * REPEATABILITY_DEG.to_radians();
             filter.absorb(&row(&known, Configuration::from_bend_vector(seen), &q_tilde));
-            filter.solution().filter(|_| filter.measurements() > 1)
+            let (x, covariance) = filter.solution().filter(|_| filter.measurements() > 1)?;
+            Some((x.fixed_rows::<2>(0).into_owned(), covariance.fixed_view::<2, 2>(0, 0).into_owned()))
         })
         .collect()
 }
@@ -116,7 +117,7 @@ fn row(model: &Model, psi: Configuration, q_tilde: &PerBackbone) -> LinearisedMe
     let sigma_mm = model.robot.backbone_circle_radius_mm * ASSUMED_SIGMA_DEG.to_radians();
     LinearisedMeasurement {
         z: parts(*q_tilde - model.robot.joint_displacements(psi) - model.epsilon_fixed()),
-        h: Matrix3x2::from_columns(&[0, 1].map(|axis| parts(h.column(axis)))),
+        h: Matrix3xX::from_columns(&[0, 1].map(|axis| parts(h.column(axis)))),
         covariance: Matrix3::identity() * sigma_mm.powi(2),
         by_rig: Matrix3x6::zeros(),
     }
@@ -206,7 +207,7 @@ mod tests {
             let noise = Vector2::from_fn(|_, _| -> f64 { StandardNormal.sample(&mut random) });
             let measured = Configuration::from_bend_vector(truth.bend_vector() + noise * 0.5f64.to_radians());
             let row = row(&known, measured, &plant.command(truth));
-            information += row.h.transpose() * row.h;
+            information += row.h.tr_mul(&row.h);
             right += row.h.transpose() * row.z;
         }
         let x = information.try_inverse().unwrap() * right;

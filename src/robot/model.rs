@@ -2,7 +2,7 @@
 
 use super::effects::ParameterSpec;
 use super::{DataRange, Effect, Friction, Robot};
-use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
+use nalgebra::{DMatrix, Matrix2, Vector2};
 use std::ops::Range;
 
 /// η as a parameter.
@@ -172,30 +172,6 @@ impl Model {
         model
     }
 
-    /// The model with η and λ as they were estimated with its effects given. What is uncertain in the effects makes η and λ uncertain
-    /// besides: they move with the effects' parameters e by S = P_xe P_ee⁻¹, as they did where the effects were fitted, so that
-    ///
-    /// ```text
-    /// P_xx = P_x|e + S P_ee Sᵗ,     P_xe = S P_ee
-    /// ```
-    pub fn with_estimate(&self, estimate: Option<Estimate>) -> Self {
-        let mut model = Self { estimate, ..self.clone() };
-        let (m, covariance) = (self.parameter_count() - 2, self.covariance());
-        if m == 0 {
-            return model;
-        }
-        match (estimate, explained(&covariance)) {
-            (Some(estimate), Some(explained)) => {
-                let mut covariance = covariance;
-                let total = estimate.covariance + explained;
-                covariance.fixed_view_mut::<2, 2>(0, 0).copy_from(&total);
-                model.set_covariance(&covariance);
-            }
-            _ => model.effects_covariance.columns_mut(0, 2.min(self.effects_covariance.ncols())).fill(0.0),
-        }
-        model
-    }
-
     /// The model with one of its parameters moved by a small step, for difference quotients, and the step. It leads towards the inside where
     /// the parameter's range ends.
     pub(crate) fn nudged(&self, parameter: usize) -> (Self, f64) {
@@ -206,29 +182,19 @@ impl Model {
         (self.with_parameter_values(&values), step)
     }
 
+    /// The model without what is known of η and λ; what is known of its effects stays.
+    pub(crate) fn without_estimate(&self) -> Self {
+        let mut model = Self { estimate: None, learned: None, ..self.clone() };
+        let of_estimate = 2.min(model.effects_covariance.ncols());
+        model.effects_covariance.columns_mut(0, of_estimate).fill(0.0);
+        model
+    }
+
     /// This model without its effects.
     pub fn plain(&self) -> Self {
         Self { effects: Vec::new(), effects_covariance: DMatrix::zeros(0, 0), ..self.clone() }
     }
 }
-
-/// S P_ee Sᵗ: the covariance of η and λ that the effects' parameters explain, for the joint covariance of all. `None` where the
-/// decomposition fails.
-fn explained(covariance: &DMatrix<f64>) -> Option<Matrix2<f64>> {
-    let m = covariance.nrows() - 2;
-    // In units of their standard deviations, since the parameters' own units are worlds apart.
-    let sds = DVector::from_fn(m, |j, _| covariance[(2 + j, 2 + j)].max(f64::MIN_POSITIVE).sqrt());
-    let correlations = DMatrix::from_fn(m, m, |a, b| covariance[(2 + a, 2 + b)] / (sds[a] * sds[b]));
-    let cross = DMatrix::from_fn(2, m, |x, b| covariance[(x, 2 + b)] / sds[b]);
-    let inverse = correlations.pseudo_inverse(SINGULAR).ok()?;
-    let explained = &cross * inverse * cross.transpose();
-    Some(Matrix2::from_fn(|a, b| explained[(a, b)]))
-}
-
-/// Directions in which correlated parameters vary by less than this share are taken for exactly known.
-///
-/// Convention: numerical.
-const SINGULAR: f64 = 1e-9;
 
 #[cfg(test)]
 pub(crate) mod fixtures {
@@ -287,19 +253,12 @@ mod tests {
     }
 
     #[test]
-    fn a_new_estimate_of_eta_and_lambda_is_as_uncertain_as_the_effects_make_it() {
+    fn without_its_estimate_a_model_knows_of_its_effects_what_it_knew() {
         let (model, covariance) = with_covariance();
-        // What is left of η and λ once the effects are known: the Schur complement. An estimate with just that changes nothing.
-        let (own, cross) = (covariance.view((2, 2), (3, 3)), covariance.view((0, 2), (2, 3)));
-        let explained = cross * own.into_owned().try_inverse().unwrap() * cross.transpose();
-        let left = Matrix2::from_fn(|a, b| covariance[(a, b)] - explained[(a, b)]);
-        let estimate = Estimate { eta: 1.3, lambda_mm: 0.1, covariance: left, samples: 50 };
-        let again = model.with_estimate(Some(estimate));
-        assert!((again.covariance() - &covariance).amax() < 1e-9 * covariance.amax());
-        assert_eq!(again.parameters(), Vector2::new(1.3, 0.1));
-        // Without η and λ nothing moves with the effects.
-        let none = model.with_estimate(None).covariance();
-        assert!(none.view((0, 0), (2, 5)).amax() == 0.0 && none.view((2, 2), (3, 3)) == own);
+        let none = model.without_estimate().covariance();
+        assert!(
+            none.view((0, 0), (2, 5)).amax() == 0.0 && none.view((2, 2), (3, 3)) == covariance.view((2, 2), (3, 3))
+        );
     }
 
     #[test]

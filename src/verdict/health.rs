@@ -73,7 +73,7 @@ impl Innovation {
         let robot = &plain.robot;
         let plainly = estimate::Sample { measured: *measured, q_tilde: *q_mm, came: None };
         let one = LinearisedMeasurement::new(plain, Weighting::Measured, sd_encoder_mm, &plainly);
-        let residual = one.residual(&plain.parameters());
+        let residual = one.residual(plain.parameters().as_slice());
         let whitened = Whitened::new(&residual, &one.covariance)?;
         let whitener = one.covariance.fixed_view::<2, 2>(0, 0).into_owned().cholesky()?.l().try_inverse()?;
         let whiten = |column: Vector2<f64>| whitener * column;
