@@ -23,6 +23,14 @@ impl SquareRootInformation {
         Self { upper: DMatrix::zeros(count, count), y: DVector::zeros(count) }
     }
 
+    /// What an x̂ with its covariance stands for; `None` where that is not positive definite.
+    pub fn of(x: &DVector<f64>, covariance: &DMatrix<f64>) -> Option<Self> {
+        let mut information = Self::none(x.len());
+        let identity = DMatrix::identity(x.len(), x.len());
+        let whitener = covariance.clone().cholesky()?.l_dirty().solve_lower_triangular(&identity)?;
+        information.absorb(&whitener, &(&whitener * x)).then_some(information)
+    }
+
     /// The number of parameters.
     pub fn count(&self) -> usize {
         self.y.len()
@@ -116,6 +124,12 @@ impl SquareRootInformation {
         (x, covariance, unseen)
     }
 
+    /// Moves x̂ to x, and multiplies the standard deviation of each parameter by a factor: a random walk. Correlations stay.
+    pub fn walk(&mut self, x: &DVector<f64>, factors: &DVector<f64>) {
+        self.upper.column_iter_mut().zip(factors.iter()).for_each(|(mut column, factor)| column /= *factor);
+        self.y = &self.upper * x;
+    }
+
     /// Multiplies all information so far by the forgetting factor, in (0, 1], except along directions of which so little is known
     /// that forgetting more would leave nothing: however long no row speaks of a direction, the largest eigenvalue of P grows to
     /// `most_sd`² and stays there, or where it was if it was above. x̂ does not move.
@@ -205,6 +219,21 @@ mod tests {
             let (seen, within, unseen) = filter(&rows).seen(|_, _| true);
             prop_assert!((seen - x).norm() <= 1e-6 * (1.0 + x.norm()) && unseen.is_empty());
             prop_assert!((within - covariance).norm() <= 1e-6 * covariance.norm());
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn an_estimate_is_what_it_was_made_of_and_walks_by_its_factors(rows in any_rows()) {
+            let Some((x, covariance)) = batch(&rows, 1.0) else { return Ok(()) };
+            let (x, covariance) = (DVector::from_column_slice(x.as_slice()), DMatrix::from_column_slice(3, 3, covariance.as_slice()));
+            let mut walked = SquareRootInformation::of(&x, &covariance).unwrap();
+            let (moved, factors) = (&x * 1.5, Vector3::new(1.0, 1.1, 3.0));
+            walked.walk(&moved, &DVector::from_column_slice(factors.as_slice()));
+            let (ours, p) = walked.solution().unwrap();
+            prop_assert!((ours - &moved).norm() <= 1e-8 * (1.0 + moved.norm()));
+            let scale = Matrix3::from_diagonal(&factors);
+            prop_assert!((p - scale * &covariance * scale).norm() <= 1e-8 * covariance.norm());
         }
     }
 

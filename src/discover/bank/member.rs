@@ -1,10 +1,11 @@
-//! One structure of the bank: an extended Kalman filter over its numbers.
+//! One structure of the bank: an extended Kalman filter over its numbers, in square-root information form.
 
 use crate::discover::fit::{LOSS, scales};
 use crate::discover::posterior::Candidate;
 use crate::discover::residuals::{Problem, Residual};
 use crate::robot::Model;
 use crate::robot::effects::{ParameterSpec, RIG_ERROR};
+use crate::statistics::information::SquareRootInformation;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -32,8 +33,8 @@ pub struct Member {
     pub effects: Vec<&'static str>,
     /// With the numbers as they stand.
     pub model: Model,
-    /// The covariance of the numbers in units of their scales.
-    pub covariance: DMatrix<f64>,
+    /// What is known of the numbers in units of their scales.
+    pub information: SquareRootInformation,
     /// How many times as large the variance of each number is as that of samples that do not hang together.
     pub inflation: DVector<f64>,
     pub ln_probability: f64,
@@ -117,11 +118,16 @@ impl Member {
             *value /= typical[at % typical.len()] * typical[at / typical.len()];
         });
         let ln_probability = candidate.probability.max(LEAST_PROBABILITY).ln();
+        let n = typical.len();
+        let start = DVector::from_vec(model.parameter_values()).component_div(&typical);
+        // Of what the fit does not determine nothing is known, and no sample is accounted for.
+        let information =
+            SquareRootInformation::of(&start, &covariance).unwrap_or_else(|| SquareRootInformation::none(n));
         let mut member = Self {
             effects: candidate.effects.clone(),
-            inflation: DVector::repeat(covariance.nrows(), 1.0),
+            inflation: DVector::repeat(n, 1.0),
             model,
-            covariance,
+            information,
             ln_probability,
             ln_given: ln_probability,
             told: Vec::new(),
@@ -138,10 +144,12 @@ impl Member {
         let jacobian = problem.jacobian(&self.model, &prediction, 0..start.len());
         let mut x = start.clone();
         let take = |(k, residual): (usize, &Residual)| {
-            self.walk();
-            let by_x = jacobian.rows(residual.len() * k, residual.len());
-            let innovation = DVector::from_iterator(residual.len(), residual.iter().copied()) + by_x * (&x - &start);
-            self.correct(&mut x, &by_x.into_owned(), &innovation)
+            let by_x = jacobian.rows(residual.len() * k, residual.len()).into_owned();
+            let innovation = DVector::from_iterator(residual.len(), residual.iter().copied()) + &by_x * (&x - &start);
+            self.walk(&x);
+            let score = self.correct(&x, &by_x, &innovation);
+            self.information.solution().into_iter().for_each(|(next, _)| x = next);
+            score.unwrap_or(Score { ln_density: f64::NEG_INFINITY, mean_square: 1.0 })
         };
         let scores = prediction.residuals.iter().enumerate().map(take).collect();
         let values = x.component_mul(&typical);
@@ -151,42 +159,39 @@ impl Member {
         scores
     }
 
-    /// The random walk before a sample. No standard deviation grows beyond a number's scale, or what it was if it was above, however long
-    /// no sample speaks of it.
-    fn walk(&mut self) {
-        let growth = (1.0 - 1.0 / MEMORY).recip().sqrt();
-        let by = self
-            .covariance
-            .diagonal()
-            .map(|variance| variance.max(f64::MIN_POSITIVE).sqrt().recip().clamp(1.0, growth));
-        self.covariance = DMatrix::from_fn(by.len(), by.len(), |a, b| self.covariance[(a, b)] * by[a] * by[b]);
+    /// The covariance of the numbers in units of their scales.
+    fn covariance(&self) -> DMatrix<f64> {
+        let n = self.information.count();
+        self.information.solution().map_or_else(|| DMatrix::zeros(n, n), |(_, covariance)| covariance)
     }
 
-    /// The filter's correction by an innovation in units of its noise, whose derivatives these are. Like the fit, it bounds the influence
-    /// of what lies far out.
-    fn correct(&mut self, x: &mut DVector<f64>, by_x: &DMatrix<f64>, innovation: &DVector<f64>) -> Score {
-        let nothing = Score { ln_density: f64::NEG_INFINITY, mean_square: 1.0 };
-        let crossed = by_x * &self.covariance;
-        let spread = &crossed * by_x.transpose() + DMatrix::identity(innovation.len(), innovation.len());
-        let Some(lower) = spread.cholesky().map(|factor| factor.l()) else { return nothing };
-        let (Some(white), Some(gain)) =
-            (lower.solve_lower_triangular(innovation), lower.solve_lower_triangular(&crossed))
-        else {
-            return nothing;
-        };
-        if !white.iter().chain(gain.iter()).all(|value| value.is_finite()) {
-            return nothing;
+    /// The random walk about x before a sample. No standard deviation grows beyond a number's scale, or what it was if it was above, however long
+    /// no sample speaks of it.
+    fn walk(&mut self, x: &DVector<f64>) {
+        let growth = (1.0 - 1.0 / MEMORY).recip().sqrt();
+        let by = self.covariance().diagonal().map(|variance| variance.sqrt().recip().clamp(1.0, growth));
+        self.information.walk(x, &by);
+    }
+
+    /// Learns from an innovation about x in units of its noise, whose derivatives these are. Like the fit, it bounds the influence of what
+    /// lies far out. `None` if the innovation says nothing.
+    fn correct(&mut self, x: &DVector<f64>, by_x: &DMatrix<f64>, innovation: &DVector<f64>) -> Option<Score> {
+        let (_, covariance) = self.information.solution()?;
+        let spread = by_x * covariance * by_x.transpose() + DMatrix::identity(innovation.len(), innovation.len());
+        let lower = spread.cholesky()?.l();
+        let white = lower.solve_lower_triangular(innovation)?;
+        let bounded = &lower * white.map(|r| r * LOSS.weight(r));
+        if !self.information.absorb(by_x, &(by_x * x - bounded)) {
+            return None;
         }
-        *x -= gain.tr_mul(&white.map(|r| r * LOSS.weight(r)));
-        self.covariance -= gain.tr_mul(&gain);
         let cost: f64 = white.iter().map(|&r| LOSS.rho(r)).sum();
         let ln_volume: f64 = lower.diagonal().iter().map(|side| side.ln()).sum();
-        Score { ln_density: -0.5 * cost - ln_volume, mean_square: white.norm_squared() / white.len() as f64 }
+        Some(Score { ln_density: -0.5 * cost - ln_volume, mean_square: white.norm_squared() / white.len() as f64 })
     }
 
     /// How many times as large the variances of another covariance of its numbers are as those of its own, number by number; at least once.
     pub fn design_effects(&self, covariance: &DMatrix<f64>) -> DVector<f64> {
-        let own = self.covariance.diagonal().component_mul(&scales(&self.model).map(|scale| scale * scale));
+        let own = self.covariance().diagonal().component_mul(&scales(&self.model).map(|scale| scale * scale));
         covariance.diagonal().component_div(&own).map(|ratio| if ratio.is_finite() { ratio.max(1.0) } else { 1.0 })
     }
 
@@ -198,7 +203,7 @@ impl Member {
 
     /// What is known of each number.
     pub fn known(&self, time_s: f64) -> Vec<Known> {
-        let variances = self.covariance.diagonal().component_mul(&self.inflation);
+        let variances = self.covariance().diagonal().component_mul(&self.inflation);
         let sds = variances.map(|variance| variance.max(0.0).sqrt());
         let sds = sds.component_mul(&scales(&self.model));
         let values = self.model.parameter_values();
@@ -239,5 +244,36 @@ impl Member {
         let named = names.into_iter().zip(numbers).zip(self.of_rig());
         let parameters = named.filter(|(_, of_rig)| !of_rig).map(|(named, _)| named).collect();
         Followed { effects: self.effects.clone(), probability: self.ln_probability.exp(), parameters }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::discover::fixture::{experiment, truth};
+    use crate::discover::noise::Noise;
+
+    #[test]
+    fn a_sample_within_the_bound_is_learned_from_by_kalmans_equations() {
+        let data = experiment(1);
+        let problem = Problem::new(&data, &Noise::stated(&data), &truth());
+        let candidate = Candidate { effects: Vec::new(), probability: 1.0, model: truth() };
+        let mut member = Member::new(&problem, &candidate, 0.0);
+        let x = DVector::from_vec(truth().parameter_values()).component_div(&scales(&truth()));
+        let before = member.covariance();
+        member.walk(&x);
+        let p = &before * (1.0 + 1.0 / (MEMORY - 1.0));
+        assert!((member.covariance() - &p).norm() < 1e-9 * p.norm());
+        let by_x = DMatrix::from_fn(3, 2, |a, b| 40.0 * (1.3 * a as f64 + 2.1 * b as f64).sin());
+        let innovation = DVector::from_column_slice(&[0.5, -1.2, 0.8]);
+        let score = member.correct(&x, &by_x, &innovation).unwrap();
+        let spread = &by_x * &p * by_x.transpose() + DMatrix::identity(3, 3);
+        let inverse = spread.clone().try_inverse().unwrap();
+        let gain = &p * by_x.transpose() * &inverse;
+        let (after, covariance) = member.information.solution().unwrap();
+        assert!((after - (&x - &gain * &innovation)).norm() < 1e-9 * x.norm());
+        assert!((covariance - (&p - &gain * &by_x * &p)).norm() < 1e-9 * p.norm());
+        let ln_density = -0.5 * (innovation.dot(&(inverse * &innovation)) + spread.determinant().ln());
+        assert!((score.ln_density - ln_density).abs() < 1e-9, "{} {ln_density}", score.ln_density);
     }
 }
