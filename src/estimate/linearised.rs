@@ -113,7 +113,7 @@ impl LinearisedMeasurement {
                 left_mm - mechanics.misfit_mm(&nudged.q_tilde, at, &nudged.motion) + slope * (bend - at)
             });
             let column = robot.bend_and_common(&by_parameter) * nudged.unit;
-            z += column * (nudged.value / nudged.unit);
+            z += column * (model.parameter_values()[nudged.parameter] / nudged.unit);
             h.set_column(2 + k, &column);
         }
         let slope = bend_and_common_by(robot, &slope);

@@ -53,8 +53,6 @@ pub(crate) struct Came {
 pub(crate) struct Nudged {
     /// Which of the model's parameters it is.
     pub parameter: usize,
-    /// Its value before.
-    pub value: f64,
     /// The unit in which it is estimated.
     pub unit: f64,
     /// The reading, less what neighbouring sections added, mm.
@@ -159,8 +157,7 @@ impl Follower {
             let Predicted { point, shown } =
                 predictor.predict_near(&Mechanics::new(&nudged), own.time_s, &q_tilde, near);
             let (motion, since_frame) = (point.motion, point.solution.bend - shown);
-            let value = model.parameter_values()[*parameter];
-            Nudged { parameter: *parameter, value, unit: *unit, q_tilde, motion, since_frame }
+            Nudged { parameter: *parameter, unit: *unit, q_tilde, motion, since_frame }
         });
         Some(Came { motion, solution, since_frame: solution.bend - predicted.shown, nudged: nudged.collect() })
     }

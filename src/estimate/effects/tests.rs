@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::estimate::filter::InformationFilter;
-use crate::estimate::{Estimator, LinearisedMeasurement, Options, estimate};
+use crate::estimate::{Estimator, LinearisedMeasurement, Options, Verdict, estimate};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::{Effect, Estimate, Mechanics, PathPoint};
@@ -203,4 +203,26 @@ fn a_fresh_start_goes_back_to_what_was_known_of_the_effects_before() {
     }
     assert!(sds_mm[56] < 0.005 && sds_mm[57] > 1.3 * sds_mm[56] && sds_mm[57] < 0.01, "{sds_mm:?}");
     assert!((estimator.model().parameters().y - 0.6765).abs() < 0.002);
+}
+
+#[test]
+fn gross_readings_are_rejected_and_leave_what_is_learned_of_the_effects() {
+    for (effects, sds) in UNCERTAIN {
+        let given = with_effects(effects, sds);
+        let (measurements, readings) = log(&given, 12, 4);
+        let mut broken = readings.clone();
+        broken[20].q_mm[1] = -99.0;
+        broken[40].q_mm[0] = 1e200;
+        let learned = |given: &Model, readings: &[EncoderReading]| {
+            let (rows, found) = estimate(given, Options::default(), &measurements, readings).unwrap();
+            (rows.iter().filter(|row| row.verdict != Verdict::Used).count(), found)
+        };
+        let ((_, whole), (lost, less)) = (learned(&given, &readings), learned(&given, &broken));
+        // What exact effects remember is as wrong after such a reading.
+        let (lost_beside_exact, _) = learned(&with_effects(effects, &vec![0.0; sds.len()]), &broken);
+        assert_eq!(lost, lost_beside_exact, "{effects:?}");
+        let off = DVector::from_vec(less.parameter_values()) - DVector::from_vec(whole.parameter_values());
+        let sds = whole.covariance().diagonal().map(f64::sqrt);
+        assert!(off.component_div(&sds).amax() < 1.0, "{effects:?}: {}", off.component_div(&sds));
+    }
 }
