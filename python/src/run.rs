@@ -156,11 +156,11 @@ pub fn estimate(
     let (measurements, remark) = with_sigmas(&measurements_of(measurements)?, &readings);
     remark.map_or(Ok(()), |remark| warn(py, &remark))?;
     let learned = interruptible(py, move || {
-        JudgedEstimate::of(&start, options, (&measurements, &readings), false, |model| {
+        JudgedEstimate::of(&start, options, None, (&measurements, &readings), false, |model| {
             Ok(Subject::new(model, options.sd_encoder_mm))
         })
     })?;
-    let JudgedEstimate { rows, model, verdict } = learned.map_err(raised)?;
+    let JudgedEstimate { rows, model, verdict, .. } = learned.map_err(raised)?;
     let rows = columns_of_csv(py, &estimates_csv(&rows, model.robot.backbone_count()))?.unbind();
     let model = PyModel { model, verdict: Some(verdict.clone()) };
     Ok(PyEstimate { verdict: PyVerdict(verdict), model, rows })

@@ -2,17 +2,17 @@
 
 use super::console::Console;
 use super::estimator::EstimatorArgs;
-use super::inputs::{NamedLog, WorthArgs, force_limits, measurements_and_readings, with_effects};
+use super::inputs::{CommandedArgs, NamedLog, WorthArgs, measurements_and_readings, with_effects};
 use super::verdict::{VerdictArgs, unit_is_stated, verdict_text};
 use crate::cli::failure::Failure;
-use crate::estimate::{EstimateRow, EtaLambda, Verdict as RowVerdict, estimate, or_one_gain};
+use crate::estimate::{EstimateRow, EtaLambda, Verdict as RowVerdict};
 use crate::observation::{EncoderReading, Measurement, commonest_status};
 use crate::quantity::with_sd;
 use crate::record::{
     Files, OutputFolder, Provenance, estimates_csv, learned_model_toml, stems_csv, tables_marked_stale, write_together,
 };
-use crate::robot::{Effect, Estimate, ForceLimits, Model};
-use crate::verdict::{Code, JudgedEstimate, JudgedStem, Level, Reason, Verdict, doubt_of_force_limits};
+use crate::robot::{Effect, Estimate, Model};
+use crate::verdict::{Code, JudgedEstimate, JudgedStem, Level, Reason, Verdict};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -38,13 +38,11 @@ pub struct Args {
     /// The folder to write to; created if it is missing
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
-    /// Force limits of the table that commanded the robot (`table --force-limits`): the force that its backbones share changes all readings
-    /// alike, and is subtracted before λ is learned
-    #[arg(long, value_name = "PULL,PUSH", value_delimiter = ',', allow_hyphen_values = true, conflicts_with = "stem")]
-    force_limits: Option<Vec<f64>>,
+    #[command(flatten)]
+    commanded: CommandedArgs,
     /// Follow the total bending angle of a flexible stem instead, with η and λ of --model known: writes OUT/stem.csv, and
     /// OUT/model.toml with the stem's last angle
-    #[arg(long, requires = "model", conflicts_with_all = ["flat_sigma", "gate"])]
+    #[arg(long, requires = "model", conflicts_with_all = ["flat_sigma", "gate", "force_limits"])]
     stem: bool,
     #[command(flatten)]
     estimator: EstimatorArgs,
@@ -96,7 +94,10 @@ impl Args {
     }
 
     fn made_from(&self, log: &NamedLog) -> Result<Provenance> {
-        Provenance::new("estimate").with_options(&self.estimator)?.with_inputs(self.files(log))
+        Provenance::new("estimate")
+            .with_options(&self.estimator)?
+            .with_options(&self.commanded)?
+            .with_inputs(self.files(log))
     }
 
     pub fn run(&self, console: &Console) -> Result<(), Failure> {
@@ -109,18 +110,14 @@ impl Args {
         if self.stem {
             return self.follow_stem(console, (&model, do_not_use.as_deref()), &log, (&measurements, &encoders));
         }
-        let (encoders, doubt) = match force_limits(self.force_limits.as_deref())? {
-            Some(limits) => self.without_sharing(&model, &limits, &measurements, &encoders)?,
-            None => (encoders, None),
-        };
         let options = self.estimator.options(1.0);
-        let is_stated = unit_is_stated(log.experiment.as_ref());
-        let JudgedEstimate { rows, model, verdict } =
-            JudgedEstimate::of(&model, options, (&measurements, &encoders), is_stated, |model| {
+        let (limits, is_stated) = (self.commanded.force_limits, unit_is_stated(log.experiment.as_ref()));
+        let JudgedEstimate { rows, model, verdict, .. } =
+            JudgedEstimate::of(&model, options, limits.as_ref(), (&measurements, &encoders), is_stated, |model| {
                 log.subject(model, options.sd_encoder_mm)
             })?;
         let estimated = Estimated::of(&rows, model.estimate);
-        let verdict = do_not_use.as_deref().map(bad_start).into_iter().chain(doubt).fold(verdict, Verdict::and);
+        let verdict = do_not_use.as_deref().map(bad_start).into_iter().fold(verdict, Verdict::and);
         let mut files = Vec::new();
         if model.estimate.is_some() {
             files = self.beside_model(learned_model_toml(&model, Some(&verdict), &self.made_from(&log)?)?)?;
@@ -143,26 +140,6 @@ impl Args {
         });
         summary.estimated.require_parameters(&self.measurements)?;
         self.verdict.check(&summary.verdict)
-    }
-
-    /// The readings without the force that the backbones share within limits, and a reason if they do not show that force. It depends on η, which
-    /// the bending part alone tells, and which is estimated from the readings as they are.
-    fn without_sharing(
-        &self,
-        model: &Model,
-        limits: &ForceLimits,
-        measurements: &[Measurement],
-        encoders: &[EncoderReading],
-    ) -> Result<(Vec<EncoderReading>, Option<Reason>)> {
-        let (_, first) = estimate(model, self.estimator.options(1.0), measurements, encoders)?;
-        let (first, _) = or_one_gain(first, measurements, encoders);
-        let without = |reading: &EncoderReading| {
-            let q_mm = first.without_sharing(&reading.q_mm, limits);
-            EncoderReading { q_mm, ..*reading }
-        };
-        let doubt =
-            doubt_of_force_limits(&first, limits, measurements, encoders, self.estimator.options(1.0).sd_encoder_mm);
-        Ok((encoders.iter().map(without).collect(), doubt))
     }
 
     /// model.toml, and the tables of an earlier call as they are marked beside it.

@@ -1,14 +1,14 @@
 //! `evaluate`: the gap that a model leaves on data, and how far measurements are from a known truth.
 
 use super::console::Console;
-use super::inputs::{NamedLog, measurements_and_readings, model_or_paper, rows};
+use super::inputs::{CommandedArgs, NamedLog, measurements_and_readings, model_or_paper, rows};
 use super::verdict::{VerdictArgs, unit_is_stated, verdict_text};
 use crate::cli::failure::Failure;
 use crate::estimate::Options;
 use crate::estimate::accuracy::{Accuracy, AngleScore, accuracy};
 use crate::estimate::gap::{Gap, gap};
 use crate::record::read_truth;
-use crate::verdict::{Code, Level, Reason, Verdict, doubts_of_times};
+use crate::verdict::{Code, Level, Reason, Verdict, doubts_of_times, without_shared_force};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -38,6 +38,8 @@ pub struct Args {
     #[arg(long, value_name = "MM", default_value_t = Options::default().sd_encoder_mm)]
     encoder_sd: f64,
     #[command(flatten)]
+    commanded: CommandedArgs,
+    #[command(flatten)]
     verdict: VerdictArgs,
 }
 
@@ -55,6 +57,10 @@ impl Args {
         let model = model_or_paper(console, self.model.as_deref())?;
         let log = self.encoders.as_deref().map(NamedLog::open).transpose()?;
         let (measurements, readings) = measurements_and_readings(console, &model, &self.measurements, log.as_ref())?;
+        let (readings, doubt_of_limits) = match &self.commanded.force_limits {
+            Some(limits) => without_shared_force(&model, limits, (&measurements, &readings), self.encoder_sd),
+            None => (readings, None),
+        };
         let gap = match &self.encoders {
             None => None,
             Some(path) => {
@@ -79,8 +85,8 @@ impl Args {
         let verdict = match &log {
             Some(log) => {
                 let subject = log.subject(&model, self.encoder_sd)?;
-                let doubt = doubts_of_times(&measurements, &readings, unit_is_stated(log.experiment.as_ref()));
-                doubt.into_iter().fold(subject.verdict(&measurements, &readings), Verdict::and)
+                let doubts = doubts_of_times(&measurements, &readings, unit_is_stated(log.experiment.as_ref()));
+                doubts.into_iter().chain(doubt_of_limits).fold(subject.verdict(&measurements, &readings), Verdict::and)
             }
             None => Verdict::of(vec![Reason::new(
                 Code::NothingToJudge,

@@ -14,6 +14,7 @@ use crate::robot::data_range::ASKED_FOR;
 use crate::robot::{Effect, ForceLimits, Friction, Model, TableRow};
 use crate::verdict::{Level, Subject, doubt_of_parameters};
 use crate::{Error, Result};
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -77,13 +78,22 @@ fn must_not_be_used(path: &Path, model: &Model) -> Option<String> {
     do_not_use_mark(path).or_else(|| model.estimate.and_then(|estimate| estimate.implausible()))
 }
 
-/// The limits that --force-limits gives: pull and push, N.
-pub fn force_limits(numbers: Option<&[f64]>) -> Result<Option<ForceLimits>, Failure> {
-    match numbers {
-        None => Ok(None),
-        Some(&[least_n, most_n]) => Ok(Some(ForceLimits::new(least_n, most_n)?)),
-        Some(numbers) => Err(Failure::Usage(format!("--force-limits: {} numbers, expected 2", numbers.len()))),
+/// Force limits as --force-limits gives them: pull and push, N.
+pub fn force_limits(text: &str) -> Result<ForceLimits, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[least_n, most_n]) => ForceLimits::new(least_n, most_n).map_err(|error| error.to_string()),
+        _ => Err("two numbers with a comma between them are expected, the pull and the push in N".to_owned()),
     }
+}
+
+/// What commanded the robot, as `run`, `estimate` and `evaluate` are told it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, clap::Args)]
+pub struct CommandedArgs {
+    /// Force limits of the table that commanded the robot (`table --force-limits`): the force that its backbones share changes all readings
+    /// alike, and is subtracted first, so that it is not taken for λ
+    #[arg(long, value_name = "PULL,PUSH", value_parser = force_limits, allow_hyphen_values = true)]
+    pub force_limits: Option<ForceLimits>,
 }
 
 /// A model with further effects, as they are given on the command line.

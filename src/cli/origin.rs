@@ -2,6 +2,7 @@
 
 use super::checksum::Checksum;
 use super::estimator::EstimatorArgs;
+use super::inputs::CommandedArgs;
 use super::overlays::Overlays;
 use super::shard::Shard;
 use super::views::OpenView;
@@ -23,6 +24,9 @@ pub struct Settings {
     pub overlays: Overlays,
     #[command(flatten)]
     pub estimator: EstimatorArgs,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub commanded: CommandedArgs,
 }
 
 /// Everything on which the rows of measurements.csv, and what is made of them, depend.

@@ -217,8 +217,9 @@ pub fn finish(
     let (options, backbones) = (settings.estimator.options(1.0), start.robot.backbone_count());
     let wiring = experiment.wiring(backbones)?;
     let is_stated = unit_is_stated(Some(experiment));
-    let JudgedEstimate { rows, model, verdict } =
-        JudgedEstimate::of(start, options, (&measurements, encoders), is_stated, |model| {
+    let limits = settings.commanded.force_limits;
+    let JudgedEstimate { rows, model, readings, verdict } =
+        JudgedEstimate::of(start, options, limits.as_ref(), (&measurements, encoders), is_stated, |model| {
             Ok(subject(model, experiment, wiring, options.sd_encoder_mm))
         })?;
     let doubts = reasons_of_files(experiment, warnings)?.into_iter().chain(sheets);
@@ -233,8 +234,8 @@ pub fn finish(
         frames: count.frames,
         statuses: count.statuses,
         estimated,
-        gap: gap(&model, &measurements, encoders),
-        naive_gap: gap(&naive, &measurements, encoders),
+        gap: gap(&model, &measurements, &readings),
+        naive_gap: gap(&naive, &measurements, &readings),
         table,
         throughput,
         output: output.to_owned(),
@@ -242,7 +243,7 @@ pub fn finish(
         model,
     };
     let history = RunHistory::of(&measurements, &rows);
-    let page = page(experiment, &summary, encoders, &history, (settings, warnings, &made_from))?;
+    let page = page(experiment, &summary, &readings, &history, (settings, warnings, &made_from))?;
     files.push((output.join("report.html"), page));
     // The rows of the estimate stand beside the model that they led to, and not beside an earlier one.
     if summary.table.is_some() || !output.join("model.toml").exists() {

@@ -5,7 +5,7 @@ use super::inputs::{WorthArgs, force_limits, tell_of_learning, tell_of_missed_po
 use crate::Result;
 use crate::cli::failure::Failure;
 use crate::record::{OutputFolder, Worth, stale_mark, write_compensation_rows};
-use crate::robot::{Effect, Grid, GridAxis, Model, TableRow, compensation_table};
+use crate::robot::{Effect, ForceLimits, Grid, GridAxis, Model, TableRow, compensation_table};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -32,8 +32,8 @@ pub struct Args {
     delta_deg: GridAxis,
     /// Largest pull (negative) and push that the actuation unit can exert on a backbone, N. The table then has the forces of least strain
     /// within these limits; without them those of Eq. 11, the least strain of all
-    #[arg(long, value_name = "PULL,PUSH", value_delimiter = ',', allow_hyphen_values = true)]
-    force_limits: Option<Vec<f64>>,
+    #[arg(long, value_name = "PULL,PUSH", value_parser = force_limits, allow_hyphen_values = true)]
+    force_limits: Option<ForceLimits>,
     /// Also write OUT/compensation.h, the table for a controller in C, with a lookup that interpolates it
     #[arg(long)]
     c_header: bool,
@@ -66,7 +66,7 @@ impl Args {
         let grid = Grid { theta, delta: self.delta_deg };
         let mut rows = compensation_table(&model, &grid)?;
         tell_of_missed_poses(console, &model, &rows);
-        if let Some(limits) = force_limits(self.force_limits.as_deref())? {
+        if let Some(limits) = self.force_limits {
             rows = rows.into_iter().map(|row| row.within(&model, &limits)).collect();
         }
         let summary = Summary {

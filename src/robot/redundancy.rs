@@ -22,9 +22,10 @@
 //! A force f_i stretches its line by κf_i, which is added to q̃_i: the choice shows in the table and in the bend not at all.
 
 use super::{Mechanics, Model, PerBackbone, Response};
-use crate::error::{ArgumentError, Result};
+use crate::error::{ArgumentError, Error, Result};
 use crate::geometry::Configuration;
 use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
 
 /// A force counts as within limits that it misses by less than this, N.
 ///
@@ -41,7 +42,8 @@ const FARTHEST_MULTIPLIER: f64 = 16.0;
 const BISECTIONS: usize = 60;
 
 /// What the actuation unit can do: forces τ̃, N, positive where they push.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "(f64, f64)", into = "(f64, f64)")]
 pub struct ForceLimits {
     least_n: f64,
     most_n: f64,
@@ -66,6 +68,20 @@ impl ForceLimits {
 
     fn contain(&self, force_n: f64) -> bool {
         (self.least_n - LIMIT_TOLERANCE_N..=self.most_n + LIMIT_TOLERANCE_N).contains(&force_n)
+    }
+}
+
+impl TryFrom<(f64, f64)> for ForceLimits {
+    type Error = Error;
+
+    fn try_from((least_n, most_n): (f64, f64)) -> Result<Self> {
+        Self::new(least_n, most_n)
+    }
+}
+
+impl From<ForceLimits> for (f64, f64) {
+    fn from(limits: ForceLimits) -> Self {
+        limits.ends_n()
     }
 }
 

@@ -36,6 +36,6 @@ pub use reason::{Code, Level, Reason, Suggestion, Verdict};
 pub(crate) use rules::doubt_of_parameters;
 pub use rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, MOST_LAMBDA_MM, REJECTED_IN_ORDER};
 #[cfg(feature = "commands")]
-pub(crate) use shared_force::doubt_of_force_limits;
+pub(crate) use shared_force::without_shared_force;
 pub use stem::JudgedStem;
 pub use tip_force::JudgedForce;

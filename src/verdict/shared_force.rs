@@ -22,8 +22,22 @@ const MULTIPLES: [f64; 8] = [0.25, 1.0 / 3.0, 0.5, 2.0 / 3.0, 1.5, 2.0, 3.0, 4.0
 /// Convention: a tenth of the largest λ that robots have.
 const MATTERS_MM: f64 = 0.1;
 
-/// A reason where the readings do not show the force that the limits tell. The model has the η by which the bends are explained.
-pub fn doubt_of_force_limits(
+/// The readings without the force that the backbones share within limits, and a reason where they do not show that force. The model has the η by
+/// which the bends are explained.
+pub fn without_shared_force(
+    model: &Model,
+    limits: &ForceLimits,
+    (measurements, readings): (&[Measurement], &[EncoderReading]),
+    sd_encoder_mm: f64,
+) -> (Vec<EncoderReading>, Option<Reason>) {
+    let without =
+        |reading: &EncoderReading| EncoderReading { q_mm: model.without_sharing(&reading.q_mm, limits), ..*reading };
+    let doubt = doubt_of_force_limits(model, limits, measurements, readings, sd_encoder_mm);
+    (readings.iter().map(without).collect(), doubt)
+}
+
+/// A reason where the readings do not show the force that the limits tell.
+fn doubt_of_force_limits(
     model: &Model,
     limits: &ForceLimits,
     measurements: &[Measurement],

@@ -400,7 +400,7 @@ impl Inspection {
         let wiring = experiment.wiring(model.robot.backbone_count())?;
         let is_stated = unit_is_stated(Some(experiment));
         let JudgedEstimate { model: learned, verdict, .. } =
-            JudgedEstimate::of(model, options, (measurements, log), is_stated, |model| {
+            JudgedEstimate::of(model, options, None, (measurements, log), is_stated, |model| {
                 Ok(subject(model, experiment, wiring, options.sd_encoder_mm))
             })?;
         let wired_wrong = verdict.has(Code::Wiring) || verdict.has(Code::EncoderStuck);

@@ -144,18 +144,44 @@ fn statuses(sandbox: &Sandbox, table: &str, poses: &[(i32, i32)]) -> Vec<i32> {
     String::from_utf8(said.stdout).unwrap().lines().map(|line| line.parse().unwrap()).collect()
 }
 
-#[test]
-fn the_play_is_found_behind_force_limits_once_they_are_told() {
-    let sandbox = learned(76);
-    // The robot as a table with force limits commands it: the table's shared force is in the readings.
-    let log = read_encoders(&sandbox.join("lab/encoders.csv"), 3).unwrap().rows;
-    let model = snakeloop::record::read_model(&sandbox.join("out/model.toml")).unwrap();
-    let limits = snakeloop::robot::ForceLimits::new(-60.0, 15.0).unwrap();
+/// Puts the force that backbones share within limits into a log, as a table made for them commands the robot.
+fn command_within(sandbox: &Sandbox, log: &str, model: &str, (pull_n, push_n): (f64, f64)) {
+    let rows = read_encoders(&sandbox.join(log), 3).unwrap().rows;
+    let model = snakeloop::record::read_model(&sandbox.join(model)).unwrap();
+    let limits = snakeloop::robot::ForceLimits::new(pull_n, push_n).unwrap();
     let shared = |row: &snakeloop::observation::EncoderReading| {
         let pose = model.forward(&row.q_mm).unwrap().configuration;
         snakeloop::observation::EncoderReading { q_mm: row.q_mm + model.sharing(pose, &limits).shift_mm, ..*row }
     };
-    sandbox.write("lab/encoders.csv", &encoders_csv(&log.iter().map(shared).collect::<Vec<_>>(), 3));
+    sandbox.write(log, &encoders_csv(&rows.iter().map(shared).collect::<Vec<_>>(), 3));
+}
+
+#[test]
+fn evaluate_and_run_know_the_shared_force_once_they_are_told_of_it() {
+    let sandbox = learned(76);
+    command_within(&sandbox, "lab/encoders.csv", "out/model.toml", (-60.0, 15.0));
+    let evaluate = format!("evaluate --model out/model.toml {}", data("lab"));
+    let [told, untold] = ["--force-limits=-60,15", ""].map(|limits| sandbox.json(&format!("{evaluate} {limits}")));
+    assert_eq!(told["verdict"]["level"], "good", "{told:#}");
+    // The floor is that of the noise of 36 bends, whose rms scatters by 8 %.
+    assert!(number(&told, "rms_eps_mm") < 1.25 * number(&told, "noise_floor_mm"), "{told:#}");
+    assert!(number(&untold, "rms_eps_mm") > 2.0 * number(&told, "rms_eps_mm"), "{untold:#}");
+
+    let sandbox = super::fixture::sandbox();
+    let run = |more: &str| sandbox.json(&format!("run experiment -o out --overlays none {more}"));
+    let plain = run("");
+    command_within(&sandbox, "experiment/encoders.csv", "out/model.toml", (-20.0, 5.0));
+    let (untold, told) = (run(""), run("--force-limits=-20,5"));
+    let (lambda, sd) = (number(&plain, "lambda_mm"), number(&plain, "sd_lambda_mm"));
+    assert!((number(&told, "lambda_mm") - lambda).abs() < sd && told["verdict"]["level"] == plain["verdict"]["level"]);
+    assert!((number(&untold, "lambda_mm") - lambda).abs() > 2.0 * sd, "{untold:#}");
+    assert!(sandbox.read("out/model.toml").contains("force_limits"), "what it was made from");
+}
+
+#[test]
+fn the_play_is_found_behind_force_limits_once_they_are_told() {
+    let sandbox = learned(76);
+    command_within(&sandbox, "lab/encoders.csv", "out/model.toml", (-60.0, 15.0));
     let told = sandbox.json(&format!("estimate {} --force-limits=-60,15 -o told", data("lab")));
     let (lambda, sd) = (number(&told, "lambda_mm"), number(&told, "sd_lambda_mm"));
     assert!((lambda - 0.1765).abs() < 2.0 * sd && sd < 0.01, "{told:#}");
