@@ -203,11 +203,16 @@ const MISTAKES: [Mistake; 48] = [
     ),
 ];
 
-/// The verdict of `estimate` on spoilt tables, with all that it said.
+/// The verdict of `estimate` on spoilt tables.
 fn verdict(sandbox: &Sandbox, tables: &Tables) -> Value {
+    verdict_of(sandbox, tables, "")
+}
+
+/// The same with further options.
+fn verdict_of(sandbox: &Sandbox, tables: &Tables, options: &str) -> Value {
     sandbox.write("lab/measurements.csv", &measurements_csv(&tables.measurements));
     sandbox.write("lab/encoders.csv", &encoders_csv(&tables.log, 3));
-    let output = sandbox.call(&format!("estimate {} -o out --json --quiet", data("lab")));
+    let output = sandbox.call(&format!("estimate {} -o out --json --quiet {options}", data("lab")));
     let said = all_said(&output);
     assert!(!said.contains("panicked"), "{said}");
     json(std::str::from_utf8(&output.stdout).unwrap())["verdict"].clone()
@@ -245,6 +250,45 @@ fn the_mistakes_of_a_laboratory_are_named_with_the_right_remedy_first() {
         }
     }
     assert!(wrong.len() * 10 <= MISTAKES.len(), "{} of {}: {}", wrong.len(), MISTAKES.len(), wrong.join("\n"));
+}
+
+#[test]
+fn no_mistake_of_a_laboratory_is_called_good_behind_force_limits() {
+    let sandbox = Sandbox::new();
+    let mut clean = experiment(&sandbox, 1);
+    let truth = snakeloop::record::read_model(&sandbox.join("hidden.toml")).unwrap();
+    let limits = snakeloop::robot::ForceLimits::new(-60.0, 15.0).unwrap();
+    for row in &mut clean.log {
+        let pose = truth.forward(&row.q_mm).unwrap().configuration;
+        row.q_mm += truth.sharing(pose, &limits).shift_mm;
+    }
+    let verdict = |tables: &Tables| verdict_of(&sandbox, tables, "--force-limits=-60,15");
+    assert_eq!(verdict(&clean)["level"], "good");
+    for (name, spoil, ..) in MISTAKES {
+        let mut tables = clean.clone();
+        spoil(&mut tables);
+        assert_ne!(verdict(&tables)["level"], "good", "{name}");
+    }
+    // A quarter of a sample late, a view turned by 3°, and a straight picture that is bent by 2°.
+    let small: [fn(&mut Tables); 3] = [
+        |t| {
+            let rows = t.log.clone();
+            let late = |(row, pair): (&mut EncoderReading, &[EncoderReading])| {
+                row.q_mm = pair[1].q_mm * 0.75 + pair[0].q_mm * 0.25;
+            };
+            t.log.iter_mut().skip(1).zip(rows.windows(2)).for_each(late);
+        },
+        |t| t.azimuths(|delta| delta + 3f64.to_radians()),
+        |t| {
+            let bent = nalgebra::Vector2::new(0.02, 0.028);
+            t.angles(|psi| Configuration::from_bend_vector(psi.bend_vector() - bent));
+        },
+    ];
+    for (k, spoil) in small.into_iter().enumerate() {
+        let mut tables = clean.clone();
+        spoil(&mut tables);
+        assert_ne!(verdict(&tables)["level"], "good", "small mistake {k}");
+    }
 }
 
 #[test]
