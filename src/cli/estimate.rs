@@ -2,7 +2,7 @@
 
 use super::console::Console;
 use super::estimator::EstimatorArgs;
-use super::inputs::{CommandedArgs, NamedLog, WorthArgs, measurements_and_readings, with_effects};
+use super::inputs::{CommandedArgs, NamedLog, WorthArgs, measurements_and_readings, tell_of_data_seen, with_effects};
 use super::verdict::{VerdictArgs, unit_is_stated, verdict_text};
 use crate::cli::failure::Failure;
 use crate::estimate::{EstimateRow, EtaLambda, Verdict as RowVerdict};
@@ -105,6 +105,7 @@ impl Args {
         let log = NamedLog::open(&self.encoders)?;
         let _out = OutputFolder::claim(&self.output, &OUTPUTS, &self.files(&log))?;
         let (model, do_not_use) = self.worth.model(console, self.model.as_deref())?;
+        tell_of_data_seen(console, &model, self.model.as_deref(), &self.measurements)?;
         let model = with_effects(console, model, &self.effect)?;
         let (measurements, encoders) = measurements_and_readings(console, &model, &self.measurements, Some(&log))?;
         if self.stem {

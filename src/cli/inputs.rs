@@ -5,9 +5,10 @@ use super::verdict::subject;
 use crate::camera::FrameSource;
 use crate::cli::failure::Failure;
 use crate::estimate::with_sigmas;
+use crate::input::read_text;
 use crate::observation::{EncoderReading, Measurement};
 use crate::record::{
-    Checked, EncoderLog, Experiment, Matched, do_not_use_mark, read_encoders_kept, read_joints, read_log,
+    Checked, EncoderLog, Experiment, Matched, Provenance, do_not_use_mark, read_encoders_kept, read_joints, read_log,
     read_measurements, read_model, stale_mark, verdict_mark,
 };
 use crate::robot::data_range::ASKED_FOR;
@@ -41,6 +42,25 @@ fn tell_of_marks(console: &Console, path: &Path) {
     console.warn(stale_mark(path).map(|why| named("is marked as stale", why)));
     let amber = verdict_mark(path).filter(|(level, _)| *level == Level::Look.to_string());
     console.warn(amber.and_then(|(_, worst)| worst).map(|why| named("is to be looked at before it is used", why)));
+}
+
+/// Warns if the effects of a model in a file, which a command goes on learning from what their sigmas say, were learned from the same data.
+///
+/// # Errors
+/// Data that cannot be read.
+pub fn tell_of_data_seen(console: &Console, model: &Model, path: Option<&Path>, data: &Path) -> Result<()> {
+    let is_learned = (0..model.effects.len()).any(|k| model.effect_sds(k).iter().any(|sd| *sd > 0.0));
+    let Some(path) = path.filter(|_| is_learned) else { return Ok(()) };
+    let text = read_text(path)?;
+    let own = Provenance::new("").with_inputs([data])?;
+    console.warn(own.inputs_shared_with(&text).first().map(|seen| {
+        format!(
+            "{}: its effects were learned from {seen} already, whose measurements now count twice: the sigmas are too small by up to a \
+             factor of √2; estimate from measurements that it was not made from",
+            path.display()
+        )
+    }));
+    Ok(())
 }
 
 /// What a command that predicts does with a model that must not be used.

@@ -3,7 +3,7 @@
 use super::console::{Caller, Console};
 use super::estimate::Estimated;
 use super::flow::{MeasuredFrames, Throughput};
-use super::inputs::{encoders_of, files_read, maker, model_of};
+use super::inputs::{encoders_of, files_read, maker, model_of, tell_of_data_seen};
 use super::measuring::{self, Count, Measured, MeasuringArgs};
 use super::origin::Settings;
 use super::overlays::{self, Overlays, closeup, draw, jpeg, pictures};
@@ -189,11 +189,12 @@ impl Inputs {
 
     /// Reads starting model and encoder log, and shows what was passed over in the log.
     pub fn read(console: &Console, experiment: &Experiment) -> Result<Self> {
-        if experiment.encoders.is_none() {
+        let Some(log) = &experiment.encoders else {
             let message = "encoders is missing; `run` needs an encoder log, `measure` does without";
             return Err(Error::content(&experiment.path, message));
-        }
+        };
         let start = model_of(console, experiment)?;
+        tell_of_data_seen(console, &start, experiment.model.as_deref(), log.path())?;
         let Checked { rows: encoders, warnings } = encoders_of(experiment, &start)?;
         console.warn(&warnings);
         Ok(Self { start, encoders, warnings })

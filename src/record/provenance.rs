@@ -76,6 +76,14 @@ impl Provenance {
         Ok(self)
     }
 
+    /// The inputs that a result was made from as well, by the text of its file in TOML: those with the same contents.
+    pub fn inputs_shared_with(&self, result: &str) -> Vec<&str> {
+        let result: toml::Table = toml::from_str(result).unwrap_or_default();
+        let inputs = result.get("provenance").and_then(|made_from| made_from.get("inputs")?.as_table());
+        let is_in = |sum: &str| inputs.is_some_and(|inputs| inputs.values().any(|other| other.as_str() == Some(sum)));
+        self.inputs.iter().filter(|(_, sum)| is_in(sum)).map(|(path, _)| path.as_str()).collect()
+    }
+
     /// As a table of TOML.
     ///
     /// # Errors
@@ -141,5 +149,10 @@ mod tests {
             table["date"].as_str().unwrap().ends_with('Z') && table["program"].as_str().unwrap().contains("snakeloop")
         );
         assert!(Provenance::new("run").with_inputs([folder.path().join("none")]).is_err());
+        // The same contents under another name are the same input.
+        let result = format!("[provenance.inputs]\n\"elsewhere\" = \"{sum}\"\n");
+        assert_eq!(made.inputs_shared_with(&result), [path.to_str().unwrap()]);
+        assert!(made.inputs_shared_with("[provenance.inputs]\nabc = \"00\"").is_empty());
+        assert!(made.inputs_shared_with("no TOML").is_empty());
     }
 }
