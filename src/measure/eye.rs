@@ -2,21 +2,23 @@
 //!
 //! A frame goes through these stages, see [`Eye::measure`]:
 //!
-//! 1. Coarse search: the bends of a lattice with the most contrast across their outlines are candidates.
+//! 1. Coarse search: the bends of a lattice with the most contrast across their outlines are candidates. It looks at the whole frame, made smaller.
 //! 2. First try: the best candidate, or the one that is expected, goes through stages 3 to 6 with no other beside it but its mirrored solution.
-//!    The answer stands where it agrees with nearly all of the outline and no other bend comes near to it.
-//! 3. Coarse fits: each candidate is fitted from wide search distances; the best one's mirrored solution as well.
+//!    Only its surroundings are looked at. The answer stands where it agrees with nearly all of the outline and no other bend comes near to it.
+//! 3. Coarse fits: each candidate is fitted to the whole frame from wide search distances; the best one's mirrored solution as well.
 //! 4. Refinement: the best of them are fitted until they converge.
 //! 5. Selection among the local minima: the best is fitted in the fine stage, and so is every other that may explain the picture
 //!    as well, its mirrored solution among them.
 //! 6. Verdict: the status, and for [`Status::Ok`] the bend with its covariance, to which the rig's uncertainty is added.
 
 use super::fitter::Fitter;
+use super::minima::leading_home;
 use super::selection::{Attempt, Selection};
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
 use crate::measure::fit::{BendFit, CoarseSearch, EdgeFinder, FitSchedule, ProfileCovariance, noise_model};
+use crate::measure::image::appearance::Appearance;
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
 use crate::measure::measurement::{Bend, FrameMeasurement};
@@ -31,11 +33,11 @@ use std::sync::{Arc, OnceLock};
 ///
 /// Fitted: by hand on renders; judged by `tests/eye/robustness`.
 const CANDIDATES: usize = 6;
-/// How far around the last outline of a tracked sequence a frame is looked at, px.
+/// How far around the outline of the bend that a fit starts from a frame is looked at, px.
 ///
-/// Convention: twice the first search distance of [`FitSchedule::FROM_NEAR`]; a snake that moves further is searched everywhere, which takes longer
-/// but costs no accuracy.
-const TRACKED_REACH_PX: f64 = 28.0;
+/// Convention: twice the first search distance of the fits; a snake that is further off is searched everywhere, which takes longer but costs no
+/// accuracy.
+const NEAR_REACH_PX: f64 = 28.0;
 /// A snake that is shorter in the picture is called small, px.
 ///
 /// Convention: the book's advice. In 36 photo-real frames the median σ of θ is 0.03° at 488 px; averaged over 2×2 and 3×3 px, 0.09° at 245
@@ -65,8 +67,9 @@ pub struct Eye {
     /// The coarse search, made when a frame first asks for it, and the camera's pose that it is made for.
     pub(super) search: Arc<OnceLock<CoarseSearch>>,
     pub(super) search_pose: Pose,
-    /// What of the sheet is behind every pixel, made when a frame first asks for it; `None` where the eye does not look through its lines.
-    pub(super) sheet: Arc<OnceLock<Option<Plane>>>,
+    /// What of the sheet is behind every pixel, and behind every pixel of the coarse search, made when a frame first asks for it; `None` where the
+    /// eye does not look through its lines.
+    pub(super) sheet: Arc<OnceLock<Option<(Plane, Plane)>>>,
     pub(super) drift_monitor: Arc<RigDriftMonitor>,
     /// The pose's covariance as calibrated, before a moving camera was followed.
     pub(super) calibrated_covariance: Matrix6<f64>,
@@ -79,6 +82,15 @@ pub(super) struct MeasurementStages {
     /// The local minima, best first; the first is fitted in the fine stage.
     pub fits: Vec<BendFit>,
     pub measurement: FrameMeasurement,
+}
+
+/// A frame, and what is known of all of it before any part is looked at.
+pub(super) struct Exposed<'a> {
+    pub frame: &'a Frame,
+    /// What tells snake from target at its exposure.
+    pub appearance: Appearance,
+    /// The noise of a pixel, σ of the discriminant.
+    pub noise: f64,
 }
 
 /// The verdict on a frame, and the fits that it is drawn from.
@@ -119,14 +131,17 @@ impl Eye {
         self.search.get_or_init(|| made)
     }
 
-    /// What of the sheet is behind every pixel; made now if no frame asked for it before.
-    fn sheet(&self) -> Option<&Plane> {
+    /// What of the sheet is behind every pixel, large and small; made now if no frame asked for it before.
+    fn sheet(&self) -> Option<&(Plane, Plane)> {
         if let Some(made) = self.sheet.get() {
             return made.as_ref();
         }
         let whole = Region::whole(self.lens.width, self.lens.height);
-        let picture =
-            |print: &PrintProfile| print.picture(&self.lens, &self.rig.sheet(), self.rig.grid_pitch_mm, &whole);
+        let picture = |print: &PrintProfile| {
+            let large = print.picture(&self.lens, &self.rig.sheet(), self.rig.grid_pitch_mm, &whole);
+            let small = large.shrunk::<{ CoarseSearch::SHRINK }>();
+            (large, small)
+        };
         let made = self.rig.print.as_ref().map(picture);
         self.sheet.get_or_init(|| made).as_ref()
     }
@@ -178,8 +193,14 @@ impl Eye {
     /// does not give a snake that agrees with nearly all of the outline. Says the same as [`measure`](Self::measure) to about a hundredth of a
     /// degree, sooner.
     pub fn track(&self, frame: &Frame, last: Vector2<f64>) -> FrameMeasurement {
-        let near = self.conclude_near(frame, last).filter(Conclusion::is_certain);
-        near.map_or_else(|| self.measure(frame), |near| near.measurement)
+        if let Some(status) = self.unusable(frame) {
+            return FrameMeasurement::failed(status, None);
+        }
+        let exposed = self.exposed(frame);
+        let near = self.fit_near(&exposed, last, &FitSchedule::FROM_NEAR);
+        let near = near.map(|near| self.conclude_alone(near, &exposed, &FitSchedule::TRACKED_FINE));
+        let certain = near.filter(Conclusion::is_certain).map(|near| near.measurement);
+        certain.unwrap_or_else(|| self.search_everywhere(&exposed, None).measurement)
     }
 
     /// Measures one frame, whose bend may be expected, and keeps what its stages found.
@@ -188,46 +209,70 @@ impl Eye {
             let measurement = FrameMeasurement::failed(status, None);
             return MeasurementStages { candidates: Vec::new(), fits: Vec::new(), measurement };
         }
-        let plane = self.plane(frame, &Region::whole(frame.width, frame.height));
-        let two_sided = self.rig.appearance.two_sided;
-        let fitter = self.fitter(EdgeFinder::new(&plane, two_sided));
-        let candidates = self.search().candidates(&plane, two_sided, CANDIDATES);
+        self.search_everywhere(&self.exposed(frame), expected)
+    }
+
+    /// Measures a frame from the candidates of the coarse search, the one nearest to an expected bend first.
+    fn search_everywhere(&self, exposed: &Exposed, expected: Option<Vector2<f64>>) -> MeasurementStages {
+        let candidates = self.search().candidates(&self.overview(exposed), self.rig.appearance.two_sided, CANDIDATES);
+        let fit_from = |candidate| {
+            let near = self.fit_near(exposed, candidate, &FitSchedule::FROM_CANDIDATE);
+            near.filter(|(_, minimum)| minimum.is_promising())
+        };
         let first = expected.or(candidates.first().copied());
-        let first = first.and_then(|bend| fitter.minimum_near(bend, &candidates));
-        let alone = first.clone().map(|minimum| self.conclude(vec![minimum], None, frame, &fitter, &FitSchedule::FINE));
+        let first = first.and_then(|bend| leading_home(&candidates, bend, fit_from, |(_, minimum)| minimum.bend()));
+        let minimum = first.as_ref().map(|(_, minimum)| minimum.clone());
+        let alone = first.map(|first| self.conclude_alone(first, exposed, &FitSchedule::FINE));
         let Conclusion { fits, measurement, .. } = match alone {
             Some(alone) if alone.is_certain() => alone,
-            alone => self.conclude(fitter.minima(&candidates, first), alone, frame, &fitter, &FitSchedule::FINE),
+            alone => {
+                let plane = self.plane(exposed, &Region::whole(exposed.frame.width, exposed.frame.height));
+                let fitter = self.fitter(&plane, exposed);
+                self.conclude(fitter.minima(&candidates, minimum), alone, exposed.frame, &fitter, &FitSchedule::FINE)
+            }
         };
         MeasurementStages { candidates, fits, measurement }
     }
 
-    /// What a fit from the last bend finds, if it lies within the region that was looked at.
-    fn conclude_near(&self, frame: &Frame, last: Vector2<f64>) -> Option<Conclusion> {
-        if self.unusable(frame).is_some() {
-            return None;
-        }
+    /// The fit from a bend, and the region around that bend that it looked at; `None` where it leaves that.
+    fn fit_near(&self, exposed: &Exposed, bend: Vector2<f64>, schedule: &FitSchedule) -> Option<(Plane, BendFit)> {
         let view = self.projection();
-        let region = view.image_region(BendProfile::arc(last), TRACKED_REACH_PX);
-        let plane = self.plane(frame, &region);
-        let fitter = self.fitter(EdgeFinder::within(&plane, self.rig.appearance.two_sided, &region));
-        let near = fitter.fit(fitter.start(last), &FitSchedule::FROM_NEAR)?;
+        let region = view.image_region(BendProfile::arc(bend), NEAR_REACH_PX);
+        let plane = self.plane(exposed, &region);
+        let fitter = self.fitter(&plane, exposed);
+        let fit = fitter.fit(fitter.start(bend), schedule)?;
         // A snake that reaches out of the region was not seen whole.
-        if !region.contains(&view.image_region(near.profile, Outline::REACH_PX)) {
-            return None;
-        }
-        Some(self.conclude(vec![near], None, frame, &fitter, &FitSchedule::TRACKED_FINE))
+        region.contains(&view.image_region(fit.profile, Outline::REACH_PX)).then_some((plane, fit))
     }
 
-    /// The picture of one channel in which the snake is about 1 and the background about 0, over a region of a frame, whatever its
-    /// exposure.
-    pub(super) fn plane(&self, frame: &Frame, region: &Region) -> Plane {
+    /// The verdict on a minimum that is the only one, from the region that it was found in.
+    fn conclude_alone(&self, (plane, minimum): (Plane, BendFit), exposed: &Exposed, fine: &FitSchedule) -> Conclusion {
+        self.conclude(vec![minimum], None, exposed.frame, &self.fitter(&plane, exposed), fine)
+    }
+
+    /// A frame at its own exposure.
+    pub(super) fn exposed<'a>(&self, frame: &'a Frame) -> Exposed<'a> {
         let appearance = self.rig.appearance.exposed_as(frame, &lit_region(&self.projection()));
-        let mut plane = appearance.plane_within(frame, region);
-        if let Some(sheet) = self.sheet() {
+        let noise = appearance.noise(frame);
+        Exposed { frame, appearance, noise }
+    }
+
+    /// The picture of one channel in which the snake is about 1 and the background about 0, over a region of a frame.
+    pub(super) fn plane(&self, exposed: &Exposed, region: &Region) -> Plane {
+        let mut plane = exposed.appearance.plane_within(exposed.frame, region);
+        if let Some((sheet, _)) = self.sheet() {
             look_through(&mut plane, sheet);
         }
         plane
+    }
+
+    /// The same of all of a frame, as small as the coarse search reads it.
+    fn overview(&self, exposed: &Exposed) -> Plane {
+        let mut overview = exposed.appearance.overview::<{ CoarseSearch::SHRINK }>(exposed.frame);
+        if let Some((_, sheet)) = self.sheet() {
+            look_through(&mut overview, sheet);
+        }
+        overview
     }
 
     /// Why a frame cannot be measured whatever it shows.
@@ -238,8 +283,9 @@ impl Eye {
         is_saturated(frame).then_some(Status::Saturated)
     }
 
-    /// Fits to a picture whose edges the finder finds.
-    fn fitter<'a>(&'a self, finder: EdgeFinder<'a>) -> Fitter<'a> {
+    /// Fits to what is seen of a frame.
+    fn fitter<'a>(&'a self, plane: &'a Plane, exposed: &Exposed) -> Fitter<'a> {
+        let finder = EdgeFinder::with_noise(plane, self.rig.appearance.two_sided, exposed.noise);
         Fitter { view: self.projection(), rig: &self.rig, finder }
     }
 

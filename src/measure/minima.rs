@@ -27,23 +27,7 @@ const REFINED_COST_RATIO: f64 = 3.0;
 const SAME_COARSE_RAD: f64 = 0.035;
 
 impl Fitter<'_> {
-    /// The local minimum to which the candidate nearest to an expected bend leads; where another candidate is nearer to the minimum, the one
-    /// to which that leads. `None` where it is not promising, or no candidate leads to what it is nearest to.
-    pub fn minimum_near(&self, expected: Vector2<f64>, candidates: &[Vector2<f64>]) -> Option<BendFit> {
-        let mut candidate = nearest(candidates, expected)?;
-        for _ in 0..CANDIDATES_FOLLOWED {
-            let minimum = self.fit(self.start(candidate), &FitSchedule::FROM_CANDIDATE);
-            let minimum = minimum.filter(BendFit::is_promising)?;
-            let nearest = nearest(candidates, minimum.bend())?;
-            if nearest == candidate {
-                return Some(minimum);
-            }
-            candidate = nearest;
-        }
-        None
-    }
-
-    /// The local minima to which the candidates lead, of which one may be known already from [`minimum_near`](Self::minimum_near).
+    /// The local minima to which the candidates lead, of which one may be known already.
     pub fn minima(&self, candidates: &[Vector2<f64>], known: Option<BendFit>) -> Vec<BendFit> {
         let minima = self.refine(self.coarse_fits(candidates));
         self.reached_from_nearest(minima, candidates, known)
@@ -60,7 +44,10 @@ impl Fitter<'_> {
         let Some(best) = minima.iter().min_by(|a, b| a.cost.total_cmp(&b.cost)) else { return minima };
         let from = nearest(candidates, best.bend());
         let known = known.filter(|known| Some(known.origin) == from);
-        if let Some(again) = known.or_else(|| self.minimum_near(best.bend(), candidates)) {
+        let fit_from =
+            |candidate| self.fit(self.start(candidate), &FitSchedule::FROM_CANDIDATE).filter(BendFit::is_promising);
+        let again = known.or_else(|| leading_home(candidates, best.bend(), fit_from, BendFit::bend));
+        if let Some(again) = again {
             minima.retain(|minimum| (minimum.bend() - again.bend()).norm() > SAME_MINIMUM_RAD);
             minima.push(again);
         }
@@ -96,6 +83,26 @@ impl Fitter<'_> {
         }
         refined
     }
+}
+
+/// The fit from the candidate nearest to a bend; where another candidate is nearer to where it ends, the fit from that one. `None` where a candidate
+/// has no fit, or none ends nearest to where it began.
+pub(super) fn leading_home<F>(
+    candidates: &[Vector2<f64>],
+    bend: Vector2<f64>,
+    fit_from: impl Fn(Vector2<f64>) -> Option<F>,
+    end: impl Fn(&F) -> Vector2<f64>,
+) -> Option<F> {
+    let mut candidate = nearest(candidates, bend)?;
+    for _ in 0..CANDIDATES_FOLLOWED {
+        let fit = fit_from(candidate)?;
+        let nearest = nearest(candidates, end(&fit))?;
+        if nearest == candidate {
+            return Some(fit);
+        }
+        candidate = nearest;
+    }
+    None
 }
 
 /// The bend nearest to another one.

@@ -5,7 +5,6 @@ use crate::geometry::Pose;
 use crate::measure::eye::{Eye, MeasurementStages};
 use crate::measure::fit::{EdgeFinder, Start};
 use crate::measure::image::exposure::is_saturated;
-use crate::measure::image::plane::Region;
 use crate::measure::rig::{Followed, Rig, RigDriftMonitor, RigFollower, SnakePlane, refined_rig};
 use crate::observation::Status;
 use nalgebra::Point3;
@@ -32,9 +31,9 @@ impl Eye {
             // What shape a snake has that is no arc is told by its frames together, where none tells it alone.
             let is_seen = matches!(measurement.status, Status::Ok | Status::UnknownShape);
             let fit = fits.first().filter(|_| is_seen)?;
-            let plane = self.plane(&frame, &Region::whole(frame.width, frame.height));
             let surroundings = self.projection().image_region(fit.profile, REFINING_REACH_PX);
-            Some((SnakePlane::new(&plane, &surroundings), fit.start()))
+            let exposed = self.exposed(&frame);
+            Some((SnakePlane { plane: self.plane(&exposed, &surroundings), noise: exposed.noise }, fit.start()))
         };
         // Before frames are measured in parallel, of which each would make its own.
         self.prepare();

@@ -9,10 +9,6 @@ use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// By how much the picture is shrunk.
-///
-/// Fitted: by hand on renders, for speed; judged by `tests/eye/robustness`.
-const SHRINK: usize = 4;
 /// The largest bend of the lattice, degrees.
 ///
 /// Convention: the robot bends to 90°, and 20° are left for snakes that bend further than it.
@@ -124,6 +120,11 @@ impl Pair {
 }
 
 impl CoarseSearch {
+    /// By how much the picture is shrunk that it looks at.
+    ///
+    /// Fitted: by hand on renders, for speed; judged by `tests/eye/robustness`.
+    pub const SHRINK: usize = 4;
+
     /// Projects every bend once; for a frame only pixels are looked up.
     pub fn new(lens: &Lens, camera_from_base: Pose, robot: &Robot) -> Self {
         let small = shrunk_lens(lens);
@@ -141,12 +142,11 @@ impl CoarseSearch {
         search
     }
 
-    /// The bends with the most contrast across their outlines, best first, at most `most`. `two_sided` pictures, whose background is
-    /// darker than the snake in places and brighter in others, count contrast of either sign.
-    pub fn candidates(&self, plane: &Plane, two_sided: bool, most: usize) -> Vec<Vector2<f64>> {
+    /// The bends with the most contrast across their outlines in a picture that is [`SHRINK`](Self::SHRINK) times smaller than the lens', best first, at
+    /// most `most`. `two_sided` pictures, whose background is darker than the snake in places and brighter in others, count contrast of either sign.
+    pub fn candidates(&self, overview: &Plane, two_sided: bool, most: usize) -> Vec<Vector2<f64>> {
         let (least, largest) = CONTRAST_RANGE;
-        let small: Vec<i16> =
-            plane.shrunk::<SHRINK>().data.iter().map(|v| (VALUE_STEPS * v.clamp(least, largest)) as i16).collect();
+        let small: Vec<i16> = overview.data.iter().map(|v| (VALUE_STEPS * v.clamp(least, largest)) as i16).collect();
         // The pixels are those of the lens; in a plane of another size some are missing.
         let value = |pixel: usize| small.get(pixel).copied().map_or(0, i32::from);
         let steps = Pair::steps(self.width);
@@ -220,10 +220,10 @@ fn nearest_pixel(lens: &Lens, point: Point2<f64>) -> (i32, i32) {
 
 /// The lens that would take the shrunk picture.
 fn shrunk_lens(lens: &Lens) -> Lens {
-    let factor = SHRINK as f64;
+    let factor = CoarseSearch::SHRINK as f64;
     Lens {
-        width: lens.width / SHRINK as u32,
-        height: lens.height / SHRINK as u32,
+        width: lens.width / CoarseSearch::SHRINK as u32,
+        height: lens.height / CoarseSearch::SHRINK as u32,
         focal_px: lens.focal_px / factor,
         centre_px: lens.centre_px.map(|c| (c - (factor - 1.0) / 2.0) / factor),
         distortion: lens.distortion,

@@ -103,12 +103,8 @@ pub(super) fn filter_px(blur_px: f64) -> f64 {
 impl<'a> EdgeFinder<'a> {
     /// A finder for a picture in which the snake is brighter than its background or, if `two_sided`, different from it.
     pub fn new(plane: &'a Plane, two_sided: bool) -> Self {
-        Self::within(plane, two_sided, &Region::whole(plane.width as u32, plane.height as u32))
-    }
-
-    /// The same for a picture of which only a region is known.
-    pub fn within(plane: &'a Plane, two_sided: bool, region: &Region) -> Self {
-        Self::with_noise(plane, two_sided, plane.noise(region))
+        let whole = Region::whole(plane.width as u32, plane.height as u32);
+        Self::with_noise(plane, two_sided, plane.noise(&whole))
     }
 
     /// The same for a picture whose noise, σ of a pixel, is known.

@@ -1,7 +1,7 @@
 //! What distinguishes the snake from the grid target: the mix of colour channels that separates them best.
 
 use crate::camera::{Frame, Sample, Samples};
-use crate::measure::image::plane::{Plane, Region};
+use crate::measure::image::plane::{Plane, Region, noise_of};
 use crate::statistics::order::median;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -15,6 +15,10 @@ const LEARNING_STRIDE: usize = 2;
 ///
 /// Convention: a prime, so that no pattern of the target is sampled in step; around a snake of 500 px some 3,000 pixels are left.
 const EXPOSURE_STRIDE: usize = 7;
+/// The noise is measured in one row of so many.
+///
+/// Convention: a prime, for the same reason; a megapixel leaves 2,000 pixels, whose median scatters by 2 %.
+const NOISE_BANDS: usize = 61;
 /// The fewest pixels of a class from which it can be learned.
 ///
 /// Convention: a guard for the covariance of three channels.
@@ -160,9 +164,7 @@ impl Appearance {
         let (x, y) = region.bounds();
         let (width, height) = (x.len(), y.len());
         let mut data = vec![0.0; width * height];
-        // What each number of 8 bits of each channel adds.
-        let shares: Vec<[f32; 256]> =
-            weights.iter().map(|weight| std::array::from_fn(|number| LIGHT_8[number] * weight)).collect();
+        let shares = shares_of_8_bits(&weights);
         for (row, columns) in region.rows() {
             let pixels = &mut data[(row - y.start) * width..][columns.start - x.start..columns.end - x.start];
             let first = row * frame.width as usize;
@@ -173,6 +175,63 @@ impl Appearance {
             }
         }
         Plane { width, height, first: Vector2::new(x.start as f64, y.start as f64), data, hidden: Vec::new() }
+    }
+
+    /// The discriminant of a frame made `FACTOR` times smaller, each pixel the mean over a block, of which every second pixel counts, as those of one
+    /// colour of a chessboard: no printed line is then missed.
+    ///
+    /// The centre of block (x, y) is at pixel `FACTOR * x + (FACTOR - 1) / 2` of the frame.
+    pub fn overview<const FACTOR: usize>(&self, frame: &Frame) -> Plane {
+        let counted = (FACTOR * FACTOR / 2) as f32;
+        let weights: Vec<f32> = self.weights_for(frame.channels).into_iter().map(|weight| weight / counted).collect();
+        let shares = shares_of_8_bits(&weights);
+        let light = |number: u16| LIGHT_16[usize::from(number)];
+        match (&frame.samples, weights.as_slice(), shares.as_slice()) {
+            (Samples::Bits8(samples), _, [grey]) => {
+                self.block_sums::<_, 1, FACTOR>(frame, samples, |&[v]| grey[usize::from(v)])
+            }
+            (Samples::Bits8(samples), _, [red, green, blue]) => {
+                self.block_sums::<_, 3, FACTOR>(frame, samples, |&[r, g, b]| {
+                    red[usize::from(r)] + green[usize::from(g)] + blue[usize::from(b)]
+                })
+            }
+            (Samples::Bits16(samples), &[grey], _) => {
+                self.block_sums::<_, 1, FACTOR>(frame, samples, |&[v]| light(v) * grey)
+            }
+            (Samples::Bits16(samples), &[red, green, blue], _) => {
+                self.block_sums::<_, 3, FACTOR>(frame, samples, |&[r, g, b]| {
+                    light(r) * red + light(g) * green + light(b) * blue
+                })
+            }
+            _ => self.plane(frame).shrunk::<FACTOR>(),
+        }
+    }
+
+    /// The offset and, of every second pixel of each block, what its colour adds.
+    fn block_sums<S, const CHANNELS: usize, const FACTOR: usize>(
+        &self,
+        frame: &Frame,
+        samples: &[S],
+        added: impl Fn(&[S; CHANNELS]) -> f32,
+    ) -> Plane {
+        let (width, height) = (frame.width as usize / FACTOR, frame.height as usize / FACTOR);
+        let mut sums = vec![self.offset as f32; width * height];
+        let mut rows = samples.as_chunks::<CHANNELS>().0.chunks_exact((frame.width as usize).max(1));
+        for sums in sums.chunks_exact_mut(width.max(1)) {
+            for (line, row) in rows.by_ref().take(FACTOR).enumerate() {
+                for (sum, block) in sums.iter_mut().zip(row.as_chunks::<FACTOR>().0) {
+                    *sum += (0..FACTOR / 2).map(|x| added(&block[2 * x + line % 2])).sum::<f32>();
+                }
+            }
+        }
+        Plane::new(width, height, sums)
+    }
+
+    /// The noise of the discriminant in a frame, σ of a pixel, as [`Plane::noise`] finds it in bands of three rows.
+    pub fn noise(&self, frame: &Frame) -> f64 {
+        let rows = (1..(frame.height as usize).saturating_sub(1)).step_by(NOISE_BANDS);
+        let band = |row: usize| self.plane_within(frame, &Region::band(frame.width, row - 1..row + 2));
+        noise_of(rows.flat_map(|row| band(row).laplacians(1, 0..frame.width as usize).collect::<Vec<_>>()).collect())
     }
 
     /// Writes the discriminant of pixels of 8 bits, from their colours and what each number of each channel adds.
@@ -275,6 +334,11 @@ fn linear_light(encoded: f32) -> f64 {
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }
 
+/// What each number of 8 bits of each channel adds, of channels of these weights.
+fn shares_of_8_bits(weights: &[f32]) -> Vec<[f32; 256]> {
+    weights.iter().map(|weight| std::array::from_fn(|number| LIGHT_8[number] * weight)).collect()
+}
+
 /// The light behind a sample.
 fn light(samples: &Samples, k: usize) -> f32 {
     match samples {
@@ -332,6 +396,45 @@ mod tests {
         let all = |rows: std::ops::Range<i64>| rows.flat_map(|y| (0..120).map(move |x| (x, y)));
         assert!(all(0..60).all(|(x, y)| (0.6..1.5).contains(&plane.get(x, y).abs())));
         assert!(all(60..120).all(|(x, y)| plane.get(x, y).abs() < 0.2));
+    }
+
+    #[test]
+    fn an_overview_is_the_mean_of_blocks_and_counts_a_line_of_a_pixel_as_it_is() {
+        let appearance = Appearance { weights: vec![0.5, -1.0, 0.8], offset: 0.1, two_sided: false, light: None };
+        // Lines of one pixel, along the rows of one picture and along the columns of the other, anywhere in a block.
+        let line = |place: u32| if place % 7 == 3 { [40, 60, 90] } else { [200, 190, 160] };
+        for picture in [
+            RgbImage::from_fn(84, 60, |x, _| image::Rgb(line(x))),
+            RgbImage::from_fn(84, 60, |_, y| image::Rgb(line(y))),
+        ] {
+            let wide: image::ImageBuffer<image::Rgb<u16>, _> = DynamicImage::ImageRgb8(picture.clone()).into_rgb16();
+            let grey = DynamicImage::ImageRgb8(picture.clone()).into_luma8();
+            for image in
+                [DynamicImage::ImageRgb8(picture), DynamicImage::ImageRgb16(wide), DynamicImage::ImageLuma8(grey)]
+            {
+                let frame = Frame::from_image(image).unwrap();
+                let (overview, expected) = (appearance.overview::<4>(&frame), appearance.plane(&frame).shrunk::<4>());
+                assert_eq!((overview.width, overview.height), (21, 15));
+                for (mean, expected) in overview.data.iter().zip(&expected.data) {
+                    assert_relative_eq!(mean, expected, epsilon = 1e-5);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn noise_is_that_of_the_whole_plane() {
+        use rand::{RngExt, SeedableRng};
+        let mut random = rand::rngs::StdRng::seed_from_u64(3);
+        let picture = RgbImage::from_fn(700, 500, |x, y| {
+            let paper = if x % 20 == 0 || y % 20 == 0 { 90.0 } else { 170.0 };
+            image::Rgb([0; 3].map(|_| (paper + 5.0 * random.sample::<f64, _>(rand_distr::StandardNormal)) as u8))
+        });
+        let frame = Frame::from_image(DynamicImage::ImageRgb8(picture)).unwrap();
+        let appearance = Appearance { weights: vec![1.0, 1.0, 1.0], offset: 0.0, two_sided: false, light: None };
+        let whole = appearance.plane(&frame).noise(&Region::whole(700, 500));
+        // Nine bands of a hundred pixels each; the median of |N| scatters by 0.787 σ/√n, 3 % here.
+        assert_relative_eq!(appearance.noise(&frame), whole, max_relative = 0.09);
     }
 
     /// A small light sheet on a dark table, and a dark snake before it that covers the columns from `snake_x` on.

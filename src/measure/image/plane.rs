@@ -48,6 +48,7 @@ pub struct Plane {
 }
 
 /// Columns and rows of values that are so many in a row.
+#[cfg(test)]
 fn cropped<T: Copy>(values: &[T], width: usize, columns: &Range<usize>, rows: &Range<usize>) -> Vec<T> {
     let rows = values.chunks_exact(width.max(1)).skip(rows.start).take(rows.len());
     rows.flat_map(|row| &row[columns.clone()]).copied().collect()
@@ -63,6 +64,12 @@ impl Region {
     /// All of a picture.
     pub fn whole(width: u32, height: u32) -> Self {
         Self { rows: vec![0..width as usize; height as usize] }
+    }
+
+    /// Some rows of a picture so many pixels wide, from one side to the other.
+    pub fn band(width: u32, rows: Range<usize>) -> Self {
+        let is_in = |row: usize| if rows.contains(&row) { 0..width as usize } else { 0..0 };
+        Self { rows: (0..rows.end).map(is_in).collect() }
     }
 
     /// What lies within `reach_px` of a line's points, to the side, above or below, in a picture of this width and height.
@@ -206,6 +213,7 @@ impl Plane {
     }
 
     /// The rectangle around a region of this whole picture.
+    #[cfg(test)]
     pub fn cropped(&self, around: &Region) -> Self {
         let (x, y) = around.bounds();
         let first = Vector2::new(x.start as f64, y.start as f64);
@@ -274,24 +282,28 @@ impl Plane {
     /// Laplacians removes all structure that is locally linear. Here the median replaces the mean, so that edges do not count.
     pub fn noise(&self, within: &Region) -> f64 {
         let (left, top) = (self.first.x as usize, self.first.y as usize);
-        let mut responses: Vec<f32> = Vec::new();
-        for (row, columns) in within.rows().step_by(NOISE_STRIDE) {
-            let y = row.saturating_sub(top);
-            let (from, to) = (columns.start.saturating_sub(left), columns.end.saturating_sub(left));
-            if y == 0 || y + 1 >= self.height {
-                continue;
-            }
-            for x in (from + 1..to.min(self.width).saturating_sub(1)).step_by(NOISE_STRIDE) {
-                let line = |dy: usize| &self.data[(y + dy - 1) * self.width + x - 1..][..3];
-                let (above, here, below) = (line(0), line(1), line(2));
-                let laplacians = above[0] + above[2] + below[0] + below[2]
-                    - 2.0 * (above[1] + here[0] + here[2] + below[1])
-                    + 4.0 * here[1];
-                responses.push(laplacians.abs());
-            }
-        }
-        SD_BY_MAD * f64::from(median(&mut responses)) / NOISE_MASK_NORM
+        let own = |v: usize, first: usize| v.saturating_sub(first);
+        let rows = within.rows().step_by(NOISE_STRIDE);
+        let rows = rows.map(|(row, columns)| (own(row, top), own(columns.start, left)..own(columns.end, left)));
+        noise_of(rows.flat_map(|(row, columns)| self.laplacians(row, columns)).collect())
     }
+
+    /// The magnitudes of the difference of two Laplacians at some of the own pixels of a row.
+    pub fn laplacians(&self, row: usize, columns: Range<usize>) -> impl Iterator<Item = f32> {
+        let is_inside = row > 0 && row + 1 < self.height;
+        let columns = columns.start + 1..columns.end.min(self.width).saturating_sub(1);
+        columns.step_by(NOISE_STRIDE).filter(move |_| is_inside).map(move |x| {
+            let line = |dy: usize| &self.data[(row + dy - 1) * self.width + x - 1..][..3];
+            let (above, here, below) = (line(0), line(1), line(2));
+            let corners = above[0] + above[2] + below[0] + below[2];
+            (corners - 2.0 * (above[1] + here[0] + here[2] + below[1]) + 4.0 * here[1]).abs()
+        })
+    }
+}
+
+/// The pixel noise σ of a picture with these [`laplacians`](Plane::laplacians).
+pub fn noise_of(mut laplacians: Vec<f32>) -> f64 {
+    SD_BY_MAD * f64::from(median(&mut laplacians)) / NOISE_MASK_NORM
 }
 
 /// The columns of two ranges, and those between.

@@ -13,7 +13,7 @@ use crate::measure::fit::{
     BIASES, BendFit, Correspondences, EdgeFinder, Filters, FitSchedule, Linearised, RobustPhase, Start, State, excess,
     fit_bend, inliers, learned_mode_sigmas, noise_model,
 };
-use crate::measure::image::plane::{Plane, Region};
+use crate::measure::image::plane::Plane;
 use crate::robot::{PROFILE, Robot};
 use crate::statistics::moments::mean;
 use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, SVector};
@@ -77,17 +77,9 @@ struct SharedEvidence {
 
 /// The picture around the snake in one frame, in the channel that shows it; what lies further away is not kept.
 pub struct SnakePlane {
-    plane: Plane,
+    pub plane: Plane,
     /// The noise of the whole picture, σ of a pixel.
-    noise: f64,
-}
-
-impl SnakePlane {
-    /// What of a whole picture is within the rectangle around a region.
-    pub fn new(whole: &Plane, around: &Region) -> Self {
-        let noise = whole.noise(&Region::whole(whole.width as u32, whole.height as u32));
-        Self { plane: whole.cropped(around), noise }
-    }
+    pub noise: f64,
 }
 
 /// A rig refined from frames, each as the plane that shows the snake and the fit that its bend starts from. `None` where too few frames can be fitted, or they do not determine what they share.
