@@ -1,6 +1,6 @@
 //! One command at a time: what it prints, what it writes, and how it refuses.
 
-use crate::program::{ETA, LAMBDA_MM, Sandbox, data, json, number};
+use crate::program::{ETA, LAMBDA_MM, Sandbox, all_said, data, json, number};
 use std::fs;
 use std::path::Path;
 
@@ -64,6 +64,28 @@ fn estimate_finds_the_hidden_model_and_evaluate_sees_it_explain_the_data() {
     let seen = number(&learned["accuracy"]["theta"], "rms_deg");
     assert!((number(&learned, "rms_theta_deg") / seen - 1.0).abs() < 0.2, "{learned:#}");
     assert!(number(&naive, "rms_theta_deg") > 1.0, "{naive:#}");
+}
+
+#[test]
+fn measurements_that_a_models_effects_were_learned_from_already_are_told() {
+    let sandbox = simulated();
+    sandbox.simulate("other", "--model hidden.toml --seed 2");
+    let [ride, other] = ["ride", "other"].map(data);
+    sandbox.succeed(&format!("estimate {ride} -o out"));
+    // As a discovery from the same measurements would have left it.
+    let effect = |sd: &str| {
+        format!(
+            "[[effect]]\nname = \"creep\"\nparameters.share = {{ value = 0.05{sd}, unit = \"1\" }}\n\
+                 parameters.time_constant_s = {{ value = 4.0, unit = \"s\" }}\n\n[estimate]"
+        )
+    };
+    let model = sandbox.read("out/model.toml");
+    sandbox.write("learned.toml", &model.replace("[estimate]", &effect(", sd = 0.01")));
+    sandbox.write("given.toml", &model.replace("[estimate]", &effect("")));
+    let said = |model: &str, data: &str| all_said(&sandbox.call(&format!("estimate {data} --model {model} -o again")));
+    assert!(said("learned.toml", &ride).contains("measurements.csv already, whose measurements now count twice"));
+    assert!(!said("learned.toml", &other).contains("count twice"));
+    assert!(!said("given.toml", &ride).contains("count twice"));
 }
 
 #[test]
