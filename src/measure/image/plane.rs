@@ -66,6 +66,12 @@ impl Region {
         Self { rows: vec![0..width as usize; height as usize] }
     }
 
+    /// Some rows of a picture so many pixels wide, from one side to the other.
+    pub fn band(width: u32, rows: Range<usize>) -> Self {
+        let is_in = |row: usize| if rows.contains(&row) { 0..width as usize } else { 0..0 };
+        Self { rows: (0..rows.end).map(is_in).collect() }
+    }
+
     /// What lies within `reach_px` of a line's points, to the side, above or below, in a picture of this width and height.
     pub fn along(line: impl IntoIterator<Item = Point2<f64>>, reach_px: f64, (width, height): (u32, u32)) -> Self {
         let range = |middle: f64, most: u32| {
@@ -276,27 +282,27 @@ impl Plane {
     /// Laplacians removes all structure that is locally linear. Here the median replaces the mean, so that edges do not count.
     pub fn noise(&self, within: &Region) -> f64 {
         let (left, top) = (self.first.x as usize, self.first.y as usize);
-        let (columns, rows) = (left..left + self.width, top..top + self.height);
-        noise_of(within, (columns, rows), |x, y| self.data[(y - top) * self.width + x - left])
+        let own = |v: usize, first: usize| v.saturating_sub(first);
+        let rows = within.rows().step_by(NOISE_STRIDE);
+        let rows = rows.map(|(row, columns)| (own(row, top), own(columns.start, left)..own(columns.end, left)));
+        noise_of(rows.flat_map(|(row, columns)| self.laplacians(row, columns)).collect())
+    }
+
+    /// The magnitudes of the difference of two Laplacians at some of the own pixels of a row.
+    pub fn laplacians(&self, row: usize, columns: Range<usize>) -> impl Iterator<Item = f32> {
+        let is_inside = row > 0 && row + 1 < self.height;
+        let columns = columns.start + 1..columns.end.min(self.width).saturating_sub(1);
+        columns.step_by(NOISE_STRIDE).filter(move |_| is_inside).map(move |x| {
+            let line = |dy: usize| &self.data[(row + dy - 1) * self.width + x - 1..][..3];
+            let (above, here, below) = (line(0), line(1), line(2));
+            let corners = above[0] + above[2] + below[0] + below[2];
+            (corners - 2.0 * (above[1] + here[0] + here[2] + below[1]) + 4.0 * here[1]).abs()
+        })
     }
 }
 
-/// The noise, see [`Plane::noise`], of the values at the pixels (x, y) of a region, of which these columns and rows are there.
-pub fn noise_of(
-    within: &Region,
-    (columns, rows): (Range<usize>, Range<usize>),
-    value: impl Fn(usize, usize) -> f32,
-) -> f64 {
-    let mut laplacians: Vec<f32> = Vec::new();
-    for (y, own) in within.rows().step_by(NOISE_STRIDE).filter(|(y, _)| *y > rows.start && y + 1 < rows.end) {
-        let (first, last) = (own.start.max(columns.start) + 1, own.end.min(columns.end).saturating_sub(1));
-        for x in (first..last).step_by(NOISE_STRIDE) {
-            let line = |y: usize| [x - 1, x, x + 1].map(|x| value(x, y));
-            let (above, here, below) = (line(y - 1), line(y), line(y + 1));
-            let corners = above[0] + above[2] + below[0] + below[2];
-            laplacians.push((corners - 2.0 * (above[1] + here[0] + here[2] + below[1]) + 4.0 * here[1]).abs());
-        }
-    }
+/// The pixel noise σ of a picture with these [`laplacians`](Plane::laplacians).
+pub fn noise_of(mut laplacians: Vec<f32>) -> f64 {
     SD_BY_MAD * f64::from(median(&mut laplacians)) / NOISE_MASK_NORM
 }
 
