@@ -12,6 +12,7 @@
 //! | [`trimmed`] | least trimmed squares (LTS): a start that outliers cannot spoil |
 //! | [`chi_square`] | quantiles of χ² |
 //! | [`normal`] | quantiles of the normal distribution |
+//! | [`student`] | quantiles of Student's t |
 //! | [`cluster`] | cluster-robust covariance of a fit whose errors come in groups |
 //! | [`correlation`] | autocorrelation and design effect of errors that come in order |
 //! | [`information`] | square-root information filter: recursive least squares with a forgetting factor |
@@ -41,4 +42,5 @@ pub mod projection;
 pub mod robust;
 pub mod sign_flip;
 pub mod spread;
+pub mod student;
 pub mod trimmed;

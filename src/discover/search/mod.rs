@@ -7,6 +7,8 @@
 //!
 //! The search adds the effect that raises the score most as long as one is asked for, drops what is not asked for beside the rest, and puts another effect
 //! in the place of one where that is better. An effect is asked for where the structure with it is probably better, over a bootstrap of the stretches.
+//! Beside a discrepancy it is also told by its own standard deviation: what no library has may look like two large effects that cancel each other, of which
+//! the data tell neither.
 //! Every structure whose score counts is a converged fit.
 
 mod evidence;
@@ -204,7 +206,11 @@ impl<'a> Search<'a> {
             let effects = self.given()..best.fit.model.effects.len();
             let simpler = effects.map(|k| (best.fit.model.without_effect(k), best.fit.path.clone())).collect();
             let others = self.structures(simpler);
-            let not_asked = others.iter().filter(|simpler| !simpler.is_at_end && !self.asks_for(&best, simpler));
+            let untold = self.untold(&best);
+            let is_asked_for = |simpler: &Structure| {
+                untold.iter().all(|name| simpler.weighed.has(name)) && self.asks_for(&best, simpler)
+            };
+            let not_asked = others.iter().filter(|simpler| !simpler.is_at_end && !is_asked_for(simpler));
             if let Some(simpler) = not_asked.min_by(|a, b| best.excess_over(a).total_cmp(&best.excess_over(b))) {
                 best = simpler.clone();
                 continue;

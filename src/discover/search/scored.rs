@@ -8,6 +8,7 @@ use crate::discover::residuals::{Linearised, Problem};
 use crate::discover::structure_weights::{Weighed, probability_over};
 use crate::robot::effects::{Effect, ParameterSpec, Role};
 use crate::robot::{Model, Physics};
+use crate::statistics::student;
 use nalgebra::{DMatrix, Vector2};
 use rayon::prelude::*;
 
@@ -195,6 +196,28 @@ impl Search<'_> {
         model.effects.iter().skip(self.given()).all(has_size)
     }
 
+    /// The effects beside a discrepancy, beyond those that were given and what no model of a machine knows exactly, of which all sizes may be zero by their
+    /// own standard deviations, over sweeps that are independent of each other. Such effects may foretell held-out stretches all the same, where what no
+    /// library has looks like two large ones that cancel each other.
+    pub(super) fn untold(&self, structure: &Structure) -> Vec<&'static str> {
+        if self.beside == Beside::Noise {
+            return Vec::new();
+        }
+        let model = self.problem.with_clustered_covariance(&structure.fit);
+        let freedom = self.problem.data.sweep_count() as f64 - 1.0;
+        let may_be_zero = |k: &usize| {
+            let (effect, sds) = (&model.effects[*k], model.effect_sds(*k));
+            let values = effect.parameters().iter().zip(effect.values.iter().zip(sds));
+            let sizes = values.filter(|(spec, _)| matches!(spec.role, Role::Size { .. }));
+            let sizes: Vec<f64> = sizes.map(|(_, (value, sd))| value.abs() / sd).collect();
+            // Of either sign, and of any of them (Bonferroni).
+            let most = student::upper_quantile(freedom, 0.5 * OPEN / sizes.len() as f64);
+            !FRAME.contains(&effect.physics.name) && sizes.iter().all(|size| *size <= most)
+        };
+        let effects = self.given()..model.effects.len();
+        effects.filter(may_be_zero).map(|k| model.effects[k].physics.name).collect()
+    }
+
     /// Whether a parameter of an effect beyond those that were given lies at the end of its range.
     fn is_at_end(&self, model: &Model) -> bool {
         let is_at_end = |(spec, value): (&ParameterSpec, &f64)| !is_inside(spec, *value);
@@ -247,6 +270,7 @@ fn promises(fit: &Fit) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::discover::data::Data;
     use crate::discover::fixture::{experiment, truth};
     use crate::discover::noise::Noise;
     use crate::robot::effects::{COMMAND_GAIN, physics};
@@ -272,6 +296,24 @@ mod tests {
         assert!(of(&["creep"], 10f64.ln() / 6.0, 0.0).excess_over(&bare) > 0.0);
         // Beside noise alone a gain is as unlikely as anything: two to one in all, after its prior.
         assert!(of(&[COMMAND_GAIN], stretch + 1.0, -6.0).excess_over(&bare) < 0.0);
+    }
+
+    #[test]
+    fn an_effect_is_told_where_one_of_its_sizes_is_not_zero_within_its_own_sigma() {
+        let mut data = experiment(1);
+        let untold = |data: &Data, name: &str| {
+            let problem = Problem::new(data, &Noise::stated(data), &truth());
+            let search = Search::new(&problem, &problem.fit(&truth(), None, None), Beside::Discrepancy);
+            let physics = physics(name).unwrap();
+            let mut model = truth();
+            model.effects.push(Effect::of(physics, vec![0.0; physics.parameters_on(3).len()]));
+            let fit = problem.fit(&model, None, None);
+            !search.untold(&Structure { fit, ..structure(&problem, &[], 0.0, 0.0) }).is_empty()
+        };
+        // Nothing is missing: a turn and a load are noise. A gain is expected, and need not be told.
+        assert!(untold(&data, "plane_misalignment") && untold(&data, "tip_load") && !untold(&data, COMMAND_GAIN));
+        data.measured.iter_mut().for_each(|measured| measured.configuration.delta += 0.1);
+        assert!(!untold(&data, "plane_misalignment"));
     }
 
     #[test]
