@@ -25,7 +25,6 @@ use likelihood::{Fit, Freedom};
 use nalgebra::Vector2;
 pub(super) use samples::Pose;
 use samples::Samples;
-use std::f64::consts::TAU;
 
 /// A lag of the encoders is a mistake of the clock where it leaves no more than this share of the misfit's scale.
 ///
@@ -110,6 +109,7 @@ pub(super) fn check(robot: &Robot, sd_encoder_mm: f64, poses: &[Pose], log: &[En
     let is_of_the_clock = |lag: &&Rival| lag.fit.scale <= LEFT_BY_A_LAG * as_it_is.scale;
     let clock_best = best(&lags.iter().filter(is_of_the_clock).cloned().collect::<Vec<_>>());
 
+    // A turn of the view by a multiple of 60° and a mirror are also permutations of the columns: those come first.
     let decisive = -LEVEL_OF_TESTS.ln();
     let mut chosen = columns_best;
     for rival in [view_best, clock_best].into_iter().flatten() {
@@ -246,7 +246,8 @@ fn of_views(samples: &Samples) -> Vec<Rival> {
         for mirrored in [false, true] {
             let own = if mirrored { own.mirrored() } else { own.clone() };
             let Some(fit) = own.fit(&straight, Freedom::GainAndTurn) else { continue };
-            let cost = (2.0 * views.len() as f64).ln() + cost_of_turn(fit.sd_gain / fit.gain.norm());
+            // A free parameter costs half the logarithm of the number of measurements (Schwarz 1978).
+            let cost = (2.0 * views.len() as f64).ln() + 0.5 * (own.len() as f64).ln();
             let gained = fit.log_likelihood - as_it_is.log_likelihood;
             // b = (turn of u), so that δ as seen is the true one and the turn; it is to be taken off.
             let turn = -fit.gain.y.atan2(fit.gain.x);
@@ -255,13 +256,6 @@ fn of_views(samples: &Samples) -> Vec<Rival> {
         }
     }
     rivals
-}
-
-/// What a turn costs that the bends tell to within a standard deviation, rad. Any azimuth is as likely as any other beforehand, so that this is the
-/// logarithm of how much narrower what the bends leave of it is, by Laplace's method. A turn by a multiple of 60° or 90°, or a mirror, is an
-/// order of the columns as well, which has no angle to fit, and comes first.
-fn cost_of_turn(sd: f64) -> f64 {
-    (TAU.sqrt() / sd).ln().max(0.0)
 }
 
 /// Lags between readings and frames, by interpolation in time.
