@@ -19,7 +19,6 @@ mod one_cause;
 mod reason;
 mod rules;
 mod scale;
-#[cfg(feature = "commands")]
 mod shared_force;
 mod stem;
 mod systematic;
