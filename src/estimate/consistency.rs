@@ -81,8 +81,8 @@ impl Consistency {
         self.common.reduced_chi_square()
     }
 
-    /// A covariance of η, λ and effects' parameters as promised, of which the part that measurements make is inflated to what the residuals show;
-    /// `by_prior` is the part that what was known before them makes. Either part of the residuals may tell of an effect.
+    /// A covariance of η, λ and effects' parameters, as promised, inflated to what the residuals show. Its part `by_prior`, from what was known before
+    /// the measurements, is not inflated. Either part of the residuals may tell of an effect, so that the larger of both counts there.
     pub(super) fn inflate(&self, covariance: &DMatrix<f64>, by_prior: &DMatrix<f64>) -> DMatrix<f64> {
         let (of_eta, of_lambda) = (self.bending.variance_inflation(), self.common.variance_inflation());
         let scale = |k: usize| [of_eta, of_lambda].get(k).copied().unwrap_or(of_eta.max(of_lambda)).sqrt();

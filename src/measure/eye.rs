@@ -213,7 +213,7 @@ impl Eye {
     }
 
     /// Measures a frame from the candidates of the coarse search, the one nearest to an expected bend first.
-    fn search_everywhere(&self, exposed: &Exposed, expected: Option<Vector2<f64>>) -> MeasurementStages {
+    pub(super) fn search_everywhere(&self, exposed: &Exposed, expected: Option<Vector2<f64>>) -> MeasurementStages {
         let candidates = self.search().candidates(&self.overview(exposed), self.rig.appearance.two_sided, CANDIDATES);
         let fit_from = |candidate| {
             let near = self.fit_near(exposed, candidate, &FitSchedule::FROM_CANDIDATE);
@@ -276,7 +276,7 @@ impl Eye {
     }
 
     /// Why a frame cannot be measured whatever it shows.
-    fn unusable(&self, frame: &Frame) -> Option<Status> {
+    pub(super) fn unusable(&self, frame: &Frame) -> Option<Status> {
         if (frame.width, frame.height) != (self.lens.width, self.lens.height) {
             return Some(Status::WrongSize);
         }

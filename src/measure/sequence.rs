@@ -27,12 +27,15 @@ impl Eye {
     /// can, the eye stays as it is.
     pub fn refined(self, frames: impl ParallelIterator<Item = Frame>) -> Self {
         let find = |frame: Frame| {
-            let MeasurementStages { measurement, fits, .. } = self.measure_in_stages(&frame, None);
+            if self.unusable(&frame).is_some() {
+                return None;
+            }
+            let exposed = self.exposed(&frame);
+            let MeasurementStages { measurement, fits, .. } = self.search_everywhere(&exposed, None);
             // What shape a snake has that is no arc is told by its frames together, where none tells it alone.
             let is_seen = matches!(measurement.status, Status::Ok | Status::UnknownShape);
             let fit = fits.first().filter(|_| is_seen)?;
             let surroundings = self.projection().image_region(fit.profile, REFINING_REACH_PX);
-            let exposed = self.exposed(&frame);
             Some((SnakePlane { plane: self.plane(&exposed, &surroundings), noise: exposed.noise }, fit.start()))
         };
         // Before frames are measured in parallel, of which each would make its own.

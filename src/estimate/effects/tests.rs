@@ -11,6 +11,9 @@ use nalgebra::{Matrix2, Matrix3, Matrix3x6, Matrix3xX, Vector3};
 use rand::{SeedableRng, rngs::StdRng};
 use rand_distr::{Distribution, StandardNormal};
 
+/// The readings' noise, mm (1σ).
+///
+/// Convention: that of the estimator's default.
 const SD_ENCODER_MM: f64 = 0.0015;
 /// An effect on the stiffness, one that remembers, one of the eye's time, and two at once; each with its parameters' sds.
 const UNCERTAIN: [(&[&str], &[f64]); 4] = [
