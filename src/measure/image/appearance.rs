@@ -228,7 +228,7 @@ impl Appearance {
         Plane::new(width, height, sums)
     }
 
-    /// The noise of the discriminant in a frame, σ of a pixel, as [`Plane::noise`] finds it in bands of three rows.
+    /// The noise of the discriminant in a frame, σ of a pixel, found in bands of three rows.
     pub fn noise(&self, frame: &Frame) -> f64 {
         let rows = (1..(frame.height as usize).saturating_sub(1)).step_by(NOISE_BANDS);
         let band = |row: usize| self.plane_within(frame, &Region::band(frame.width, row - 1..row + 2));

@@ -195,10 +195,11 @@ fn cameras_are_read_whatever_program_wrote_them() {
                 file(&ECHO.replace("binning_x: 0\nbinning_y: 0", "binning_x: 2\nbinning_y: 2")),
                 Told(&["640×360"]),
             ),
+            // The coefficients are those of the series of tan, so that this is the lens that the pictures were taken with.
             case(
                 "a fisheye of Kalibr",
                 file(
-                    "cam0:\n  camera_model: pinhole\n  distortion_model: equidistant\n  distortion_coeffs: [0.0, 0.0, 0.0, 0.0]\n  intrinsics: [F, F, 639.5, 359.5]\n  resolution: [1280, 720]\n",
+                    "cam0:\n  camera_model: pinhole\n  distortion_model: equidistant\n  distortion_coeffs: [0.3333333333, 0.1333333333, 0.0539682540, 0.0218694885]\n  intrinsics: [F, F, 639.5, 359.5]\n  resolution: [1280, 720]\n",
                 ),
                 Good("5 of 5 looked at were measured"),
             ),
