@@ -51,7 +51,6 @@ mod setup;
 mod shared_state;
 mod silence;
 mod source;
-mod standstill;
 mod status;
 mod straight_reference;
 mod stream;

@@ -283,7 +283,7 @@ fn a_late_clock_is_told_and_dead_encoders_are() {
         frozen.log[k].q_mm = frozen.log[19].q_mm;
     }
     let verdict = frozen.verdict();
-    assert!(verdict.reasons[0].text.contains("stand still in"), "{verdict:#?}");
+    assert!(verdict.reasons[0].text.contains("all readings stand still between frames"), "{verdict:#?}");
     // Runs that each begin at the command at which the one before ended, and at another pose.
     let mut runs = Lab::new(9);
     for k in (10..runs.log.len()).step_by(10) {
