@@ -3,10 +3,9 @@
 use super::evidence::{Subject, ViewOffset};
 use super::reason::{Code, Level, Reason, Suggestion};
 use super::scale::{Unit, unit};
-use super::wiring::{Mistake, WiringCheck};
+use super::wiring::{Mistake, WiringCheck, largest_misalignment};
 use crate::geometry::wrap_angle;
 use crate::observation::Wiring;
-use crate::robot::LIBRARY;
 use std::f64::consts::{PI, TAU};
 
 /// A turn of a view is told by its usual cause where it agrees with that to so much, rad. Convention: 3°, as well as a camera is
@@ -113,12 +112,6 @@ fn clock(subject: &Subject, age_s: f64, misfits: &str) -> Reason {
         mirrored: false,
     };
     Reason { suggestion: Some(suggestion), ..Reason::new(Code::Clock, Level::DoNotUse, text, remedy) }
-}
-
-/// The largest turn of a view that the effect `plane_misalignment` accounts for, rad.
-fn largest_misalignment() -> f64 {
-    let physics = LIBRARY.iter().find(|physics| physics.name == "plane_misalignment");
-    physics.map_or(0.0, |physics| physics.parameters_on(3)[0].range.1.to_radians())
 }
 
 /// Columns that hold the backbones so many places on. A camera that looks from there shows the same, but nothing puts a camera at that very

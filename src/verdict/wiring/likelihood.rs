@@ -15,7 +15,9 @@
 //! 1989.
 
 use crate::statistics::correlation::SerialScatter;
+use crate::statistics::moments::mean;
 use crate::statistics::order::median;
+use crate::verdict::rules::{MEAN_SQUARE_OF_NOISE, REJECTED_IN_ORDER};
 use nalgebra::{Matrix2, Matrix2x4, Matrix4, Vector2, Vector4};
 
 /// ν: degrees of freedom of the errors' distribution.
@@ -68,6 +70,8 @@ pub(super) struct Fit {
     pub sd_at_rest: f64,
     /// Design effect of the residuals' correlation from point to point.
     pub design_effect: f64,
+    /// Whether the mean square is what counts as noise, but for a tenth of the points.
+    pub leaves_noise: bool,
 }
 
 impl Fit {
@@ -105,6 +109,10 @@ fn maximised(points: &[Point], freedom: Freedom) -> Option<Fit> {
             break;
         }
     }
+    let mut squares: Vec<f64> = rows.iter().map(|(z, h)| (z - h * parameters).norm_squared()).collect();
+    squares.sort_unstable_by(f64::total_cmp);
+    squares.truncate(squares.len() - (REJECTED_IN_ORDER * squares.len() as f64) as usize);
+    let leaves_noise = mean(squares) <= 2.0 * MEAN_SQUARE_OF_NOISE;
     let mut scatter = SerialScatter::<2>::new(0);
     for ((z, h), weight) in rows.iter().zip(&weights) {
         scatter.add((z - h * parameters) * weight.sqrt());
@@ -121,6 +129,7 @@ fn maximised(points: &[Point], freedom: Freedom) -> Option<Fit> {
         at_rest: Vector2::new(parameters[2], parameters[3]),
         sd_at_rest: sd((own[2] + own[3]) / 2.0),
         design_effect,
+        leaves_noise,
     })
     .filter(|fit| fit.log_likelihood.is_finite())
 }

@@ -19,12 +19,13 @@ mod samples;
 
 use super::LEVEL_OF_TESTS;
 use crate::observation::{EncoderReading, Wiring};
-use crate::robot::Robot;
+use crate::robot::{LIBRARY, Robot};
 use hypotheses::{Candidate, lags, shifts, signed_permutations};
 use likelihood::{Fit, Freedom};
 use nalgebra::Vector2;
 pub(super) use samples::Pose;
 use samples::Samples;
+use std::f64::consts::TAU;
 
 /// A lag of the encoders is a mistake of the clock where it leaves no more than this share of the misfit's scale.
 ///
@@ -63,6 +64,17 @@ impl Mistake {
     pub fn shifts_rows_alone(&self) -> bool {
         matches!(self, Self::Log(wiring) if Wiring { index_shift: 0, ..wiring.clone() }.is_straight())
     }
+
+    /// Whether it is a turn of a view that the robot may have as well.
+    fn may_be_misalignment(&self) -> bool {
+        matches!(self, Self::View { turn, mirrored: false, .. } if turn.abs() <= largest_misalignment())
+    }
+}
+
+/// The largest turn of a view that the effect `plane_misalignment` accounts for, rad.
+pub(super) fn largest_misalignment() -> f64 {
+    let physics = LIBRARY.iter().find(|physics| physics.name == "plane_misalignment");
+    physics.map_or(0.0, |physics| physics.parameters_on(3)[0].range.1.to_radians())
 }
 
 /// What the check found.
@@ -70,8 +82,6 @@ impl Mistake {
 pub struct WiringCheck {
     /// The mistake that explains the bends far better, where there is one.
     pub mistake: Option<Mistake>,
-    /// By how much: the natural logarithm of the odds for it. Where no mistake was found, that of the best rival, below zero.
-    pub evidence: f64,
     /// Typical misfit as the log stands, in units of the predicted noise.
     pub misfit: f64,
     /// The same under the mistake.
@@ -103,16 +113,25 @@ pub(super) fn check(robot: &Robot, sd_encoder_mm: f64, poses: &[Pose], log: &[En
     }
     let quietest_mm = logs.iter().map(|rival| rival.internal_mm).fold(samples.internal_spread_mm(&straight), f64::min);
     logs.retain(|rival| rival.internal_mm <= LOUDER * quietest_mm.max(sd_encoder_mm));
-    let (columns_best, undecided) = (plainest_of_the_best(&logs), undecided(&logs));
-    let view_best = best(&of_views(&samples));
+    let (misaligned, mut turned): (Vec<_>, Vec<_>) =
+        of_views(&samples).into_iter().partition(|rival| rival.mistake.may_be_misalignment());
+    let mut wirings = logs.clone();
+    if misaligned.iter().filter(|rival| rival.fit.leaves_noise).count() == samples.views().len() {
+        // Nothing is wrong with columns or azimuths. Of poses in one plane an order or a mirror that reflects it leaves as little, and which of them leaves
+        // least is the noise of the readings across the plane.
+        wirings.retain(|rival| rival.mistake.shifts_rows_alone());
+        turned.clear();
+    }
+    let columns_best = plainest_of_the_best(&wirings);
     let lags = of_the_clock(&samples);
     let is_of_the_clock = |lag: &&Rival| lag.fit.scale <= LEFT_BY_A_LAG * as_it_is.scale;
     let clock_best = best(&lags.iter().filter(is_of_the_clock).cloned().collect::<Vec<_>>());
 
-    // A turn of the view by a multiple of 60° and a mirror are also permutations of the columns: those come first.
+    // A small turn of a view, which may be the robot's own, comes first. An order of the columns shows the same as some larger turns and mirrors, and has
+    // no angle to fit.
     let decisive = -LEVEL_OF_TESTS.ln();
-    let mut chosen = columns_best;
-    for rival in [view_best, clock_best].into_iter().flatten() {
+    let mut chosen = best(&misaligned);
+    for rival in [columns_best, best(&turned), clock_best].into_iter().flatten() {
         let is_better = |chosen: &Rival| rival.evidence() > decisive && rival.ahead_of(chosen) > decisive;
         if chosen.as_ref().is_none_or(is_better) {
             chosen = Some(rival);
@@ -120,11 +139,15 @@ pub(super) fn check(robot: &Robot, sd_encoder_mm: f64, poses: &[Pose], log: &[En
     }
     let chosen = chosen?;
     let found = chosen.evidence() > decisive;
+    let undecided = match &chosen.mistake {
+        _ if !found => undecided(&logs, Rival::evidence),
+        mistake if mistake.may_be_misalignment() => undecided(&logs, |rival| rival.ahead_of(&chosen)),
+        _ => None,
+    };
     let as_a_lag_s = best(&lags).filter(|lag| chosen.mistake.shifts_rows_alone() && chosen.ahead_of(lag) <= decisive);
     let as_a_lag_s = as_a_lag_s.and_then(|lag| lag.age_s());
     Some(WiringCheck {
         as_a_lag_s,
-        evidence: chosen.evidence(),
         misfit: as_it_is.scale,
         misfit_corrected: chosen.fit.scale,
         gain: if found { chosen.fit.gain.norm() } else { as_it_is.gain.x },
@@ -132,7 +155,7 @@ pub(super) fn check(robot: &Robot, sd_encoder_mm: f64, poses: &[Pose], log: &[En
         at_rest: as_it_is.at_rest,
         sd_at_rest: as_it_is.sd_at_rest,
         mistake: found.then_some(chosen.mistake),
-        undecided: undecided.filter(|_| !found),
+        undecided,
     })
 }
 
@@ -225,10 +248,10 @@ fn of_the_log(samples: &Samples, poses: &[Pose], log: &[EncoderReading]) -> Vec<
     rivals
 }
 
-/// A wiring of columns and signs that the bends do not rule out, where there is one: the one that explains them best.
-fn undecided(rivals: &[Rival]) -> Option<Wiring> {
+/// A wiring of columns and signs that the bends do not rule out, by what tells for it, where there is one: the one that explains them best.
+fn undecided(rivals: &[Rival], evidence: impl Fn(&Rival) -> f64) -> Option<Wiring> {
     let of_columns = rivals.iter().filter_map(|rival| match &rival.mistake {
-        Mistake::Log(wiring) if wiring.index_shift == 0 => Some((rival.evidence(), wiring)),
+        Mistake::Log(wiring) if wiring.index_shift == 0 => Some((evidence(rival), wiring)),
         _ => None,
     });
     let (evidence, wiring) = of_columns.max_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -246,16 +269,21 @@ fn of_views(samples: &Samples) -> Vec<Rival> {
         for mirrored in [false, true] {
             let own = if mirrored { own.mirrored() } else { own.clone() };
             let Some(fit) = own.fit(&straight, Freedom::GainAndTurn) else { continue };
-            // A free parameter costs half the logarithm of the number of measurements (Schwarz 1978).
-            let cost = (2.0 * views.len() as f64).ln() + 0.5 * (own.len() as f64).ln();
             let gained = fit.log_likelihood - as_it_is.log_likelihood;
             // b = (turn of u), so that δ as seen is the true one and the turn; it is to be taken off.
             let turn = -fit.gain.y.atan2(fit.gain.x);
             let mistake = Mistake::View { view: view.clone(), turn, mirrored };
+            let cost = (2.0 * views.len() as f64).ln() + cost_of_turn(fit.sd_gain / fit.gain.norm());
             rivals.push(Rival { mistake, internal_mm: 0.0, fit, gained, cost });
         }
     }
     rivals
+}
+
+/// What a turn costs that the bends tell to within a standard deviation, rad: any azimuth is as likely as any other beforehand, so that this is the
+/// logarithm of how much narrower the bends leave it, by Laplace's method.
+fn cost_of_turn(sd: f64) -> f64 {
+    (TAU.sqrt() / sd).ln().max(0.0)
 }
 
 /// Lags between readings and frames, by interpolation in time.

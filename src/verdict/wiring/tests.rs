@@ -99,15 +99,15 @@ fn every_signed_order_of_the_columns_is_named() {
 
 #[test]
 fn orders_of_four_columns_are_named_though_a_mirrored_view_would_explain_some_as_well() {
-    // Reflections of the square, through two backbones and between them.
-    for columns in [[1, 4, 3, 2], [2, 1, 4, 3]] {
+    // Reflections of the square, through two backbones and between them. A view's angle follows the noise, and an order cannot.
+    for (seed, columns) in (0..15).flat_map(|seed| [[1, 4, 3, 2], [2, 1, 4, 3]].map(|columns| (3 * seed, columns))) {
         let robot = Robot { backbones: 4, ..Robot::default() };
-        let mut lab = Lab::with(Model { robot, ..Model::default() }, BendingExperiment::default(), 3);
+        let mut lab = Lab::with(Model { robot, ..Model::default() }, BendingExperiment::default(), seed);
         for row in &mut lab.log {
             let right = row.q_mm;
             (0..4).for_each(|i| row.q_mm[columns[i] - 1] = right[i]);
         }
-        assert_eq!(suggested(&lab), Wiring { columns: columns.to_vec(), ..Wiring::straight(4) });
+        assert_eq!(suggested(&lab), Wiring { columns: columns.to_vec(), ..Wiring::straight(4) }, "seed {seed}");
     }
 }
 
@@ -332,6 +332,31 @@ fn poses_in_one_plane_cannot_confirm_the_wiring() {
     let verdict = Lab::with(Model::default(), ride, 1).verdict();
     assert_eq!(verdict.reasons[0].code, Code::WorkspaceNotCovered, "{verdict:#?}");
     assert_eq!(verdict.level, Level::Look);
+}
+
+#[test]
+fn in_one_plane_no_order_is_named_that_a_turned_view_explains_as_well() {
+    type Change = fn(Lab) -> Lab;
+    let changes: [(f64, Change); 2] = [
+        // Two backbones exchanged reflect the plane to where it is seen.
+        (-1.0, |lab| lab.azimuths(|delta| delta + 2f64.to_radians())),
+        // Scales of the encoders turn it.
+        (0.0, |lab| lab.readings(|q| [1.03 * q[0], 0.98 * q[1], 1.01 * q[2]])),
+    ];
+    let planes = [(0.0, [1, 3, 2]), (-120.0, [3, 2, 1])];
+    for (seed, (off_deg, change)) in (0..12).flat_map(|seed| changes.map(|case| (seed, case))) {
+        for (plane_deg, columns) in planes {
+            let sweep_delta_deg = vec![plane_deg + off_deg];
+            let plane = BendingExperiment { sweep_delta_deg, sweep_poses: 75, round_poses: 0, ..Default::default() };
+            let lab = change(Lab::with(Model::default(), plane, 10 * seed));
+            let verdict = lab.verdict();
+            let case = format!("seed {seed}, {plane_deg}°, {off_deg}°");
+            assert!(!verdict.has(Code::Wiring) && verdict.has(Code::WorkspaceNotCovered), "{case}: {verdict:#?}");
+            let undecided = format!("{columns:?} with signs [1, 1, 1]");
+            let covered = verdict.reasons.iter().find(|reason| reason.code == Code::WorkspaceNotCovered).unwrap();
+            assert!(off_deg == 0.0 || covered.text.contains(&undecided), "{case}: {verdict:#?}");
+        }
+    }
 }
 
 #[test]
