@@ -166,7 +166,7 @@ fn steps(frames: &[PathBuf], figures: &mut Figures) {
 
     let covariance = Matrix2::from_diagonal_element(1e-6);
     let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance, samples: 17 };
-    let model = Model { estimate: Some(estimate), ..Model::default() };
+    let model = Model::default().with_estimate(estimate);
     let psi = Configuration::from_degrees(60.0, 35.0);
     let q_tilde_mm = model.command(psi);
     show("the forward problem", least(|| model.forward(black_box(&q_tilde_mm)).unwrap()), "(asked: at most 20 µs)");

@@ -167,7 +167,7 @@ fn main() {
     let truth = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: nalgebra::Matrix2::zeros(), samples: 0 };
     let sent = Arc::new(Mutex::new(Vec::new()));
     let stream = format!("http://{}/", camera(folder.path(), frames, Arc::clone(&sent)));
-    let lines = format!("tcp://{}", encoders(Model { estimate: Some(truth), ..Model::default() }, Arc::clone(&sent)));
+    let lines = format!("tcp://{}", encoders(Model::default().with_estimate(truth), Arc::clone(&sent)));
 
     let (mut live, address) = start_live(folder.path(), &stream, &lines);
     let latencies = latencies_until_the_end(&address, frames, &sent);

@@ -27,7 +27,7 @@ fn frame() -> PathBuf {
 /// The paper's robot with the bundled experiment's η and λ.
 fn model() -> Model {
     let covariance = Matrix2::from_diagonal_element(1e-6);
-    Model { estimate: Some(Estimate { eta: 1.221, lambda_mm: 0.1765, covariance, samples: 17 }), ..Model::default() }
+    Model::default().with_estimate(Estimate { eta: 1.221, lambda_mm: 0.1765, covariance, samples: 17 })
 }
 
 #[divan::bench(max_time = 5)]

@@ -104,7 +104,8 @@ impl ClosedLoop {
             let measurement = seen.row(index, Some(reading.time_s), None);
             estimator.update(&measurement, Some(&reading));
             controller = without_lambda(&estimator.model());
-            cycles.push(cycle(desired, reached, &measurement, controller.estimate, self.table_error_deg(&controller)?));
+            let (learned, table_error_deg) = (controller.estimate(), self.table_error_deg(&controller)?);
+            cycles.push(cycle(desired, reached, &measurement, learned, table_error_deg));
             done();
         }
         Ok((cycles, controller))
@@ -112,7 +113,7 @@ impl ClosedLoop {
 
     /// What the controller knows at the start: the robot and its friction.
     pub fn naive(&self) -> Model {
-        Model { estimate: None, effects: Vec::new(), ..self.plant.clone() }
+        self.plant.plain().without_estimate()
     }
 
     /// The rms error (degrees, as a bend vector) of a controller's table: θ 15–75°, δ once round.
@@ -147,12 +148,9 @@ impl ClosedLoop {
 /// What a closed loop has learned: η, and nothing of λ (see the module's text). Their errors are independent, since the bends that tell η do
 /// not move with λ.
 fn without_lambda(learned: &Model) -> Model {
-    let estimate = learned.estimate.map(|estimate| Estimate {
-        lambda_mm: 0.0,
-        covariance: Matrix2::new(estimate.covariance[(0, 0)], 0.0, 0.0, SD_OF_UNSEEN_LAMBDA_MM.powi(2)),
-        ..estimate
-    });
-    Model { estimate, ..learned.clone() }
+    let Some(estimate) = learned.estimate() else { return learned.clone() };
+    let covariance = Matrix2::new(estimate.covariance[(0, 0)], 0.0, 0.0, SD_OF_UNSEEN_LAMBDA_MM.powi(2));
+    learned.clone().with_estimate(Estimate { lambda_mm: 0.0, covariance, ..estimate })
 }
 
 /// A rendered picture as a camera gives it.
@@ -196,7 +194,7 @@ mod tests {
     fn the_error_falls_once_the_eye_has_seen_a_few_bends() {
         let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
         let simulation = ClosedLoop {
-            plant: Model { estimate: Some(estimate), ..Model::default() },
+            plant: Model::default().with_estimate(estimate),
             scene: Scene::default(),
             grid_pitch_mm: 1.0,
             sd_encoder_mm: 0.0015,
@@ -210,7 +208,7 @@ mod tests {
         assert!((cycles[0].table_error_deg - naive).abs() < 1e-9 && naive > 3.0, "one measurement pins nothing");
         assert!(cycles[2].table_error_deg < 0.1 * naive, "{naive}° at first, {}° at last", cycles[2].table_error_deg);
         assert!(cycles[0].error_deg > 2.0 && cycles[2].error_deg < 0.7, "{cycles:?}");
-        let learned = model.estimate.unwrap();
+        let learned = model.estimate().unwrap();
         assert!((learned.eta - 1.221).abs() < 0.03);
         assert!((learned.lambda_mm - 0.1765).abs() < learned.sd_lambda_mm(), "what is not seen must be in the σ");
         let command = model.command(poses[0]);

@@ -46,19 +46,19 @@ impl PyEstimator {
     /// η; None while the measurements do not tell.
     #[getter]
     fn eta(&self) -> Option<f64> {
-        self.estimator.model().estimate.map(|estimate| estimate.eta)
+        self.estimator.model().estimate().map(|estimate| estimate.eta)
     }
 
     /// λ, mm; None while the measurements do not tell.
     #[getter]
     fn lambda_mm(&self) -> Option<f64> {
-        self.estimator.model().estimate.map(|estimate| estimate.lambda_mm)
+        self.estimator.model().estimate().map(|estimate| estimate.lambda_mm)
     }
 
     /// Covariance of (η, λ in mm), 2 × 2; None while the measurements do not tell.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray2<f64>>> {
-        self.estimator.model().estimate.map(|estimate| matrix(py, &estimate.covariance))
+        self.estimator.model().estimate().map(|estimate| matrix(py, &estimate.covariance))
     }
 
     /// The model with the estimate as it stands.

@@ -51,7 +51,7 @@ impl PyModel {
     /// Why it must not be used, if that is so.
     pub fn must_not_be_used(&self) -> Option<String> {
         let judged = self.verdict.as_ref().and_then(Verdict::why_not).map(str::to_owned);
-        judged.or_else(|| self.model.estimate.and_then(|estimate| estimate.implausible()))
+        judged.or_else(|| self.model.estimate().and_then(|estimate| estimate.implausible()))
     }
 
     /// An error where it must not be used.
@@ -66,7 +66,7 @@ impl PyModel {
         let x = self.model.parameters();
         let effects: Vec<_> = self.model.effects.iter().map(|effect| effect.physics.name).collect();
         let effects = if effects.is_empty() { String::new() } else { format!(", effects {}", effects.join(", ")) };
-        match self.model.estimate {
+        match self.model.estimate() {
             Some(e) => {
                 let (sd_eta, sd_lambda_mm) = (e.sd_eta(), e.sd_lambda_mm());
                 format!("η = {:.4} ± {sd_eta:.4}, λ = {:.4} ± {sd_lambda_mm:.4} mm{effects}", x.x, x.y)

@@ -85,13 +85,13 @@ impl PyRun {
     /// η; None where the measurements do not tell.
     #[getter]
     fn eta(&self) -> Option<f64> {
-        self.model.model.estimate.map(|estimate| estimate.eta)
+        self.model.model.estimate().map(|estimate| estimate.eta)
     }
 
     /// λ, mm; None where the measurements do not tell.
     #[getter]
     fn lambda_mm(&self) -> Option<f64> {
-        self.model.model.estimate.map(|estimate| estimate.lambda_mm)
+        self.model.model.estimate().map(|estimate| estimate.lambda_mm)
     }
 
     /// The measurements of all frames: a dict of arrays with the columns of measurements.csv.
@@ -177,19 +177,19 @@ impl PyEstimate {
     /// η; None where the measurements do not tell.
     #[getter]
     fn eta(&self) -> Option<f64> {
-        self.model.model.estimate.map(|estimate| estimate.eta)
+        self.model.model.estimate().map(|estimate| estimate.eta)
     }
 
     /// λ, mm; None where the measurements do not tell.
     #[getter]
     fn lambda_mm(&self) -> Option<f64> {
-        self.model.model.estimate.map(|estimate| estimate.lambda_mm)
+        self.model.model.estimate().map(|estimate| estimate.lambda_mm)
     }
 
     /// Covariance of (η, λ in mm), 2 × 2; None where the measurements do not tell.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray2<f64>>> {
-        self.model.model.estimate.map(|estimate| matrix(py, &estimate.covariance))
+        self.model.model.estimate().map(|estimate| matrix(py, &estimate.covariance))
     }
 
     /// The model with the estimate.

@@ -117,14 +117,14 @@ impl Args {
             JudgedEstimate::of(&model, options, limits.as_ref(), (&measurements, &encoders), is_stated, |model| {
                 log.subject(model, options.sd_encoder_mm)
             })?;
-        let estimated = Estimated::of(&rows, model.estimate);
+        let estimated = Estimated::of(&rows, model.estimate());
         let verdict = do_not_use.as_deref().map(bad_start).into_iter().fold(verdict, Verdict::and);
         let mut files = Vec::new();
-        if model.estimate.is_some() {
+        if model.estimate().is_some() {
             files = self.beside_model(learned_model_toml(&model, Some(&verdict), &self.made_from(&log)?)?)?;
         }
         // The rows stand beside the model that they led to, and not beside an earlier one.
-        if model.estimate.is_some() || !self.output.join("model.toml").exists() {
+        if model.estimate().is_some() || !self.output.join("model.toml").exists() {
             files.push((self.output.join("estimate.csv"), estimates_csv(&rows, model.robot.backbone_count())));
         }
         write_together(&files)?;

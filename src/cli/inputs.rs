@@ -95,7 +95,7 @@ impl WorthArgs {
 
 /// Why the model in a file must not be used, if that is so: by its verdict, or since no robot has such parameters.
 fn must_not_be_used(path: &Path, model: &Model) -> Option<String> {
-    do_not_use_mark(path).or_else(|| model.estimate.and_then(|estimate| estimate.implausible()))
+    do_not_use_mark(path).or_else(|| model.estimate().and_then(|estimate| estimate.implausible()))
 }
 
 /// Force limits as --force-limits gives them: pull and push, N.
@@ -215,7 +215,7 @@ fn require_neighbours(path: &Path, model: &Model, log: &[EncoderReading]) -> Res
 
 /// Warns of a model whose answers nothing bounds: nothing was learned, or it is not known on which bends.
 pub fn tell_of_learning(console: &Console, model: &Model) {
-    console.warn(match (&model.estimate, &model.learned) {
+    console.warn(match (&model.estimate(), &model.learned) {
         (None, _) => Some("nothing was learned yet: the answer is the naive model's (η = 1, λ = 0)"),
         (Some(_), None) => Some(
             "the model has no [learned], which says on which bends it was learned: nothing is marked as extrapolated",

@@ -149,7 +149,7 @@ impl Pose {
             delta_deg: row.configuration.delta_deg(),
             q_mm: row.q_mm,
             qc_mm: row.command_mm,
-            sd: model.estimate.map(|_| Sd::CommandMm(row.sd_command_mm)),
+            sd: model.estimate().map(|_| Sd::CommandMm(row.sd_command_mm)),
             internal: None,
             extrapolated: row.extrapolated,
             do_not_use: None,
@@ -162,7 +162,7 @@ impl Pose {
         let psi = response.configuration;
         let force_n = response.residual_mm.map(|mm| mm / model.line_compliance_mm_per_n());
         // Exactly straight, δ means nothing and has no sd.
-        let covariance = model.estimate.and_then(|_| model.response_covariance(psi).ok());
+        let covariance = model.estimate().and_then(|_| model.response_covariance(psi).ok());
         let sd = covariance.map(|c| Sd::PoseDeg(c.diagonal().map(|variance| variance.max(0.0).sqrt().to_degrees())));
         Ok(Self {
             theta_deg: psi.theta_deg(),

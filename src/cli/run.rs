@@ -225,11 +225,11 @@ pub fn finish(
         })?;
     let doubts = reasons_of_files(experiment, warnings)?.into_iter().chain(sheets);
     let verdict = beside_former(output, doubts.fold(verdict, Verdict::and))?;
-    let estimated = Estimated::of(&rows, model.estimate);
+    let estimated = Estimated::of(&rows, model.estimate());
     info!(used = estimated.used, rejected = estimated.rejected, skipped = estimated.skipped, verdict = %verdict.level, "judged");
     let made_from = provenance(experiment, settings, output)?;
     let (mut files, table) = model_and_tables(output, &model, &verdict, &made_from)?;
-    let naive = Model { estimate: None, ..model.clone() };
+    let naive = model.without_estimate();
     let count = Count::of(&measurements);
     let summary = Summary {
         frames: count.frames,
@@ -284,7 +284,7 @@ fn page(
         title: format!("snakeloop: {}", name_of(experiment)),
         verdict: summary.verdict.clone(),
         summary: summary.lines(),
-        model: Some(&summary.model).filter(|model| model.estimate.is_some()),
+        model: Some(&summary.model).filter(|model| model.estimate().is_some()),
         readings,
         history,
         rigs: rig_pictures(experiment, &summary.output)?,
@@ -321,7 +321,7 @@ fn model_and_tables(
     verdict: &Verdict,
     made_from: &Provenance,
 ) -> Result<(Files, Option<Table>)> {
-    if model.estimate.is_none() || verdict.has(Code::Stale) {
+    if model.estimate().is_none() || verdict.has(Code::Stale) {
         return Ok((Vec::new(), None));
     }
     let (mut files, table) = compensation_files(output, model, "model.toml", Worth::of(verdict))?;

@@ -130,7 +130,9 @@ impl Args {
             console.warn(model.resting_neighbours());
         }
         if self.closed_loop {
-            model.estimate.get_or_insert(HIDDEN);
+            if model.samples.is_none() {
+                model = model.with_estimate(HIDDEN);
+            }
             return Ok(self.close_the_loop(console, (model, do_not_use), &trajectory)?);
         }
         let plant = Plant { model, sd_encoder_mm: self.encoder_sd };
@@ -191,8 +193,8 @@ impl Args {
             frames: cycles.len(),
             table_error_before_deg: first,
             table_error_after_deg: cycles.last().map_or(first, |cycle| cycle.table_error_deg),
-            hidden: EtaLambda::from(simulation.plant.estimate.unwrap_or(HIDDEN)),
-            learned: model.estimate.map(EtaLambda::from),
+            hidden: EtaLambda::from(simulation.plant.estimate().unwrap_or(HIDDEN)),
+            learned: model.estimate().map(EtaLambda::from),
             do_not_use,
             output: self.output.clone(),
         };

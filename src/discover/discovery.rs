@@ -13,7 +13,7 @@ use super::search::{Found, Named, OPEN, search};
 use super::structure::Structure;
 use super::verdict::Verdict;
 use crate::robot::effects::{Changes, RIG_ERROR};
-use crate::robot::{Effect, Estimate, Model, PerBackbone, Physics};
+use crate::robot::{Effect, Model, PerBackbone, Physics};
 use tracing::{info, info_span};
 
 /// A parameter whose standard deviation is beyond this many typical sizes is remarked.
@@ -84,7 +84,8 @@ pub fn discover_telling(model: &Model, data: &Data, tell: Tell) -> Discovery {
         info!("{stage}");
         tell(stage);
     };
-    let model = with_estimate(model);
+    // η = 1, λ = 0 where nothing was estimated, so that there is something to fit.
+    let model = Model { samples: Some(0), ..model.clone() };
     let driven = Data { is_driven: true, ..data.clone() };
     let [few, few_driven] = [data, &driven].map(|data| data.thinned(SEARCHED_FIRST));
     let (searched, is_driven) = Searched::likeliest(&model, [(data, &few), (&driven, &few_driven)], tell);
@@ -192,7 +193,7 @@ impl<'a> Searched<'a> {
         }
         let model = &mut judged.answer.model;
         let between = covariance_between(&self.found.structures, model, self.problem.data);
-        model.set_covariance(&(model.covariance() + between));
+        model.covariance = model.covariance() + between;
         (judged, self.found.structures.clone())
     }
 
@@ -309,13 +310,6 @@ pub fn discover_in_frames(mut model: Model, data: &Data, tell: Tell) -> Discover
         ));
     }
     found
-}
-
-/// η = 1, λ = 0 where nothing was estimated, so that there is something to fit.
-fn with_estimate(model: &Model) -> Model {
-    let x = model.parameters();
-    let estimate = Estimate { eta: x.x, lambda_mm: x.y, covariance: model.parameter_covariance(), samples: 0 };
-    Model { estimate: Some(estimate), ..model.clone() }
 }
 
 /// Effects of unknown origin were found here.
@@ -447,7 +441,7 @@ mod tests {
         let mut data = experiment(1);
         let mut late = truth();
         late.effects.push(Effect::parse("camera_latency:latency_s=0.2").unwrap());
-        late.set_covariance(&(DMatrix::identity(3, 3) * 1e-6));
+        late.covariance = DMatrix::identity(3, 3) * 1e-6;
         data.log.times_s = (0..data.log.times_s.len()).map(|k| 0.1 * k as f64).collect();
         assert!(about_lag(&late, &data).unwrap().contains("index_shift = -2"));
         data.log.times_s = data.log.times_s.iter().map(|time_s| 1.3 * time_s).collect();

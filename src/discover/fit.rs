@@ -209,11 +209,9 @@ impl Problem<'_> {
         let mut model = fit.model.clone();
         let Some(inverse) = inverse else { return model };
         let specs = model.parameter_specs();
-        if let Some(estimate) = &mut model.estimate {
-            estimate.samples = self.data.len();
-        }
+        model.samples = Some(self.data.len());
         let in_units = |a: usize, b: usize| inverse[(a, b)] * specs[a].typical * specs[b].typical;
-        model.set_covariance(&DMatrix::from_fn(specs.len(), specs.len(), in_units));
+        model.covariance = DMatrix::from_fn(specs.len(), specs.len(), in_units);
         model
     }
 }
@@ -329,7 +327,7 @@ mod tests {
         for seed in 0..40 {
             let data = experiment(seed);
             let problem = Problem::new(&data, &Noise::stated(&data), &truth());
-            let fitted = problem.with_covariance(&problem.fit(&Model { estimate: None, ..truth() }, None, None));
+            let fitted = problem.with_covariance(&problem.fit(&truth().without_estimate(), None, None));
             let error = fitted.parameters() - truth().parameters();
             let inverse = fitted.parameter_covariance().try_inverse().unwrap();
             squares += error.dot(&(inverse * error));

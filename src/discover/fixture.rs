@@ -1,17 +1,15 @@
 //! What tests of several stages work on.
 
 use super::data::Data;
-use crate::robot::{Estimate, Model};
+use crate::robot::Model;
 use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
-use nalgebra::Matrix2;
 
 /// Standard deviation of the encoders, mm.
 pub const SD_ENCODER_MM: f64 = 0.0015;
 
 /// The paper's robot with η = 1.2 and λ = 0.15 mm.
 pub fn truth() -> Model {
-    let estimate = Estimate { eta: 1.2, lambda_mm: 0.15, covariance: Matrix2::zeros(), samples: 0 };
-    Model { estimate: Some(estimate), ..Model::default() }
+    Model { eta: 1.2, lambda_mm: 0.15, samples: Some(0), ..Model::default() }
 }
 
 /// An experiment with a robot that lacks nothing, with the noise of the simulated eye and encoders.

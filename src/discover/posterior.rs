@@ -98,7 +98,7 @@ mod tests {
             Candidate { effects, probability, model }
         });
         let mut model = truth();
-        model.set_covariance(&covariance_between(&open, &truth(), &data));
+        model.covariance = covariance_between(&open, &truth(), &data);
         let sds = model.command_sds(Configuration::from_degrees(50.0, 20.0));
         let expected = 0.2f64.sqrt() * 0.02;
         assert!(sds.iter().all(|sd| (sd / expected - 1.0).abs() < 0.1), "{sds:?} {expected}");

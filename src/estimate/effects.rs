@@ -70,7 +70,7 @@ impl EffectsPrior {
             places().for_each(|(b, (k, other))| all[(j, k)] = covariance[(a, b)] * unit * other);
         }
         *model = model.with_parameter_values(&values);
-        model.set_covariance(&all);
+        model.covariance = all;
     }
 }
 

@@ -127,7 +127,7 @@ impl Estimator {
 
     /// The model that the log is followed by: the one that was given until there is an estimate, so that nothing jumps when there is one.
     fn followed<'m>(given: &'m Model, model: &'m Model) -> &'m Model {
-        if model.estimate.is_some() { model } else { given }
+        if model.estimate().is_some() { model } else { given }
     }
 
     /// Takes one measurement and the encoder reading of the same index.
@@ -155,7 +155,7 @@ impl Estimator {
         let mut step = Step {
             verdict: Verdict::Skipped,
             reason: None,
-            estimate: self.model.estimate,
+            estimate: self.model.estimate(),
             residual_mm: None,
             innovation: None,
             revisions: Vec::new(),
@@ -176,7 +176,7 @@ impl Estimator {
             Some((filter, consistency)) => self.next_measurement(filter, consistency, sample, &linearised, step),
         };
         step.verdict = if step.reason.is_some() { Verdict::Rejected } else { Verdict::Used };
-        step.estimate = self.model.estimate;
+        step.estimate = self.model.estimate();
     }
 
     /// One of the first measurements: all of them are judged anew, and for good once there are enough.
@@ -324,9 +324,8 @@ impl Estimator {
         of_estimate += friction_covariance(&self.model, x[0]);
         // Rounding leaves the last digits of the two halves apart.
         let honest = (&honest + honest.transpose()) / 2.0;
-        let covariance = honest.fixed_view::<2, 2>(0, 0).into_owned();
-        let samples = filter.measurements();
-        self.model.estimate = Some(Estimate { eta: x[0], lambda_mm: x[1], covariance, samples });
+        (self.model.eta, self.model.lambda_mm, self.model.samples) = (x[0], x[1], Some(filter.measurements()));
+        self.model.covariance.view_mut((0, 0), (2, 2)).copy_from(&honest.view((0, 0), (2, 2)));
         self.published = Some((x, honest));
     }
 }

@@ -23,7 +23,7 @@ pub(super) fn parameters_by_friction(model: &Model, eta: f64) -> Matrix2<f64> {
 mod tests {
     use super::*;
     use crate::geometry::Configuration;
-    use crate::robot::{Estimate, Friction};
+    use crate::robot::Friction;
 
     #[test]
     fn along_these_directions_commands_stay_as_they_are() {
@@ -31,8 +31,7 @@ mod tests {
             let friction = Friction::default();
             let friction =
                 Friction { mu: friction.mu + by_mu, static_force_n: friction.static_force_n + by_static, ..friction };
-            let estimate = Estimate { eta, lambda_mm, covariance: Matrix2::zeros(), samples: 0 };
-            Model { friction, estimate: Some(estimate), ..Model::default() }
+            Model { friction, eta, lambda_mm, samples: Some(0), ..Model::default() }
         };
         let slope = parameters_by_friction(&with(0.0, 0.0, 1.221, 0.1765), 1.221);
         let step = 1e-5;

@@ -6,7 +6,7 @@
 use super::effects::EffectsPrior;
 use super::gate::{self, SquaredDistances, distrust, squared_distances};
 use super::{InformationFilter, LinearisedMeasurement, Options, Reason, Sample};
-use crate::robot::{Estimate, Model};
+use crate::robot::Model;
 use crate::statistics::trimmed::{least_trimmed_squares, majority, subsets};
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -61,12 +61,11 @@ impl InitialEstimate {
         // Weights need an η; that of the naive model does for a first estimate, that of the first for the second.
         let naive = model.without_estimate();
         let first = Self::trimmed(linearised_under(&naive), prior, options.gate)?;
-        let covariance = first.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-        let estimate = Estimate { eta: first.x[0], lambda_mm: first.x[1], covariance, samples: 0 };
-        if estimate.eta <= 0.0 {
+        if first.x[0] <= 0.0 {
             return Some(first);
         }
-        let informed = Model { estimate: Some(estimate), ..naive };
+        let mut informed = Model { eta: first.x[0], lambda_mm: first.x[1], samples: Some(0), ..naive };
+        informed.covariance.view_mut((0, 0), (2, 2)).copy_from(&first.covariance.view((0, 0), (2, 2)));
         Self::trimmed(linearised_under(&informed), prior, options.gate).or(Some(first))
     }
 
@@ -142,12 +141,11 @@ mod tests {
     use super::*;
     use crate::geometry::Configuration;
     use crate::observation::Measured;
-    use nalgebra::{Matrix2, Vector2};
+    use nalgebra::Vector2;
 
     /// Exact measurements of a robot with η = 1.221 and λ = 0.1765 mm; those in `wrong` are of a bend 10° off.
     fn samples(count: usize, wrong: &[usize]) -> Vec<Undecided> {
-        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
-        let robot = Model { estimate: Some(estimate), ..Model::default() };
+        let robot = Model { eta: 1.221, lambda_mm: 0.1765, samples: Some(0), ..Model::default() };
         (0..count)
             .map(|update| {
                 let psi = Configuration::from_degrees(20.0 + 7.0 * update as f64, 50.0 * update as f64);

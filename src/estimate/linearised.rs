@@ -151,7 +151,7 @@ fn smoothed(
     (sample, motion): (&Sample, &Motion),
     bend: Vector2<f64>,
 ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
-    model.estimate?;
+    model.samples?;
     let near = sample.came.as_ref().map_or(bend, |came| came.solution.bend);
     let solution = mechanics.solve(&sample.q_tilde, Some(motion), near);
     let implied = solution.bend;
@@ -216,8 +216,7 @@ mod tests {
             let measured = measured(theta_deg, delta_deg, sigma, sigma_delta, rho);
             let q_tilde = Model::default().command(measured.configuration);
             let estimate = Estimate { eta: 1.1, lambda_mm: 0.1, covariance: Matrix2::identity() * 1e-4, samples: 3 };
-            for estimate in [None, Some(estimate)] {
-                let model = Model { estimate, ..Model::default() };
+            for model in [Model::default(), Model::default().with_estimate(estimate)] {
                 let linearised = LinearisedMeasurement::new(&model, Weighting::Measured, 1.5e-3, &of_plain(measured, q_tilde));
                 prop_assert!(linearised.covariance.cholesky().is_some());
                 prop_assert!(linearised.h.iter().chain(linearised.z.iter()).all(|v| v.is_finite()));
@@ -227,7 +226,7 @@ mod tests {
         #[test]
         fn without_noise_it_is_equation_20_wherever_it_is_linearised(theta_deg in 0.0..110.0f64, delta_deg in -180.0..180.0f64) {
             let estimate = Estimate { eta: 1.1, lambda_mm: 0.1, covariance: Matrix2::identity() * 1e-4, samples: 3 };
-            let model = Model { estimate: Some(estimate), ..Model::default() };
+            let model = Model::default().with_estimate(estimate);
             let measured = measured(theta_deg, delta_deg, 0.1, 0.2, 0.0);
             let q_tilde = model.command(measured.configuration);
             for weighting in [Weighting::Measured, Weighting::Flat { sigma_deg: 1.0 }] {

@@ -169,7 +169,7 @@ pub fn tip_force(
     measurements: &[Measurement],
     readings: &[EncoderReading],
 ) -> Result<(Vec<ForceRow>, TipForce)> {
-    if model.estimate.is_none() {
+    if model.estimate().is_none() {
         return Err(ArgumentError::NoEstimate { what: "a force" }.into());
     }
     check_sd_encoder(sd_encoder_mm)?;
@@ -217,7 +217,7 @@ mod tests {
     fn model(sd_eta: f64, sd_lambda_mm: f64) -> Model {
         let covariance = Matrix2::new(sd_eta.powi(2), 0.0, 0.0, sd_lambda_mm.powi(2));
         let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance, samples: 36 };
-        Model { estimate: Some(estimate), ..Model::default() }
+        Model::default().with_estimate(estimate)
     }
 
     fn loaded(force_n: Vector3<f64>) -> Effect {
@@ -242,7 +242,7 @@ mod tests {
             // The model's η and λ are off by what their covariance says.
             let offset = if seed % 2 == 0 { 1.0 } else { -1.0 };
             let mut robot = model(0.0, 0.0);
-            robot.estimate.as_mut().unwrap().eta += 0.001 * offset;
+            robot.eta += 0.001 * offset;
             let (measurements, readings) = ride(&robot, truth, 10 * seed);
             let (rows, found) = tip_force(&model(0.001, 0.001), 0.0015, &measurements, &readings).unwrap();
             assert_eq!((rows.len(), found.unseen.len()), (36, 0));
@@ -294,7 +294,7 @@ mod tests {
         let (measurements, readings) = ride(&model(0.0, 0.0), force, 9);
         let start = Model { effects: vec![loaded(force)], ..Model::default() };
         let (_, found) = estimate(&start, Options::default(), &measurements, &readings).unwrap();
-        let x = found.estimate.unwrap();
+        let x = found.estimate().unwrap();
         assert!((x.eta - 1.221).abs() < 3.0 * x.sd_eta() && x.sd_eta() < 0.01, "{} ± {}", x.eta, x.sd_eta());
         assert!((x.lambda_mm - 0.1765).abs() < 3.0 * x.sd_lambda_mm());
         // The commanded forces balance the loaded snake: Eq. 9 with the corrected sign, by the energy's slope.

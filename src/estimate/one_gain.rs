@@ -63,7 +63,7 @@ pub fn or_one_gain(model: Model, measurements: &[Measurement], log: &[EncoderRea
     }
     let points = points.kept;
     let Some(estimate) = one_gain(&model, &points) else { return (model, None) };
-    let candidate = Model { learned: Some(learned), estimate: Some(estimate), ..model.without_estimate() };
+    let candidate = Model { learned: Some(learned), ..model.without_estimate() }.with_estimate(estimate);
     let miss = |model: &Model, bend: Vector2<f64>, q: &_| model.plain().forward_bend(q).map(|b| (b - bend).norm()).ok();
     let better = |&&(bend, ref q): &&(Vector2<f64>, _)| match (miss(&candidate, bend, q), miss(&model, bend, q)) {
         (Some(one), Some(own)) => one < own,
@@ -71,8 +71,8 @@ pub fn or_one_gain(model: Model, measurements: &[Measurement], log: &[EncoderRea
         _ => false,
     };
     let (better, of) = (points.iter().filter(better).count(), points.len());
-    let is_known = model.estimate.is_some_and(|estimate| estimate.sd_eta() <= KNOWN_SD);
-    let is_worse = model.estimate.is_some() && binomial::at_least(of - better, of, 0.5) < LEVEL;
+    let is_known = model.estimate().is_some_and(|estimate| estimate.sd_eta() <= KNOWN_SD);
+    let is_worse = model.estimate().is_some() && binomial::at_least(of - better, of, 0.5) < LEVEL;
     let replaces = !is_known && !is_worse;
     if replaces { (candidate, Some(Replaced { better, of })) } else { (model, None) }
 }
@@ -139,9 +139,8 @@ mod tests {
     use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
 
     fn experiment(effects: &[&str], seed: u64) -> (Vec<Measurement>, Vec<EncoderReading>) {
-        let known = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
         let effects = effects.iter().map(|text| Effect::parse(text).unwrap()).collect();
-        let model = Model { estimate: Some(known), effects, ..Model::default() };
+        let model = Model { effects, eta: 1.221, lambda_mm: 0.1765, samples: Some(0), ..Model::default() };
         let samples =
             Plant { model, sd_encoder_mm: 0.0015 }.run(&BendingExperiment::default().waypoints().unwrap(), seed);
         (SimulatedEye::default().observe(&samples, seed + 1), samples.iter().map(|sample| sample.reading).collect())
@@ -155,7 +154,7 @@ mod tests {
             assert_eq!(or_one_gain(model.clone(), &measurements, &log), (model, None));
             // Without an estimate it is what there is.
             let (model, replaced) = or_one_gain(Model::default(), &measurements, &log);
-            let found = model.estimate.unwrap();
+            let found = model.estimate().unwrap();
             assert!(replaced.is_some() && (found.eta - 1.221).abs() < 4.0 * found.sd_eta(), "{found:?}");
             assert!((found.lambda_mm - 0.1765).abs() < 0.002 && found.sd_eta() < 0.02, "{found:?}");
         }
@@ -165,7 +164,7 @@ mod tests {
     fn an_estimate_that_knows_nothing_of_eta_is_replaced() {
         let (measurements, log) = experiment(&["superelastic_softening:softening_per_rad2=0.1"], 5);
         let wrong = Estimate { eta: 0.4, lambda_mm: 0.1, covariance: Matrix2::identity() * 4.0, samples: 8 };
-        let (model, replaced) = or_one_gain(Model { estimate: Some(wrong), ..Model::default() }, &measurements, &log);
+        let (model, replaced) = or_one_gain(Model::default().with_estimate(wrong), &measurements, &log);
         let Replaced { better, of } = replaced.unwrap();
         assert!(better > of / 2 && model.parameters().x > 0.8, "{model:?}");
         assert_eq!(or_one_gain(Model::default(), &measurements[..4], &log).1, None, "four bends are too few");

@@ -114,7 +114,7 @@ impl Stem {
     /// # Errors
     /// [`ArgumentError`] for a model without an estimate of η and λ, without friction, or for an option out of its range.
     pub fn new(model: &Model, options: StemOptions) -> Result<Self> {
-        if model.estimate.is_none() {
+        if model.estimate().is_none() {
             return Err(ArgumentError::NoEstimate { what: "the stem's angle" }.into());
         }
         if model.friction.mu <= 0.0 {
@@ -296,8 +296,7 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     fn known(friction: Friction) -> Model {
-        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 36 };
-        Model { friction, estimate: Some(estimate), ..Model::default() }
+        Model { friction, eta: 1.221, lambda_mm: 0.1765, samples: Some(36), ..Model::default() }
     }
 
     fn exact() -> Model {
@@ -402,7 +401,7 @@ mod tests {
             let shift = parameters_by_friction(&model, 1.221) * -draw;
             let eta = 1.221 + shift.x;
             let by_friction = parameters_by_friction(&model, eta);
-            model.estimate = Some(Estimate {
+            model = model.with_estimate(Estimate {
                 eta,
                 lambda_mm: 0.1765 + shift.y,
                 covariance: by_friction * friction.covariance() * by_friction.transpose(),

@@ -95,7 +95,7 @@ impl Autosave {
             }
             let (is_known, is_stuck) = {
                 let shared = self.shared.lock();
-                (shared.model.estimate.is_some(), shared.gate.is_stuck())
+                (shared.model.estimate().is_some(), shared.gate.is_stuck())
             };
             if !is_known && !is_stuck {
                 continue;
@@ -141,7 +141,7 @@ impl Autosave {
 pub fn save(shared: &SharedState, output: &Path) -> Result<std::result::Result<(), Withheld>> {
     let (commanding, decided) = shared.model_to_command_by();
     if let (Ok(()), Some(Commanding { model, verdict, .. })) = (&decided, commanding) {
-        if model.estimate.is_none() {
+        if model.estimate().is_none() {
             return Err(DataError::NoEstimateYet.into());
         }
         let path = output.join("model.toml");

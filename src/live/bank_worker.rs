@@ -120,16 +120,14 @@ mod tests {
     use crate::live::discovery_worker::DiscoveryWorker;
     use crate::live::publication::{POSES, PublicationGate};
     use crate::live::status::{EncoderStatus, State};
-    use crate::robot::{Effect, Estimate, Model};
+    use crate::robot::{Effect, Model};
     use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
-    use nalgebra::Matrix2;
     use std::time::{Duration, Instant};
 
     #[test]
     fn what_a_discovery_names_is_followed_by_the_samples_after_it() {
-        let truth = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
         let effects = vec![Effect::parse("load_directed_backlash:play_mm=0.08").unwrap()];
-        let plant = Model { estimate: Some(truth), effects, ..Model::default() };
+        let plant = Model { effects, eta: 1.221, lambda_mm: 0.1765, samples: Some(0), ..Model::default() };
         let experiment = BendingExperiment { sweep_poses: 30, jitter_deg: 2.0, ..Default::default() };
         let samples = Plant { model: plant, sd_encoder_mm: 0.0015 }.run(&experiment.waypoints().unwrap(), 1);
         let measurements = SimulatedEye::default().observe(&samples, 2);

@@ -189,7 +189,7 @@ impl Subject {
                 Step {
                     verdict: if learned.is_ok() { Verdict::Used } else { Verdict::Skipped },
                     reason: learned.err(),
-                    estimate: before.estimate,
+                    estimate: before.estimate(),
                     innovation: None,
                     residual_mm,
                     revisions: Vec::new(),
@@ -211,14 +211,13 @@ mod tests {
 
     #[test]
     fn learns_what_the_estimator_learns_from_the_whole_file() {
-        let truth = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
         let backlash = || Effect::parse("load_directed_backlash:play_mm=0.08").unwrap();
         for (effects, sd_mm) in [(vec![], 0.0), (vec![backlash()], 0.0), (vec![backlash()], 0.02)] {
             let mut start = Model { effects, ..Model::default() };
             if sd_mm > 0.0 {
-                start.effects_covariance = DMatrix::from_row_slice(1, 3, &[0.0, 0.0, sd_mm * sd_mm]);
+                start.covariance = DMatrix::from_fn(3, 3, |a, b| if a + b == 4 { sd_mm * sd_mm } else { 0.0 });
             }
-            let plant = Model { estimate: Some(truth), ..start.clone() };
+            let plant = Model { eta: 1.221, lambda_mm: 0.1765, samples: Some(0), ..start.clone() };
             let (measurements, readings) = experiment(&plant);
             let mut estimator = OnlineEstimator::new(start.clone(), Options::default(), None).unwrap();
             for (measurement, reading) in measurements.iter().zip(&readings) {
@@ -240,7 +239,7 @@ mod tests {
     #[test]
     fn a_stem_is_followed_as_in_the_whole_file_and_the_model_bends_with_it() {
         let known = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 36 };
-        let model = Model { estimate: Some(known), ..Model::default() };
+        let model = Model::default().with_estimate(known);
         let mut plant = model.clone();
         plant.robot.line = plant.robot.line.bent_through(130f64.to_radians());
         let (measurements, readings) = experiment(&plant);
@@ -263,8 +262,7 @@ mod tests {
 
     #[test]
     fn the_gap_is_noise_where_the_model_holds_and_is_found_where_an_effect_is_missing() {
-        let truth = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
-        let plain = Model { estimate: Some(truth), ..Model::default() };
+        let plain = Model { eta: 1.221, lambda_mm: 0.1765, samples: Some(0), ..Model::default() };
         let hidden = vec![Effect::parse("load_directed_backlash:play_mm=0.08").unwrap()];
         let with_effect = Model { effects: hidden, ..plain.clone() };
         let mut estimator = OnlineEstimator::new(Model::default(), Options::default(), None).unwrap();

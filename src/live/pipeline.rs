@@ -412,7 +412,7 @@ impl Pipeline {
         self.shared.lock().gate.end();
         let (_, measurements, readings) = self.estimator.samples();
         self.verdict.finish(&measurements, &readings);
-        let is_estimated = self.shared.lock().model.estimate.is_some();
+        let is_estimated = self.shared.lock().model.estimate().is_some();
         let saved = if is_estimated { save(&self.shared, &self.output).map(|_| ()) } else { Ok(()) };
         self.tables.finish()?;
         self.shared.lock().state.ended = true;

@@ -209,7 +209,7 @@ impl PublicationGate {
         if let Some(worst) = verdict.reasons.first().filter(|worst| worst.level == Level::DoNotUse) {
             return red(worst.code, worst.text.clone());
         }
-        if let Some(why) = model.estimate.and_then(|estimate| estimate.implausible()) {
+        if let Some(why) = model.estimate().and_then(|estimate| estimate.implausible()) {
             return red(Code::ParameterOutOfRange, why);
         }
         if let Some((code, text)) = self.confirmation.doubt(Instant::now()) {

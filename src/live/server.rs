@@ -339,7 +339,7 @@ async fn table(State(app): State<AppState>, query: std::result::Result<Query<Pos
         "q_mm": row.q_mm,
         "qc_mm": row.command_mm,
         "sd_qc_mm": row.sd_command_mm,
-        "estimated": model.estimate.is_some(),
+        "estimated": model.estimate().is_some(),
         "stale": stale,
         "verdict": verdict,
         "age_s": age_s,

@@ -141,7 +141,7 @@ impl Live {
 fn published_in(output: &Path) -> Option<Model> {
     let path = output.join("model.toml");
     let was_good = || verdict_mark(&path).is_some_and(|(level, _)| level != Level::DoNotUse.to_string());
-    read_model(&path).ok().filter(|model| model.estimate.is_some() && was_good())
+    read_model(&path).ok().filter(|model| model.estimate().is_some() && was_good())
 }
 
 /// Opens the journal and the index of the next frame. Where the run is resumed, estimator and tables take what the journal has.

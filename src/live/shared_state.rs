@@ -143,7 +143,7 @@ impl SharedState {
         };
         let why = || format!("nothing may be commanded by: {}{never_good}", stale.as_deref().unwrap_or_default());
         let commanding = commanding.ok_or_else(why)?;
-        if commanding.model.estimate.is_none() {
+        if commanding.model.estimate().is_none() {
             return Err("nothing may be commanded by: η and λ are not known yet".into());
         }
         Ok((commanding, stale))

@@ -162,7 +162,7 @@ pub struct EstimateStatus {
 impl EstimateStatus {
     /// The estimate of a model; `None` where it has none.
     pub fn of(model: &Model) -> Option<Self> {
-        model.estimate.map(|estimate| Self { parameters: estimate.into(), samples: estimate.samples })
+        model.estimate().map(|estimate| Self { parameters: estimate.into(), samples: estimate.samples })
     }
 }
 

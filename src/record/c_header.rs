@@ -138,13 +138,11 @@ fn values(rows: &[TableRow], deltas: usize) -> String {
 mod tests {
     use super::*;
     use crate::geometry::Configuration;
-    use crate::robot::{Estimate, Model, compensation_table};
-    use nalgebra::Matrix2;
+    use crate::robot::{Model, compensation_table};
     use std::process::Command;
 
     fn model() -> Model {
-        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 10 };
-        Model { estimate: Some(estimate), ..Model::default() }
+        Model { eta: 1.221, lambda_mm: 0.1765, samples: Some(10), ..Model::default() }
     }
 
     /// What the compiled lookup says of each pose; `None` where it refuses.

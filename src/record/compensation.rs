@@ -227,7 +227,7 @@ mod tests {
     fn model() -> Model {
         let covariance = Matrix2::new(1e-4, 0.0, 0.0, 4e-6);
         let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance, samples: 10 };
-        Model { estimate: Some(estimate), ..Model::default() }
+        Model::default().with_estimate(estimate)
     }
 
     #[test]

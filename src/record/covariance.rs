@@ -154,7 +154,7 @@ mod tests {
         let text = model_toml(&model).unwrap();
         assert!(!text.contains("covariance") || text.contains("[covariance]"), "{text}");
         assert_eq!(read_text(&text).unwrap().effects, model.effects, "{text}");
-        model.set_covariance(&covariance());
+        model.covariance = covariance();
         let text = model_toml(&model).unwrap();
         let back = read_text(&text).unwrap();
         assert_eq!(back.effects, model.effects, "{text}");
@@ -165,7 +165,7 @@ mod tests {
     #[test]
     fn a_covariance_that_cannot_be_is_named() {
         let mut model = with_effects();
-        model.set_covariance(&covariance());
+        model.covariance = covariance();
         let text = model_toml(&model).unwrap();
         let number = |a: usize, b: usize| toml::Value::from(model.covariance()[(a, b)]).to_string();
         for (from, to, what) in [

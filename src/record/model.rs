@@ -134,8 +134,8 @@ impl From<&Model> for ModelFile {
         Self {
             robot: model.robot.clone(),
             friction: model.friction,
-            estimate: model.estimate.map(EstimateTable::from),
-            learned: model.learned.filter(|_| model.estimate.is_some()).map(LearnedTable::from),
+            estimate: model.estimate().map(EstimateTable::from),
+            learned: model.learned.filter(|_| model.estimate().is_some()).map(LearnedTable::from),
             effect: (0..model.effects.len()).map(effect).collect(),
             covariance: CovarianceTable::of(model).map(|table| toml::Spanned::new(0..0, table)),
             provenance: None,
@@ -279,12 +279,14 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
         return Err(Error::content(path, message));
     }
     let mut model = Model {
-        estimate: file.estimate.map(Estimate::from),
         learned: file.learned.map(DataRange::from),
         robot: file.robot,
         friction: file.friction,
         ..Model::default()
     };
+    if let Some(estimate) = file.estimate {
+        model = model.with_estimate(estimate.into());
+    }
     let mut known = Known::of(&model);
     for table in file.effect {
         let line = line_at(text, table.span().start);
@@ -308,7 +310,7 @@ fn parse(path: &Path, text: &str) -> Result<Model> {
             matrix.map_err(|why| Error::at_line(path, line, why))?
         }
     };
-    model.set_covariance(&covariance);
+    model.covariance = covariance;
     model.out_of_range().map_or(Ok(model), |fault| Err(out_of_range(fault)))
 }
 

@@ -61,7 +61,7 @@ impl<'a> Sampled<'a> {
 
     /// The same for the naive table, beside the learned one.
     pub fn missed_before(&self) -> Titled {
-        let naive = Model { estimate: None, ..self.model.clone() };
+        let naive = self.model.without_estimate();
         let both = [self.missed_by("before compensation", &naive), self.missed_by("after compensation", self.model)];
         Titled {
             title: "Reached − desired bend, before and after",
@@ -173,7 +173,7 @@ mod tests {
     #[test]
     fn a_perfect_model_reaches_what_is_desired_and_lies_on_its_law() {
         let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::identity() * 1e-6, samples: 9 };
-        let model = Model { estimate: Some(estimate), ..Model::default() };
+        let model = Model::default().with_estimate(estimate);
         let (mut measurements, mut rows, mut readings) = (Vec::new(), Vec::new(), Vec::new());
         for index in 0..4u64 {
             let configuration = Configuration::from_degrees(20.0 * index as f64 + 5.0, 30.0);

@@ -17,9 +17,8 @@ use crate::error::Result;
 use crate::estimate::{Options, estimate};
 use crate::geometry::{Configuration, wrap_angle};
 use crate::observation::Waypoint;
-use crate::robot::{Effect, Estimate, Friction, Model, PerBackbone, Robot};
+use crate::robot::{Effect, Friction, Model, PerBackbone, Robot};
 use crate::simulate::{Plant, SimulatedEye};
-use nalgebra::Matrix2;
 use serde::Serialize;
 use std::f64::consts::FRAC_PI_2;
 use std::fmt;
@@ -111,8 +110,8 @@ pub struct WorkspacePoint {
 
 /// The paper's model with its η and λ and its printed friction.
 pub fn paper_model() -> Model {
-    let estimate = Estimate { eta: PAPER_ETA, lambda_mm: PAPER_LAMBDA_MM, covariance: Matrix2::zeros(), samples: 10 };
-    Model { friction: Friction::paper_printed(), estimate: Some(estimate), ..Model::default() }
+    let friction = Friction::paper_printed();
+    Model { friction, eta: PAPER_ETA, lambda_mm: PAPER_LAMBDA_MM, samples: Some(10), ..Model::default() }
 }
 
 /// The ten poses of the estimation: δ = 0°, θ = 9° to 90° in steps of 9°.
@@ -354,7 +353,7 @@ mod tests {
         for seed in 0..20 {
             let plant = paper_model();
             let naive = Model { friction: plant.friction, ..Model::default() };
-            let found = learned(&plant, &naive, seed).unwrap().estimate.unwrap();
+            let found = learned(&plant, &naive, seed).unwrap().estimate().unwrap();
             assert!((found.eta - PAPER_ETA).abs() < 0.05, "{}", found.eta);
             assert!((found.lambda_mm - PAPER_LAMBDA_MM).abs() < 0.002, "{}", found.lambda_mm);
         }

@@ -95,7 +95,7 @@ type AfterEach = Vec<Option<(Vector2<f64>, Matrix2<f64>)>>;
 fn experiment(seed: u64) -> AfterEach {
     let mut random = StdRng::seed_from_u64(seed);
     let plant = paper_model();
-    let known = Model { estimate: None, ..plant.clone() };
+    let known = plant.without_estimate();
     let mut filter = InformationFilter::default();
     ten_poses()
         .into_iter()
@@ -200,7 +200,7 @@ mod tests {
     fn the_recursion_is_the_batch_solution_over_all_rows_so_far() {
         let last = experiment(5)[9].unwrap();
         let plant = paper_model();
-        let known = Model { estimate: None, ..plant.clone() };
+        let known = plant.without_estimate();
         let mut random = StdRng::seed_from_u64(5);
         let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
         for truth in ten_poses() {

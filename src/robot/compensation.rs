@@ -178,7 +178,7 @@ mod tests {
     fn paper() -> Model {
         let estimate =
             Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::new(1e-4, 2e-6, 2e-6, 1e-6), samples: 10 };
-        Model { friction: Friction::paper_printed(), estimate: Some(estimate), ..Model::default() }
+        Model { friction: Friction::paper_printed(), ..Model::default() }.with_estimate(estimate)
     }
 
     fn any_configuration() -> impl Strategy<Value = Configuration> {
@@ -192,7 +192,7 @@ mod tests {
         #[test]
         fn alpha_is_the_derivative_of_epsilon(psi in any_configuration(), eta in 0.5..2.0f64) {
             let mut model = paper();
-            model.estimate.as_mut().unwrap().eta = eta;
+            model.eta = eta;
             let h = 1e-5;
             // θ − h may be negative: ε(b) with b = θ (cos δ, sin δ) continues smoothly through the straight snake.
             let epsilon = |theta: f64, delta: f64| model.epsilon_at(theta * Vector2::new(delta.cos(), delta.sin()));
@@ -239,7 +239,7 @@ mod tests {
         #[test]
         fn forward_answers_any_encoders_without_panic(q in proptest::array::uniform3(-1e3..1e3f64), eta in -3.0..5.0f64) {
             let mut model = paper();
-            model.estimate.as_mut().unwrap().eta = eta;
+            model.eta = eta;
             if let Ok(response) = model.forward(&PerBackbone::from(q)) {
                 prop_assert!(response.configuration.theta <= MAX_THETA);
                 let met = model.command(response.configuration).add_scalar(response.common_mm);

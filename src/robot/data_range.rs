@@ -137,10 +137,9 @@ mod tests {
     use super::*;
     use crate::estimate::{Options, estimate};
     use crate::observation::Waypoint;
-    use crate::robot::{Effect, Estimate};
+    use crate::robot::Effect;
     use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
     use crate::verdict::{Level, Subject};
-    use nalgebra::Matrix2;
 
     fn pose(theta_deg: f64, delta_deg: f64) -> Configuration {
         Configuration::from_degrees(theta_deg, delta_deg)
@@ -185,9 +184,8 @@ mod tests {
     /// whether that shows: where it cannot, the direction must not count as learned.
     #[test]
     fn a_direction_counts_where_a_robot_that_bends_differently_there_would_show() {
-        let truth = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
         let odd = Effect::parse("actuator_scale:scale_1=0,scale_2=0.1,scale_3=0").unwrap();
-        let robot = Model { estimate: Some(truth), effects: vec![odd], ..Model::default() };
+        let robot = Model { effects: vec![odd], eta: 1.221, lambda_mm: 0.1765, samples: Some(0), ..Model::default() };
         let across = pose(60.0, 90.0);
         let mut counted = Vec::new();
         for small_deg in [1.0, 2.0, 5.0, 10.0, 20.0, 40.0] {
@@ -212,8 +210,8 @@ mod tests {
 
     /// The errors of a table in units of its σ, at 45 to 75°, of a robot with an effect that is learned on bends to so many degrees.
     fn errors_in_sigmas(effect: &str, largest_deg: f64, seed: u64) -> Vec<f64> {
-        let truth = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
-        let robot = Model { estimate: Some(truth), effects: vec![Effect::parse(effect).unwrap()], ..Model::default() };
+        let effects = vec![Effect::parse(effect).unwrap()];
+        let robot = Model { effects, eta: 1.221, lambda_mm: 0.1765, samples: Some(0), ..Model::default() };
         let ride = BendingExperiment {
             sweep_theta_deg: (5.0, largest_deg),
             round_theta_deg: largest_deg,

@@ -164,7 +164,7 @@ impl Model {
         let mut check = Check::default();
         self.robot.check(&mut check);
         self.friction.check(&mut check);
-        if let Some(estimate) = &self.estimate {
+        if let Some(estimate) = self.estimate() {
             estimate.check(&mut check);
         }
         check.0

@@ -15,7 +15,7 @@ pub static LAMBDA: ParameterSpec = ParameterSpec::size("lambda_mm", "mm", 2.0, 0
 /// Convention: numerical.
 pub(super) const PARAMETER_STEP: f64 = 1e-3;
 
-/// The estimated parameters x = (η, λ) of Eq. 18.
+/// η and λ of Eq. 18 as they were estimated, read off a [`Model`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimate {
     /// η, which scales the snake's actuation forces.
@@ -58,13 +58,16 @@ pub struct Model {
     pub robot: Robot,
     /// Constants of the snake cone.
     pub friction: Friction,
-    /// η and λ; where absent, the naive η = 1, λ = 0 of Section IV.
-    pub estimate: Option<Estimate>,
+    /// η; 1, the naive value of Section IV, where nothing was estimated.
+    pub eta: f64,
+    /// λ, mm; 0 where nothing was estimated.
+    pub lambda_mm: f64,
+    /// Measurements behind η and λ; `None` where they were not estimated.
+    pub samples: Option<usize>,
     /// What else acts, beyond Eq. 18.
     pub effects: Vec<Effect>,
-    /// The rows of the parameters' covariance that belong to the effects, m × (2 + m). It may be smaller: parameters beyond its end are
-    /// exactly known.
-    pub effects_covariance: DMatrix<f64>,
+    /// P, the parameters' covariance, each in its own unit: of η and λ at least, and parameters beyond its end are exactly known.
+    pub covariance: DMatrix<f64>,
     /// The bends that η and λ were learned on; `None` where nobody says.
     pub learned: Option<DataRange>,
 }
@@ -74,23 +77,38 @@ impl Default for Model {
         Self {
             robot: Robot::default(),
             friction: Friction::default(),
-            estimate: None,
+            eta: 1.0,
+            lambda_mm: 0.0,
+            samples: None,
             effects: Vec::new(),
-            effects_covariance: DMatrix::zeros(0, 0),
+            covariance: DMatrix::zeros(2, 2),
             learned: None,
         }
     }
 }
 
 impl Model {
-    /// x = (η, λ in mm), (1, 0) where nothing was estimated.
+    /// x = (η, λ in mm).
     pub fn parameters(&self) -> Vector2<f64> {
-        self.estimate.map_or(Vector2::new(1.0, 0.0), |estimate| Vector2::new(estimate.eta, estimate.lambda_mm))
+        Vector2::new(self.eta, self.lambda_mm)
     }
 
-    /// Covariance of (η, λ in mm); zero where nothing was estimated.
+    /// Covariance of (η, λ in mm).
     pub fn parameter_covariance(&self) -> Matrix2<f64> {
-        self.estimate.map_or(Matrix2::zeros(), |estimate| estimate.covariance)
+        self.covariance.fixed_view::<2, 2>(0, 0).into_owned()
+    }
+
+    /// η and λ, where they were estimated.
+    pub fn estimate(&self) -> Option<Estimate> {
+        let (covariance, samples) = (self.parameter_covariance(), self.samples?);
+        Some(Estimate { eta: self.eta, lambda_mm: self.lambda_mm, covariance, samples })
+    }
+
+    /// The model with other η and λ, as they were estimated.
+    pub fn with_estimate(self, Estimate { eta, lambda_mm, covariance: own, samples }: Estimate) -> Self {
+        let mut covariance = self.covariance();
+        covariance.fixed_view_mut::<2, 2>(0, 0).copy_from(&own);
+        Self { eta, lambda_mm, samples: Some(samples), covariance, ..self }
     }
 
     /// The number of parameters, 2 + m.
@@ -119,42 +137,24 @@ impl Model {
 
     /// The parameters' values.
     pub fn parameter_values(&self) -> Vec<f64> {
-        let x = self.parameters();
         let of_effects = self.effects.iter().flat_map(|effect| effect.values.iter().copied());
-        [x.x, x.y].into_iter().chain(of_effects).collect()
+        [self.eta, self.lambda_mm].into_iter().chain(of_effects).collect()
     }
 
     /// The model with other values of its parameters.
     pub fn with_parameter_values(&self, values: &[f64]) -> Self {
-        let mut model = self.clone();
-        let covariance = self.parameter_covariance();
-        let samples = self.estimate.map_or(0, |estimate| estimate.samples);
-        model.estimate = Some(Estimate { eta: values[0], lambda_mm: values[1], covariance, samples });
+        let samples = self.samples.or(Some(0));
+        let mut model = Self { eta: values[0], lambda_mm: values[1], samples, ..self.clone() };
         let of_effects = model.effects.iter_mut().flat_map(|effect| &mut effect.values);
         of_effects.zip(&values[2..]).for_each(|(own, value)| *own = *value);
         model
     }
 
-    /// P, the covariance of the parameters, each in its own unit.
+    /// P of all parameters. Rounding may leave its halves apart: beyond η and λ the lower one counts.
     pub fn covariance(&self) -> DMatrix<f64> {
+        let known = |a: usize, b: usize| self.covariance.get((a, b)).copied().unwrap_or(0.0);
         let n = self.parameter_count();
-        let (rows, columns) = self.effects_covariance.shape();
-        let known = |a: usize, b: usize| if a < rows && b < columns { self.effects_covariance[(a, b)] } else { 0.0 };
-        let of_estimate = self.parameter_covariance();
-        DMatrix::from_fn(n, n, |a, b| match (a.max(b), a.min(b)) {
-            (0 | 1, _) => of_estimate[(a, b)],
-            (later, earlier) => known(later - 2, earlier),
-        })
-    }
-
-    /// Sets the covariance of the parameters. η and λ must have been estimated, or be exactly known.
-    pub fn set_covariance(&mut self, covariance: &DMatrix<f64>) {
-        if let Some(estimate) = &mut self.estimate {
-            estimate.covariance = covariance.fixed_view::<2, 2>(0, 0).into_owned();
-        }
-        let of_effects = covariance.nrows() - 2;
-        let columns = if of_effects > 0 { covariance.ncols() } else { 0 };
-        self.effects_covariance = covariance.view((2, 0), (of_effects, columns)).into_owned();
+        DMatrix::from_fn(n, n, |a, b| if b < 2 { known(a, b) } else { known(a.max(b), a.min(b)) })
     }
 
     /// Standard deviations of the values of an effect of the list; 0 where they are given and not estimated.
@@ -167,8 +167,8 @@ impl Model {
     pub fn without_effect(&self, k: usize) -> Self {
         let (mut model, own) = (self.clone(), self.parameters_of(k));
         let covariance = self.covariance().remove_rows(own.start, own.len());
+        model.covariance = covariance.remove_columns(own.start, own.len());
         model.effects.remove(k);
-        model.set_covariance(&covariance.remove_columns(own.start, own.len()));
         model
     }
 
@@ -183,16 +183,16 @@ impl Model {
     }
 
     /// The model without what is known of η and λ; what is known of its effects stays.
-    pub(crate) fn without_estimate(&self) -> Self {
-        let mut model = Self { estimate: None, learned: None, ..self.clone() };
-        let of_estimate = 2.min(model.effects_covariance.ncols());
-        model.effects_covariance.columns_mut(0, of_estimate).fill(0.0);
-        model
+    pub fn without_estimate(&self) -> Self {
+        let mut covariance = self.covariance();
+        covariance.rows_mut(0, 2).fill(0.0);
+        covariance.columns_mut(0, 2).fill(0.0);
+        Self { eta: 1.0, lambda_mm: 0.0, samples: None, covariance, learned: None, ..self.clone() }
     }
 
     /// This model without its effects.
     pub fn plain(&self) -> Self {
-        Self { effects: Vec::new(), effects_covariance: DMatrix::zeros(0, 0), ..self.clone() }
+        Self { effects: Vec::new(), covariance: self.covariance.clone().resize(2, 2, 0.0), ..self.clone() }
     }
 }
 
@@ -208,9 +208,8 @@ pub(crate) mod fixtures {
             Role::Shape { example, .. } => example,
         };
         let values = physics.parameters_on(usize::from(backbones)).iter().map(value).collect();
-        let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
-        let robot = Robot { backbones, ..Robot::default() };
-        Model { robot, estimate: Some(estimate), effects: vec![Effect::of(physics, values)], ..Model::default() }
+        let (robot, effects) = (Robot { backbones, ..Robot::default() }, vec![Effect::of(physics, values)]);
+        Model { robot, effects, eta: 1.2, lambda_mm: 0.17, samples: Some(9), ..Model::default() }
     }
 }
 
@@ -221,15 +220,14 @@ mod tests {
     /// A model with two effects of three parameters, and any covariance of all five.
     fn with_covariance() -> (Model, DMatrix<f64>) {
         let effects = ["load_directed_backlash:play_mm=0.08", "creep:share=0.1,time_constant_s=4"];
-        let estimate = Estimate { eta: 1.2, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
         let effects = effects.iter().map(|text| Effect::parse(text).unwrap()).collect();
-        let mut model = Model { estimate: Some(estimate), effects, ..Model::default() };
+        let mut model = Model { effects, eta: 1.2, lambda_mm: 0.17, samples: Some(9), ..Model::default() };
         let factor = DMatrix::from_fn(5, 5, |a, b| {
             let own = if a == b { 1.5 } else { 0.0 };
             (own + (1.3 * a as f64 + 0.7 * b as f64 + 0.2).sin()) * 10f64.powi(-(a as i32))
         });
         let covariance = &factor * factor.transpose();
-        model.set_covariance(&covariance);
+        model.covariance.clone_from(&covariance);
         (model, covariance)
     }
 

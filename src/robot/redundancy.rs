@@ -195,12 +195,10 @@ fn bisected(far: f64, grows: impl Fn(f64) -> f64) -> f64 {
 mod tests {
     use super::*;
     use crate::robot::Estimate;
-    use nalgebra::Matrix2;
     use proptest::prelude::*;
 
     fn paper() -> Model {
-        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 10 };
-        Model { estimate: Some(estimate), ..Model::default() }
+        Model { eta: 1.221, lambda_mm: 0.1765, samples: Some(10), ..Model::default() }
     }
 
     #[test]
@@ -267,7 +265,7 @@ mod tests {
             q_mm: first.without_sharing(&reading.q_mm, &limits),
             ..*reading
         });
-        let [before, after] = [first.estimate, learned(&known.collect::<Vec<_>>()).estimate].map(Option::unwrap);
+        let [before, after] = [first.estimate(), learned(&known.collect::<Vec<_>>()).estimate()].map(Option::unwrap);
         let off = |estimate: &Estimate| (estimate.lambda_mm - 0.1765).abs() / estimate.sd_lambda_mm();
         assert!((before.lambda_mm - 0.1765).abs() > 0.1, "{before:?}");
         assert!(off(&after) < 2.0 && after.sd_lambda_mm() < 0.01, "{after:?}");

@@ -262,7 +262,7 @@ mod tests {
     fn rows_are_the_models_commands_and_the_forward_problem_undoes_them() {
         let covariance = Matrix2::new(1e-4, 0.0, 0.0, 4e-6);
         let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance, samples: 10 };
-        let model = Model { estimate: Some(estimate), ..Model::default() };
+        let model = Model::default().with_estimate(estimate);
         let rows = compensation_table(&model, &Grid::default()).unwrap();
         assert_eq!(rows.len(), 19 * 24);
         for row in &rows {

@@ -85,7 +85,7 @@ mod tests {
     fn paper() -> Model {
         let estimate =
             Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::new(1e-4, 2e-6, 2e-6, 1e-6), samples: 10 };
-        Model { friction: Friction::paper_printed(), estimate: Some(estimate), ..Model::default() }
+        Model { friction: Friction::paper_printed(), ..Model::default() }.with_estimate(estimate)
     }
 
     fn any_configuration() -> impl Strategy<Value = Configuration> {
@@ -97,7 +97,7 @@ mod tests {
     fn covariances_are_those_of_redrawn_parameters() {
         // So small that the nonlinear part is a millionth.
         let mut model = paper();
-        model.estimate.as_mut().unwrap().covariance *= 1e-6;
+        model.covariance *= 1e-6;
         let psi = Configuration::from_degrees(70.0, -140.0);
         let q_tilde = model.command(psi);
         let lower = model.parameter_covariance().cholesky().unwrap().l();
@@ -108,9 +108,8 @@ mod tests {
             for sign in [-1.0, 1.0] {
                 let shift = lower.column(axis) * sign * 2f64.sqrt();
                 let mut moved = model.clone();
-                let estimate = moved.estimate.as_mut().unwrap();
-                estimate.eta += shift.x;
-                estimate.lambda_mm += shift.y;
+                moved.eta += shift.x;
+                moved.lambda_mm += shift.y;
                 let by_command = moved.command(psi) - q_tilde;
                 let by_response = moved.forward(&q_tilde).unwrap().configuration;
                 let by_response = Vector2::new(by_response.theta - psi.theta, by_response.delta - psi.delta);
@@ -149,7 +148,7 @@ mod tests {
         let factor = DMatrix::from_fn(specs.len(), specs.len(), |a, b| {
             0.02 * specs[a].typical * ((1.9 * a as f64 + 0.6 * b as f64).sin() + if a == b { 1.5 } else { 0.0 })
         });
-        model.set_covariance(&(&factor * factor.transpose()));
+        model.covariance = &factor * factor.transpose();
         let psi = Configuration::from_degrees(70.0, -140.0);
         let q_tilde = model.command(psi);
         let (mut command, mut response) = (PerBackbone::repeat(3, 0.0), Matrix2::zeros());
@@ -166,7 +165,7 @@ mod tests {
         let predicted = model.response_covariance_bend(psi.bend_vector()).unwrap();
         assert!((response - predicted).norm() < 0.07 * predicted.norm(), "{response} {predicted}");
         // What the effects add is not small.
-        let of_estimate = Model { effects_covariance: DMatrix::zeros(0, 0), ..model.clone() };
+        let of_estimate = Model { covariance: model.covariance.clone().resize(2, 2, 0.0), ..model.clone() };
         assert!(model.command_sds(psi).norm() > 1.2 * of_estimate.command_sds(psi).norm());
     }
 

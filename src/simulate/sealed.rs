@@ -6,9 +6,9 @@ use super::trajectory::BendingExperiment;
 use crate::error::Result;
 use crate::observation::{EncoderReading, Measurement, Truth, Waypoint};
 use crate::robot::effects::{ParameterSpec, Role};
-use crate::robot::{Effect, Estimate, Model, Observation, PerBackbone, Physics, Robot};
+use crate::robot::{Effect, Model, Observation, PerBackbone, Physics, Robot};
 use crate::statistics::moments::rms;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Vector2;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -81,13 +81,12 @@ impl Sealed {
         if hidden.iter().any(|physics| physics.follows_neighbour.contains(&true)) {
             move_neighbours(&mut trajectory, seed);
         }
-        let estimate = Estimate {
+        let mut truth = Model {
             eta: random.random_range(DRAWN_ETA),
             lambda_mm: random.random_range(DRAWN_LAMBDA_MM),
-            covariance: Matrix2::zeros(),
-            samples: 0,
+            samples: Some(0),
+            ..Model::default()
         };
-        let mut truth = Model { estimate: Some(estimate), ..Model::default() };
         for physics in hidden {
             let backbones = truth.robot.backbone_count();
             let mut effect = drawn(physics, backbones, &mut random);

@@ -48,7 +48,7 @@ impl Health {
         );
         let remedy = "home before the first frame; use the rows before it or those after it alone, or take the step off one part: the bends are \
                       right either way, and λ is that of one part only";
-        let is_possible = model.estimate.is_none_or(|estimate| estimate.implausible().is_none());
+        let is_possible = model.estimate().is_none_or(|estimate| estimate.implausible().is_none());
         Some(Reason::new(Code::Rehomed, if is_possible { Level::Look } else { Level::DoNotUse }, text, remedy))
     }
 

@@ -81,7 +81,7 @@ impl Innovation {
             let alone = PerBackbone::from_fn(q_mm.len(), |j| if i == j { 1.0 } else { 0.0 });
             whiten(robot.bend_and_common(&alone).xy())
         });
-        let naive = Model { estimate: None, ..plain.clone() };
+        let naive = plain.without_estimate();
         let psi = measured.configuration;
         let compensation = naive.command(psi) - robot.joint_displacements(psi);
         let innovation = Self {

@@ -265,7 +265,7 @@ fn no_bend(evidence: &Evidence) -> Option<Reason> {
 
 /// η and λ where no robot has them: red if they are no robot's at all, amber if their σ leaves no usual value.
 fn out_of_range(model: &Model) -> Option<Reason> {
-    let estimate = model.estimate?;
+    let estimate = model.estimate()?;
     let remedy = "check units and radii in the robot's file and the unit of the log; if both are right, the line yields in another way \
                   than the model says: `snakeloop discover`";
     if let Some(text) = estimate.implausible() {
@@ -294,8 +294,8 @@ pub fn doubt_of_parameters(model: &Model) -> Option<Reason> {
 
 /// Sign test: whether the naive model predicts more bends better than this one.
 fn worse_than_naive(model: &Model, evidence: &Evidence) -> Option<Reason> {
-    model.estimate?;
-    let (own, naive) = (model.plain(), Model { estimate: None, ..model.plain() });
+    model.estimate()?;
+    let (own, naive) = (model.plain(), model.plain().without_estimate());
     let miss = |model: &Model, sample: &PlainSample| {
         let predicted = model.forward_bend(&sample.q_mm).ok()?;
         Some((predicted - sample.measured.configuration.bend_vector()).norm())
@@ -415,7 +415,7 @@ fn unseen_direction(samples: &[PlainSample]) -> Option<String> {
 
 /// η so uncertain that it may lie anywhere where robots have it.
 fn unknown_eta(model: &Model) -> Option<String> {
-    let estimate = model.estimate?;
+    let estimate = model.estimate()?;
     let half_range = (PLAUSIBLE_ETA.end() - PLAUSIBLE_ETA.start()) / 2.0;
     (NORMAL_QUANTILE * estimate.sd_eta() > half_range).then(|| {
         let (eta, sd) = (estimate.eta, estimate.sd_eta());
@@ -425,7 +425,7 @@ fn unknown_eta(model: &Model) -> Option<String> {
 
 /// A table that the measurements leave less certain than it is asked to be right, where the bends of the data end.
 fn uncertain_table(model: &Model) -> Option<Reason> {
-    model.estimate?;
+    model.estimate()?;
     let learned = model.learned?;
     let sd = |delta_deg: f64| {
         let psi = Configuration { theta: learned.theta_max(), delta: delta_deg.to_radians() };

@@ -131,8 +131,6 @@ fn two_digits(number: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::geometry::Configuration;
-    use crate::robot::Estimate;
-    use nalgebra::Matrix2;
 
     fn gain_of(model: &Model, mm: f64) -> f64 {
         let psi = Configuration::from_degrees(60.0, 20.0);
@@ -143,16 +141,14 @@ mod tests {
     #[test]
     fn every_unit_is_found_on_any_plausible_robot_and_none_in_millimetres() {
         for eta in [0.5, 1.0, 1.221, 2.0] {
-            let estimate = Estimate { eta, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
-            let model = Model { estimate: Some(estimate), ..Model::default() };
+            let model = Model { eta, lambda_mm: 0.17, samples: Some(9), ..Model::default() };
             assert_eq!(unit(&model, gain_of(&model, 1.0), 1e-4), None);
             for (mm, _) in [UNITS[0], UNITS[2], UNITS[3], UNITS[4]] {
                 let found = unit(&model, gain_of(&model, mm), 1e-4).unwrap();
                 assert_eq!(found.mm, mm, "η {eta}: {found:?}");
             }
         }
-        let estimate = Estimate { eta: 1.221, lambda_mm: 0.17, covariance: Matrix2::zeros(), samples: 9 };
-        let model = Model { estimate: Some(estimate), ..Model::default() };
+        let model = Model { eta: 1.221, lambda_mm: 0.17, samples: Some(9), ..Model::default() };
         for mm in [0.5, 2.0, 10.0] {
             let found = unit(&model, gain_of(&model, mm), 1e-4).unwrap();
             assert!(found.mm == mm && (found.eta - 1.221).abs() < 0.01, "{found:?}");

@@ -44,7 +44,7 @@ fn doubt_of_force_limits(
     readings: &[EncoderReading],
     sd_encoder_mm: f64,
 ) -> Option<Reason> {
-    model.estimate?;
+    model.estimate()?;
     let poses = Poses::of(model, measurements, readings, sd_encoder_mm);
     let told = poses.explained_by(Some(*limits));
     let (least_n, most_n) = limits.ends_n();
@@ -147,14 +147,11 @@ impl Poses {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robot::Estimate;
     use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
-    use nalgebra::Matrix2;
 
     /// What is said of a simulated robot that was commanded within some limits, where others are told.
     fn said(acted: Option<(f64, f64)>, told: (f64, f64)) -> Option<String> {
-        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 9 };
-        let model = Model { estimate: Some(estimate), ..Model::default() };
+        let model = Model { eta: 1.221, lambda_mm: 0.1765, samples: Some(9), ..Model::default() };
         let plant = Plant { model: model.clone(), sd_encoder_mm: 0.0015 };
         let samples = plant.run(&BendingExperiment::default().waypoints().unwrap(), 3);
         let limits = |(least, most)| ForceLimits::new(least, most).unwrap();

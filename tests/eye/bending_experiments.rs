@@ -3,7 +3,6 @@
 
 use crate::rigs::{self, Random};
 use crate::scenes::{eye_with, frame, rig};
-use nalgebra::Matrix2;
 use rand::{SeedableRng, rngs::StdRng};
 use rand_distr::{Distribution, Normal};
 use rayon::prelude::*;
@@ -11,7 +10,7 @@ use snakeloop::camera::Frame;
 use snakeloop::estimate::{Options, estimate};
 use snakeloop::geometry::Configuration;
 use snakeloop::observation::{EncoderReading, Measurement};
-use snakeloop::robot::{Estimate, Friction, Model};
+use snakeloop::robot::{Friction, Model};
 
 /// Bends of one experiment.
 const POSES: u64 = 12;
@@ -25,8 +24,7 @@ fn outcome(seed: u64) -> Result<[(f64, f64); 2], String> {
     let (eta, lambda_mm) = (random.between(1.05, 1.3), random.between(0.05, 0.25));
     let friction = Friction { sd_mu: 0.0, sd_static_force_n: 0.0, ..Friction::default() };
     let start = Model { friction, ..Model::default() };
-    let truth = Estimate { eta, lambda_mm, covariance: Matrix2::zeros(), samples: 0 };
-    let plant = Model { estimate: Some(truth), ..start.clone() };
+    let plant = Model { eta, lambda_mm, samples: Some(0), ..start.clone() };
     let eye = eye_with(&scene, rig(&scene, seed).map_err(|why| why.to_string())?);
     let poses: Vec<Configuration> = (0..POSES)
         .map(|_| Configuration::from_degrees(random.between(10.0, 85.0), random.between(-180.0, 180.0)))
@@ -49,7 +47,7 @@ fn outcome(seed: u64) -> Result<[(f64, f64); 2], String> {
         })
         .collect();
     let (_, model) = estimate(&start, Options::default(), &measurements, &readings).map_err(|why| why.to_string())?;
-    let found = model.estimate.ok_or("η and λ are not determined")?;
+    let found = model.estimate().ok_or("η and λ are not determined")?;
     Ok([(found.eta - eta, found.sd_eta()), (found.lambda_mm - lambda_mm, found.sd_lambda_mm())])
 }
 

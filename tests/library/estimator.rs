@@ -7,7 +7,7 @@ use snakeloop::estimate::{Estimator, Options, Reason, Verdict, Weighting, estima
 use snakeloop::geometry::Configuration;
 use snakeloop::observation::{EncoderReading, Measured, Measurement, Status};
 use snakeloop::record::{read_encoders, read_truth};
-use snakeloop::robot::{Estimate, Friction, Model, PerBackbone};
+use snakeloop::robot::{Friction, Model, PerBackbone};
 use snakeloop::simulate::{BendingExperiment, Plant, Sample, SimulatedEye};
 use snakeloop::verdict::{JudgedEstimate, Level, Subject};
 use std::path::Path;
@@ -21,8 +21,7 @@ fn exact_friction(friction: Friction) -> Model {
 }
 
 fn with_parameters(model: &Model, eta: f64, lambda_mm: f64) -> Model {
-    let estimate = Estimate { eta, lambda_mm, covariance: Matrix2::zeros(), samples: 0 };
-    Model { estimate: Some(estimate), ..model.clone() }
+    Model { eta, lambda_mm, samples: Some(0), ..model.clone() }
 }
 
 fn plant(eta: f64, lambda_mm: f64) -> Plant {
@@ -52,7 +51,7 @@ fn measurement(index: u64, configuration: Configuration, sigma_deg: f64) -> Meas
 
 /// Distance of the estimate from the truth, in its own standard deviations: (η, λ).
 fn distances(model: &Model) -> [f64; 2] {
-    let found = model.estimate.expect("the experiment pins both parameters");
+    let found = model.estimate().expect("the experiment pins both parameters");
     [(found.eta - ETA) / found.sd_eta(), (found.lambda_mm - LAMBDA_MM) / found.sd_lambda_mm()]
 }
 
@@ -72,7 +71,7 @@ fn the_bundled_experiment_with_true_angles_leaves_the_encoders_noise_alone() {
         let start = Model { friction, ..Model::default() };
         let (rows, model) = estimate(&start, Options::default(), &measurements, &encoders).unwrap();
         assert!(rows.iter().all(|row| row.verdict == Verdict::Used));
-        let found = model.estimate.unwrap();
+        let found = model.estimate().unwrap();
         assert!((found.eta - ETA).abs() < 2e-3, "η = {}", found.eta);
         assert!((found.lambda_mm - LAMBDA_MM).abs() < 1e-3, "λ = {}", found.lambda_mm);
         assert!(distances(&model).iter().all(|d| d.abs() < 3.0), "{:?}", distances(&model));
@@ -182,7 +181,7 @@ fn noise_in_the_measured_bend_does_not_pull_eta_down() {
         let start = exact_friction(Friction::default());
         let options = Options { weighting, ..Options::default() };
         let (_, model) = estimate(&start, options, &measurements, &readings(&samples)).unwrap();
-        (model.estimate.unwrap().eta - ETA, model.estimate.unwrap().sd_eta())
+        (model.estimate().unwrap().eta - ETA, model.estimate().unwrap().sd_eta())
     };
     let (plain, _) = bias(Weighting::Flat { sigma_deg: 1.0 });
     let (ours, sd) = bias(Weighting::Measured);
@@ -267,7 +266,7 @@ fn an_effect_the_model_lacks_does_not_turn_measurements_into_outliers() {
     let (rows, model) = estimate(&Model::default(), Options::default(), &measurements, &readings(&samples)).unwrap();
     let used = rows.iter().filter(|row| row.verdict == Verdict::Used).count();
     assert!(used >= 30, "{used} of {}", rows.len());
-    let found = model.estimate.unwrap();
+    let found = model.estimate().unwrap();
     assert!(found.sd_lambda_mm() > 1e-3, "the scatter of the common part shows in λ: {}", found.sd_lambda_mm());
 }
 
@@ -291,7 +290,7 @@ fn after_a_change_of_the_robot_the_estimate_starts_afresh() {
         }
     }
     assert_eq!(restarts, [43]);
-    let found = estimator.model().estimate.unwrap();
+    let found = estimator.model().estimate().unwrap();
     assert!(
         (found.eta - 1.5).abs() < 4.0 * found.sd_eta() && (found.lambda_mm - 0.3).abs() < 4.0 * found.sd_lambda_mm()
     );
@@ -317,7 +316,7 @@ fn a_forgetting_factor_follows_a_robot_that_wears() {
         let options = Options { forgetting, ..Options::default() };
         let start = exact_friction(Friction::default());
         let (_, model) = estimate(&start, options, &measurements, &readings(&samples)).unwrap();
-        (model.estimate.unwrap().eta - eta_at(waypoints.len())).abs()
+        (model.estimate().unwrap().eta - eta_at(waypoints.len())).abs()
     };
     let (forgetting, remembering) = (error(0.96), error(1.0));
     assert!(forgetting < 0.03 && remembering > 0.1, "{forgetting} {remembering}");
@@ -347,7 +346,7 @@ fn what_cannot_be_used_is_skipped_with_its_reason() {
     assert_eq!(reason(&|_, e| e.as_mut().unwrap().q_mm = PerBackbone::repeat(4, 0.1)), "other_backbones");
     assert_eq!(reason(&|m, _| m.measured.as_mut().unwrap().sigma_theta = f64::NAN), "not_finite");
     assert_eq!(reason(&|m, _| m.measured.as_mut().unwrap().configuration.theta = 3.0), "outside_workspace");
-    assert!(estimator.model().estimate.is_none());
+    assert!(estimator.model().estimate().is_none());
 }
 
 #[test]
@@ -356,7 +355,7 @@ fn a_snake_that_never_bends_tells_no_eta() {
     let q_mm = PerBackbone::repeat(3, 0.2);
     let readings: Vec<_> = (0..30).map(|index| EncoderReading::new(index, 0.0, q_mm)).collect();
     let (rows, model) = estimate(&Model::default(), Options::default(), &straight, &readings).unwrap();
-    assert!(model.estimate.is_none() && rows.iter().all(|row| row.estimate.is_none()));
+    assert!(model.estimate().is_none() && rows.iter().all(|row| row.estimate.is_none()));
 }
 
 #[test]

@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng, rngs::StdRng};
 use snakeloop::estimate::{Estimator, InformationFilter, LinearisedMeasurement, Options, Verdict, Weighting};
 use snakeloop::geometry::Configuration;
 use snakeloop::observation::Waypoint;
-use snakeloop::robot::{Estimate, Model};
+use snakeloop::robot::Model;
 use snakeloop::simulate::{BendingExperiment, Plant, SimulatedEye};
 
 const ETA: f64 = 1.221;
@@ -95,12 +95,11 @@ fn plant() -> Plant {
     let mut model = Model::default();
     // Friction constants taken for exact: the rows are the only source of uncertainty.
     (model.friction.sd_mu, model.friction.sd_static_force_n) = (0.0, 0.0);
-    let estimate = Estimate { eta: ETA, lambda_mm: LAMBDA_MM, covariance: Matrix2::zeros(), samples: 0 };
-    Plant { model: Model { estimate: Some(estimate), ..model }, sd_encoder_mm: 0.0015 }
+    Plant { model: Model { eta: ETA, lambda_mm: LAMBDA_MM, samples: Some(0), ..model }, sd_encoder_mm: 0.0015 }
 }
 
 fn naive() -> Model {
-    Model { estimate: None, ..plant().model }
+    plant().model.without_estimate()
 }
 
 /// The paper's form of the whole estimator (start, gate, consistency) over many updates, against batch least squares.
@@ -131,7 +130,7 @@ fn estimator_against_batch(updates: usize) {
         let h = Matrix3xX::from_columns(&[Vector3::from_column_slice(&elastic), Vector3::repeat(1.0)]);
         batch.add(&h, &weight, rows, &(Vector3::from_column_slice(&z) * rows as f64));
     }
-    let found = estimator.model().estimate.unwrap();
+    let found = estimator.model().estimate().unwrap();
     // What is published is P inflated by what the residuals show; x̂ is as it is.
     let p = batch.information.try_inverse().unwrap();
     batch.assert_agrees_with(&Vector2::new(found.eta, found.lambda_mm), &p);
@@ -160,7 +159,7 @@ fn forgetting_does_not_wind_up_while_nothing_moves() {
             for (measurement, sample) in measured.iter().zip(&bending) {
                 estimator.update(measurement, Some(&sample.reading));
             }
-            estimator.model().estimate.unwrap()
+            estimator.model().estimate().unwrap()
         };
         excite(&mut estimator);
         // The snake stands still for a long time; the camera goes on measuring, with its noise.

@@ -84,7 +84,7 @@ fn couplings_are_named_and_nothing_else_is() {
 #[test]
 fn an_estimate_beside_neighbours_is_that_of_the_section_alone() {
     let sealed = Sealed::new(&[COUPLINGS[0]], 402).expect("a sealed experiment");
-    let coupled = Model { estimate: None, ..sealed.truth.clone() };
+    let coupled = sealed.truth.without_estimate();
     let options = snakeloop::estimate::Options::default();
     let (_, beside) = estimate(&coupled, options, &sealed.measurements, &sealed.readings).unwrap();
     // The same readings, what the neighbour adds taken off by hand.

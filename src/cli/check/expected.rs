@@ -115,7 +115,7 @@ fn drawn(
         let (index, time_s, measured) = (row.index, Some(row.time_s), Some(*measured));
         all.push(Measurement { index, time_s, status: Status::Ok, measured, quality: None, view: None });
     }
-    let plain = Model { estimate: None, ..model.clone() };
+    let plain = model.without_estimate();
     let (_, learned) = estimate(&plain, options, &all, &readings)?;
-    Ok(learned.estimate)
+    Ok(learned.estimate())
 }

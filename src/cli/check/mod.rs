@@ -411,7 +411,7 @@ impl Inspection {
             self.saw("coverage", coverage(&poses));
             let measured = measurements.iter().filter(|measurement| measurement.measured.is_some()).count();
             // A tracker's poses are all measured: what they teach need not be predicted.
-            self.expected = match learned.estimate {
+            self.expected = match learned.estimate() {
                 Some(estimate) if measured >= poses.len() => Some(Expected::of(&estimate, measured)),
                 _ => expected(&learned, options, measurements, &poses)?,
             };

@@ -312,7 +312,7 @@ mod tests {
             let mut bank = Bank::new(&found, &data).unwrap();
             // As uncertain as the discovery says, which knows that what is left hangs together.
             let lambda_mm = bank.structures()[0].parameters["lambda_mm"];
-            let sd_mm = found.model.estimate.unwrap().sd_lambda_mm();
+            let sd_mm = found.model.estimate().unwrap().sd_lambda_mm();
             assert!(
                 bank.design_effect > 2.0 && (0.99..1.01).contains(&(lambda_mm.sd / sd_mm)),
                 "{lambda_mm:?} {sd_mm}"

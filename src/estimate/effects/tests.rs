@@ -5,7 +5,7 @@ use crate::estimate::filter::InformationFilter;
 use crate::estimate::{Estimator, LinearisedMeasurement, Options, Verdict, estimate};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measurement};
-use crate::robot::{Effect, Estimate, Mechanics, PathPoint};
+use crate::robot::{Effect, Mechanics, PathPoint};
 use crate::simulate::{BendingExperiment, Plant, SimulatedEye};
 use nalgebra::{Matrix2, Matrix3, Matrix3x6, Matrix3xX, Vector3};
 use rand::{SeedableRng, rngs::StdRng};
@@ -26,11 +26,10 @@ const UNCERTAIN: [(&[&str], &[f64]); 4] = [
 /// A model whose friction is exact and whose effects have these sds, η and λ being known.
 fn with_effects(effects: &[&str], sds: &[f64]) -> Model {
     let effects = effects.iter().map(|text| Effect::parse(text).unwrap()).collect();
-    let known = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
-    let mut model = Model { effects, estimate: Some(known), ..Model::default() };
+    let mut model = Model { effects, eta: 1.221, lambda_mm: 0.1765, samples: Some(0), ..Model::default() };
     (model.friction.sd_mu, model.friction.sd_static_force_n) = (0.0, 0.0);
     let variances = [0.0, 0.0].iter().chain(sds).map(|sd| sd * sd);
-    model.set_covariance(&DMatrix::from_diagonal(&DVector::from_iterator(2 + sds.len(), variances)));
+    model.covariance = DMatrix::from_diagonal(&DVector::from_iterator(2 + sds.len(), variances));
     model
 }
 
@@ -153,7 +152,7 @@ fn effects_that_are_all_but_exact_give_what_exact_ones_do() {
             [0.0, 1e-6].map(|share| with_effects(effects, &sds.iter().map(|sd| sd * share).collect::<Vec<_>>()));
         let (measurements, readings) = log(&exact, 6, 5);
         let [exact, nearly] = [exact, nearly]
-            .map(|given| estimate(&given, Options::default(), &measurements, &readings).unwrap().1.estimate.unwrap());
+            .map(|given| estimate(&given, Options::default(), &measurements, &readings).unwrap().1.estimate().unwrap());
         assert!((exact.eta - nearly.eta).abs() < 1e-5 * exact.sd_eta(), "{exact:?} {nearly:?}");
         assert!((exact.lambda_mm - nearly.lambda_mm).abs() < 1e-5 * exact.sd_lambda_mm());
         assert!((exact.covariance - nearly.covariance).norm() < 1e-6 * exact.covariance.norm());

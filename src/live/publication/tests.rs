@@ -3,10 +3,10 @@ use crate::estimate::{Options, StemOptions};
 use crate::geometry::Configuration;
 use crate::live::online_estimator::OnlineEstimator;
 use crate::observation::Waypoint;
-use crate::robot::{Effect, Estimate};
+use crate::robot::Effect;
 use crate::simulate::{Plant, SimulatedEye};
 use crate::verdict::Reason;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Vector2;
 use std::f64::consts::TAU;
 
 /// A gate after a verdict that finds nothing.
@@ -37,8 +37,7 @@ impl Bench {
     const VERDICTS: usize = 40;
 
     fn new(effects: Vec<Effect>) -> Self {
-        let truth = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
-        let model = Model { estimate: Some(truth), effects, ..Model::default() };
+        let model = Model { effects, eta: 1.221, lambda_mm: 0.1765, samples: Some(0), ..Model::default() };
         let options = Options { forgetting: 0.9995, ..Options::default() };
         Self {
             estimator: OnlineEstimator::new(Model::default(), options, None).unwrap(),
@@ -91,7 +90,7 @@ impl Bench {
             self.gate.confirm(&measurement.status, update.sample.is_some());
             self.gate.add(&update);
             let model = self.estimator.model();
-            if model.estimate.is_some() {
+            if model.estimate().is_some() {
                 let decided = self.gate.judge(&model);
                 look(&model, decided, &mut self.gate);
             }
@@ -178,10 +177,7 @@ fn nothing_is_published_while_the_gap_is_above_noise() {
 fn a_model_that_misses_the_last_poses_is_withheld() {
     let mut bench = Bench::new(vec![]);
     bench.go(20.0, false, |_, _, _| ());
-    let with = |eta, lambda_mm| {
-        let estimate = Estimate { eta, lambda_mm, covariance: Matrix2::zeros(), samples: 9 };
-        Model { estimate: Some(estimate), ..Model::default() }
-    };
+    let with = |eta, lambda_mm| Model { eta, lambda_mm, samples: Some(9), ..Model::default() };
     let judged = |gate: &PublicationGate, model: &Model| gate.judge(model).map_err(|why| why.code);
     assert_eq!(judged(&bench.gate, &with(1.221, 0.1765)), Ok(()));
     assert_eq!(judged(&bench.gate, &with(-3.0, 0.1765)), Err(Code::ParameterOutOfRange));
@@ -199,8 +195,7 @@ fn a_model_that_misses_the_last_poses_is_withheld() {
 fn nothing_is_published_before_the_first_verdict_and_nothing_under_a_red_one() {
     let mut bench = Bench::new(vec![]);
     bench.go(20.0, false, |_, _, _| ());
-    let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 9 };
-    let model = Model { estimate: Some(estimate), ..Model::default() };
+    let model = Model { eta: 1.221, lambda_mm: 0.1765, samples: Some(9), ..Model::default() };
     let mut gate = PublicationGate { verdict: None, ..bench.gate };
     let level_and_code = |gate: &PublicationGate| gate.judge(&model).map_err(|why| (why.level, why.code));
     assert_eq!(level_and_code(&gate), Err((Level::DoNotUse, Code::WorkspaceNotCovered)));
@@ -217,7 +212,7 @@ fn nothing_is_published_before_the_first_verdict_and_nothing_under_a_red_one() {
     gate.take_verdict(Verdict::default());
     assert!(gate.last_good().is_some());
     // Before the monitor of the gap speaks, a model that leaves more than noise is not published.
-    let off = Model { estimate: Some(Estimate { eta: 1.0, ..estimate }), ..Model::default() };
+    let off = Model { eta: 1.0, ..model.clone() };
     gate.gap = GapState::Unknown;
     assert_eq!(gate.judge(&off).map_err(|why| (why.level, why.code)), Err((Level::Look, Code::GapAboveNoise)));
     gate.poses.truncate(LEAST_POSES - 1);

@@ -138,7 +138,7 @@ impl Topics {
     /// η and λ of the model to command by, if there is one.
     fn publish_estimate(&self) {
         let Ok((commanding, _)) = self.shared.to_command_by() else { return };
-        let Some(estimate) = commanding.model.estimate else { return };
+        let Some(estimate) = commanding.model.estimate() else { return };
         let values = [estimate.eta, estimate.lambda_mm, estimate.sd_eta(), estimate.sd_lambda_mm()];
         send(&self.estimate, Numbers { label: ESTIMATE_LABEL, values: &values }.encoded());
     }

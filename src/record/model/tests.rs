@@ -4,7 +4,7 @@ use proptest::prelude::*;
 pub fn estimated() -> Model {
     let covariance = Matrix2::new(1.6e-5, 2e-7, 2e-7, 3.6e-7);
     let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance, samples: 36 };
-    Model { estimate: Some(estimate), ..Model::default() }
+    Model::default().with_estimate(estimate)
 }
 
 pub fn read_text(text: &str) -> Result<Model> {
@@ -62,11 +62,11 @@ proptest! {
         let mut model = estimated();
         model.robot.length_mm = length_mm;
         let covariance = Matrix2::new(sd * sd, rho * sd * 1e-3, rho * sd * 1e-3, 1e-6);
-        model.estimate = Some(Estimate { eta, lambda_mm, covariance, samples: 7 });
+        model = model.with_estimate(Estimate { eta, lambda_mm, covariance, samples: 7 });
         let back = read_text(&model_toml(&model).unwrap()).unwrap();
         prop_assert_eq!(&back.robot, &model.robot);
         prop_assert_eq!(back.friction, model.friction);
-        let read = back.estimate.unwrap();
+        let read = back.estimate().unwrap();
         prop_assert_eq!((read.eta, read.lambda_mm, read.samples), (eta, lambda_mm, 7));
         prop_assert!((read.covariance - covariance).amax() <= 1e-12 * covariance.amax());
     }
@@ -82,7 +82,7 @@ fn a_file_is_written_and_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("model.toml");
     write_model(&path, &estimated()).unwrap();
-    assert_eq!(read_model(&path).unwrap().estimate.unwrap().samples, 36);
+    assert_eq!(read_model(&path).unwrap().estimate().unwrap().samples, 36);
 }
 
 #[test]
@@ -146,6 +146,6 @@ fn a_robot_of_some_constants_has_the_papers_for_the_others() {
 #[test]
 fn a_model_that_could_not_be_read_back_is_not_written() {
     let mut model = estimated();
-    model.estimate.as_mut().unwrap().eta = f64::NAN;
+    model.eta = f64::NAN;
     assert!(model_toml(&model).unwrap_err().to_string().contains("estimate.eta"));
 }

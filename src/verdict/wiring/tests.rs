@@ -3,10 +3,10 @@
 use crate::estimate::{Options, estimate};
 use crate::geometry::{Configuration, wrap_angle};
 use crate::observation::{EncoderReading, Measurement, Wiring};
-use crate::robot::{Estimate, LIBRARY, Model, PerBackbone, Physics, Robot};
+use crate::robot::{LIBRARY, Model, PerBackbone, Physics, Robot};
 use crate::simulate::{BendingExperiment, Plant, Sealed, SimulatedEye};
 use crate::verdict::{Code, Level, Subject, Verdict, ViewOffset};
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Vector2;
 use rand::SeedableRng;
 
 struct Lab {
@@ -24,9 +24,8 @@ impl Lab {
     }
 
     fn with(model: Model, ride: BendingExperiment, seed: u64) -> Self {
-        let estimate = Estimate { eta: 1.221, lambda_mm: 0.1765, covariance: Matrix2::zeros(), samples: 0 };
         let start = Model { robot: model.robot.clone(), ..Model::default() };
-        let model = Model { estimate: Some(estimate), ..model };
+        let model = Model { eta: 1.221, lambda_mm: 0.1765, samples: Some(0), ..model };
         let samples = Plant { model, sd_encoder_mm: 0.0015 }.run(&ride.waypoints().unwrap(), seed);
         let measurements = SimulatedEye::default().observe(&samples, seed + 1);
         Self { measurements, log: samples.iter().map(|sample| sample.reading).collect(), offset_deg: 0.0, start }

@@ -3,7 +3,7 @@
 use crate::program::{ETA, LAMBDA_MM, Sandbox, all_said, text};
 use crate::scenes::smaller;
 use snakeloop::record::{encoders_csv, write_atomically};
-use snakeloop::robot::{Estimate, Model};
+use snakeloop::robot::Model;
 use snakeloop::simulate::{BendingExperiment, FrameFormat, Plant, Scene, write_experiment};
 use std::collections::BTreeMap;
 use std::fs;
@@ -76,8 +76,7 @@ pub fn render_short_seeded(folder: &Path, divisor: u32, seed: u64) {
 
 /// Renders an experiment in which nothing is wrong. How many frames it has.
 pub fn write_clean(folder: &Path, ride: &BendingExperiment, scene: &Scene, seed: u64) -> usize {
-    let estimate = Estimate { eta: ETA, lambda_mm: LAMBDA_MM, covariance: Default::default(), samples: 0 };
-    let model = Model { estimate: Some(estimate), ..Model::default() };
+    let model = Model { eta: ETA, lambda_mm: LAMBDA_MM, samples: Some(0), ..Model::default() };
     let samples = Plant { model, sd_encoder_mm: 0.0015 }.run(&ride.waypoints().unwrap(), seed);
     let readings: Vec<_> = samples.iter().map(|sample| sample.reading).collect();
     let truths: Vec<_> = samples.iter().map(|sample| sample.truth).collect();

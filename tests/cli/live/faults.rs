@@ -164,7 +164,7 @@ fn frozen_encoders_leave_the_good_table_and_a_trickling_camera_lets_go() {
     let (camera, encoders) = camera_and_encoders(&faults);
     let (stream, lines) = (format!("http://{}/", camera.address), format!("tcp://{}", encoders.address));
     let live = Live::start(&output, &["--source", &stream, "--encoders", &lines, "--save-every", "1"]);
-    let known = || read_model(&output.join("model.toml")).ok().and_then(|model| model.estimate);
+    let known = || read_model(&output.join("model.toml")).ok().and_then(|model| model.estimate());
     live.until("a good table", |_| known().is_some_and(|estimate| estimate.sd_eta() < 0.03));
     faults.frozen.store(true, Ordering::Relaxed);
     let state = live.until("stuck", |state| state["publication"]["code"] == "encoder_stuck");

@@ -1,12 +1,12 @@
 //! A small rendered experiment along a closed path, and a running `live` to ask.
 
 use crate::scenes::smaller;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Vector2;
 use serde_json::Value;
 use snakeloop::geometry::Configuration;
 use snakeloop::observation::{EncoderReading, Truth};
 use snakeloop::record::{encoders_csv, write_atomically};
-use snakeloop::robot::{Estimate, Model, PerBackbone};
+use snakeloop::robot::{Model, PerBackbone};
 use snakeloop::simulate::scene::{Scene, Sensor};
 use snakeloop::simulate::{FrameFormat, write_experiment};
 use std::io::{BufRead, BufReader, Read, Write};
@@ -23,8 +23,7 @@ pub const LAMBDA_MM: f64 = 0.1765;
 
 /// The robot with what is to be learned.
 pub fn robot() -> Model {
-    let estimate = Estimate { eta: ETA, lambda_mm: LAMBDA_MM, covariance: Matrix2::zeros(), samples: 0 };
-    Model { estimate: Some(estimate), ..Model::default() }
+    Model { eta: ETA, lambda_mm: LAMBDA_MM, samples: Some(0), ..Model::default() }
 }
 
 /// The path at a share of its round, from 0 to 1 and on.

@@ -126,7 +126,7 @@ fn live(output: &Path, domain: &str, more: &[&str]) -> Live {
 
 /// The numbers of a learned model.
 fn learned(output: &Path) -> [f64; 2] {
-    let model = snakeloop::record::read_model(&output.join("model.toml")).unwrap().estimate.unwrap();
+    let model = snakeloop::record::read_model(&output.join("model.toml")).unwrap().estimate().unwrap();
     [model.eta, model.lambda_mm]
 }
 

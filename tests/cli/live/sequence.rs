@@ -52,7 +52,7 @@ fn a_killed_run_goes_on_with_all_but_the_frame_in_hand() {
     let written = read_measurements(&output.join("measurements.csv")).unwrap().rows;
     assert_eq!(written.iter().map(|m| m.index).collect::<Vec<_>>(), all);
     assert_eq!(read_encoders(&output.join("encoders.csv"), 3).unwrap().rows.len(), all.len());
-    assert!(read_model(&output.join("model.toml")).unwrap().estimate.is_some());
+    assert!(read_model(&output.join("model.toml")).unwrap().estimate().is_some());
     assert!(output.join("compensation.json").exists());
 }
 
