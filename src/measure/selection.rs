@@ -2,15 +2,10 @@
 
 use super::fit::{BendFit, Decision, EDGE_ON_RAD, FitSchedule, SAME_MINIMUM_RAD, distinct, heaviest};
 use super::fitter::Fitter;
+use super::minima::RIVAL_COST_RATIO;
 use crate::observation::Status;
 use nalgebra::Vector2;
 use rayon::prelude::*;
-
-/// An alternative is fitted in the fine stage if its cost is at most this many times the best one's.
-///
-/// Fitted: by hand on renders, for speed; judged by `tests/eye/robustness`. The stages so far search fewer points, and two ways to the same bend were seen to
-/// end with costs of 0.0125 and 0.0164.
-const ALTERNATIVE_COST_RATIO: f64 = 2.0;
 
 /// What a minimum leads to.
 pub(super) struct Attempt {
@@ -58,7 +53,7 @@ impl Fitter<'_> {
             self.add_other_shapes(&mut modes, fine);
         }
         self.add_mirroring(&mut modes, fine);
-        let decision = Decision::between(modes, self.view.diameter_px());
+        let decision = Decision::between(modes);
         let Some(Decision { fit, refusal }) = decision else { return Selection::without_fine_fit(fits, attempts) };
         fits[0] = fit;
         Selection { fits, has_fine_fit: true, attempts, refusal }
@@ -113,7 +108,7 @@ impl Fitter<'_> {
         attempts: &[Attempt],
         fine: &FitSchedule,
     ) -> Vec<BendFit> {
-        let most_cost = ALTERNATIVE_COST_RATIO * fits.first().map_or(0.0, |best| best.cost);
+        let most_cost = RIVAL_COST_RATIO * fits.first().map_or(0.0, |best| best.cost);
         let may_be = |fit: &&BendFit| fit.cost <= most_cost && (fit.bend() - first).norm() > SAME_MINIMUM_RAD;
         let fit_fine = |fit: &BendFit| match attempts.iter().find(|attempt| attempt.minimum.is_same_fit(fit)) {
             Some(known) => known.finest.clone(),
