@@ -66,7 +66,7 @@ pub struct Model {
     pub samples: Option<usize>,
     /// What else acts, beyond Eq. 18.
     pub effects: Vec<Effect>,
-    /// P, the parameters' covariance, each in its own unit: of η and λ at least, and parameters beyond its end are exactly known.
+    /// P, the parameters' covariance, each in its own unit; parameters beyond its end are exactly known.
     pub covariance: DMatrix<f64>,
     /// The bends that η and λ were learned on; `None` where nobody says.
     pub learned: Option<DataRange>,
@@ -95,7 +95,7 @@ impl Model {
 
     /// Covariance of (η, λ in mm).
     pub fn parameter_covariance(&self) -> Matrix2<f64> {
-        self.covariance.fixed_view::<2, 2>(0, 0).into_owned()
+        Matrix2::from_fn(|a, b| self.known(a, b))
     }
 
     /// η and λ, where they were estimated.
@@ -152,9 +152,13 @@ impl Model {
 
     /// P of all parameters. Rounding may leave its halves apart: beyond η and λ the lower one counts.
     pub fn covariance(&self) -> DMatrix<f64> {
-        let known = |a: usize, b: usize| self.covariance.get((a, b)).copied().unwrap_or(0.0);
         let n = self.parameter_count();
-        DMatrix::from_fn(n, n, |a, b| if b < 2 { known(a, b) } else { known(a.max(b), a.min(b)) })
+        DMatrix::from_fn(n, n, |a, b| if b < 2 { self.known(a, b) } else { self.known(a.max(b), a.min(b)) })
+    }
+
+    /// An element of the covariance; 0 beyond its end.
+    fn known(&self, a: usize, b: usize) -> f64 {
+        self.covariance.get((a, b)).copied().unwrap_or(0.0)
     }
 
     /// Standard deviations of the values of an effect of the list; 0 where they are given and not estimated.
