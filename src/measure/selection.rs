@@ -53,7 +53,7 @@ impl Fitter<'_> {
             self.add_other_shapes(&mut modes, fine);
         }
         self.add_mirroring(&mut modes, fine);
-        let decision = Decision::between(modes);
+        let decision = Decision::between(modes, self.view.diameter_px());
         let Some(Decision { fit, refusal }) = decision else { return Selection::without_fine_fit(fits, attempts) };
         fits[0] = fit;
         Selection { fits, has_fine_fit: true, attempts, refusal }

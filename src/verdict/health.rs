@@ -168,8 +168,8 @@ impl Health {
     /// By how much the affine part of the gap moves a bend of the data, rad, and of which form it is; if it is more than noise accounts for, as a
     /// whole or as a single encoder's scale, and may be more than a table may be wrong by.
     fn systematic(&self) -> Option<(f64, String)> {
-        let affine = AffineFit::of(self.agreeing())?;
-        let most = self.bend_by_mm * affine.most_mm();
+        let affine = AffineFit::of(self.agreeing().iter())?;
+        let most = self.bend_by_mm * affine.most_mm;
         let scale = || self.scales().into_iter().find(ScaleFit::is_beyond_chance);
         let (sds, form) = match affine.is_beyond_chance() {
             true => (affine.sds(), "in proportion to the bend or by a constant".to_owned()),

@@ -37,7 +37,7 @@ pub(crate) use rules::doubt_of_parameters;
 pub use rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, MOST_LAMBDA_MM, REJECTED_IN_ORDER};
 #[cfg(feature = "commands")]
 pub(crate) use shared_force::without_shared_force;
-#[cfg(feature = "commands")]
+#[cfg(feature = "live")]
 pub(crate) use standstill::Standstill;
 pub use stem::JudgedStem;
 pub use tip_force::JudgedForce;

@@ -58,7 +58,7 @@ impl Standstill {
     }
 
     /// Whether the snake may have moved while the readings stood still: too early to tell, and too late to trust what is learned.
-    #[cfg(feature = "commands")]
+    #[cfg(feature = "live")]
     pub fn is_suspect(&self) -> bool {
         self.is_suspect
     }

@@ -12,7 +12,6 @@ use super::rules::LEVEL_OF_TESTS;
 use crate::statistics::binomial;
 use crate::statistics::trimmed::least_trimmed_squares;
 use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3, Matrix6, Vector2, Vector3, Vector6};
-use std::f64::consts::PI;
 use std::ops::Range;
 
 /// A direction that the poses leave open is left out below this share of the largest information. Convention: numerical.
@@ -54,17 +53,17 @@ pub(super) struct AffineFit {
     /// Sum of the squares that are left.
     left: f64,
     poses: usize,
-    /// The farthest bend, rad.
-    farthest: f64,
+    /// How far it moves a bend of the data at the most, as a bending part of q̃, mm.
+    pub most_mm: f64,
 }
 
 impl AffineFit {
     /// By least squares; `None` without a pose.
-    pub fn of<'a>(innovations: impl IntoIterator<Item = &'a Innovation>) -> Option<Self> {
+    pub fn of<'a>(innovations: impl Iterator<Item = &'a Innovation> + Clone) -> Option<Self> {
         let (mut information, mut slope, mut by_rig, mut own) =
             (Matrix6::zeros(), Vector6::zeros(), Matrix6::zeros(), Matrix6::zeros());
-        let (mut before, mut farthest, mut poses) = (0.0, 0.0_f64, 0);
-        for one in innovations {
+        let (mut before, mut poses) = (0.0, 0);
+        for one in innovations.clone() {
             let h = affine(one);
             information += h.transpose() * h;
             slope += h.transpose() * one.bending;
@@ -72,7 +71,6 @@ impl AffineFit {
             by_rig += rig;
             own += rig * rig.transpose();
             before += one.bending.norm_squared();
-            farthest = farthest.max(one.bend.norm());
             poses += 1;
         }
         let inverse = |matrix: Matrix6<f64>| matrix.pseudo_inverse(SINGULAR * matrix.norm()).ok();
@@ -82,7 +80,10 @@ impl AffineFit {
         let shared = covariance * (by_rig * by_rig.transpose() - own) * covariance;
         // Those that agree least are left out, which makes what is fitted to the others less certain.
         let distance = x.dot(&(inverse(covariance / TRIMMED_MEAN_SQUARE[0] + shared)? * x));
-        Some(Self { x, distance, left: before - slope.dot(&x), poses, farthest })
+        let [at_rest, along, across] = [0, 2, 4].map(|row| x.fixed_rows::<2>(row).into_owned());
+        let moved_mm = |one: &Innovation| (at_rest + along * one.bend.x + across * one.bend.y).norm();
+        let most_mm = innovations.map(moved_mm).fold(0.0, f64::max);
+        Some(Self { x, distance, left: before - slope.dot(&x), poses, most_mm })
     }
 
     /// Whether noise accounts for it less often than the level of the tests.
@@ -93,16 +94,6 @@ impl AffineFit {
     /// How many standard deviations it is from none.
     pub fn sds(&self) -> f64 {
         self.distance.sqrt()
-    }
-
-    /// How far it moves the farthest bends at the most, towards any azimuth, as a bending part of q̃, mm.
-    pub fn most_mm(&self) -> f64 {
-        let moved = |k: u32| {
-            let (sin, cos) = (PI / 6.0 * f64::from(k)).sin_cos();
-            let [along, across] = [2, 4].map(|row| self.x.fixed_rows::<2>(row).into_owned());
-            (self.x.fixed_rows::<2>(0) + (along * cos + across * sin) * self.farthest).norm()
-        };
-        (0..12).map(moved).fold(0.0, f64::max)
     }
 }
 

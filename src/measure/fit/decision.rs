@@ -18,6 +18,10 @@ pub(crate) const SAME_MINIMUM_RAD: f64 = 5e-3;
 ///
 /// Fitted: by hand on renders; judged by `tests/eye/robustness`.
 pub(crate) const EDGE_ON_RAD: f64 = 0.1;
+/// The same in a coarse picture: so close that the rims of the tip's disk open by the same amount, px.
+///
+/// Fitted: by hand on coarse renders; judged by `tests/eye/robustness`.
+const EDGE_ON_PX: f64 = 2.0;
 /// The share of the posterior's mass that one mode must hold for its bend to be told.
 ///
 /// Derived: the share at the odds that decide.
@@ -33,13 +37,14 @@ pub(crate) struct Decision {
 }
 
 impl Decision {
-    /// Decides between the modes of the posterior of one picture, which are fits of the fine stage. `None` of no modes.
-    pub fn between(mut modes: Vec<BendFit>) -> Option<Self> {
+    /// Decides between the modes of the posterior of one picture, which are fits of the fine stage; the snake is `diameter_px` wide in it. `None` of no modes.
+    pub fn between(mut modes: Vec<BendFit>, diameter_px: f64) -> Option<Self> {
         let dispersion = dispersion(&modes);
         modes.sort_by(|a, b| b.log_mass(dispersion).total_cmp(&a.log_mass(dispersion)));
         let heaviest = modes.first()?.clone();
         let mass = |fit: &BendFit| (fit.log_mass(dispersion) - heaviest.log_mass(dispersion)).exp();
-        let is_edge_on = |fit: &BendFit| (fit.bend() - heaviest.bend()).norm() < EDGE_ON_RAD;
+        let edge_on_rad = EDGE_ON_RAD.max(2.0 * EDGE_ON_PX / diameter_px);
+        let is_edge_on = |fit: &BendFit| (fit.bend() - heaviest.bend()).norm() < edge_on_rad;
         let (same, others): (Vec<BendFit>, Vec<BendFit>) =
             separate(modes, SAME_MINIMUM_RAD).into_iter().partition(|fit| is_edge_on(fit));
         let [own, of_others] = [&same, &others].map(|modes| modes.iter().map(mass).sum::<f64>());
