@@ -51,6 +51,7 @@ mod setup;
 mod shared_state;
 mod silence;
 mod source;
+mod standstill;
 mod status;
 mod straight_reference;
 mod stream;

@@ -1,13 +1,13 @@
 //! The estimator of a running loop: from one measurement to the next estimate, with what is watched beside it. It is the one of `run`.
 
 use super::gap_monitor::GapMonitor;
+use super::standstill::Standstill;
 use super::status::GapStatus;
 use crate::estimate::{self, Estimator, Options, PlainSample, Reason, Stem, StemAngle, StemOptions, Step, Verdict};
 use crate::geometry::Configuration;
 use crate::observation::{EncoderReading, Measurement};
 use crate::robot::Model;
 use crate::statistics::spread::Spread;
-use crate::verdict::Standstill;
 
 /// Samples that are kept for `discover`, spread over the run. Convention: a resource limit; `discover` takes the longer the more there are.
 const MOST_SAMPLES: usize = 500;
@@ -70,7 +70,7 @@ impl OnlineEstimator {
             Some(options) => Subject::Stem(Box::new(Stem::new(&start, options)?)),
         };
         let (monitor, samples) = (GapMonitor::default(), Spread::new(MOST_SAMPLES));
-        let standstill = Standstill::new(&start.robot, options.sd_encoder_mm);
+        let standstill = Standstill::new(options.sd_encoder_mm);
         Ok(Self { start, options, stem, subject, monitor, samples, standstill, before_standstill: None })
     }
 

@@ -4,7 +4,6 @@
 
 use super::reason::{Code, Level, Reason};
 use super::rules::REJECTED_IN_ORDER;
-use super::standstill::Standstill;
 use crate::estimate::{NEW_POSE, PlainSample};
 use crate::observation::MOVED_SDS;
 use crate::robot::Robot;
@@ -30,14 +29,15 @@ const LEAST_SAMPLES: usize = 4;
 /// Derived: two errors of their own are so near once in 80,000 steps (1 − exp(−0.005²/2)); where the rig's share of σ is ten times the frames' own,
 /// as a snake's that rests in its play, once in 800, and [`LEAST_FROZEN`] steps in a row by no chance. The same picture gives the same bend to 1e-6°.
 const SAME_SDS: f64 = 0.005;
-/// So many steps in a row in which the readings imply another bend and the picture does not change at all.
+/// So many steps in a row in which the bend moved and no reading changed at all.
 ///
-/// Convention: one could be a single wrong reading.
+/// Convention: one could be a single wrong measurement. Two apart from each other are a loop that comes back to one command at another pose,
+/// which is hysteresis.
 const LEAST_FROZEN: usize = 2;
 
 /// What is wrong with the encoders.
 pub(super) fn stuck(robot: &Robot, samples: &[PlainSample]) -> Option<Reason> {
-    let text = columns_stuck(robot, samples).or_else(|| frozen(robot, samples))?;
+    let text = columns_stuck(robot, samples).or_else(|| frozen(samples))?;
     let remedy =
         "repair or reconnect the encoder and log its readings anew; nothing that was learned from these can be used";
     Some(Reason::new(Code::EncoderStuck, Level::DoNotUse, text, remedy))
@@ -114,15 +114,19 @@ pub(super) fn camera_stuck(robot: &Robot, samples: &[PlainSample]) -> Option<Rea
     })
 }
 
-/// Readings that do not change at all while the bend moves.
-fn frozen(robot: &Robot, samples: &[PlainSample]) -> Option<String> {
-    let mut standstill = Standstill::new(robot, 0.0);
-    let mut still = None;
-    for sample in samples {
-        standstill.add(sample);
-        still = standstill.since().filter(|_| standstill.is_stuck()).map(|since| (since, sample.index)).or(still);
-    }
-    still.map(|(first, last)| {
-        format!("all readings stand still between frames {first} and {last} while the snake moves")
+/// Readings that do not change at all, in steps that follow each other, while the bend moves.
+fn frozen(samples: &[PlainSample]) -> Option<String> {
+    let is_frozen =
+        |pair: &[PlainSample]| pair[0].q_mm == pair[1].q_mm && pair[0].measured.has_moved(&pair[1].measured);
+    let steps: Vec<&[PlainSample]> = samples.windows(2).filter(|pair| is_frozen(pair)).collect();
+    let in_a_row = samples.windows(LEAST_FROZEN + 1).any(|row| row.windows(2).all(is_frozen));
+    let (first, last) = (steps.first()?, steps.last()?);
+    in_a_row.then(|| {
+        format!(
+            "all readings stand still in {} steps between frames {} and {} while the snake moves",
+            steps.len(),
+            first[0].index,
+            last[1].index
+        )
     })
 }

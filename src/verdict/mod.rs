@@ -20,7 +20,6 @@ mod reason;
 mod rules;
 mod scale;
 mod shared_force;
-mod standstill;
 mod stem;
 mod systematic;
 mod tip_force;
@@ -37,7 +36,5 @@ pub(crate) use rules::doubt_of_parameters;
 pub use rules::{LEVEL_OF_TESTS, MEAN_SQUARE_OF_NOISE, MOST_LAMBDA_MM, REJECTED_IN_ORDER};
 #[cfg(feature = "commands")]
 pub(crate) use shared_force::without_shared_force;
-#[cfg(feature = "live")]
-pub(crate) use standstill::Standstill;
 pub use stem::JudgedStem;
 pub use tip_force::JudgedForce;

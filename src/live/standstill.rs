@@ -1,10 +1,7 @@
-//! Whether the encoders stand still while the snake moves: an encoder that lost its counter, a driver that repeats its last line. A verdict asks it
-//! of a whole log, `live` after each measurement.
+//! Whether the encoders stand still while the snake moves: an encoder that lost its counter, a driver that repeats its last line.
 
 use crate::estimate::{NEW_POSE, PlainSample};
 use crate::observation::Measured;
-use crate::robot::{PerBackbone, Robot};
-use nalgebra::Vector2;
 
 /// Readings stand still that change by no more than so many standard deviations of a difference of two.
 ///
@@ -17,10 +14,8 @@ const LEAST_MOVED: usize = 3;
 
 /// Compares what readings and bends do.
 #[derive(Debug, Clone)]
-pub(crate) struct Standstill {
+pub struct Standstill {
     still_mm: f64,
-    /// What a bend asks of the readings, mm per rad.
-    by_bend: PerBackbone<Vector2<f64>>,
     /// The sample since which the readings stand still.
     since: Option<PlainSample>,
     /// Whether the bend has moved since, be it only because pictures come after their encoders.
@@ -31,12 +26,10 @@ pub(crate) struct Standstill {
 }
 
 impl Standstill {
-    /// Before the first reading, of this standard deviation, mm. With none readings stand still that do not change at all: so a log is judged
-    /// whose unit is not known yet.
-    pub fn new(robot: &Robot, sd_encoder_mm: f64) -> Self {
+    /// Before the first reading, of this standard deviation, mm.
+    pub fn new(sd_encoder_mm: f64) -> Self {
         let still_mm = STILL_SDS * 2f64.sqrt() * sd_encoder_mm;
-        let by_bend = robot.displacement_by_bend();
-        Self { still_mm, by_bend, since: None, is_suspect: false, settled: None, moved: 0 }
+        Self { still_mm, since: None, is_suspect: false, settled: None, moved: 0 }
     }
 
     /// Takes the next sample, and says whether the readings have moved.
@@ -49,16 +42,15 @@ impl Standstill {
         // A clock that was set back begins anew.
         let since_s = since.time_s.min(sample.time_s);
         self.since = Some(PlainSample { time_s: since_s, ..since });
-        self.is_suspect |= self.has_moved(&since.measured, &sample.measured);
+        self.is_suspect |= has_moved(&since.measured, &sample.measured);
         if sample.time_s - since_s >= SETTLE_S {
-            let settled = *self.settled.get_or_insert(sample.measured);
-            self.moved += usize::from(self.has_moved(&settled, &sample.measured));
+            let settled = self.settled.get_or_insert(sample.measured);
+            self.moved += usize::from(has_moved(settled, &sample.measured));
         }
         false
     }
 
     /// Whether the snake may have moved while the readings stood still: too early to tell, and too late to trust what is learned.
-    #[cfg(feature = "live")]
     pub fn is_suspect(&self) -> bool {
         self.is_suspect
     }
@@ -67,16 +59,10 @@ impl Standstill {
     pub fn is_stuck(&self) -> bool {
         self.moved >= LEAST_MOVED
     }
+}
 
-    /// The index of the frame since which the readings stand still.
-    pub fn since(&self) -> Option<u64> {
-        self.since.map(|since| since.index)
-    }
-
-    /// Whether two bends differ by a pose, by more than their errors, and by more than readings that count as standing still leave open.
-    fn has_moved(&self, from: &Measured, to: &Measured) -> bool {
-        let step = to.configuration.bend_vector() - from.configuration.bend_vector();
-        let asked = PerBackbone::from_fn(self.by_bend.len(), |i| self.by_bend[i].dot(&step));
-        step.norm() >= NEW_POSE && asked.amax() > self.still_mm && from.has_moved(to)
-    }
+/// Whether two bends differ by a pose, and by more than their errors.
+fn has_moved(from: &Measured, to: &Measured) -> bool {
+    let step = to.configuration.bend_vector() - from.configuration.bend_vector();
+    step.norm() >= NEW_POSE && from.has_moved(to)
 }
