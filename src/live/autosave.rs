@@ -2,13 +2,13 @@
 
 use super::clock::unix_time_s;
 use super::encoders::Encoders;
-use super::journal::SyncHandle;
 use super::low_priority::lower_priority;
 use super::publication::Withheld;
 use super::recent_bends::RecentBends;
 use super::shared_state::{Commanding, SharedState};
 use super::status::{PublicationState, PublicationStatus};
 use crate::error::{DataError, Error, Result};
+use crate::record::line_file::LineFile;
 use crate::record::{
     Provenance, Worth, compensation_files, learned_model_toml, mark_stale, unmark_stale, write_atomically,
     write_together,
@@ -49,7 +49,7 @@ pub struct Autosave {
     /// Where the model is.
     pub shared: Arc<SharedState>,
     /// The journal, to be brought to the disk.
-    pub journal: SyncHandle,
+    pub journal: LineFile,
     /// The folder to write to.
     pub output: PathBuf,
     /// How often model and table are written.

@@ -297,7 +297,7 @@ impl Pipeline {
             return;
         }
         progress.looked = Instant::now();
-        let restored = self.journal.restore();
+        let restored = self.journal.file.restore();
         let restored =
             restored.and_then(|restored| if restored { self.folder.restore().map(|()| true) } else { Ok(false) });
         let why = restored.as_ref().err().map(ToString::to_string);

@@ -64,7 +64,7 @@ impl Live {
         let bends = Arc::new(RecentBends::default());
         let autosave = AutosaveThread::start(Autosave {
             shared: Arc::clone(&shared),
-            journal: journal.sync_handle(),
+            journal: journal.file.clone(),
             output: output.clone(),
             every: save_every,
             encoders: Arc::clone(&encoders),

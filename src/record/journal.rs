@@ -1,19 +1,16 @@
 //! The rows of measurements.csv while frames are being measured: one line a row, in order, written as soon as it is known.
 //!
-//! The file begins with what the rows are made from (TOML, each line behind `# `); a run may go on with it only if it would make
-//! the same rows. Then come header and rows as in measurements.csv. A row is one write, so that a process that is killed
-//! leaves all of them but the one in hand, and once a second they are brought to the disk, which is what a loss of power can
-//! cost. From the first line on that is torn or makes no sense the journal is cut off when it is opened again. Other runs are kept out
-//! of the folder by [`OutputFolder`](super::OutputFolder).
+//! The [file](LineFile) begins with what the rows are made from (TOML, each line behind `# `); a run may go on with it only if it would make
+//! the same rows. Then come header and rows as in measurements.csv. Once a second they are brought to the disk, which is what a loss of
+//! power can cost. From the first line on that is torn or makes no sense the journal is cut off when it is opened again. Other runs are
+//! kept out of the folder by [`OutputFolder`](super::OutputFolder).
 
+use super::line_file::{LineFile, Lines};
 use super::measurements::{RowReader, measurement_line, measurements_header};
-use super::write::{PendingFile, write_atomically};
+use super::write::write_atomically;
 use crate::error::{Error, Result};
-use crate::input::{LINE_BYTES, read_line};
 use crate::observation::Measurement;
-use std::fs::{File, OpenOptions};
-use std::io::{BufReader, Read, Seek, SeekFrom, Write, copy};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// The journal's name in the output folder.
@@ -27,8 +24,7 @@ const SYNC_EVERY: Duration = Duration::from_secs(1);
 /// A journal of measurements that is being written.
 #[derive(Debug)]
 pub struct MeasurementJournal {
-    path: PathBuf,
-    file: File,
+    file: LineFile,
     /// Where the header begins.
     head: u64,
     last: Option<u64>,
@@ -45,8 +41,7 @@ impl MeasurementJournal {
         let path = folder.join(JOURNAL);
         let head: String = origin.to_string().lines().map(|line| format!("# {line}\n")).collect();
         write_atomically(&path, (head.clone() + &measurements_header() + "\n").as_bytes())?;
-        let file = open(&path)?;
-        Ok(Self { path, file, head: head.len() as u64, last: None, rows: 0, synced: Instant::now() })
+        Ok(Self { file: LineFile::open(path)?, head: head.len() as u64, last: None, rows: 0, synced: Instant::now() })
     }
 
     /// Opens the journal that an earlier run left, to go on with it; begins one where there is none.
@@ -58,31 +53,31 @@ impl MeasurementJournal {
         if !path.exists() {
             return Self::create(folder, origin);
         }
-        let file = open(&path)?;
-        let mut lines = Lines { reader: BufReader::new(&file), path: &path, at: 0 };
+        let file = LineFile::open(path.clone())?;
+        let mut lines = Lines::open(&path)?;
         let mut former = String::new();
         let mut head = 0;
         let header = loop {
-            let line = lines.next()?;
+            let line = lines.next_line()?;
             let Some(of_head) = line.as_deref().and_then(|line| line.strip_prefix("# ")) else { break line };
             former += &(of_head.to_owned() + "\n");
-            head = lines.at;
+            head = lines.end;
         };
         if header.is_none_or(|header| header != measurements_header()) {
             return Err(not_ours(&path, "no header of measurements.csv follows"));
         }
         let former: toml::Table = toml::from_str(&former).map_err(|e| not_ours(&path, e.message()))?;
         compare(&path, &former, origin)?;
-        let (mut whole, mut last, mut rows) = (lines.at, None, 0);
+        let (mut whole, mut last, mut rows) = (lines.end, None, 0);
         let reader = RowReader::default();
-        while let Some(line) = lines.next()? {
+        while let Some(line) = lines.next_line()? {
             let Some(row) = reader.read(&line).ok().filter(|row| last.is_none_or(|last| row.index > last)) else {
                 break;
             };
-            (whole, last, rows) = (lines.at, Some(row.index), rows + 1);
+            (whole, last, rows) = (lines.end, Some(row.index), rows + 1);
         }
-        file.set_len(whole).map_err(Error::io(&path, "write"))?;
-        Ok(Self { path, file, head, last, rows, synced: Instant::now() })
+        file.cut(whole)?;
+        Ok(Self { file, head, last, rows, synced: Instant::now() })
     }
 
     /// The index of the last row.
@@ -97,7 +92,7 @@ impl MeasurementJournal {
 
     /// Where it is.
     pub fn path(&self) -> &Path {
-        &self.path
+        self.file.path()
     }
 
     /// Appends a row; its index must be above all before.
@@ -105,11 +100,10 @@ impl MeasurementJournal {
     /// # Errors
     /// A disk that is full or gone.
     pub fn append(&mut self, measurement: &Measurement) -> Result<()> {
-        let line = measurement_line(measurement) + "\n";
-        self.file.write_all(line.as_bytes()).map_err(Error::io(&self.path, "write"))?;
+        self.file.append(measurement_line(measurement))?;
         (self.last, self.rows) = (Some(measurement.index), self.rows + 1);
         if self.synced.elapsed() >= SYNC_EVERY {
-            self.file.sync_data().map_err(Error::io(&self.path, "write"))?;
+            self.file.sync().map_err(Error::io(self.path(), "write"))?;
             self.synced = Instant::now();
         }
         Ok(())
@@ -119,12 +113,8 @@ impl MeasurementJournal {
     ///
     /// # Errors
     /// A disk that is full or gone.
-    pub fn publish(&mut self, path: &Path) -> Result<()> {
-        let mut file = PendingFile::create(path)?;
-        self.file.seek(SeekFrom::Start(self.head)).map_err(Error::io(&self.path, "read"))?;
-        // Appending goes on at the end wherever was read from.
-        copy(&mut self.file, &mut file).map_err(Error::io(path, "write"))?;
-        file.commit()
+    pub fn publish(&self, path: &Path) -> Result<()> {
+        self.file.copy_from(self.head, path)
     }
 
     /// Removes the journal, once all that is made from it is written. One that somebody else removed is no error.
@@ -132,34 +122,10 @@ impl MeasurementJournal {
     /// # Errors
     /// A folder that does not let it go.
     pub fn remove(self) -> Result<()> {
-        match std::fs::remove_file(&self.path) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(&self.path, "remove")(e)),
+        match std::fs::remove_file(self.path()) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(self.path(), "remove")(e)),
             _ => Ok(()),
         }
-    }
-}
-
-fn open(path: &Path) -> Result<File> {
-    OpenOptions::new().read(true).append(true).open(path).map_err(Error::io(path, "write"))
-}
-
-/// Whole lines, and where they end.
-struct Lines<'a, R> {
-    reader: BufReader<R>,
-    path: &'a Path,
-    at: u64,
-}
-
-impl<R: Read> Lines<'_, R> {
-    /// The next line without its end; `None` at the end, or where it is torn, too long or no text.
-    fn next(&mut self) -> Result<Option<String>> {
-        let mut line = Vec::new();
-        let read = read_line(&mut self.reader, LINE_BYTES, &mut line).map_err(Error::io(self.path, "read"))?;
-        if line.pop() != Some(b'\n') {
-            return Ok(None);
-        }
-        self.at += read.length;
-        Ok(String::from_utf8(line).ok())
     }
 }
 
@@ -209,7 +175,7 @@ mod tests {
         Measurement { index, time_s: Some(0.5), status, measured: None, quality: None, view: Some("side".into()) }
     }
 
-    fn published(journal: &mut MeasurementJournal) -> Vec<u64> {
+    fn published(journal: &MeasurementJournal) -> Vec<u64> {
         let path = journal.path().with_file_name("measurements.csv");
         journal.publish(&path).unwrap();
         MeasurementRows::open(&path).unwrap().map(|row| row.unwrap().index).collect()
@@ -232,21 +198,21 @@ mod tests {
             assert_eq!((journal.rows(), journal.last()), (whole, (whole as u64).checked_sub(1)), "{cut}");
             journal.append(&row(77)).unwrap();
             let expected: Vec<u64> = (0..whole as u64).chain([77]).collect();
-            assert_eq!(published(&mut journal), expected);
+            assert_eq!(published(&journal), expected);
         }
     }
 
     #[test]
     fn what_follows_a_line_that_makes_no_sense_is_measured_again() {
         let folder = tempfile::tempdir().unwrap();
-        for nonsense in ["\0\0\0\0\n", "1,2,3\n", &(measurement_line(&row(0)) + "\n"), "\u{fffd}\n"] {
+        for nonsense in ["\0\0\0\0", "1,2,3", &measurement_line(&row(0)), "\u{fffd}"] {
             let mut journal = MeasurementJournal::create(folder.path(), &origin("")).unwrap();
             journal.append(&row(0)).unwrap();
-            journal.file.write_all(nonsense.as_bytes()).unwrap();
+            journal.file.append(nonsense).unwrap();
             journal.append(&row(2)).unwrap();
             drop(journal);
-            let mut journal = MeasurementJournal::resume(folder.path(), &origin("")).unwrap();
-            assert_eq!(published(&mut journal), [0], "{nonsense:?}");
+            let journal = MeasurementJournal::resume(folder.path(), &origin("")).unwrap();
+            assert_eq!(published(&journal), [0], "{nonsense:?}");
         }
     }
 

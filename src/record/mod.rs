@@ -14,6 +14,7 @@ pub mod friction;
 mod interpolation;
 mod joints;
 pub mod journal;
+pub mod line_file;
 mod log;
 mod measurement_row;
 pub mod measurements;
@@ -63,6 +64,4 @@ pub use table::{Checked, Fault, Warning};
 pub use tracker::{read_tracker_poses, tracker_poses_of};
 pub use trajectory::{read_trajectory, trajectory_csv};
 pub use truth::{read_truth, truth_csv};
-#[cfg(feature = "live")]
-pub(crate) use write::is_at;
 pub use write::{Files, PendingFile, remove_abandoned, write_atomically, write_together};

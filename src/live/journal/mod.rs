@@ -1,51 +1,25 @@
 //! The journal: every measurement, written down before anything else is done with it.
 //!
-//! Each measurement or event is one line of JSON, appended with a single write. A process that is killed leaves all of them but the
-//! one in hand. They are brought to the disk every second ([`Journal::sync_handle`]); that much a loss of power can cost. A last line
-//! that is torn is cut off when the journal is opened again.
+//! Each measurement or event is one line of JSON of a [file](LineFile). They are brought to the disk every second
+//! ([`LineFile::sync`]); that much a loss of power can cost. A last line that is torn is cut off when the journal is opened again.
 
 mod entry;
 
 pub use entry::Entry;
 
 use crate::error::{Error, Result};
-use crate::input::{LineRead, read_line};
-use crate::record::{PendingFile, is_at};
+use crate::record::line_file::{LineFile, Lines};
 use entry::Line;
-use std::fs::{File, OpenOptions};
-use std::io::{BufReader, Seek, SeekFrom, Write};
-use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::path::Path;
 
 /// The journal's name in the output folder.
 pub const JOURNAL: &str = "journal.jsonl";
 
-/// A longer line is no entry, bytes. Convention: a resource limit, some ten times what an entry has.
-const MAX_LINE: usize = 16_384;
-
 /// A journal that is being written.
 #[derive(Debug)]
 pub struct Journal {
-    path: PathBuf,
-    file: File,
-    /// A second handle, for whoever brings what was written to the disk.
-    to_sync: SyncHandle,
-}
-
-/// Brings to the disk what was written into a journal, from another thread.
-#[derive(Debug, Clone)]
-pub struct SyncHandle(Arc<Mutex<Arc<File>>>);
-
-impl SyncHandle {
-    /// Brings all to the disk that was written so far.
-    ///
-    /// # Errors
-    /// Those of the disk.
-    pub fn sync(&self) -> std::io::Result<()> {
-        // Not held while the disk works.
-        let file = Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner));
-        file.sync_data()
-    }
+    /// Its lines, to be brought to the disk and written anew where they are gone.
+    pub(super) file: LineFile,
 }
 
 impl Journal {
@@ -57,12 +31,12 @@ impl Journal {
     pub fn create(folder: &Path) -> Result<Self> {
         let path = folder.join(JOURNAL);
         std::fs::create_dir_all(folder).map_err(Error::io(folder, "create the folder"))?;
-        let file = open(&path)?;
-        if file.metadata().map_err(Error::io(&path, "read"))?.len() > 0 {
+        let file = LineFile::open(path.clone())?;
+        if std::fs::metadata(&path).map_err(Error::io(&path, "read"))?.len() > 0 {
             let message = "an earlier run left its journal here; go on with it (--resume) or choose another folder";
             return Err(Error::content(&path, message));
         }
-        Self::of(path, file)
+        Ok(Self { file })
     }
 
     /// Opens the journal of an earlier run to go on with it, and gives `each` entry of it, in order; begins one where there is
@@ -76,35 +50,9 @@ impl Journal {
             return Ok((Self::create(folder)?, None));
         }
         let (whole, remark) = read(&path, each)?;
-        let file = open(&path)?;
-        file.set_len(whole).map_err(Error::io(&path, "write"))?;
-        Ok((Self::of(path, file)?, remark))
-    }
-
-    fn of(path: PathBuf, file: File) -> Result<Self> {
-        let second = file.try_clone().map_err(Error::io(&path, "open"))?;
-        let to_sync = SyncHandle(Arc::new(Mutex::new(Arc::new(second))));
-        Ok(Self { path, file, to_sync })
-    }
-
-    /// Writes the journal anew where it was removed, or another file stands in its place: all that was written so far can still be read.
-    /// Says whether it was gone.
-    ///
-    /// # Errors
-    /// A folder that cannot be written to.
-    pub fn restore(&mut self) -> Result<bool> {
-        if is_at(&self.file, &self.path) {
-            return Ok(false);
-        }
-        let mut written = PendingFile::create(&self.path)?;
-        self.file.seek(SeekFrom::Start(0)).map_err(Error::io(&self.path, "read"))?;
-        std::io::copy(&mut self.file, &mut written).map_err(Error::io(&self.path, "write"))?;
-        written.commit()?;
-        let restored = Self::of(self.path.clone(), open(&self.path)?)?;
-        let second = Arc::clone(&restored.to_sync.0.lock().unwrap_or_else(PoisonError::into_inner));
-        *self.to_sync.0.lock().unwrap_or_else(PoisonError::into_inner) = second;
-        self.file = restored.file;
-        Ok(true)
+        let file = LineFile::open(path)?;
+        file.cut(whole)?;
+        Ok((Self { file }, remark))
     }
 
     /// Appends an entry.
@@ -112,21 +60,9 @@ impl Journal {
     /// # Errors
     /// A disk that is full or gone.
     pub fn append(&mut self, entry: &Entry) -> Result<()> {
-        let mut line = serde_json::to_vec(&Line::from(entry))
-            .map_err(|e| Error::content(&self.path, format!("cannot write an entry: {e}")))?;
-        line.push(b'\n');
-        self.file.write_all(&line).map_err(Error::io(&self.path, "write"))
+        let cannot = |e| Error::content(self.file.path(), format!("cannot write an entry: {e}"));
+        self.file.append(serde_json::to_vec(&Line::from(entry)).map_err(cannot)?)
     }
-
-    /// A second handle, to bring what was written to the disk from another thread.
-    pub fn sync_handle(&self) -> SyncHandle {
-        self.to_sync.clone()
-    }
-}
-
-/// Opens a journal to append to, which is created where it is missing.
-fn open(path: &Path) -> Result<File> {
-    OpenOptions::new().read(true).append(true).create(true).open(path).map_err(Error::io(path, "write"))
 }
 
 /// Gives each entry of a journal, in order, and the length of what is whole; says what could not be read.
@@ -134,37 +70,27 @@ fn open(path: &Path) -> Result<File> {
 /// # Errors
 /// A file that cannot be read.
 pub fn read(path: &Path, mut each: impl FnMut(Entry)) -> Result<(u64, Option<String>)> {
-    let mut lines = BufReader::new(File::open(path).map_err(Error::io(path, "read"))?);
-    let (mut whole, mut bad, mut torn) = (0, 0, false);
-    let mut line = Vec::new();
-    loop {
-        let LineRead { length, ended } = read_line(&mut lines, MAX_LINE, &mut line).map_err(Error::io(path, "read"))?;
-        if length == 0 {
-            break;
-        }
-        if !ended {
-            torn = true;
-            break;
-        }
-        whole += length;
-        let entry = || serde_json::from_slice::<Line>(&line).ok().and_then(Line::entry);
-        match if length > MAX_LINE as u64 { None } else { entry() } {
+    let mut lines = Lines::open(path)?;
+    let mut bad = 0;
+    while let Some(line) = lines.next_line()? {
+        match serde_json::from_str::<Line>(&line).ok().and_then(Line::entry) {
             Some(entry) => each(entry),
             None => bad += 1,
         }
     }
     let remarks = [
         (bad > 0).then(|| format!("{bad} lines cannot be read and are left out")),
-        torn.then(|| "the last line is torn and was cut off".to_owned()),
+        lines.is_torn.then(|| "the last line is torn and was cut off".to_owned()),
     ];
     let remark = remarks.into_iter().flatten().collect::<Vec<_>>().join("; ");
-    Ok((whole, (!remark.is_empty()).then(|| format!("{}: {remark}", path.display()))))
+    Ok((lines.end, (!remark.is_empty()).then(|| format!("{}: {remark}", path.display()))))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::geometry::Configuration;
+    use crate::input::LINE_BYTES;
     use crate::observation::{EncoderReading, Measured, Measurement, Quality, Shape, Status};
     use crate::record::measurement_line;
     use crate::robot::{Neighbours, PerBackbone};
@@ -276,9 +202,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut journal = Journal::create(folder.path()).unwrap();
         journal.append(&failed(1)).unwrap();
-        journal.file.write_all(&[b"[".repeat(5_000_000), b"\n".to_vec()].concat()).unwrap();
+        journal.file.append("[".repeat(5_000_000)).unwrap();
         // Too long even where it would be an entry, were it cut.
-        journal.file.write_all(format!("{{\"event\":\"reset\"}}{}\n", " ".repeat(MAX_LINE)).as_bytes()).unwrap();
+        journal.file.append(String::from("{\"event\":\"reset\"}") + &" ".repeat(LINE_BYTES)).unwrap();
         journal.append(&failed(2)).unwrap();
         let mut count = 0;
         let (_, remark) = Journal::resume(folder.path(), |_| count += 1).unwrap();
@@ -291,12 +217,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("out");
         let mut journal = Journal::create(&out).unwrap();
-        let to_sync = journal.sync_handle();
+        let to_sync = journal.file.clone();
         journal.append(&failed(1)).unwrap();
-        assert!(!journal.restore().unwrap());
+        assert!(!journal.file.restore().unwrap());
         for index in 2..4 {
             std::fs::remove_dir_all(&out).unwrap();
-            assert!(journal.restore().unwrap());
+            assert!(journal.file.restore().unwrap());
             journal.append(&failed(index)).unwrap();
             to_sync.sync().unwrap();
             assert_eq!(entries_in(&out).len() as u64, index);
@@ -304,7 +230,7 @@ mod tests {
         // So is one that somebody put another in the place of.
         std::fs::rename(out.join(JOURNAL), out.join("old")).unwrap();
         std::fs::write(out.join(JOURNAL), "").unwrap();
-        assert!(journal.restore().unwrap());
+        assert!(journal.file.restore().unwrap());
         assert_eq!(entries_in(&out).len(), 3);
     }
 
@@ -340,7 +266,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut journal = Journal::create(folder.path()).unwrap();
         journal.append(&failed(1)).unwrap();
-        journal.file.write_all(b"not a line of ours\n\xff\xfe\n{\"event\":\"dance\"}\n").unwrap();
+        journal.file.append(b"not a line of ours\n\xff\xfe\n{\"event\":\"dance\"}").unwrap();
         journal.append(&failed(2)).unwrap();
         let mut count = 0;
         let (_, remark) = Journal::resume(folder.path(), |_| count += 1).unwrap();
