@@ -8,12 +8,13 @@ use super::trackers::OpenTracker;
 use super::views::OpenView;
 use crate::cli::failure::Failure;
 use crate::observation::{EncoderReading, Measurement, commonest_status};
-use crate::record::{Experiment, MeasurementJournal, MeasurementRows, remove_abandoned, write_atomically};
+use crate::record::{
+    Experiment, MeasurementJournal, MeasurementRows, remove_abandoned, remove_if_there, write_atomically,
+};
 use crate::robot::Model;
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// How frames are gone through.
@@ -201,13 +202,5 @@ impl Summary {
             speed.unwrap_or_default(),
             self.measurements.display()
         )
-    }
-}
-
-/// Removes a file of an earlier run.
-fn remove_if_there(path: &Path) -> Result<()> {
-    match fs::remove_file(path) {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(path, "remove")(e)),
-        _ => Ok(()),
     }
 }

@@ -7,7 +7,7 @@
 
 use super::line_file::{LineFile, Lines};
 use super::measurements::{RowReader, measurement_line, measurements_header};
-use super::write::write_atomically;
+use super::write::{remove_if_there, write_atomically};
 use crate::error::{Error, Result};
 use crate::observation::Measurement;
 use std::path::Path;
@@ -122,10 +122,7 @@ impl MeasurementJournal {
     /// # Errors
     /// A folder that does not let it go.
     pub fn remove(self) -> Result<()> {
-        match std::fs::remove_file(self.path()) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(self.path(), "remove")(e)),
-            _ => Ok(()),
-        }
+        remove_if_there(self.path())
     }
 }
 

@@ -64,4 +64,4 @@ pub use table::{Checked, Fault, Warning};
 pub use tracker::{read_tracker_poses, tracker_poses_of};
 pub use trajectory::{read_trajectory, trajectory_csv};
 pub use truth::{read_truth, truth_csv};
-pub use write::{Files, PendingFile, remove_abandoned, write_atomically, write_together};
+pub use write::{Files, PendingFile, remove_abandoned, remove_if_there, write_atomically, write_together};

@@ -136,6 +136,17 @@ pub fn remove_abandoned(folder: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Removes a file. One that is not there is no error.
+///
+/// # Errors
+/// A folder that does not let it go.
+pub fn remove_if_there(path: &Path) -> Result<()> {
+    match std::fs::remove_file(path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(path, "remove")(e)),
+        _ => Ok(()),
+    }
+}
+
 /// Whether an open file still is what its path leads to.
 #[cfg(unix)]
 pub fn is_at(file: &std::fs::File, path: &Path) -> bool {
