@@ -139,10 +139,12 @@ pub(super) fn check(robot: &Robot, sd_encoder_mm: f64, poses: &[Pose], log: &[En
     }
     let chosen = chosen?;
     let found = chosen.evidence() > decisive;
-    let undecided = match &chosen.mistake {
-        _ if !found => undecided(&logs, Rival::evidence),
-        mistake if mistake.may_be_misalignment() => undecided(&logs, |rival| rival.ahead_of(&chosen)),
-        _ => None,
+    let undecided = if !found {
+        undecided(&logs, Rival::evidence)
+    } else if chosen.mistake.may_be_misalignment() {
+        undecided(&logs, |rival| rival.ahead_of(&chosen))
+    } else {
+        None
     };
     let as_a_lag_s = best(&lags).filter(|lag| chosen.mistake.shifts_rows_alone() && chosen.ahead_of(lag) <= decisive);
     let as_a_lag_s = as_a_lag_s.and_then(|lag| lag.age_s());
