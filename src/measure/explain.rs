@@ -76,8 +76,9 @@ pub struct WeightedEdge {
 impl Eye {
     /// Measures one frame and describes every stage.
     pub fn explain(&self, frame: &Frame) -> Explanation {
-        let stages = self.measure_in_stages(frame, None);
-        let plane = self.plane(&self.exposed(frame), &Region::whole(frame.width, frame.height));
+        let exposed = self.exposed(frame);
+        let stages = self.measure_in_stages(&exposed, None);
+        let plane = self.plane(&exposed, &Region::whole(frame.width, frame.height));
         let fits: Vec<BendProfile> = stages.fits.iter().map(|fit| fit.profile).collect();
         let view = self.projection();
         let outline = fits.first().map(|&profile| Outline::new(&view, profile));

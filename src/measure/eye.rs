@@ -180,13 +180,13 @@ impl Eye {
 
     /// Measures one frame: θ and δ in the base's axes.
     pub fn measure(&self, frame: &Frame) -> FrameMeasurement {
-        self.measure_in_stages(frame, None).measurement
+        self.measure_in_stages(&self.exposed(frame), None).measurement
     }
 
     /// Measures one frame of a snake whose bend vector is expected to be about this: the candidate nearest to it is tried first, and not the
     /// best. Says the same as [`measure`](Self::measure), sooner where the best is not the right one.
     pub fn measure_expected(&self, frame: &Frame, expected: Vector2<f64>) -> FrameMeasurement {
-        self.measure_in_stages(frame, Some(expected)).measurement
+        self.measure_in_stages(&self.exposed(frame), Some(expected)).measurement
     }
 
     /// Measures a frame of a sequence whose `last` bend vector is known: fits from there, and searches everywhere only where that
@@ -204,16 +204,16 @@ impl Eye {
     }
 
     /// Measures one frame, whose bend may be expected, and keeps what its stages found.
-    pub(super) fn measure_in_stages(&self, frame: &Frame, expected: Option<Vector2<f64>>) -> MeasurementStages {
-        if let Some(status) = self.unusable(frame) {
+    pub(super) fn measure_in_stages(&self, exposed: &Exposed, expected: Option<Vector2<f64>>) -> MeasurementStages {
+        if let Some(status) = self.unusable(exposed.frame) {
             let measurement = FrameMeasurement::failed(status, None);
             return MeasurementStages { candidates: Vec::new(), fits: Vec::new(), measurement };
         }
-        self.search_everywhere(&self.exposed(frame), expected)
+        self.search_everywhere(exposed, expected)
     }
 
     /// Measures a frame from the candidates of the coarse search, the one nearest to an expected bend first.
-    pub(super) fn search_everywhere(&self, exposed: &Exposed, expected: Option<Vector2<f64>>) -> MeasurementStages {
+    fn search_everywhere(&self, exposed: &Exposed, expected: Option<Vector2<f64>>) -> MeasurementStages {
         let candidates = self.search().candidates(&self.overview(exposed), self.rig.appearance.two_sided, CANDIDATES);
         let fit_from = |candidate| {
             let near = self.fit_near(exposed, candidate, &FitSchedule::FROM_CANDIDATE);
@@ -276,7 +276,7 @@ impl Eye {
     }
 
     /// Why a frame cannot be measured whatever it shows.
-    pub(super) fn unusable(&self, frame: &Frame) -> Option<Status> {
+    fn unusable(&self, frame: &Frame) -> Option<Status> {
         if (frame.width, frame.height) != (self.lens.width, self.lens.height) {
             return Some(Status::WrongSize);
         }

@@ -27,11 +27,8 @@ impl Eye {
     /// can, the eye stays as it is.
     pub fn refined(self, frames: impl ParallelIterator<Item = Frame>) -> Self {
         let find = |frame: Frame| {
-            if self.unusable(&frame).is_some() {
-                return None;
-            }
             let exposed = self.exposed(&frame);
-            let MeasurementStages { measurement, fits, .. } = self.search_everywhere(&exposed, None);
+            let MeasurementStages { measurement, fits, .. } = self.measure_in_stages(&exposed, None);
             // What shape a snake has that is no arc is told by its frames together, where none tells it alone.
             let is_seen = matches!(measurement.status, Status::Ok | Status::UnknownShape);
             let fit = fits.first().filter(|_| is_seen)?;
