@@ -5,6 +5,7 @@ use crate::robot::Model;
 use crate::robot::effects::{COMMAND_GAIN, ParameterSpec};
 use crate::robot::model::ETA;
 use crate::statistics::cluster::clustered_covariance;
+use crate::statistics::least_squares::covariance;
 use crate::statistics::least_squares::{self, Options};
 use crate::statistics::normal_equations::normal_equations as weighted_normal_equations;
 use crate::statistics::robust::Loss;
@@ -199,7 +200,8 @@ impl Problem<'_> {
         jacobian.rows_mut(count, priors.nrows()).copy_from(&priors);
         let residuals = residuals.component_mul(&roots).resize_vertically(count + priors.nrows(), 0.0);
         let clusters = (0..count).map(|row| data.sweeps[row / n]);
-        let clustered = clustered_covariance(&jacobian, &residuals, clusters, 1.0);
+        let clustered = covariance(&jacobian)
+            .and_then(|independent| clustered_covariance(&jacobian, &residuals, &independent, clusters, 1.0));
         let by_sweeps = data.len() as f64 / data.sweep_count() as f64;
         self.with_given_covariance(fit, clustered.or_else(|| Some(inverse_information(fit)? * by_sweeps)))
     }

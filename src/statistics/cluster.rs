@@ -15,24 +15,23 @@
 //! Methodology 28, 2002, Eq. 8; J. G. MacKinnon, M. Ø. Nielsen, M. D. Webb, "Cluster-robust inference: a guide to empirical practice",
 //! J. Econometrics 232, 2023, section 4, which recommend it.
 
-use super::least_squares::covariance;
 use super::normal_equations::normal_equations;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
 /// The covariance of a (weighted) fit whose errors come in clusters.
 ///
-/// `jacobian` and `residuals` are in units of σ and already multiplied by the roots of their weights. `clusters` names the cluster of
+/// `jacobian` and `residuals` are in units of σ and already multiplied by the roots of their weights; `independent` is (JᵗJ)⁻¹. `clusters` names the cluster of
 /// each row; rows beyond it are priors, whose residuals have the variance `prior_variance`. `None` where there are no more clusters than
 /// parameters, or the rows do not determine the parameters without one of the clusters.
 pub fn clustered_covariance<K: Ord>(
     jacobian: &DMatrix<f64>,
     residuals: &DVector<f64>,
+    independent: &DMatrix<f64>,
     clusters: impl IntoIterator<Item = K>,
     prior_variance: f64,
 ) -> Option<DMatrix<f64>> {
     let parameters = jacobian.ncols();
-    let bread = covariance(jacobian)?;
     let mut groups: BTreeMap<K, Vec<usize>> = BTreeMap::new();
     for (row, name) in clusters.into_iter().take(jacobian.nrows()).enumerate() {
         groups.entry(name).or_default().push(row);
@@ -47,7 +46,7 @@ pub fn clustered_covariance<K: Ord>(
     let mut meat = DMatrix::zeros(parameters, parameters);
     for rows in groups.values() {
         let (information, score) = normal(rows);
-        let without = DMatrix::identity(parameters, parameters) - information * &bread;
+        let without = DMatrix::identity(parameters, parameters) - information * independent;
         let score = without.lu().solve(&score)?;
         meat.ger(1.0, &score, &score, 1.0);
     }
@@ -55,25 +54,35 @@ pub fn clustered_covariance<K: Ord>(
     let (priors, _) = normal(&(first_prior..jacobian.nrows()).collect::<Vec<_>>());
     let priors = priors * prior_variance;
     let count = groups.len() as f64;
-    let clustered = &bread * (meat * ((count - 1.0) / count) + priors) * &bread;
+    let clustered = independent * (meat * ((count - 1.0) / count) + priors) * independent;
     clustered.iter().all(|value| value.is_finite()).then_some(clustered)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::statistics::least_squares::covariance;
     use crate::statistics::moments::{mean, standard_deviation};
     use approx::assert_relative_eq;
     use rand::SeedableRng;
     use rand::rngs::StdRng;
     use rand_distr::{Distribution, StandardNormal};
 
+    fn clustered<K: Ord>(
+        jacobian: &DMatrix<f64>,
+        residuals: &DVector<f64>,
+        clusters: impl IntoIterator<Item = K>,
+        prior_variance: f64,
+    ) -> Option<DMatrix<f64>> {
+        clustered_covariance(jacobian, residuals, &covariance(jacobian)?, clusters, prior_variance)
+    }
+
     #[test]
     fn a_mean_over_clusters_has_the_closed_form() {
         let jacobian = DMatrix::from_element(8, 1, 1.0);
         let residuals = DVector::from_column_slice(&[1.0, 1.0, 1.0, -1.0, 0.5, -0.5, 0.5, -0.5]);
-        let apart = clustered_covariance(&jacobian, &residuals, 0..8, 1.0).unwrap()[(0, 0)];
-        let together = clustered_covariance(&jacobian, &residuals, [1, 1, 2, 3, 4, 5, 6, 7], 1.0).unwrap()[(0, 0)];
+        let apart = clustered(&jacobian, &residuals, 0..8, 1.0).unwrap()[(0, 0)];
+        let together = clustered(&jacobian, &residuals, [1, 1, 2, 3, 4, 5, 6, 7], 1.0).unwrap()[(0, 0)];
         // (G − 1)/G Σ (s_g/(1 − n_g/8))²/64: Σ s² is 1 + 1 + 1 + 1 + 4 · ¼ of eight clusters; of seven it is 4 and 1 + 1 + 4 · ¼.
         assert_relative_eq!(apart, 7.0 / 8.0 * 5.0 * (8.0_f64 / 7.0).powi(2) / 64.0, epsilon = 1e-12);
         let scores = 4.0 * (8.0_f64 / 6.0).powi(2) + 3.0 * (8.0_f64 / 7.0).powi(2);
@@ -95,7 +104,7 @@ mod tests {
         let cluster = |row: usize| row / 5;
         let moves = (0..6).map(|g| fit(&|row| cluster(row) != g) - &whole);
         let jackknife = moves.fold(DMatrix::zeros(3, 3), |sum, by| sum + &by * by.transpose()) * (5.0 / 6.0);
-        let covariance = clustered_covariance(&jacobian, &left, (0..30).map(cluster), 1.0).unwrap();
+        let covariance = clustered(&jacobian, &left, (0..30).map(cluster), 1.0).unwrap();
         assert_relative_eq!(covariance, jackknife, epsilon = 1e-10);
     }
 
@@ -104,7 +113,7 @@ mod tests {
         // One parameter that rows of four clusters hardly tell, and a prior of σ = 0.1 whose offset happens to be nothing.
         let jacobian = DMatrix::from_column_slice(5, 1, &[1e-3, 1e-3, 1e-3, 1e-3, 10.0]);
         let residuals = DVector::from_column_slice(&[1.0, -1.0, 1.0, -1.0, 0.0]);
-        let covariance = clustered_covariance(&jacobian, &residuals, 0..4, 1.0).unwrap();
+        let covariance = clustered(&jacobian, &residuals, 0..4, 1.0).unwrap();
         assert_relative_eq!(covariance[(0, 0)], 0.01, max_relative = 1e-6);
     }
 
@@ -112,7 +121,7 @@ mod tests {
     fn too_few_clusters_say_nothing() {
         let jacobian = DMatrix::from_element(4, 1, 1.0);
         let residuals = DVector::from_column_slice(&[1.0, -1.0, 2.0, -2.0]);
-        assert!(clustered_covariance(&jacobian, &residuals, [0; 4], 1.0).is_none());
+        assert!(clustered(&jacobian, &residuals, [0; 4], 1.0).is_none());
     }
 
     #[test]
@@ -128,7 +137,7 @@ mod tests {
             let errors = DVector::from_fn(400, |r, _| shared[r / 10] + 0.5 * normal());
             let found = &bread * jacobian.tr_mul(&errors);
             let residuals = &errors - &jacobian * &found;
-            let covariance = clustered_covariance(&jacobian, &residuals, (0..400).map(|r| r / 10), 1.0).unwrap();
+            let covariance = clustered(&jacobian, &residuals, (0..400).map(|r| r / 10), 1.0).unwrap();
             slopes.push(found[1]);
             told.push(covariance[(1, 1)]);
         }

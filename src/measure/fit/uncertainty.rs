@@ -107,7 +107,8 @@ impl FitCovariance {
         scatter_px: f64,
     ) -> Option<Self> {
         let independent = covariance(jacobian)?;
-        let clustered = clustered_covariance(jacobian, residuals, edges.clusters(), noise_model().design_effect)?;
+        let design_effect = noise_model().design_effect;
+        let clustered = clustered_covariance(jacobian, residuals, &independent, edges.clusters(), design_effect)?;
         let systematic = systematic_covariance(edges, jacobian, &independent, view, roots, scatter_px);
         Some(Self { independent, clustered, excess: excess(residuals, roots), systematic })
     }

@@ -329,11 +329,11 @@ fn covariance(
     view: &Projection,
     edge_rms_px: f64,
 ) -> Option<DMatrix<f64>> {
-    let clustered =
-        clustered_covariance(&solution.jacobian, &solution.residuals, edges.clusters(), noise_model().design_effect)?;
-    let independent = solution.covariance()?;
-    let systematic = systematic_covariance(edges, &solution.jacobian, &independent, view, roots, edge_rms_px);
-    let excess = excess(&solution.residuals, roots);
+    let (jacobian, residuals, independent) = (&solution.jacobian, &solution.residuals, solution.covariance()?);
+    let design_effect = noise_model().design_effect;
+    let clustered = clustered_covariance(jacobian, residuals, &independent, edges.clusters(), design_effect)?;
+    let systematic = systematic_covariance(edges, jacobian, &independent, view, roots, edge_rms_px);
+    let excess = excess(residuals, roots);
     Some((clustered + systematic) * excess)
 }
 
