@@ -70,7 +70,8 @@ pub(super) struct Fit {
     pub sd_at_rest: f64,
     /// Design effect of the residuals' correlation from point to point.
     pub design_effect: f64,
-    /// Whether the mean square is what counts as noise, but for a tenth of the points.
+    /// Whether the mean square is what counts as noise, but for the largest tenth of the points. It is rounded down, unlike a gap's: of four points a
+    /// wrong order may leave noise of any three.
     pub leaves_noise: bool,
 }
 
