@@ -55,8 +55,8 @@ const BLURRED_PX: f64 = 5.0;
 /// The variance of a fit with any shape, in units of what its edges and priors give: the shape is chosen by the picture that it is then fitted
 /// to.
 ///
-/// Fitted: to 629 frames of `tests/eye/robustness` (seeds 10200 to 10563) whose shape is 9σ from an arc: χ² of θ and δ was 1.56 and 1.55.
-const ANY_SHAPE_VARIANCE: f64 = 1.6;
+/// Fitted: to 166 lone frames of `tests/eye/robustness` (seeds 21000 to 21063) whose shape is no arc's: with 1.6 χ² of θ and δ was 1.87 and 1.82.
+const ANY_SHAPE_VARIANCE: f64 = 2.9;
 
 /// Measures the snake in the frames of one calibrated view.
 #[derive(Debug, Clone)]
