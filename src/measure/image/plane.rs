@@ -66,12 +66,6 @@ impl Region {
         Self { rows: vec![0..width as usize; height as usize] }
     }
 
-    /// Some rows of a picture so many pixels wide, from one side to the other.
-    pub fn band(width: u32, rows: Range<usize>) -> Self {
-        let is_in = |row: usize| if rows.contains(&row) { 0..width as usize } else { 0..0 };
-        Self { rows: (0..rows.end).map(is_in).collect() }
-    }
-
     /// What lies within `reach_px` of a line's points, to the side, above or below, in a picture of this width and height.
     pub fn along(line: impl IntoIterator<Item = Point2<f64>>, reach_px: f64, (width, height): (u32, u32)) -> Self {
         let range = |middle: f64, most: u32| {
@@ -288,20 +282,24 @@ impl Plane {
         noise_of(rows.flat_map(|(row, columns)| self.laplacians(row, columns)).collect())
     }
 
-    /// The magnitudes of the difference of two Laplacians at some of the own pixels of a row.
-    pub fn laplacians(&self, row: usize, columns: Range<usize>) -> impl Iterator<Item = f32> {
+    /// The [`laplacian`] at some of the own pixels of a row.
+    fn laplacians(&self, row: usize, columns: Range<usize>) -> impl Iterator<Item = f32> {
         let is_inside = row > 0 && row + 1 < self.height;
         let columns = columns.start + 1..columns.end.min(self.width).saturating_sub(1);
         columns.step_by(NOISE_STRIDE).filter(move |_| is_inside).map(move |x| {
-            let line = |dy: usize| &self.data[(row + dy - 1) * self.width + x - 1..][..3];
-            let (above, here, below) = (line(0), line(1), line(2));
-            let corners = above[0] + above[2] + below[0] + below[2];
-            (corners - 2.0 * (above[1] + here[0] + here[2] + below[1]) + 4.0 * here[1]).abs()
+            let line = |row: usize| std::array::from_fn(|k| self.data[row * self.width + x - 1 + k]);
+            laplacian([row - 1, row, row + 1].map(line))
         })
     }
 }
 
-/// The pixel noise σ of a picture with these [`laplacians`](Plane::laplacians).
+/// The magnitude of the difference of two Laplacians in the middle of three lines of three pixels.
+pub fn laplacian([above, here, below]: [[f32; 3]; 3]) -> f32 {
+    let corners = above[0] + above[2] + below[0] + below[2];
+    (corners - 2.0 * (above[1] + here[0] + here[2] + below[1]) + 4.0 * here[1]).abs()
+}
+
+/// The pixel noise σ of a picture with these magnitudes of its [`laplacian`].
 pub fn noise_of(mut laplacians: Vec<f32>) -> f64 {
     SD_BY_MAD * f64::from(median(&mut laplacians)) / NOISE_MASK_NORM
 }
