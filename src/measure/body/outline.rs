@@ -99,7 +99,8 @@ impl Outline {
     /// The same with border points about `spacing_px` apart.
     pub(crate) fn spaced(view: &Projection, profile: impl Into<BendProfile>, spacing_px: f64) -> Self {
         let (candidates, silhouette) = drawn(view, profile, spacing_px);
-        let points = candidates.iter().filter_map(|point| border_point(&silhouette, view.lens, point)).collect();
+        let mut points = Vec::with_capacity(candidates.len());
+        points.extend(candidates.iter().filter_map(|point| border_point(&silhouette, view.lens, point)));
         let outside =
             candidates.iter().filter(|p| p.body.s_mm > 0.0 && !view.lens.contains(&p.pixel, PICTURE_MARGIN_PX));
         Self { points, out_of_frame: outside.count() as f64 / candidates.len().max(1) as f64, silhouette }

@@ -10,7 +10,7 @@ use nalgebra::{Point2, Point3, Vector2, Vector3};
 /// Distance between the points of the snake's axis from which its region of the picture is drawn, mm.
 ///
 /// Convention: a small part of the diameter; the region's margin is far wider.
-const AXIS_STEP_MM: f64 = 0.5;
+const AXIS_STEP_MM: f64 = 1.0;
 /// Distance between outline points in the coarse stages, as a share of the snake's diameter in the picture.
 ///
 /// Derived: π/0.1 = 31 points around a disk's two rims and sides, more than the two numbers of the bend need many times over.

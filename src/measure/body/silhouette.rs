@@ -110,9 +110,7 @@ fn raise_to_coverage(plane: &mut Plane, polygon: &[Point2<f64>], rasterizer: &mu
     let (width, data) = (plane.width, &mut plane.data);
     let (mut first, mut column) = (corner.y * width + corner.x, 0);
     rasterizer.for_each_pixel(|_, share| {
-        if share > 0.0
-            && let Some(pixel) = data.get_mut(first + column)
-        {
+        if let Some(pixel) = data.get_mut(first + column) {
             *pixel = pixel.max(share.min(1.0));
         }
         column += 1;

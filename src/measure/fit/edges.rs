@@ -189,7 +189,7 @@ impl<'a> EdgeFinder<'a> {
         let count = inside + outside + 1;
         let mut slopes = [[0.0; LANES]; (2 * MOST_SLOPES + 1).div_ceil(LANES)];
         let slopes = &mut slopes[..count.div_ceil(LANES)];
-        self.slopes(point, inside, slopes);
+        self.slopes(point, inside, count, slopes);
         let slopes = &mut slopes.as_flattened_mut()[..count];
 
         let position = |k: usize| (k as f64 - inside as f64) * STEP_PX;
@@ -238,13 +238,13 @@ impl<'a> EdgeFinder<'a> {
     }
 
     /// The picture's filtered slopes along a border point's normal, a fall outwards counted positive; the first is `inside` steps on
-    /// the snake.
-    fn slopes(&self, point: &OutlinePoint, inside: usize, slopes: &mut [[f32; LANES]]) {
+    /// the snake. `count` of them are needed.
+    fn slopes(&self, point: &OutlinePoint, inside: usize, count: usize, slopes: &mut [[f32; LANES]]) {
         let reach = self.reach;
         let mut samples = [[0.0; LANES]; (2 * (MOST_SLOPES + MOST_REACH) + 1).div_ceil(LANES) + 1];
-        let samples = &mut samples[..slopes.len() + (2 * reach).div_ceil(LANES)];
+        let needed = (count + 2 * reach).div_ceil(LANES);
         let step = point.normal.into_inner() * STEP_PX;
-        self.plane.profile(&(point.pixel - step * (inside + reach) as f64), step, samples);
+        self.plane.profile(&(point.pixel - step * (inside + reach) as f64), step, &mut samples[..needed]);
         for (group, slopes) in slopes.iter_mut().enumerate() {
             let around = &samples.as_flattened()[group * LANES..][..LANES + 2 * reach];
             let inner = around[..reach + LANES - 1].windows(LANES).rev();

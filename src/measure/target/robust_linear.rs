@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 ///
 /// Convention: reweighting converges linearly; both are far beyond what the residuals' noise leaves of a parameter.
 const ROUNDS: usize = 30;
-const TOLERANCE: f64 = 1e-9;
+const TOLERANCE: f64 = 1e-6;
 /// Residuals with at least this weight agree with the fit.
 ///
 /// Convention: the biweight of a residual 3.3 σ off.
