@@ -124,7 +124,8 @@ fn disk_tilts(view: &Projection, profile: BendProfile) -> DVector<f64> {
 /// By how much a disk at arc length `s_mm` points away from the camera, rad: zero where it is seen edge-on.
 fn disk_tilt(view: &Projection, curve: &Curve, s_mm: f64) -> f64 {
     let disk = view.camera_from_base * curve.frame_at(s_mm);
-    (disk.rotation * Vector3::z()).dot(&disk.translation.vector.normalize()).asin()
+    // By rounding the cosine may exceed 1.
+    (disk.rotation * Vector3::z()).dot(&disk.translation.vector.normalize()).clamp(-1.0, 1.0).asin()
 }
 
 /// The direction of a bend vector along which a straight snake bends towards a camera at this pose or away from it.
