@@ -12,9 +12,9 @@ use super::schedule::FitSchedule;
 use super::state::{EdgeBias, FramePrior, STATE, State};
 use super::uncertainty::{FitCovariance, RobustPhase, inliers};
 use super::visibility::PartVisibility;
-use crate::measure::body::{Outline, Projection};
+use crate::measure::body::{Outline, Piece, Projection};
 use crate::robot::{BendProfile, MAX_THETA, PROFILE};
-use nalgebra::{SMatrix, Vector2};
+use nalgebra::{SMatrix, SVector, Vector2};
 use std::collections::BTreeSet;
 
 /// From this search distance on, px, the model is close enough to the picture for the redescending loss.
@@ -39,6 +39,10 @@ const REDESCENDING_RAD: f64 = 2e-3;
 ///
 /// Fitted: by hand on renders, for speed; judged by `tests/eye/robustness`.
 const REPROJECTED_RAD: f64 = 0.03;
+/// The most linearisations for the edges of one round.
+///
+/// Convention: an iteration cap; the next round goes on from there.
+const LINEARISATIONS: usize = 4;
 /// Beside another fit one with more than so many times its cost, after a step within a wider distance than the last, is hopeless: it would go on
 /// for up to twenty rounds in vain.
 ///
@@ -50,6 +54,11 @@ const HOPELESS_COST_RATIO: f64 = 10.0;
 ///
 /// Convention: a trust region, a tenth of the range of bends.
 const LONGEST_STEP_RAD: f64 = 0.2;
+/// A step of the bend shorter than this, rad, is the last of a round: what the linearisation leaves out goes with the step's square,
+/// 2.5e-5 rad here.
+///
+/// Derived: its square is a fortieth of what a fit must move by to go on.
+const LINEAR_RAD: f64 = 5e-3;
 
 /// The snake's bend in one picture.
 #[derive(Debug, Clone)]
@@ -261,7 +270,6 @@ impl<'a> Fitting<'a> {
             }
             _ => {
                 let mut outline = Outline::spaced(view, state.profile, self.spacing_px);
-                outline.points.retain(|point| point.piece.bends());
                 if self.blur.is_some() {
                     self.filters.predict(&mut outline);
                 }
@@ -273,14 +281,14 @@ impl<'a> Fitting<'a> {
     /// Searches the outline's edges and moves the state to them; returns by how much the bend moved, rad.
     fn match_and_move(&mut self, search_px: f64) -> Option<f64> {
         let (_, outline) = self.drawn.as_ref()?;
-        let edges = Correspondences::find(outline, &self.filters, search_px);
+        let edges = Correspondences::find(outline, &self.filters, search_px, Piece::bends);
         if edges.len() as f64 * self.spacing_px < LEAST_MATCHED_PX {
             return None;
         }
         let phase = if search_px > FINE_SEARCH_PX { RobustPhase::Monotone } else { self.phase };
         let before = self.state.profile;
         let tolerance = self.schedule.reweighting_tolerance();
-        let (state, roots) = gauss_newton(&edges, self.view, &self.state, &self.prior, phase, tolerance)?;
+        let (state, roots) = gauss_newton(&edges, self.view, self.state, &self.prior, phase, tolerance)?;
         if state.profile.tip.norm() > LARGEST_BEND_RAD {
             return None;
         }
@@ -375,19 +383,32 @@ fn apart(a: &BendProfile, b: &BendProfile) -> f64 {
     pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// Moves a state to where it agrees best with edges, by a Gauss–Newton step under a robust loss; returns with it the square roots of
+/// Moves a state to where it agrees best with edges, by Gauss–Newton steps under a robust loss; returns with it the square roots of
 /// the edges' weights.
 fn gauss_newton(
     edges: &Correspondences,
     view: &Projection,
-    state: &State,
+    start: State,
     prior: &FramePrior,
     phase: RobustPhase,
     tolerance: f64,
 ) -> Option<(State, Vec<f64>)> {
-    let (step, roots) = robust_step(edges, view, state, prior, phase, tolerance)?;
-    let step = step * (LONGEST_STEP_RAD / step.fixed_rows::<PROFILE>(0).amax()).min(1.0);
-    step.iter().all(|v| v.is_finite()).then(|| (state.moved(&step), roots))
+    let (mut state, mut roots) = (start, Vec::new());
+    for _ in 0..LINEARISATIONS {
+        let step;
+        (step, roots) = robust_step(edges, view, &state, prior, phase, tolerance)?;
+        let bends = |step: &SVector<f64, STATE>| step.fixed_rows::<PROFILE>(0).amax();
+        let step = step * (LONGEST_STEP_RAD / bends(&step)).min(1.0);
+        if step.iter().any(|v| !v.is_finite()) {
+            return None;
+        }
+        state = state.moved(&step);
+        // The residuals are linear in the bias, so that only the bend's step counts.
+        if bends(&step) < LINEAR_RAD {
+            break;
+        }
+    }
+    Some((state, roots))
 }
 
 #[cfg(test)]

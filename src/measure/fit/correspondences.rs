@@ -48,8 +48,8 @@ pub(crate) struct Correspondences {
 }
 
 impl Correspondences {
-    /// Searches an edge within `search_px` of each outline point which is clear of other parts.
-    pub fn find(outline: &Outline, filters: &Filters, search_px: f64) -> Self {
+    /// Searches an edge within `search_px` of each outline point whose piece is wanted and which is clear of other parts.
+    pub fn find(outline: &Outline, filters: &Filters, search_px: f64, is_wanted: impl Fn(Piece) -> bool) -> Self {
         let mut found = Self {
             all: Vec::with_capacity(outline.points.len()),
             sections_mm: Vec::new(),
@@ -59,7 +59,7 @@ impl Correspondences {
         };
         let mut blurs = Vec::with_capacity(outline.points.len());
         let mut points = Vec::with_capacity(outline.points.len());
-        for point in outline.points.iter().filter(|p| is_clear(p)) {
+        for point in outline.points.iter().filter(|p| is_clear(p) && is_wanted(p.piece)) {
             let finder = filters.at(point.piece);
             if finder.is_hidden(point) {
                 continue;

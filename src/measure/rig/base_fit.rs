@@ -215,7 +215,7 @@ impl<'a> BaseFit<'a> {
                 fine
             }
         };
-        let edges = Correspondences::find(outline, &filters, search_px);
+        let edges = Correspondences::find(outline, &filters, search_px, |_| true);
         let (found, places) = (edges.len(), edges.searched().len());
         let is_enough = found >= FEWEST_EDGES && found as f64 >= LEAST_SHARE * places as f64;
         if is_enough { Ok(edges) } else { Err(RigError::TooFewEdges { edges: found, places }) }

@@ -155,7 +155,7 @@ fn shared_evidence(
     let mut outline = Outline::new(view, state.profile);
     let filters = Filters::fine(&finder, view, fit.blur.clone());
     filters.predict(&mut outline);
-    let edges = Correspondences::find(&outline, &filters, SEARCH_PX);
+    let edges = Correspondences::find(&outline, &filters, SEARCH_PX, |_| true);
     let residuals = edges.residuals(view, state.profile, state.bias);
     let roots = RobustPhase::Redescending.roots(&residuals);
     let (_, scatter_px) = inliers(&edges.in_px(&residuals), &roots);

@@ -5,7 +5,6 @@ use super::super::evidence::Evidence;
 use super::super::linearised::REWEIGHTING_TOLERANCE;
 use super::*;
 use crate::geometry::Configuration;
-use crate::measure::body::Piece;
 use crate::measure::fixture::Scene;
 use crate::measure::image::plane::Plane;
 use crate::observation::Status;
@@ -52,7 +51,7 @@ fn outliers_on_a_third_of_the_edges_leave_the_fit_alone() {
     let start = state(truth.profile.tip + Vector2::new(0.02, -0.02));
     let error = |phases: &[RobustPhase]| {
         let fitted = phases.iter().fold(start, |state, &phase| {
-            gauss_newton(&edges, &view, &state, &FramePrior::FIXTURE, phase, REWEIGHTING_TOLERANCE).unwrap().0
+            gauss_newton(&edges, &view, state, &FramePrior::FIXTURE, phase, REWEIGHTING_TOLERANCE).unwrap().0
         });
         (fitted.profile.tip - truth.profile.tip).norm()
     };
