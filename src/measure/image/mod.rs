@@ -2,4 +2,5 @@
 
 pub mod appearance;
 pub mod exposure;
+pub mod hues;
 pub mod plane;
