@@ -319,24 +319,23 @@ fn between_means(scatter: &[DMatrix<f64>; 2], count: [f64; 2], difference: &DVec
     (scale > 0.0).then(|| direction / scale)
 }
 
-/// The weights with which the snake's pixels differ most (rms) from the target's mean, whichever way, against the scatter within both and what
+/// The weights with which the snake's pixels differ most (rms) from the target's mean, whichever way, against the target's scatter and what
 /// compression does to hues (see [`HUE_ERROR`]); that difference is 1, and its mean is not negative. `None` where they do not differ.
 ///
-/// Metal is here brighter than paper and there darker, so that the means may agree where every edge is plain. Where the means differ by far more than
-/// either scatters, these are Fisher's weights, as those of [`between_means`] are.
+/// Metal is here brighter than paper and there darker, so that the means may agree where every edge is plain.
 fn between_pixels(
     [target, snake]: [DMatrix<f64>; 2],
     difference: &DVector<f64>,
     hue_error: f64,
 ) -> Option<DVector<f64>> {
     let channels = difference.len();
-    let within = &target + &snake + DMatrix::identity(channels, channels) * LIGHT_VARIANCE_FLOOR;
     let snake = snake + difference * difference.transpose();
     let hue = match channels {
         3 => DMatrix::from_fn(3, 3, |row, column| f64::from(u8::from(row == column)) - BRIGHTNESS[column]),
         _ => DMatrix::zeros(channels, channels),
     };
-    let noise = within + &hue * &snake * hue.transpose() * hue_error.powi(2);
+    let floor = DMatrix::identity(channels, channels) * LIGHT_VARIANCE_FLOOR;
+    let noise = target + floor + &hue * &snake * hue.transpose() * hue_error.powi(2);
     let whitener = noise.cholesky()?.l().try_inverse()?;
     let ratio = (&whitener * &snake * whitener.transpose()).symmetric_eigen();
     let direction = whitener.transpose() * ratio.eigenvectors.column(ratio.eigenvalues.imax());
