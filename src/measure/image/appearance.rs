@@ -1,7 +1,6 @@
 //! What distinguishes the snake from the grid target: the mix of colour channels that separates them best.
 
 use crate::camera::{Frame, Sample, Samples};
-use crate::measure::image::hues;
 use crate::measure::image::plane::{Plane, Region, laplacian, noise_of};
 use crate::statistics::order::median;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector2, Vector3};
@@ -45,10 +44,10 @@ const ONE_SIDED_MEAN: f64 = 0.7;
 /// What each channel of linear light contributes to brightness.
 ///
 /// Source: ITU-R BT.709, item 3.2.
-pub const BRIGHTNESS: [f64; 3] = [0.2126, 0.7152, 0.0722];
-/// How far the hue of a pixel at the border errs, in units of what snake and target differ in hue (rms), in a picture whose hues are not [sharp](hues):
-/// a JPEG and many a camera keep them at half of the brightness's resolution, smear them over the border and shift them. Placing edges by brightness
-/// alone, which infinity would mean, loses what hues tell of brass before paper.
+const BRIGHTNESS: [f64; 3] = [0.2126, 0.7152, 0.0722];
+/// How far the hue of a pixel at the border errs, in units of what snake and target differ in hue (rms): a JPEG and many a camera keep hues at half of
+/// the brightness's resolution, smear them over the border and shift them. Placing edges by brightness alone, which infinity would mean, loses what
+/// hues tell of brass before paper.
 ///
 /// Fitted: to rigs 900 to 926, which the project drew with a path tracer: with 0.3 sixteen of their 60 bends are not measured, with 1 eleven or more,
 /// with 3 three and with 9 four. Judged by 940 to 946 and 960 to 966, and by thirty rigs of others, on which 0.3 and 9 were tried as well (see the
@@ -137,10 +136,7 @@ impl Appearance {
         let difference = &mean[1] - &mean[0];
         let weights = match separation {
             Separation::OfMeans => between_means(&scatter, count, &difference),
-            Separation::OfPixels => {
-                let hue_error = if hues::are_sharp(frame) { 0.0 } else { HUE_ERROR };
-                between_pixels(scatter, &difference, hue_error)
-            }
+            Separation::OfPixels => between_pixels(scatter, &difference),
         }?;
         let mut appearance = Self {
             offset: -weights.dot(&mean[0]),
@@ -320,14 +316,10 @@ fn between_means(scatter: &[DMatrix<f64>; 2], count: [f64; 2], difference: &DVec
 }
 
 /// The weights with which the snake's pixels differ most (rms) from the target's mean, whichever way, against the target's scatter and what
-/// compression does to hues (see [`HUE_ERROR`]); that difference is 1, and its mean is not negative. `None` where they do not differ.
+/// compression and lens do to hues; that difference is 1, and its mean is not negative. `None` where they do not differ.
 ///
 /// Metal is here brighter than paper and there darker, so that the means may agree where every edge is plain.
-fn between_pixels(
-    [target, snake]: [DMatrix<f64>; 2],
-    difference: &DVector<f64>,
-    hue_error: f64,
-) -> Option<DVector<f64>> {
+fn between_pixels([target, snake]: [DMatrix<f64>; 2], difference: &DVector<f64>) -> Option<DVector<f64>> {
     let channels = difference.len();
     let snake = snake + difference * difference.transpose();
     let hue = match channels {
@@ -335,7 +327,7 @@ fn between_pixels(
         _ => DMatrix::zeros(channels, channels),
     };
     let floor = DMatrix::identity(channels, channels) * LIGHT_VARIANCE_FLOOR;
-    let noise = target + floor + &hue * &snake * hue.transpose() * hue_error.powi(2);
+    let noise = target + floor + &hue * &snake * hue.transpose() * HUE_ERROR.powi(2);
     let whitener = noise.cholesky()?.l().try_inverse()?;
     let ratio = (&whitener * &snake * whitener.transpose()).symmetric_eigen();
     let direction = whitener.transpose() * ratio.eigenvectors.column(ratio.eigenvalues.imax());

@@ -2,5 +2,4 @@
 
 pub mod appearance;
 pub mod exposure;
-pub mod hues;
 pub mod plane;
