@@ -82,7 +82,7 @@ const BENT_SDS: f64 = 10.0;
 /// by more.
 const SAME_COVARIANCE: f64 = 0.1;
 /// They are compared in every direction, in units of their σ there, where the curve of equal θ leaves its tangent within σ across by no more than this share
-/// of σ along; else by their size. Derived: it adds the square of half of that to the variance of θ, a hundredth.
+/// of what σ along is once the error across is known; else by their size. Derived: it adds half of its square to that variance, a fiftieth.
 const MOST_CURVED: f64 = 0.2;
 
 /// One row: the names of its fields are those of the columns.
@@ -267,12 +267,13 @@ fn fitted_covariance(measured: &Measured, [x, y]: [f64; 2], [xx, xy, yy]: [f64; 
     if !(xx > 0.0 && yy > 0.0 && xx * yy > xy * xy) {
         return Err(format!("var_xx, var_xy, var_yy are {xx}, {xy}, {yy}, which is no covariance"));
     }
-    let Measured { configuration, sigma_theta, sigma_delta, .. } = measured;
+    let Measured { configuration, sigma_theta, sigma_delta, correlation, .. } = measured;
     let is_same_bend = (Vector2::new(x, y) - configuration.bend_vector().map(f64::to_degrees)).norm() <= SAME_BEND_DEG;
     let covariance = Matrix2::new(xx, xy, xy, yy) * 1f64.to_radians().powi(2);
     let polar = measured.bend_covariance(*configuration);
     let is_compared = configuration.theta > BENT_SDS * sigma_theta && *sigma_delta < BENT_SDS.recip();
-    let is_straight = configuration.theta * sigma_delta.powi(2) <= MOST_CURVED * sigma_theta;
+    let sigma_along = sigma_theta * (1.0 - correlation.powi(2)).sqrt();
+    let is_straight = configuration.theta * sigma_delta.powi(2) <= MOST_CURVED * sigma_along;
     let whitener = polar.cholesky().filter(|_| is_straight).and_then(|root| root.l().try_inverse());
     let differ_by = match whitener {
         Some(whitener) => (whitener * covariance * whitener.transpose() - Matrix2::identity()).norm(),
