@@ -191,8 +191,8 @@ fn rigs_of_the_survey() -> impl Iterator<Item = u64> {
     (5000..5070).chain(5200..5240).chain(5300..5340).chain(5400..5440)
 }
 
-/// Of the straight picture's rig alone. As last run the eigenvalues were 0.55 and 0.73, and 97.1 % lay within 95 %: this fails, since errors are
-/// larger than those of an earlier eye (0.32 and 0.40, 99.0 %), and it is not known why.
+/// Of the straight picture's rig alone. As last run the eigenvalues were 0.55 and 0.73, and 97.1 % lay within 95 %: this fails. An earlier eye (0.32 and
+/// 0.40, 99.0 %) had larger σ, and smaller errors, since it did not take the renders' sharp hues for smeared (see the book).
 #[test]
 #[ignore = "takes minutes: cargo test --release --test eye two_hundred_renders -- --ignored; a later test is a slice of it"]
 fn over_two_hundred_renders_the_sigmas_are_those_of_the_errors() {
