@@ -5,9 +5,9 @@ mod status;
 
 pub use status::{Status, commonest_status};
 
-use crate::geometry::Configuration;
+use crate::geometry::{Configuration, wrap_angle};
 use crate::robot::{BendProfile, Model, Neighbours, PerBackbone};
-use nalgebra::{Matrix2, Matrix2x6, Point3, Rotation2, UnitQuaternion};
+use nalgebra::{Matrix2, Matrix2x6, Point3, Rotation2, UnitQuaternion, Vector2};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
@@ -15,6 +15,24 @@ use std::f64::consts::PI;
 ///
 /// Derived: two normal errors of the eye exceed it once in 25,000 measurements, exp(−4.5²/2).
 pub(crate) const MOVED_SDS: f64 = 4.5;
+
+/// How far the grid of [`Measured::of_bend`] reaches, σ.
+///
+/// Derived: outside ±3.5σ lies less than a thousandth of a Gaussian in two dimensions, which the weights' sum leaves out too.
+const GRID_REACH: f64 = 3.5;
+/// Grid points to either side.
+///
+/// Convention: steps of a quarter of σ, at which a Gaussian's moments are exact to rounding.
+const GRID_HALF: i32 = 14;
+/// The squared distance, in units of the covariance, within which a Gaussian in two dimensions has the probability that one in one
+/// dimension has within 3σ.
+///
+/// Derived: −2 ln 0.0027.
+const THREE_SIGMAS_SQUARED: f64 = 11.83;
+/// The largest correlation that is reported.
+///
+/// Convention: keeps the covariance invertible.
+const LARGEST_CORRELATION: f64 = 0.999;
 
 /// What a frame's pixels say about ψ.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,6 +57,43 @@ impl Measured {
     pub fn independent(configuration: Configuration, sigma_theta: f64, sigma_delta: f64, correlation: f64) -> Self {
         let by_rig = Matrix2x6::zeros();
         Self { configuration, sigma_theta, sigma_delta, correlation, fitted_covariance: None, by_rig }
+    }
+
+    /// What a fit of the bend vector θ (cos δ, sin δ), rad, with this covariance, rad², says of θ and δ; its errors are all its own.
+    ///
+    /// Far from straight this is the linear propagation. Near straight δ may be anything, so the errors are mean squares over the bend
+    /// vector's distribution, computed on a grid of ±3.5σ. If straight lies within three sigmas, the σ of δ is at least π/3, so that three
+    /// sigmas of it cover the whole circle.
+    pub fn of_bend(bend: Vector2<f64>, covariance: &Matrix2<f64>) -> Self {
+        let configuration = Configuration::from_bend_vector(bend);
+        let eigen = covariance.symmetric_eigen();
+        let axes = eigen.eigenvectors * Matrix2::from_diagonal(&eigen.eigenvalues.map(|v| v.max(0.0).sqrt()));
+        let (mut weights, mut tt, mut dd, mut td) = (0.0, 0.0, 0.0, 0.0);
+        for i in -GRID_HALF..=GRID_HALF {
+            for j in -GRID_HALF..=GRID_HALF {
+                let z = Vector2::new(f64::from(i), f64::from(j)) * (GRID_REACH / f64::from(GRID_HALF));
+                let weight = (-0.5 * z.norm_squared()).exp();
+                let other = Configuration::from_bend_vector(bend + axes * z);
+                let theta = other.theta - configuration.theta;
+                let delta = wrap_angle(other.delta - configuration.delta);
+                weights += weight;
+                tt += weight * theta * theta;
+                dd += weight * delta * delta;
+                td += weight * theta * delta;
+            }
+        }
+        let from_straight = covariance.try_inverse().map_or(0.0, |information| bend.dot(&(information * bend)));
+        let all_round = if from_straight < THREE_SIGMAS_SQUARED { PI / 3.0 } else { 0.0 };
+        let correlation = if tt * dd > 0.0 { td / (tt * dd).sqrt() } else { 0.0 };
+        Self {
+            fitted_covariance: Some(*covariance),
+            ..Self::independent(
+                configuration,
+                (tt / weights).sqrt(),
+                (dd / weights).sqrt().max(all_round),
+                correlation.clamp(-LARGEST_CORRELATION, LARGEST_CORRELATION),
+            )
+        }
     }
 
     /// Covariance of the bend vector, rad²: the fit's, else that of (θ, δ) by moments to second order at a bend `at`.
@@ -278,10 +333,10 @@ impl Waypoint {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Vector2;
+    use approx::assert_relative_eq;
     use rand::SeedableRng;
     use rand::rngs::StdRng;
-    use rand_distr::{Distribution, StandardNormal};
+    use rand_distr::{Distribution, Normal, StandardNormal};
 
     #[test]
     fn the_bend_vectors_covariance_is_that_of_drawn_measurements() {
@@ -302,6 +357,45 @@ mod tests {
             let scatter = draws.iter().map(|d| (d - centre) * (d - centre).transpose()).sum::<Matrix2<f64>>() / count;
             let predicted = mean.bend_covariance(psi);
             assert!((scatter - predicted).norm() < 0.06 * predicted.norm(), "{scatter} {predicted}");
+        }
+    }
+
+    #[test]
+    fn far_from_straight_the_polar_errors_are_those_of_linear_propagation() {
+        let (theta, delta) = (0.8_f64, 0.6_f64);
+        let bend = Configuration::new(theta, delta).bend_vector();
+        let covariance = Matrix2::new(4e-6, 1e-6, 1e-6, 2e-6);
+        let polar = Measured::of_bend(bend, &covariance);
+        let jacobian = Matrix2::new(delta.cos(), delta.sin(), -delta.sin() / theta, delta.cos() / theta);
+        let linear = jacobian * covariance * jacobian.transpose();
+        assert_relative_eq!(polar.sigma_theta, linear[(0, 0)].sqrt(), max_relative = 0.01);
+        assert_relative_eq!(polar.sigma_delta, linear[(1, 1)].sqrt(), max_relative = 0.01);
+        assert_relative_eq!(polar.covariance()[(0, 1)], linear[(0, 1)], epsilon = 2e-8);
+    }
+
+    #[test]
+    fn at_straight_delta_is_anything() {
+        let polar = Measured::of_bend(Vector2::new(1e-9, 0.0), &(Matrix2::identity() * 1e-6));
+        // A direction uniform over the circle has σ = π/√3.
+        assert_relative_eq!(polar.sigma_delta, PI / 3.0_f64.sqrt(), max_relative = 0.05);
+        assert!(polar.sigma_theta > 1e-3);
+    }
+
+    #[test]
+    fn the_direction_is_within_three_sigmas_however_near_to_straight() {
+        const SIGMA: f64 = 1e-3;
+        const DRAWS: u32 = 20_000;
+        let mut random = StdRng::seed_from_u64(7);
+        let noise = Normal::new(0.0, SIGMA).unwrap();
+        for theta in [0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 10.0] {
+            let truth = Vector2::new(theta * SIGMA, 0.0);
+            let is_outside = |_: &u32| {
+                let seen = truth + Vector2::from_fn(|_, _| noise.sample(&mut random));
+                let polar = Measured::of_bend(seen, &(Matrix2::identity() * SIGMA * SIGMA));
+                wrap_angle(polar.configuration.delta).abs() > 3.0 * polar.sigma_delta
+            };
+            let outside = (0..DRAWS).filter(is_outside).count();
+            assert!(outside as f64 / f64::from(DRAWS) < 0.01, "θ {theta} σ: {outside} of {DRAWS}");
         }
     }
 

@@ -75,15 +75,9 @@ const LISTS: [(&str, [Range<usize>; 2]); 5] = [
 
 /// A bend vector is that of the angles if it differs by no more, degrees. Convention: a hundred times what their decimals round.
 const SAME_BEND_DEG: f64 = 1e-4;
-/// The covariances are compared where the bend is so many of its standard deviations along and across. Derived: from there on that of (θ, δ) is right
-/// within 1 %.
-const BENT_SDS: f64 = 10.0;
-/// The two covariances are one if they differ by no more than this share. Convention: above the rounding of both; a sigma that somebody scaled differs
-/// by more.
-const SAME_COVARIANCE: f64 = 0.1;
-/// They are compared in every direction, in units of their σ there, where the curve of equal θ leaves its tangent within σ across by no more than this share
-/// of what σ along is once the error across is known; else by their size. Derived: it adds half of its square to that variance, a fiftieth.
-const MOST_CURVED: f64 = 0.2;
+/// The errors of θ and δ are those of the covariance of the bend vector if sigmas and correlation differ by no more than this, of each sigma as a share.
+/// Convention: far above the rounding of both; whoever changes a sigma changes it by more.
+const SAME_ERRORS: f64 = 0.01;
 
 /// One row: the names of its fields are those of the columns.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -267,20 +261,17 @@ fn fitted_covariance(measured: &Measured, [x, y]: [f64; 2], [xx, xy, yy]: [f64; 
     if !(xx > 0.0 && yy > 0.0 && xx * yy > xy * xy) {
         return Err(format!("var_xx, var_xy, var_yy are {xx}, {xy}, {yy}, which is no covariance"));
     }
-    let Measured { configuration, sigma_theta, sigma_delta, correlation, .. } = measured;
-    let is_same_bend = (Vector2::new(x, y) - configuration.bend_vector().map(f64::to_degrees)).norm() <= SAME_BEND_DEG;
+    let bend = measured.configuration.bend_vector();
+    let is_same_bend = (Vector2::new(x, y) - bend.map(f64::to_degrees)).norm() <= SAME_BEND_DEG;
     let covariance = Matrix2::new(xx, xy, xy, yy) * 1f64.to_radians().powi(2);
-    let polar = measured.bend_covariance(*configuration);
-    let is_compared = configuration.theta > BENT_SDS * sigma_theta && *sigma_delta < BENT_SDS.recip();
-    let sigma_along = sigma_theta * (1.0 - correlation.powi(2)).sqrt();
-    let is_straight = configuration.theta * sigma_delta.powi(2) <= MOST_CURVED * sigma_along;
-    let whitener = polar.cholesky().filter(|_| is_straight).and_then(|root| root.l().try_inverse());
-    let differ_by = match whitener {
-        Some(whitener) => (whitener * covariance * whitener.transpose() - Matrix2::identity()).norm(),
-        None => (covariance - polar).norm() / polar.norm(),
-    };
-    let is_same = !is_compared || differ_by <= SAME_COVARIANCE;
-    Ok(Some(covariance).filter(|_| is_same_bend && is_same))
+    let of_fit = Measured::of_bend(bend, &covariance);
+    let differs = [
+        measured.sigma_theta / of_fit.sigma_theta - 1.0,
+        measured.sigma_delta / of_fit.sigma_delta - 1.0,
+        measured.correlation - of_fit.correlation,
+    ];
+    let is_changed = !is_same_bend || differs.iter().any(|by| by.abs() > SAME_ERRORS);
+    Ok(Some(covariance).filter(|_| !is_changed))
 }
 
 /// The bend vector, degrees, of the angles as their six decimals say them, so that what is read is written as it was.

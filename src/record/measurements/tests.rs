@@ -111,13 +111,17 @@ fn the_fits_own_covariance_stands_beside_the_angles_and_counts_as_long_as_they_a
         read_text(&measurements_csv(&[long(times)])).unwrap().rows.remove(0).measured.unwrap().fitted_covariance
     };
     assert!(counts(1.0).is_some() && counts(3.0).is_none());
-    // A row of a shard: known along to half of its σ once the error across is known, beside which the bend is small.
-    let psi = Configuration::from_degrees(5.061504, -20.702371);
-    let polar = Measured::independent(psi, 0.203711_f64.to_radians(), 4.902411_f64.to_radians(), -0.8303);
-    let covariance = Matrix2::new(9.979013817e-3, -7.709557594e-3, -7.709557594e-3, 2.202712900e-1);
-    let own = Measured { fitted_covariance: Some(covariance * 1f64.to_radians().powi(2)), ..polar };
-    let back = read_text(&measurements_csv(&[row(own)])).unwrap().rows.remove(0).measured.unwrap();
-    assert!(back.fitted_covariance.is_some());
+    // Near straight, where δ may be anything; where the error across is larger than the bend; far from straight.
+    let covariance = Matrix2::new(9.979e-3, -7.710e-3, -7.710e-3, 2.203e-1) * 1f64.to_radians().powi(2);
+    for theta_deg in [0.05, 5.0, 60.0] {
+        let psi = Configuration::from_degrees(theta_deg, -20.7);
+        let own = Measured::of_bend(psi.bend_vector(), &covariance);
+        let back = |measured| {
+            read_text(&measurements_csv(&[row(measured)])).unwrap().rows.remove(0).measured.unwrap().fitted_covariance
+        };
+        assert!(back(own).is_some(), "{theta_deg}");
+        assert!(back(Measured { sigma_theta: 1.1 * own.sigma_theta, ..own }).is_none(), "{theta_deg}");
+    }
     let garbled = text.replace(",1.087", ",-1.087");
     let message = read_text(&garbled).unwrap_err().to_string();
     assert!(message.contains("no covariance") || message.contains("no usable row"), "{message}");
