@@ -238,7 +238,7 @@ impl<'a> Fitting<'a> {
             phase: if schedule.is_fine { RobustPhase::Redescending } else { RobustPhase::Monotone },
             filters: blur
                 .as_ref()
-                .map_or_else(|| Filters::uniform(finder.clone()), |blur| Filters::fine(finder, view, blur.clone())),
+                .map_or_else(|| Filters::uniform(finder.clone()), |blur| Filters::fine(finder, blur.clone())),
             blur,
             spacing_px: if schedule.is_fine { Outline::SPACING_PX } else { view.coarse_spacing_px() },
             drawn: None,
@@ -255,7 +255,7 @@ impl<'a> Fitting<'a> {
         };
         let followed = blur.following(&edges.blur);
         if followed != *blur {
-            self.filters = Filters::fine(self.finder, self.view, followed.clone());
+            self.filters = Filters::fine(self.finder, followed.clone());
             *blur = followed;
         }
     }

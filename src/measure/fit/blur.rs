@@ -7,17 +7,12 @@
 //! Source: J. H. Elder, S. W. Zucker, "Local scale control for edge detection and blur estimation", IEEE PAMI 20, 1998, for a filter's width that
 //! follows the blur from place to place.
 
-use super::edges::EdgeFinder;
-use super::noise_model::{SHARP_PX, SMALL_DIAMETER_PX};
-use crate::measure::body::{Outline, OutlinePoint, Piece, PredictedEdge, Projection};
+use super::edges::{EdgeFinder, SHARPEST_PX};
+use super::noise_model::SHARP_PX;
+use crate::measure::body::{Outline, OutlinePoint, Piece, PredictedEdge};
 use crate::statistics::order::median;
 use std::collections::BTreeMap;
 
-/// The least distance from an outline point to another part of the snake and to the snake's other side, px: nearer, the edge filter
-/// sees both.
-///
-/// Derived: the usual filter (σ = 1.2 px) ends at 3.6 px.
-const CLEAR_PX: f64 = 4.0;
 /// The furthest that blur may displace an edge of the model in a sharp picture, px; in others so many times further as they are
 /// more blurred.
 ///
@@ -31,19 +26,10 @@ const LEAST_BLUR_RATIO: f64 = 0.3;
 ///
 /// Convention: a width that is a quarter off makes no difference that counts, and each takes a picture of the model of its own.
 const STEP: f64 = 1.5;
-/// No picture is sharper than this, σ in px.
-///
-/// Derived: a pixel is a box of one pixel, with a σ of 0.29 px, and interpolation between pixels adds 0.41 px.
-const SHARPEST_PX: f64 = 0.5;
 /// A disk with fewer edges has no blur of its own.
 ///
 /// Convention: the median of fewer is of no use.
 const FEWEST_EDGES: usize = 10;
-
-/// Whether only one edge lies within the edge filter at an outline point.
-pub(super) fn is_clear(point: &OutlinePoint) -> bool {
-    point.gap_px >= CLEAR_PX && point.depth_px >= CLEAR_PX
-}
 
 /// The blur of a picture along the snake.
 #[derive(Debug, Clone, PartialEq)]
@@ -134,12 +120,8 @@ impl<'a> Filters<'a> {
         Self::suiting(blur, |blur_px| finder.coarse_for_blur(blur_px))
     }
 
-    /// For the fine stage, in which the model is close to the picture: as fine as the blur of each part, against shading. A small snake has so few
-    /// edges that noise does more harm than shading; there they are never finer than for the coarse stages.
-    pub fn fine(finder: &EdgeFinder<'a>, view: &Projection, blur: Blur) -> Self {
-        if view.diameter_px() < SMALL_DIAMETER_PX {
-            return Self::coarse(finder, blur);
-        }
+    /// For the fine stage, in which the model is close to the picture: as fine as the blur of each part, against shading.
+    pub fn fine(finder: &EdgeFinder<'a>, blur: Blur) -> Self {
         Self::suiting(blur, |blur_px| finder.fine_for_blur(blur_px))
     }
 
@@ -159,7 +141,7 @@ impl<'a> Filters<'a> {
     /// sharper in both.
     pub fn predict(&self, outline: &mut Outline) {
         for (step, finder) in self.by_step.iter().enumerate() {
-            let is_of_step = |point: &OutlinePoint| is_clear(point) && self.blur.step(point.piece) == step;
+            let is_of_step = |point: &OutlinePoint| finder.is_clear(point) && self.blur.step(point.piece) == step;
             if !outline.points.iter().any(is_of_step) {
                 continue;
             }

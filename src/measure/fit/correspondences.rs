@@ -1,6 +1,6 @@
 //! Correspondences between a model's outline and a picture's edges, and their distances for any other state of the model.
 
-use super::blur::{Blur, Filters, is_clear};
+use super::blur::{Blur, Filters};
 use super::edges::Edge;
 use super::glancing::SeenFace;
 use super::noise_model::{Conditions, MODES, edge_floor_px, noise_model, systematic_modes};
@@ -59,9 +59,9 @@ impl Correspondences {
         };
         let mut blurs = Vec::with_capacity(outline.points.len());
         let mut points = Vec::with_capacity(outline.points.len());
-        for point in outline.points.iter().filter(|p| is_clear(p) && is_wanted(p.piece)) {
+        for point in outline.points.iter().filter(|p| is_wanted(p.piece)) {
             let finder = filters.at(point.piece);
-            if finder.is_hidden(point) {
+            if !finder.is_clear(point) || finder.is_hidden(point) {
                 continue;
             }
             let edge = finder.find(point, search_px);
@@ -103,10 +103,14 @@ impl Correspondences {
     pub fn displaced(outline: &Outline, displacements_px: &[f64], sigma_px: f64) -> Self {
         /// The edges' blur after the filter. Convention: that of sharp pictures; for tests.
         const SPREAD_PX: f64 = 1.5;
+        /// As far as the filter reaches. Convention: that of sharp pictures; for tests.
+        const CLEAR_PX: f64 = 4.0;
         let mut edges =
             Self { all: vec![], sections_mm: vec![], section_of: vec![], searched: vec![], blur: Blur::uniform(1.0) };
         let points = outline.points.iter().zip(displacements_px);
-        for (point, displacement_px) in points.filter(|(point, _)| is_clear(point) && point.piece.bends()) {
+        for (point, displacement_px) in
+            points.filter(|(point, _)| point.gap_px.min(point.depth_px) >= CLEAR_PX && point.piece.bends())
+        {
             if edges.sections_mm.last() != Some(&point.body.s_mm) {
                 edges.sections_mm.push(point.body.s_mm);
             }
@@ -177,9 +181,7 @@ impl Correspondences {
     /// The displacements of the edges in each systematic mode of the noise model, in units of σ and times the roots of the edges'
     /// weights.
     pub fn systematic_modes(&self, view: &Projection, roots: &[f64], scatter_px: f64) -> Vec<DVector<f64>> {
-        let growth = |piece: Piece| {
-            Conditions { blur_px: self.blur.at(piece), diameter_px: view.diameter_px(), scatter_px }.growth()
-        };
+        let growth = |piece: Piece| Conditions { blur_px: self.blur.at(piece), scatter_px }.growth();
         let of_edge = |m: &Correspondence| {
             let along = 2.0 * m.body.s_mm / view.robot.length_mm - 1.0;
             systematic_modes(m.piece, m.lateral, along, &m.normal)

@@ -7,6 +7,7 @@
 
 use crate::measure::body::OutlinePoint;
 use crate::measure::image::plane::{LANES, Plane, Region};
+use std::f64::consts::PI;
 
 /// An edge found near a predicted border point.
 #[derive(Debug, Clone, Copy)]
@@ -45,10 +46,10 @@ const STEP_PX: f64 = 0.5;
 ///
 /// Source: Canny 1986: the best filter for a step in noise is as wide as the step's blur; 1.2 px is about a lens' own.
 const FILTER_PX: f64 = 1.2;
-/// σ of the finest filter, px.
+/// No picture is sharper than this, σ in px, and no filter finer.
 ///
-/// Fitted: by hand on the rigs of `tests/eye/uncertainty`; a finer one has too few samples of 0.5 px within its σ.
-const FINEST_PX: f64 = 0.8;
+/// Derived: a pixel is a box of one pixel, with a σ of 0.29 px, and interpolation between pixels adds 0.41 px.
+pub(super) const SHARPEST_PX: f64 = 0.5;
 /// σ of the widest filter, px: a wider one would reach from one rim of a disk to the other.
 ///
 /// Fitted: on 62 blurred renders, of which 50 were then measured, none falsely, and 43 with the usual filter.
@@ -70,11 +71,14 @@ const LEAST_SLOPE: f64 = 0.02;
 ///
 /// Derived: noise exceeds 5σ once in 3.5 million samples; the profiles of a frame have some ten thousands.
 const LEAST_SLOPE_SIGMAS: f64 = 5.0;
-/// The slope of a step of half the contrast between snake and background after the finest filter, per px. If it does not stand out of
-/// the noise, the finest filter is too fine.
+/// A filter is wide enough if a step of this share of the contrast between snake and background stands out of the noise.
 ///
-/// Derived: 0.5/√(2π (0.8² + 1²)) = 0.16 at a blur of 1 px, rounded down.
-const HALF_STEP_SLOPE: f64 = 0.15;
+/// Convention: half; the discriminant of a border that is dim on the snake or dark beside it falls by less than the contrast.
+const SEEN_STEP: f64 = 0.5;
+/// From one filter that noise leaves too fine to the next.
+///
+/// Convention: a width that is a tenth off makes no difference that counts.
+const WIDER: f64 = 1.1;
 /// How far around an edge its surroundings are examined, px.
 ///
 /// Fitted: by hand on renders; judged as part of the whole noise model by `tests/eye/uncertainty`.
@@ -125,12 +129,21 @@ impl<'a> EdgeFinder<'a> {
         self.with_filter(filter_px(blur_px))
     }
 
-    /// The same with the filter for the fine stage, in which edges are known to be near: in sharp pictures with little noise finer than
-    /// the usual one. A gradient of the brightness beside an edge displaces it in proportion to blur² + filter².
+    /// The same with the filter for the fine stage, in which edges are known to be near: as wide as the blur, which places an edge in noise best, or as
+    /// much wider as it takes for an edge to stand out of the noise. A gradient of the brightness beside an edge displaces it in proportion to
+    /// blur² + filter².
     pub fn fine_for_blur(&self, blur_px: f64) -> Self {
-        let fine = (blur_px < FILTER_PX).then(|| self.with_filter(blur_px.max(FINEST_PX)));
-        let has_little_noise = |fine: &Self| LEAST_SLOPE_SIGMAS * fine.slope_noise < HALF_STEP_SLOPE;
-        fine.filter(has_little_noise).unwrap_or_else(|| self.coarse_for_blur(blur_px))
+        let coarse = self.coarse_for_blur(blur_px);
+        let finest = Some(blur_px.clamp(SHARPEST_PX, WIDEST_PX));
+        let widths = std::iter::successors(finest, |width| Some(width * WIDER));
+        let mut finer = widths.take_while(|width| *width < coarse.filter_px).map(|width| self.with_filter(width));
+        finer.find(|finer| finer.shows_step(SEEN_STEP, blur_px)).unwrap_or(coarse)
+    }
+
+    /// Whether a step of this height and blur stands out of the noise.
+    fn shows_step(&self, height: f64, blur_px: f64) -> bool {
+        let slope = height / ((2.0 * PI).sqrt() * self.spread_px(blur_px));
+        slope > LEAST_SLOPE_SIGMAS * self.slope_noise
     }
 
     /// The blur of an edge after the filter, σ in px, whose own blur is this.
@@ -167,6 +180,16 @@ impl<'a> EdgeFinder<'a> {
         let kernel = std::array::from_fn(|k| (weight(k) / ramp) as f32);
         let norm2: f64 = kernel.iter().map(|w| 2.0 * f64::from(*w).powi(2)).sum();
         Self { kernel, reach, filter_px, slope_noise: self.noise * norm2.sqrt(), ..*self }
+    }
+
+    /// How far the filter reaches to either side, px.
+    fn reach_px(&self) -> f64 {
+        REACH * self.filter_px
+    }
+
+    /// Whether only one edge lies within the filter at an outline point.
+    pub(super) fn is_clear(&self, point: &OutlinePoint) -> bool {
+        point.gap_px.min(point.depth_px) >= self.reach_px()
     }
 
     /// Whether print that cannot be looked through is within the filter's reach of a border point.
@@ -210,12 +233,12 @@ impl<'a> EdgeFinder<'a> {
         if slopes[best] < 0.0 {
             slopes.iter_mut().for_each(|slope| *slope = -*slope);
         }
-        let edge = self.edge_at(slopes, best)?;
+        let edge = self.edge_at(point, slopes, best)?;
         Some(Edge { offset_px: position(best) + edge.offset_px, ..edge })
     }
 
-    /// The edge at a peak of the slopes, its offset counted from the peak's sample. `None` if it does not stand out of the noise.
-    fn edge_at(&self, slopes: &[f32], peak: usize) -> Option<Edge> {
+    /// The edge of a border point at a peak of the slopes, its offset counted from the peak's sample. `None` if it does not stand out of the noise.
+    fn edge_at(&self, point: &OutlinePoint, slopes: &[f32], peak: usize) -> Option<Edge> {
         // A step of height h with blur σ has slope h/(σ√2π) and, filtered, curvature slope/(σ² + filter²).
         let [before, slope, after] = [peak - 1, peak, peak + 1].map(|k| f64::from(slopes[k]));
         let curvature = (2.0 * slope - before - after) / (STEP_PX * STEP_PX);
@@ -225,9 +248,14 @@ impl<'a> EdgeFinder<'a> {
         let vertex = 0.5 * (after - before) / (STEP_PX * curvature);
         // The noise of the slope's derivative over the curvature; differentiating a Gaussian filter multiplies noise by 1/σ.
         let noise_px = self.slope_noise / self.filter_px / curvature;
-        // Where a clean edge is flat, a highlight along the rim or a printed line beside the border rises and displaces the edge.
-        let near = (self.neighbourhood_px / STEP_PX) as usize;
-        let around = &slopes[peak.saturating_sub(near)..=(peak + near).min(slopes.len() - 1)];
+        // Where a clean edge is flat, a highlight along the rim or a printed line beside the border rises and displaces the edge. The next edge of the
+        // snake itself is none of these.
+        let near = |next_px: f64| {
+            let free_px = (next_px - self.reach_px()).clamp(0.0, self.neighbourhood_px);
+            (free_px / STEP_PX) as usize
+        };
+        let (inward, outward) = (near(point.depth_px), near(point.gap_px));
+        let around = &slopes[peak.saturating_sub(inward)..=(peak + outward).min(slopes.len() - 1)];
         let rise = f64::from(-least(around).min(0.0)) - 2.0 * self.slope_noise;
         let pull_px = NEIGHBOUR_PULL_PX * (rise.max(0.0) / slope).min(1.0);
         Some(Edge {

@@ -5,14 +5,10 @@
 //! has its edge is computed for each part on its own.
 
 use super::edges::{Edge, EdgeFinder};
-use crate::measure::body::{Outline, OutlinePoint, Piece};
+use crate::measure::body::{Outline, Piece};
 use crate::statistics::order::median;
 use std::collections::BTreeMap;
 
-/// The least distance from an outline point to another part or to the snake's other side, px: the edge filter's reach.
-///
-/// Derived: the filter for sharp pictures (σ 0.8 to 1.2 px) ends at 2.4 to 3.6 px.
-const CLEAR_PX: f64 = 3.0;
 /// Search distance, px.
 ///
 /// Convention: that of the fine stage ([`FINE_SEARCH_PX`](super::FINE_SEARCH_PX)).
@@ -49,8 +45,7 @@ pub struct PartVisibility {
 impl PartVisibility {
     /// Searches the edges of an outline in a picture.
     pub fn new(outline: &Outline, finder: &EdgeFinder) -> Self {
-        let is_clear = |p: &OutlinePoint| p.gap_px >= CLEAR_PX && p.depth_px >= CLEAR_PX;
-        let clear = outline.points.iter().filter(|p| is_clear(p) && !finder.is_hidden(p));
+        let clear = outline.points.iter().filter(|p| finder.is_clear(p) && !finder.is_hidden(p));
         Self::of(&clear.map(|p| (p.piece, finder.find(p, SEARCH_PX))).collect::<Vec<_>>())
     }
 

@@ -186,7 +186,7 @@ impl<'a> BaseFit<'a> {
                 colours => colours,
             };
         }
-        let edges = self.edges(&view, &mut outline, search_px)?;
+        let edges = self.edges(&mut outline, search_px)?;
         let is_coarse = search_px > FINE_SEARCH_PX;
         let phase = if is_coarse { RobustPhase::Monotone } else { RobustPhase::Redescending };
         let roots = phase.roots(&edges.residuals(&view, STRAIGHT, self.bias));
@@ -204,13 +204,13 @@ impl<'a> BaseFit<'a> {
     }
 
     /// The picture's edges near the outline, looked for with the filter that suits the blur of those found before.
-    fn edges(&self, view: &Projection, outline: &mut Outline, search_px: f64) -> Result<Correspondences, RigError> {
+    fn edges(&self, outline: &mut Outline, search_px: f64) -> Result<Correspondences, RigError> {
         let finder = self.learned.as_ref().ok_or(RigError::NoContrast)?.finder();
         let filters = match &self.last {
             None => Filters::uniform(finder),
             Some(Round { edges, .. }) if search_px > FINE_SEARCH_PX => Filters::coarse(&finder, edges.blur.clone()),
             Some(Round { edges, .. }) => {
-                let fine = Filters::fine(&finder, view, edges.blur.clone());
+                let fine = Filters::fine(&finder, edges.blur.clone());
                 fine.predict(outline);
                 fine
             }

@@ -153,7 +153,7 @@ fn shared_evidence(
     let finder = EdgeFinder::with_noise(plane, rig.appearance.two_sided, *noise);
     let (prior, state) = (rig.prior(), &State { profile: fit.profile, bias: rig.edge_bias });
     let mut outline = Outline::new(view, state.profile);
-    let filters = Filters::fine(&finder, view, fit.blur.clone());
+    let filters = Filters::fine(&finder, fit.blur.clone());
     filters.predict(&mut outline);
     let edges = Correspondences::find(&outline, &filters, SEARCH_PX, |_| true);
     let residuals = edges.residuals(view, state.profile, state.bias);

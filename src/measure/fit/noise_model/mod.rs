@@ -113,11 +113,6 @@ const TYPICAL_SCATTER_PX: f64 = 0.14;
 ///
 /// Fitted: by hand, together with the two above.
 pub(crate) const SHARP_PX: f64 = 1.5;
-/// A snake whose disks are narrower than this, px, is small: its parts are hardly wider than the edge filter.
-///
-/// Fitted: by hand on the rigs of `tests/eye/uncertainty` and `tests/eye/robustness`.
-pub(super) const SMALL_DIAMETER_PX: f64 = 40.0;
-
 /// How many systematic modes there are.
 ///
 /// Convention: a count.
@@ -141,18 +136,14 @@ pub(super) fn blur_growth(blur_px: f64) -> f64 {
 pub(super) struct Conditions {
     /// The blur where the edge is, σ in px.
     pub blur_px: f64,
-    /// The snake's diameter in the picture, px.
-    pub diameter_px: f64,
     /// Root mean square distance of the edges from the fit, px: what displaces edges one by one displaces them together as well.
     pub scatter_px: f64,
 }
 
 impl Conditions {
-    /// How many times larger than in a sharp picture of a large snake the modes are.
+    /// How many times larger than in a sharp picture the modes are.
     pub fn growth(&self) -> f64 {
-        blur_growth(self.blur_px)
-            * (SMALL_DIAMETER_PX / self.diameter_px).max(1.0).powi(2)
-            * (self.scatter_px / TYPICAL_SCATTER_PX)
+        blur_growth(self.blur_px) * (self.scatter_px / TYPICAL_SCATTER_PX)
     }
 }
 
@@ -182,10 +173,9 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn the_modes_are_as_large_as_stated_in_a_sharp_picture_of_a_large_snake_and_grow_from_there() {
-        let typical = Conditions { blur_px: 1.0, diameter_px: 60.0, scatter_px: TYPICAL_SCATTER_PX };
+    fn the_modes_are_as_large_as_stated_in_a_sharp_picture_and_grow_from_there() {
+        let typical = Conditions { blur_px: 1.0, scatter_px: TYPICAL_SCATTER_PX };
         assert_eq!(typical.growth(), 1.0);
-        assert_eq!(Conditions { diameter_px: 20.0, ..typical }.growth(), 4.0);
         assert_eq!(Conditions { scatter_px: 0.28, ..typical }.growth(), 2.0);
         // The filter is as wide as the blur between 1.2 and 3 px, so that the growth is that of the blur's square.
         let soft = Conditions { blur_px: 3.0, ..typical }.growth();
