@@ -41,7 +41,7 @@ const NEAR_REACH_PX: f64 = 28.0;
 /// A snake that is shorter in the picture is called small, px.
 ///
 /// Convention: the book's advice. In 36 photo-real frames the median σ of θ is 0.03° at 488 px; averaged over 2×2 and 3×3 px, 0.09° at 245
-/// px and 0.35° at 163 px.
+/// px and 0.15° at 163 px.
 const SMALL_PX: f64 = 300.0;
 /// The share of the outline outside the picture from which on the snake is out of frame.
 ///
@@ -131,6 +131,12 @@ impl Eye {
         self.search.get_or_init(|| made)
     }
 
+    /// How many times smaller than a frame is the picture that the coarse search reads.
+    fn shrink(&self) -> usize {
+        let Self { lens, robot, .. } = self;
+        CoarseSearch::shrink(&Projection { lens, camera_from_base: self.search_pose, robot })
+    }
+
     /// What of the sheet is behind every pixel, large and small; made now if no frame asked for it before.
     fn sheet(&self) -> Option<&(Plane, Plane)> {
         if let Some(made) = self.sheet.get() {
@@ -139,7 +145,10 @@ impl Eye {
         let whole = Region::whole(self.lens.width, self.lens.height);
         let picture = |print: &PrintProfile| {
             let large = print.picture(&self.lens, &self.rig.sheet(), self.rig.grid_pitch_mm, &whole);
-            let small = large.shrunk::<{ CoarseSearch::SHRINK }>();
+            let small = match self.shrink() {
+                CoarseSearch::LESS_SHRINK => large.shrunk::<{ CoarseSearch::LESS_SHRINK }>(),
+                _ => large.shrunk::<{ CoarseSearch::SHRINK }>(),
+            };
             (large, small)
         };
         let made = self.rig.print.as_ref().map(picture);
@@ -172,7 +181,7 @@ impl Eye {
         let length_px = self.projection().straight_length_px();
         (length_px < SMALL_PX).then(|| {
             format!(
-                "the snake is only {length_px:.0} px long in the picture (σ of θ is about 0.03° at 490 px, 0.1° at 245 px, 0.35° at 163 px): \
+                "the snake is only {length_px:.0} px long in the picture (σ of θ is about 0.03° at 490 px, 0.09° at 245 px, 0.15° at 163 px): \
                  bring the camera nearer, or take larger pictures, for {SMALL_PX} px or more"
             )
         })
@@ -268,7 +277,11 @@ impl Eye {
 
     /// The same of all of a frame, as small as the coarse search reads it.
     fn overview(&self, exposed: &Exposed) -> Plane {
-        let mut overview = exposed.appearance.overview::<{ CoarseSearch::SHRINK }>(exposed.frame);
+        let Exposed { frame, appearance, .. } = exposed;
+        let mut overview = match self.shrink() {
+            CoarseSearch::LESS_SHRINK => appearance.overview::<{ CoarseSearch::LESS_SHRINK }>(frame),
+            _ => appearance.overview::<{ CoarseSearch::SHRINK }>(frame),
+        };
         if let Some((_, sheet)) = self.sheet() {
             look_through(&mut overview, sheet);
         }

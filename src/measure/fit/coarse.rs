@@ -31,6 +31,11 @@ const PAIR_DISTANCE_PX: f64 = 1.6;
 /// Derived: π/0.14 = 22 pairs around a disk's two rims and sides. Seven of sixteen pairs are read for every frame; a small snake has
 /// none to spare.
 const PAIRS_APART: f64 = 0.14;
+/// The least diameter of the snake in the shrunk picture, px.
+///
+/// Derived: between disks, which are 0.88 diameters apart, a pixel then has 2.5 px of background on either side. Photo-real snakes 6.1 px wide are
+/// found, and of snakes 4.6 px wide one in a hundred was taken for another bend.
+const LEAST_DIAMETER_PX: f64 = 6.0;
 /// The least free background beside an outline point, px of the shrunk picture.
 ///
 /// Derived: the pair's outer pixel lies 1.6 px away, and half a pixel's diagonal further begins its neighbour.
@@ -120,14 +125,25 @@ impl Pair {
 }
 
 impl CoarseSearch {
-    /// By how much the picture is shrunk that it looks at.
+    /// By how much the picture is shrunk that it looks at, unless the snake is then too narrow.
     ///
     /// Fitted: by hand on renders, for speed; judged by `tests/eye/robustness`.
     pub const SHRINK: usize = 4;
+    /// The same for a narrow snake.
+    ///
+    /// Derived: half.
+    pub const LESS_SHRINK: usize = Self::SHRINK / 2;
+
+    /// How many times smaller than this view's pictures are those that it looks at.
+    pub fn shrink(view: &Projection) -> usize {
+        let diameter_px = view.diameter_px() / Self::SHRINK as f64;
+        if diameter_px < LEAST_DIAMETER_PX { Self::LESS_SHRINK } else { Self::SHRINK }
+    }
 
     /// Projects every bend once; for a frame only pixels are looked up.
     pub fn new(lens: &Lens, camera_from_base: Pose, robot: &Robot) -> Self {
-        let small = shrunk_lens(lens);
+        let shrink = Self::shrink(&Projection { lens, camera_from_base, robot });
+        let small = shrunk_lens(lens, shrink);
         let view = Projection { lens: &small, camera_from_base, robot };
         let pairs: Vec<_> = lattice().into_par_iter().map(|bend| (bend, pairs(&view, bend))).collect();
         let mut search = Self { bends: vec![], sifting: vec![], others: vec![], width: small.width as i32 };
@@ -142,7 +158,7 @@ impl CoarseSearch {
         search
     }
 
-    /// The bends with the most contrast across their outlines in a picture that is [`SHRINK`](Self::SHRINK) times smaller than the lens', best first, at
+    /// The bends with the most contrast across their outlines in a picture that is [`shrink`](Self::shrink) times smaller than the lens', best first, at
     /// most `most`. `two_sided` pictures, whose background is darker than the snake in places and brighter in others, count contrast of either sign.
     pub fn candidates(&self, overview: &Plane, two_sided: bool, most: usize) -> Vec<Vector2<f64>> {
         let (least, largest) = CONTRAST_RANGE;
@@ -219,11 +235,11 @@ fn nearest_pixel(lens: &Lens, point: Point2<f64>) -> (i32, i32) {
 }
 
 /// The lens that would take the shrunk picture.
-fn shrunk_lens(lens: &Lens) -> Lens {
-    let factor = CoarseSearch::SHRINK as f64;
+fn shrunk_lens(lens: &Lens, shrink: usize) -> Lens {
+    let factor = shrink as f64;
     Lens {
-        width: lens.width / CoarseSearch::SHRINK as u32,
-        height: lens.height / CoarseSearch::SHRINK as u32,
+        width: lens.width / shrink as u32,
+        height: lens.height / shrink as u32,
         focal_px: lens.focal_px / factor,
         centre_px: lens.centre_px.map(|c| (c - (factor - 1.0) / 2.0) / factor),
         distortion: lens.distortion,
@@ -278,7 +294,7 @@ mod tests {
             fisheye: None,
         };
         let point = Point3::new(3.0, -2.0, 100.0);
-        let (pixel, small) = (lens.project(&point), shrunk_lens(&lens).project(&point));
+        let (pixel, small) = (lens.project(&point), shrunk_lens(&lens, 4).project(&point));
         // The centre of block x is at pixel 4 x + 1.5.
         assert!((pixel - Point2::from(small.coords * 4.0 + Vector2::new(1.5, 1.5))).norm() < 1e-9);
     }

@@ -63,7 +63,7 @@ pub(crate) struct NoiseModel {
 ///
 /// Fitted: by maximum likelihood to 38 rigs of five kinds (photo-real ones, sheets of laboratories, photographed sheets, four experiments, own renders), each
 /// kind counted alike, on the wider side of what is as likely; judged by 34 others. The likeliest design effect is 16 and the likeliest floor 0.11 px; with them
-/// small pictures are measured worse, so that both are as set by hand on renders. [`own_variance`](NoiseModel::own_variance) and the two of the sides were fitted anew, to
+/// own renders are measured worse, so that both are as set by hand on renders. [`own_variance`](NoiseModel::own_variance) and the two of the sides were fitted anew, to
 /// 38 such rigs, when frames no longer counted the holder's edges in full, and judged by 37 others. See the book's "How well it measures".
 const FITTED: NoiseModel = NoiseModel {
     design_effect: 10.0,
