@@ -402,4 +402,32 @@ mod tests {
             "{wide_scatter_px} px, {narrow_scatter_px} with a narrow one"
         );
     }
+
+    #[test]
+    fn the_fine_filter_is_as_wide_as_the_blur_and_wider_in_noise() {
+        let width_px = |blur_px: f64, noise: f64| {
+            let plane = Plane::new(1, 1, vec![0.0]);
+            EdgeFinder::with_noise(&plane, false, noise).fine_for_blur(blur_px).filter_px
+        };
+        for blur_px in [0.6, 0.9, 2.0] {
+            assert_eq!(width_px(blur_px, 0.01), blur_px);
+        }
+        let of_noise = [0.01, 0.09, 0.12, 0.5].map(|noise| width_px(0.6, noise));
+        assert!(of_noise.is_sorted() && of_noise[1] > 0.6 && of_noise[2] > of_noise[1], "{of_noise:?}");
+        assert_eq!(of_noise[3], FILTER_PX, "no filter is wider than that of the coarse stages");
+    }
+
+    /// The snake is a bar 5 px wide: where the model knows its other side, that is no disturbance of this one.
+    #[test]
+    fn the_snakes_own_next_edge_leaves_an_edge_as_certain_as_it_is() {
+        let bar = picture(0.7, 0.0);
+        let data = (0..HEIGHT).flat_map(|row| (0..WIDTH).map(move |column| (row, column)));
+        let other_side = |row: usize, column: usize| bar.get(column as i64 + 5, row as i64);
+        let data = data.map(|(row, column)| bar.get(column as i64, row as i64) - other_side(row, column)).collect();
+        let plane = Plane::new(WIDTH, HEIGHT, data);
+        let finder = EdgeFinder::with_noise(&plane, false, 0.005).fine_for_blur(0.8);
+        let sigma_px = |depth_px: f64| finder.find(&OutlinePoint { depth_px, ..point(200) }, 3.0).unwrap().sigma_px;
+        assert!(sigma_px(5.0) < 0.05, "{}", sigma_px(5.0));
+        assert!(sigma_px(12.0) > 0.5, "a line beside it: {}", sigma_px(12.0));
+    }
 }
