@@ -383,6 +383,7 @@ mod tests {
 
     #[test]
     fn the_direction_is_within_three_sigmas_however_near_to_straight() {
+        /// Of either component, rad. Convention: any size does, since the bends are multiples of it.
         const SIGMA: f64 = 1e-3;
         const DRAWS: u32 = 20_000;
         let mut random = StdRng::seed_from_u64(7);

@@ -263,6 +263,9 @@ fn fitted_covariance(measured: &Measured, [x, y]: [f64; 2], [xx, xy, yy]: [f64; 
     }
     let bend = measured.configuration.bend_vector();
     let is_same_bend = (Vector2::new(x, y) - bend.map(f64::to_degrees)).norm() <= SAME_BEND_DEG;
+    if !is_same_bend {
+        return Ok(None);
+    }
     let covariance = Matrix2::new(xx, xy, xy, yy) * 1f64.to_radians().powi(2);
     let of_fit = Measured::of_bend(bend, &covariance);
     let differs = [
@@ -270,7 +273,7 @@ fn fitted_covariance(measured: &Measured, [x, y]: [f64; 2], [xx, xy, yy]: [f64; 
         measured.sigma_delta / of_fit.sigma_delta - 1.0,
         measured.correlation - of_fit.correlation,
     ];
-    let is_changed = !is_same_bend || differs.iter().any(|by| by.abs() > SAME_ERRORS);
+    let is_changed = differs.iter().any(|by| by.abs() > SAME_ERRORS);
     Ok(Some(covariance).filter(|_| !is_changed))
 }
 

@@ -137,12 +137,12 @@ impl<'a> EdgeFinder<'a> {
         let finest = Some(blur_px.clamp(SHARPEST_PX, WIDEST_PX));
         let widths = std::iter::successors(finest, |width| Some(width * WIDER));
         let mut finer = widths.take_while(|width| *width < coarse.filter_px).map(|width| self.with_filter(width));
-        finer.find(|finer| finer.shows_step(SEEN_STEP, blur_px)).unwrap_or(coarse)
+        finer.find(|finer| finer.shows_step(blur_px)).unwrap_or(coarse)
     }
 
-    /// Whether a step of this height and blur stands out of the noise.
-    fn shows_step(&self, height: f64, blur_px: f64) -> bool {
-        let slope = height / ((2.0 * PI).sqrt() * self.spread_px(blur_px));
+    /// Whether a step of the least height that must be seen, with this blur, stands out of the noise.
+    fn shows_step(&self, blur_px: f64) -> bool {
+        let slope = SEEN_STEP / ((2.0 * PI).sqrt() * self.spread_px(blur_px));
         slope > LEAST_SLOPE_SIGMAS * self.slope_noise
     }
 
