@@ -17,7 +17,7 @@ use super::selection::{Attempt, Selection};
 use crate::camera::{Frame, Lens};
 use crate::geometry::Pose;
 use crate::measure::body::{Outline, Projection};
-use crate::measure::fit::{BendFit, CoarseSearch, EdgeFinder, FitSchedule, ProfileCovariance, noise_model};
+use crate::measure::fit::{BendFit, CoarseSearch, EdgeFinder, FitSchedule, ProfileCovariance, Shrink, noise_model};
 use crate::measure::image::appearance::Appearance;
 use crate::measure::image::exposure::is_saturated;
 use crate::measure::image::plane::{Plane, Region};
@@ -131,10 +131,10 @@ impl Eye {
         self.search.get_or_init(|| made)
     }
 
-    /// How many times smaller than a frame is the picture that the coarse search reads.
-    fn shrink(&self) -> usize {
+    /// How much smaller than a frame is the picture that the coarse search reads.
+    fn shrink(&self) -> Shrink {
         let Self { lens, robot, .. } = self;
-        CoarseSearch::shrink(&Projection { lens, camera_from_base: self.search_pose, robot })
+        Shrink::suiting(&Projection { lens, camera_from_base: self.search_pose, robot })
     }
 
     /// What of the sheet is behind every pixel, large and small; made now if no frame asked for it before.
@@ -145,10 +145,7 @@ impl Eye {
         let whole = Region::whole(self.lens.width, self.lens.height);
         let picture = |print: &PrintProfile| {
             let large = print.picture(&self.lens, &self.rig.sheet(), self.rig.grid_pitch_mm, &whole);
-            let small = match self.shrink() {
-                CoarseSearch::LESS_SHRINK => large.shrunk::<{ CoarseSearch::LESS_SHRINK }>(),
-                _ => large.shrunk::<{ CoarseSearch::SHRINK }>(),
-            };
+            let small = self.shrink().plane(&large);
             (large, small)
         };
         let made = self.rig.print.as_ref().map(picture);
@@ -278,10 +275,7 @@ impl Eye {
     /// The same of all of a frame, as small as the coarse search reads it.
     fn overview(&self, exposed: &Exposed) -> Plane {
         let Exposed { frame, appearance, .. } = exposed;
-        let mut overview = match self.shrink() {
-            CoarseSearch::LESS_SHRINK => appearance.overview::<{ CoarseSearch::LESS_SHRINK }>(frame),
-            _ => appearance.overview::<{ CoarseSearch::SHRINK }>(frame),
-        };
+        let mut overview = self.shrink().overview(appearance, frame);
         if let Some((_, sheet)) = self.sheet() {
             look_through(&mut overview, sheet);
         }

@@ -1,8 +1,9 @@
 //! The coarse search: the bends of a lattice whose outlines have the most contrast in the picture at low resolution.
 
-use crate::camera::Lens;
+use crate::camera::{Frame, Lens};
 use crate::geometry::{Configuration, Pose};
 use crate::measure::body::{Outline, Projection};
+use crate::measure::image::appearance::Appearance;
 use crate::measure::image::plane::Plane;
 use crate::robot::Robot;
 use nalgebra::{Point2, Vector2};
@@ -124,26 +125,52 @@ impl Pair {
     }
 }
 
-impl CoarseSearch {
-    /// By how much the picture is shrunk that it looks at, unless the snake is then too narrow.
-    ///
-    /// Fitted: by hand on renders, for speed; judged by `tests/eye/robustness`.
-    pub const SHRINK: usize = 4;
-    /// The same for a narrow snake.
-    ///
-    /// Derived: half.
-    pub const LESS_SHRINK: usize = Self::SHRINK / 2;
+/// By how much the pictures are shrunk that a coarse search looks at.
+///
+/// Fitted: four, by hand on renders, for speed; judged by `tests/eye/robustness`. Derived: half of it for a narrow snake.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Shrink {
+    ToAHalf,
+    ToAQuarter,
+}
 
-    /// How many times smaller than this view's pictures are those that it looks at.
-    pub fn shrink(view: &Projection) -> usize {
-        let diameter_px = view.diameter_px() / Self::SHRINK as f64;
-        if diameter_px < LEAST_DIAMETER_PX { Self::LESS_SHRINK } else { Self::SHRINK }
+impl Shrink {
+    /// For the pictures of a view.
+    pub fn suiting(view: &Projection) -> Self {
+        let is_wide_enough = view.diameter_px() / Self::ToAQuarter.times() as f64 >= LEAST_DIAMETER_PX;
+        if is_wide_enough { Self::ToAQuarter } else { Self::ToAHalf }
     }
 
+    /// How many times smaller.
+    fn times(self) -> usize {
+        match self {
+            Self::ToAHalf => 2,
+            Self::ToAQuarter => 4,
+        }
+    }
+
+    /// A plane made so much smaller.
+    pub fn plane(self, plane: &Plane) -> Plane {
+        match self {
+            Self::ToAHalf => plane.shrunk::<2>(),
+            Self::ToAQuarter => plane.shrunk::<4>(),
+        }
+    }
+
+    /// The plane of a frame, so much smaller.
+    pub fn overview(self, appearance: &Appearance, frame: &Frame) -> Plane {
+        match self {
+            Self::ToAHalf => appearance.overview::<2>(frame),
+            Self::ToAQuarter => appearance.overview::<4>(frame),
+        }
+    }
+}
+
+impl CoarseSearch {
     /// Projects every bend once; for a frame only pixels are looked up.
     pub fn new(lens: &Lens, camera_from_base: Pose, robot: &Robot) -> Self {
-        let shrink = Self::shrink(&Projection { lens, camera_from_base, robot });
-        let small = shrunk_lens(lens, shrink);
+        let shrink = Shrink::suiting(&Projection { lens, camera_from_base, robot });
+        let small = shrunk_lens(lens, shrink.times());
         let view = Projection { lens: &small, camera_from_base, robot };
         let pairs: Vec<_> = lattice().into_par_iter().map(|bend| (bend, pairs(&view, bend))).collect();
         let mut search = Self { bends: vec![], sifting: vec![], others: vec![], width: small.width as i32 };
@@ -158,7 +185,7 @@ impl CoarseSearch {
         search
     }
 
-    /// The bends with the most contrast across their outlines in a picture that is [`shrink`](Self::shrink) times smaller than the lens', best first, at
+    /// The bends with the most contrast across their outlines in a picture that is [smaller](Shrink) than the lens', best first, at
     /// most `most`. `two_sided` pictures, whose background is darker than the snake in places and brighter in others, count contrast of either sign.
     pub fn candidates(&self, overview: &Plane, two_sided: bool, most: usize) -> Vec<Vector2<f64>> {
         let (least, largest) = CONTRAST_RANGE;

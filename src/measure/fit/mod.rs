@@ -26,7 +26,7 @@ mod visibility;
 pub(super) use alternatives::mirrored;
 pub(super) use bend::{BendFit, FINE_SEARCH_PX, ProfileCovariance, Start, fit_bend};
 pub(super) use blur::Filters;
-pub(super) use coarse::CoarseSearch;
+pub(super) use coarse::{CoarseSearch, Shrink};
 pub(super) use correspondences::Correspondences;
 pub(super) use decision::{Decision, EDGE_ON_RAD, SAME_MINIMUM_RAD, distinct, heaviest};
 pub use edges::{Edge, EdgeFinder};

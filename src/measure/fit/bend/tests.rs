@@ -1,5 +1,5 @@
 use super::super::alternatives::mirrored;
-use super::super::coarse::CoarseSearch;
+use super::super::coarse::{CoarseSearch, Shrink};
 use super::super::decision::Decision;
 use super::super::evidence::Evidence;
 use super::super::linearised::REWEIGHTING_TOLERANCE;
@@ -104,7 +104,7 @@ fn the_coarse_search_hands_on_the_bend_or_its_mirrored_solution() {
     let search = CoarseSearch::new(&scene.lens, scene.camera_from_base, &scene.robot);
     // Bent towards the side and away from the camera; how far away a nearly straight one leans is not visible at low resolution.
     for bend in [Vector2::new(0.6, 0.35), Vector2::new(-0.2, 1.1)] {
-        let candidates = search.candidates(&picture(&scene, bend).shrunk::<{ CoarseSearch::SHRINK }>(), false, 3);
+        let candidates = search.candidates(&Shrink::ToAQuarter.plane(&picture(&scene, bend)), false, 3);
         let mirrored = mirrored(bend, &scene.view());
         let nearest = candidates.iter().map(|c| (c - bend).norm().min((c - mirrored).norm()));
         let nearest = nearest.fold(f64::INFINITY, f64::min);
