@@ -79,7 +79,7 @@ impl Correspondences {
                 seen: point.pixel + point.normal.into_inner() * (edge.offset_px - predicted.offset_px),
                 normal: point.normal.into_inner(),
                 noise_px: edge.sigma_px,
-                sigma_px: (edge.sigma_px.powi(2) + edge_floor_px(point.piece).powi(2)).sqrt(),
+                sigma_px: edge.sigma_px,
                 face: None,
             });
             points.push(point);
@@ -88,8 +88,9 @@ impl Correspondences {
         found.blur = Blur::of(&blurs);
         let uneven = noise_model().uneven_glare;
         for (correspondence, point) in found.all.iter_mut().zip(points) {
-            correspondence.face =
-                SeenFace::behind(point, filters.at(point.piece).spread_px(found.blur.at(point.piece)));
+            let blur_px = found.blur.at(point.piece);
+            correspondence.sigma_px = correspondence.sigma_px.hypot(edge_floor_px(point.piece, blur_px));
+            correspondence.face = SeenFace::behind(point, filters.at(point.piece).spread_px(blur_px));
             if let Some(face) = correspondence.face {
                 correspondence.sigma_px = correspondence.sigma_px.hypot(face.pull_px() * uneven);
             }
