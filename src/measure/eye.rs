@@ -347,11 +347,6 @@ impl Eye {
         if let Some(status) = refusal {
             return FrameMeasurement::failed(status, Some(quality));
         }
-        // With any shape a fit has local minima of its own. From a shape that the sequence told it starts in the right one; else one
-        // that leaves part of the outline unexplained is not to be relied on.
-        if fit.is_of_unlikely_shape() && !self.rig.is_shape_known() && !fit.explains_outline() {
-            return FrameMeasurement::failed(Status::UnknownShape, Some(quality));
-        }
         let covariance = covariance.fixed_view::<2, 2>(0, 0).into_owned();
         let by_rig = by_rig.fixed_rows::<2>(0).into_owned();
         FrameMeasurement::of(Bend { vector: fit.bend(), covariance, by_rig }, quality)
@@ -389,7 +384,7 @@ fn shape(profile: &BendProfile, covariance: &ProfileCovariance) -> Option<Shape>
 fn refusal_by_edges(fit: &BendFit) -> Option<Status> {
     if fit.out_of_frame > OUT_OF_FRAME {
         Some(Status::OutOfFrame)
-    } else if fit.evidence.total() <= 0.0 {
+    } else if !fit.evidence.shows_snake() {
         // Of a snake that is half hidden the tubes near the base are seen.
         Some(if fit.evidence.of_tubes() > 0.0 { Status::Occluded } else { Status::NoSnake })
     } else {

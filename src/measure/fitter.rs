@@ -35,7 +35,7 @@ impl Fitter<'_> {
     /// the edges determine none.
     pub fn fit_fine(&self, start: Start, schedule: &FitSchedule) -> Vec<BendFit> {
         let Some(fit) = self.fit(start, schedule) else { return Vec::new() };
-        let any_shape = if fit.contradicts_shape { self.fit_any_shape(fit.start(), schedule) } else { None };
+        let any_shape = if fit.is_of_unlikely_shape(1.0) { self.fit_any_shape(fit.start(), schedule) } else { None };
         std::iter::once(fit).chain(any_shape).collect()
     }
 

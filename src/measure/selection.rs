@@ -25,7 +25,8 @@ pub(super) struct Selection {
     pub has_fine_fit: bool,
     /// What was tried.
     pub attempts: Vec<Attempt>,
-    /// Why the first is not to be relied on, if another one may be what the picture shows: another bend, or the same snake of another shape.
+    /// Why the first is not to be relied on, if another one may be what the picture shows, another bend or the same snake of another shape, or if its shape is
+    /// unlikely and does not explain the picture.
     pub refusal: Option<Status>,
 }
 
@@ -54,7 +55,13 @@ impl Fitter<'_> {
         }
         self.add_mirroring(&mut modes, fine);
         let decision = Decision::between(modes, self.view.diameter_px());
-        let Some(Decision { fit, refusal }) = decision else { return Selection::without_fine_fit(fits, attempts) };
+        let Some(Decision { fit, doubt, is_of_unlikely_shape }) = decision else {
+            return Selection::without_fine_fit(fits, attempts);
+        };
+        // With any shape a fit has local minima of its own. From a shape that the sequence told it starts in the right one; else one
+        // that leaves part of the outline unexplained is not to be relied on.
+        let is_unexplained = is_of_unlikely_shape && !self.rig.is_shape_known() && !fit.explains_outline();
+        let refusal = doubt.or(is_unexplained.then_some(Status::UnknownShape));
         fits[0] = fit;
         Selection { fits, has_fine_fit: true, attempts, refusal }
     }
@@ -62,7 +69,7 @@ impl Fitter<'_> {
     /// Adds what the heaviest mode becomes if the snake may have any shape: where part of the outline is hidden, what is left of it may not
     /// contradict a shape that the snake does not have.
     fn add_any_shape(&self, modes: &mut Vec<BendFit>, fine: &FitSchedule) {
-        let best = heaviest(modes).filter(|best| !(best.is_of_unlikely_shape() || best.explains_all()));
+        let best = heaviest(modes).filter(|best| !(best.is_of_unlikely_shape(1.0) || best.explains_all()));
         let any_shape = best.and_then(|best| self.fit_any_shape(best.start(), fine));
         modes.extend(any_shape);
     }

@@ -86,9 +86,9 @@ pub(crate) struct BendFit {
     pub rms_px: f64,
     /// The blur of the edges.
     pub blur: Blur,
-    /// Whether this picture's edges contradict what was known of the snake's shape, see [`FramePrior::contradiction`]. Only
-    /// a fit of the fine stage asks. Of modes that were joined, whether nearly all of their mass is [of an unlikely shape](Self::is_of_unlikely_shape).
-    pub contradicts_shape: bool,
+    /// By how much this picture's edges contradict what was known of the snake's shape, see [`FramePrior::contradiction`], in units of the χ² from which on
+    /// they do, if they scatter as they may; zero of a coarse fit.
+    pub contradiction: f64,
     /// Whether the snake may have any shape in this fit.
     pub of_any_shape: bool,
     /// Share of the outline that lies outside the picture.
@@ -108,9 +108,10 @@ impl BendFit {
         self.profile.tip
     }
 
-    /// Whether the snake is not taken to have about the shape that was known of it: it may have any, or the picture's edges contradict what was known.
-    pub fn is_of_unlikely_shape(&self) -> bool {
-        self.of_any_shape || self.contradicts_shape
+    /// Whether the snake is not taken to have about the shape that was known of it: it may have any, or the picture's edges contradict what was known,
+    /// though their variance exceeds what their σ say by the factor `dispersion`: they say so many times less.
+    pub fn is_of_unlikely_shape(&self, dispersion: f64) -> bool {
+        self.of_any_shape || self.contradiction > dispersion
     }
 
     /// The number of outline points at which an edge was searched.
@@ -208,7 +209,8 @@ struct Uncertainty {
     /// See [`excess`](super::excess).
     excess: f64,
     by_pose: SMatrix<f64, PROFILE, 6>,
-    contradicts_shape: bool,
+    /// See [`BendFit::contradiction`].
+    contradiction: f64,
 }
 
 /// What a round of matching leaves.
@@ -340,7 +342,7 @@ impl<'a> Fitting<'a> {
             inliers,
             rms_px,
             blur: edges.blur.clone(),
-            contradicts_shape: uncertainty.contradicts_shape,
+            contradiction: uncertainty.contradiction,
             of_any_shape: false,
             out_of_frame: self.drawn?.1.out_of_frame,
             cost: cost(edges, &distances_px, *search_px),
@@ -366,7 +368,7 @@ impl<'a> Fitting<'a> {
             scatter,
             excess: covariance.excess,
             by_pose: SMatrix::from_fn(|row, column| -gain[(row, column)]),
-            contradicts_shape: contradiction > prior.contradiction_chi2,
+            contradiction: contradiction / prior.contradiction_chi2,
         })
     }
 }

@@ -33,7 +33,9 @@ pub(crate) struct Decision {
     /// The heaviest mode; joined with those of the same snake seen edge-on.
     pub fit: BendFit,
     /// Why its bend is not told, if other snakes hold more than a share of 1 − [`DECIDING_SHARE`] of the mass.
-    pub refusal: Option<Status>,
+    pub doubt: Option<Status>,
+    /// Whether nearly all of the mass of its snake is [of an unlikely shape](BendFit::is_of_unlikely_shape).
+    pub is_of_unlikely_shape: bool,
 }
 
 impl Decision {
@@ -49,9 +51,10 @@ impl Decision {
             separate(modes, SAME_MINIMUM_RAD).into_iter().partition(|fit| is_edge_on(fit));
         let [own, of_others] = [&same, &others].map(|modes| modes.iter().map(mass).sum::<f64>());
         let is_decided = own >= DECIDING_SHARE * (own + of_others);
-        let refusal = others.first().filter(|_| !is_decided).map(|other| heaviest.doubt_beside(other));
+        let doubt = others.first().filter(|_| !is_decided).map(|other| heaviest.doubt_beside(other));
         let shares: Vec<(&BendFit, f64)> = same.iter().map(|fit| (fit, mass(fit) / own)).collect();
-        Some(Self { fit: heaviest.joined(&shares), refusal })
+        let is_of_unlikely_shape = are_all(&shares, |fit| fit.is_of_unlikely_shape(dispersion));
+        Some(Self { fit: heaviest.joined(&shares), doubt, is_of_unlikely_shape })
     }
 }
 
@@ -96,8 +99,8 @@ impl BendFit {
         if self.origin == other.origin { Status::UnknownShape } else { Status::Ambiguous }
     }
 
-    /// This fit at the mean of modes with these shares of their mass, of which it is one, with their scatter in its covariance. It is of any shape, or of
-    /// an unlikely one, if they are.
+    /// This fit at the mean of modes with these shares of their mass, of which it is one, with their scatter in its covariance. It is of any shape if they
+    /// are.
     fn joined(mut self, modes: &[(&Self, f64)]) -> Self {
         let from_here = |fit: &Self| SVector::from(fit.profile.to_array()) - SVector::from(self.profile.to_array());
         let apart: Vec<_> = modes.iter().map(|(fit, share)| (from_here(fit), *share)).collect();
@@ -107,14 +110,15 @@ impl BendFit {
         self.doubt = apart.iter().map(scatter).sum();
         self.covariance += self.doubt;
         self.profile = self.profile.stepped(mean.as_slice());
-        let are_all = |property: fn(&Self) -> bool| {
-            let share: f64 = modes.iter().filter(|(fit, _)| property(fit)).map(|(_, share)| share).sum();
-            share >= DECIDING_SHARE
-        };
-        self.contradicts_shape = are_all(Self::is_of_unlikely_shape);
-        self.of_any_shape = are_all(|fit| fit.of_any_shape);
+        self.of_any_shape = are_all(modes, |fit| fit.of_any_shape);
         self
     }
+}
+
+/// Whether modes with nearly all of the mass, of which each has this share, have a property.
+fn are_all(modes: &[(&BendFit, f64)], property: impl Fn(&BendFit) -> bool) -> bool {
+    let share: f64 = modes.iter().filter(|(fit, _)| property(fit)).map(|(_, share)| share).sum();
+    share >= DECIDING_SHARE
 }
 
 /// Local minima, least cost first; of those that ended within `apart_rad` of each other only the first.

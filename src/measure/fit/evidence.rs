@@ -91,6 +91,11 @@ impl Evidence {
         self.tubes + self.disks.iter().sum::<f64>() + self.light
     }
 
+    /// Whether there is a snake, at the odds that decide.
+    pub fn shows_snake(&self) -> bool {
+        self.total() >= DECIDING_ODDS.ln()
+    }
+
     /// Of the tubes between the disks.
     pub fn of_tubes(&self) -> f64 {
         self.tubes
@@ -166,6 +171,11 @@ mod tests {
         let expected = per_point * points / noise_model().design_effect;
         assert!((of_snake.total() / expected - 1.0).abs() < 0.05, "{} {expected}", of_snake.total());
         assert!(of_snake.of_tip() > 5.0, "{of_snake:?}");
+    }
+
+    #[test]
+    fn a_snake_is_shown_at_odds_of_twenty_to_one() {
+        assert!(Evidence::amounting_to(3.0).shows_snake() && !Evidence::amounting_to(2.99).shows_snake());
     }
 
     #[test]

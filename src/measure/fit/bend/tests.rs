@@ -129,19 +129,19 @@ fn another_snake_with_more_than_a_twentieth_of_the_mass_leaves_the_picture_undec
         let modes = others.iter().chain(&[(0.0, 0.0)]).map(|&(apart_rad, says)| mode(&fit, apart_rad, says));
         Decision::between(modes.collect(), diameter_px).unwrap()
     };
-    assert_eq!(decided(&[(0.3, -2.9)], 52.0).refusal, Some(Status::Ambiguous));
-    assert_eq!(decided(&[(0.3, -3.1)], 52.0).refusal, None);
+    assert_eq!(decided(&[(0.3, -2.9)], 52.0).doubt, Some(Status::Ambiguous));
+    assert_eq!(decided(&[(0.3, -3.1)], 52.0).doubt, None);
     // Two others have twice the mass of one, and one of them that was met twice has not.
-    assert_eq!(decided(&[(0.3, -3.1), (-0.3, -3.1)], 52.0).refusal, Some(Status::Ambiguous));
-    assert_eq!(decided(&[(0.3, -3.1), (0.301, -3.1)], 52.0).refusal, None);
+    assert_eq!(decided(&[(0.3, -3.1), (-0.3, -3.1)], 52.0).doubt, Some(Status::Ambiguous));
+    assert_eq!(decided(&[(0.3, -3.1), (0.301, -3.1)], 52.0).doubt, None);
     // In a coarse picture rims open alike further apart.
-    assert_eq!(decided(&[(0.3, -2.9)], 12.0).refusal, None);
+    assert_eq!(decided(&[(0.3, -2.9)], 12.0).doubt, None);
     // What one start leads to is one snake, of one shape or another.
     let shaped = BendFit { origin: mode(&fit, 0.0, 0.0).origin, ..mode(&fit, 0.3, -2.9) };
     let of_another_shape = Decision::between(vec![shaped, mode(&fit, 0.0, 0.0)], 52.0).unwrap();
-    assert_eq!(of_another_shape.refusal, Some(Status::UnknownShape));
+    assert_eq!(of_another_shape.doubt, Some(Status::UnknownShape));
     let heaviest = decided(&[(0.3, 4.0)], 52.0);
-    assert!(heaviest.refusal.is_none() && (heaviest.fit.bend().x - fit.bend().x - 0.3).abs() < 1e-12);
+    assert!(heaviest.doubt.is_none() && (heaviest.fit.bend().x - fit.bend().x - 0.3).abs() < 1e-12);
 }
 
 /// Against the moments of two values with probabilities: the mean p a, the variance p (1 − p) a².
@@ -171,12 +171,14 @@ fn a_shape_is_unlikely_unless_a_likely_one_holds_more_than_a_twentieth_of_the_ma
     let bend = Vector2::new(0.6, 0.35);
     let fit = fitted(&scene, &picture(&scene, bend), bend);
     let any = BendFit { of_any_shape: true, ..mode(&fit, 0.04, 1.5_f64.ln()) };
-    let beside = |contradicts_shape: bool, says: f64| {
-        let near_an_arc = BendFit { contradicts_shape, ..mode(&fit, 0.0, says) };
-        Decision::between(vec![any.clone(), near_an_arc], 52.0).unwrap().fit
+    let beside = |contradiction: f64, excess: f64, says: f64| {
+        let near_an_arc = BendFit { contradiction, excess, ..mode(&fit, 0.0, says) };
+        Decision::between(vec![BendFit { excess, ..any.clone() }, near_an_arc], 52.0).unwrap()
     };
-    let contradicted = beside(true, 0.0);
-    assert!(contradicted.is_of_unlikely_shape() && !contradicted.of_any_shape);
-    assert!(!beside(false, 0.0).is_of_unlikely_shape());
-    assert!(beside(false, -4.0).is_of_unlikely_shape());
+    let contradicted = beside(1.1, 1.0, 0.0);
+    assert!(contradicted.is_of_unlikely_shape && !contradicted.fit.of_any_shape);
+    assert!(!beside(0.9, 1.0, 0.0).is_of_unlikely_shape);
+    assert!(beside(0.9, 1.0, -4.0).is_of_unlikely_shape);
+    // Edges that scatter more than they may contradict less.
+    assert!(!beside(1.1, 1.2, 0.0).is_of_unlikely_shape && beside(1.3, 1.2, 0.0).is_of_unlikely_shape);
 }
