@@ -3,7 +3,7 @@
 //! An edge has five errors. Each has its variance here, and nothing else in the fit decides on one:
 //!
 //! 1. Pixel noise, which the edge finder works out of each edge ([`Edge::sigma_px`](super::edges::Edge::sigma_px)).
-//! 2. A floor for every single edge, by which shading and print displace it however clean it looks: [`edge_floor_px`].
+//! 2. A floor for every single edge, by which shading and print displace it however clean it looks, the more the wider it is: [`edge_floor_px`].
 //! 3. A bias of each kind of edge in each frame, which is fitted under a prior: [`NoiseModel::frame_bias_px`].
 //! 4. What a disk's face mirrors where it is seen at a glancing angle, which is fitted under a prior as well: [`NoiseModel::glare`].
 //! 5. Systematic error modes, displacements of many edges at once that look like a bend: [`systematic_modes`].
