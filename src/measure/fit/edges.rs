@@ -207,9 +207,9 @@ impl<'a> EdgeFinder<'a> {
         let search_px = search_px.min(FURTHEST_PX);
         let outward = search_px.min(point.gap_px);
         let inward = search_px.min(point.depth_px);
-        let whole_steps = |px: f64| (px / STEP_PX) as usize;
-        let steps = |px: f64, next_px: f64| (whole_steps(px) + self.examined_steps(next_px).max(1)).min(MOST_SLOPES);
-        let (inside, outside) = (steps(inward, point.depth_px), steps(outward, point.gap_px));
+        let examined = (self.examined_steps(point.depth_px), self.examined_steps(point.gap_px));
+        let steps = |px: f64, examined: usize| (whole_steps(px) + examined.max(1)).min(MOST_SLOPES);
+        let (inside, outside) = (steps(inward, examined.0), steps(outward, examined.1));
         let count = inside + outside + 1;
         let mut slopes = [[0.0; LANES]; (2 * MOST_SLOPES + 1).div_ceil(LANES)];
         let slopes = &mut slopes[..count.div_ceil(LANES)];
@@ -233,18 +233,18 @@ impl<'a> EdgeFinder<'a> {
         if slopes[best] < 0.0 {
             slopes.iter_mut().for_each(|slope| *slope = -*slope);
         }
-        let edge = self.edge_at(point, slopes, best)?;
+        let edge = self.edge_at(slopes, best, examined)?;
         Some(Edge { offset_px: position(best) + edge.offset_px, ..edge })
     }
 
     /// How many steps beyond an edge its surroundings are examined, if the next edge of the snake is so far away: up to where the filter reaches that.
     fn examined_steps(&self, next_px: f64) -> usize {
-        let free_px = (next_px - self.reach_px()).clamp(0.0, self.neighbourhood_px);
-        (free_px / STEP_PX) as usize
+        whole_steps((next_px - self.reach_px()).clamp(0.0, self.neighbourhood_px))
     }
 
-    /// The edge of a border point at a peak of the slopes, its offset counted from the peak's sample. `None` if it does not stand out of the noise.
-    fn edge_at(&self, point: &OutlinePoint, slopes: &[f32], peak: usize) -> Option<Edge> {
+    /// The edge at a peak of the slopes, its offset counted from the peak's sample; so many steps inwards and outwards of it are examined. `None` if it does not
+    /// stand out of the noise.
+    fn edge_at(&self, slopes: &[f32], peak: usize, (inward, outward): (usize, usize)) -> Option<Edge> {
         // A step of height h with blur σ has slope h/(σ√2π) and, filtered, curvature slope/(σ² + filter²).
         let [before, slope, after] = [peak - 1, peak, peak + 1].map(|k| f64::from(slopes[k]));
         let curvature = (2.0 * slope - before - after) / (STEP_PX * STEP_PX);
@@ -256,7 +256,6 @@ impl<'a> EdgeFinder<'a> {
         let noise_px = self.slope_noise / self.filter_px / curvature;
         // Where a clean edge is flat, a highlight along the rim or a printed line beside the border rises and displaces the edge. The next edge of the
         // snake itself is none of these.
-        let (inward, outward) = (self.examined_steps(point.depth_px), self.examined_steps(point.gap_px));
         let around = &slopes[peak.saturating_sub(inward)..=(peak + outward).min(slopes.len() - 1)];
         let rise = f64::from(-least(around).min(0.0)) - 2.0 * self.slope_noise;
         let pull_px = NEIGHBOUR_PULL_PX * (rise.max(0.0) / slope).min(1.0);
@@ -288,6 +287,11 @@ impl<'a> EdgeFinder<'a> {
             *slopes = sums;
         }
     }
+}
+
+/// How many steps of a profile a distance has room for.
+fn whole_steps(px: f64) -> usize {
+    (px / STEP_PX) as usize
 }
 
 /// The least of some values, which are no NaN, in lanes side by side.
